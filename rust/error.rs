@@ -1,0 +1,53 @@
+//! The one error type of the crate.
+
+use std::path::PathBuf;
+
+/// What can go wrong. Every message is one line that names the array or the
+/// file, what was expected and what was found. A panic, by contrast, is a bug.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// An argument has the wrong shape or holds a value that cannot be used.
+    #[error("{name}: expected {expected}, found {found}")]
+    Argument {
+        /// Name of the array or option, as the caller knows it.
+        name: &'static str,
+        /// What would have been accepted.
+        expected: String,
+        /// What was there instead.
+        found: String,
+    },
+    /// A file was read but its content cannot be used.
+    #[error("{}: {reason}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// Expected and found, in words.
+        reason: String,
+    },
+    /// The operating system refused to read or write a file.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's own error.
+        source: std::io::Error,
+    },
+}
+
+impl Error {
+    /// An [`Error::Argument`] from anything that can be shown.
+    pub fn argument(
+        name: &'static str,
+        expected: impl ToString,
+        found: impl ToString,
+    ) -> Self {
+        Self::Argument {
+            name,
+            expected: expected.to_string(),
+            found: found.to_string(),
+        }
+    }
+}
+
+/// Shorthand for results of this crate.
+pub type Result<T> = std::result::Result<T, Error>;

@@ -1,0 +1,46 @@
+//! The one place that names pyo3 and numpy: arrays in, arrays out.
+//!
+//! Every function copies its input before it releases the interpreter lock: a
+//! borrowed numpy array could be changed by another thread meanwhile.
+
+mod image_file;
+
+use pyo3::create_exception;
+use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::Error;
+
+create_exception!(
+    pbrfit._core,
+    InputError,
+    PyValueError,
+    "Unusable input: the message names the file or array, what was expected and what was found."
+);
+
+impl From<Error> for PyErr {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Argument { .. } | Error::Content { .. } => InputError::new_err(error.to_string()),
+            Error::Io { path, source } => {
+                // OSError(errno, text, path) lets Python choose FileNotFoundError and its kin.
+                let code = source.raw_os_error();
+                match code {
+                    Some(code) => PyOSError::new_err((
+                        code,
+                        source.to_string(),
+                        path.display().to_string(),
+                    )),
+                    None => PyOSError::new_err(format!("{}: {source}", path.display())),
+                }
+            }
+        }
+    }
+}
+
+/// The extension module `pbrfit._core`.
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("InputError", module.py().get_type::<InputError>())?;
+    image_file::register(module)
+}
