@@ -6,34 +6,13 @@ the formulas: the paper's equations 1-12; `rust/shade.rs` derives them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.geometry import view_directions
-
-
-@dataclass(frozen=True)
-class Materials:
-    """Material maps of one view; pixels outside the mask are NaN in all three.
-
-    Attributes
-    ----------
-    albedo
-        (H, W, 3), base colour, linear Rec.709, in [0, 1]; of a metal it is F0.
-    roughness
-        (H, W), perceptual roughness r in [0, 1]; the GGX width is alpha = r².
-    metallic
-        (H, W), in [0, 1].
-    """
-
-    albedo: NDArray[np.floating[Any]]
-    roughness: NDArray[np.floating[Any]]
-    metallic: NDArray[np.floating[Any]]
+from pbrfit.materials import Materials
 
 
 def sh_basis(directions: ArrayLike) -> NDArray[np.float64]:

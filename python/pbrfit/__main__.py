@@ -1,0 +1,7 @@
+"""`python -m pbrfit`."""
+
+import sys
+
+from pbrfit.cli import main
+
+sys.exit(main())

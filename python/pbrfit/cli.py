@@ -1,0 +1,394 @@
+"""The command line: one command a verb. Nothing imports this file."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from pbrfit._core import InputError
+from pbrfit.color import ColorSpace
+
+if TYPE_CHECKING:
+    from pbrfit.result import Result
+    from pbrfit.scene import Scene
+
+DONE, SOME_FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 unusable input."""
+    options = _parser().parse_args(arguments)
+    _log_to_stderr(quiet=getattr(options, "quiet", False))
+    try:
+        command: Callable[[argparse.Namespace], int] = options.command
+        return command(options)
+    except (InputError, OSError) as error:
+        _complain(_message(error))
+        return UNUSABLE
+    except KeyboardInterrupt:
+        _complain("interrupted; no unfinished result was left behind")
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="pbrfit",
+        description="Recover physically based materials (albedo, roughness, metallic) and the "
+        "lighting of each picture from several pictures of one view under different lights.",
+        epilog="Start with: pbrfit demo out",
+    )
+    parser.add_argument("--version", action="version", version=f"pbrfit {version('pbrfit')}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True, title="commands")
+
+    def command(
+        name: str, run: Callable[[argparse.Namespace], int], summary: str
+    ) -> argparse.ArgumentParser:
+        added = commands.add_parser(
+            name,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        )
+        added.set_defaults(command=run)
+        return added
+
+    added = command("decompose", _decompose, "fit materials and lights to scene folders")
+    added.add_argument(
+        "scenes", metavar="SCENE", nargs="+", type=Path, help="scene folder, or a folder of them"
+    )
+    _add_out(added, "result folder; with several scenes it holds one result folder a scene")
+    _add_input_options(added)
+    _add_solver_options(added)
+    _add_quiet(added)
+
+    added = command("inspect", _inspect, "show what a scene folder holds and what is assumed")
+    added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
+    added.add_argument(
+        "--preview",
+        metavar="FILE",
+        type=Path,
+        default=argparse.SUPPRESS,
+        help="write a PNG with a picture, the normals and which of them face the camera",
+    )
+    _add_input_options(added)
+
+    added = command("synth", _synth, "render a synthetic scene folder with ground truth")
+    added.add_argument("out", metavar="DIR", type=Path, help="scene folder to write")
+    _add_synth_options(added)
+    added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+
+    added = command("normals", _normals, "give normals to a folder of pictures")
+    added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
+    added.add_argument(
+        "--from",
+        dest="source",
+        choices=("flat",),
+        default="flat",
+        help="flat: every surface faces the camera",
+    )
+    added.add_argument("--overwrite", action="store_true", help="replace existing normals")
+
+    added = command(
+        "check-gradients", _check_gradients, "compare the gradient with finite differences"
+    )
+    added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
+    _add_input_options(added)
+    added.add_argument("--seed", type=int, default=0, help="of the random point and directions")
+
+    added = command("demo", _demo, "make a synthetic scene, decompose it, compare with the truth")
+    added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
+    _add_synth_options(added)
+    _add_solver_options(added)
+    added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+    _add_quiet(added)
+    return parser
+
+
+def _add_out(parser: argparse.ArgumentParser, what: str) -> None:
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, default=argparse.SUPPRESS, help=what
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace existing results")
+
+
+def _add_quiet(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--quiet", action="store_true", help="no progress bar, no table")
+
+
+def _add_input_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--fov",
+        metavar="DEG",
+        type=float,
+        default=argparse.SUPPRESS,
+        help="horizontal field of view, 0 = orthographic (default: scene.toml, EXIF, else 60)",
+    )
+    parser.add_argument(
+        "--color-space",
+        choices=get_args(ColorSpace),
+        default=argparse.SUPPRESS,
+        help="of all pictures (default: scene.toml, ICC profile, else sRGB for integer files and "
+        "linear Rec.709 for float files)",
+    )
+    parser.add_argument(
+        "--max-size",
+        metavar="PIXELS",
+        type=int,
+        default=argparse.SUPPRESS,
+        help="average larger pictures down to this longer side (default: as they are)",
+    )
+
+
+def _add_solver_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--solver", choices=("lbfgsb",), default="lbfgsb", help="optimiser")
+    parser.add_argument("--iterations", metavar="K", type=int, default=500, help="at most so many")
+    parser.add_argument(
+        "--time-limit",
+        metavar="S",
+        type=float,
+        default=argparse.SUPPRESS,
+        help="stop the fit of a scene after so many seconds (default: none)",
+    )
+    parser.add_argument(
+        "--threads",
+        metavar="T",
+        type=int,
+        default=0,
+        help="0 = one for each processor; results do not depend on it",
+    )
+
+
+def _add_synth_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--scene",
+        dest="kind",
+        choices=("room", "spheres", "textured"),
+        default="room",
+        help="kind of scene",
+    )
+    parser.add_argument("--size", metavar="PIXELS", type=int, default=128, help="side of a picture")
+    parser.add_argument("--lights", metavar="N", type=int, default=16, help="number of pictures")
+    parser.add_argument("--sh-order", type=int, choices=(2, 3), default=3, help="of the lights")
+    parser.add_argument(
+        "--noise", metavar="S", type=float, default=0.0, help="Gaussian; mean radiance is 0.4"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of scene, lights and noise")
+
+
+def _decompose(options: argparse.Namespace) -> int:
+    from pbrfit.output import check_free
+
+    scenes, one = _find_scenes(options.scenes)
+    outputs = [options.out if one else options.out / path.name for path in scenes]
+    for output in outputs:
+        check_free(output, overwrite=options.overwrite)
+    failed = []
+    for path, output in zip(scenes, outputs, strict=True):
+        try:
+            _decompose_one(path, output, options)
+        except (InputError, OSError) as error:
+            if one:
+                raise
+            _complain(_message(error))
+            failed.append(path)
+    if failed:
+        names = ", ".join(str(path) for path in failed)
+        _complain(f"{len(failed)} of {len(scenes)} scenes failed: {names}")
+        return SOME_FAILED if len(failed) < len(scenes) else UNUSABLE
+    return DONE
+
+
+def _decompose_one(path: Path, output: Path, options: argparse.Namespace) -> None:
+    from pbrfit.output import new_folder
+
+    # The folder is opened first: no right to write should show before the work, not after it.
+    with new_folder(output, overwrite=options.overwrite) as folder:
+        scene = _load(path, options)
+        result = _fit(scene, path.resolve().name, options)
+        result.write(folder, scene)
+    if not options.quiet:
+        _print_result(result, scene, output)
+
+
+def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
+    """All scene folders that were named, directly or by a folder of them; and whether just one."""
+    from pbrfit import scene_folder
+
+    scenes: list[Path] = []
+    for path in paths:
+        if path.is_dir() and not scene_folder.is_scene(path):
+            below = sorted(p for p in path.iterdir() if p.is_dir() and scene_folder.is_scene(p))
+            scenes += below or [path]
+        else:
+            scenes.append(path)
+    names = [path.resolve().name for path in scenes]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"SCENE: expected different names, found {twice[0]} twice")
+    return scenes, len(paths) == 1 and scenes == list(paths)
+
+
+def _load(path: Path, options: argparse.Namespace) -> Scene:
+    from pbrfit.scene import Scene
+
+    return Scene.load(
+        path,
+        fov=getattr(options, "fov", None),
+        color_space=getattr(options, "color_space", None),
+        max_size=getattr(options, "max_size", None),
+    )
+
+
+def _fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
+    from tqdm import tqdm
+
+    from pbrfit.solve import Progress, decompose
+
+    # disable=None: only where stderr is a terminal.
+    with tqdm(
+        total=options.iterations,
+        desc=name,
+        unit="it",
+        disable=True if options.quiet else None,
+        dynamic_ncols=True,
+    ) as bar:
+
+        def show(progress: Progress) -> None:
+            bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)
+            bar.update(progress.iteration - bar.n)
+
+        return decompose(
+            scene,
+            solver=options.solver,
+            iterations=options.iterations,
+            time_limit=getattr(options, "time_limit", None),
+            threads=options.threads,
+            progress=show,
+        )
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    from pbrfit import images, inspection, report
+
+    scene = _load(options.scene, options)
+    for topic, fact in inspection.facts(scene):
+        print(f"{topic:<18}{fact}")
+    if hasattr(options, "preview"):
+        images.write_png(options.preview, report.normals_preview(scene), srgb=True)
+        print(f"{'preview':<18}{options.preview}")
+    return DONE
+
+
+def _synth(options: argparse.Namespace) -> int:
+    from pbrfit.output import check_free
+
+    check_free(options.out, overwrite=options.overwrite)
+    _make_scene(options).save(options.out, overwrite=options.overwrite)
+    print(f"{options.out}: {options.kind}, {options.lights} pictures and ground truth")
+    return DONE
+
+
+def _make_scene(options: argparse.Namespace) -> Scene:
+    from pbrfit.synthetic import make_scene
+
+    return make_scene(
+        options.kind,
+        size=options.size,
+        lights=options.lights,
+        sh_order=options.sh_order,
+        noise=options.noise,
+        seed=options.seed,
+    )
+
+
+def _normals(options: argparse.Namespace) -> int:
+    from pbrfit import scene_folder
+
+    path = scene_folder.write_flat_normals(options.scene, overwrite=options.overwrite)
+    print(f"{path}: every surface faces the camera")
+    return DONE
+
+
+def _check_gradients(options: argparse.Namespace) -> int:
+    from pbrfit.gradient_check import TOLERANCE, check_gradients
+    from pbrfit.objective import Objective
+
+    checks = check_gradients(Objective(_load(options.scene, options)), seed=options.seed)
+    print(f"{'unknowns':<12}{'analytic':>16}{'numeric':>16}{'relative error':>16}")
+    for check in checks:
+        verdict = "" if check.passed else "   differs"
+        print(
+            f"{check.unknowns:<12}{check.analytic:>16.8e}{check.numeric:>16.8e}"
+            f"{check.relative_error:>16.1e}{verdict}"
+        )
+    failed = sum(not check.passed for check in checks)
+    print(f"{len(checks) - failed} of {len(checks)} within {TOLERANCE:g}")
+    return SOME_FAILED if failed else DONE
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from pbrfit import report
+    from pbrfit.output import new_folder
+
+    with new_folder(options.out, overwrite=options.overwrite) as folder:
+        _make_scene(options).save(folder / "scene")
+        scene = _load(folder / "scene", options)
+        result = _fit(scene, options.kind, options)
+        result.save(folder / "result", scene=scene)
+        report.plot_history(result, folder / "history.png")
+    if not options.quiet:
+        _print_result(result, scene, options.out / "result")
+        print(f"\nLook at {options.out / 'result' / 'preview.png'} and {options.out / 'history.png'}")
+    return DONE
+
+
+def _print_result(result: Result, scene: Scene, output: Path) -> None:
+    iterations = len(result.history) - 1
+    print(
+        f"{output}: {len(scene.images)} pictures of {scene.width} × {scene.height}, "
+        f"{iterations} iterations in {result.seconds:.1f} s ({result.stop_reason})"
+    )
+    rows = [
+        ("reconstruction", "recon_rmse"),
+        ("albedo", "albedo_rmse"),
+        ("albedo, best scale", "albedo_scaled_rmse"),
+        ("roughness", "roughness_rmse"),
+        ("metallic", "metallic_rmse"),
+        ("relight", "relight_rmse"),
+    ]
+    print(f"\n{'RMSE':<22}{'start':>10}{'result':>10}")
+    for name, key in rows:
+        if key in result.metrics:
+            at_start = (
+                f"{result.history[key][0]:>10.4f}" if key in result.history.columns else f"{'':>10}"
+            )
+            print(f"{name:<22}{at_start}{result.metrics[key]:>10.4f}")
+
+
+def _log_to_stderr(*, quiet: bool) -> None:
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("pbrfit: %(levelname)s: %(message)s"))
+    logger = logging.getLogger("pbrfit")
+    logger.handlers[:] = [handler]
+    logger.setLevel(logging.ERROR if quiet else logging.WARNING)
+    logger.propagate = False
+
+
+def _message(error: Exception) -> str:
+    """One line that names the file."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+def _complain(message: str) -> None:
+    print(f"pbrfit: {message}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

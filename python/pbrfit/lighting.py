@@ -1,0 +1,83 @@
+"""`lighting.json`: SH lights of named pictures, the one format for them everywhere."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+
+BASIS = "real SH, no Condon-Shortley phase, index l(l+1)+m"
+ORDER = 3
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """SH light of each picture.
+
+    Attributes
+    ----------
+    pictures
+        Names, one a picture.
+    coefficients
+        (N, 16, 3) float64: picture, coefficient k = l(l+1)+m, channel; linear Rec.709.
+    """
+
+    pictures: tuple[str, ...]
+    coefficients: NDArray[np.float64]
+
+    def save(self, path: Path) -> None:
+        """Write `lighting.json`."""
+        content = {
+            "basis": BASIS,
+            "order": ORDER,
+            "pictures": list(self.pictures),
+            "coefficients": self.coefficients.tolist(),
+        }
+        path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> Lighting:
+        """Read `lighting.json`.
+
+        Raises
+        ------
+        InputError
+            If the file is not what `save` writes; the message names the file.
+        """
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            basis, order = content["basis"], content["order"]
+            pictures = tuple(str(name) for name in content["pictures"])
+            coefficients = np.array(content["coefficients"], dtype=np.float64)
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(
+                f"{path}: expected JSON with basis, order, pictures and coefficients, "
+                f"found {type(error).__name__}: {error}"
+            ) from None
+        if (basis, order) != (BASIS, ORDER):
+            raise InputError(
+                f"{path}: expected basis {BASIS!r} of order {ORDER}, "
+                f"found {basis!r} of order {order!r}"
+            )
+        expected = (len(pictures), 16, 3)
+        if coefficients.shape != expected or not np.isfinite(coefficients).all():
+            raise InputError(
+                f"{path}: expected finite coefficients of shape {expected}, one light for each "
+                f"name in pictures, found shape {coefficients.shape}"
+            )
+        return cls(pictures, coefficients)
+
+    def of(self, pictures: tuple[str, ...], path: Path) -> NDArray[np.float64]:
+        """Coefficients in the order of `pictures`; `path` is named when one has no light."""
+        missing = [name for name in pictures if name not in self.pictures]
+        if missing:
+            raise InputError(
+                f"{path}: expected a light for every picture, found none for {missing[0]}"
+                + (f" and {len(missing) - 1} more" if len(missing) > 1 else "")
+            )
+        return self.coefficients[[self.pictures.index(name) for name in pictures]]

@@ -1,0 +1,207 @@
+"""Pictures for people: the preview of a result and plots of its history."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from pbrfit.color import encode_srgb
+from pbrfit.materials import Materials
+from pbrfit.model import render
+
+if TYPE_CHECKING:
+    from pbrfit.result import Result
+    from pbrfit.scene import Scene
+
+PANEL_SIDE = (192, 384)
+"""Smallest and largest longer side of a panel in pixels."""
+
+MARGIN = 12
+CAPTION = 24
+PAPER = (255, 255, 255)
+INK = (30, 30, 30)
+OUTSIDE = 0.85
+"""Grey of pixels outside the mask."""
+
+ERROR_SPAN = 0.2
+"""Difference from the truth that is drawn white in the error panels."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One labelled picture: (H, W, 3) values in [0, 1] as they go to the screen."""
+
+    caption: str
+    pixels: NDArray[np.floating[Any]]
+
+
+def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
+    """Sheet of a result: (H, W, 3) uint8 sRGB.
+
+    The first row shows a picture (with `scene`), its reconstruction, and the maps; with ground
+    truth a second row shows the truth and a third the absolute errors.
+    """
+    light = result.lighting[0]
+    reconstruction = render(result.materials, result.normals, light, result.fov)
+    exposure = _exposure(reconstruction)
+    name = result.pictures[0]
+    row = [Panel(f"reconstruction of {name}", _display(reconstruction * exposure))]
+    if scene is not None:
+        row.insert(0, Panel(f"picture {name}", _display(scene.images[0] * exposure)))
+    row += _maps(result.materials, "")
+    row.append(Panel("normals", _outside_grey(0.5 + 0.5 * result.normals)))
+    rows = [row]
+    if scene is not None and scene.truth is not None:
+        true = scene.truth.materials
+        errors = Materials(
+            *(
+                np.abs(found - known) / ERROR_SPAN
+                for found, known in zip(_arrays(result.materials), _arrays(true), strict=True)
+            )
+        )
+        label = f"|error|, white = {ERROR_SPAN:g}"
+        rows.append([None, None, *_maps(true, "true ")])
+        rows.append(
+            [
+                None,
+                None,
+                *(
+                    Panel(f"{name} {label}", _outside_grey(values))
+                    for name, values in zip(
+                        ("albedo", "roughness", "metallic"), _arrays(errors), strict=True
+                    )
+                ),
+            ]
+        )
+    return sheet(rows)
+
+
+def normals_preview(scene: Scene) -> NDArray[np.uint8]:
+    """Sheet for checking normals: first picture, normals, and n·v; (H, W, 3) uint8 sRGB."""
+    cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
+    facing = np.repeat(_outside_grey(cosine)[..., :1], 3, axis=-1)
+    facing[cosine <= 0] = (0.84, 0.37, 0.0)  # vermillion, told apart by all common colour vision
+    image = np.where(scene.valid[..., None], scene.images[0], np.nan)
+    return sheet(
+        [
+            [
+                Panel(f"picture {scene.names[0]}", _display(image * _exposure(image))),
+                Panel("normals: R right, G up, B to viewer", _outside_grey(0.5 + 0.5 * scene.normals)),
+                Panel("n·v: white faces you, orange faces away", facing),
+            ]
+        ]
+    )
+
+
+def sheet(rows: list[list[Panel | None]]) -> NDArray[np.uint8]:
+    """Panels in a grid, captions above; None leaves a gap. (H, W, 3) uint8."""
+    first = next(panel for row in rows for panel in row if panel is not None)
+    height, width = first.pixels.shape[:2]
+    longer = max(height, width)
+    low, high = PANEL_SIDE
+    factor = -(-low // longer) if longer < low else min(1.0, high / longer)
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    step = (max(size[0], low) + MARGIN, size[1] + CAPTION + MARGIN)
+    columns = max(len(row) for row in rows)
+    canvas = Image.new(
+        "RGB", (columns * step[0] + MARGIN, len(rows) * step[1] + MARGIN), color=PAPER
+    )
+    draw = ImageDraw.Draw(canvas)
+    for i, row in enumerate(rows):
+        for j, panel in enumerate(row):
+            if panel is None:
+                continue
+            x, y = MARGIN + j * step[0], MARGIN + i * step[1]
+            draw.text((x, y), panel.caption, fill=INK, font=_font(panel.caption, step[0] - MARGIN))
+            pixels = (255 * np.clip(panel.pixels, 0, 1) + 0.5).astype(np.uint8)
+            # Whole factors repeat pixels; smaller ones average them.
+            scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
+            canvas.paste(Image.fromarray(pixels).resize(size, scaling), (x, y + CAPTION))
+    return np.asarray(canvas)
+
+
+def plot_history(result: Result, path: Path) -> None:
+    """Errors against run time and iterations, logarithmic, as PNG."""
+    # Imported here: matplotlib is slow to start and needed by nobody else.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    # Okabe and Ito's colours, with marker shapes for those who see none.
+    series = {
+        "recon_rmse": ("reconstruction", "#000000", "o"),
+        "albedo_rmse": ("albedo", "#D55E00", "s"),
+        "roughness_rmse": ("roughness", "#0072B2", "^"),
+        "metallic_rmse": ("metallic", "#009E73", "D"),
+    }
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, sharey=True)
+    history = result.history
+    for axes, column, label in (
+        (left, "elapsed_s", "run time [s]"),
+        (right, "iteration", "iteration"),
+    ):
+        for name, (legend, color, marker) in series.items():
+            if name in history.columns:
+                axes.loglog(
+                    np.maximum(history[column], 1e-3 if column == "elapsed_s" else 0.5),
+                    history[name],
+                    color=color,
+                    marker=marker,
+                    markevery=0.1,
+                    markersize=4,
+                    label=legend,
+                )
+        axes.set_xlabel(label)
+        axes.grid(visible=True, which="major", alpha=0.3)
+    left.set_ylabel("RMSE")
+    left.legend()
+    figure.suptitle(f"Error against run time: {len(result.pictures)} pictures, {_size(result)}")
+    figure.savefig(path, dpi=120)
+
+
+def _size(result: Result) -> str:
+    height, width = result.mask.shape
+    return f"{width} × {height} pixels, {result.options.solver}"
+
+
+def _maps(materials: Materials, prefix: str) -> list[Panel | None]:
+    return [
+        Panel(f"{prefix}albedo", _display(materials.albedo)),
+        Panel(f"{prefix}roughness, white = 1", _outside_grey(materials.roughness)),
+        Panel(f"{prefix}metallic, white = 1", _outside_grey(materials.metallic)),
+    ]
+
+
+def _arrays(materials: Materials) -> tuple[NDArray[np.floating[Any]], ...]:
+    return materials.albedo, materials.roughness, materials.metallic
+
+
+def _exposure(radiance: NDArray[np.floating[Any]]) -> float:
+    """Factor that brings the 98th percentile to display white."""
+    bright = float(np.nanpercentile(radiance, 98))
+    return 1.0 / bright if bright > 0 else 1.0
+
+
+def _display(linear: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    return _outside_grey(encode_srgb(np.clip(linear, 0, 1)))
+
+
+def _outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    if values.ndim == 2:
+        values = np.repeat(values[..., None], 3, axis=-1)
+    return np.where(np.isfinite(values), values, OUTSIDE)
+
+
+def _font(text: str, width: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The largest built-in font, from 15 points down, in which the text fits."""
+    for size in range(15, 8, -1):
+        font = ImageFont.load_default(size)
+        if font.getlength(text) <= width:
+            return font
+    return ImageFont.load_default(8)

@@ -1,0 +1,192 @@
+"""Result: recovered materials and lights, how the fit went, and the folder it is kept in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import images
+from pbrfit._core import InputError
+from pbrfit.history import History
+from pbrfit.lighting import Lighting
+from pbrfit.materials import Materials, read_materials, write_materials
+from pbrfit.output import new_folder
+from pbrfit.scene import Scene
+
+
+class Status(StrEnum):
+    """Why a fit ended."""
+
+    CONVERGED = "converged"
+    ITERATION_LIMIT = "iteration_limit"
+    TIME_LIMIT = "time_limit"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `decompose` that change the result."""
+
+    solver: str
+    iterations: int
+    time_limit: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What `decompose` found.
+
+    Attributes
+    ----------
+    materials
+        Maps; `albedo`, `roughness` and `metallic` are shorthands. NaN outside the mask.
+    lighting
+        (N, 16, 3) float64 SH lights of the pictures, in picture units, linear Rec.709.
+    normals
+        (H, W, 3) unit vectors, camera space; NaN outside the mask.
+    mask
+        (H, W) bool: pixels that were fitted.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    pictures
+        Names, in the order of `lighting`.
+    status, stop_reason
+        Why the fit ended: for programs, and in words.
+    history
+        Loss and errors by iteration.
+    evaluations
+        Number of evaluations of loss and gradient.
+    seconds
+        Time of the fit, reading and writing of files apart.
+    metrics
+        Final errors; `metrics.PROTOCOL` says how they are taken. Against the truth where known.
+    options, assumed, left_out, inputs
+        How the result came about: options, decisions about the input, work that the scene did not
+        need, sha256 of the files.
+    """
+
+    materials: Materials
+    lighting: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    mask: NDArray[np.bool_]
+    fov: float
+    pictures: tuple[str, ...]
+    status: Status
+    stop_reason: str
+    history: History
+    evaluations: int
+    seconds: float
+    metrics: Mapping[str, float]
+    options: Options
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    inputs: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def albedo(self) -> NDArray[np.floating[Any]]:
+        """(H, W, 3), linear Rec.709."""
+        return self.materials.albedo
+
+    @property
+    def roughness(self) -> NDArray[np.floating[Any]]:
+        """(H, W), perceptual."""
+        return self.materials.roughness
+
+    @property
+    def metallic(self) -> NDArray[np.floating[Any]]:
+        """(H, W)."""
+        return self.materials.metallic
+
+    def save(
+        self, path: str | Path, *, scene: Scene | None = None, overwrite: bool = False
+    ) -> None:
+        """Write a result folder (docs/formats.md), whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The folder.
+        scene
+            Lets the preview show a picture beside its reconstruction, and the truth.
+        overwrite
+            Replace an existing folder.
+
+        Raises
+        ------
+        FileExistsError
+            If the folder exists and `overwrite` is False.
+        """
+        with new_folder(Path(path), overwrite=overwrite) as folder:
+            self.write(folder, scene)
+
+    def write(self, folder: Path, scene: Scene | None = None) -> None:
+        """Write the files of a result into an existing folder."""
+        from pbrfit import report
+
+        write_materials(folder / "materials.exr", self.materials, self.normals, self.mask)
+        Lighting(self.pictures, self.lighting).save(folder / "lighting.json")
+        self.history.save(folder / "history.csv")
+        content = {
+            "version": version("pbrfit"),
+            "status": str(self.status),
+            "stop_reason": self.stop_reason,
+            "fov": self.fov,
+            "iterations": len(self.history) - 1,
+            "evaluations": self.evaluations,
+            "seconds": self.seconds,
+            "metrics": dict(self.metrics),
+            "options": asdict(self.options),
+            "assumed": dict(self.assumed),
+            "left_out": list(self.left_out),
+            "inputs": dict(self.inputs),
+        }
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+        images.write_png(folder / "preview.png", report.preview(self, scene), srgb=True)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Result:
+        """Read a result folder.
+
+        Raises
+        ------
+        InputError, OSError
+            If a file is missing or not what `save` writes; the message names it.
+        """
+        folder = Path(path)
+        materials, normals, mask = read_materials(folder / "materials.exr")
+        lighting = Lighting.load(folder / "lighting.json")
+        file = folder / "result.json"
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            return cls(
+                materials=materials,
+                lighting=lighting.coefficients,
+                normals=normals,
+                mask=mask,
+                fov=float(content["fov"]),
+                pictures=lighting.pictures,
+                status=Status(content["status"]),
+                stop_reason=content["stop_reason"],
+                history=History.load(folder / "history.csv"),
+                evaluations=int(content["evaluations"]),
+                seconds=float(content["seconds"]),
+                metrics=content["metrics"],
+                options=Options(**content["options"]),
+                assumed=content["assumed"],
+                left_out=tuple(content["left_out"]),
+                inputs=content["inputs"],
+            )
+        except (ValueError, KeyError, TypeError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{file}: expected what pbrfit writes, found {type(error).__name__}: {error}"
+            ) from None

@@ -1,0 +1,264 @@
+"""Scene: pictures of one view under different lights, with normals and what else is known."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import geometry
+from pbrfit._core import InputError
+from pbrfit.materials import Materials
+
+if TYPE_CHECKING:
+    from pbrfit.color import ColorSpace
+
+log = logging.getLogger("pbrfit")
+
+MIN_NORMAL_LENGTH = 0.1
+"""Normals shorter than this have no direction worth normalising."""
+
+MAX_FACING_AWAY = 0.05
+"""Share of normals that may face away from the camera before a warning is due."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Ground truth of a scene, where there is one.
+
+    Attributes
+    ----------
+    materials
+        True maps.
+    lighting
+        (N, 16, 3), true lights of the scene's pictures, in the pictures' units.
+    relight_images, relight_lighting
+        (M, H, W, 3) and (M, 16, 3): held-out pictures and their true lights; None without any.
+    """
+
+    materials: Materials
+    lighting: NDArray[np.float64]
+    relight_images: NDArray[np.floating[Any]] | None = None
+    relight_lighting: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Pictures of one view under different lights, checked when made.
+
+    Attributes
+    ----------
+    images
+        (N, H, W, 3) float32 or float64, linear Rec.709 radiance in any one unit.
+    normals
+        (H, W, 3), camera space (X right, Y up, Z towards the viewer); normalised here, NaN outside
+        the mask.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    mask
+        (H, W) bool, True = use; None = all pixels.
+    segments
+        (H, W) integer ids, 0 = unclassified; None = unknown.
+    lighting
+        (N, 16, 3): known lights, then only the materials are fitted; None = unknown.
+    names
+        One a picture; `picture_00`, ... when left out.
+    truth
+        Ground truth to report errors against.
+    assumed
+        What was decided about the input, by topic, in words.
+    inputs
+        sha256 of every file that was read, by path relative to the scene folder.
+
+    Raises
+    ------
+    InputError
+        If an array has the wrong shape or values that cannot be used; one line that names it.
+    """
+
+    images: NDArray[np.floating[Any]]
+    normals: NDArray[np.floating[Any]]
+    fov: float = 60.0
+    mask: NDArray[np.bool_] | None = None
+    segments: NDArray[np.integer[Any]] | None = None
+    lighting: NDArray[np.float64] | None = None
+    names: tuple[str, ...] = ()
+    truth: Truth | None = None
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        images = np.asarray(self.images)
+        if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
+            raise InputError(f"images: expected shape (N, H, W, 3), found {images.shape}")
+        if images.dtype not in (np.float32, np.float64):
+            raise InputError(
+                f"images: expected linear float32 or float64, found {images.dtype}; "
+                "pbrfit.Scene.load decodes files"
+            )
+        n, height, width = images.shape[:3]
+        names = tuple(self.names) or tuple(f"picture_{i:02d}" for i in range(n))
+        if len(set(names)) != n or len(names) != n:
+            raise InputError(f"names: expected {n} different names, found {names}")
+        geometry.check_fov(self.fov)
+        mask = _mask(self.mask, (height, width))
+        _check_finite(images, names, mask)
+        if n == 1 and self.lighting is None:
+            raise InputError(
+                "images: expected at least two pictures under different lights, found one "
+                f"({names[0]}); a single picture needs its light (lighting.json)"
+            )
+        segments = None if self.segments is None else np.asarray(self.segments)
+        if segments is not None and (
+            segments.shape != (height, width) or not np.issubdtype(segments.dtype, np.integer)
+        ):
+            raise InputError(
+                f"segments: expected integer ids of shape {(height, width)}, "
+                f"found {segments.dtype} of shape {segments.shape}"
+            )
+        lighting = None if self.lighting is None else np.asarray(self.lighting, dtype=np.float64)
+        if lighting is not None and (
+            lighting.shape != (n, 16, 3) or not np.isfinite(lighting).all()
+        ):
+            raise InputError(
+                f"lighting: expected finite coefficients of shape {(n, 16, 3)}, "
+                f"found shape {lighting.shape}"
+            )
+        valid = np.ones((height, width), bool) if mask is None else mask
+        normals = _unit_normals(self.normals, valid)
+        _warn_if_facing_away(normals[valid], self.fov, valid)
+        values = {
+            "images": images,
+            "normals": normals,
+            "mask": mask,
+            "segments": segments,
+            "lighting": lighting,
+            "names": names,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def height(self) -> int:
+        """Rows of a picture."""
+        return int(self.images.shape[1])
+
+    @property
+    def width(self) -> int:
+        """Columns of a picture."""
+        return int(self.images.shape[2])
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the pixels that are fitted."""
+        return np.ones((self.height, self.width), bool) if self.mask is None else self.mask
+
+    @property
+    def views(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit vectors from the surface to the camera."""
+        return geometry.view_directions(self.height, self.width, self.fov)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        fov: float | None = None,
+        color_space: ColorSpace | None = None,
+        max_size: int | None = None,
+    ) -> Scene:
+        """Read a scene folder (see docs/formats.md).
+
+        Parameters
+        ----------
+        path
+            The folder.
+        fov
+            Horizontal field of view in degrees; overrides `scene.toml` and EXIF.
+        color_space
+            Of all pictures; overrides `scene.toml`, profiles and file types.
+        max_size
+            Longer side in pixels; larger pictures are averaged down.
+
+        Raises
+        ------
+        InputError, OSError
+            One line that names the file, what was expected and what was found.
+        """
+        from pbrfit import scene_folder
+
+        return scene_folder.load(Path(path), fov=fov, color_space=color_space, max_size=max_size)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write a scene folder that `load` reads back: float32 EXR, truth included.
+
+        Raises
+        ------
+        FileExistsError
+            If the folder exists and `overwrite` is False.
+        """
+        from pbrfit import scene_folder
+
+        scene_folder.save(self, Path(path), overwrite=overwrite)
+
+
+def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+    if mask is None:
+        return None
+    mask = np.asarray(mask)
+    if mask.shape != shape:
+        raise InputError(f"mask: expected shape {shape}, found {mask.shape}")
+    mask = mask.astype(bool)
+    if not mask.any():
+        raise InputError("mask: expected at least one pixel to use, found none")
+    return None if mask.all() else mask
+
+
+def _check_finite(
+    images: NDArray[Any], names: tuple[str, ...], mask: NDArray[np.bool_] | None
+) -> None:
+    for name, image in zip(names, images, strict=True):
+        bad = ~np.isfinite(image).all(-1)
+        if mask is not None:
+            bad &= mask
+        if bad.any():
+            row, column = np.argwhere(bad)[0]
+            raise InputError(
+                f"{name}: expected finite pixels, found {np.count_nonzero(bad)} that are NaN or "
+                f"infinite, the first at row {row}, column {column}; a mask can leave them out"
+            )
+
+
+def _unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+    normals = np.asarray(normals, dtype=np.float64)
+    if normals.shape != (*valid.shape, 3):
+        raise InputError(f"normals: expected shape {(*valid.shape, 3)}, found {normals.shape}")
+    length = np.linalg.norm(normals, axis=-1)
+    bad = valid & ~(length >= MIN_NORMAL_LENGTH)  # NaN is bad too
+    bad |= valid & ~np.isfinite(length)
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"normals: expected unit vectors, found {np.count_nonzero(bad)} that are zero or NaN, "
+            f"the first at row {row}, column {column}; a mask can leave them out"
+        )
+    return np.where(valid[..., None], normals / np.where(valid, length, 1.0)[..., None], np.nan)
+
+
+def _warn_if_facing_away(
+    normals: NDArray[np.float64], fov: float, valid: NDArray[np.bool_]
+) -> None:
+    views = geometry.view_directions(*valid.shape, fov)[valid]
+    share = float(np.mean(geometry.facing_away(normals, views)))
+    if share > MAX_FACING_AWAY:
+        cause = geometry.likely_convention_error(normals, views)
+        log.warning(
+            "normals: %.0f %% face away from the camera; %s",
+            100 * share,
+            f"likely {cause}" if cause else "check their frame, the mask and the field of view",
+        )

@@ -1,0 +1,256 @@
+"""From Scene to Result: scipy's bounded L-BFGS on materials and lights together."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import metrics
+from pbrfit._core import InputError
+from pbrfit.history import History, HistoryRow
+from pbrfit.materials import Materials
+from pbrfit.model import render
+from pbrfit.objective import Objective
+from pbrfit.result import Options, Result, Status
+from pbrfit.scene import Scene
+
+log = logging.getLogger("pbrfit")
+
+Solver = Literal["lbfgsb"]
+
+CORRECTIONS = 10
+"""Pairs of steps and gradients that L-BFGS-B remembers."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a running fit stands; passed to `progress` after each iteration."""
+
+    iteration: int
+    iterations: int
+    recon_rmse: float
+    elapsed_s: float
+
+
+def decompose(
+    scene: Scene,
+    *,
+    solver: Solver = "lbfgsb",
+    iterations: int = 500,
+    time_limit: float | None = None,
+    start: Materials | tuple[Materials, NDArray[Any]] | None = None,
+    threads: int = 0,
+    progress: Callable[[Progress], None] | None = None,
+) -> Result:
+    """Recover materials and lights from the pictures of one view.
+
+    Parameters
+    ----------
+    scene
+        Pictures, normals and what else is known. With `scene.lighting` only materials are fitted.
+    solver
+        `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the paper's recipe).
+    iterations
+        At most so many iterations.
+    time_limit
+        In seconds; the fit stops after the iteration that passes it.
+    start
+        Maps to start from, alone or with lights (N, 16, 3) in picture units; default: albedo from
+        the mean picture, roughness 0.5, metallic 0.1, lights by least squares.
+    threads
+        0 = one for each processor. The result does not depend on it, to the last bit.
+    progress
+        Called after each iteration.
+
+    Returns
+    -------
+    Result
+        Materials, lights in picture units, status, history.
+
+    Raises
+    ------
+    InputError
+        If an argument or the scene cannot be used.
+    """
+    if solver != "lbfgsb":
+        raise InputError(f"solver: expected lbfgsb, found {solver!r}")
+    if iterations < 0:
+        raise InputError(f"iterations: expected 0 or more, found {iterations}")
+    if time_limit is not None and not time_limit >= 0:
+        raise InputError(f"time_limit: expected seconds, 0 or more, found {time_limit}")
+    if threads < 0:
+        raise InputError(f"threads: expected 0 (all) or more, found {threads}")
+
+    began = time.perf_counter()
+    objective = Objective(scene, threads=threads)
+    x = _start(objective, start)
+    run = _Run(scene, objective, iterations, time_limit, progress, began)
+    x, status, stop_reason = run.lbfgsb(x)
+
+    materials, lighting = objective.unpack(x)
+    seconds = time.perf_counter() - began - run.unmeasured
+    result = Result(
+        materials=materials,
+        lighting=lighting,
+        normals=np.asarray(scene.normals, dtype=np.float64),
+        mask=scene.valid,
+        fov=scene.fov,
+        pictures=scene.names,
+        status=status,
+        stop_reason=stop_reason,
+        history=History(tuple(run.rows)),
+        evaluations=run.evaluations,
+        seconds=seconds,
+        metrics=_metrics(scene, materials, lighting, threads),
+        options=Options(solver=solver, iterations=iterations, time_limit=time_limit),
+        assumed=dict(scene.assumed),
+        left_out=_left_out(scene),
+        inputs=dict(scene.inputs),
+    )
+    log.info("%s after %d iterations, %.1f s: %s", status, run.iteration, seconds, stop_reason)
+    return result
+
+
+def _start(
+    objective: Objective, start: Materials | tuple[Materials, NDArray[Any]] | None
+) -> NDArray[np.float64]:
+    if start is None:
+        return objective.start()
+    materials, lighting = (start, None) if isinstance(start, Materials) else start
+    x = objective.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
+    if not np.isfinite(x).all():
+        raise InputError("start: expected finite values at every valid pixel, found NaN")
+    return np.clip(x, *objective.bounds.T)
+
+
+class _Run:
+    """One fit: counts evaluations, keeps the history, watches the clock."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        objective: Objective,
+        iterations: int,
+        time_limit: float | None,
+        progress: Callable[[Progress], None] | None,
+        began: float,
+    ) -> None:
+        self.truth = None if scene.truth is None else scene.truth.materials
+        self.objective = objective
+        self.iterations = iterations
+        self.time_limit = time_limit
+        self.progress = progress
+        self.began = began
+        self.unmeasured = 0.0  # seconds spent on comparing with the truth
+        self.evaluations = 0
+        self.iteration = 0
+        self.rows: list[HistoryRow] = []
+
+    def lbfgsb(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], Status, str]:
+        # Imported here: scipy.optimize would double the time of `import pbrfit`.
+        from scipy.optimize import Bounds, minimize
+        from threadpoolctl import threadpool_limits
+
+        loss, _ = self._evaluate(x)
+        self._record(x, loss)
+        if self.iterations == 0:
+            return x, Status.ITERATION_LIMIT, "0 iterations asked for"
+        lower, upper = self.objective.bounds.T
+        # One BLAS thread: dot products split over threads would round differently on a machine
+        # with another number of processors.
+        with threadpool_limits(1, user_api="blas"):
+            found = minimize(
+                self._evaluate,
+                x,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=Bounds(lower, upper),
+                callback=self._after_iteration,
+                options={
+                    "maxiter": self.iterations,
+                    "maxfun": 20 * self.iterations + 100,
+                    "maxcor": CORRECTIONS,
+                    # The loss is a mean, so its gradient entries are tiny: scipy's absolute
+                    # tolerances would stop at once. Run on until no step lowers the loss.
+                    "ftol": 0.0,
+                    "gtol": 0.0,
+                },
+            )
+        if self.time_limit is not None and self._elapsed() >= self.time_limit:
+            return found.x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached"
+        if self.iteration >= self.iterations:
+            return found.x, Status.ITERATION_LIMIT, f"{self.iterations} iterations done"
+        # With zero tolerances scipy stops early only where rounding hides any further descent.
+        return found.x, Status.CONVERGED, f"no step lowers the loss further ({found.message})"
+
+    def _evaluate(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        self.evaluations += 1
+        return self.objective.value_and_grad(x)
+
+    def _elapsed(self) -> float:
+        return time.perf_counter() - self.began - self.unmeasured
+
+    def _after_iteration(self, intermediate_result: Any) -> None:
+        self.iteration += 1
+        self._record(intermediate_result.x, float(intermediate_result.fun))
+        if self.time_limit is not None and self._elapsed() >= self.time_limit:
+            raise StopIteration
+
+    def _record(self, x: NDArray[np.float64], loss: float) -> None:
+        elapsed = self._elapsed()
+        recon = self.objective.residual_rmse(loss)
+        errors = {}
+        if self.truth is not None:
+            found, _ = self.objective.unpack(x)
+            errors = _material_errors(found, self.truth)
+        self.rows.append(
+            HistoryRow(elapsed, self.iteration, self.evaluations, loss, recon, **errors)
+        )
+        if self.progress is not None:
+            self.progress(Progress(self.iteration, self.iterations, recon, elapsed))
+        self.unmeasured += self._elapsed() - elapsed
+
+
+def _material_errors(found: Materials, true: Materials) -> dict[str, float]:
+    return {
+        "albedo_rmse": metrics.rmse(found.albedo, true.albedo),
+        "roughness_rmse": metrics.rmse(found.roughness, true.roughness),
+        "metallic_rmse": metrics.rmse(found.metallic, true.metallic),
+    }
+
+
+def _metrics(
+    scene: Scene, materials: Materials, lighting: NDArray[np.float64], threads: int
+) -> dict[str, float]:
+    """Final errors, computed in float64."""
+    squares = 0.0
+    for image, light in zip(scene.images, lighting, strict=True):
+        rendered = render(materials, scene.normals, light, scene.fov, threads)
+        squares += metrics.rmse(rendered, image) ** 2
+    found = {"recon_rmse": float(np.sqrt(squares / len(scene.images)))}
+    truth = scene.truth
+    if truth is None:
+        return found
+    found |= _material_errors(materials, truth.materials)
+    scaled = metrics.scaled_per_channel(materials.albedo, truth.materials.albedo)
+    found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
+    if truth.relight_images is not None and truth.relight_lighting is not None:
+        rendered = render(materials, scene.normals, truth.relight_lighting, scene.fov, threads)
+        found["relight_rmse"] = metrics.rmse(rendered, truth.relight_images)
+    return found
+
+
+def _left_out(scene: Scene) -> tuple[str, ...]:
+    left_out = []
+    masked = scene.height * scene.width - int(np.count_nonzero(scene.valid))
+    if masked:
+        left_out.append(f"{masked} pixels outside the mask")
+    if scene.lighting is not None:
+        left_out.append("lights: known, so only materials were fitted")
+    return tuple(left_out)
