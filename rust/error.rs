@@ -36,11 +36,7 @@ pub enum Error {
 
 impl Error {
     /// An [`Error::Argument`] from anything that can be shown.
-    pub fn argument(
-        name: &'static str,
-        expected: impl ToString,
-        found: impl ToString,
-    ) -> Self {
+    pub fn argument(name: &'static str, expected: impl ToString, found: impl ToString) -> Self {
         Self::Argument {
             name,
             expected: expected.to_string(),

@@ -1,7 +1,34 @@
-//! The numerical core of pbrfit.
+//! The numerical core of pbrfit: physically based materials and lighting from several pictures of
+//! one view.
+//!
+//! A pixel's radiance in colour channel c is linear in the light, whose real spherical-harmonic
+//! coefficients (l ≤ 3) are L_kc:
+//!
+//! ```text
+//! I_c = Σ_k w_ck L_kc,     w_ck = kd_c A_l Y_k(n) + ks_c h_l(r) Y_k(mirror)
+//! ```
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`sh`] | the basis Y_k and the cosine transfer A_l |
+//! | [`ggx`] | h_l(r), masking and Fresnel, with derivatives |
+//! | [`shade`] | one pixel: material → weights w_ck, and the adjoint |
+//! | [`tile`] | the same for sixteen pixels in float32, and the products with lights and residuals |
+//! | [`problem`] | all pixels: loss and gradient |
+//! | [`render`] | all pixels: radiance in float64 |
+//! | [`image_file`] | picture files |
+
+mod check;
 pub mod error;
+pub mod ggx;
 pub mod image_file;
+mod pool;
+pub mod problem;
 #[cfg(feature = "python")]
 mod python;
+pub mod render;
+pub mod sh;
+pub mod shade;
+pub mod tile;
 
 pub use error::{Error, Result};

@@ -3,7 +3,10 @@
 //! Every function copies its input before it releases the interpreter lock: a
 //! borrowed numpy array could be changed by another thread meanwhile.
 
+mod arrays;
 mod image_file;
+mod model;
+mod problem;
 
 use pyo3::create_exception;
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -21,16 +24,16 @@ create_exception!(
 impl From<Error> for PyErr {
     fn from(error: Error) -> Self {
         match error {
-            Error::Argument { .. } | Error::Content { .. } => InputError::new_err(error.to_string()),
+            Error::Argument { .. } | Error::Content { .. } => {
+                InputError::new_err(error.to_string())
+            }
             Error::Io { path, source } => {
                 // OSError(errno, text, path) lets Python choose FileNotFoundError and its kin.
                 let code = source.raw_os_error();
                 match code {
-                    Some(code) => PyOSError::new_err((
-                        code,
-                        source.to_string(),
-                        path.display().to_string(),
-                    )),
+                    Some(code) => {
+                        PyOSError::new_err((code, source.to_string(), path.display().to_string()))
+                    }
                     None => PyOSError::new_err(format!("{}: {source}", path.display())),
                 }
             }
@@ -42,5 +45,7 @@ impl From<Error> for PyErr {
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("InputError", module.py().get_type::<InputError>())?;
+    model::register(module)?;
+    problem::register(module)?;
     image_file::register(module)
 }

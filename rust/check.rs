@@ -1,0 +1,51 @@
+//! Checks of what callers hand over; every refusal names the array, the expected and the found.
+
+use glam::DVec3;
+
+use crate::{Error, Result};
+
+/// How far a "unit" vector's length may be from 1: float32 and 16-bit sources pass, unnormalised
+/// ones do not.
+const UNIT_TOLERANCE: f64 = 1e-3;
+
+pub(crate) fn length(name: &'static str, expected: usize, found: usize) -> Result<()> {
+    if expected == found {
+        return Ok(());
+    }
+    Err(Error::argument(name, format!("{expected} numbers"), found))
+}
+
+pub(crate) fn finite<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {
+    match values.iter().position(|&v| !v.into().is_finite()) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(
+            name,
+            "finite numbers",
+            format!("{} at {i}", values[i].into()),
+        )),
+    }
+}
+
+pub(crate) fn unit_interval(name: &'static str, values: &[f64]) -> Result<()> {
+    match values.iter().position(|v| !(0.0..=1.0).contains(v)) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(
+            name,
+            "numbers in [0, 1]",
+            format!("{} at {i}", values[i]),
+        )),
+    }
+}
+
+pub(crate) fn unit_vectors(name: &'static str, vectors: &[DVec3]) -> Result<()> {
+    // Written so that NaN fails.
+    let is_unit = |v: &DVec3| (v.length() - 1.0).abs() <= UNIT_TOLERANCE;
+    match vectors.iter().position(|v| !is_unit(v)) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(
+            name,
+            "unit vectors",
+            format!("{} of length {} at {i}", vectors[i], vectors[i].length()),
+        )),
+    }
+}

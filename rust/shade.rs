@@ -1,0 +1,177 @@
+//! One pixel: from material and directions to the 16 weights of each colour channel, and back.
+//!
+//! Radiance is linear in the light, I_c = Σ_k w_ck L_kc (paper eqs. 6 and 12), with
+//!
+//! ```text
+//! w_ck = kd_c A_l Y_k(n) + ks_c h_l(r) Y_k(mirror),      mirror = 2(n·v)n − v
+//! kd_c = (1−F_c)(1−m) ρ_c/π                  ks_c = F_c G₁(n·v)/4
+//! F_c  = F0_c + (1−F0_c)(1−n·v)⁵            F0_c = 0.04(1−m) + m ρ_c
+//! ```
+//!
+//! The factors that depend on the material ([`Factors`]) are kept apart from the two sets of
+//! basis functions ([`Frame`]), which do not. This file is the one place that knows the model:
+//! the double-precision reference and the fast float32 tiles are both built on it.
+
+use std::f64::consts::FRAC_1_PI;
+
+use glam::DVec3;
+
+use crate::ggx::{self, Bands, DIELECTRIC_F0, MIN_COSINE};
+use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
+
+/// Weights w_ck of one pixel, channel first.
+pub type Weights = [[f64; COEFFICIENTS]; 3];
+
+/// Material of one pixel; all five numbers lie in \[0, 1\].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Material {
+    /// Base colour ρ, linear Rec.709; of a metal it is F0.
+    pub albedo: [f64; 3],
+    /// Perceptual roughness r, α = r².
+    pub roughness: f64,
+    /// Metallic m.
+    pub metallic: f64,
+}
+
+/// What a pixel's weights need of its directions; fixed while materials change.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame {
+    /// n·v, at least [`MIN_COSINE`].
+    pub cosine: f64,
+    /// A_l Y_k(n); entries of band 3 are 0.
+    pub diffuse: [f64; COEFFICIENTS],
+    /// Y_k(mirror).
+    pub mirror: [f64; COEFFICIENTS],
+}
+
+impl Frame {
+    /// From unit normal and unit view direction (surface to camera).
+    pub fn new(normal: DVec3, view: DVec3) -> Self {
+        let cosine = normal.dot(view);
+        let mut diffuse = sh::basis(normal);
+        for (y, &l) in diffuse.iter_mut().zip(&BAND_OF) {
+            *y *= COSINE_TRANSFER[l];
+        }
+        Self {
+            cosine: cosine.max(MIN_COSINE),
+            diffuse,
+            mirror: sh::basis(2.0 * cosine * normal - view),
+        }
+    }
+}
+
+/// The factors of the weights that depend on the material, and what their derivatives need.
+#[derive(Clone, Copy, Debug)]
+pub struct Factors {
+    /// kd_c
+    pub diffuse: [f64; 3],
+    /// ks_c
+    pub specular: [f64; 3],
+    /// h_l and dh_l/dr
+    pub bands: Bands,
+    fresnel: [f64; 3],
+    schlick: f64,
+    g1: f64,
+    g1_slope: f64,
+}
+
+impl Factors {
+    /// Factors of one material seen at the clamped cosine n·v.
+    #[inline]
+    pub fn new(cosine: f64, material: &Material) -> Self {
+        let Material {
+            albedo,
+            roughness,
+            metallic,
+        } = *material;
+        let schlick = ggx::schlick(cosine);
+        let (g1, g1_slope) = ggx::smith_g1(cosine, roughness);
+        let fresnel = albedo.map(|rho| {
+            let f0 = DIELECTRIC_F0 * (1.0 - metallic) + metallic * rho;
+            f0 + (1.0 - f0) * schlick
+        });
+        let mut diffuse = [0.0; 3];
+        let mut specular = [0.0; 3];
+        for c in 0..3 {
+            diffuse[c] = (1.0 - fresnel[c]) * (1.0 - metallic) * albedo[c] * FRAC_1_PI;
+            specular[c] = 0.25 * fresnel[c] * g1;
+        }
+        let bands = ggx::bands(roughness);
+        Self {
+            diffuse,
+            specular,
+            bands,
+            fresnel,
+            schlick,
+            g1,
+            g1_slope,
+        }
+    }
+
+    /// The adjoint: from the derivatives of a scalar by the weights to those by the material.
+    ///
+    /// The weights' derivatives arrive summed: `by_diffuse[c]` = Σ_k g_ck A_l Y_k(n), which is the
+    /// derivative by kd_c, and `band_sums[c][l]` = Σ_{k in l} g_ck Y_k(mirror). Then
+    ///
+    /// ```text
+    /// g_ks_c = Σ_l h_l band_sums[c][l]             g_h_l = Σ_c ks_c band_sums[c][l]
+    /// g_F_c  = −(1−m)(ρ_c/π) g_kd_c + (G₁/4) g_ks_c          g_F0_c = (1 − (1−n·v)⁵) g_F_c
+    /// g_ρ_c  = (1−F_c)(1−m)/π g_kd_c + m g_F0_c
+    /// g_m    = Σ_c −(1−F_c)(ρ_c/π) g_kd_c + (ρ_c − 0.04) g_F0_c
+    /// g_r    = Σ_c (F_c/4) G₁′ g_ks_c + Σ_l h_l′ g_h_l
+    /// ```
+    #[inline]
+    pub fn pull_back(
+        &self,
+        material: &Material,
+        by_diffuse: &[f64; 3],
+        band_sums: &[[f64; 4]; 3],
+    ) -> Material {
+        let Material {
+            albedo, metallic, ..
+        } = *material;
+        let mut gradient = Material::default();
+        for c in 0..3 {
+            let mut by_specular = 0.0;
+            for l in 0..4 {
+                by_specular += self.bands.weight[l] * band_sums[c][l];
+                gradient.roughness += self.bands.slope[l] * self.specular[c] * band_sums[c][l];
+            }
+            gradient.roughness += 0.25 * self.fresnel[c] * self.g1_slope * by_specular;
+            let transmitted = (1.0 - self.fresnel[c]) * FRAC_1_PI * by_diffuse[c];
+            let by_fresnel = -(1.0 - metallic) * albedo[c] * FRAC_1_PI * by_diffuse[c]
+                + 0.25 * self.g1 * by_specular;
+            let by_f0 = (1.0 - self.schlick) * by_fresnel;
+            gradient.albedo[c] = (1.0 - metallic) * transmitted + metallic * by_f0;
+            gradient.metallic += -albedo[c] * transmitted + (albedo[c] - DIELECTRIC_F0) * by_f0;
+        }
+        gradient
+    }
+}
+
+/// The weights of one pixel in double precision.
+pub fn shade(frame: &Frame, material: &Material) -> Weights {
+    let factors = Factors::new(frame.cosine, material);
+    let mut weights = [[0.0; COEFFICIENTS]; 3];
+    for c in 0..3 {
+        for k in 0..COEFFICIENTS {
+            weights[c][k] = factors.diffuse[c] * frame.diffuse[k]
+                + factors.specular[c] * factors.bands.weight[BAND_OF[k]] * frame.mirror[k];
+        }
+    }
+    weights
+}
+
+/// The adjoint of [`shade`] by the material: `cotangent` holds the derivatives of a scalar by the
+/// weights, the result its derivatives by albedo, roughness and metallic.
+pub fn shade_vjp(frame: &Frame, material: &Material, cotangent: &Weights) -> Material {
+    let mut by_diffuse = [0.0; 3];
+    let mut band_sums = [[0.0; 4]; 3];
+    for c in 0..3 {
+        for k in 0..COEFFICIENTS {
+            by_diffuse[c] += cotangent[c][k] * frame.diffuse[k];
+            band_sums[c][BAND_OF[k]] += cotangent[c][k] * frame.mirror[k];
+        }
+    }
+    Factors::new(frame.cosine, material).pull_back(material, &by_diffuse, &band_sums)
+}
