@@ -1,7 +1,7 @@
 """Writes `bands.json` and `shading.json`: the model in high precision, from its definitions.
 
-    python tests/data/make_golden.py                      write both files beside this script
-    python tests/data/make_golden.py --compare FOLDER     recompute the files in FOLDER, show the differences
+    python tests/data/make_golden.py                     write both files beside this script
+    python tests/data/make_golden.py --compare FOLDER    recompute its files, show differences
 
 Needs mpmath and nothing of pbrfit. Deterministic: the same files on every machine.
 """
@@ -227,9 +227,7 @@ def shading_outputs(case: dict[str, Any]) -> dict[str, Any]:
         def lit(row: list[mpf], channel: int = channel) -> mpf:
             return mp.fsum(w * light[channel] for w, light in zip(row, lighting, strict=True))
 
-        def radiance(
-            d_rho: mpf, d_metallic: mpf, rho: mpf = rho, lit: Any = lit
-        ) -> mpf:
+        def radiance(d_rho: mpf, d_metallic: mpf, rho: mpf = rho, lit: Any = lit) -> mpf:
             return lit(shade(normal, view, rho + d_rho, roughness, metallic + d_metallic)[0])
 
         out["radiance"].append(lit(weights))
@@ -284,9 +282,7 @@ def shading_inputs() -> list[dict[str, Any]]:
     def colour() -> list[float]:
         return [number(0, 1) for _ in range(3)]
 
-    cases = [
-        pixel(number(0.05, 1), number(0, 1), number(0, 1), colour()) for _ in range(10)
-    ]
+    cases = [pixel(number(0.05, 1), number(0, 1), number(0, 1), colour()) for _ in range(10)]
     for roughness in (0.0, 1e-80, 1e-4, 0.4, 0.99975, 1 - 2.0**-30, 1.0):
         cases.append(pixel(number(0.1, 1), roughness, number(0, 1), colour()))
     for albedo in ([0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.5, 1.0]):
@@ -313,7 +309,7 @@ def shading_inputs() -> list[dict[str, Any]]:
 
 
 def text(value: mpf) -> str:
-    return mp.nstr(value, DIGITS)
+    return str(mp.nstr(value, DIGITS))
 
 
 def strings(values: list[Any]) -> list[str]:
@@ -339,7 +335,8 @@ def write_all(folder: Path) -> None:
         rows,
     )
     cases = [
-        case | {
+        case
+        | {
             key: [strings(row) for row in value] if key == "weights" else strings(value)
             for key, value in shading_outputs(case).items()
         }

@@ -20,7 +20,8 @@ def ridders(
     zero by Neville's scheme, and each entry keeps the extrapolation with the least change. The
     error of the central quotient is a series in h², of the one-sided one (f(h) − f(0))/h in h.
 
-    C. J. F. Ridders, "Accurate computation of F'(x) and F'(x)F''(x)", Adv. Eng. Software 4(2), 1982.
+    C. J. F. Ridders, "Accurate computation of F'(x) and F'(x)F''(x)",
+    Adv. Eng. Software 4(2), 1982.
     """
     factor = 2.0
     series = factor if one_sided else factor**2

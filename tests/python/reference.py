@@ -15,14 +15,15 @@ from numpy.polynomial.legendre import Legendre, leggauss
 from numpy.typing import NDArray
 
 Array = NDArray[np.floating[Any]]
-ComplexArray = NDArray[np.inexact[Any]]
+RealOrComplex = NDArray[Any]  # complex while a derivative is taken
 
 STEP = 1e-30
 CLAMP = 1e-4  # least n·v in G1 and Fresnel
 
 
-def unit(vectors: Array) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+def unit(vectors: Array) -> NDArray[np.float64]:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / length, dtype=np.float64)
 
 
 def sh_basis(directions: Array) -> Array:
@@ -72,7 +73,7 @@ _DEFICIT = np.stack(
 )
 
 
-def _bands(r: ComplexArray) -> ComplexArray:
+def _bands(r: RealOrComplex) -> RealOrComplex:
     """h_l = 8e ∫₀¹ P_l(u)/(1+e−(1−e)u)² du with e = r⁴ and s = 1−u: the root is 2e + (1−e)s.
 
     Written as h_0 − 8e ∫₀¹ (1−P_l)/(2e + (1−e)s)² ds with h_0 = 4/(1+e), which has nothing to
@@ -95,14 +96,14 @@ def bands(r: Array) -> tuple[Array, Array]:
     return stepped.real, stepped.imag / STEP
 
 
-def smith_g1(cosine: ComplexArray, r: ComplexArray) -> ComplexArray:
+def smith_g1(cosine: RealOrComplex, r: RealOrComplex) -> RealOrComplex:
     k = r**4 / 2
     return cosine / (cosine * (1 - k) + k)
 
 
 def _weights(
-    normal: Array, view: Array, albedo: ComplexArray, r: ComplexArray, metallic: ComplexArray
-) -> ComplexArray:
+    normal: Array, view: Array, albedo: RealOrComplex, r: RealOrComplex, metallic: RealOrComplex
+) -> RealOrComplex:
     """Eqs. 6 and 12: w_k = kd A_l Y_k(n) + ks h_l Y_k(mirror), (..., 3, 16)."""
     cosine = np.sum(normal * view, axis=-1)
     mirror = 2 * cosine[..., None] * normal - view
@@ -116,7 +117,7 @@ def _weights(
     cosine_lobe = np.array([math.pi, 2 * math.pi / 3, math.pi / 4, 0.0])[degree]
     at_normal = (cosine_lobe * sh_basis(normal))[..., None, :]
     at_mirror = (_bands(r)[..., degree] * sh_basis(mirror))[..., None, :]
-    return diffuse[..., None] * at_normal + specular[..., None] * at_mirror
+    return np.asarray(diffuse[..., None] * at_normal + specular[..., None] * at_mirror)
 
 
 def shade(normal: Array, view: Array, albedo: Array, roughness: Array, metallic: Array) -> Array:
@@ -150,7 +151,7 @@ def render(normal: Array, view: Array, x: Array) -> Array:
     """Radiance of every picture, (N, P, 3)."""
     albedo, roughness, metallic, lighting = unpack(x, len(normal))
     weights = shade(normal, view, albedo, roughness, metallic)
-    return np.einsum("pck,nkc->npc", weights, lighting, optimize=True)
+    return np.asarray(np.einsum("pck,nkc->npc", weights, lighting, optimize=True))
 
 
 def value_and_grad(images: Array, normal: Array, view: Array, x: Array) -> tuple[float, Array]:
@@ -160,9 +161,7 @@ def value_and_grad(images: Array, normal: Array, view: Array, x: Array) -> tuple
     # dloss/dw[p,c,k] = Σ_n 2(I−T) L[n,k,c] / count, then the chain through w.
     scaled = 2 * residual / residual.size
     by_weight = np.einsum("npc,nkc->pck", scaled, lighting, optimize=True)
-    d_albedo, d_roughness, d_metallic = shade_derivatives(
-        normal, view, albedo, roughness, metallic
-    )
+    d_albedo, d_roughness, d_metallic = shade_derivatives(normal, view, albedo, roughness, metallic)
     weights = shade(normal, view, albedo, roughness, metallic)
     gradient = [
         np.sum(by_weight * d_albedo, axis=-1).T,

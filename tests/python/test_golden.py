@@ -1,4 +1,4 @@
-"""The double-precision path against 25-digit values: our own set and, where present, the shared one."""
+"""The double-precision path against 25-digit values, our own and, where present, the shared."""
 
 from __future__ import annotations
 
@@ -61,13 +61,14 @@ def test_shading(folder: Path, quantity: str) -> None:
     def stacked(key: str) -> Array:
         return np.array([np.array(case[key], dtype=np.float64) for case in cases])
 
-    pixels = [stacked(key) for key in ("normal", "view", "albedo", "roughness", "metallic")]
+    inputs = ("normal", "view", "albedo", "roughness", "metallic")
+    pixels = {name: stacked(name) for name in inputs}
     lighting = stacked("lighting").swapaxes(1, 2)  # (cases, 3, 16)
-    weights = pbrfit.shade(*pixels)
+    weights = pbrfit.shade(**pixels)
     # One cotangent a channel, so that the derivatives come out channel by channel.
     cotangent = np.eye(3)[:, :, None] * lighting[:, None]
     d_albedo, d_roughness, d_metallic = pbrfit.shade_vjp(
-        *(array[:, None] for array in pixels), cotangent
+        **{name: array[:, None] for name, array in pixels.items()}, cotangent=cotangent
     )
     other_channels = d_albedo * (1 - np.eye(3))
     assert not other_channels.any(), "a channel's radiance depends on another channel's albedo"
