@@ -74,6 +74,7 @@ SIZES = [
     *((17, pictures) for pictures in (1, 2, 16, 25)),
     (5000, 3),
     (5000, 16),
+    (20000, 2),
 ]
 
 
@@ -115,6 +116,21 @@ def test_loss_vanishes_at_the_truth(pictures: int) -> None:
     case = planted(700, pictures)
     loss, _ = case.problem().value_and_grad(case.truth)
     assert loss <= 1e-13 * np.mean(case.images.astype(np.float64) ** 2)
+
+
+@pytest.mark.parametrize(("pixels", "pictures"), [(1, 1), (300, 3), (5000, 4)])
+def test_light_equations(pixels: int, pictures: int) -> None:
+    # Per channel Wᵀ W and, for each picture, Tᵀ W.
+    case = planted(pixels, pictures)
+    gram, right = case.problem(2).light_equations(case.x)
+    albedo, roughness, metallic, _ = reference.unpack(case.x, pixels)
+    weights = reference.shade(case.normals, case.views, albedo, roughness, metallic)
+    expected_gram = np.einsum("pcj,pck->cjk", weights, weights)
+    expected_right = np.einsum("npc,pck->cnk", case.images.astype(np.float64), weights)
+    for found, expected in ((gram, expected_gram), (right, expected_right)):
+        assert found.shape == expected.shape
+        missed = np.abs(found - expected).max() / np.abs(expected).max()
+        assert missed <= 1e-6, f"light equations miss by {missed:.3g} of the largest entry"
 
 
 # --- The gradient against the loss itself ---
@@ -272,7 +288,7 @@ def test_bad_arrays_are_refused_by_name(name: str, value: Any) -> None:
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("method", ["value_and_grad", "render"])
+@pytest.mark.parametrize("method", ["value_and_grad", "render", "light_equations"])
 @pytest.mark.parametrize(
     "x",
     [
@@ -281,6 +297,8 @@ def test_bad_arrays_are_refused_by_name(name: str, value: Any) -> None:
         np.empty(0),
         with_entry(GOOD.x, math.nan),
         with_entry(GOOD.x, -math.inf),
+        np.concatenate([GOOD.x[:79], [1 + 1e-9], GOOD.x[80:]]),  # a roughness above 1
+        np.concatenate([[-1e-9], GOOD.x[1:]]),  # an albedo below 0
     ],
 )
 def test_a_bad_x_is_refused(method: str, x: Array) -> None:
