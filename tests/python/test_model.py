@@ -1,0 +1,391 @@
+"""`shade`, its adjoint and the forward model on arrays, against the slow reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+import reference
+from finite_differences import ridders
+from reference import unit
+
+Array = NDArray[np.floating[Any]]
+
+
+def random_pixels(count: int, seed: int) -> dict[str, Array]:
+    """Pixels of every kind, one in five seen from behind."""
+    rng = np.random.default_rng(seed)
+    normal, view = unit(rng.normal(size=(2, count, 3)))
+    facing = np.where(np.arange(count) % 5 == 0, -1, 1)[:, None]
+    view *= facing * np.sign(np.sum(normal * view, axis=-1, keepdims=True))
+    return {
+        "normal": normal,
+        "view": view,
+        "albedo": rng.random((count, 3)),
+        "roughness": rng.random(count),
+        "metallic": rng.random(count),
+    }
+
+
+def seen_at(cosine: float) -> tuple[Array, Array]:
+    """A normal and a view with exactly this n·v: both in the xz plane, the normal along z."""
+    return np.array([0.0, 0, 1]), np.array([math.sqrt(1 - cosine**2), 0, cosine])
+
+
+def assert_close(found: Array, expected: Array, bar: float, what: str) -> None:
+    """|found − expected| <= bar · max(1, |expected|) everywhere; says by how much it missed."""
+    missed = np.abs(found - expected) / np.maximum(1, np.abs(expected))
+    worst = np.unravel_index(np.argmax(missed), missed.shape)
+    assert missed.max() <= bar, (
+        f"{what} misses by {missed.max():.3g} (bar {bar:.0e}) at {tuple(map(int, worst))}: "
+        f"{found[worst]} instead of {expected[worst]}"
+    )
+
+
+# --- Against the reference ---
+
+
+def test_sh_basis() -> None:
+    rng = np.random.default_rng(0)
+    directions = np.concatenate([unit(rng.normal(size=(1000, 3))), np.eye(3), -np.eye(3)])
+    assert_close(pbrfit.sh_basis(directions), reference.sh_basis(directions), 1e-14, "sh_basis")
+
+
+def test_band_weights() -> None:
+    r = np.concatenate([np.linspace(0, 1, 3001), np.geomspace(1e-9, 1e-2, 500)])
+    for found, expected, what in zip(
+        pbrfit.ggx_band_weights(r), reference.bands(r), ("h", "dh_dr"), strict=True
+    ):
+        assert_close(found, expected, 5e-14, what)
+
+
+def test_shade() -> None:
+    pixels = random_pixels(3000, 1)
+    assert_close(pbrfit.shade(**pixels), reference.shade(**pixels), 1e-13, "shade")
+
+
+def test_shade_vjp() -> None:
+    pixels = random_pixels(3000, 2)
+    cotangent = np.random.default_rng(3).normal(size=(3000, 3, 16))
+    d_albedo, d_roughness, d_metallic = reference.shade_derivatives(**pixels)
+    expected = (
+        np.sum(cotangent * d_albedo, axis=-1),
+        np.sum(cotangent * d_roughness, axis=(-1, -2)),
+        np.sum(cotangent * d_metallic, axis=(-1, -2)),
+    )
+    found = pbrfit.shade_vjp(**pixels, cotangent=cotangent)
+    for a, b, what in zip(found, expected, ("albedo", "roughness", "metallic"), strict=True):
+        assert_close(a, b, 1e-12, f"derivative by {what}")
+
+
+# --- Against finite differences, at random places and at every branch and bound ---
+
+NEXT_TO = [math.nextafter(0.4, 0), 0.4, math.nextafter(0.4, 1)]
+# The paper's switch: 1 − r⁴ = 10⁻³.
+PAPER_SWITCH = (1 - 1e-3) ** 0.25
+
+PLACES = [
+    # roughness, metallic, albedo, n·v
+    *((r, 0.4, 0.6, 0.7) for r in (0.0, 1e-8, 1e-3, *NEXT_TO, PAPER_SWITCH, 1 - 1e-9, 1.0)),
+    *((0.45, m, rho, 0.6) for m in (0.0, 1.0) for rho in (0.0, 1.0)),
+    *((r, 0.3, 0.5, c) for r in (0.12, 0.5, 1.0) for c in (1.0, 0.01)),
+    # At the clamp of n·v, beside it, beyond it.
+    *((0.5, 0.3, 0.5, c) for c in (1.0001e-4, 1e-4, 0.9999e-4, 0.0, -0.5, -1.0)),
+    (0.12, 1.0, 1.0, 1e-4),
+    (0.0, 1.0, 1.0, 1.0),
+    (1.0, 0.0, 0.0, 1e-4),
+]
+
+
+def jacobian(normal: Array, view: Array, materials: dict[str, Array]) -> dict[str, Array]:
+    """Derivatives of every weight by every material, (3, 16) each, from the adjoint."""
+    unit_cotangents = np.eye(48).reshape(3, 16, 3, 16)
+    d_albedo, d_roughness, d_metallic = pbrfit.shade_vjp(
+        normal, view, **materials, cotangent=unit_cotangents
+    )
+    return {"albedo": d_albedo.sum(-1), "roughness": d_roughness, "metallic": d_metallic}
+
+
+@pytest.mark.parametrize("name", ["albedo", "roughness", "metallic"])
+@pytest.mark.parametrize(("roughness", "metallic", "albedo", "cosine"), PLACES)
+def test_adjoint_against_finite_differences(
+    name: str, roughness: float, metallic: float, albedo: float, cosine: float
+) -> None:
+    normal, view = seen_at(cosine)
+    materials = {
+        "albedo": np.full(3, albedo),
+        "roughness": np.array(roughness),
+        "metallic": np.array(metallic),
+    }
+
+    def weights(change: float) -> Array:
+        moved = materials | {name: materials[name] + change}
+        return pbrfit.shade(normal, view, **moved)
+
+    # Values are good to 4e-15 or so and the last steps are 1e-5: noise of 1e-10 at the very most.
+    step = 2e-3
+    value = float(np.max(materials[name]))
+    if step <= value <= 1 - step:
+        numerical, _ = ridders(weights, step)
+    else:
+        numerical, _ = ridders(weights, step if value < 0.5 else -step, one_sided=True)
+    assert_close(jacobian(normal, view, materials)[name], numerical, 1e-10, f"d weights/d {name}")
+
+
+def test_adjoint_by_dot_product() -> None:
+    # ⟨J v, w⟩ = ⟨v, Jᵀ w⟩ for random v and w over many pixels at once.
+    pixels = random_pixels(500, 4)
+    for name in ("albedo", "roughness", "metallic"):
+        pixels[name] = 0.05 + 0.9 * pixels[name]
+    rng = np.random.default_rng(5)
+    w = rng.normal(size=(500, 3, 16))
+    v = {name: rng.normal(size=pixels[name].shape) for name in ("albedo", "roughness", "metallic")}
+
+    def contracted(t: float) -> float:
+        moved = pixels | {name: pixels[name] + t * v[name] for name in v}
+        return float(np.sum(w * pbrfit.shade(**moved)))
+
+    numerical, _ = ridders(contracted, 1e-3)
+    adjoint = sum(
+        float(np.sum(d * v[name]))
+        for d, name in zip(pbrfit.shade_vjp(**pixels, cotangent=w), v, strict=True)
+    )
+    assert adjoint == pytest.approx(float(numerical), rel=1e-8)
+
+
+# --- Shapes ---
+
+
+@pytest.mark.parametrize(
+    ("normal", "view", "albedo", "roughness", "metallic", "shape"),
+    [
+        ((), (), (), (), (), ()),
+        ((4, 5), (4, 5), (4, 5), (4, 5), (4, 5), (4, 5)),
+        ((4, 5), (), (), (), (), (4, 5)),
+        ((), (4, 1), (5,), (1, 5), (), (4, 5)),
+        ((2, 1, 1), (3, 1), (4,), (), (2, 3, 4), (2, 3, 4)),
+        ((0,), (0,), (0,), (0,), (0,), (0,)),
+    ],
+)
+def test_leading_dimensions_broadcast(
+    normal: tuple[int, ...],
+    view: tuple[int, ...],
+    albedo: tuple[int, ...],
+    roughness: tuple[int, ...],
+    metallic: tuple[int, ...],
+    shape: tuple[int, ...],
+) -> None:
+    rng = np.random.default_rng(6)
+    pixels: dict[str, Array] = {
+        "normal": unit(rng.normal(size=(*normal, 3))),
+        "view": unit(rng.normal(size=(*view, 3))),
+        "albedo": rng.random((*albedo, 3)),
+        "roughness": np.asarray(rng.random(roughness)),
+        "metallic": np.asarray(rng.random(metallic)),
+    }
+    full = {
+        name: np.broadcast_to(array, shape if name in ("roughness", "metallic") else (*shape, 3))
+        for name, array in pixels.items()
+    }
+    weights = pbrfit.shade(**pixels)
+    assert weights.shape == (*shape, 3, 16)
+    assert weights.dtype == np.float64
+    np.testing.assert_allclose(weights, reference.shade(**full), rtol=0, atol=1e-13)
+    # The adjoint answers for every broadcast pixel, and its cotangent broadcasts too.
+    cotangent = rng.normal(size=(3, 16))
+    found = pbrfit.shade_vjp(**pixels, cotangent=cotangent)
+    expected = pbrfit.shade_vjp(**full, cotangent=np.tile(cotangent, (*shape, 1, 1)))
+    assert [d.shape for d in found] == [(*shape, 3), shape, shape]
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_arrays_of_other_layout_and_precision() -> None:
+    pixels = random_pixels(40, 7)
+    expected = pbrfit.shade(**pixels)
+    transposed = {name: np.asfortranarray(array) for name, array in pixels.items()}
+    np.testing.assert_array_equal(pbrfit.shade(**transposed), expected)
+    backwards = {name: array[::-1] for name, array in pixels.items()}
+    np.testing.assert_array_equal(pbrfit.shade(**backwards), expected[::-1])
+    single = {name: array.astype(np.float32) for name, array in pixels.items()}
+    found = pbrfit.shade(**single)
+    assert found.dtype == np.float64
+    widened = {name: array.astype(np.float64) for name, array in single.items()}
+    np.testing.assert_array_equal(found, pbrfit.shade(**widened))
+    listed = {name: array.tolist() for name, array in pixels.items()}
+    np.testing.assert_array_equal(pbrfit.shade(**listed), expected)
+
+
+# --- Camera and render ---
+
+
+@pytest.mark.parametrize(("height", "width", "fov"), [(3, 5, 60.0), (4, 4, 90.0), (7, 2, 20.0)])
+def test_view_directions_follow_the_pinhole(height: int, width: int, fov: float) -> None:
+    view = pbrfit.view_directions(height, width, fov)
+    # A pixel is a square of side 1 at distance (width/2)/tan(fov/2) from the pinhole. Its centre
+    # lies right (+x) and up (+y) of the axis, its view vector points the other way, and to +z.
+    distance = width / 2 / math.tan(math.radians(fov / 2))
+    for row in range(height):
+        for column in range(width):
+            right = column + 0.5 - width / 2
+            up = height / 2 - row - 0.5
+            expected = unit(np.array([-right, -up, distance]))
+            np.testing.assert_allclose(view[row, column], expected, rtol=0, atol=1e-15)
+
+
+def test_view_directions_of_an_orthographic_camera() -> None:
+    np.testing.assert_array_equal(
+        pbrfit.view_directions(3, 4, 0.0), np.broadcast_to([0.0, 0, 1], (3, 4, 3))
+    )
+
+
+@pytest.mark.parametrize("fov", [0.0, 60.0])
+def test_render(fov: float) -> None:
+    rng = np.random.default_rng(8)
+    height, width = 6, 9
+    materials = pbrfit.Materials(
+        rng.random((height, width, 3)), rng.random((height, width)), rng.random((height, width))
+    )
+    normals = unit(rng.normal(size=(height, width, 3)) + np.array([0, 0, 1]))
+    lighting = rng.normal(size=(4, 16, 3))
+    view = pbrfit.view_directions(height, width, fov)
+    weights = reference.shade(
+        normals, view, materials.albedo, materials.roughness, materials.metallic
+    )
+    expected = np.einsum("hwck,nkc->nhwc", weights, lighting)
+    several = pbrfit.render(materials, normals, lighting, fov)
+    assert several.shape == (4, height, width, 3)
+    assert_close(several, expected, 1e-13, "render")
+    one = pbrfit.render(materials, normals, lighting[2], fov)
+    assert one.shape == (height, width, 3)
+    np.testing.assert_array_equal(one, several[2])
+
+
+def test_render_leaves_pixels_outside_the_mask_nan() -> None:
+    albedo, roughness, metallic = np.full((2, 3, 3), 0.5), np.full((2, 3), 0.5), np.zeros((2, 3))
+    normals = np.broadcast_to([0.0, 0, 1], (2, 3, 3)).copy()
+    albedo[0, 1] = roughness[0, 1] = metallic[0, 1] = np.nan
+    normals[1, 2] = np.nan
+    picture = pbrfit.render(
+        pbrfit.Materials(albedo, roughness, metallic), normals, np.ones((16, 3)), 60.0
+    )
+    outside = np.zeros((2, 3), dtype=bool)
+    outside[0, 1] = outside[1, 2] = True
+    np.testing.assert_array_equal(np.isnan(picture).all(axis=-1), outside)
+    np.testing.assert_array_equal(np.isnan(picture).any(axis=-1), outside)
+
+
+# --- Refusals ---
+
+GOOD: dict[str, Any] = {
+    "normal": np.tile([0.0, 0, 1], (4, 1)),
+    "view": np.tile([0.6, 0, 0.8], (4, 1)),
+    "albedo": np.full((4, 3), 0.5),
+    "roughness": np.full(4, 0.5),
+    "metallic": np.full(4, 0.5),
+}
+GOOD_COTANGENT = np.ones((4, 3, 16))
+
+
+def with_entry(array: Array, value: float) -> Array:
+    changed = array.copy()
+    changed.reshape(-1)[-1] = value
+    return changed
+
+
+BAD: list[tuple[str, str, Any]] = [
+    *((name, "NaN", with_entry(GOOD[name], math.nan)) for name in GOOD),
+    *((name, "infinite", with_entry(GOOD[name], math.inf)) for name in GOOD),
+    *((name, "text", "shiny") for name in GOOD),
+    *((name, "ragged", [[0.0, 0, 1], [0.0]]) for name in GOOD),
+    *((name, "last axis", GOOD[name][:, :2]) for name in ("normal", "view", "albedo")),
+    *((name, "no axis", np.array(1.0)) for name in ("normal", "view", "albedo")),
+    *((name, "leading axis", GOOD[name][:3]) for name in GOOD),
+    *((name, "zero", np.zeros((4, 3))) for name in ("normal", "view")),
+    *((name, "not unit", 2 * GOOD[name]) for name in ("normal", "view")),
+    *(
+        (name, "out of range", with_entry(GOOD[name], value))
+        for name in ("albedo", "roughness", "metallic")
+        for value in (-1e-9, 1 + 1e-9, 7.0)
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "what", "value"), BAD, ids=[f"{b[0]}-{b[1]}" for b in BAD])
+def test_shade_refuses_and_names_the_argument(name: str, what: str, value: Any) -> None:
+    del what
+    with pytest.raises(pbrfit.InputError, match=rf"\b{name}\b") as refusal:
+        pbrfit.shade(**(GOOD | {name: value}))
+    assert "\n" not in str(refusal.value)
+    with pytest.raises(pbrfit.InputError, match=rf"\b{name}\b"):
+        pbrfit.shade_vjp(**(GOOD | {name: value}), cotangent=GOOD_COTANGENT)
+
+
+@pytest.mark.parametrize(
+    "cotangent",
+    [np.ones((4, 16, 3)), np.ones(16), np.ones((3, 3, 16)), with_entry(GOOD_COTANGENT, math.nan)],
+)
+def test_shade_vjp_refuses_a_bad_cotangent(cotangent: Array) -> None:
+    with pytest.raises(pbrfit.InputError, match="cotangent"):
+        pbrfit.shade_vjp(**GOOD, cotangent=cotangent)
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: pbrfit.sh_basis(np.ones((4, 2))), "directions"),
+        (lambda: pbrfit.sh_basis([math.nan, 0, 1]), "directions"),
+        (lambda: pbrfit.sh_basis([0.0, 0, 0]), "directions"),
+        (lambda: pbrfit.ggx_band_weights([0.5, math.nan]), "r"),
+        (lambda: pbrfit.ggx_band_weights(-0.1), "r"),
+        (lambda: pbrfit.ggx_band_weights(1.0000001), "r"),
+        (lambda: pbrfit.ggx_band_weights("smooth"), "r"),
+        (lambda: pbrfit.view_directions(4, 4, 180.0), "fov"),
+        (lambda: pbrfit.view_directions(4, 4, -1.0), "fov"),
+        (lambda: pbrfit.view_directions(4, 4, math.nan), "fov"),
+    ],
+)
+def test_refusals_of_the_other_functions(call: Callable[[], object], name: str) -> None:
+    with pytest.raises(pbrfit.InputError, match=rf"\b{name}"):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"albedo": np.full((4, 3), 0.5)}, "albedo"),
+        ({"albedo": np.full((4, 5, 3), 1.5)}, "albedo"),
+        ({"roughness": np.full((4, 6), 0.5)}, "roughness"),
+        ({"roughness": np.full((4, 5), -0.5)}, "roughness"),
+        ({"metallic": np.full((5, 4), 0.5)}, "metallic"),
+        ({"normals": np.zeros((4, 5, 3))}, "normals"),
+        ({"normals": np.ones((4, 6, 3))}, "normals"),
+        ({"lighting": np.ones((3, 16))}, "lighting"),
+        ({"lighting": np.full((16, 3), np.nan)}, "lighting"),
+        ({"lighting": np.ones((2, 2, 16, 3))}, "lighting"),
+        ({"fov": 200.0}, "fov"),
+    ],
+)
+def test_render_refuses_and_names_the_array(change: dict[str, Any], name: str) -> None:
+    good: dict[str, Any] = {
+        "albedo": np.full((4, 5, 3), 0.5),
+        "roughness": np.full((4, 5), 0.5),
+        "metallic": np.full((4, 5), 0.5),
+        "normals": np.tile([0.0, 0, 1], (4, 5, 1)),
+        "lighting": np.ones((16, 3)),
+        "fov": 60.0,
+    }
+    given = good | change
+    with pytest.raises(pbrfit.InputError, match=name):
+        pbrfit.render(
+            pbrfit.Materials(given["albedo"], given["roughness"], given["metallic"]),
+            given["normals"],
+            given["lighting"],
+            given["fov"],
+        )
