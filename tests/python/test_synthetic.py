@@ -6,18 +6,20 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from numpy.polynomial.legendre import leggauss, legval
 from numpy.typing import NDArray
 
-from pbrfit.model import Materials, render, sh_basis
-from pbrfit.synthetic import SceneKind, SyntheticScene, build, make_scene, random_lights
+import reference
+from pbrfit.geometry import view_directions
+from pbrfit.materials import Materials
+from pbrfit.model import render, sh_basis
+from pbrfit.scene import Scene, Truth
+from pbrfit.synthetic import SceneKind, build, make_scene, random_lights
 from pbrfit.synthetic.geometry import (
     Box,
     Cylinder,
     Plane,
     Primitive,
     Sphere,
-    camera_rays,
     rotation,
     trace,
 )
@@ -27,68 +29,17 @@ KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
 ORIGIN = np.zeros(3)
 
 
-# --------------------------------------------------------------------- a slow reference renderer
+def camera_rays(height: int, width: int, fov: float) -> Array:
+    return -view_directions(height, width, fov)
 
 
-def reference_sh_basis(directions: Array) -> Array:
-    """Real SH to l = 3 without Condon-Shortley phase, (..., 16), as polynomials in x, y, z."""
-    x, y, z = np.moveaxis(directions, -1, 0)
-    one = np.ones_like(x)
-    terms = [
-        (1 / 4, one),
-        (3 / 4, y),
-        (3 / 4, z),
-        (3 / 4, x),
-        (15 / 4, x * y),
-        (15 / 4, y * z),
-        (5 / 16, 3 * z**2 - 1),
-        (15 / 4, x * z),
-        (15 / 16, x**2 - y**2),
-        (35 / 32, y * (3 * x**2 - y**2)),
-        (105 / 4, x * y * z),
-        (21 / 32, y * (5 * z**2 - 1)),
-        (7 / 16, z * (5 * z**2 - 3)),
-        (21 / 32, x * (5 * z**2 - 1)),
-        (105 / 16, z * (x**2 - y**2)),
-        (35 / 32, x * (x**2 - 3 * y**2)),
-    ]
-    return np.stack([np.sqrt(squared / np.pi) * value for squared, value in terms], axis=-1)
-
-
-def reference_band_weights(roughness: NDArray[Any]) -> Array:
-    """h_l = 2(1-t²) ∫₀¹ P_l(u)/(1-tu)² du, (..., 4), for 0.1 <= roughness < 1.
-
-    With 1-tu = exp(-s), du/(1-tu)² = exp(s) ds/t, and s runs from 0 to -ln(1-t): a smooth integrand
-    over a short interval, where the original has a peak of width roughness⁴ at u = 1.
-    """
-    e = roughness[..., None] ** 4
-    t = (1 - e) / (1 + e)
-    nodes, weights = leggauss(48)
-    end = -np.log1p(-t)
-    s = end * (nodes + 1) / 2
-    u = -np.expm1(-s) / t
-    measure = 2 * (1 - t**2) / t * end / 2 * weights * np.exp(s)
-    return np.stack([(measure * legval(u, band)).sum(axis=-1) for band in np.eye(4)], axis=-1)
-
-
-def reference_render(materials: Materials, normals: Array, lighting: Array, fov: float) -> Array:
-    """(N, H, W, 3): the image formation model, written out in numpy."""
-    view = -camera_rays(normals.shape[0], normals.shape[1], fov)
-    n_dot_v = np.sum(normals * view, axis=-1, keepdims=True)
-    mirror = 2 * n_dot_v * normals - view
-    n_dot_v = np.maximum(n_dot_v, 1e-4)
-    rho, r, m = materials.albedo, materials.roughness[..., None], materials.metallic[..., None]
-    f0 = 0.04 * (1 - m) + m * rho
-    fresnel = f0 + (1 - f0) * (1 - n_dot_v) ** 5
-    k = r**4 / 2
-    kd = (1 - fresnel) * (1 - m) * rho / np.pi
-    ks = fresnel * n_dot_v / (n_dot_v * (1 - k) + k) / 4
-    band = np.repeat(np.arange(4), [1, 3, 5, 7])
-    a = np.array([np.pi, 2 * np.pi / 3, np.pi / 4, 0.0])[band]
-    h = reference_band_weights(materials.roughness)[..., band]
-    diffuse = np.einsum("hwk,nkc->nhwc", a * reference_sh_basis(normals), lighting)
-    specular = np.einsum("hwk,nkc->nhwc", h * reference_sh_basis(mirror), lighting)
-    return np.asarray(kd * diffuse + ks * specular)
+def slow_render(materials: Materials, normals: Array, lighting: Array, fov: float) -> Array:
+    """(N, H, W, 3), by the tests' own model."""
+    view = view_directions(*normals.shape[:2], fov)
+    weights = reference.shade(
+        normals, view, materials.albedo, materials.roughness, materials.metallic
+    )
+    return np.einsum("hwck,nkc->nhwc", weights, lighting)
 
 
 # ------------------------------------------------------------------------------------ ray caster
@@ -104,7 +55,7 @@ def test_rays_pass_through_pixel_centres() -> None:
 @pytest.mark.parametrize("fov", [0.0, 180.0, -1.0, np.nan])
 def test_field_of_view_out_of_range(fov: float) -> None:
     with pytest.raises(ValueError, match="fov"):
-        camera_rays(4, 4, fov)
+        build("room", 4, np.random.default_rng(0), fov)
 
 
 def test_rotation_is_right_handed() -> None:
@@ -232,7 +183,7 @@ def test_lights_are_positive_everywhere(sh_order: int, seed: int) -> None:
     lights = random_lights(16, np.random.default_rng(seed), sh_order)
     assert lights.shape == (16, 16, 3)
     assert lights.dtype == np.float64
-    radiance = np.einsum("pk,nkc->npc", reference_sh_basis(sphere_samples(20_000)), lights)
+    radiance = np.einsum("pk,nkc->npc", reference.sh_basis(sphere_samples(20_000)), lights)
     assert radiance.min() > 0.0
 
 
@@ -381,17 +332,22 @@ def test_bad_scene_arguments() -> None:
 # -------------------------------------------------------------------------------------- pictures
 
 
-def arrays(scene: SyntheticScene) -> dict[str, NDArray[Any]]:
+def truth(scene: Scene) -> Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
     return {
         "images": scene.images,
         "normals": scene.normals,
         "segments": scene.segments,
-        "albedo": scene.materials.albedo,
-        "roughness": scene.materials.roughness,
-        "metallic": scene.materials.metallic,
-        "lighting": scene.lighting,
-        "relight_lighting": scene.relight_lighting,
-        "relight_images": scene.relight_images,
+        "albedo": truth(scene).materials.albedo,
+        "roughness": truth(scene).materials.roughness,
+        "metallic": truth(scene).materials.metallic,
+        "lighting": truth(scene).lighting,
+        "relight_lighting": truth(scene).relight_lighting,
+        "relight_images": truth(scene).relight_images,
     }
 
 
@@ -409,9 +365,9 @@ def test_streams_are_separate() -> None:
     base = make_scene("room", size=24, lights=4, held_out=3)
     more = make_scene("room", size=24, lights=6, held_out=3, noise=0.01)
     np.testing.assert_array_equal(base.segments, more.segments)
-    np.testing.assert_array_equal(base.materials.albedo, more.materials.albedo)
+    np.testing.assert_array_equal(truth(base).materials.albedo, truth(more).materials.albedo)
     # The held-out lights are the same up to the exposure.
-    ratio = more.relight_lighting[:, 0] / base.relight_lighting[:, 0]
+    ratio = truth(more).relight_lighting[:, 0] / truth(base).relight_lighting[:, 0]
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
 
 
@@ -421,7 +377,7 @@ def test_exposure(kind: SceneKind) -> None:
         scene = make_scene(kind, size=32, seed=seed)
         assert scene.images.mean() == pytest.approx(0.4, rel=1e-12)
         assert scene.images.min() > 0.0
-        for pictures in (scene.images, scene.relight_images):
+        for pictures in (scene.images, truth(scene).relight_images):
             means = pictures.mean(axis=(1, 2, 3)) / 0.4
             assert means.min() >= 0.5
             assert means.max() <= 2.0
@@ -432,18 +388,18 @@ def test_exposure(kind: SceneKind) -> None:
 def test_pictures_are_the_model_of_their_truth(kind: SceneKind) -> None:
     scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2)
     for images, lighting in (
-        (scene.images, scene.lighting),
-        (scene.relight_images, scene.relight_lighting),
+        (scene.images, truth(scene).lighting),
+        (truth(scene).relight_images, truth(scene).relight_lighting),
     ):
-        again = render(scene.materials, scene.normals, lighting, scene.fov)
+        again = render(truth(scene).materials, scene.normals, lighting, scene.fov)
         np.testing.assert_allclose(images, again, rtol=1e-13, atol=1e-15)
-        slow = reference_render(scene.materials, scene.normals, lighting, scene.fov)
+        slow = slow_render(truth(scene).materials, scene.normals, lighting, scene.fov)
         np.testing.assert_allclose(images, slow, rtol=1e-11, atol=1e-12)
 
 
 def test_harmonics_are_those_of_the_reference() -> None:
     directions = sphere_samples(200)
-    np.testing.assert_allclose(sh_basis(directions), reference_sh_basis(directions), atol=1e-14)
+    np.testing.assert_allclose(sh_basis(directions), reference.sh_basis(directions), atol=1e-14)
 
 
 def test_noise_has_its_size_and_leaves_the_rest_alone() -> None:
@@ -454,5 +410,5 @@ def test_noise_has_its_size_and_leaves_the_rest_alone() -> None:
     assert abs(added.mean()) < 5 * 0.2 / np.sqrt(count)
     assert abs(added.std() / 0.2 - 1) < 5 / np.sqrt(2 * count)
     assert noisy.images.min() < 0.0
-    np.testing.assert_array_equal(noisy.relight_images, clean.relight_images)
-    np.testing.assert_array_equal(noisy.lighting, clean.lighting)
+    np.testing.assert_array_equal(truth(noisy).relight_images, truth(clean).relight_images)
+    np.testing.assert_array_equal(truth(noisy).lighting, truth(clean).lighting)

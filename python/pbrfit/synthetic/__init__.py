@@ -6,57 +6,20 @@ what a fit of them cannot recover is the fault of the fit, or of the noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.model import Materials, render
+from pbrfit._core import InputError
+from pbrfit.model import render
+from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.synthetic.scenes import RayCast, SceneKind, build
 
-__all__ = ["RayCast", "SceneKind", "SyntheticScene", "build", "make_scene", "random_lights"]
+__all__ = ["RayCast", "SceneKind", "build", "make_scene", "random_lights"]
 
 Array = NDArray[np.float64]
 
 MEAN_RADIANCE = 0.4
-
-
-@dataclass(frozen=True)
-class SyntheticScene:
-    """Pictures of one view under several lights, and everything that made them.
-
-    Attributes
-    ----------
-    images
-        (N, H, W, 3) linear Rec.709 radiance, noise included; negative values are kept.
-    normals
-        (H, W, 3) exact unit normals in camera space (X right, Y up, Z towards the viewer).
-    segments
-        (H, W) ids from 1, one for each piece and each wall.
-    mask
-        (H, W), or None when every pixel is valid.
-    fov
-        Horizontal field of view in degrees.
-    materials
-        Ground truth.
-    lighting
-        (N, 16, 3) ground truth for the images as given.
-    relight_lighting
-        (M, 16, 3) lights that are not among the first.
-    relight_images
-        (M, H, W, 3) noise-free pictures under them, in the same exposure.
-    """
-
-    images: Array
-    normals: Array
-    segments: NDArray[np.uint16]
-    mask: NDArray[np.bool_] | None
-    fov: float
-    materials: Materials
-    lighting: Array
-    relight_lighting: Array
-    relight_images: Array
 
 
 def make_scene(
@@ -68,7 +31,7 @@ def make_scene(
     sh_order: int = 3,
     noise: float = 0.0,
     seed: int = 0,
-) -> SyntheticScene:
+) -> Scene:
     """Draw a scene and its lights, and render the pictures in float64.
 
     Each picture is first exposed on its own, to a level that varies by no more than a factor of 2
@@ -94,17 +57,20 @@ def make_scene(
 
     Returns
     -------
-    SyntheticScene
+    Scene
+        float64 pictures (noise may make them negative) with segment ids from 1 for each piece and
+        each wall, and the truth: materials, lights, noise-free held-out pictures and their lights
+        in the same exposure.
 
     Raises
     ------
-    ValueError
+    InputError
         When an argument is out of its range.
     """
     if not 0.0 <= noise < np.inf:
-        raise ValueError(f"noise: expected a finite standard deviation >= 0, found {noise}")
+        raise InputError(f"noise: expected a finite standard deviation >= 0, found {noise}")
     if seed < 0:
-        raise ValueError(f"seed: expected a non-negative integer, found {seed}")
+        raise InputError(f"seed: expected a non-negative integer, found {seed}")
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
     view = build(kind, size, streams[0])
 
@@ -116,16 +82,19 @@ def make_scene(
     images *= exposure
     if noise > 0.0:
         images += streams[3].normal(scale=noise, size=images.shape)
-    return SyntheticScene(
+    return Scene(
         images=images,
         normals=view.normals,
-        segments=view.segments,
-        mask=view.mask,
         fov=view.fov,
-        materials=view.materials,
-        lighting=exposure * lighting,
-        relight_lighting=exposure * relight_lighting,
-        relight_images=exposure * relight_images,
+        mask=view.mask,
+        segments=view.segments,
+        names=tuple(f"light_{i:02d}" for i in range(lights)),
+        truth=Truth(
+            materials=view.materials,
+            lighting=exposure * lighting,
+            relight_images=exposure * relight_images,
+            relight_lighting=exposure * relight_lighting,
+        ),
     )
 
 

@@ -1,4 +1,4 @@
-"""Camera rays, convex primitives and planes, and the nearest hit of every ray.
+"""Convex primitives and planes, and the nearest hit of every ray.
 
 A primitive is described in its own object space and placed by a rotation and a centre,
 x_scene = R x_object + c. Every solid is convex, so a ray is inside it for one interval of
@@ -17,36 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-
-def camera_rays(height: int, width: int, fov: float) -> Array:
-    """Directions from a pinhole camera at the origin that looks down -Z, through pixel centres.
-
-    Parameters
-    ----------
-    height, width
-        Size of the picture in pixels; the pixels are square.
-    fov
-        Horizontal field of view in degrees, 0 < fov < 180.
-
-    Returns
-    -------
-    ndarray
-        (H, W, 3) unit vectors in camera space, X right, Y up, Z towards the viewer; row 0 is the
-        top of the picture.
-
-    Raises
-    ------
-    ValueError
-        When `fov` lies outside (0, 180).
-    """
-    if not 0.0 < fov < 180.0:
-        raise ValueError(f"fov: expected degrees between 0 and 180, found {fov}")
-    pixel = np.tan(np.radians(fov) / 2) / (width / 2)
-    x = (np.arange(width) + 0.5 - width / 2) * pixel
-    y = -(np.arange(height) + 0.5 - height / 2) * pixel
-    rays = np.stack([*np.meshgrid(x, y), np.full((height, width), -1.0)], axis=-1)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
 def rotation(axis: int, degrees: float) -> Array:

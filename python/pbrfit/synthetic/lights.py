@@ -17,6 +17,7 @@ import numpy as np
 from numpy.polynomial.legendre import poly2leg
 from numpy.typing import NDArray
 
+from pbrfit._core import InputError
 from pbrfit.model import sh_basis
 
 Array = NDArray[np.float64]
@@ -62,7 +63,7 @@ def random_lights(count: int, rng: np.random.Generator, sh_order: int = 3) -> Ar
 
     Raises
     ------
-    ValueError
+    InputError
         When `count` is below 1 or `sh_order` is neither 2 nor 3.
 
     Notes
@@ -73,9 +74,9 @@ def random_lights(count: int, rng: np.random.Generator, sh_order: int = 3) -> Ar
     then 120 to 3000, with a median of 540 over 600 channels; of order 2, 10 to 50.
     """
     if count < 1:
-        raise ValueError(f"count: expected at least 1 lighting, found {count}")
+        raise InputError(f"count: expected at least 1 lighting, found {count}")
     if sh_order not in (2, 3):
-        raise ValueError(f"sh_order: expected 2 or 3, found {sh_order}")
+        raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
     used = (sh_order + 1) ** 2
     while True:
         lights = _draw(count, rng, sh_order)

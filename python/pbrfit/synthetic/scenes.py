@@ -18,14 +18,15 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.model import Materials
+from pbrfit._core import InputError
+from pbrfit.geometry import view_directions
+from pbrfit.materials import Materials
 from pbrfit.synthetic.geometry import (
     Box,
     Cylinder,
     Plane,
     Primitive,
     Sphere,
-    camera_rays,
     rotation,
     trace,
 )
@@ -83,13 +84,15 @@ def build(kind: SceneKind, size: int, rng: np.random.Generator, fov: float = 60.
 
     Raises
     ------
-    ValueError
+    InputError
         When `kind` is unknown, `size` is below 1, or `fov` is outside its range.
     """
     if kind not in get_args(SceneKind):
-        raise ValueError(f"kind: expected one of {', '.join(get_args(SceneKind))}, found {kind!r}")
+        raise InputError(f"kind: expected one of {', '.join(get_args(SceneKind))}, found {kind!r}")
     if size < 1:
-        raise ValueError(f"size: expected at least 1 pixel, found {size}")
+        raise InputError(f"size: expected at least 1 pixel, found {size}")
+    if not 0 < fov < 180:
+        raise InputError(f"fov: expected degrees between 0 and 180, found {fov}")
     if kind == "spheres":
         columns, rows = rng.integers(4, 6, size=2)
         stage = _case_stage(rows, columns, rng)
@@ -100,7 +103,7 @@ def build(kind: SceneKind, size: int, rng: np.random.Generator, fov: float = 60.
             len(stage.pieces), rng
         )
 
-    rays = camera_rays(size, size, fov).reshape(-1, 3)
+    rays = -view_directions(size, size, fov).reshape(-1, 3)
     hits = trace(stage.primitives, stage.eye, rays @ stage.turn.T)
     albedo, roughness, metallic = np.empty((size * size, 3)), *np.empty((2, size * size))
     for i in np.unique(hits.index):
@@ -137,7 +140,7 @@ class _Stage:
 
     def smallest_share(self) -> float:
         """Share of a 48 x 48 picture that the least visible piece covers."""
-        rays = camera_rays(48, 48, 60.0).reshape(-1, 3)
+        rays = -view_directions(48, 48, 60.0).reshape(-1, 3)
         hits = trace(self.primitives, self.eye, rays @ self.turn.T)
         counts = np.bincount(hits.index, minlength=len(self.walls) + len(self.pieces))
         return float(counts[len(self.walls) :].min() / len(rays))
