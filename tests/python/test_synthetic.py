@@ -23,6 +23,7 @@ from pbrfit.synthetic.geometry import (
     rotation,
     trace,
 )
+from pbrfit.synthetic.scenes import _case_stage, _room_stage
 
 Array = NDArray[np.float64]
 KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
@@ -266,6 +267,39 @@ def test_at_least_a_third_of_the_furniture_is_metal() -> None:
         assert metal.min() > 6
         assert 10 <= len(pieces) <= 12
         assert len(metal) >= len(pieces) / 3
+
+
+def gauge(solid: Primitive, p: Array) -> Array:
+    """Of object-space points: below 1 inside a solid, 1 on its surface, proportional to |p|."""
+    match solid:
+        case Sphere():
+            return np.asarray(np.linalg.norm(p, axis=-1) / solid.radius)
+        case Box():
+            return np.asarray((np.abs(p) / solid.half).max(axis=-1))
+        case Cylinder():
+            side = np.hypot(p[:, 0], p[:, 2]) / solid.radius
+            return np.asarray(np.maximum(side, np.abs(p[:, 1]) / solid.half))
+    raise AssertionError(type(solid))
+
+
+def test_pieces_do_not_run_into_each_other_or_the_walls() -> None:
+    # The corners of the cube are the corners of any box.
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
+    cloud = np.concatenate([corners, np.random.default_rng(0).uniform(-1, 1, size=(1500, 3))])
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        rows, columns = rng.integers(4, 6, size=2)
+        for stage in (_room_stage(rng), _case_stage(rows, columns, rng)):
+            for piece in stage.pieces:
+                local = cloud * (piece.half if isinstance(piece, Box) else 1.0)
+                local = local / gauge(piece, local)[:, None]
+                points = piece.centre + local @ piece.rotation.T
+                for wall in stage.walls:
+                    height = ((points - wall.centre) @ wall.rotation)[:, 1]
+                    assert height.min() > -1e-9, f"seed {seed}: {piece}"
+                for other in stage.pieces:
+                    inside = gauge(other, (points - other.centre) @ other.rotation) < 1 - 1e-9
+                    assert other is piece or not inside.any(), f"seed {seed}: {piece}, {other}"
 
 
 def test_roughness_of_the_spheres_grows_to_the_right() -> None:

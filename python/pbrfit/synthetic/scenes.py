@@ -202,7 +202,7 @@ def _furniture(rng: np.random.Generator) -> list[Primitive]:
         tall.append([stand, _moved(item, 0.0, 2 * stand.centre[1], 0.0)])
     with_column = rng.random() < 0.5
     if with_column:
-        half = rng.uniform(0.75, 0.95)
+        half = rng.uniform(0.75, 0.92)
         radius = rng.uniform(0.2, 0.3)
         tall[0] = [Cylinder(centre=np.array([0.0, half, 0.0]), radius=radius, half=half)]
     low = [[_item(rng, rng.uniform(0.34, 0.42))] for _ in range(2)]
@@ -210,37 +210,38 @@ def _furniture(rng: np.random.Generator) -> list[Primitive]:
     pieces: list[Primitive] = []
     row = [tall[i] for i in rng.permutation(3)]
     for x, z, group in zip(
-        [-1.5, 0.0, 1.5, -0.65, 0.65], [-3.8, -3.8, -3.8, -2.5, -2.5], [*row, *low], strict=True
+        [-1.5, 0.0, 1.5, -0.65, 0.65], [-3.5, -3.5, -3.5, -2.3, -2.3], [*row, *low], strict=True
     ):
-        x += rng.uniform(-0.08, 0.08)
-        z += rng.uniform(-0.2, 0.1)
+        x += rng.uniform(-0.06, 0.06)
+        z += rng.uniform(-0.1, 0.1)
         pieces += [_moved(piece, x, 0.0, z) for piece in group]
 
-    board = np.array([0.7, 0.05, 0.22])
-    x, y = rng.uniform(-1.0, 1.0), rng.uniform(1.5, 1.75)
+    board = np.array([0.7, 0.05, 0.25])
+    x, y = rng.uniform(-1.0, 1.0), rng.uniform(1.68, 1.82)
     z = _ROOM_LOW[2] + board[2]
     pieces.append(Box(centre=np.array([x, y, z]), half=board))
     for side in (-0.35, 0.35)[: rng.integers(1, 3)]:
-        small = _item(rng, rng.uniform(0.2, 0.23))
-        pieces.append(_moved(small, x + side, y + board[1], z))
+        small = _item(rng, rng.uniform(0.19, 0.22))
+        pieces.append(_moved(small, x + side, y + board[1], z + 0.05))
 
     radius, half = rng.uniform(0.26, 0.36), rng.uniform(0.18, 0.26)
-    x, y, z = rng.uniform(-1.2, 1.2), _ROOM_HIGH[1], rng.uniform(-3.9, -3.5)
+    x, y, z = rng.uniform(-1.2, 1.2), _ROOM_HIGH[1], rng.uniform(-3.7, -3.4)
     if rng.random() < 0.5:
         pieces.append(Sphere(centre=np.array([x, y - radius, z]), radius=radius))
     else:
         pieces.append(Cylinder(centre=np.array([x, y - half, z]), radius=radius, half=half))
 
     if with_column and rng.random() < 0.5:
-        wall = rng.choice([_ROOM_LOW[0], _ROOM_HIGH[0]])
-        panel_at = np.array([wall, rng.uniform(1.5, 1.7), rng.uniform(-3.9, -3.5)])
-        pieces.append(Box(centre=panel_at, half=np.array([0.05, 0.4, 0.5])))
+        panel = np.array([0.04, 0.4, 0.5])
+        x = rng.choice([_ROOM_LOW[0] + panel[0], _ROOM_HIGH[0] - panel[0]])
+        y, z = rng.uniform(1.5, 1.7), rng.uniform(-3.9, -3.5)
+        pieces.append(Box(centre=np.array([x, y, z]), half=panel))
     return pieces
 
 
 def _stand(rng: np.random.Generator) -> Primitive:
     """Draw a plinth on the floor at the origin."""
-    half = rng.uniform(0.22, 0.42)
+    half = rng.uniform(0.22, 0.4)
     width = rng.uniform(0.32, 0.4)
     centre = np.array([0.0, half, 0.0])
     if rng.random() < 0.3:
