@@ -4,9 +4,8 @@ use glam::DVec3;
 
 use crate::{Error, Result};
 
-/// How far a "unit" vector's length may be from 1: float32 and 16-bit sources pass, unnormalised
-/// ones do not.
-const UNIT_TOLERANCE: f64 = 1e-3;
+/// How far a "unit" vector's length may be from 1: ones that were normalised in float32 pass.
+const UNIT_TOLERANCE: f64 = 1e-5;
 
 pub(crate) fn length(name: &'static str, expected: usize, found: usize) -> Result<()> {
     if expected == found {

@@ -12,6 +12,9 @@ use std::process;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
+/// More threads than pieces of work would only wait.
+const MAX_THREADS: usize = 64;
+
 struct Owned {
     process: u32,
     pool: ThreadPool,
@@ -34,7 +37,7 @@ pub fn map<T: Send, R: Send>(
     items: Vec<T>,
     f: impl Fn(T) -> R + Send + Sync,
 ) -> Vec<R> {
-    let threads = if threads == 0 { available() } else { threads };
+    let threads = if threads == 0 { available() } else { threads }.min(MAX_THREADS);
     if threads == 1 || items.len() < 2 {
         return items.into_iter().map(f).collect();
     }

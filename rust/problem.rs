@@ -127,6 +127,10 @@ impl Problem {
                 }
             }
         }
+        if !loss.is_finite() {
+            // Lights so large that float32 overflows.
+            return Err(Error::argument("x", "a point with a finite loss", loss));
+        }
         Ok(loss / samples)
     }
 

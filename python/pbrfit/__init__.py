@@ -2,11 +2,23 @@
 
 from pbrfit._core import InputError
 from pbrfit.geometry import view_directions
-from pbrfit.model import Materials, ggx_band_weights, render, sh_basis, shade, shade_vjp
+from pbrfit.materials import Materials
+from pbrfit.model import ggx_band_weights, render, sh_basis, shade, shade_vjp
+from pbrfit.objective import Objective
+from pbrfit.result import Result, Status
+from pbrfit.scene import Scene, Truth
+from pbrfit.solve import Progress, decompose
 
 __all__ = [
     "InputError",
     "Materials",
+    "Objective",
+    "Progress",
+    "Result",
+    "Scene",
+    "Status",
+    "Truth",
+    "decompose",
     "ggx_band_weights",
     "render",
     "sh_basis",

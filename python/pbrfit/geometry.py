@@ -62,7 +62,7 @@ def fov_from_focal_length(focal_length_35mm: float) -> float:
 
 def facing_away(normals: NDArray[Any], views: NDArray[Any]) -> NDArray[np.bool_]:
     """Which pixels' normals point away from the camera, n·v <= 0: (...,) from two (..., 3)."""
-    return np.einsum("...i,...i->...", normals, views) <= 0
+    return np.asarray(np.einsum("...i,...i->...", normals, views) <= 0)
 
 
 def likely_convention_error(normals: NDArray[Any], views: NDArray[Any]) -> str | None:

@@ -30,18 +30,18 @@ def sh_basis(directions: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the last axis is not 3 long or a vector's length differs from 1 by more than 1e-3.
+        If the last axis is not 3 long or a vector's length differs from 1 by more than 1e-5.
     """
     d = _array("directions", directions, (3,))
     return _core.sh_basis(d.reshape(-1, 3)).reshape(*d.shape[:-1], 16)
 
 
-def ggx_band_weights(roughness: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def ggx_band_weights(r: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Zonal weights of the GGX distribution (eqs. 8-11) and their derivative by roughness.
 
     Parameters
     ----------
-    roughness
+    r
         (...,) perceptual roughness in [0, 1].
 
     Returns
@@ -54,9 +54,9 @@ def ggx_band_weights(roughness: ArrayLike) -> tuple[NDArray[np.float64], NDArray
     InputError
         If a roughness lies outside [0, 1] or is NaN.
     """
-    r = _array("roughness", roughness, ())
-    h, slope = _core.ggx_band_weights(r.reshape(-1))
-    return h.reshape(*r.shape, 4), slope.reshape(*r.shape, 4)
+    roughness = _array("r", r, ())
+    h, slope = _core.ggx_band_weights(roughness.reshape(-1))
+    return h.reshape(*roughness.shape, 4), slope.reshape(*roughness.shape, 4)
 
 
 def shade(
@@ -86,8 +86,10 @@ def shade(
     InputError
         If shapes do not fit together, a vector is not of unit length or a value is out of range.
     """
-    shape, pixels = _pixels(normal, view, albedo, roughness, metallic)
-    return _core.shade(*pixels).reshape(*shape, 3, 16)
+    shape, (n, v, rho, r, m) = _pixels(
+        normal=normal, view=view, albedo=albedo, roughness=roughness, metallic=metallic
+    )
+    return _core.shade(n, v, rho, r, m).reshape(*shape, 3, 16)
 
 
 def shade_vjp(
@@ -117,10 +119,15 @@ def shade_vjp(
     InputError
         As `shade`.
     """
-    g = _array("cotangent", cotangent, (3, 16))
-    shape, pixels = _pixels(normal, view, albedo, roughness, metallic, leading=g.shape[:-2])
-    g = np.broadcast_to(g, (*shape, 3, 16)).reshape(-1, 3, 16)
-    d_albedo, d_roughness, d_metallic = _core.shade_vjp(*pixels, g)
+    shape, (n, v, rho, r, m, g) = _pixels(
+        normal=normal,
+        view=view,
+        albedo=albedo,
+        roughness=roughness,
+        metallic=metallic,
+        cotangent=cotangent,
+    )
+    d_albedo, d_roughness, d_metallic = _core.shade_vjp(n, v, rho, r, m, g)
     return d_albedo.reshape(*shape, 3), d_roughness.reshape(shape), d_metallic.reshape(shape)
 
 
@@ -176,45 +183,44 @@ def render(
     return images[0] if light.ndim == 2 else images
 
 
+_TRAILING: dict[str, tuple[int, ...]] = {
+    "normal": (3,),
+    "view": (3,),
+    "albedo": (3,),
+    "roughness": (),
+    "metallic": (),
+    "cotangent": (3, 16),
+}
+"""Last dimensions of each argument that is given per pixel."""
+
+
 def _array(name: str, values: ArrayLike, trailing: tuple[int, ...]) -> NDArray[np.float64]:
     """As a float64 array whose last dimensions are `trailing`, or InputError naming it."""
     try:
-        array = np.asarray(values, dtype=np.float64)
+        array = np.asarray(values)
+        if np.iscomplexobj(array):
+            raise TypeError("complex numbers")
+        array = array.astype(np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: expected an array of numbers, found {error}") from None
+        raise InputError(f"{name}: expected an array of real numbers, found {error}") from None
     if array.shape[max(array.ndim - len(trailing), 0) :] != trailing:
         wanted = ", ".join(["...", *map(str, trailing)])
         raise InputError(f"{name}: expected shape ({wanted}), found {array.shape}")
     return array
 
 
-def _pixels(
-    normal: ArrayLike,
-    view: ArrayLike,
-    albedo: ArrayLike,
-    roughness: ArrayLike,
-    metallic: ArrayLike,
-    leading: tuple[int, ...] = (),
-) -> tuple[tuple[int, ...], tuple[NDArray[np.float64], ...]]:
-    """Broadcast the leading dimensions against each other; (that shape, flattened arrays)."""
-    trailing = {"normal": (3,), "view": (3,), "albedo": (3,), "roughness": (), "metallic": ()}
-    values = (normal, view, albedo, roughness, metallic)
-    arrays = [
-        _array(name, value, end)
-        for (name, end), value in zip(trailing.items(), values, strict=True)
-    ]
-    own = [a.shape[: a.ndim - len(end)] for a, end in zip(arrays, trailing.values(), strict=True)]
+def _pixels(**arguments: ArrayLike) -> tuple[tuple[int, ...], list[NDArray[np.float64]]]:
+    """Broadcast the leading dimensions against each other: that shape, and the arrays flattened."""
+    arrays = {name: _array(name, values, _TRAILING[name]) for name, values in arguments.items()}
+    leading = [a.shape[: a.ndim - len(_TRAILING[name])] for name, a in arrays.items()]
     try:
-        shape = np.broadcast_shapes(leading, *own)
+        shape = np.broadcast_shapes(*leading)
     except ValueError:
-        found = ", ".join(
-            f"{name} {a.shape}" for name, a in zip(trailing, arrays, strict=True)
-        )
+        found = ", ".join(f"{name} {a.shape}" for name, a in arrays.items())
         raise InputError(
             f"pixels: expected leading dimensions that broadcast, found {found}"
         ) from None
-    flat = tuple(
-        np.broadcast_to(a, shape + end).reshape(-1, *end)
-        for a, end in zip(arrays, trailing.values(), strict=True)
-    )
-    return shape, flat
+    return shape, [
+        np.broadcast_to(a, shape + _TRAILING[name]).reshape(-1, *_TRAILING[name])
+        for name, a in arrays.items()
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import re
 import tomllib
@@ -26,6 +27,9 @@ log = logging.getLogger("pbrfit")
 DEFAULT_FOV = 60.0
 
 NORMAL_FILES = ("normals.exr", "normals.png")
+
+NOT_PICTURES = frozenset({".csv", ".db", ".ini", ".json", ".md", ".toml", ".txt", ".xmp"})
+"""Suffixes of files that may lie beside pictures."""
 
 HOW_TO_GET_NORMALS = (
     "normals.exr or normals.png (camera space, X right, Y up, Z to the viewer) from a normal "
@@ -91,7 +95,7 @@ def load(
         drawn = images.read_data(mask_path)
         _expect_size(mask_path, drawn.shape[:2], full_size)
         mask &= drawn[..., : 3 if drawn.shape[-1] >= 3 else 1].mean(axis=-1) >= 0.5
-        inputs["mask.png"] = images.sha256(mask_path)
+        inputs["mask.png"] = _sha256(mask_path)
         if not mask.any():
             raise InputError(f"{mask_path}: expected at least one white pixel, found none")
     segments_path = folder / "segments.png"
@@ -99,7 +103,7 @@ def load(
     if segments_path.exists():
         segments = images.read_ids(segments_path)
         _expect_size(segments_path, segments.shape, full_size)
-        inputs["segments.png"] = images.sha256(segments_path)
+        inputs["segments.png"] = _sha256(segments_path)
 
     if full_size != size:
         usable = np.isfinite(normals).all(axis=-1) & mask
@@ -119,7 +123,7 @@ def load(
     lighting_path = folder / "lighting.json"
     if lighting_path.exists():
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
-        inputs["lighting.json"] = images.sha256(lighting_path)
+        inputs["lighting.json"] = _sha256(lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
     if fov is not None:
@@ -189,14 +193,15 @@ def find_pictures(folder: Path) -> list[Path]:
         raise FileNotFoundError(f"{folder}: expected a scene folder, found nothing of that name")
     below = folder / "images"
     if below.is_dir():
-        files = [p for p in below.iterdir() if p.is_file() and not p.name.startswith(".")]
-        paths = []
-        for path in sorted(files, key=lambda p: p.name):
-            if path.suffix.lower() in images.PICTURE_SUFFIXES:
-                paths.append(path)
-            else:
-                images.refuse_unsupported(path)
-                log.warning("%s: not a picture, left out", path)
+        # A format that cannot be read must not be passed over in silence, so all that is not
+        # known to be something else counts as a picture.
+        paths = sorted(
+            path
+            for path in below.iterdir()
+            if path.is_file()
+            and not path.name.startswith(".")
+            and path.suffix.lower() not in NOT_PICTURES
+        )
         if not paths:
             raise InputError(
                 f"{below}: expected pictures ({' '.join(images.PICTURE_SUFFIXES)}), found none"
@@ -230,7 +235,7 @@ def _read_settings(path: Path, inputs: dict[str, str]) -> Settings:
     unknown = sorted(set(content) - set(SETTINGS))
     if unknown:
         raise InputError(f"{path}: expected keys {', '.join(SETTINGS)}, found {unknown[0]}")
-    inputs["scene.toml"] = images.sha256(path)
+    inputs["scene.toml"] = _sha256(path)
     return Settings(
         fov=_number(path, content, "fov"),
         color_space=_choice(path, content, "color_space", get_args(ColorSpace), None),
@@ -281,6 +286,7 @@ def _read_pictures(
     pixels: NDArray[np.float32] | None = None
     mask: NDArray[np.bool_] | None = None
     focal_length = None
+    clipped = 0.0
     colors: dict[str, list[str]] = {}
     for i, path in enumerate(paths):
         picture = images.read_picture(path, color_space)
@@ -301,6 +307,7 @@ def _read_pictures(
                 pixels[i, ..., c] = _resized(picture.pixels[..., c], size)
         if picture.alpha is not None:
             mask &= picture.alpha >= 0.5
+        clipped += float(picture.clipped.mean()) / len(paths)
         focal_length = focal_length or picture.focal_length_35mm
         colors.setdefault(picture.color, []).append(path.name)
         inputs[path.relative_to(folder).as_posix()] = picture.sha256
@@ -309,6 +316,8 @@ def _read_pictures(
     for color, names in colors.items():
         which = "all pictures" if len(colors) == 1 else ", ".join(names)
         assumed["color" if len(colors) == 1 else f"color of {which}"] = color
+    if clipped > 0:
+        assumed["clipped"] = f"{100 * clipped:.2g} % of the samples are at their type's maximum"
     if not mask.any():
         raise InputError(f"{paths[0].parent}: expected opaque pixels, found alpha below 0.5 in all")
     if not mask.all():
@@ -365,7 +374,7 @@ def _read_normals(
             raise InputError(f"{path}: expected three channels, found {data.shape[-1]}")
         normals = 2.0 * data[..., :3] - 1.0
     _expect_size(path, normals.shape[:2], size)
-    inputs[path.name] = images.sha256(path)
+    inputs[path.name] = _sha256(path)
     axes = settings.normals
     if axes == "directx":
         normals[..., 1] *= -1.0
@@ -415,6 +424,11 @@ def _write_truth(truth: Truth, scene: Scene, folder: Path) -> None:
 def _write_picture(path: Path, image: NDArray[Any]) -> None:
     finite = np.where(np.isfinite(image), image, 0.0).astype(np.float32)
     images.write_exr(path, {name: finite[..., c] for c, name in enumerate("RGB")})
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _expect_size(path: Path, found: tuple[int, ...], expected: tuple[int, ...]) -> None:
