@@ -1,1 +1,155 @@
-//! Picture files in and out: the one place that names `exr` and `image`.
+//! Picture files in and out: the one place that names `exr`, `image`, `png`,
+//! `tiff` and `moxcms`.
+//!
+//! Nothing here converts a colour: samples come out as they are stored, with
+//! what the file says about them beside. Every decoder gets a whole file in
+//! memory and every encoder makes one, so a half-read or half-written file
+//! cannot be mistaken for a whole one.
+
+mod exr;
+mod icc;
+mod raster;
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::Write;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+pub use self::exr::{Exr, ExrChannel, decode_exr, read_exr, write_exr};
+pub use self::icc::{IccProfile, decode_icc};
+pub use self::raster::{PngSamples, Raster, Samples, decode_raster, read_raster, write_png};
+
+use crate::{Error, Result};
+
+/// Largest accepted picture, in pixels: 16384 by 16384.
+pub const MAX_PIXELS: u64 = 1 << 28;
+
+/// The file formats that are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// OpenEXR.
+    Exr,
+    /// Portable network graphics.
+    Png,
+    /// JPEG (JFIF or EXIF).
+    Jpeg,
+    /// TIFF, BigTIFF included.
+    Tiff,
+    /// Radiance RGBE.
+    Hdr,
+}
+
+impl Format {
+    /// The format by the first bytes of the file; its name is not consulted.
+    pub fn of(bytes: &[u8]) -> Option<Self> {
+        let starts: [(&[u8], Self); 9] = [
+            (b"\x76\x2f\x31\x01", Self::Exr),
+            (b"\x89PNG\r\n\x1a\n", Self::Png),
+            (b"\xff\xd8\xff", Self::Jpeg),
+            (b"II\x2a\0", Self::Tiff),
+            (b"MM\0\x2a", Self::Tiff),
+            (b"II\x2b\0", Self::Tiff),
+            (b"MM\0\x2b", Self::Tiff),
+            (b"#?RADIANCE", Self::Hdr),
+            (b"#?RGBE", Self::Hdr),
+        ];
+        starts
+            .into_iter()
+            .find(|(start, _)| bytes.starts_with(start))
+            .map(|(_, format)| format)
+    }
+
+    /// As users know it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Exr => "EXR",
+            Self::Png => "PNG",
+            Self::Jpeg => "JPEG",
+            Self::Tiff => "TIFF",
+            Self::Hdr => "HDR",
+        }
+    }
+}
+
+fn content(path: &Path, reason: impl ToString) -> Error {
+    Error::Content {
+        path: path.to_owned(),
+        reason: reason.to_string(),
+    }
+}
+
+fn broken(path: &Path, format: Format, error: impl std::fmt::Display) -> Error {
+    content(
+        path,
+        format!("expected a whole {} file, found: {error}", format.name()),
+    )
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    fs::read(path).map_err(|source| Error::Io {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Refuses a size, before anything is allocated for it, that is beyond the
+/// limit or that no encoder could have squeezed into `file_size` bytes: one
+/// colour in DWAB takes a byte for some 14000 pixels, in one-bit PNG for 8256.
+/// Small files may still claim 16 million pixels: an EXR crop may lie in a large
+/// empty frame.
+fn check_size(path: &Path, width: u64, height: u64, file_size: u64) -> Result<()> {
+    // Both sides are at most 32 bits wide in every format, so the product cannot wrap.
+    let pixels = width * height;
+    if pixels == 0 || pixels > MAX_PIXELS {
+        return Err(content(
+            path,
+            format!("expected 1 to {MAX_PIXELS} pixels, found {width} x {height}"),
+        ));
+    }
+    if pixels > (1 << 24) + (file_size << 15) {
+        return Err(content(
+            path,
+            format!("expected a sound file, found {width} x {height} pixels in {file_size} bytes"),
+        ));
+    }
+    Ok(())
+}
+
+/// Runs a decoder on bytes that nobody vouches for. These libraries return
+/// errors for bad files; should one panic after all, that too is a fact about
+/// the file and becomes an error that names it.
+fn guarded<T>(path: &Path, decode: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+        Err(content(
+            path,
+            "expected a sound file, found one its decoder gave up on",
+        ))
+    })
+}
+
+/// The file appears under its name only when all of it is there: the bytes go
+/// to a new file in the same folder, which is then renamed.
+fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    static COUNTER: AtomicU64 = AtomicU64::new(0);
+    let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
+    let name = OsString::from(format!(".pbrfit-{}-{unique}.tmp", std::process::id()));
+    let temporary: PathBuf = path.with_file_name(name);
+    let write = || {
+        let mut file = File::options()
+            .write(true)
+            .create_new(true)
+            .open(&temporary)?;
+        file.write_all(bytes)?;
+        drop(file);
+        fs::rename(&temporary, path)
+    };
+    write().map_err(|source| {
+        let _ = fs::remove_file(&temporary); // the first error is the one to report
+        Error::Io {
+            path: path.to_owned(),
+            source,
+        }
+    })
+}

@@ -1,7 +1,169 @@
 //! `pbrfit._core`: reading and writing picture files.
 
-use pyo3::prelude::*;
+use std::path::PathBuf;
 
-pub(super) fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+use numpy::{
+    PyArray1, PyArrayMethods, PyReadonlyArray2, PyReadonlyArrayDyn, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
+use pyo3::types::{PyBytes, PyDict};
+
+use super::InputError;
+use crate::image_file::{self, ExrChannel, Format, PngSamples, Samples};
+
+pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<Raster>()?;
+    module.add_function(wrap_pyfunction!(image_format, module)?)?;
+    module.add_function(wrap_pyfunction!(decode_exr, module)?)?;
+    module.add_function(wrap_pyfunction!(decode_raster, module)?)?;
+    module.add_function(wrap_pyfunction!(decode_icc, module)?)?;
+    module.add_function(wrap_pyfunction!(write_exr, module)?)?;
+    module.add_function(wrap_pyfunction!(write_png, module)?)
+}
+
+/// A decoded picture file: samples as stored, nothing converted.
+#[pyclass(frozen, get_all, module = "pbrfit._core")]
+struct Raster {
+    format: &'static str,
+    samples: Py<PyAny>,
+    icc_profile: Option<Py<PyBytes>>,
+    exif: Option<Py<PyBytes>>,
+    orientation: u8,
+    ignored: Option<String>,
+}
+
+/// The format by the first bytes: EXR, PNG, JPEG, TIFF, HDR or None.
+#[pyfunction]
+fn image_format(data: PyBackedBytes) -> Option<&'static str> {
+    Format::of(&data).map(Format::name)
+}
+
+/// Channels by name, (H, W) float32 each, and the chromaticities attribute.
+#[pyfunction]
+fn decode_exr<'py>(
+    py: Python<'py>,
+    data: PyBackedBytes,
+    path: PathBuf,
+) -> PyResult<(Bound<'py, PyDict>, Option<[f32; 8]>)> {
+    let exr = py.detach(|| image_file::decode_exr(&data, &path))?;
+    let channels = PyDict::new(py);
+    for ExrChannel { name, values } in exr.channels {
+        let plane = PyArray1::from_vec(py, values).reshape([exr.height, exr.width])?;
+        channels.set_item(name, plane)?;
+    }
+    Ok((channels, exr.chromaticities))
+}
+
+/// PNG, JPEG, TIFF or HDR. `indices`: palette and low-bit values as stored.
+#[pyfunction]
+fn decode_raster(
+    py: Python<'_>,
+    data: PyBackedBytes,
+    path: PathBuf,
+    indices: bool,
+) -> PyResult<Raster> {
+    let raster = py.detach(|| image_file::decode_raster(&data, &path, indices))?;
+    let shape = [raster.height, raster.width, raster.channels];
+    let samples = match raster.samples {
+        Samples::U8(values) => PyArray1::from_vec(py, values).reshape(shape)?.into_any(),
+        Samples::U16(values) => PyArray1::from_vec(py, values).reshape(shape)?.into_any(),
+        Samples::F32(values) => PyArray1::from_vec(py, values).reshape(shape)?.into_any(),
+    };
+    let bytes = |bytes: Option<Vec<u8>>| bytes.map(|bytes| PyBytes::new(py, &bytes).unbind());
+    Ok(Raster {
+        format: raster.format.name(),
+        samples: samples.unbind(),
+        icc_profile: bytes(raster.icc_profile),
+        exif: bytes(raster.exif),
+        orientation: raster.orientation,
+        ignored: raster.ignored,
+    })
+}
+
+/// Tone curves of an ICC profile and its matrix.
+type Curves<'py> = (Vec<Bound<'py, PyArray1<f32>>>, Option<[[f64; 3]; 3]>);
+
+/// Curves sampled at `levels` levels and the matrix to CIE XYZ under D50.
+#[pyfunction]
+fn decode_icc(
+    py: Python<'_>,
+    profile: PyBackedBytes,
+    levels: usize,
+    path: PathBuf,
+) -> PyResult<Curves<'_>> {
+    let icc = py.detach(|| image_file::decode_icc(&profile, levels, &path))?;
+    let curves = icc
+        .curves
+        .into_iter()
+        .map(|curve| PyArray1::from_vec(py, curve))
+        .collect();
+    Ok((curves, icc.to_xyz))
+}
+
+/// One part, ZIP, Rec.709; all of the file or none of it.
+#[pyfunction]
+fn write_exr(
+    py: Python<'_>,
+    path: PathBuf,
+    channels: Vec<(String, PyReadonlyArray2<'_, f32>)>,
+    half: bool,
+) -> PyResult<()> {
+    let shape = channels
+        .first()
+        .map_or([0, 0], |(_, plane)| [plane.shape()[0], plane.shape()[1]]);
+    if let Some((name, plane)) = channels.iter().find(|(_, plane)| plane.shape() != shape) {
+        return Err(InputError::new_err(format!(
+            "channels: expected {} x {} values in {name}, found {} x {}",
+            shape[0],
+            shape[1],
+            plane.shape()[0],
+            plane.shape()[1]
+        )));
+    }
+    let channels: Vec<_> = channels
+        .into_iter()
+        .map(|(name, plane)| ExrChannel {
+            name,
+            values: plane.as_array().iter().copied().collect(),
+        })
+        .collect();
+    py.detach(|| image_file::write_exr(&path, shape[1], shape[0], channels, half))?;
     Ok(())
+}
+
+/// 8 or 16-bit samples, (H, W) or (H, W, C); all of the file or none of it.
+#[pyfunction]
+fn write_png(py: Python<'_>, path: PathBuf, image: Bound<'_, PyAny>, srgb: bool) -> PyResult<()> {
+    if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u8>>() {
+        let (shape, samples) = (
+            png_shape(image.shape())?,
+            image.as_array().iter().copied().collect::<Vec<_>>(),
+        );
+        py.detach(|| image_file::write_png(&path, PngSamples::U8(&samples), shape, srgb))?;
+    } else if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u16>>() {
+        let (shape, samples) = (
+            png_shape(image.shape())?,
+            image.as_array().iter().copied().collect::<Vec<_>>(),
+        );
+        py.detach(|| image_file::write_png(&path, PngSamples::U16(&samples), shape, srgb))?;
+    } else {
+        let kind = image
+            .getattr("dtype")
+            .map_or_else(|_| image.get_type().to_string(), |d| d.to_string());
+        return Err(InputError::new_err(format!(
+            "image: expected uint8 or uint16, found {kind}"
+        )));
+    }
+    Ok(())
+}
+
+fn png_shape(shape: &[usize]) -> PyResult<[usize; 3]> {
+    match *shape {
+        [height, width] => Ok([height, width, 1]),
+        [height, width, channels] => Ok([height, width, channels]),
+        _ => Err(InputError::new_err(format!(
+            "image: expected (H, W) or (H, W, C), found {shape:?}"
+        ))),
+    }
 }

@@ -1,0 +1,271 @@
+"""Transfer curves and primaries: the one place that knows how colour is encoded.
+
+The working space is linear Rec.709 with the white point D65. Matrices are computed here from
+chromaticities; none is copied from a table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+ColorSpace = Literal["srgb", "linear", "acescg", "display-p3"]
+"""How stored values are to be read.
+
+``srgb``: sRGB curve, Rec.709 primaries. ``linear``: linear Rec.709. ``acescg``: linear ACES AP1,
+white point of ACES (about D60). ``display-p3``: sRGB curve, P3 primaries, D65.
+"""
+
+COLOR_SPACES: tuple[ColorSpace, ...] = ("srgb", "linear", "acescg", "display-p3")
+
+
+@dataclass(frozen=True)
+class Primaries:
+    """CIE xy chromaticities of the three primaries and of the white point."""
+
+    red: tuple[float, float]
+    green: tuple[float, float]
+    blue: tuple[float, float]
+    white: tuple[float, float]
+
+
+# ITU-R BT.709 (also IEC 61966-2-1, sRGB); SMPTE EG 432-1 primaries with D65; S-2014-004 (ACEScg).
+REC709 = Primaries((0.64, 0.33), (0.30, 0.60), (0.15, 0.06), (0.3127, 0.3290))
+DISPLAY_P3 = Primaries((0.680, 0.320), (0.265, 0.690), (0.150, 0.060), (0.3127, 0.3290))
+ACES_AP1 = Primaries((0.713, 0.293), (0.165, 0.830), (0.128, 0.044), (0.32168, 0.33767))
+
+# White of the profile connection space, ICC.1:2022, 7.2.16, in XYZ.
+ICC_D50 = np.array([0.9642, 1.0, 0.8249])
+
+# Cone responses of the Bradford transform (Lam 1985), as in ICC.1:2022, annex E.
+_BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+
+
+def decode_srgb(encoded: ArrayLike) -> NDArray[np.float64]:
+    """Decode sRGB to linear light (IEC 61966-2-1).
+
+    Parameters
+    ----------
+    encoded
+        Values of any shape, 1 = white. Negative values are decoded by odd symmetry, values above
+        1 by the same power law.
+
+    Returns
+    -------
+    NDArray
+        Linear values of the same shape, float64.
+    """
+    value = np.asarray(encoded, dtype=np.float64)
+    size = np.abs(value)
+    linear = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+    return np.copysign(linear, value)
+
+
+def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
+    """Encode linear light as sRGB (IEC 61966-2-1): the inverse of `decode_srgb`.
+
+    Parameters
+    ----------
+    linear
+        Values of any shape, 1 = white; negative values by odd symmetry.
+
+    Returns
+    -------
+    NDArray
+        Encoded values of the same shape, float64, not clipped.
+    """
+    value = np.asarray(linear, dtype=np.float64)
+    size = np.abs(value)
+    encoded = np.where(size <= 0.0031308, size * 12.92, 1.055 * size ** (1 / 2.4) - 0.055)
+    return np.copysign(encoded, value)
+
+
+def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
+    """Matrix from linear RGB to CIE XYZ, white with Y = 1.
+
+    The columns are the primaries, XYZ = (x/y, 1, (1-x-y)/y), each scaled so that equal amounts
+    of the three give the white point.
+
+    Returns
+    -------
+    NDArray
+        (3, 3), float64.
+
+    Raises
+    ------
+    ValueError
+        If a y is zero or the primaries lie on one line.
+    """
+    points = np.array([primaries.red, primaries.green, primaries.blue, primaries.white])
+    x, y = points.T
+    if not np.isfinite(points).all() or np.any(np.abs(y) < 1e-6):
+        raise ValueError(f"chromaticities: expected finite xy with y > 0, found {points.tolist()}")
+    xyz = np.stack([x / y, np.ones(4), (1 - x - y) / y])
+    columns, white = xyz[:, :3], xyz[:, 3]
+    if np.linalg.cond(columns) > 1e6:
+        raise ValueError(f"chromaticities: expected a triangle, found {points[:3].tolist()}")
+    return np.asarray(columns * np.linalg.solve(columns, white))
+
+
+def bradford(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrix that adapts XYZ under the white `source` to the white `target`, both (3,) XYZ."""
+    gain = (_BRADFORD @ target) / (_BRADFORD @ source)
+    return np.asarray(np.linalg.solve(_BRADFORD, gain[:, None] * _BRADFORD))
+
+
+def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
+    """Matrix from linear RGB of some primaries to linear Rec.709, white to white.
+
+    Returns
+    -------
+    NDArray
+        (3, 3), float64; rows sum to 1.
+
+    Raises
+    ------
+    ValueError
+        As `rgb_to_xyz`.
+    """
+    to_xyz, rec709 = rgb_to_xyz(primaries), rgb_to_xyz(REC709)
+    adapt = bradford(to_xyz.sum(axis=1), rec709.sum(axis=1))
+    return np.asarray(np.linalg.solve(rec709, adapt @ to_xyz))
+
+
+def icc_to_rec709(to_xyz: ArrayLike) -> NDArray[np.float64]:
+    """Matrix from linear RGB of an ICC profile to linear Rec.709.
+
+    Parameters
+    ----------
+    to_xyz
+        (3, 3), the colorants of the profile as columns: XYZ under D50.
+
+    Returns
+    -------
+    NDArray
+        (3, 3), float64.
+    """
+    rec709 = rgb_to_xyz(REC709)
+    adapt = bradford(ICC_D50, rec709.sum(axis=1))
+    return np.asarray(np.linalg.solve(rec709, adapt @ np.asarray(to_xyz, dtype=np.float64)))
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """The way from stored samples to linear Rec.709.
+
+    Attributes
+    ----------
+    curve
+        ``"srgb"``, ``"linear"``, or sampled curves of an integer file, (1 or 3, levels) float32.
+    matrix
+        (3, 3) from linear RGB to linear Rec.709, or None for the identity.
+    """
+
+    curve: Literal["srgb", "linear"] | NDArray[np.float32]
+    matrix: NDArray[np.float64] | None = None
+
+    def __call__(self, samples: NDArray[Any]) -> NDArray[np.float32]:
+        """Convert samples.
+
+        Parameters
+        ----------
+        samples
+            (H, W, 3), uint8, uint16 or floating.
+
+        Returns
+        -------
+        NDArray
+            (H, W, 3), linear Rec.709, float32, a new array.
+        """
+        if samples.dtype.kind == "u":
+            linear = self._look_up(samples)
+        elif isinstance(self.curve, str) and self.curve == "srgb":
+            linear = np.array(decode_srgb(samples), dtype=np.float32, order="C")
+        else:
+            linear = np.array(samples, dtype=np.float32, order="C")
+        if self.matrix is None:
+            return linear
+        # Plane by plane: the same bits whichever linear algebra library numpy is linked with.
+        red, green, blue = (linear[..., k].copy() for k in range(3))
+        for k, row in enumerate(self.matrix.astype(np.float32)):
+            linear[..., k] = row[0] * red + row[1] * green + row[2] * blue
+        return linear
+
+    def _look_up(self, samples: NDArray[Any]) -> NDArray[np.float32]:
+        levels = int(np.iinfo(samples.dtype).max) + 1
+        table = _table(self.curve, levels) if isinstance(self.curve, str) else self.curve
+        linear = np.empty(samples.shape, dtype=np.float32)
+        # Row by row: an index is widened to 8 bytes a sample on the way.
+        if len(table) == 1:
+            for row, out in zip(samples, linear, strict=True):
+                np.take(table[0], row, out=out, mode="clip")
+        else:
+            for row, out in zip(samples, linear, strict=True):
+                for k in range(3):
+                    out[:, k] = table[k][row[:, k]]
+        return linear
+
+
+@cache
+def _table(curve: str, levels: int) -> NDArray[np.float32]:
+    """(1, levels) float32: linear light of the codes 0 to levels - 1."""
+    values = np.arange(levels) / (levels - 1)
+    if curve == "srgb":
+        values = decode_srgb(values)
+    table = values.astype(np.float32)[None]
+    table.setflags(write=False)
+    return table
+
+
+def conversion(space: ColorSpace) -> Conversion:
+    """Conversion from a named colour space.
+
+    Raises
+    ------
+    ValueError
+        If the name is not one of `COLOR_SPACES`.
+    """
+    if space == "srgb":
+        return Conversion("srgb")
+    if space == "linear":
+        return Conversion("linear")
+    if space == "acescg":
+        return Conversion("linear", to_rec709(ACES_AP1))
+    if space == "display-p3":
+        return Conversion("srgb", to_rec709(DISPLAY_P3))
+    raise ValueError(f"color_space: expected one of {', '.join(COLOR_SPACES)}, found {space!r}")
+
+
+def near_rec709(primaries: Primaries) -> bool:
+    """Whether chromaticities are those of Rec.709 to within rounding (5e-4)."""
+    ours, theirs = (np.array([p.red, p.green, p.blue, p.white]) for p in (REC709, primaries))
+    return bool(np.abs(ours - theirs).max() <= 5e-4)
+
+
+def from_icc(curves: list[NDArray[np.float32]], to_xyz: ArrayLike | None) -> Conversion:
+    """Conversion from the curves and the colorants of an ICC profile.
+
+    Parameters
+    ----------
+    curves
+        One curve of a grey profile or three, each (levels,), linear light per code.
+    to_xyz
+        (3, 3) colorants as columns, XYZ under D50; None of a grey profile.
+
+    Returns
+    -------
+    Conversion
+        Colorants of Rec.709 to within the rounding that profiles have (1e-3 in the matrix) count
+        as Rec.709.
+    """
+    matrix = None if to_xyz is None else icc_to_rec709(to_xyz)
+    if matrix is not None and np.abs(matrix - np.eye(3)).max() <= 1e-3:
+        matrix = None
+    same = all(np.array_equal(curve, curves[0]) for curve in curves[1:])
+    return Conversion(np.stack(curves[:1] if same else curves), matrix)

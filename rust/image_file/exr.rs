@@ -1,0 +1,377 @@
+//! OpenEXR in and out.
+
+use std::collections::HashSet;
+use std::io::Cursor;
+use std::path::Path;
+
+use ::exr::block::UncompressedBlock;
+use ::exr::block::chunk::{Chunk, CompressedBlock};
+use ::exr::block::lines::LineRef;
+use ::exr::block::reader::Reader;
+use ::exr::compression::Compression;
+use ::exr::meta::attribute::{Chromaticities, IntegerBounds, SampleType, Text};
+use ::exr::meta::header::Header;
+use ::exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, Vec2, WritableImage, f16,
+};
+
+use super::{Format, broken, check_size, content, guarded, read_bytes, write_atomically};
+use crate::{Error, Result};
+
+/// Largest accepted sum of samples over all channels: 4 GiB as float.
+const MAX_SAMPLES: u64 = 1 << 30;
+
+/// Primaries and white point of Rec.709 with D65, as every written file states
+/// them: xy of red, green, blue, white.
+const REC709: [f32; 8] = [0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290];
+
+/// One channel of an EXR file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExrChannel {
+    /// Full name, for example `R` or `albedo.R`.
+    pub name: String,
+    /// Row-major values of the display window.
+    pub values: Vec<f32>,
+}
+
+/// What an EXR file holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Exr {
+    /// Width of the display window.
+    pub width: usize,
+    /// Height of the display window.
+    pub height: usize,
+    /// All channels of all parts, in the order of the file.
+    pub channels: Vec<ExrChannel>,
+    /// The attribute of that name: xy of red, green, blue, white.
+    pub chromaticities: Option<[f32; 8]>,
+}
+
+/// Reads an EXR file: half, float or 32-bit integer channels (integers above
+/// 2^24 are rounded to float), scan lines or tiles (the largest level), one or
+/// several parts.
+///
+/// With several parts a channel is named `part.channel`, unless the part has
+/// no name or the channel already starts with it. The data window is placed
+/// into the display window: 0 outside of it, cropped where it reaches over.
+///
+/// # Errors
+/// [`Error::Io`] if the file cannot be opened; [`Error::Content`] for deep or
+/// subsampled data, more than 2^28 pixels, and damaged files.
+pub fn read_exr(path: &Path) -> Result<Exr> {
+    decode_exr(&read_bytes(path)?, path)
+}
+
+/// [`read_exr`] from the bytes of a file; `path` is for the messages.
+///
+/// # Errors
+/// As [`read_exr`].
+pub fn decode_exr(bytes: &[u8], path: &Path) -> Result<Exr> {
+    guarded(path, || decode(bytes, path))
+}
+
+fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
+    let error = |error: ::exr::error::Error| match error {
+        ::exr::error::Error::NotSupported(what) => content(
+            path,
+            format!("expected flat pixels in one of the compressions up to DWAB, found: {what}"),
+        ),
+        error => broken(path, Format::Exr, error),
+    };
+    // Lenient about the attributes, which other programs sometimes write oddly.
+    let reader = Reader::read_from_buffered(Cursor::new(bytes), false).map_err(error)?;
+    let meta = reader.meta_data().clone();
+    let headers = &meta.headers;
+    let display = check_headers(headers, bytes.len() as u64, path)?;
+    let (width, height) = (display.size.x(), display.size.y());
+    let names = full_names(headers, path)?;
+    let mut planes: Vec<_> = headers
+        .iter()
+        .map(|header| vec![vec![0.0; width * height]; header.channels.list.len()])
+        .collect();
+
+    // Strict about the chunks: each has to be there once, so that no damage can
+    // pass for black rows. One thread: a pool would be dead in a forked child.
+    let largest_level = Vec2(0, 0);
+    let chunks = reader
+        .filter_chunks(true, |_, tile, _| tile.level_index == largest_level)
+        .map_err(error)?;
+    let mut seen = HashSet::new();
+    for chunk in chunks {
+        let chunk = chunk.map_err(error)?;
+        let Some(header) = headers.get(chunk.layer_index) else {
+            return Err(broken(path, Format::Exr, "a chunk of no part"));
+        };
+        check_dwa(&chunk, header, path)?;
+        let block = UncompressedBlock::decompress_chunk(chunk, &meta, true).map_err(error)?;
+        let index = block.index;
+        if index.level != largest_level || !seen.insert((index.layer, index.pixel_position)) {
+            return Err(broken(path, Format::Exr, "a chunk in the place of another"));
+        }
+        let origin = header.own_attributes.layer_position;
+        let shift = [
+            i64::from(origin.x()) - i64::from(display.position.x()),
+            i64::from(origin.y()) - i64::from(display.position.y()),
+        ];
+        for line in block.lines(&header.channels) {
+            let channel = line.location.channel;
+            let plane = &mut planes[index.layer][channel];
+            place(
+                &line,
+                header.channels.list[channel].sample_type,
+                shift,
+                plane,
+                width,
+            );
+        }
+    }
+
+    let chromaticities = headers
+        .iter()
+        .find_map(|header| header.shared_attributes.chromaticities)
+        .map(|c| {
+            [c.red, c.green, c.blue, c.white]
+                .map(|point| [point.x(), point.y()])
+                .concat()
+        })
+        .and_then(|values| values.try_into().ok());
+    let channels = names
+        .into_iter()
+        .zip(planes.into_iter().flatten())
+        .map(|(name, values)| ExrChannel { name, values })
+        .collect();
+    Ok(Exr {
+        width,
+        height,
+        channels,
+        chromaticities,
+    })
+}
+
+/// Names of all channels of all parts.
+fn full_names(headers: &[Header], path: &Path) -> Result<Vec<String>> {
+    let mut names = Vec::new();
+    let mut seen = HashSet::new();
+    for header in headers {
+        let part = header
+            .own_attributes
+            .layer_name
+            .as_ref()
+            .map(Text::to_string);
+        let prefix = part.filter(|part| headers.len() > 1 && !part.is_empty());
+        let prefix = prefix.map(|part| part + ".").unwrap_or_default();
+        for channel in &header.channels.list {
+            let own = channel.name.to_string();
+            let name = if own.starts_with(&prefix) {
+                own
+            } else {
+                prefix.clone() + &own
+            };
+            if !seen.insert(name.clone()) {
+                let reason = format!("expected distinct channels, found {name} twice");
+                return Err(content(path, reason));
+            }
+            names.push(name);
+        }
+    }
+    Ok(names)
+}
+
+/// Copies one line of a block to where it lies in the display window; `shift`
+/// is the data window's origin as seen from the display window's.
+fn place(line: &LineRef<'_>, kind: SampleType, shift: [i64; 2], plane: &mut [f32], width: usize) {
+    let location = line.location;
+    let height = plane.len() / width;
+    let y = location.position.y() as i64 + shift[1];
+    let start = location.position.x() as i64 + shift[0];
+    let end = (start + location.sample_count as i64).min(width as i64);
+    if y < 0 || y >= height as i64 || end <= start.max(0) {
+        return;
+    }
+    let skipped = (-start).max(0) as usize;
+    let row = y as usize * width;
+    let target = &mut plane[row + start.max(0) as usize..row + end as usize];
+    match kind {
+        SampleType::F16 => {
+            for (value, bytes) in target.iter_mut().zip(&line.value.as_chunks().0[skipped..]) {
+                *value = f16::from_ne_bytes(*bytes).to_f32();
+            }
+        }
+        SampleType::F32 => {
+            for (value, bytes) in target.iter_mut().zip(&line.value.as_chunks().0[skipped..]) {
+                *value = f32::from_ne_bytes(*bytes);
+            }
+        }
+        SampleType::U32 => {
+            for (value, bytes) in target.iter_mut().zip(&line.value.as_chunks().0[skipped..]) {
+                *value = u32::from_ne_bytes(*bytes) as f32;
+            }
+        }
+    }
+}
+
+/// The DWA decoder of `exr` 1.74 allocates whatever the eleven 64-bit counters
+/// in front of a chunk say, and a failed allocation ends the process. So the
+/// ones that size its buffers (all but the first, a version, and the last, a
+/// kind) are held against the pixels of the block. Blocks of 8 x 8 are padded,
+/// hence the generous factor.
+fn check_dwa(chunk: &Chunk, header: &Header, path: &Path) -> Result<()> {
+    if !matches!(
+        header.compression,
+        Compression::DWAA(_) | Compression::DWAB(_)
+    ) {
+        return Ok(());
+    }
+    let bytes = match &chunk.compressed_block {
+        CompressedBlock::ScanLine(block) => &block.compressed_pixels_le,
+        CompressedBlock::Tile(block) => &block.compressed_pixels_le,
+        _ => return Ok(()), // deep data is refused by the decompressor
+    };
+    let block = header
+        .get_block_data_indices(&chunk.compressed_block)
+        .and_then(|tile| header.get_absolute_block_pixel_coordinates(tile))
+        .map_err(|error| broken(path, Format::Exr, error))?;
+    let size = (header.channels.bytes_per_pixel * block.size.area()) as u64;
+    let stored_raw = bytes.len() as u64 == size;
+    let mut counters = bytes
+        .as_chunks()
+        .0
+        .iter()
+        .map(|counter| u64::from_le_bytes(*counter));
+    if !stored_raw
+        && counters
+            .by_ref()
+            .skip(1)
+            .take(9)
+            .any(|counter| counter > 64 * size + 4096)
+    {
+        return Err(broken(path, Format::Exr, "a DWA chunk with absurd sizes"));
+    }
+    Ok(())
+}
+
+/// Refuses, before anything is allocated, what cannot be read (deep and
+/// subsampled data were refused with the header). Returns the display window
+/// that all parts share.
+fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<IntegerBounds> {
+    let Some(first) = headers.first() else {
+        return Err(content(
+            path,
+            "expected an EXR file with a picture, found none",
+        ));
+    };
+    let display = first.shared_attributes.display_window;
+    check_size(
+        path,
+        display.size.x() as u64,
+        display.size.y() as u64,
+        file_size,
+    )?;
+    let mut samples = 0;
+    for header in headers {
+        if header.shared_attributes.display_window != display {
+            return Err(content(
+                path,
+                "expected one display window for all parts, found several",
+            ));
+        }
+        let size = header.layer_size;
+        check_size(path, size.x() as u64, size.y() as u64, file_size)?;
+        samples += (display.size.area() * header.channels.list.len()) as u64;
+        // The table of chunk offsets alone takes 8 bytes a chunk.
+        if header.chunk_count as u64 > file_size / 8 {
+            let found = format!("{} chunks in {file_size} bytes", header.chunk_count);
+            return Err(broken(path, Format::Exr, found));
+        }
+    }
+    if samples > MAX_SAMPLES {
+        return Err(content(
+            path,
+            format!("expected at most {MAX_SAMPLES} samples, found {samples}"),
+        ));
+    }
+    Ok(display)
+}
+
+/// Writes one part of scan lines with ZIP compression and the chromaticities
+/// of Rec.709. Equal input gives equal bytes. With `half`, values beyond 65504
+/// become infinite.
+///
+/// The file is there as a whole or not at all.
+///
+/// # Errors
+/// [`Error::Argument`] if there is no channel, a name comes twice or is empty,
+/// or a channel does not hold `width * height` values; [`Error::Io`] if the
+/// file cannot be written.
+pub fn write_exr(
+    path: &Path,
+    width: usize,
+    height: usize,
+    channels: Vec<ExrChannel>,
+    half: bool,
+) -> Result<()> {
+    let pixels = width as u64 * height as u64;
+    if channels.is_empty() || pixels == 0 || pixels > super::MAX_PIXELS {
+        return Err(Error::argument(
+            "channels",
+            format!("at least one channel of 1 to {} pixels", super::MAX_PIXELS),
+            format!("{} channels of {height} x {width}", channels.len()),
+        ));
+    }
+    let mut names = HashSet::new();
+    let mut list = SmallVec::new();
+    for ExrChannel { name, values } in channels {
+        let Some(text) = Text::new_or_none(&name).filter(|_| (1..=255).contains(&name.len()))
+        else {
+            return Err(Error::argument(
+                "channels",
+                "names of 1 to 255 letters",
+                format!("{name:?}"),
+            ));
+        };
+        if values.len() != width * height {
+            return Err(Error::argument(
+                "channels",
+                format!("{height} x {width} values in {name}"),
+                values.len(),
+            ));
+        }
+        let samples = if half {
+            FlatSamples::F16(values.into_iter().map(f16::from_f32).collect())
+        } else {
+            FlatSamples::F32(values)
+        };
+        if !names.insert(name) {
+            return Err(Error::argument("channels", "distinct names", text));
+        }
+        list.push(AnyChannel::new(text, samples));
+    }
+    let mut image = Image::from_encoded_channels(
+        (width, height),
+        Encoding::SMALL_LOSSLESS, // ZIP, 16 scan lines a block, top to bottom
+        AnyChannels::sort(list),
+    );
+    let [rx, ry, gx, gy, bx, by, wx, wy] = REC709;
+    image.attributes.chromaticities = Some(Chromaticities {
+        red: Vec2(rx, ry),
+        green: Vec2(gx, gy),
+        blue: Vec2(bx, by),
+        white: Vec2(wx, wy),
+    });
+    let mut bytes = Cursor::new(Vec::new());
+    image
+        .write()
+        .non_parallel()
+        .to_buffered(&mut bytes)
+        .map_err(|error| match error {
+            ::exr::error::Error::Io(source) => Error::Io {
+                path: path.to_owned(),
+                source,
+            },
+            error => content(
+                path,
+                format!("expected channels that EXR can hold, found: {error}"),
+            ),
+        })?;
+    write_atomically(path, bytes.get_ref())
+}

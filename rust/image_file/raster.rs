@@ -1,0 +1,435 @@
+//! PNG, JPEG, TIFF and Radiance HDR in, PNG out.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use image::codecs::hdr::HdrDecoder;
+use image::codecs::jpeg::JpegDecoder;
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder};
+use png::{BitDepth, Transformations};
+use tiff::decoder::DecodingResult;
+use tiff::tags::Tag;
+
+use super::{
+    Format, MAX_PIXELS, broken, check_size, content, guarded, read_bytes, write_atomically,
+};
+use crate::{Error, Result};
+
+/// Interleaved samples, as stored.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Samples {
+    /// 8-bit integers.
+    U8(Vec<u8>),
+    /// 16-bit integers.
+    U16(Vec<u16>),
+    /// Floats.
+    F32(Vec<f32>),
+}
+
+impl Samples {
+    fn len(&self) -> usize {
+        match self {
+            Self::U8(values) => values.len(),
+            Self::U16(values) => values.len(),
+            Self::F32(values) => values.len(),
+        }
+    }
+}
+
+/// A decoded picture file. No colour was converted and the orientation was not
+/// applied.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Raster {
+    /// Which format the content is in.
+    pub format: Format,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// 1 grey, 2 grey and alpha, 3 RGB, 4 RGB and alpha.
+    pub channels: usize,
+    /// `height * width * channels` samples.
+    pub samples: Samples,
+    /// Embedded ICC profile.
+    pub icc_profile: Option<Vec<u8>>,
+    /// Embedded EXIF block, beginning with its TIFF header. A TIFF file is its
+    /// own EXIF block and has `None`.
+    pub exif: Option<Vec<u8>>,
+    /// EXIF orientation, 1 to 8.
+    pub orientation: u8,
+    /// Colour information in the file that is not acted upon, in words.
+    pub ignored: Option<String>,
+}
+
+/// Reads a picture file in the format of its content: PNG (1 to 16 bits, all
+/// colour types), JPEG (grey or colour), TIFF (8 or 16-bit integers, floats,
+/// the first page) or Radiance HDR.
+///
+/// With `indices`, a palette PNG gives its indices instead of colours and grey
+/// below 8 bits is not spread over 0 to 255.
+///
+/// # Errors
+/// [`Error::Io`] if the file cannot be opened; [`Error::Content`] for other
+/// formats, CMYK, more than 2^28 pixels, and damaged or cut-off files.
+pub fn read_raster(path: &Path, indices: bool) -> Result<Raster> {
+    decode_raster(&read_bytes(path)?, path, indices)
+}
+
+/// [`read_raster`] from the bytes of a file; `path` is for the messages.
+///
+/// # Errors
+/// As [`read_raster`].
+pub fn decode_raster(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
+    let raster = guarded(path, || match Format::of(bytes) {
+        Some(Format::Png) => decode_png(bytes, path, indices),
+        Some(Format::Jpeg) => decode_jpeg(bytes, path),
+        Some(Format::Tiff) => decode_tiff(bytes, path),
+        Some(Format::Hdr) => decode_hdr(bytes, path),
+        _ => Err(content(
+            path,
+            "expected a PNG, JPEG, TIFF or HDR file, found something else",
+        )),
+    })?;
+    let expected = raster.width * raster.height * raster.channels;
+    if raster.samples.len() != expected {
+        let found = format!("{} samples where {expected} are due", raster.samples.len());
+        return Err(broken(path, raster.format, found));
+    }
+    Ok(raster)
+}
+
+fn decode_png(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
+    let error = |error: png::DecodingError| broken(path, Format::Png, error);
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    decoder.set_transformations(match indices {
+        true => Transformations::IDENTITY,
+        false => Transformations::EXPAND, // palette and transparent colour resolved, >= 8 bits
+    });
+    decoder.set_ignore_text_chunk(true);
+    let header = decoder.read_header_info().map_err(error)?;
+    let (width, height) = (header.width as usize, header.height as usize);
+    check_size(path, width as u64, height as u64, bytes.len() as u64)?;
+    let mut reader = decoder.read_info().map_err(error)?;
+    let size = reader
+        .output_buffer_size()
+        .ok_or_else(|| broken(path, Format::Png, "its size"))?;
+    let mut buffer = vec![0; size];
+    let output = reader.next_frame(&mut buffer).map_err(error)?;
+    buffer.truncate(output.buffer_size());
+    // The rest of the chunks, the end chunk included: a cut-off file fails here.
+    reader.finish().map_err(error)?;
+
+    let samples = match output.bit_depth {
+        BitDepth::Sixteen => Samples::U16(
+            buffer
+                .as_chunks()
+                .0
+                .iter()
+                .map(|&pair| u16::from_be_bytes(pair))
+                .collect(),
+        ),
+        BitDepth::Eight => Samples::U8(buffer),
+        few => Samples::U8(unpack(&buffer, width, height, few as usize)),
+    };
+    let info = reader.info();
+    let exif = info.exif_metadata.as_ref().map(|exif| exif.to_vec());
+    Ok(Raster {
+        format: Format::Png,
+        width,
+        height,
+        channels: output.color_type.samples(),
+        samples,
+        orientation: exif_orientation(exif.as_deref()),
+        icc_profile: info.icc_profile.as_ref().map(|profile| profile.to_vec()),
+        exif,
+        ignored: ignored_by_png(info),
+    })
+}
+
+/// Samples of 1, 2 or 4 bits, the first in the high bits, each row starting on
+/// a byte.
+fn unpack(buffer: &[u8], width: usize, height: usize, bits: usize) -> Vec<u8> {
+    let stride = (width * bits).div_ceil(8);
+    let mask = (1u8 << bits) - 1;
+    let mut samples = Vec::with_capacity(width * height);
+    for row in buffer.chunks_exact(stride) {
+        samples.extend((0..width).map(|x| {
+            let first_bit = x * bits;
+            row[first_bit / 8] >> (8 - bits - first_bit % 8) & mask
+        }));
+    }
+    samples
+}
+
+/// Colour chunks that say something else than sRGB and are overruled by
+/// nothing better.
+fn ignored_by_png(info: &png::Info<'_>) -> Option<String> {
+    if let Some(cicp) = info.coding_independent_code_points {
+        // Rec. ITU-T H.273: primaries 1 = Rec.709; transfer 13 = sRGB.
+        if (cicp.color_primaries, cicp.transfer_function) != (1, 13) {
+            return Some(format!(
+                "cICP chunk (primaries {}, transfer {})",
+                cicp.color_primaries, cicp.transfer_function
+            ));
+        }
+        return None;
+    }
+    if info.icc_profile.is_some() || info.srgb.is_some() {
+        return None;
+    }
+    let gamma = info.gama_chunk?.into_value();
+    // 0.45455 is what encoders write to mean sRGB.
+    ((gamma - 0.45455).abs() > 0.01).then(|| format!("gAMA chunk ({gamma})"))
+}
+
+fn exif_orientation(exif: Option<&[u8]>) -> u8 {
+    exif.and_then(Orientation::from_exif_chunk)
+        .map_or(1, Orientation::to_exif)
+}
+
+fn decode_jpeg(bytes: &[u8], path: &Path) -> Result<Raster> {
+    let error = |error: image::ImageError| broken(path, Format::Jpeg, error);
+    // The decoder makes do with cut-off files, so the markers are checked first.
+    let components = jpeg_components(bytes).map_err(|found| broken(path, Format::Jpeg, found))?;
+    if components == 4 {
+        return Err(content(
+            path,
+            "expected a grey or RGB JPEG, found CMYK: convert it to RGB",
+        ));
+    }
+    let mut decoder = JpegDecoder::new(Cursor::new(bytes)).map_err(error)?;
+    let (width, height) = decoder.dimensions();
+    check_size(path, width.into(), height.into(), bytes.len() as u64)?;
+    let icc_profile = decoder.icc_profile().map_err(error)?;
+    let exif = decoder.exif_metadata().map_err(error)?;
+    let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(error)? {
+        DynamicImage::ImageLuma8(image) => (1, image.into_raw()),
+        image => (3, image.into_rgb8().into_raw()),
+    };
+    Ok(Raster {
+        format: Format::Jpeg,
+        width: width as usize,
+        height: height as usize,
+        channels,
+        samples: Samples::U8(samples),
+        icc_profile,
+        orientation: exif_orientation(exif.as_deref()),
+        exif,
+        ignored: None,
+    })
+}
+
+/// Walks the markers from start to end of image (ITU-T T.81, annex B) and
+/// returns the number of colour components.
+fn jpeg_components(bytes: &[u8]) -> std::result::Result<u8, &'static str> {
+    const CUT_OFF: &str = "it is cut off: no end-of-image marker";
+    let byte = |at: usize| bytes.get(at).copied().ok_or(CUT_OFF);
+    let mut components = None;
+    let mut scanned = false;
+    let mut at = 2; // behind start of image
+    loop {
+        while byte(at)? != 0xff {
+            at += 1; // stray bytes between segments are skipped, as everyone does
+        }
+        while byte(at)? == 0xff {
+            at += 1;
+        }
+        let marker = byte(at)?;
+        at += 1;
+        match marker {
+            0xd9 if scanned => return components.ok_or("no frame header"),
+            0xd9 => return Err("it ends before its first scan"),
+            // Stuffing, restart and the like stand alone: inside a scan they are
+            // data, so the walk goes on to the next marker.
+            0x00 | 0x01 | 0xd0..=0xd8 => continue,
+            _ => {}
+        }
+        let length = usize::from(u16::from_be_bytes([byte(at)?, byte(at + 1)?]));
+        if matches!(marker, 0xc0..=0xcf) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) {
+            components = Some(byte(at + 7)?); // length 2, precision 1, height 2, width 2
+        }
+        scanned |= marker == 0xda;
+        at += length.max(2);
+    }
+}
+
+fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
+    use tiff::ColorType;
+    let error = |error: tiff::TiffError| match error {
+        tiff::TiffError::UnsupportedError(what) => {
+            content(path, format!("expected a grey or RGB TIFF, found: {what}"))
+        }
+        error => broken(path, Format::Tiff, error),
+    };
+    let mut limits = tiff::decoder::Limits::default();
+    limits.decoding_buffer_size = MAX_PIXELS as usize * 16; // RGBA in float
+    limits.intermediate_buffer_size = limits.decoding_buffer_size;
+    limits.ifd_value_size = 1 << 26; // large profiles, long lists of strips
+    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes))
+        .map_err(error)?
+        .with_limits(limits);
+    let (width, height) = decoder.dimensions().map_err(error)?;
+    check_size(path, width.into(), height.into(), bytes.len() as u64)?;
+    let (channels, bits) = match decoder.colortype().map_err(error)? {
+        ColorType::Gray(bits) => (1, bits),
+        ColorType::GrayA(bits) => (2, bits),
+        ColorType::RGB(bits) => (3, bits),
+        ColorType::RGBA(bits) => (4, bits),
+        ColorType::Multiband {
+            bit_depth,
+            num_samples: channels @ 2..=4,
+        } => (usize::from(channels), bit_depth),
+        other => {
+            return Err(content(
+                path,
+                format!("expected a grey or RGB TIFF, found {other:?}"),
+            ));
+        }
+    };
+    if bits < 8 {
+        return Err(content(
+            path,
+            format!("expected 8 bits or more a sample, found {bits}"),
+        ));
+    }
+    let mut decoded = DecodingResult::U8(Vec::new());
+    let layout = decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
+    let pixels = width as usize * height as usize;
+    let samples = match decoded {
+        DecodingResult::U8(values) => Samples::U8(interleave(values, layout.planes, pixels)),
+        DecodingResult::U16(values) => Samples::U16(interleave(values, layout.planes, pixels)),
+        DecodingResult::F32(values) => Samples::F32(interleave(values, layout.planes, pixels)),
+        DecodingResult::F16(values) => {
+            let values = values.into_iter().map(|value| value.to_f32()).collect();
+            Samples::F32(interleave(values, layout.planes, pixels))
+        }
+        DecodingResult::F64(values) => {
+            let values = values.into_iter().map(|value| value as f32).collect();
+            Samples::F32(interleave(values, layout.planes, pixels))
+        }
+        _ => {
+            let expected = "expected 8 or 16-bit unsigned integers or floats";
+            let found = format!("{bits}-bit {:?} samples", layout.sample_format);
+            return Err(content(path, format!("{expected}, found {found}")));
+        }
+    };
+    let orientation = decoder.find_tag_unsigned(Tag::Orientation).map_err(error)?;
+    let profile = decoder.find_tag(Tag::IccProfile).map_err(error)?;
+    Ok(Raster {
+        format: Format::Tiff,
+        width: width as usize,
+        height: height as usize,
+        channels,
+        samples,
+        icc_profile: profile
+            .map(|value| value.into_u8_vec())
+            .transpose()
+            .map_err(error)?,
+        exif: None,
+        orientation: orientation
+            .filter(|value| (1..=8).contains(value))
+            .unwrap_or(1),
+        ignored: None,
+    })
+}
+
+/// Planes stored one after another become interleaved samples.
+fn interleave<T: Copy>(values: Vec<T>, planes: usize, pixels: usize) -> Vec<T> {
+    if planes <= 1 || values.len() != planes * pixels {
+        return values; // a wrong length is found by the caller
+    }
+    (0..pixels)
+        .flat_map(|pixel| (0..planes).map(move |plane| plane * pixels + pixel))
+        .map(|i| values[i])
+        .collect()
+}
+
+fn decode_hdr(bytes: &[u8], path: &Path) -> Result<Raster> {
+    let error = |error: image::ImageError| broken(path, Format::Hdr, error);
+    // Not strict: the signature `#?RGBE` and odd optional lines are fine.
+    let decoder = HdrDecoder::with_strictness(Cursor::new(bytes), false).map_err(error)?;
+    let (width, height) = decoder.dimensions();
+    check_size(path, width.into(), height.into(), bytes.len() as u64)?;
+    let image = DynamicImage::from_decoder(decoder).map_err(error)?;
+    Ok(Raster {
+        format: Format::Hdr,
+        width: width as usize,
+        height: height as usize,
+        channels: 3,
+        samples: Samples::F32(image.into_rgb32f().into_raw()),
+        icc_profile: None,
+        exif: None,
+        orientation: 1,
+        ignored: None,
+    })
+}
+
+/// Samples of a PNG to be written.
+#[derive(Clone, Copy, Debug)]
+pub enum PngSamples<'a> {
+    /// 8 bits.
+    U8(&'a [u8]),
+    /// 16 bits.
+    U16(&'a [u16]),
+}
+
+/// Writes a PNG of 1 grey, 2 grey and alpha, 3 RGB or 4 RGBA channels, with
+/// the sRGB chunk if `srgb`. Equal input gives equal bytes.
+///
+/// The file is there as a whole or not at all.
+///
+/// # Errors
+/// [`Error::Argument`] if the samples are not `height * width * channels`;
+/// [`Error::Io`] if the file cannot be written.
+pub fn write_png(
+    path: &Path,
+    samples: PngSamples<'_>,
+    [height, width, channels]: [usize; 3],
+    srgb: bool,
+) -> Result<()> {
+    let (count, depth) = match samples {
+        PngSamples::U8(samples) => (samples.len(), BitDepth::Eight),
+        PngSamples::U16(samples) => (samples.len(), BitDepth::Sixteen),
+    };
+    let pixels = (width as u64).saturating_mul(height as u64);
+    let color = match channels {
+        1 => png::ColorType::Grayscale,
+        2 => png::ColorType::GrayscaleAlpha,
+        3 => png::ColorType::Rgb,
+        _ => png::ColorType::Rgba,
+    };
+    if !(1..=4).contains(&channels)
+        || pixels == 0
+        || pixels > MAX_PIXELS
+        || count != width * height * channels
+    {
+        return Err(Error::argument(
+            "image",
+            format!("(H, W) or (H, W, 1 to 4) with 1 to {MAX_PIXELS} pixels"),
+            format!("{count} samples as ({height}, {width}, {channels})"),
+        ));
+    }
+    let mut bytes = Vec::new();
+    // Both sides fit 32 bits because their product does.
+    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
+    if srgb {
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+    }
+    let encode = || -> std::result::Result<(), png::EncodingError> {
+        let mut writer = encoder.write_header()?;
+        match samples {
+            PngSamples::U8(samples) => writer.write_image_data(samples)?,
+            PngSamples::U16(samples) => {
+                let big_endian: Vec<u8> = samples.iter().flat_map(|v| v.to_be_bytes()).collect();
+                writer.write_image_data(&big_endian)?;
+            }
+        }
+        writer.finish()
+    };
+    encode()
+        .map_err(|error| content(path, format!("expected samples for a PNG, found: {error}")))?;
+    write_atomically(path, &bytes)
+}
