@@ -54,6 +54,7 @@ def render(
     lighting: NDArray[np.float64],
     threads: int,
 ) -> NDArray[np.float64]: ...
+
 @final
 class Problem:
     """The pictures of one scene, and the loss over them.

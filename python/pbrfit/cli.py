@@ -343,7 +343,9 @@ def _demo(options: argparse.Namespace) -> int:
         report.plot_history(result, folder / "history.png")
     if not options.quiet:
         _print_result(result, scene, options.out / "result")
-        print(f"\nLook at {options.out / 'result' / 'preview.png'} and {options.out / 'history.png'}")
+        print(
+            f"\nLook at {options.out / 'result' / 'preview.png'} and {options.out / 'history.png'}"
+        )
     return DONE
 
 

@@ -91,7 +91,9 @@ def normals_preview(scene: Scene) -> NDArray[np.uint8]:
         [
             [
                 Panel(f"picture {scene.names[0]}", _display(image * _exposure(image))),
-                Panel("normals: R right, G up, B to viewer", _outside_grey(0.5 + 0.5 * scene.normals)),
+                Panel(
+                    "normals: R right, G up, B to viewer", _outside_grey(0.5 + 0.5 * scene.normals)
+                ),
                 Panel("n·v: white faces you, orange faces away", facing),
             ]
         ]

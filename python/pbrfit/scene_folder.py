@@ -169,9 +169,7 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
                 folder / "mask.png", np.where(scene.mask, 255, 0).astype(np.uint8), srgb=False
             )
         if scene.segments is not None:
-            images.write_png(
-                folder / "segments.png", scene.segments.astype(np.uint16), srgb=False
-            )
+            images.write_png(folder / "segments.png", scene.segments.astype(np.uint16), srgb=False)
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.truth is not None:
