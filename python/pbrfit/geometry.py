@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 
-SENSOR_WIDTH_35MM = 36.0
-"""Width in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
+DIAGONAL_35MM = math.hypot(36.0, 24.0)
+"""Diagonal in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
 
 
 def view_directions(height: int, width: int, fov: float) -> NDArray[np.float64]:
@@ -55,9 +55,14 @@ def check_fov(fov: float) -> None:
         raise InputError(f"fov: expected degrees in [0, 180), found {fov}")
 
 
-def fov_from_focal_length(focal_length_35mm: float) -> float:
-    """Horizontal field of view in degrees of a 35 mm equivalent focal length in millimetres."""
-    return math.degrees(2 * math.atan(SENSOR_WIDTH_35MM / 2 / focal_length_35mm))
+def fov_from_focal_length(focal_length_35mm: float, height: int, width: int) -> float:
+    """Horizontal field of view in degrees from a 35 mm equivalent focal length in millimetres.
+
+    Lenses are equivalent when their pictures cover the same angle along the diagonal, so the
+    answer depends on the shape of the picture, (height, width) in pixels as it is looked at.
+    """
+    half_width = DIAGONAL_35MM / 2 * width / math.hypot(height, width)
+    return math.degrees(2 * math.atan(half_width / focal_length_35mm))
 
 
 def facing_away(normals: NDArray[Any], views: NDArray[Any]) -> NDArray[np.bool_]:

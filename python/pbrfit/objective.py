@@ -16,7 +16,7 @@ MEAN_RADIANCE = 0.4
 """Mean valid radiance after division by the scene scale, so that exposure does not matter."""
 
 START_ROUGHNESS = 0.5
-START_METALLIC = 0.1
+START_METALLIC = 0.25
 START_ALBEDO_RANGE = (0.02, 0.98)
 """The start keeps clear of the bounds, where the gradient by albedo may vanish."""
 
@@ -43,6 +43,8 @@ class Objective:
     ----------
     size
         Length of x.
+    roughness
+        Where in x the roughness lies.
     bounds
         (size, 2): [0, 1] for materials, infinite for lights.
     scale
@@ -65,10 +67,14 @@ class Objective:
             scaled[:] = image[self._valid].astype(np.float64) / self.scale
         self._mean_image = images.mean(axis=0, dtype=np.float64)
         self._problem = _core.Problem(
-            images, scene.normals[self._valid], scene.views[self._valid], threads
+            images,
+            scene.normals[self._valid].astype(np.float64),
+            scene.views[self._valid],
+            threads,
         )
         fitted_lights = 0 if self._known_lighting is not None else self._pictures * 48
         self.size = 5 * self.pixels + fitted_lights
+        self.roughness = slice(3 * self.pixels, 4 * self.pixels)
         self.bounds = np.empty((self.size, 2))
         self.bounds[: 5 * self.pixels] = (0.0, 1.0)
         self.bounds[5 * self.pixels :] = (-np.inf, np.inf)

@@ -27,6 +27,15 @@ Solver = Literal["lbfgsb"]
 CORRECTIONS = 10
 """Pairs of steps and gradients that L-BFGS-B remembers."""
 
+TRAP_ROUGHNESS = 0.1
+"""Roughness is kept above this at first. The band weights and G1 depend on r⁴, so their slope is
+r³ and roughness 0 is a stationary point of every pixel: one that overshoots to the bound would stay
+there, far from its minimum, and pull at the lights. Between 0 and 0.1 pictures under SH light
+hardly change, so little is lost by waiting."""
+
+TRAPPED_SHARE = 0.9
+"""Share of the iterations with that bound; the rest runs with the full range [0, 1]."""
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -91,7 +100,7 @@ def decompose(
     objective = Objective(scene, threads=threads)
     x = _start(objective, start)
     run = _Run(scene, objective, iterations, time_limit, progress, began)
-    x, status, stop_reason = run.lbfgsb(x)
+    x, status, stop_reason = run.lbfgsb(x, start_given=start is not None)
 
     materials, lighting = objective.unpack(x)
     seconds = time.perf_counter() - began - run.unmeasured
@@ -152,16 +161,40 @@ class _Run:
         self.iteration = 0
         self.rows: list[HistoryRow] = []
 
-    def lbfgsb(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], Status, str]:
-        # Imported here: scipy.optimize would double the time of `import pbrfit`.
-        from scipy.optimize import Bounds, minimize
-        from threadpoolctl import threadpool_limits
-
+    def lbfgsb(
+        self, x: NDArray[np.float64], *, start_given: bool
+    ) -> tuple[NDArray[np.float64], Status, str]:
         loss, _ = self._evaluate(x)
         self._record(x, loss)
         if self.iterations == 0:
             return x, Status.ITERATION_LIMIT, "0 iterations asked for"
-        lower, upper = self.objective.bounds.T
+        stop_reason = ""
+        for lowest_roughness, until in self._stages(start_given):
+            if self.iteration < until and not self._out_of_time():
+                x, stop_reason = self._minimize(x, lowest_roughness, until - self.iteration)
+        if self._out_of_time():
+            return x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached"
+        if self.iteration >= self.iterations:
+            return x, Status.ITERATION_LIMIT, f"{self.iterations} iterations done"
+        # With zero tolerances scipy stops early only where rounding hides any further descent.
+        return x, Status.CONVERGED, f"no step lowers the loss further ({stop_reason})"
+
+    def _stages(self, start_given: bool) -> list[tuple[float, int]]:
+        """(Lowest roughness, last iteration) of each stage; a start that was given has one."""
+        whole = (0.0, self.iterations)
+        if start_given:
+            return [whole]
+        return [(TRAP_ROUGHNESS, round(TRAPPED_SHARE * self.iterations)), whole]
+
+    def _minimize(
+        self, x: NDArray[np.float64], lowest_roughness: float, iterations: int
+    ) -> tuple[NDArray[np.float64], str]:
+        # Imported here: scipy.optimize would double the time of `import pbrfit`.
+        from scipy.optimize import Bounds, minimize
+        from threadpoolctl import threadpool_limits
+
+        lower, upper = self.objective.bounds.T.copy()
+        lower[self.objective.roughness] = lowest_roughness
         # One BLAS thread: dot products split over threads would round differently on a machine
         # with another number of processors.
         with threadpool_limits(1, user_api="blas"):
@@ -173,8 +206,8 @@ class _Run:
                 bounds=Bounds(lower, upper),
                 callback=self._after_iteration,
                 options={
-                    "maxiter": self.iterations,
-                    "maxfun": 20 * self.iterations + 100,
+                    "maxiter": iterations,
+                    "maxfun": 20 * iterations + 100,
                     "maxcor": CORRECTIONS,
                     # The loss is a mean, so its gradient entries are tiny: scipy's absolute
                     # tolerances would stop at once. Run on until no step lowers the loss.
@@ -182,16 +215,14 @@ class _Run:
                     "gtol": 0.0,
                 },
             )
-        if self.time_limit is not None and self._elapsed() >= self.time_limit:
-            return found.x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached"
-        if self.iteration >= self.iterations:
-            return found.x, Status.ITERATION_LIMIT, f"{self.iterations} iterations done"
-        # With zero tolerances scipy stops early only where rounding hides any further descent.
-        return found.x, Status.CONVERGED, f"no step lowers the loss further ({found.message})"
+        return found.x, str(found.message)
 
     def _evaluate(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         self.evaluations += 1
         return self.objective.value_and_grad(x)
+
+    def _out_of_time(self) -> bool:
+        return self.time_limit is not None and self._elapsed() >= self.time_limit
 
     def _elapsed(self) -> float:
         return time.perf_counter() - self.began - self.unmeasured
@@ -199,7 +230,7 @@ class _Run:
     def _after_iteration(self, intermediate_result: Any) -> None:
         self.iteration += 1
         self._record(intermediate_result.x, float(intermediate_result.fun))
-        if self.time_limit is not None and self._elapsed() >= self.time_limit:
+        if self._out_of_time():
             raise StopIteration
 
     def _record(self, x: NDArray[np.float64], loss: float) -> None:

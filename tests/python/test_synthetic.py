@@ -34,13 +34,14 @@ def camera_rays(height: int, width: int, fov: float) -> Array:
     return -view_directions(height, width, fov)
 
 
-def slow_render(materials: Materials, normals: Array, lighting: Array, fov: float) -> Array:
+def slow_render(materials: Materials, normals: NDArray[Any], lighting: Array, fov: float) -> Array:
     """(N, H, W, 3), by the tests' own model."""
-    view = view_directions(*normals.shape[:2], fov)
+    height, width = normals.shape[:2]
+    view = view_directions(height, width, fov)
     weights = reference.shade(
         normals, view, materials.albedo, materials.roughness, materials.metallic
     )
-    return np.einsum("hwck,nkc->nhwc", weights, lighting)
+    return np.asarray(np.einsum("hwck,nkc->nhwc", weights, lighting))
 
 
 # ------------------------------------------------------------------------------------ ray caster
@@ -371,6 +372,14 @@ def truth(scene: Scene) -> Truth:
     return scene.truth
 
 
+def relight(scene: Scene) -> tuple[NDArray[Any], Array]:
+    """Held-out pictures and their lights."""
+    images, lighting = truth(scene).relight_images, truth(scene).relight_lighting
+    assert images is not None
+    assert lighting is not None
+    return images, lighting
+
+
 def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
     return {
         "images": scene.images,
@@ -380,8 +389,8 @@ def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
         "roughness": truth(scene).materials.roughness,
         "metallic": truth(scene).materials.metallic,
         "lighting": truth(scene).lighting,
-        "relight_lighting": truth(scene).relight_lighting,
-        "relight_images": truth(scene).relight_images,
+        "relight_lighting": relight(scene)[1],
+        "relight_images": relight(scene)[0],
     }
 
 
@@ -401,7 +410,7 @@ def test_streams_are_separate() -> None:
     np.testing.assert_array_equal(base.segments, more.segments)
     np.testing.assert_array_equal(truth(base).materials.albedo, truth(more).materials.albedo)
     # The held-out lights are the same up to the exposure.
-    ratio = truth(more).relight_lighting[:, 0] / truth(base).relight_lighting[:, 0]
+    ratio = relight(more)[1][:, 0] / relight(base)[1][:, 0]
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
 
 
@@ -411,7 +420,7 @@ def test_exposure(kind: SceneKind) -> None:
         scene = make_scene(kind, size=32, seed=seed)
         assert scene.images.mean() == pytest.approx(0.4, rel=1e-12)
         assert scene.images.min() > 0.0
-        for pictures in (scene.images, truth(scene).relight_images):
+        for pictures in (scene.images, relight(scene)[0]):
             means = pictures.mean(axis=(1, 2, 3)) / 0.4
             assert means.min() >= 0.5
             assert means.max() <= 2.0
@@ -423,7 +432,7 @@ def test_pictures_are_the_model_of_their_truth(kind: SceneKind) -> None:
     scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2)
     for images, lighting in (
         (scene.images, truth(scene).lighting),
-        (truth(scene).relight_images, truth(scene).relight_lighting),
+        relight(scene),
     ):
         again = render(truth(scene).materials, scene.normals, lighting, scene.fov)
         np.testing.assert_allclose(images, again, rtol=1e-13, atol=1e-15)
@@ -444,5 +453,5 @@ def test_noise_has_its_size_and_leaves_the_rest_alone() -> None:
     assert abs(added.mean()) < 5 * 0.2 / np.sqrt(count)
     assert abs(added.std() / 0.2 - 1) < 5 / np.sqrt(2 * count)
     assert noisy.images.min() < 0.0
-    np.testing.assert_array_equal(truth(noisy).relight_images, truth(clean).relight_images)
+    np.testing.assert_array_equal(relight(noisy)[0], relight(clean)[0])
     np.testing.assert_array_equal(truth(noisy).lighting, truth(clean).lighting)
