@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 
-SENSOR_WIDTH_35MM = 36.0
-"""Width in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
+FRAME_35MM = 36.0
+"""Longer side in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
 
 
 def view_directions(height: int, width: int, fov: float) -> NDArray[np.float64]:
@@ -55,9 +55,14 @@ def check_fov(fov: float) -> None:
         raise InputError(f"fov: expected degrees in [0, 180), found {fov}")
 
 
-def fov_from_focal_length(focal_length_35mm: float) -> float:
-    """Horizontal field of view in degrees of a 35 mm equivalent focal length in millimetres."""
-    return math.degrees(2 * math.atan(SENSOR_WIDTH_35MM / 2 / focal_length_35mm))
+def fov_from_focal_length(focal_length_35mm: float, height: int, width: int) -> float:
+    """Horizontal field of view in degrees of a 35 mm equivalent focal length in millimetres.
+
+    The longer side of the picture, which is upright after a turn of the camera, takes the longer
+    side of the frame.
+    """
+    frame_width = FRAME_35MM * width / max(height, width)
+    return math.degrees(2 * math.atan(frame_width / 2 / focal_length_35mm))
 
 
 def facing_away(normals: NDArray[Any], views: NDArray[Any]) -> NDArray[np.bool_]:

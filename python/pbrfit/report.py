@@ -91,10 +91,8 @@ def normals_preview(scene: Scene) -> NDArray[np.uint8]:
         [
             [
                 Panel(f"picture {scene.names[0]}", _display(image * _exposure(image))),
-                Panel(
-                    "normals: R right, G up, B to viewer", _outside_grey(0.5 + 0.5 * scene.normals)
-                ),
-                Panel("n·v: white faces you, orange faces away", facing),
+                Panel("normals: R right, G up", _outside_grey(0.5 + 0.5 * scene.normals)),
+                Panel("n·v, orange faces away", facing),
             ]
         ]
     )
@@ -114,12 +112,14 @@ def sheet(rows: list[list[Panel | None]]) -> NDArray[np.uint8]:
         "RGB", (columns * step[0] + MARGIN, len(rows) * step[1] + MARGIN), color=PAPER
     )
     draw = ImageDraw.Draw(canvas)
+    captions = [panel.caption for row in rows for panel in row if panel is not None]
+    font = _font(captions, step[0] - MARGIN)
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):
             if panel is None:
                 continue
             x, y = MARGIN + j * step[0], MARGIN + i * step[1]
-            draw.text((x, y), panel.caption, fill=INK, font=_font(panel.caption, step[0] - MARGIN))
+            draw.text((x, y), panel.caption, fill=INK, font=font)
             pixels = (255 * np.clip(panel.pixels, 0, 1) + 0.5).astype(np.uint8)
             # Whole factors repeat pixels; smaller ones average them.
             scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
@@ -200,10 +200,10 @@ def _outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]
     return np.where(np.isfinite(values), values, OUTSIDE)
 
 
-def _font(text: str, width: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The largest built-in font, from 15 points down, in which the text fits."""
+def _font(captions: list[str], width: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Find the largest built-in font, from 15 points down, in which all captions fit."""
     for size in range(15, 8, -1):
         font = ImageFont.load_default(size)
-        if font.getlength(text) <= width:
+        if all(font.getlength(caption) <= width for caption in captions):
             return font
     return ImageFont.load_default(8)
