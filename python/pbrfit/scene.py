@@ -271,7 +271,8 @@ def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:
 def _warn_if_facing_away(
     normals: NDArray[np.float64], fov: float, valid: NDArray[np.bool_]
 ) -> None:
-    views = geometry.view_directions(*valid.shape, fov)[valid]
+    height, width = valid.shape
+    views = geometry.view_directions(height, width, fov)[valid]
     share = float(np.mean(geometry.facing_away(normals, views)))
     if share > MAX_FACING_AWAY:
         cause = geometry.likely_convention_error(normals, views)
