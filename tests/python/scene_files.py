@@ -91,5 +91,4 @@ def run(*arguments: str | Path | int | float) -> int:
     try:
         return main([str(argument) for argument in arguments])
     except SystemExit as end:  # --help, --version and wrong usage
-        assert isinstance(end.code, int)
-        return end.code
+        return int(end.code or 0)

@@ -354,7 +354,8 @@ def set_toml(folder: Path, text: str) -> None:
     (folder / "scene.toml").write_text(text)
 
 
-def light_json(names: Any = room().names, order: Any = 3, value: float = 1.0) -> str:
+def light_json(names: Any = None, order: Any = 3, value: float = 1.0) -> str:
+    names = names or room().names
     basis = "real SH, no Condon-Shortley phase, index l(l+1)+m"
     lights = np.full((LIGHTS, 16, 3), value).tolist()
     content = {"basis": basis, "order": order, "pictures": names, "coefficients": lights}
