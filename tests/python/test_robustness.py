@@ -148,7 +148,8 @@ def test_ctrl_c_stops_within_a_second_and_leaves_what_was_there(
         process.send_signal(signal.SIGINT)
         stdout, stderr = process.communicate(timeout=PATIENCE)
         assert time.monotonic() - sent < 1.0
-    assert process.returncode == 130
+    # Python itself ends by the signal when it came amid an exec(); a shell says 130 of both.
+    assert process.returncode in (130, -signal.SIGINT)
     assert stdout == ""
     assert stderr == "pbrfit: interrupted; no unfinished result was left behind\n"
     found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")}

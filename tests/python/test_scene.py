@@ -28,7 +28,8 @@ def with_value(shape: tuple[int, ...], index: tuple[int, ...], value: float) -> 
 
 def truth(**changes: Any) -> Truth:
     maps = Materials(np.ones((H, W, 3)), np.ones((H, W)), np.ones((H, W)))
-    return Truth(**({"materials": maps, "lighting": np.ones((N, 16, 3))} | changes))
+    arguments: dict[str, Any] = {"materials": maps, "lighting": np.ones((N, 16, 3))}
+    return Truth(**(arguments | changes))
 
 
 def test_defaults_are_filled_in() -> None:

@@ -297,6 +297,8 @@ def test_save_and_load_give_the_same_scene(tmp_path: Path) -> None:
         found, true = (getattr(t.materials, name) for t in (loaded.truth, made.truth))
         np.testing.assert_allclose(found[mask], true[mask], rtol=1e-7)
         assert np.isnan(found[~mask]).all()
+    assert loaded.truth.relight_images is not None
+    assert made.truth.relight_images is not None
     np.testing.assert_allclose(loaded.truth.relight_images, made.truth.relight_images, rtol=1e-7)
     np.testing.assert_array_equal(loaded.truth.relight_lighting, made.truth.relight_lighting)
 
@@ -323,6 +325,11 @@ def test_ids_that_do_not_fit_are_not_wrapped(tmp_path: Path, bad: int) -> None:
 
 def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-200])
+
+
+def add_half_a_png(folder: Path) -> None:
+    write_png(folder / "images" / "light_03.png", room().images[0])
+    cut(folder / "images" / "light_03.png")
 
 
 def spoil_picture(value: float, folder: Path) -> None:
@@ -435,10 +442,7 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
         "light_01.exr: expected .*, found",
     ),
     "a truncated PNG": (
-        lambda f: (
-            write_png(f / "images" / "light_03.png", room().images[0]),
-            cut(f / "images" / "light_03.png"),
-        ),
+        add_half_a_png,
         "light_03.png: expected .*, found",
     ),
     "a raw file": (
