@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import io
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
 from pbrfit._core import InputError
 from pbrfit.color import ColorSpace
@@ -22,12 +24,14 @@ DONE, SOME_FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 unusable input."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that lacks a sign: no reason
     options = _parser().parse_args(arguments)
-    _log_to_stderr(quiet=getattr(options, "quiet", False))
     try:
-        command: Callable[[argparse.Namespace], int] = options.command
-        return command(options)
-    except (InputError, OSError) as error:
+        with _logging_to_stderr(quiet=getattr(options, "quiet", False)):
+            command: Callable[[argparse.Namespace], int] = options.command
+            return command(options)
+    except (InputError, OSError, MemoryError) as error:
         _complain(_message(error))
         return UNUSABLE
     except KeyboardInterrupt:
@@ -35,8 +39,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
+class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Tells defaults, but not of switches and of options whose help says it in words."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default is None or action.default is False:
+            return action.help
+        return super()._get_help_string(action)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Parser that complains in one line and takes no shortened flags."""
+
+    def __init__(self, **arguments: Any) -> None:
+        super().__init__(allow_abbrev=False, formatter_class=_HelpFormatter, **arguments)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(UNUSABLE, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="pbrfit",
         description="Recover physically based materials (albedo, roughness, metallic) and the "
         "lighting of each picture from several pictures of one view under different lights.",
@@ -49,10 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         name: str, run: Callable[[argparse.Namespace], int], summary: str
     ) -> argparse.ArgumentParser:
         added = commands.add_parser(
-            name,
-            help=summary,
-            description=summary[0].upper() + summary[1:] + ".",
-            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+            name, help=summary, description=summary[0].upper() + summary[1:] + "."
         )
         added.set_defaults(command=run)
         return added
@@ -72,7 +92,6 @@ def _parser() -> argparse.ArgumentParser:
         "--preview",
         metavar="FILE",
         type=Path,
-        default=argparse.SUPPRESS,
         help="write a PNG with a picture, the normals and which of them face the camera",
     )
     _add_input_options(added)
@@ -110,9 +129,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_out(parser: argparse.ArgumentParser, what: str) -> None:
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, required=True, default=argparse.SUPPRESS, help=what
-    )
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help=what)
     parser.add_argument("--overwrite", action="store_true", help="replace existing results")
 
 
@@ -125,13 +142,11 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
         "--fov",
         metavar="DEG",
         type=float,
-        default=argparse.SUPPRESS,
         help="horizontal field of view, 0 = orthographic (default: scene.toml, EXIF, else 60)",
     )
     parser.add_argument(
         "--color-space",
         choices=get_args(ColorSpace),
-        default=argparse.SUPPRESS,
         help="of all pictures (default: scene.toml, ICC profile, else sRGB for integer files and "
         "linear Rec.709 for float files)",
     )
@@ -139,7 +154,6 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
         "--max-size",
         metavar="PIXELS",
         type=int,
-        default=argparse.SUPPRESS,
         help="average larger pictures down to this longer side (default: as they are)",
     )
 
@@ -151,7 +165,6 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
         "--time-limit",
         metavar="S",
         type=float,
-        default=argparse.SUPPRESS,
         help="stop the fit of a scene after so many seconds (default: none)",
     )
     parser.add_argument(
@@ -184,17 +197,21 @@ def _decompose(options: argparse.Namespace) -> int:
     from pbrfit.output import check_free
 
     scenes, one = _find_scenes(options.scenes)
-    outputs = [options.out if one else options.out / path.name for path in scenes]
+    outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     for output in outputs:
         check_free(output, overwrite=options.overwrite)
+        for path in scenes:
+            if path.resolve().is_relative_to(output.resolve()):
+                raise InputError(f"{output}: expected a folder apart from the scene, found {path}")
     failed = []
     for path, output in zip(scenes, outputs, strict=True):
         try:
             _decompose_one(path, output, options)
-        except (InputError, OSError) as error:
+        except (InputError, OSError, MemoryError) as error:
             if one:
                 raise
-            _complain(_message(error))
+            message = _message(error)
+            _complain(message if str(path) in message else f"{path}: {message}")
             failed.append(path)
     if failed:
         names = ", ".join(str(path) for path in failed)
@@ -222,7 +239,13 @@ def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
     scenes: list[Path] = []
     for path in paths:
         if path.is_dir() and not scene_folder.is_scene(path):
-            below = sorted(p for p in path.iterdir() if p.is_dir() and scene_folder.is_scene(p))
+            below = sorted(
+                below
+                for below in path.iterdir()
+                if below.is_dir()
+                and not below.name.startswith(".")
+                and scene_folder.is_scene(below)
+            )
             scenes += below or [path]
         else:
             scenes.append(path)
@@ -237,10 +260,7 @@ def _load(path: Path, options: argparse.Namespace) -> Scene:
     from pbrfit.scene import Scene
 
     return Scene.load(
-        path,
-        fov=getattr(options, "fov", None),
-        color_space=getattr(options, "color_space", None),
-        max_size=getattr(options, "max_size", None),
+        path, fov=options.fov, color_space=options.color_space, max_size=options.max_size
     )
 
 
@@ -266,7 +286,7 @@ def _fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
             scene,
             solver=options.solver,
             iterations=options.iterations,
-            time_limit=getattr(options, "time_limit", None),
+            time_limit=options.time_limit,
             threads=options.threads,
             progress=show,
         )
@@ -278,7 +298,7 @@ def _inspect(options: argparse.Namespace) -> int:
     scene = _load(options.scene, options)
     for topic, fact in inspection.facts(scene):
         print(f"{topic:<18}{fact}")
-    if hasattr(options, "preview"):
+    if options.preview is not None:
         images.write_png(options.preview, report.normals_preview(scene), srgb=True)
         print(f"{'preview':<18}{options.preview}")
     return DONE
@@ -334,10 +354,11 @@ def _check_gradients(options: argparse.Namespace) -> int:
 def _demo(options: argparse.Namespace) -> int:
     from pbrfit import report
     from pbrfit.output import new_folder
+    from pbrfit.scene import Scene
 
     with new_folder(options.out, overwrite=options.overwrite) as folder:
         _make_scene(options).save(folder / "scene")
-        scene = _load(folder / "scene", options)
+        scene = Scene.load(folder / "scene")
         result = _fit(scene, options.kind, options)
         result.save(folder / "result", scene=scene)
         report.plot_history(result, folder / "history.png")
@@ -372,13 +393,17 @@ def _print_result(result: Result, scene: Scene, output: Path) -> None:
             print(f"{name:<22}{at_start}{result.metrics[key]:>10.4f}")
 
 
-def _log_to_stderr(*, quiet: bool) -> None:
+@contextmanager
+def _logging_to_stderr(*, quiet: bool) -> Iterator[None]:
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("pbrfit: %(levelname)s: %(message)s"))
+    handler.setLevel(logging.ERROR if quiet else logging.WARNING)
     logger = logging.getLogger("pbrfit")
-    logger.handlers[:] = [handler]
-    logger.setLevel(logging.ERROR if quiet else logging.WARNING)
-    logger.propagate = False
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
 
 
 def _message(error: Exception) -> str:

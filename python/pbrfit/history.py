@@ -6,6 +6,7 @@ import csv
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,10 @@ class HistoryRow:
 
 
 COLUMNS = tuple(f.name for f in fields(HistoryRow))
-TRUTH_COLUMNS = COLUMNS[5:]
+WITHOUT_TRUTH = COLUMNS[:5]
+_NUMBERS: dict[str, Any] = {
+    name: int if name in ("iteration", "evaluations") else float for name in COLUMNS
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class History:
     def columns(self) -> tuple[str, ...]:
         """Names of the columns: the errors against ground truth only where there is one."""
         known = any(not math.isnan(row.albedo_rmse) for row in self.rows)
-        return COLUMNS if known else COLUMNS[:5]
+        return COLUMNS if known else WITHOUT_TRUTH
 
     def __getitem__(self, column: str) -> NDArray[np.float64]:
         return np.array([getattr(row, column) for row in self.rows], dtype=np.float64)
@@ -63,17 +67,26 @@ class History:
 
     @classmethod
     def load(cls, path: Path) -> History:
-        """Read what `save` wrote."""
-        integers = ("iteration", "evaluations")
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file has other columns, no rows, or an entry that is not a number.
+        """
         try:
             with path.open(newline="", encoding="utf-8") as file:
-                return cls(
-                    tuple(
-                        HistoryRow(
-                            **{k: int(v) if k in integers else float(v) for k, v in row.items()}  # type: ignore[arg-type]
-                        )
-                        for row in csv.DictReader(file)
-                    )
-                )
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{path}: expected columns {COLUMNS[:5]}, found {error}") from None
+                header, *lines = csv.reader(file)
+            if tuple(header) not in (COLUMNS, WITHOUT_TRUTH):
+                raise ValueError(f"columns {', '.join(header)}")
+            rows = tuple(
+                HistoryRow(**{k: _NUMBERS[k](v) for k, v in zip(header, line, strict=True)})
+                for line in lines
+            )
+            if not rows:
+                raise ValueError("no rows")
+        except (ValueError, csv.Error) as error:
+            raise InputError(
+                f"{path}: expected columns {', '.join(WITHOUT_TRUTH)} of numbers, found: {error}"
+            ) from None
+        return cls(rows)

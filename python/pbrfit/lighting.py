@@ -38,7 +38,8 @@ class Lighting:
             "pictures": list(self.pictures),
             "coefficients": self.coefficients.tolist(),
         }
-        path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        path.write_text(text + "\n", encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path) -> Lighting:
@@ -65,11 +66,13 @@ class Lighting:
                 f"found {basis!r} of order {order!r}"
             )
         expected = (len(pictures), 16, 3)
-        if coefficients.shape != expected or not np.isfinite(coefficients).all():
+        if coefficients.shape != expected:
             raise InputError(
-                f"{path}: expected finite coefficients of shape {expected}, one light for each "
-                f"name in pictures, found shape {coefficients.shape}"
+                f"{path}: expected coefficients of shape {expected}, one light for each name in "
+                f"pictures, found shape {coefficients.shape}"
             )
+        if not np.isfinite(coefficients).all():
+            raise InputError(f"{path}: expected finite coefficients, found NaN or infinity")
         return cls(pictures, coefficients)
 
     def of(self, pictures: tuple[str, ...], path: Path) -> NDArray[np.float64]:

@@ -45,4 +45,4 @@ def scaled_per_channel(
     t = np.where(both, true, 0.0)
     square = np.sum(f * f, axis=axes)
     factor = np.divide(np.sum(f * t, axis=axes), square, out=np.ones_like(square), where=square > 0)
-    return found * factor
+    return np.asarray(found * factor)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -14,48 +13,66 @@ from pathlib import Path
 def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give a temporary folder beside `path` that takes its name when the block ends well.
 
-    When the block raises, also by Ctrl-C, the temporary folder is removed and `path` is as before.
+    When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
+    parent folders, and a folder that was to be replaced still there.
 
     Raises
     ------
     FileExistsError
-        If `path` exists and `overwrite` is False, or is not a folder.
+        See `check_free`.
     OSError
-        If the parent folder cannot be made or written.
+        If no folder can be made there.
     """
     check_free(path, overwrite=overwrite)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    target = path.resolve()  # of a link to a folder, the folder is replaced and the link stays
+    temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}")
+    old = temporary.with_name(f"{temporary.name}-old")
+    new_parents = [parent for parent in target.parents if not parent.exists()]
     try:
-        temporary.chmod(0o777 & ~_umask())
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            temporary.mkdir()
+        except OSError as error:
+            found = error.strerror or str(error)
+            raise type(error)(
+                f"{path}: expected a place where a folder can be made, found: {found}"
+            ) from None
         yield temporary
-        if path.exists():
+        check_free(path, overwrite=overwrite)  # another process may have been here meanwhile
+        if target.exists():
             # Two renames: the old folder is gone for an instant, but never half replaced.
-            old = temporary.with_name(temporary.name + "-old")
-            path.rename(old)
-            temporary.rename(path)
-            shutil.rmtree(old)
-        else:
-            temporary.rename(path)
+            target.rename(old)
+        temporary.rename(target)
     except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if old.exists() and not target.exists():
+            old.rename(target)
         raise
+    finally:
+        for leftover in (temporary, old):
+            shutil.rmtree(leftover, ignore_errors=True)
+        with suppress(OSError):  # one that is not empty stays, and so do those above it
+            for parent in new_parents:
+                parent.rmdir()
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:
-    """Raise FileExistsError unless `path` is free or may be replaced."""
+    """Check that a folder may be made at `path`.
+
+    Raises
+    ------
+    FileExistsError
+        If something is there, unless it is a folder and `overwrite` is True. A folder that the
+        process works in is never replaced.
+    """
     if path.is_dir():
-        if not overwrite and any(path.iterdir()):
+        if not overwrite:
             raise FileExistsError(
                 f"{path}: expected a folder that does not exist yet, found one; "
                 "--overwrite (overwrite=True) replaces it"
             )
+        if Path.cwd().is_relative_to(path.resolve()):
+            raise FileExistsError(
+                f"{path}: expected a folder to replace, found the current one or one above it"
+            )
     elif path.exists() or path.is_symlink():
         raise FileExistsError(f"{path}: expected a folder or nothing, found a file")
-
-
-def _umask() -> int:
-    """The process's permission mask, which can only be read by setting it."""
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask

@@ -40,6 +40,10 @@ class Panel:
     pixels: NDArray[np.floating[Any]]
 
 
+Row = list[Panel | None]
+"""Panels side by side; None leaves a gap."""
+
+
 def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
@@ -50,7 +54,7 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     reconstruction = render(result.materials, result.normals, light, result.fov)
     exposure = _exposure(reconstruction)
     name = result.pictures[0]
-    row = [Panel(f"reconstruction of {name}", _display(reconstruction * exposure))]
+    row: Row = [Panel(f"reconstruction of {name}", _display(reconstruction * exposure))]
     if scene is not None:
         row.insert(0, Panel(f"picture {name}", _display(scene.images[0] * exposure)))
     row += _maps(result.materials, "")
@@ -58,26 +62,8 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     rows = [row]
     if scene is not None and scene.truth is not None:
         true = scene.truth.materials
-        errors = Materials(
-            *(
-                np.abs(found - known) / ERROR_SPAN
-                for found, known in zip(_arrays(result.materials), _arrays(true), strict=True)
-            )
-        )
-        label = f"|error|, white = {ERROR_SPAN:g}"
         rows.append([None, None, *_maps(true, "true ")])
-        rows.append(
-            [
-                None,
-                None,
-                *(
-                    Panel(f"{name} {label}", _outside_grey(values))
-                    for name, values in zip(
-                        ("albedo", "roughness", "metallic"), _arrays(errors), strict=True
-                    )
-                ),
-            ]
-        )
+        rows.append([None, None, *_errors(result.materials, true)])
     return sheet(rows)
 
 
@@ -91,17 +77,15 @@ def normals_preview(scene: Scene) -> NDArray[np.uint8]:
         [
             [
                 Panel(f"picture {scene.names[0]}", _display(image * _exposure(image))),
-                Panel(
-                    "normals: R right, G up, B to viewer", _outside_grey(0.5 + 0.5 * scene.normals)
-                ),
-                Panel("n·v: white faces you, orange faces away", facing),
+                Panel("normals: R right, G up", _outside_grey(0.5 + 0.5 * scene.normals)),
+                Panel("n·v, orange faces away", facing),
             ]
         ]
     )
 
 
-def sheet(rows: list[list[Panel | None]]) -> NDArray[np.uint8]:
-    """Panels in a grid, captions above; None leaves a gap. (H, W, 3) uint8."""
+def sheet(rows: list[Row]) -> NDArray[np.uint8]:
+    """Panels in a grid, captions above: (H, W, 3) uint8."""
     first = next(panel for row in rows for panel in row if panel is not None)
     height, width = first.pixels.shape[:2]
     longer = max(height, width)
@@ -114,12 +98,14 @@ def sheet(rows: list[list[Panel | None]]) -> NDArray[np.uint8]:
         "RGB", (columns * step[0] + MARGIN, len(rows) * step[1] + MARGIN), color=PAPER
     )
     draw = ImageDraw.Draw(canvas)
+    captions = [panel.caption for row in rows for panel in row if panel is not None]
+    font = _font(captions, step[0] - MARGIN)
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):
             if panel is None:
                 continue
             x, y = MARGIN + j * step[0], MARGIN + i * step[1]
-            draw.text((x, y), panel.caption, fill=INK, font=_font(panel.caption, step[0] - MARGIN))
+            draw.text((x, y), panel.caption, fill=INK, font=font)
             pixels = (255 * np.clip(panel.pixels, 0, 1) + 0.5).astype(np.uint8)
             # Whole factors repeat pixels; smaller ones average them.
             scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
@@ -172,7 +158,7 @@ def _size(result: Result) -> str:
     return f"{width} × {height} pixels, {result.options.solver}"
 
 
-def _maps(materials: Materials, prefix: str) -> list[Panel | None]:
+def _maps(materials: Materials, prefix: str) -> Row:
     return [
         Panel(f"{prefix}albedo", _display(materials.albedo)),
         Panel(f"{prefix}roughness, white = 1", _outside_grey(materials.roughness)),
@@ -180,8 +166,14 @@ def _maps(materials: Materials, prefix: str) -> list[Panel | None]:
     ]
 
 
-def _arrays(materials: Materials) -> tuple[NDArray[np.floating[Any]], ...]:
-    return materials.albedo, materials.roughness, materials.metallic
+def _errors(found: Materials, true: Materials) -> Row:
+    return [
+        Panel(
+            f"{name} |error|, white = {ERROR_SPAN:g}",
+            _outside_grey(np.abs(getattr(found, name) - getattr(true, name)) / ERROR_SPAN),
+        )
+        for name in ("albedo", "roughness", "metallic")
+    ]
 
 
 def _exposure(radiance: NDArray[np.floating[Any]]) -> float:
@@ -200,10 +192,10 @@ def _outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]
     return np.where(np.isfinite(values), values, OUTSIDE)
 
 
-def _font(text: str, width: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The largest built-in font, from 15 points down, in which the text fits."""
+def _font(captions: list[str], width: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Find the largest built-in font, from 15 points down, in which all captions fit."""
     for size in range(15, 8, -1):
         font = ImageFont.load_default(size)
-        if font.getlength(text) <= width:
+        if all(font.getlength(caption) <= width for caption in captions):
             return font
     return ImageFont.load_default(8)

@@ -129,8 +129,10 @@ class Scene:
                 f"lighting: expected finite coefficients of shape {(n, 16, 3)}, "
                 f"found shape {lighting.shape}"
             )
+        if self.truth is not None:
+            _check_truth(self.truth, n, height, width)
         valid = np.ones((height, width), bool) if mask is None else mask
-        normals = _unit_normals(self.normals, valid)
+        normals = unit_normals(self.normals, valid)
         _warn_if_facing_away(normals[valid], self.fov, valid)
         values = {
             "images": images,
@@ -234,13 +236,13 @@ def _check_finite(
             )
 
 
-def _unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(H, W, 3) normals of unit length where `valid`, NaN elsewhere; InputError if one has none."""
     normals = np.asarray(normals, dtype=np.float64)
     if normals.shape != (*valid.shape, 3):
         raise InputError(f"normals: expected shape {(*valid.shape, 3)}, found {normals.shape}")
     length = np.linalg.norm(normals, axis=-1)
-    bad = valid & ~(length >= MIN_NORMAL_LENGTH)  # NaN is bad too
-    bad |= valid & ~np.isfinite(length)
+    bad = valid & ~((length >= MIN_NORMAL_LENGTH) & np.isfinite(length))
     if bad.any():
         row, column = np.argwhere(bad)[0]
         raise InputError(
@@ -250,10 +252,27 @@ def _unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np
     return np.where(valid[..., None], normals / np.where(valid, length, 1.0)[..., None], np.nan)
 
 
+def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:
+    found: dict[str, tuple[Any, tuple[int, ...]]] = {
+        "albedo": (truth.materials.albedo, (height, width, 3)),
+        "roughness": (truth.materials.roughness, (height, width)),
+        "metallic": (truth.materials.metallic, (height, width)),
+        "lighting": (truth.lighting, (pictures, 16, 3)),
+    }
+    if truth.relight_images is not None or truth.relight_lighting is not None:
+        held_out = len(truth.relight_images) if truth.relight_images is not None else 0
+        found["relight_images"] = (truth.relight_images, (held_out, height, width, 3))
+        found["relight_lighting"] = (truth.relight_lighting, (held_out, 16, 3))
+    for name, (array, shape) in found.items():
+        if np.shape(array) != shape:
+            raise InputError(f"truth: expected {name} of shape {shape}, found {np.shape(array)}")
+
+
 def _warn_if_facing_away(
     normals: NDArray[np.float64], fov: float, valid: NDArray[np.bool_]
 ) -> None:
-    views = geometry.view_directions(*valid.shape, fov)[valid]
+    height, width = valid.shape
+    views = geometry.view_directions(height, width, fov)[valid]
     share = float(np.mean(geometry.facing_away(normals, views)))
     if share > MAX_FACING_AWAY:
         cause = geometry.likely_convention_error(normals, views)

@@ -20,7 +20,7 @@ from pbrfit.color import ColorSpace
 from pbrfit.lighting import Lighting
 from pbrfit.materials import read_materials, write_materials
 from pbrfit.output import new_folder
-from pbrfit.scene import Scene, Truth
+from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Truth, unit_normals
 
 log = logging.getLogger("pbrfit")
 
@@ -74,6 +74,8 @@ def load(
     inputs: dict[str, str] = {}
     assumed: dict[str, str] = {}
     settings = _read_settings(folder / "scene.toml", inputs)
+    if fov is not None:
+        geometry.check_fov(fov)
     names = tuple(path.stem for path in paths)
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -88,36 +90,13 @@ def load(
         assumed["size"] = (
             f"averaged down from {full_size[1]} × {full_size[0]} to {size[1]} × {size[0]} pixels"
         )
-
-    normals = _read_normals(folder, settings, full_size, inputs, assumed)
-    mask_path = folder / "mask.png"
-    if mask_path.exists():
-        drawn = images.read_data(mask_path)
-        _expect_size(mask_path, drawn.shape[:2], full_size)
-        mask &= drawn[..., : 3 if drawn.shape[-1] >= 3 else 1].mean(axis=-1) >= 0.5
-        inputs["mask.png"] = _sha256(mask_path)
-        if not mask.any():
-            raise InputError(f"{mask_path}: expected at least one white pixel, found none")
-    segments_path = folder / "segments.png"
-    segments = None
-    if segments_path.exists():
-        segments = images.read_ids(segments_path)
-        _expect_size(segments_path, segments.shape, full_size)
-        inputs["segments.png"] = _sha256(segments_path)
-
+    mask &= _read_mask(folder / "mask.png", full_size, inputs)
+    if not mask.any():
+        raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
+    normals = _read_normals(folder, settings, mask, inputs, assumed)
+    segments = _read_segments(folder / "segments.png", full_size, inputs)
     if full_size != size:
-        usable = np.isfinite(normals).all(axis=-1) & mask
-        weight = _resized(usable.astype(np.float32), size)
-        normals = np.stack(
-            [_resized(np.where(usable, normals[..., i], 0.0), size) for i in range(3)], axis=-1
-        )
-        mask = weight >= 0.5
-        if segments is not None:
-            rows, columns = (
-                np.minimum((np.arange(s) + 0.5) * f / s, f - 1).astype(int)
-                for s, f in zip(size, full_size, strict=True)
-            )
-            segments = segments[np.ix_(rows, columns)]
+        normals, mask, segments = _averaged(normals, mask, segments, size)
 
     lighting = None
     lighting_path = folder / "lighting.json"
@@ -132,25 +111,29 @@ def load(
         fov = settings.fov
         assumed["fov"] = f"{fov:g} degrees, from scene.toml"
     elif focal_length is not None:
-        fov = geometry.fov_from_focal_length(focal_length)
+        fov = geometry.fov_from_focal_length(focal_length, *full_size)
         assumed["fov"] = f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
     else:
         fov = DEFAULT_FOV
         assumed["fov"] = f"{fov:g} degrees: neither --fov, scene.toml nor EXIF says"
         log.warning("%s: field of view unknown, assumed %g degrees (--fov sets it)", folder, fov)
 
-    return Scene(
-        images=pixels,
-        normals=normals,
-        fov=fov,
-        mask=mask,
-        segments=segments,
-        lighting=lighting,
-        names=names,
-        truth=_read_truth(folder / "truth", names, size),
-        assumed=assumed,
-        inputs=dict(sorted(inputs.items())),
-    )
+    truth = _read_truth(folder / "truth", names, size)
+    try:
+        return Scene(
+            images=pixels,
+            normals=normals,
+            fov=fov,
+            mask=mask,
+            segments=segments,
+            lighting=lighting,
+            names=names,
+            truth=truth,
+            assumed=assumed,
+            inputs=dict(sorted(inputs.items())),
+        )
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from None
 
 
 def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
@@ -169,7 +152,7 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
                 folder / "mask.png", np.where(scene.mask, 255, 0).astype(np.uint8), srgb=False
             )
         if scene.segments is not None:
-            images.write_png(folder / "segments.png", scene.segments.astype(np.uint16), srgb=False)
+            images.write_png(folder / "segments.png", _ids(scene.segments), srgb=False)
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.truth is not None:
@@ -194,11 +177,14 @@ def find_pictures(folder: Path) -> list[Path]:
         # A format that cannot be read must not be passed over in silence, so all that is not
         # known to be something else counts as a picture.
         paths = sorted(
-            path
-            for path in below.iterdir()
-            if path.is_file()
-            and not path.name.startswith(".")
-            and path.suffix.lower() not in NOT_PICTURES
+            (
+                path
+                for path in below.iterdir()
+                if path.is_file()
+                and not path.name.startswith(".")
+                and path.suffix.lower() not in NOT_PICTURES
+            ),
+            key=lambda path: path.name,
         )
         if not paths:
             raise InputError(
@@ -235,7 +221,7 @@ def _read_settings(path: Path, inputs: dict[str, str]) -> Settings:
         raise InputError(f"{path}: expected keys {', '.join(SETTINGS)}, found {unknown[0]}")
     inputs["scene.toml"] = _sha256(path)
     return Settings(
-        fov=_number(path, content, "fov"),
+        fov=_fov(path, content),
         color_space=_choice(path, content, "color_space", get_args(ColorSpace), None),
         normals=_choice(path, content, "normals", ("opengl", "directx"), "opengl"),
         normals_frame=_choice(path, content, "normals_frame", ("camera", "world"), "camera"),
@@ -243,11 +229,17 @@ def _read_settings(path: Path, inputs: dict[str, str]) -> Settings:
     )
 
 
-def _number(path: Path, content: dict[str, Any], key: str) -> float | None:
-    value = content.get(key)
-    if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
-        raise InputError(f"{path}: {key}: expected a number, found {value!r}")
-    return None if value is None else float(value)
+def _fov(path: Path, content: dict[str, Any]) -> float | None:
+    value = content.get("fov")
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{path}: fov: expected a number, found {value!r}")
+    try:
+        geometry.check_fov(value)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return float(value)
 
 
 def _choice(
@@ -336,10 +328,58 @@ def _resized(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float32]:
     return np.asarray(image.resize(size[::-1], Image.Resampling.BOX))
 
 
+def _read_mask(path: Path, size: tuple[int, int], inputs: dict[str, str]) -> NDArray[np.bool_]:
+    if not path.exists():
+        return np.ones(size, dtype=bool)
+    drawn = images.read_data(path)
+    _expect_size(path, drawn.shape[:2], size)
+    inputs[path.name] = _sha256(path)
+    mask: NDArray[np.bool_] = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1].mean(axis=-1) >= 0.5
+    if not mask.any():
+        raise InputError(f"{path}: expected at least one white pixel, found none")
+    return mask
+
+
+def _read_segments(
+    path: Path, size: tuple[int, int], inputs: dict[str, str]
+) -> NDArray[np.uint16] | None:
+    if not path.exists():
+        return None
+    segments = images.read_ids(path)
+    _expect_size(path, segments.shape, size)
+    inputs[path.name] = _sha256(path)
+    return segments
+
+
+def _averaged(
+    normals: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    segments: NDArray[np.uint16] | None,
+    size: tuple[int, int],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint16] | None]:
+    """Reduce maps to a smaller size.
+
+    A pixel is used when all pixels that it averages are, so that nothing from outside the mask
+    gets in; ids are not averaged but taken from the middle.
+    """
+    small_mask = _resized(mask, size) > 1 - 1e-4
+    planes = [_resized(np.where(mask, normals[..., i], 0.0), size) for i in range(3)]
+    small_normals = np.stack(planes, axis=-1).astype(np.float64)
+    # Opposite normals cancel.
+    small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH
+    if segments is not None:
+        rows, columns = (
+            np.minimum((np.arange(s) + 0.5) * f / s, f - 1).astype(int)
+            for s, f in zip(size, mask.shape, strict=True)
+        )
+        segments = segments[np.ix_(rows, columns)]
+    return small_normals, small_mask, segments
+
+
 def _read_normals(
     folder: Path,
     settings: Settings,
-    size: tuple[int, int],
+    mask: NDArray[np.bool_],
     inputs: dict[str, str],
     assumed: dict[str, str],
 ) -> NDArray[np.float64]:
@@ -371,7 +411,7 @@ def _read_normals(
         if data.shape[-1] < 3:
             raise InputError(f"{path}: expected three channels, found {data.shape[-1]}")
         normals = 2.0 * data[..., :3] - 1.0
-    _expect_size(path, normals.shape[:2], size)
+    _expect_size(path, normals.shape[:2], mask.shape)
     inputs[path.name] = _sha256(path)
     axes = settings.normals
     if axes == "directx":
@@ -384,7 +424,10 @@ def _read_normals(
             )
         normals = normals @ settings.world_to_camera.T
     assumed["normals"] = f"{path.name}, {axes} axes, {settings.normals_frame} space"
-    return normals
+    try:
+        return unit_normals(normals, mask)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> Truth | None:
@@ -402,7 +445,11 @@ def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> 
     if not relight.is_dir():
         return Truth(materials, lighting)
     held_out = Lighting.load(relight / "lighting.json")
-    pictures = [images.read_picture(relight / f"{name}.exr").pixels for name in held_out.pictures]
+    pictures = []
+    for name in held_out.pictures:
+        path = relight / f"{name}.exr"
+        pictures.append(images.read_picture(path).pixels)
+        _expect_size(path, pictures[-1].shape[:2], size)
     return Truth(materials, lighting, np.stack(pictures), held_out.coefficients)
 
 
@@ -422,6 +469,14 @@ def _write_truth(truth: Truth, scene: Scene, folder: Path) -> None:
 def _write_picture(path: Path, image: NDArray[Any]) -> None:
     finite = np.where(np.isfinite(image), image, 0.0).astype(np.float32)
     images.write_exr(path, {name: finite[..., c] for c, name in enumerate("RGB")})
+
+
+def _ids(segments: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
+    if segments.min() < 0 or segments.max() > 65535:
+        raise InputError(
+            f"segments: expected ids from 0 to 65535, found {segments.min()} to {segments.max()}"
+        )
+    return segments.astype(np.uint16)
 
 
 def _sha256(path: Path) -> str:

@@ -1,0 +1,468 @@
+"""The command line: what each command does, prints, writes and returns."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pbrfit import InputError, Result, Scene, images
+from pbrfit.lighting import Lighting
+from pbrfit.synthetic import make_scene
+from scene_files import FORMATS, LIGHTS, SIZE, room, run, write_folder, write_jpeg, write_normals
+from test_result import FILES, KEYS
+
+FEW = ("--iterations", 3)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_folder(tmp_path / "scene")
+
+
+def outcome(out: Path) -> Any:
+    return json.loads((out / "result.json").read_text("utf-8"))
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("pbrfit")
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+# decompose
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_decompose_every_format(
+    tmp_path: Path, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suffix, _, _, color = FORMATS[form]
+    folder, out = write_folder(tmp_path / "scene", form), tmp_path / "out"
+    assert run("decompose", folder, "--out", out, *FEW) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""  # no progress bar where stderr is no terminal
+    assert f"{out}: 3 pictures of 16 × 16, 3 iterations in " in captured.out
+    assert sorted(path.name for path in out.iterdir()) == FILES
+    facts = outcome(out)
+    assert list(facts) == KEYS
+    assert facts["version"] == version("pbrfit")
+    assert facts["assumed"]["color"].startswith(color)
+    assert facts["assumed"]["fov"] == "60 degrees, from scene.toml"
+    assert f"images/light_00{suffix}" in facts["inputs"]
+    assert all(re.fullmatch("[0-9a-f]{64}", value) for value in facts["inputs"].values())
+    assert Result.load(out).metrics["recon_rmse"] < 0.1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "scene"]
+
+
+def test_decompose_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, out = write_folder(tmp_path / "scene", "8-bit PNG", fov=None), tmp_path / "out"
+    assert run("decompose", folder, "--out", out, *FEW, "--max-size", 8) == 0
+    assert "WARNING" in (message := capsys.readouterr().err)
+    assert f"{folder}: field of view unknown, assumed 60 degrees" in message
+    assumed = outcome(out)["assumed"]
+    assert assumed["fov"].startswith("60 degrees: neither")
+    assert assumed["size"] == "averaged down from 16 × 16 to 8 × 8 pixels"
+    arguments = ("--fov", 40, "--color-space", "linear", "--overwrite")
+    assert run("decompose", folder, "--out", out, *FEW, *arguments) == 0
+    assert capsys.readouterr().err == ""
+    assumed = outcome(out)["assumed"]
+    assert assumed["fov"] == "40 degrees, asked for"
+    assert assumed["color"] == "linear (as asked for)"
+    assert outcome(out)["fov"] == 40
+
+
+def test_known_lights_stay_as_they_are(tmp_path: Path) -> None:
+    made = make_scene("room", size=SIZE, lights=LIGHTS, held_out=1)
+    assert made.truth is not None
+    made.save(tmp_path / "scene")
+    shutil.copy(tmp_path / "scene" / "truth" / "lighting.json", tmp_path / "scene")
+    for path in sorted((tmp_path / "scene" / "images").iterdir())[1:]:
+        path.unlink()  # a single picture will do now
+    out = tmp_path / "out"
+    assert run("decompose", tmp_path / "scene", "--out", out, *FEW) == 0
+    facts = outcome(out)
+    assert facts["left_out"] == ["lights: known, so only materials were fitted"]
+    assert facts["assumed"]["lighting"] == "known, from lighting.json"
+    light = Lighting.load(out / "lighting.json")
+    assert light.pictures == ("light_00",)
+    np.testing.assert_array_equal(light.coefficients[0], made.truth.lighting[0])
+
+
+def test_names_in_any_script(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "Küche 厨房 🏺")
+    out = tmp_path / "Ergebnis für später"
+    assert run("decompose", folder, "--out", out, *FEW) == 0
+    assert Result.load(out).pictures == room().names
+
+
+def test_quiet_prints_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_folder(tmp_path / "scene", fov=None)
+    assert run("decompose", folder, "--out", tmp_path / "out", *FEW, "--quiet") == 0
+    assert run("demo", tmp_path / "demo", "--size", 8, "--lights", 2, *FEW, "--quiet") == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_errors_are_shown_even_when_quiet(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("decompose", tmp_path / "none", "--out", tmp_path / "out", "--quiet") == 2
+    assert "none: expected a scene folder" in one_line(capsys)
+
+
+def test_a_result_is_replaced_only_when_asked(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert run("decompose", folder, "--out", out, "--iterations", 1) == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    capsys.readouterr()
+    assert run("decompose", folder, "--out", out, "--iterations", 2) == 2
+    assert f"{out}: expected a folder that does not exist yet" in one_line(capsys)
+    (folder / "normals.exr").rename(folder / "away")
+    assert run("decompose", folder, "--out", out, "--iterations", 2, "--overwrite") == 2
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    (folder / "away").rename(folder / "normals.exr")
+    assert run("decompose", folder, "--out", out, "--iterations", 2, "--overwrite") == 0
+    assert outcome(out)["iterations"] == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "scene"]
+
+
+@pytest.mark.parametrize("out", ["scene", "."])
+def test_the_scene_is_never_replaced_by_its_result(
+    folder: Path, out: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("decompose", folder, "--out", folder.parent / out, "--overwrite") == 2
+    assert "expected a folder apart from the scene, found" in one_line(capsys)
+    assert len(list((folder / "images").iterdir())) == LIGHTS
+
+
+# Several scenes
+
+
+@pytest.fixture
+def scenes(tmp_path: Path) -> Path:
+    for name in ("one", "two"):
+        write_folder(tmp_path / "scenes" / name)
+    (tmp_path / "scenes" / "notes").mkdir()
+    return tmp_path / "scenes"
+
+
+@pytest.mark.parametrize("as_folder", [True, False])
+def test_several_scenes_go_below_the_output(tmp_path: Path, scenes: Path, as_folder: bool) -> None:
+    given = [scenes] if as_folder else [scenes / "one", scenes / "two"]
+    out = tmp_path / "out"
+    assert run("decompose", *given, "--out", out, *FEW) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["one", "two"]
+    for name in ("one", "two"):
+        assert sorted(path.name for path in (out / name).iterdir()) == FILES
+
+
+def test_a_folder_of_one_scene_is_a_folder_of_scenes(tmp_path: Path, scenes: Path) -> None:
+    shutil.rmtree(scenes / "two")
+    assert run("decompose", scenes, "--out", tmp_path / "out", *FEW) == 0
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
+
+
+def test_a_failing_scene_does_not_stop_the_others(
+    tmp_path: Path, scenes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scenes / "one" / "normals.exr").unlink()
+    assert run("decompose", scenes, "--out", tmp_path / "out", *FEW) == 1
+    first, last = capsys.readouterr().err.splitlines()
+    assert first.startswith(f"pbrfit: {scenes / 'one'}: expected normals.exr or normals.png")
+    assert last == f"pbrfit: 1 of 2 scenes failed: {scenes / 'one'}"
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["two"]
+
+
+def test_when_all_scenes_fail_nothing_is_left(
+    tmp_path: Path, scenes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("decompose", scenes, "--out", tmp_path / "out", "--iterations", -1) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == f"pbrfit: {scenes / 'one'}: iterations: expected 0 or more, found -1"
+    assert lines[2].startswith("pbrfit: 2 of 2 scenes failed")
+    assert not (tmp_path / "out").exists()
+
+
+def test_equal_names_and_taken_outputs_are_refused_before_any_work(
+    tmp_path: Path, scenes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_folder(tmp_path / "more" / "two")
+    out = tmp_path / "out"
+    assert run("decompose", scenes, tmp_path / "more" / "two", "--out", out, *FEW) == 2
+    assert "expected different names, found two twice" in one_line(capsys)
+    assert not out.exists()
+    (out / "two").mkdir(parents=True)
+    assert run("decompose", scenes, "--out", out, *FEW) == 2
+    assert f"{out / 'two'}: expected a folder that does not exist yet" in one_line(capsys)
+    assert not (out / "one").exists()
+    assert run("decompose", scenes, "--out", scenes, "--overwrite", *FEW) == 2
+    assert "expected a folder apart from the scene" in one_line(capsys)
+
+
+# The other commands
+
+
+def test_inspect_tells_facts_and_writes_only_the_preview(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mask = np.full((SIZE, SIZE), 255, np.uint8)
+    mask[:4] = 0
+    images.write_png(folder / "mask.png", mask, srgb=False)
+    preview = tmp_path / "preview.png"
+    assert run("inspect", folder, "--preview", preview) == 0
+    output = capsys.readouterr()
+    assert output.err == ""
+    for line in (
+        "pictures          3 of 16 × 16 pixels",
+        "mask              192 pixels used, 75.0 %",
+        "facing away       0.0 % of the normals",
+        "segments          none",
+        "lights            unknown, will be fitted",
+        "truth             none",
+        "assumed color     linear Rec.709",
+        "assumed normals   normals.exr, opengl axes, camera space",
+        "assumed fov       60 degrees, from scene.toml",
+        f"unknowns          {5 * 192 + 48 * LIGHTS}",
+        "memory needed     about ",
+    ):
+        assert f"\n{line}" in f"\n{output.out}"
+    assert images.read_data(preview).shape[2] == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["preview.png", "scene"]
+
+
+def test_synth_then_decompose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "scene"
+    arguments = ("--scene", "spheres", "--size", 8, "--lights", 3, "--noise", 0.01, "--seed", 5)
+    assert run("synth", scene, *arguments) == 0
+    assert f"{scene}: spheres, 3 pictures and ground truth" in capsys.readouterr().out
+    made = make_scene("spheres", size=8, lights=3, noise=0.01, seed=5)
+    loaded = Scene.load(scene)
+    np.testing.assert_array_equal(loaded.images, made.images.astype(np.float32))
+    assert len(list((scene / "truth" / "relight").glob("*.exr"))) == 16
+    assert run("synth", scene) == 2
+    assert "expected a folder that does not exist yet" in one_line(capsys)
+    assert run("synth", scene, *arguments, "--overwrite", "--sh-order", 2) == 0
+    assert run("decompose", scene, "--out", tmp_path / "out", *FEW) == 0
+    table = capsys.readouterr().out
+    for name in ("reconstruction", "albedo", "albedo, best scale", "roughness", "metallic"):
+        assert re.search(rf"^{name} .*\d\.\d{{4}}$", table, re.MULTILINE)
+    assert re.search(r"^relight +\d\.\d{4}$", table, re.MULTILINE)
+    history = Result.load(tmp_path / "out").history
+    assert history.columns[5:] == ("albedo_rmse", "roughness_rmse", "metallic_rmse")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--size", 0), "size"),
+        (("--lights", 0), "expected at least 1 light"),
+        (("--lights", 1), "images: expected at least two pictures"),
+        (("--noise", -1), "noise"),
+        (("--seed", -1), "seed"),
+    ],
+)
+def test_synth_refuses_what_it_cannot_make(
+    tmp_path: Path, arguments: Any, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command in ("synth", "demo"):
+        assert run(command, tmp_path / "a" / "scene", *arguments) == 2
+        assert message in one_line(capsys)
+    assert not list(tmp_path.iterdir())
+
+
+def test_normals_from_flat(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("normals", folder, "--from", "flat") == 2
+    assert "normals.exr: expected no normals yet, found some" in one_line(capsys)
+    (folder / "normals.exr").rename(folder / "normals.png")  # to be replaced, so never read
+    assert run("normals", folder, "--overwrite") == 0
+    assert not (folder / "normals.png").exists()
+    scene = Scene.load(folder)
+    np.testing.assert_array_equal(scene.normals, np.broadcast_to([0, 0, 1], (SIZE, SIZE, 3)))
+    assert run("normals", tmp_path / "none") == 2
+
+
+def test_real_photographs_of_the_multi_illumination_layout(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    pictures = sorted((shared_data / "mit_multi_illumination").rglob("dir_*_mip6.jpg"))
+    if not pictures:
+        pytest.skip("these photographs are not in the data folder")
+    scene = tmp_path / "kitchen"
+    scene.mkdir()
+    for path in pictures:
+        shutil.copy(path, scene)
+    assert run("normals", scene, "--from", "flat") == 0
+    assert run("decompose", scene, "--out", tmp_path / "out", *FEW, "--max-size", 40) == 0
+    facts = outcome(tmp_path / "out")
+    assert len(facts["inputs"]) == 26
+    assert facts["assumed"]["color"].startswith("sRGB (8-bit JPEG")
+
+
+def test_check_gradients(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("check-gradients", folder, "--seed", 1) == 0
+    output = capsys.readouterr().out
+    assert "12 of 12 within" in output
+    for name in ("albedo", "roughness", "metallic", "lighting"):
+        assert name in output
+
+
+def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "demo"
+    assert run("demo", out, "--size", 8, "--lights", 3, *FEW) == 0
+    assert "roughness" in capsys.readouterr().out
+    assert sorted(path.name for path in out.iterdir()) == ["history.png", "result", "scene"]
+    assert sorted(path.name for path in (out / "result").iterdir()) == FILES
+    assert Result.load(out / "result").metrics["relight_rmse"] > 0
+    assert run("demo", out) == 2
+    assert run("demo", out, "--size", 8, "--lights", 3, *FEW, "--overwrite") == 0
+
+
+# Usage
+
+
+def test_version_as_a_module() -> None:
+    command = [sys.executable, "-m", "pbrfit", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == f"pbrfit {version('pbrfit')}\n"
+    assert done.stderr == ""
+
+
+COMMANDS = ("decompose", "inspect", "synth", "normals", "check-gradients", "demo")
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_names_defaults_once(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*command.split(), "--help") == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "(default: False)" not in text
+    assert "(default: None)" not in text
+    for option in ("--iterations K at most so many (default: 500)", "--threads T"):
+        assert (option in text) == (command in ("decompose", "demo"))
+    if not command:
+        assert all(name in text for name in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("", "pbrfit: the following arguments are required: COMMAND"),
+        ("fit x", "invalid choice: 'fit'"),
+        ("decompose", "the following arguments are required: SCENE, --out"),
+        ("decompose s --out o --solver adam", "--solver: invalid choice: 'adam'"),
+        ("decompose s --out o --iterations many", "--iterations: invalid int value: 'many'"),
+        ("decompose s --out o --iter 3", "unrecognized arguments: --iter 3"),
+        ("decompose s --out o --robust huber", "unrecognized arguments: --robust huber"),
+        ("decompose s --out o --color-space log", "--color-space: invalid choice: 'log'"),
+        ("synth s --scene moon", "--scene: invalid choice: 'moon'"),
+        ("normals s --from guess", "--from: invalid choice: 'guess'"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*arguments.split()) == 2
+    line = one_line(capsys)
+    assert message in line
+    assert line.endswith("--help\n")
+
+
+# Input that cannot be used, through the command: test_scene_folder.py has all kinds of it.
+
+
+def no_normals(folder: Path) -> None:
+    (folder / "normals.exr").unlink()
+
+
+def cut(folder: Path) -> None:
+    path = folder / "images" / "light_01.exr"
+    path.write_bytes(path.read_bytes()[:300])
+
+
+def raw(folder: Path) -> None:
+    (folder / "images" / "photo.CR2").write_bytes(b"II*\0\x10\0\0\0CR\x02\0")
+
+
+def zero_normals(folder: Path) -> None:
+    write_normals(folder, np.zeros((SIZE, SIZE, 3)))
+
+
+def other_size(folder: Path) -> None:
+    write_jpeg(folder / "images" / "x.jpg", np.ones((SIZE, SIZE + 1, 3)))
+
+
+def black(folder: Path) -> None:
+    for path in (folder / "images").iterdir():
+        images.write_exr(path, {c: np.zeros((SIZE, SIZE)) for c in "RGB"})
+
+
+def keep(folder: Path) -> None:
+    assert folder.is_dir()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "arguments", "message"),
+    [
+        (no_normals, (), "scene: expected normals.exr or normals.png .*--from flat"),
+        (cut, (), "light_01.exr: expected .*, found"),
+        (raw, (), "photo.CR2: expected .*darktable-cli"),
+        (zero_normals, (), "normals.exr: normals: expected unit vectors, found 256"),
+        (other_size, (), "x.jpg: expected the size of light_00.exr, 16 × 16 pixels, found 17 × 16"),
+        (black, (), "images: expected a positive mean radiance"),
+        (shutil.rmtree, (), "scene: expected a scene folder, found nothing"),
+        (keep, ("--fov", 180), r"fov: expected degrees in \[0, 180\), found 180"),
+        (keep, ("--fov", "nan"), "fov: expected degrees"),
+        (keep, ("--max-size", 0), "max_size: expected at least 1 pixel"),
+        (keep, ("--iterations", -1), "iterations: expected 0 or more, found -1"),
+        (keep, ("--time-limit", -1), "time_limit: expected seconds"),
+        (keep, ("--threads", -1), "threads: expected 0"),
+    ],
+)
+def test_unusable_input_is_one_line_and_leaves_nothing(
+    folder: Path,
+    spoil: Callable[[Path], None],
+    arguments: tuple[Any, ...],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    spoil(folder)
+    out = folder.parent / "new" / "out"
+    assert run("decompose", folder, "--out", out, *arguments) == 2
+    assert re.search(message, one_line(capsys))
+    assert {path.name for path in folder.parent.iterdir()} <= {"scene"}
+
+
+def test_places_that_cannot_be_written_show_before_the_work(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = [folder / "scene.toml" / "out", folder / "scene.toml"]
+    if Path("/proc/self").is_dir():
+        places.append(Path("/proc/out"))
+    for out in places:
+        assert run("decompose", folder, "--out", out, "--iterations", 10**9) == 2
+        assert str(out) in one_line(capsys)
+
+
+def test_inspect_of_a_preview_that_cannot_be_written(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("inspect", folder, "--preview", folder / "none" / "preview.png") == 2
+    assert "preview.png" in capsys.readouterr().err
+
+
+def test_an_error_of_the_library_is_a_value_error() -> None:
+    assert issubclass(InputError, ValueError)

@@ -1,0 +1,145 @@
+"""Scene checks its arrays when it is made."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pbrfit import InputError, Materials, Scene, Truth
+from pbrfit.synthetic import make_scene
+
+H, W, N = 3, 4, 2
+FACING = np.broadcast_to([0.0, 0.0, 1.0], (H, W, 3))
+
+
+def scene(**changes: Any) -> Scene:
+    arguments: dict[str, Any] = {"images": np.ones((N, H, W, 3), np.float32), "normals": FACING}
+    return Scene(**(arguments | changes))
+
+
+def with_value(shape: tuple[int, ...], index: tuple[int, ...], value: float) -> Any:
+    array = np.ones(shape, np.float32)
+    array[index] = value
+    return array
+
+
+def truth(**changes: Any) -> Truth:
+    maps = Materials(np.ones((H, W, 3)), np.ones((H, W)), np.ones((H, W)))
+    arguments: dict[str, Any] = {"materials": maps, "lighting": np.ones((N, 16, 3))}
+    return Truth(**(arguments | changes))
+
+
+def test_defaults_are_filled_in() -> None:
+    made = scene(normals=3 * FACING, mask=np.ones((H, W), bool))
+    assert made.names == ("picture_00", "picture_01")
+    assert made.mask is None
+    assert made.valid.all()
+    assert (made.height, made.width, made.fov) == (H, W, 60.0)
+    np.testing.assert_array_equal(made.normals, FACING)
+
+
+def test_what_the_mask_leaves_out_need_not_be_sound() -> None:
+    mask = np.ones((H, W), bool)
+    mask[1, 2] = False
+    images, normals = with_value((N, H, W, 3), (0, 1, 2, 0), np.nan), FACING.copy()
+    normals[1, 2] = np.nan
+    made = scene(images=images, normals=normals, mask=mask)
+    assert np.isnan(made.normals[1, 2]).all()
+    assert np.isfinite(made.normals[mask]).all()
+
+
+BAD_ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
+    "grey pictures": ({"images": np.ones((N, H, W))}, r"images: expected shape .N, H, W, 3."),
+    "no pictures": ({"images": np.ones((0, H, W, 3))}, r"images: expected shape"),
+    "integer pictures": ({"images": np.ones((N, H, W, 3), int)}, "images: expected linear float32"),
+    "one picture": ({"images": np.ones((1, H, W, 3))}, "images: expected at least two.*lighting"),
+    "NaN pixel": (
+        {"images": with_value((N, H, W, 3), (1, 2, 3, 0), np.nan)},
+        "picture_01: expected finite pixels, found 1 .* row 2, column 3",
+    ),
+    "infinite pixel": (
+        {"images": with_value((N, H, W, 3), (0, 0, 0, 2), np.inf)},
+        "picture_00: expected finite pixels",
+    ),
+    "normals of another size": ({"normals": np.ones((H, W + 1, 3))}, r"normals: .*\(3, 5, 3\)"),
+    "zero normal": ({"normals": FACING * np.eye(H, W)[..., None]}, "normals: .* found 9 that are"),
+    "NaN normals": (
+        {"normals": np.full((H, W, 3), np.nan)},
+        "normals: expected unit vectors, found 12",
+    ),
+    "infinite normals": (
+        {"normals": np.full((H, W, 3), np.inf)},
+        "normals: expected unit vectors, found 12",
+    ),
+    "empty mask": ({"mask": np.zeros((H, W), bool)}, "mask: expected at least one pixel"),
+    "mask of another size": ({"mask": np.ones((H, H), bool)}, r"mask: expected shape \(3, 4\)"),
+    "float segments": ({"segments": np.ones((H, W))}, "segments: expected integer ids"),
+    "segments of another size": ({"segments": np.ones((W, H), int)}, "segments: expected"),
+    "NaN light": ({"lighting": np.full((N, 16, 3), np.nan)}, "lighting: expected finite"),
+    "light of order 2": ({"lighting": np.ones((N, 9, 3))}, r"lighting: .* \(2, 16, 3\)"),
+    "one name": ({"names": ("a",)}, "names: expected 2 different names"),
+    "equal names": ({"names": ("a", "a")}, "names: expected 2 different names"),
+    "fov 180": ({"fov": 180.0}, r"fov: expected degrees in \[0, 180\), found 180"),
+    "fov NaN": ({"fov": np.nan}, "fov: expected"),
+    "fov below 0": ({"fov": -1.0}, "fov: expected"),
+    "true maps of another size": (
+        {"truth": truth(materials=Materials(np.ones((H, W, 3)), np.ones((H, 9)), np.ones((H, W))))},
+        r"truth: expected roughness of shape \(3, 4\), found \(3, 9\)",
+    ),
+    "too few true lights": (
+        {"truth": truth(lighting=np.ones((1, 16, 3)))},
+        r"truth: expected lighting of shape \(2, 16, 3\)",
+    ),
+    "held-out lights without pictures": (
+        {"truth": truth(relight_lighting=np.ones((1, 16, 3)))},
+        "truth: expected relight_images",
+    ),
+    "held-out pictures without lights": (
+        {"truth": truth(relight_images=np.ones((1, H, W, 3)))},
+        "truth: expected relight_lighting",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD_ARRAYS)
+def test_bad_arrays_are_named_in_one_line(name: str) -> None:
+    changes, message = BAD_ARRAYS[name]
+    with pytest.raises(InputError, match=message) as caught:
+        scene(**changes)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("flip", "cause"),
+    [
+        ((1, 1, -1), "Z points away from the viewer"),
+        ((1, -1, 1), "Y points down (the DirectX convention)"),
+        ((-1, 1, 1), "X points left"),
+        ((-1, -1, -1), "all three axes are reversed"),
+    ],
+)
+def test_a_flipped_axis_is_named(
+    seed: int, flip: tuple[int, int, int], cause: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    made = make_scene("room", size=32, lights=2, held_out=1, seed=seed)
+    assert not caplog.records
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        Scene(images=made.images, normals=made.normals * flip, fov=made.fov)
+    [record] = caplog.records
+    assert "face away from the camera; likely " in record.message
+    assert cause in record.message
+
+
+@pytest.mark.parametrize(("away", "warned"), [(0, False), (5, False), (6, True)])
+def test_a_warning_is_due_above_5_percent(
+    away: int, warned: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    normals = np.zeros((10, 10, 3))
+    normals[..., 2] = 1.0
+    normals.reshape(-1, 3)[:away, 2] = -1.0
+    Scene(images=np.ones((2, 10, 10, 3)), normals=normals)
+    assert bool(caplog.records) == warned

@@ -1,0 +1,557 @@
+"""The scene folder (docs/formats.md): what is read, what is assumed, what is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pbrfit import InputError, Scene, images
+from pbrfit.geometry import view_directions
+from pbrfit.lighting import Lighting
+from pbrfit.synthetic import make_scene
+from scene_files import (
+    FORMATS,
+    LIGHTS,
+    SIZE,
+    room,
+    write_exr,
+    write_folder,
+    write_jpeg,
+    write_normals,
+)
+from scene_files import write_integers as write_png
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_folder(tmp_path / "scene")
+
+
+def write_mask(path: Path, white: Any) -> None:
+    images.write_png(path, np.where(white, 255, 0).astype(np.uint8), srgb=False)
+
+
+# What is read
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_formats_colour_and_hashes(tmp_path: Path, form: str) -> None:
+    suffix, _, error, color = FORMATS[form]
+    folder = write_folder(tmp_path / "scene", form)
+    scene = Scene.load(folder)
+    assert scene.images.dtype == np.float32
+    np.testing.assert_allclose(scene.images, room().images, rtol=0, atol=error)
+    np.testing.assert_allclose(scene.normals, room().normals, rtol=0, atol=1e-7)
+    assert scene.names == room().names
+    assert scene.assumed["color"].startswith(color)
+    assert scene.assumed["normals"] == "normals.exr, opengl axes, camera space"
+    names = [*(f"images/{name}{suffix}" for name in scene.names), "normals.exr", "scene.toml"]
+    assert scene.inputs == {
+        name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names
+    }
+
+
+def test_formats_may_be_mixed(folder: Path) -> None:
+    (folder / "images" / "light_01.exr").unlink()
+    write_png(folder / "images" / "light_01.png", room().images[1])
+    scene = Scene.load(folder)
+    np.testing.assert_allclose(scene.images, room().images, atol=5e-3)
+    assert scene.assumed["color of light_01.png"] == "sRGB (8-bit PNG without a profile)"
+    assert "light_00.exr, light_02.exr" in " ".join(scene.assumed)
+
+
+@pytest.mark.parametrize(("flag", "toml"), [("linear", None), (None, "linear"), ("srgb", "linear")])
+def test_colour_space_flag_before_scene_toml(tmp_path: Path, flag: Any, toml: str | None) -> None:
+    folder = write_folder(tmp_path / "scene", "8-bit PNG")
+    if toml is not None:
+        (folder / "scene.toml").write_text(f'fov = 60\ncolor_space = "{toml}"\n')
+    stored = images.read_data(folder / "images" / "light_00.png")
+    scene = Scene.load(folder, color_space=flag)
+    if flag == "srgb":
+        np.testing.assert_allclose(scene.images[0], room().images[0], atol=5e-3)
+    else:
+        np.testing.assert_allclose(scene.images[0], stored, atol=1e-7)
+    assert scene.assumed["color"] == f"{flag or toml} (as asked for)"
+
+
+def test_fov_of_flag_then_scene_toml_then_exif_then_60(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_folder(tmp_path / "scene", "JPEG", fov="fov = 40.5")
+    exif = Image.Exif()
+    exif[0x8769] = {0xA405: 18}  # mm: half of the frame's width, so 90 degrees
+    for name, image in zip(room().names, room().images, strict=True):
+        write_jpeg(folder / "images" / f"{name}.jpg", image, exif)
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        asked, stated = Scene.load(folder, fov=55.0), Scene.load(folder)
+        (folder / "scene.toml").unlink()
+        with caplog.at_level(logging.ERROR, "pbrfit"):  # at 90 degrees some normals face away
+            focal = Scene.load(folder)
+        assert not caplog.records
+        default = Scene.load(write_folder(tmp_path / "other", fov=None))
+    assert (asked.fov, asked.assumed["fov"]) == (55.0, "55 degrees, asked for")
+    assert (stated.fov, stated.assumed["fov"]) == (40.5, "40.5 degrees, from scene.toml")
+    assert focal.fov == pytest.approx(90.0)
+    assert focal.assumed["fov"] == "90.00 degrees, from EXIF (18 mm equivalent)"
+    assert default.fov == 60.0
+    assert "neither --fov, scene.toml nor EXIF" in default.assumed["fov"]
+    [record] = caplog.records
+    assert f"{tmp_path / 'other'}: field of view unknown, assumed 60" in record.message
+
+
+@pytest.mark.parametrize(("orientation", "fov"), [(1, 90.0), (6, 2 * 26.5650512)])
+def test_a_focal_length_is_along_the_longer_side_of_a_turned_picture(
+    tmp_path: Path, orientation: int, fov: float
+) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    exif[0x8769] = {0xA405: 18}
+    (tmp_path / "images").mkdir()
+    landscape = room().images[:, : SIZE // 2]
+    for i in range(2):
+        write_jpeg(tmp_path / "images" / f"{i}.jpg", landscape[i], exif)
+    seen = landscape if orientation == 1 else np.rot90(landscape, -1, axes=(1, 2))
+    facing = np.broadcast_to([0, 0, 1], seen.shape[1:])
+    write_normals(tmp_path, facing)
+    scene = Scene.load(tmp_path)
+    np.testing.assert_allclose(scene.images, seen[:2], atol=0.1)
+    assert scene.fov == pytest.approx(fov)
+
+
+def test_alpha_and_mask_leave_pixels_out(folder: Path) -> None:
+    image = images.read_data(folder / "images" / "light_00.exr")
+    alpha = np.ones((SIZE, SIZE))
+    alpha[0], alpha[1] = 0.49, 0.5
+    channels = {"R": image[..., 0], "G": image[..., 1], "B": image[..., 2], "A": alpha}
+    images.write_exr(folder / "images" / "light_00.exr", channels)
+    expected = np.ones((SIZE, SIZE), bool)
+    expected[0] = False
+    scene = Scene.load(folder)
+    np.testing.assert_array_equal(scene.valid, expected)
+    assert scene.assumed["alpha"] == f"{SIZE} transparent pixels left out"
+
+    expected[:, 3:] = False
+    white = np.zeros((SIZE, SIZE), bool)
+    white[:, :3] = True
+    write_mask(folder / "mask.png", white)
+    scene = Scene.load(folder)
+    np.testing.assert_array_equal(scene.valid, expected)
+    assert "mask.png" in scene.inputs
+
+
+def test_clipped_samples_are_told(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene", "8-bit PNG")
+    assert "of the samples" in Scene.load(folder).assumed["clipped"]  # the brightest pixel is 255
+    for path in (folder / "images").iterdir():
+        write_png(path, 0.5 * room().images[0])
+    assert "clipped" not in Scene.load(folder).assumed
+
+
+def test_segments_keep_16_bits(folder: Path) -> None:
+    ids = np.arange(SIZE * SIZE, dtype=np.uint16).reshape(SIZE, SIZE) * 255
+    images.write_png(folder / "segments.png", ids, srgb=False)
+    np.testing.assert_array_equal(Scene.load(folder).segments, ids)
+
+
+def test_known_lights_are_found_by_name_and_one_picture_is_enough(folder: Path) -> None:
+    lights = np.random.default_rng(0).normal(size=(LIGHTS, 16, 3))
+    Lighting(room().names[::-1], lights[::-1]).save(folder / "lighting.json")
+    scene = Scene.load(folder)
+    np.testing.assert_array_equal(scene.lighting, lights)
+    assert scene.assumed["lighting"] == "known, from lighting.json"
+    assert "lighting.json" in scene.inputs
+    for path in sorted((folder / "images").iterdir())[1:]:
+        path.unlink()
+    np.testing.assert_array_equal(Scene.load(folder).lighting, lights[:1])
+
+
+@pytest.mark.parametrize(
+    "names", [("X", "Y", "Z"), ("R", "G", "B"), tuple("normal." + c for c in "XYZ")]
+)
+def test_channels_of_normals(folder: Path, names: tuple[str, ...]) -> None:
+    channels = {name: room().normals[..., c] for c, name in enumerate(names)}
+    images.write_exr(folder / "normals.exr", channels)
+    np.testing.assert_allclose(Scene.load(folder).normals, room().normals, atol=1e-7)
+
+
+@pytest.mark.parametrize(("kind", "error"), [(np.uint8, 1e-2), (np.uint16, 4e-5)])
+@pytest.mark.parametrize("axes", ["opengl", "directx"])
+def test_normals_png_and_axes(folder: Path, axes: str, kind: Any, error: float) -> None:
+    stored = room().normals * ((1, -1, 1) if axes == "directx" else 1)
+    levels = np.iinfo(kind).max
+    encoded = np.rint((stored + 1) / 2 * levels).astype(kind)
+    images.write_png(folder / "normals.png", encoded, srgb=False)
+    (folder / "normals.exr").unlink()
+    (folder / "scene.toml").write_text(f'fov = 60\nnormals = "{axes}"\n')
+    scene = Scene.load(folder)
+    np.testing.assert_allclose(scene.normals, room().normals, atol=error)
+    assert scene.assumed["normals"] == f"normals.png, {axes} axes, camera space"
+
+
+def test_normals_in_world_space(folder: Path) -> None:
+    # A camera that looks along world +Y with world +Z up.
+    rotation = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    write_normals(folder, room().normals @ rotation)
+    toml = f'fov = 60\nnormals_frame = "world"\nworld_to_camera = {rotation.tolist()}\n'
+    (folder / "scene.toml").write_text(toml)
+    np.testing.assert_allclose(Scene.load(folder).normals, room().normals, atol=1e-6)
+
+
+def test_multi_illumination_layout_takes_the_largest_exr_in_the_order_of_numbers(
+    tmp_path: Path,
+) -> None:
+    for i in (0, 2, 10):
+        write_exr(tmp_path / f"dir_{i}_mip3.exr", np.full((2, 2, 3), i + 1.0))
+        write_exr(tmp_path / f"dir_{i}_mip5.exr", np.ones((1, 1, 3)))
+        write_jpeg(tmp_path / f"dir_{i}_mip2.jpg", np.ones((4, 4, 3)))
+    write_normals(tmp_path, np.broadcast_to([0, 0, 1], (2, 2, 3)))
+    scene = Scene.load(tmp_path, fov=50)
+    assert scene.names == ("dir_0_mip3", "dir_2_mip3", "dir_10_mip3")
+    np.testing.assert_array_equal(scene.images[:, 0, 0, 0], [1, 3, 11])
+
+
+def test_names_in_any_script_and_other_files_beside_pictures(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "Küche 厨房 🏺")
+    (folder / "images" / "light_00.exr").rename(folder / "images" / "ночь.exr")
+    (folder / "images" / ".DS_Store").write_bytes(b"?")
+    (folder / "images" / "notes.txt").write_text("?")
+    (folder / "images" / "thumbnails").mkdir()
+    assert Scene.load(folder).names == ("light_01", "light_02", "ночь")
+
+
+# Smaller size
+
+
+def test_max_size_averages_pictures_normals_and_takes_whole_pixels_only(folder: Path) -> None:
+    white = np.ones((SIZE, SIZE), bool)
+    white[0, 0] = white[5, :3] = False
+    write_mask(folder / "mask.png", white)
+    hole = room().images[1].copy()
+    hole[0, 0] = np.nan  # outside the mask, so it must not spread
+    write_exr(folder / "images" / "light_01.exr", hole)
+    ids = np.arange(SIZE * SIZE, dtype=np.uint16).reshape(SIZE, SIZE)
+    images.write_png(folder / "segments.png", ids, srgb=False)
+    scene = Scene.load(folder, max_size=SIZE // 2)
+
+    def blocks(array: Any) -> Any:
+        return array.reshape(SIZE // 2, 2, SIZE // 2, 2, -1)
+
+    valid = blocks(white).all(axis=(1, 3))[..., 0]
+    np.testing.assert_array_equal(scene.valid, valid)
+    expected = blocks(room().images[1]).mean(axis=(1, 3))
+    np.testing.assert_allclose(scene.images[1][valid], expected[valid], rtol=1e-6)
+    mean = blocks(room().normals).mean(axis=(1, 3))
+    mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
+    np.testing.assert_allclose(scene.normals[valid], mean[valid], atol=1e-6)
+    np.testing.assert_array_equal(scene.segments, ids[1::2, 1::2])
+    assert scene.assumed["size"] == "averaged down from 16 × 16 to 8 × 8 pixels"
+
+
+@pytest.mark.parametrize(
+    ("max_size", "size"), [(16, (16, 16)), (999, (16, 16)), (5, (5, 5)), (1, (1, 1))]
+)
+def test_max_size_is_the_longer_side(folder: Path, max_size: int, size: tuple[int, int]) -> None:
+    scene = Scene.load(folder, max_size=max_size)
+    assert scene.images.shape == (LIGHTS, *size, 3)
+    np.testing.assert_allclose(scene.images.mean(), room().images.mean(), rtol=0.1)
+
+
+# Round trip
+
+
+def test_save_and_load_give_the_same_scene(tmp_path: Path) -> None:
+    made = make_scene("spheres", size=SIZE, lights=2, held_out=2, seed=4)
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[:, 0] = False
+    assert made.truth is not None
+    scene = Scene(
+        images=made.images.astype(np.float32),
+        normals=made.normals,
+        fov=33.3,
+        mask=mask,
+        segments=made.segments,
+        lighting=made.truth.lighting,
+        names=("b.1", "a"),
+        truth=made.truth,
+    )
+    scene.save(tmp_path / "scene")
+    loaded = Scene.load(tmp_path / "scene")
+    assert loaded.truth is not None
+    assert loaded.names == ("a", "b.1")  # name order
+    np.testing.assert_array_equal(loaded.images, scene.images[::-1])
+    np.testing.assert_array_equal(loaded.lighting, made.truth.lighting[::-1])
+    np.testing.assert_array_equal(loaded.truth.lighting, made.truth.lighting[::-1])
+    np.testing.assert_array_equal(loaded.valid, mask)
+    np.testing.assert_array_equal(loaded.segments, scene.segments)
+    np.testing.assert_allclose(loaded.normals, scene.normals, atol=1e-7)
+    assert loaded.fov == 33.3
+    for name in ("albedo", "roughness", "metallic"):
+        found, true = (getattr(t.materials, name) for t in (loaded.truth, made.truth))
+        np.testing.assert_allclose(found[mask], true[mask], rtol=1e-7)
+        assert np.isnan(found[~mask]).all()
+    assert loaded.truth.relight_images is not None
+    assert made.truth.relight_images is not None
+    np.testing.assert_allclose(loaded.truth.relight_images, made.truth.relight_images, rtol=1e-7)
+    np.testing.assert_array_equal(loaded.truth.relight_lighting, made.truth.relight_lighting)
+
+
+def test_a_smaller_size_has_no_truth(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    make_scene("room", size=8, lights=2, held_out=1).save(tmp_path / "scene")
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        assert Scene.load(tmp_path / "scene", max_size=4).truth is None
+    assert "materials.exr: another size than the pictures in use, left out" in caplog.text
+
+
+@pytest.mark.parametrize("bad", [-1, 65536])
+def test_ids_that_do_not_fit_are_not_wrapped(tmp_path: Path, bad: int) -> None:
+    segments = np.zeros((SIZE, SIZE), int)
+    segments[3, 4] = bad
+    scene = Scene(images=room().images, normals=room().normals, segments=segments)
+    with pytest.raises(InputError, match=f"segments: expected ids from 0 to 65535, found .*{bad}"):
+        scene.save(tmp_path / "scene")
+    assert not list(tmp_path.iterdir())
+
+
+# What is refused
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+def add_half_a_png(folder: Path) -> None:
+    write_png(folder / "images" / "light_03.png", room().images[0])
+    cut(folder / "images" / "light_03.png")
+
+
+def spoil_picture(value: float, folder: Path) -> None:
+    image = room().images[1].copy()
+    image[2, 3, 1] = value
+    write_exr(folder / "images" / "light_01.exr", image)
+
+
+def spoil_normals(value: float, folder: Path) -> None:
+    normals = room().normals.copy()
+    normals[2, 3] = value
+    write_normals(folder, normals)
+
+
+def leave_one(folder: Path) -> None:
+    for path in sorted((folder / "images").iterdir())[1:]:
+        path.unlink()
+
+
+def spoil_light(folder: Path, text: str) -> None:
+    (folder / "lighting.json").write_text(text)
+
+
+def with_pictures_as(folder: Path, name: str, content: bytes) -> None:
+    (folder / "images" / name).write_bytes(content)
+
+
+def set_toml(folder: Path, text: str) -> None:
+    (folder / "scene.toml").write_text(text)
+
+
+def light_json(names: Any = None, order: Any = 3, value: float = 1.0) -> str:
+    names = names or room().names
+    basis = "real SH, no Condon-Shortley phase, index l(l+1)+m"
+    lights = np.full((LIGHTS, 16, 3), value).tolist()
+    content = {"basis": basis, "order": order, "pictures": names, "coefficients": lights}
+    return json.dumps(content)
+
+
+HEIC = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"
+BAD_FOLDERS: dict[str, tuple[Any, str]] = {
+    "no such folder": (shutil.rmtree, "scene: expected a scene folder, found nothing"),
+    "no pictures": (
+        lambda f: [p.unlink() for p in (f / "images").iterdir()],
+        r"images: expected pictures \(.exr .hdr .*\), found none",
+    ),
+    "neither layout": (
+        lambda f: shutil.rmtree(f / "images"),
+        r"scene: expected pictures under images/ or files dir_\*_mip\*",
+    ),
+    "one picture": (leave_one, "scene: images: expected at least two pictures .*lighting.json"),
+    "equal names": (
+        lambda f: write_jpeg(f / "images" / "light_00.jpg", room().images[0]),
+        "images: expected one picture a name, found light_00 twice",
+    ),
+    "sizes that differ": (
+        lambda f: write_exr(f / "images" / "light_02.exr", room().images[0][:, 1:]),
+        "light_02.exr: expected the size of light_00.exr, 16 × 16 pixels, found 15 × 16",
+    ),
+    "no normals": (
+        lambda f: (f / "normals.exr").unlink(),
+        "scene: expected normals.exr or normals.png .*Marigold.*--from flat.*found no normals",
+    ),
+    "normals twice": (
+        lambda f: write_png(f / "normals.png", room().images[0]),
+        "expected normals.exr or normals.png, found both",
+    ),
+    "normals of another size": (
+        lambda f: write_normals(f, room().normals[1:]),
+        "normals.exr: expected the pictures' size, 16 × 16 pixels, found 16 × 15",
+    ),
+    "grey normals": (
+        lambda f: images.write_exr(f / "normals.exr", {"Y": np.ones((SIZE, SIZE))}),
+        "normals.exr: expected channels X, Y, Z .*, found Y",
+    ),
+    "a zero normal": (
+        lambda f: spoil_normals(0.0, f),
+        "normals.exr: normals: expected unit vectors, found 1 .*row 2, column 3",
+    ),
+    "a NaN normal": (
+        lambda f: spoil_normals(np.nan, f),
+        "normals.exr: normals: expected unit vectors, found 1 .*row 2, column 3",
+    ),
+    "a NaN pixel": (
+        lambda f: spoil_picture(np.nan, f),
+        "scene: light_01: expected finite pixels, found 1 .*row 2, column 3",
+    ),
+    "an infinite pixel": (
+        lambda f: spoil_picture(-np.inf, f),
+        "scene: light_01: expected finite pixels, found 1",
+    ),
+    "an empty mask": (
+        lambda f: write_mask(f / "mask.png", np.zeros((SIZE, SIZE))),
+        "mask.png: expected at least one white pixel, found none",
+    ),
+    "a mask of another size": (
+        lambda f: write_mask(f / "mask.png", np.ones((3, 4))),
+        "mask.png: expected the pictures' size, 16 × 16 pixels, found 4 × 3",
+    ),
+    "segments of another size": (
+        lambda f: write_png(f / "segments.png", np.ones((3, 4))),
+        "segments.png: expected the pictures' size",
+    ),
+    "segments in colour": (
+        lambda f: write_png(f / "segments.png", room().images[0]),
+        "segments.png: expected ids in a grey",
+    ),
+    "a truncated EXR": (
+        lambda f: cut(f / "images" / "light_01.exr"),
+        "light_01.exr: expected .*, found",
+    ),
+    "a truncated PNG": (
+        add_half_a_png,
+        "light_03.png: expected .*, found",
+    ),
+    "a raw file": (
+        lambda f: with_pictures_as(f, "photo.NEF", b"II*\0\x08\0\0\0"),
+        "photo.NEF: expected .*raw file: develop it first.*darktable-cli",
+    ),
+    "a HEIC file": (
+        lambda f: with_pictures_as(f, "photo.heic", HEIC),
+        "photo.heic: expected .*HEIC.*: convert it first.*heif-convert",
+    ),
+    "an unknown file": (
+        lambda f: with_pictures_as(f, "photo", b"hello, world"),
+        "photo: expected EXR, HDR, PNG, JPEG or TIFF, found",
+    ),
+    "an empty file": (
+        lambda f: with_pictures_as(f, "photo.png", b""),
+        "photo.png: expected a picture, found an empty file",
+    ),
+    "TOML that is none": (lambda f: set_toml(f, "fov = "), "scene.toml: expected TOML, found"),
+    "an unknown key": (
+        lambda f: set_toml(f, "fow = 60"),
+        "scene.toml: expected keys fov, color_space, .*, found fow",
+    ),
+    "a fov in words": (
+        lambda f: set_toml(f, 'fov = "wide"'),
+        "scene.toml: fov: expected a number, found 'wide'",
+    ),
+    "a fov out of range": (
+        lambda f: set_toml(f, "fov = 180"),
+        r"scene.toml: fov: expected degrees in \[0, 180\), found 180",
+    ),
+    "an unknown colour space": (
+        lambda f: set_toml(f, 'color_space = "log"'),
+        "scene.toml: color_space: expected one of srgb, linear, .*, found 'log'",
+    ),
+    "unknown axes": (
+        lambda f: set_toml(f, 'normals = "vulkan"'),
+        "scene.toml: normals: expected one of opengl, directx, found 'vulkan'",
+    ),
+    "world space without a rotation": (
+        lambda f: set_toml(f, 'normals_frame = "world"'),
+        "scene.toml: expected world_to_camera, a 3 × 3 rotation",
+    ),
+    "a rotation that scales": (
+        lambda f: set_toml(f, "world_to_camera = [[2, 0, 0], [0, 2, 0], [0, 0, 2]]"),
+        "scene.toml: world_to_camera: expected a 3 × 3 rotation",
+    ),
+    "lights that are no JSON": (
+        lambda f: spoil_light(f, "{"),
+        "lighting.json: expected JSON with basis",
+    ),
+    "lights without keys": (lambda f: spoil_light(f, "[]"), "lighting.json: expected JSON with"),
+    "lights of order 2": (
+        lambda f: spoil_light(f, light_json(order=2)),
+        "lighting.json: expected basis .* of order 3, found .* of order 2",
+    ),
+    "lights of other pictures": (
+        lambda f: spoil_light(f, light_json(names=["a", "b", "c"])),
+        "lighting.json: expected a light for every picture, found none for light_00 and 2 more",
+    ),
+    "too few lights": (
+        lambda f: spoil_light(f, light_json(names=["a"])),
+        r"lighting.json: expected coefficients of shape \(1, 16, 3\).* found shape \(3, 16, 3\)",
+    ),
+    "NaN lights": (
+        lambda f: spoil_light(f, light_json(value=np.nan)),
+        "lighting.json: expected finite coefficients, found NaN or infinity",
+    ),
+    "a truth without maps": (
+        lambda f: (f / "truth").mkdir(),
+        "truth/materials.exr",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FOLDERS)
+def test_bad_folders_are_refused_in_one_line(folder: Path, name: str) -> None:
+    spoil, message = BAD_FOLDERS[name]
+    spoil(folder)
+    with pytest.raises((InputError, OSError), match=message) as caught:
+        Scene.load(folder)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"fov": 180.0}, "fov: expected degrees"),
+        ({"fov": np.nan}, "fov: expected degrees"),
+        ({"max_size": 0}, "max_size: expected at least 1 pixel, found 0"),
+        ({"color_space": "log"}, "color_space: expected one of srgb"),
+    ],
+)
+def test_bad_options_are_refused(folder: Path, option: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Scene.load(folder, **option)
+
+
+def test_published_multi_illumination_photographs(shared_data: Path, tmp_path: Path) -> None:
+    source = shared_data / "mit_multi_illumination"
+    pictures = sorted(source.rglob("dir_*_mip6.jpg"))
+    if not pictures:
+        pytest.skip("these photographs are not in the data folder")
+    for path in pictures:
+        shutil.copy(path, tmp_path)
+    facing = np.broadcast_to([0, 0, 1], images.read_data(pictures[0]).shape)
+    write_normals(tmp_path, facing)
+    scene = Scene.load(tmp_path, fov=50)
+    assert len(scene.images) == 25
+    assert scene.names[2] == "dir_2_mip6"
+    np.testing.assert_array_equal(scene.views, view_directions(62, 93, 50))
+    assert "of the samples are at their type's maximum" in scene.assumed["clipped"]
