@@ -8,6 +8,8 @@ exactly, over a dense sweep.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mpmath as mp
 
 mp.mp.dps = 60
@@ -30,7 +32,8 @@ def band(l: int, r: mp.mpf) -> mp.mpf:
     return (5 * moment(3, r) - 3 * moment(1, r)) / 2
 
 
-def coefficients(f: object) -> list[mp.mpf]:
+def coefficients(f: Callable[[mp.mpf], mp.mpf]) -> list[mp.mpf]:
+    """Chebyshev coefficients of the interpolant of f on [LOWER, UPPER]."""
     n = DEGREE + 1
     angles = [mp.pi * (k + mp.mpf("0.5")) / n for k in range(n)]
     values = [f((LOWER + UPPER) / 2 + (UPPER - LOWER) / 2 * mp.cos(a)) for a in angles]
@@ -43,17 +46,18 @@ def coefficients(f: object) -> list[mp.mpf]:
 
 
 def evaluate(series: list[mp.mpf], r: mp.mpf) -> mp.mpf:
+    """Sum of the series at r."""
     s = (2 * r - LOWER - UPPER) / (UPPER - LOWER)
     return mp.fsum(c * mp.chebyt(j, s) for j, c in enumerate(series))
 
 
 def main() -> None:
+    """Print both arrays and the error."""
     worst = mp.mpf(0)
+    step = mp.mpf(10) ** -25  # the derivative by a complex step is exact in 60 digits
     for name, order in (("BAND", 0), ("BAND_SLOPE", 1)):
         print(f"const {name}: [[f64; {DEGREE + 1}]; 3] = [")
         for l in (1, 2, 3):
-            # The derivative of an analytic function: a complex step in 60 digits is exact.
-            step = mp.mpf(10) ** -25
             f = (
                 (lambda r, l=l: band(l, r))
                 if order == 0

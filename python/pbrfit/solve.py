@@ -16,7 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.history import History, HistoryRow
 from pbrfit.materials import Materials
 from pbrfit.model import render
-from pbrfit.objective import Objective
+from pbrfit.objective import START_ROUGHNESS, Objective
 from pbrfit.result import Options, Result, Status
 from pbrfit.scene import Scene
 
@@ -28,13 +28,14 @@ CORRECTIONS = 10
 """Pairs of steps and gradients that L-BFGS-B remembers."""
 
 TRAP_ROUGHNESS = 0.1
-"""Roughness is kept above this at first. The band weights and G1 depend on r⁴, so their slope is
-r³ and roughness 0 is a stationary point of every pixel: one that overshoots to the bound would stay
-there, far from its minimum, and pull at the lights. Between 0 and 0.1 pictures under SH light
+"""The first stages keep roughness above this. Band weights and G1 depend on r⁴, so their slope is
+r³ and roughness 0 is a stationary point of every pixel: one that overshoots to the bound stays
+there, far from its minimum, and pulls at the lights. Between 0 and 0.1 pictures under SH light
 hardly change, so little is lost by waiting."""
 
-TRAPPED_SHARE = 0.9
-"""Share of the iterations with that bound; the rest runs with the full range [0, 1]."""
+STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
+"""(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
+that ended at the bound start again from the middle."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def decompose(
         raise InputError(f"solver: expected lbfgsb, found {solver!r}")
     if iterations < 0:
         raise InputError(f"iterations: expected 0 or more, found {iterations}")
-    if time_limit is not None and not time_limit >= 0:
+    if time_limit is not None and not 0 <= time_limit < np.inf:
         raise InputError(f"time_limit: expected seconds, 0 or more, found {time_limit}")
     if threads < 0:
         raise InputError(f"threads: expected 0 (all) or more, found {threads}")
@@ -169,9 +170,17 @@ class _Run:
         if self.iterations == 0:
             return x, Status.ITERATION_LIMIT, "0 iterations asked for"
         stop_reason = ""
-        for lowest_roughness, until in self._stages(start_given):
-            if self.iteration < until and not self._out_of_time():
-                x, stop_reason = self._minimize(x, lowest_roughness, until - self.iteration)
+        best = loss, x
+        for lowest_roughness, share in ((0.0, 1.0),) if start_given else STAGES:
+            iterations = round(share * self.iterations) - self.iteration
+            if iterations <= 0 or self._out_of_time():
+                continue
+            if self.iteration > 0:
+                x = self._restarted(x)
+            loss, x, stop_reason = self._minimize(x, lowest_roughness, iterations)
+            # A restart raises the loss at first, and time may run out before it pays.
+            best = min(best, (loss, x), key=lambda pair: pair[0])
+        _, x = best
         if self._out_of_time():
             return x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached"
         if self.iteration >= self.iterations:
@@ -179,16 +188,16 @@ class _Run:
         # With zero tolerances scipy stops early only where rounding hides any further descent.
         return x, Status.CONVERGED, f"no step lowers the loss further ({stop_reason})"
 
-    def _stages(self, start_given: bool) -> list[tuple[float, int]]:
-        """(Lowest roughness, last iteration) of each stage; a start that was given has one."""
-        whole = (0.0, self.iterations)
-        if start_given:
-            return [whole]
-        return [(TRAP_ROUGHNESS, round(TRAPPED_SHARE * self.iterations)), whole]
+    def _restarted(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """X with the pixels that are trapped at the roughness bound put back to the middle."""
+        x = x.copy()
+        roughness = x[self.objective.roughness]
+        roughness[roughness <= TRAP_ROUGHNESS + 0.005] = START_ROUGHNESS
+        return x
 
     def _minimize(
         self, x: NDArray[np.float64], lowest_roughness: float, iterations: int
-    ) -> tuple[NDArray[np.float64], str]:
+    ) -> tuple[float, NDArray[np.float64], str]:
         # Imported here: scipy.optimize would double the time of `import pbrfit`.
         from scipy.optimize import Bounds, minimize
         from threadpoolctl import threadpool_limits
@@ -215,7 +224,7 @@ class _Run:
                     "gtol": 0.0,
                 },
             )
-        return found.x, str(found.message)
+        return float(found.fun), found.x, str(found.message)
 
     def _evaluate(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         self.evaluations += 1

@@ -87,28 +87,30 @@ def test_fov_of_flag_then_scene_toml_then_exif_then_60(
 ) -> None:
     folder = write_folder(tmp_path / "scene", "JPEG", fov="fov = 40.5")
     exif = Image.Exif()
-    exif[0x8769] = {0xA405: 18}  # mm: half of the frame's width, so 90 degrees
+    exif[0x8769] = {0xA405: 18}  # mm
     for name, image in zip(room().names, room().images, strict=True):
         write_jpeg(folder / "images" / f"{name}.jpg", image, exif)
     with caplog.at_level(logging.WARNING, "pbrfit"):
         asked, stated = Scene.load(folder, fov=55.0), Scene.load(folder)
         (folder / "scene.toml").unlink()
-        with caplog.at_level(logging.ERROR, "pbrfit"):  # at 90 degrees some normals face away
+        with caplog.at_level(logging.ERROR, "pbrfit"):  # at 81 degrees some normals face away
             focal = Scene.load(folder)
         assert not caplog.records
         default = Scene.load(write_folder(tmp_path / "other", fov=None))
     assert (asked.fov, asked.assumed["fov"]) == (55.0, "55 degrees, asked for")
     assert (stated.fov, stated.assumed["fov"]) == (40.5, "40.5 degrees, from scene.toml")
-    assert focal.fov == pytest.approx(90.0)
-    assert focal.assumed["fov"] == "90.00 degrees, from EXIF (18 mm equivalent)"
+    # A square has the diagonal of 36 × 24 mm at a side of 30.59 mm: 2 atan(15.297 / 18)
+    assert focal.fov == pytest.approx(80.718201)
+    assert focal.assumed["fov"] == "80.72 degrees, from EXIF (18 mm equivalent)"
     assert default.fov == 60.0
     assert "neither --fov, scene.toml nor EXIF" in default.assumed["fov"]
     [record] = caplog.records
     assert f"{tmp_path / 'other'}: field of view unknown, assumed 60" in record.message
 
 
-@pytest.mark.parametrize(("orientation", "fov"), [(1, 90.0), (6, 2 * 26.5650512)])
-def test_a_focal_length_is_along_the_longer_side_of_a_turned_picture(
+# 2 atan(19.349 / 18) along the longer and 2 atan(9.6747 / 18) along the shorter side
+@pytest.mark.parametrize(("orientation", "fov"), [(1, 94.138344), (6, 56.514623)])
+def test_a_focal_length_holds_along_the_diagonal_of_a_turned_picture(
     tmp_path: Path, orientation: int, fov: float
 ) -> None:
     exif = Image.Exif()

@@ -381,6 +381,7 @@ def relight(scene: Scene) -> tuple[NDArray[Any], Array]:
 
 
 def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
+    assert scene.segments is not None
     return {
         "images": scene.images,
         "normals": scene.normals,
