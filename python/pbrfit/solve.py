@@ -71,8 +71,8 @@ def decompose(
     time_limit
         In seconds; the fit stops after the iteration that passes it.
     start
-        Maps to start from, alone or with lights (N, 16, 3) in picture units; default: albedo from
-        the mean picture, roughness 0.5, metallic 0.1, lights by least squares.
+        Maps to start from, alone or with lights (N, 16, 3) in picture units. Default: albedo from
+        the mean picture, constant roughness and metallic, lights by least squares.
     threads
         0 = one for each processor. The result does not depend on it, to the last bit.
     progress
