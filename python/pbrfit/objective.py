@@ -85,7 +85,7 @@ class Objective:
         self.bounds[5 * self.pixels :] = (-np.inf, np.inf)
 
     def start(self) -> NDArray[np.float64]:
-        """Albedo from the mean picture, constant roughness and metallic, lights by least squares."""
+        """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
         albedo = START_MEAN_ALBEDO / MEAN_RADIANCE * self._mean_image
         albedo = np.clip(albedo, *START_ALBEDO_RANGE)
         grey = np.ones(self.pixels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from pbrfit import metrics
 from pbrfit._core import InputError
@@ -97,6 +99,9 @@ def decompose(
     if threads < 0:
         raise InputError(f"threads: expected 0 (all) or more, found {threads}")
 
+    # Here and not above: scipy.optimize would double the time of `import pbrfit`. Before the clock
+    # starts: loading it is no part of the fit.
+    importlib.import_module("scipy.optimize")
     began = time.perf_counter()
     objective = Objective(scene, threads=threads)
     x = _start(objective, start)
@@ -198,9 +203,7 @@ class _Run:
     def _minimize(
         self, x: NDArray[np.float64], lowest_roughness: float, iterations: int
     ) -> tuple[float, NDArray[np.float64], str]:
-        # Imported here: scipy.optimize would double the time of `import pbrfit`.
         from scipy.optimize import Bounds, minimize
-        from threadpoolctl import threadpool_limits
 
         lower, upper = self.objective.bounds.T.copy()
         lower[self.objective.roughness] = lowest_roughness
