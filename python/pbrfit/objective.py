@@ -144,6 +144,8 @@ class Objective:
                 raise InputError(
                     f"{name}: expected shape {self._valid.shape + end}, found {values.shape}"
                 )
+            if not np.isfinite(values[self._valid]).all():
+                raise InputError(f"{name}: expected finite values at all valid pixels, found NaN")
             maps.append(values[self._valid].T.ravel())
         x = np.concatenate(maps)
         if self._known_lighting is not None:

@@ -249,7 +249,10 @@ def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.
             f"normals: expected unit vectors, found {np.count_nonzero(bad)} that are zero or NaN, "
             f"the first at row {row}, column {column}; a mask can leave them out"
         )
-    return np.where(valid[..., None], normals / np.where(valid, length, 1.0)[..., None], np.nan)
+    # Vectors of unit length stay as they are, to the bit: a scene made from another's normals must
+    # be the same scene.
+    length[~valid | (np.abs(length - 1.0) < 1e-12)] = 1.0
+    return np.where(valid[..., None], normals / length[..., None], np.nan)
 
 
 def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:

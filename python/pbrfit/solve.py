@@ -139,8 +139,6 @@ def _start(
         return objective.start()
     materials, lighting = (start, None) if isinstance(start, Materials) else start
     x = objective.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
-    if not np.isfinite(x).all():
-        raise InputError("start: expected finite values at every valid pixel, found NaN")
     return np.clip(x, *objective.bounds.T)
 
 

@@ -1,0 +1,154 @@
+"""The solver on whole scenes: accuracy, exposure, starts, the trap at roughness 0."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pbrfit
+from pbrfit.solve import TRAP_ROUGHNESS
+from pbrfit.synthetic import make_scene
+
+
+def room(size: int, **options: Any) -> pbrfit.Scene:
+    return make_scene("room", size=size, **options)
+
+
+def truth(scene: pbrfit.Scene) -> pbrfit.Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def scaled(scene: pbrfit.Scene, factor: float) -> pbrfit.Scene:
+    """The scene at another exposure, truth included."""
+    known = truth(scene)
+    assert known.relight_images is not None
+    assert known.relight_lighting is not None
+    return dataclasses.replace(
+        scene,
+        images=(scene.images * factor).astype(scene.images.dtype),
+        truth=pbrfit.Truth(
+            known.materials,
+            known.lighting * factor,
+            known.relight_images * factor,
+            known.relight_lighting * factor,
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[pbrfit.Scene, pbrfit.Result]:
+    scene = room(64)
+    return scene, pbrfit.decompose(scene)
+
+
+def test_a_noise_free_room_is_recovered(fitted: tuple[pbrfit.Scene, pbrfit.Result]) -> None:
+    scene, result = fitted
+    assert scene.images.mean() == pytest.approx(0.4)
+    assert result.status == pbrfit.Status.ITERATION_LIMIT
+    assert len(result.history) - 1 == 500
+    assert result.metrics["recon_rmse"] <= 2e-3
+    # A constant guess of roughness and metallic is off by 0.22 and 0.36.
+    assert result.metrics["roughness_rmse"] <= 0.1
+    assert result.metrics["metallic_rmse"] <= 0.1
+    assert result.metrics["albedo_scaled_rmse"] <= 0.05
+
+
+def test_the_last_row_of_the_history_is_the_result(
+    fitted: tuple[pbrfit.Scene, pbrfit.Result],
+) -> None:
+    _, result = fitted
+    for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
+        assert result.history[name][-1] == pytest.approx(result.metrics[name], rel=1e-9)
+    # The history's comes from the float32 objective.
+    assert result.history["recon_rmse"][-1] == pytest.approx(result.metrics["recon_rmse"], rel=1e-3)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_exposure_does_not_change_the_errors(
+    fitted: tuple[pbrfit.Scene, pbrfit.Result], factor: float
+) -> None:
+    scene, result = fitted
+    other = pbrfit.decompose(scaled(scene, factor))
+    for name, value in result.metrics.items():
+        unit = factor if name in ("recon_rmse", "relight_rmse") else 1.0
+        assert other.metrics[name] == pytest.approx(value * unit, rel=0.05), name
+
+
+@pytest.mark.parametrize("kind", ["room", "spheres", "textured"])
+def test_the_truth_stays_where_it_is(kind: Any) -> None:
+    scene = make_scene(kind, size=32)
+    known = truth(scene)
+    result = pbrfit.decompose(scene, start=(known.materials, known.lighting), iterations=20)
+    assert result.metrics["recon_rmse"] <= 1e-7 * np.sqrt(np.mean(np.square(scene.images)))
+    for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
+        assert result.metrics[name] <= 1e-6, name
+
+
+def test_known_lights_are_kept_and_make_better_maps() -> None:
+    scene = room(32, lights=6)
+    known = dataclasses.replace(scene, lighting=truth(scene).lighting)
+    free, fixed = (pbrfit.decompose(s, iterations=150) for s in (scene, known))
+    np.testing.assert_array_equal(fixed.lighting, truth(scene).lighting)
+    assert "lights: known, so only materials were fitted" in fixed.left_out
+    for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
+        assert fixed.metrics[name] < free.metrics[name], name
+
+
+def test_roughness_zero_is_a_stationary_point() -> None:
+    """The reason for the solver's stages; if it ever fails, they can go."""
+    scene = room(24, lights=6)
+    objective = pbrfit.Objective(scene)
+    x = objective.start()
+    x[objective.roughness] = 0.0
+    _, gradient = objective.value_and_grad(x)
+    assert not gradient[objective.roughness].any()
+    assert gradient.any()
+
+
+def test_the_default_start_leaves_no_pixel_in_the_trap(
+    fitted: tuple[pbrfit.Scene, pbrfit.Result],
+) -> None:
+    scene, result = fitted
+    assert truth(scene).materials.roughness.min() > 0.15
+    trapped = np.count_nonzero(result.roughness <= TRAP_ROUGHNESS)
+    assert trapped <= 0.002 * result.roughness.size
+
+
+def test_time_limit_keeps_the_best_so_far() -> None:
+    result = pbrfit.decompose(room(48), time_limit=0.4, iterations=100_000)
+    assert result.status == pbrfit.Status.TIME_LIMIT
+    assert result.metrics["recon_rmse"] <= 1.001 * result.history["recon_rmse"].min()
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"solver": "adam"}, "solver"),
+        ({"iterations": -1}, "iterations"),
+        ({"time_limit": float("inf")}, "time_limit"),
+        ({"time_limit": -1.0}, "time_limit"),
+        ({"threads": -1}, "threads"),
+    ],
+)
+def test_unusable_options_are_named(options: dict[str, Any], name: str) -> None:
+    with pytest.raises(pbrfit.InputError, match=f"^{name}: expected"):
+        pbrfit.decompose(room(8, lights=2, held_out=1), **options)
+
+
+def test_a_start_must_cover_the_valid_pixels() -> None:
+    scene = room(8, lights=2, held_out=1)
+    maps = truth(scene).materials
+    roughness = maps.roughness.copy()
+    roughness[3, 3] = np.nan
+    with pytest.raises(pbrfit.InputError, match=r"^roughness: expected finite"):
+        pbrfit.decompose(scene, start=pbrfit.Materials(maps.albedo, roughness, maps.metallic))
+
+
+def test_black_pictures_are_refused() -> None:
+    scene = room(8, lights=2, held_out=1)
+    with pytest.raises(pbrfit.InputError, match=r"^images: expected a positive mean radiance"):
+        pbrfit.decompose(dataclasses.replace(scene, images=np.zeros_like(scene.images)))
