@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := Cargo.toml pyproject.toml $(shell find rust -name '*.rs')
+SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find rust -name '*.rs')
 DEMO ?= out/demo
 
 .PHONY: demo test lint bench wheel clean

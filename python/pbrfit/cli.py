@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 import io
 import logging
+import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, get_args
@@ -28,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that lacks a sign: no reason
     options = _parser().parse_args(arguments)
     try:
-        with _logging_to_stderr(quiet=getattr(options, "quiet", False)):
+        with _logging_to_stderr(quiet=getattr(options, "quiet", False)), _ending_when_told():
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
     except (InputError, OSError, MemoryError) as error:
@@ -37,6 +40,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _complain("interrupted; no unfinished result was left behind")
         return INTERRUPTED
+
+
+@contextmanager
+def _ending_when_told() -> Iterator[None]:
+    """Let SIGTERM unwind the stack as Ctrl-C does, so that nothing half written stays behind."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread is told
+        return
+
+    def end(number: int, _frame: object) -> NoReturn:
+        sys.exit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
@@ -117,7 +137,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     _add_input_options(added)
-    added.add_argument("--seed", type=int, default=0, help="of the random point and directions")
+    added.add_argument(
+        "--seed", type=whole_number, default=0, help="of the random point and directions"
+    )
 
     added = command("demo", _demo, "make a synthetic scene, decompose it, compare with the truth")
     added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
@@ -134,7 +156,9 @@ def _add_out(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def _add_quiet(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, no table")
+    parser.add_argument(
+        "--quiet", action="store_true", help="no progress bar, no table, no warnings"
+    )
 
 
 def _add_input_options(parser: argparse.ArgumentParser) -> None:
@@ -170,7 +194,7 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threads",
         metavar="T",
-        type=int,
+        type=whole_number,
         default=0,
         help="0 = one for each processor; results do not depend on it",
     )
@@ -190,19 +214,28 @@ def _add_synth_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--noise", metavar="S", type=float, default=0.0, help="Gaussian; mean radiance is 0.4"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of scene, lights and noise")
+    parser.add_argument("--seed", type=whole_number, default=0, help="of scene, lights and noise")
+
+
+def whole_number(text: str) -> int:
+    """Read a number for `argparse` that fits everywhere."""
+    value = int(text)
+    if not 0 <= value < 2**31:
+        raise argparse.ArgumentTypeError(f"expected 0 or more, found {text}")
+    return value
 
 
 def _decompose(options: argparse.Namespace) -> int:
     from pbrfit.output import check_free
+    from pbrfit.result import CONTAINS
 
     scenes, one = _find_scenes(options.scenes)
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     for output in outputs:
-        check_free(output, overwrite=options.overwrite)
         for path in scenes:
             if path.resolve().is_relative_to(output.resolve()):
                 raise InputError(f"{output}: expected a folder apart from the scene, found {path}")
+        check_free(output, overwrite=options.overwrite, contains=CONTAINS)
     failed = []
     for path, output in zip(scenes, outputs, strict=True):
         try:
@@ -222,14 +255,18 @@ def _decompose(options: argparse.Namespace) -> int:
 
 def _decompose_one(path: Path, output: Path, options: argparse.Namespace) -> None:
     from pbrfit.output import new_folder
+    from pbrfit.result import CONTAINS
 
     # The folder is opened first: no right to write should show before the work, not after it.
-    with new_folder(output, overwrite=options.overwrite) as folder:
+    with new_folder(output, overwrite=options.overwrite, contains=CONTAINS) as folder:
         scene = _load(path, options)
         result = _fit(scene, path.resolve().name, options)
         result.write(folder, scene)
     if not options.quiet:
-        _print_result(result, scene, output)
+        # The result is there, whether or not anybody can read about it.
+        with suppress(OSError):
+            _print_result(result, scene, output)
+            sys.stdout.flush()
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
@@ -244,6 +281,7 @@ def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
                 for below in path.iterdir()
                 if below.is_dir()
                 and not below.name.startswith(".")
+                and os.access(below, os.R_OK | os.X_OK)
                 and scene_folder.is_scene(below)
             )
             scenes += below or [path]
@@ -306,8 +344,9 @@ def _inspect(options: argparse.Namespace) -> int:
 
 def _synth(options: argparse.Namespace) -> int:
     from pbrfit.output import check_free
+    from pbrfit.scene_folder import CONTAINS
 
-    check_free(options.out, overwrite=options.overwrite)
+    check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
     _make_scene(options).save(options.out, overwrite=options.overwrite)
     print(f"{options.out}: {options.kind}, {options.lights} pictures and ground truth")
     return DONE
@@ -356,7 +395,8 @@ def _demo(options: argparse.Namespace) -> int:
     from pbrfit.output import new_folder
     from pbrfit.scene import Scene
 
-    with new_folder(options.out, overwrite=options.overwrite) as folder:
+    parts = ("scene", "result")
+    with new_folder(options.out, overwrite=options.overwrite, contains=parts) as folder:
         _make_scene(options).save(folder / "scene")
         scene = Scene.load(folder / "scene")
         result = _fit(scene, options.kind, options)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +19,6 @@ ColorSpace = Literal["srgb", "linear", "acescg", "display-p3"]
 ``srgb``: sRGB curve, Rec.709 primaries. ``linear``: linear Rec.709. ``acescg``: linear ACES AP1,
 white point of ACES (about D60). ``display-p3``: sRGB curve, P3 primaries, D65.
 """
-
-COLOR_SPACES: tuple[ColorSpace, ...] = ("srgb", "linear", "acescg", "display-p3")
 
 
 @dataclass(frozen=True)
@@ -229,7 +227,7 @@ def conversion(space: ColorSpace) -> Conversion:
     Raises
     ------
     ValueError
-        If the name is not one of `COLOR_SPACES`.
+        If the name is not one of `ColorSpace`.
     """
     if space == "srgb":
         return Conversion("srgb")
@@ -239,7 +237,8 @@ def conversion(space: ColorSpace) -> Conversion:
         return Conversion("linear", to_rec709(ACES_AP1))
     if space == "display-p3":
         return Conversion("srgb", to_rec709(DISPLAY_P3))
-    raise ValueError(f"color_space: expected one of {', '.join(COLOR_SPACES)}, found {space!r}")
+    names = ", ".join(get_args(ColorSpace))
+    raise ValueError(f"color_space: expected one of {names}, found {space!r}")
 
 
 def near_rec709(primaries: Primaries) -> bool:

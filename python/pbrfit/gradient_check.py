@@ -64,7 +64,9 @@ def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientChec
         for _ in range(DIRECTIONS):
             direction = np.zeros(objective.size)
             amounts = rng.uniform(0.5, 1.0, block.stop - block.start)
-            direction[block] = amounts * np.sign(gradient[block])
+            # In units of the unknowns' own size, so that steps show above float32 noise.
+            size = np.sqrt(np.mean(np.square(x[block])))
+            direction[block] = size * amounts * np.sign(gradient[block])
 
             def along(step: float, direction: NDArray[np.float64] = direction) -> float:
                 return objective.value_and_grad(x + step * direction)[0]

@@ -55,7 +55,7 @@ class Lighting:
             basis, order = content["basis"], content["order"]
             pictures = tuple(str(name) for name in content["pictures"])
             coefficients = np.array(content["coefficients"], dtype=np.float64)
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError(
                 f"{path}: expected JSON with basis, order, pictures and coefficients, "
                 f"found {type(error).__name__}: {error}"

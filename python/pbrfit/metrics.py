@@ -15,20 +15,24 @@ PROTOCOL = "pbrfit-1: RMSE over valid pixels and channels, linear values; religh
 
 
 def rmse(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> float:
-    """Root mean square difference over the entries that are finite in both arrays.
+    """Root mean square difference over the entries that are NaN in neither array.
 
     Raises
     ------
     ValueError
-        If the shapes differ or no entry is finite in both.
+        If the shapes differ or all entries are NaN in one of the arrays.
     """
     if found.shape != true.shape:
         raise ValueError(f"rmse: expected equal shapes, found {found.shape} and {true.shape}")
     difference = found.astype(np.float64) - true
-    square = np.square(difference[np.isfinite(difference)])
-    if not square.size:
-        raise ValueError("rmse: expected at least one entry that is finite in both arrays")
-    return math.sqrt(float(square.mean()))
+    difference = difference[~(np.isnan(found) | np.isnan(true))]
+    if not difference.size:
+        raise ValueError("rmse: expected at least one entry that is NaN in neither array")
+    largest = float(np.max(np.abs(difference)))
+    if largest == 0.0:
+        return 0.0
+    # Divided by the largest, because squares of large radiance overflow.
+    return largest * math.sqrt(float(np.mean(np.square(difference / largest))))
 
 
 def scaled_per_channel(

@@ -6,6 +6,8 @@ the formulas: the paper's equations 1-12; `rust/shade.rs` derives them.
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -176,11 +178,22 @@ def render(
         roughness[used],
         metallic[used],
         light.reshape(-1, 16, 3),
-        threads,
+        whole_number("threads", threads),
     )
     images = np.full((len(rendered), height, width, 3), np.nan)
     images[:, used] = rendered
     return images[0] if light.ndim == 2 else images
+
+
+def whole_number(name: str, value: int) -> int:
+    """Return value as an int, 0 or more; InputError that names it otherwise."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**31:
+        raise InputError(f"{name}: expected a whole number, 0 or more, found {value!r}")
+    return number
 
 
 _TRAILING: dict[str, tuple[int, ...]] = {

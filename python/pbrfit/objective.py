@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.materials import Materials
+from pbrfit.model import whole_number
 from pbrfit.scene import Scene
 
 MEAN_RADIANCE = 0.4
@@ -24,6 +25,9 @@ START_ROUGHNESS = 0.5
 START_METALLIC = 0.25
 START_ALBEDO_RANGE = (0.02, 0.98)
 """The start keeps clear of the bounds, where the gradient by albedo may vanish."""
+
+LARGEST_LIGHT = 1e15
+"""Known lights beyond this multiple of the scene scale overflow float32 when squared."""
 
 LIGHT_RIDGE = 1e-6
 """Of the mean eigenvalue: keeps the lights finite where the normals show only part of a sphere."""
@@ -62,11 +66,17 @@ class Objective:
     """
 
     def __init__(self, scene: Scene, *, threads: int = 0) -> None:
+        threads = whole_number("threads", threads)
         self._valid = scene.valid
         self._known_lighting = scene.lighting
         self._pictures = len(scene.images)
         self.pixels = int(np.count_nonzero(self._valid))
         self.scale = _scene_scale(scene, self._valid)
+        if scene.lighting is not None and np.abs(scene.lighting).max() > LARGEST_LIGHT * self.scale:
+            raise InputError(
+                f"lighting: expected coefficients like the pictures' radiance (mean "
+                f"{self.scale * MEAN_RADIANCE:g}), found {np.abs(scene.lighting).max():g}"
+            )
         images = np.empty((self._pictures, self.pixels, 3), dtype=np.float32)
         for scaled, image in zip(images, scene.images, strict=True):
             scaled[:] = image[self._valid].astype(np.float64) / self.scale
@@ -161,6 +171,7 @@ class Objective:
 
     def unpack(self, x: NDArray[np.float64]) -> tuple[Materials, NDArray[np.float64]]:
         """Maps (NaN outside the mask) and lights (N, 16, 3) in picture units."""
+        x = np.asarray(x)
         p = self.pixels
         if x.shape != (self.size,):
             raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
@@ -181,9 +192,11 @@ class Objective:
     def _whole(self, x: ArrayLike) -> NDArray[np.float64]:
         """X as the core takes it: with the known lights appended."""
         try:
+            if np.iscomplexobj(x):
+                raise TypeError("complex numbers")
             x = np.asarray(x, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"x: expected numbers, found {error}") from None
+            raise InputError(f"x: expected real numbers, found {error}") from None
         if x.shape != (self.size,):
             raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
         if self._known_lighting is None:
@@ -193,7 +206,7 @@ class Objective:
 
 def _scene_scale(scene: Scene, valid: NDArray[np.bool_]) -> float:
     mean = float(np.mean([image[valid].mean(dtype=np.float64) for image in scene.images]))
-    if not mean > 0:
+    if not 0 < mean < np.inf:
         raise InputError(
             f"images: expected a positive mean radiance over the valid pixels, found {mean:g}"
         )

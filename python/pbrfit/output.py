@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
 @contextmanager
-def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def new_folder(
+    path: Path, *, overwrite: bool = False, contains: Collection[str] = ()
+) -> Iterator[Path]:
     """Give a temporary folder beside `path` that takes its name when the block ends well.
 
     When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
@@ -23,7 +25,7 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     OSError
         If no folder can be made there.
     """
-    check_free(path, overwrite=overwrite)
+    check_free(path, overwrite=overwrite, contains=contains)
     target = path.resolve()  # of a link to a folder, the folder is replaced and the link stays
     temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}")
     old = temporary.with_name(f"{temporary.name}-old")
@@ -38,7 +40,9 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
                 f"{path}: expected a place where a folder can be made, found: {found}"
             ) from None
         yield temporary
-        check_free(path, overwrite=overwrite)  # another process may have been here meanwhile
+        check_free(
+            path, overwrite=overwrite, contains=contains
+        )  # another process may have been here meanwhile
         if target.exists():
             # Two renames: the old folder is gone for an instant, but never half replaced.
             target.rename(old)
@@ -55,8 +59,11 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
                 parent.rmdir()
 
 
-def check_free(path: Path, *, overwrite: bool) -> None:
+def check_free(path: Path, *, overwrite: bool, contains: Collection[str] = ()) -> None:
     """Check that a folder may be made at `path`.
+
+    Only what looks like an earlier output is replaced: an empty folder, or one that holds all the
+    names in `contains`. Pictures that somebody took are not lost to a slip of the fingers.
 
     Raises
     ------
@@ -69,6 +76,12 @@ def check_free(path: Path, *, overwrite: bool) -> None:
             raise FileExistsError(
                 f"{path}: expected a folder that does not exist yet, found one; "
                 "--overwrite (overwrite=True) replaces it"
+            )
+        missing = [name for name in contains if not (path / name).exists()]
+        if missing and any(path.iterdir()):
+            raise FileExistsError(
+                f"{path}: expected an earlier output to replace, found a folder without "
+                f"{missing[0]}; remove it yourself if it is not needed"
             )
         if Path.cwd().is_relative_to(path.resolve()):
             raise FileExistsError(

@@ -21,6 +21,9 @@ from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.output import new_folder
 from pbrfit.scene import Scene
 
+CONTAINS = ("result.json", "materials.exr")
+"""Files by which a folder is known for a result."""
+
 
 class Status(StrEnum):
     """Why a fit ended."""
@@ -123,7 +126,7 @@ class Result:
         FileExistsError
             If the folder exists and `overwrite` is False.
         """
-        with new_folder(Path(path), overwrite=overwrite) as folder:
+        with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
             self.write(folder, scene)
 
     def write(self, folder: Path, scene: Scene | None = None) -> None:

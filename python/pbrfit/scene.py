@@ -93,7 +93,7 @@ class Scene:
     inputs: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        images = np.asarray(self.images)
+        images = _array("images", self.images)
         if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
             raise InputError(f"images: expected shape (N, H, W, 3), found {images.shape}")
         if images.dtype not in (np.float32, np.float64):
@@ -102,10 +102,11 @@ class Scene:
                 "pbrfit.Scene.load decodes files"
             )
         n, height, width = images.shape[:3]
-        names = tuple(self.names) or tuple(f"picture_{i:02d}" for i in range(n))
-        if len(set(names)) != n or len(names) != n:
-            raise InputError(f"names: expected {n} different names, found {names}")
-        geometry.check_fov(self.fov)
+        digits = max(2, len(str(n - 1)))
+        names = tuple(self.names) or tuple(f"picture_{i:0{digits}d}" for i in range(n))
+        _check_names(names, n)
+        fov = _number("fov", self.fov)
+        geometry.check_fov(fov)
         mask = _mask(self.mask, (height, width))
         _check_finite(images, names, mask)
         if n == 1 and self.lighting is None:
@@ -121,7 +122,7 @@ class Scene:
                 f"segments: expected integer ids of shape {(height, width)}, "
                 f"found {segments.dtype} of shape {segments.shape}"
             )
-        lighting = None if self.lighting is None else np.asarray(self.lighting, dtype=np.float64)
+        lighting = None if self.lighting is None else _floats("lighting", self.lighting)
         if lighting is not None and (
             lighting.shape != (n, 16, 3) or not np.isfinite(lighting).all()
         ):
@@ -129,14 +130,17 @@ class Scene:
                 f"lighting: expected finite coefficients of shape {(n, 16, 3)}, "
                 f"found shape {lighting.shape}"
             )
+        valid = np.ones((height, width), bool) if mask is None else mask
         if self.truth is not None:
             _check_truth(self.truth, n, height, width)
-        valid = np.ones((height, width), bool) if mask is None else mask
+            if not np.isfinite(self.truth.materials.albedo[valid]).any():
+                raise InputError("truth: expected materials of some valid pixels, found only NaN")
         normals = unit_normals(self.normals, valid)
-        _warn_if_facing_away(normals[valid], self.fov, valid)
+        _warn_if_facing_away(normals[valid], fov, valid)
         values = {
             "images": images,
             "normals": normals,
+            "fov": fov,
             "mask": mask,
             "segments": segments,
             "lighting": lighting,
@@ -212,13 +216,49 @@ class Scene:
 def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
     if mask is None:
         return None
-    mask = np.asarray(mask)
+    mask = _array("mask", mask)
     if mask.shape != shape:
         raise InputError(f"mask: expected shape {shape}, found {mask.shape}")
+    if np.issubdtype(mask.dtype, np.floating) and np.isnan(mask).any():
+        raise InputError("mask: expected True or False for each pixel, found NaN")
     mask = mask.astype(bool)
     if not mask.any():
         raise InputError("mask: expected at least one pixel to use, found none")
     return None if mask.all() else mask
+
+
+def _array(name: str, values: Any) -> NDArray[Any]:
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise InputError(f"{name}: expected an array, found {error}") from None
+
+
+def _floats(name: str, values: Any) -> NDArray[np.float64]:
+    array = _array(name, values)
+    if array.dtype.kind not in "buif":
+        raise InputError(f"{name}: expected real numbers, found {array.dtype}")
+    return array.astype(np.float64)
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, (bool, str)):
+        raise InputError(f"{name}: expected a number, found {value!r}")
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: expected a number, found {value!r}") from None
+
+
+def _check_names(names: tuple[Any, ...], pictures: int) -> None:
+    """Names become file names: they must be different, and safe as such."""
+    if len(set(names)) != pictures or len(names) != pictures:
+        raise InputError(f"names: expected {pictures} different names, found {names}")
+    for name in names:
+        if not isinstance(name, str) or not name or name[0] == "." or set(name) & set("/\\\0"):
+            raise InputError(
+                f"names: expected file names without slash or leading dot, found {name!r}"
+            )
 
 
 def _check_finite(
@@ -238,7 +278,7 @@ def _check_finite(
 
 def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(H, W, 3) normals of unit length where `valid`, NaN elsewhere; InputError if one has none."""
-    normals = np.asarray(normals, dtype=np.float64)
+    normals = _floats("normals", normals)
     if normals.shape != (*valid.shape, 3):
         raise InputError(f"normals: expected shape {(*valid.shape, 3)}, found {normals.shape}")
     length = np.linalg.norm(normals, axis=-1)

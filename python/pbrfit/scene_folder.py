@@ -26,6 +26,9 @@ log = logging.getLogger("pbrfit")
 
 DEFAULT_FOV = 60.0
 
+CONTAINS = ("scene.toml", "truth")
+"""What a scene folder must hold to be replaced: ground truth tells it from somebody's pictures."""
+
 NORMAL_FILES = ("normals.exr", "normals.png")
 
 NOT_PICTURES = frozenset({".csv", ".db", ".ini", ".json", ".md", ".toml", ".txt", ".xmp"})
@@ -71,6 +74,7 @@ def load(
     if max_size is not None and max_size < 1:
         raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
     paths = find_pictures(folder)
+    _warn_of_near_misses(folder)
     inputs: dict[str, str] = {}
     assumed: dict[str, str] = {}
     settings = _read_settings(folder / "scene.toml", inputs)
@@ -138,7 +142,7 @@ def load(
 
 def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
     """Write a scene folder; see `Scene.save`."""
-    with new_folder(path, overwrite=overwrite) as folder:
+    with new_folder(path, overwrite=overwrite, contains=CONTAINS) as folder:
         (folder / "images").mkdir()
         for name, image in zip(scene.names, scene.images, strict=True):
             _write_picture(folder / "images" / f"{name}.exr", image)
@@ -163,7 +167,7 @@ def find_pictures(folder: Path) -> list[Path]:
     """Pictures of a scene folder, in name order.
 
     They lie under `images/`, or beside each other as `dir_*_mip*.exr|jpg` (the layout of the MIT
-    multi-illumination data; the largest mip level that is there is taken, EXR before JPEG).
+    multi-illumination data; the finest mip level that is there is taken, EXR before JPEG).
 
     Raises
     ------
@@ -171,7 +175,8 @@ def find_pictures(folder: Path) -> list[Path]:
         If there is no such folder or no picture in it.
     """
     if not folder.is_dir():
-        raise FileNotFoundError(f"{folder}: expected a scene folder, found nothing of that name")
+        there = "a file" if folder.exists() else "nothing of that name"
+        raise FileNotFoundError(f"{folder}: expected a scene folder, found {there}")
     below = folder / "images"
     if below.is_dir():
         # A format that cannot be read must not be passed over in silence, so all that is not
@@ -207,6 +212,15 @@ def is_scene(folder: Path) -> bool:
     return (folder / "images").is_dir() or any(
         _MULTI_ILLUMINATION.fullmatch(p.name) for p in folder.iterdir()
     )
+
+
+def _warn_of_near_misses(folder: Path) -> None:
+    """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
+    parts = (*NORMAL_FILES, "mask.png", "segments.png", "lighting.json", "scene.toml")
+    stems = {Path(part).stem for part in parts} | {"normal", "segment"}
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and path.stem.lower() in stems and path.name not in parts:
+            log.warning("%s: not read; expected %s", path, ", ".join(parts))
 
 
 def _read_settings(path: Path, inputs: dict[str, str]) -> Settings:
@@ -259,7 +273,11 @@ def _rotation(path: Path, content: dict[str, Any]) -> NDArray[np.float64] | None
         rotation = np.array(rows, dtype=np.float64)
     except (TypeError, ValueError):
         rotation = np.zeros(0)
-    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+    if (
+        rotation.shape != (3, 3)
+        or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+        or np.linalg.det(rotation) < 0
+    ):
         raise InputError(f"{path}: world_to_camera: expected a 3 × 3 rotation, found {rows!r}")
     return rotation
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import logging
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,13 +12,12 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from pbrfit import metrics
 from pbrfit._core import InputError
 from pbrfit.history import History, HistoryRow
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import render, whole_number
 from pbrfit.objective import START_ROUGHNESS, Objective
 from pbrfit.result import Options, Result, Status
 from pbrfit.scene import Scene
@@ -92,12 +92,11 @@ def decompose(
     """
     if solver != "lbfgsb":
         raise InputError(f"solver: expected lbfgsb, found {solver!r}")
-    if iterations < 0:
-        raise InputError(f"iterations: expected 0 or more, found {iterations}")
-    if time_limit is not None and not 0 <= time_limit < np.inf:
-        raise InputError(f"time_limit: expected seconds, 0 or more, found {time_limit}")
-    if threads < 0:
-        raise InputError(f"threads: expected 0 (all) or more, found {threads}")
+    iterations = whole_number("iterations", iterations)
+    if time_limit is not None:
+        time_limit = float(time_limit)
+        if not 0 <= time_limit < np.inf:
+            raise InputError(f"time_limit: expected seconds, 0 or more, found {time_limit}")
 
     # Here and not above: scipy.optimize would double the time of `import pbrfit`. Before the clock
     # starts: loading it is no part of the fit.
@@ -172,7 +171,6 @@ class _Run:
         self._record(x, loss)
         if self.iterations == 0:
             return x, Status.ITERATION_LIMIT, "0 iterations asked for"
-        stop_reason = ""
         best = loss, x
         for lowest_roughness, share in ((0.0, 1.0),) if start_given else STAGES:
             iterations = round(share * self.iterations) - self.iteration
@@ -180,16 +178,17 @@ class _Run:
                 continue
             if self.iteration > 0:
                 x = self._restarted(x)
-            loss, x, stop_reason = self._minimize(x, lowest_roughness, iterations)
+            loss, x = self._minimize(x, lowest_roughness, iterations)
             # A restart raises the loss at first, and time may run out before it pays.
             best = min(best, (loss, x), key=lambda pair: pair[0])
+        kept = "" if best[0] == loss else "; kept the better state before the last restart"
         _, x = best
         if self._out_of_time():
-            return x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached"
+            return x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached{kept}"
         if self.iteration >= self.iterations:
-            return x, Status.ITERATION_LIMIT, f"{self.iterations} iterations done"
+            return x, Status.ITERATION_LIMIT, f"{self.iterations} iterations done{kept}"
         # With zero tolerances scipy stops early only where rounding hides any further descent.
-        return x, Status.CONVERGED, f"no step lowers the loss further ({stop_reason})"
+        return x, Status.CONVERGED, "no step lowers the loss further"
 
     def _restarted(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """X with the pixels that are trapped at the roughness bound put back to the middle."""
@@ -200,8 +199,9 @@ class _Run:
 
     def _minimize(
         self, x: NDArray[np.float64], lowest_roughness: float, iterations: int
-    ) -> tuple[float, NDArray[np.float64], str]:
+    ) -> tuple[float, NDArray[np.float64]]:
         from scipy.optimize import Bounds, minimize
+        from threadpoolctl import threadpool_limits
 
         lower, upper = self.objective.bounds.T.copy()
         lower[self.objective.roughness] = lowest_roughness
@@ -217,7 +217,7 @@ class _Run:
                 callback=self._after_iteration,
                 options={
                     "maxiter": iterations,
-                    "maxfun": 20 * iterations + 100,
+                    "maxfun": 10**9,  # iterations and time are the limits
                     "maxcor": CORRECTIONS,
                     # The loss is a mean, so its gradient entries are tiny: scipy's absolute
                     # tolerances would stop at once. Run on until no step lowers the loss.
@@ -225,7 +225,7 @@ class _Run:
                     "gtol": 0.0,
                 },
             )
-        return float(found.fun), found.x, str(found.message)
+        return float(found.fun), found.x
 
     def _evaluate(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         self.evaluations += 1
@@ -270,11 +270,11 @@ def _metrics(
     scene: Scene, materials: Materials, lighting: NDArray[np.float64], threads: int
 ) -> dict[str, float]:
     """Final errors, computed in float64."""
-    squares = 0.0
-    for image, light in zip(scene.images, lighting, strict=True):
-        rendered = render(materials, scene.normals, light, scene.fov, threads)
-        squares += metrics.rmse(rendered, image) ** 2
-    found = {"recon_rmse": float(np.sqrt(squares / len(scene.images)))}
+    of_pictures = [
+        metrics.rmse(render(materials, scene.normals, light, scene.fov, threads), image)
+        for image, light in zip(scene.images, lighting, strict=True)
+    ]
+    found = {"recon_rmse": math.hypot(*of_pictures) / math.sqrt(len(of_pictures))}
     truth = scene.truth
     if truth is None:
         return found

@@ -40,7 +40,7 @@ fn ggx_band_weights<'py>(
 ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)> {
     let roughness = copied(&roughness);
     let bands = py.detach(|| {
-        check::unit_interval("roughness", &roughness)?;
+        check::unit_interval("r", &roughness)?;
         Ok::<_, crate::Error>(roughness.iter().map(|&r| ggx::bands(r)).collect::<Vec<_>>())
     })?;
     let flat = |of: fn(&ggx::Bands) -> [f64; 4]| array2(bands.iter().flat_map(of).collect(), 4);

@@ -148,6 +148,40 @@ def test_the_scene_is_never_replaced_by_its_result(
     assert len(list((folder / "images").iterdir())) == LIGHTS
 
 
+@pytest.mark.parametrize("command", ["decompose", "synth", "demo"])
+@pytest.mark.parametrize("inside", ["images", "thesis"])
+def test_only_an_earlier_output_is_replaced(
+    folder: Path, command: str, inside: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    precious = folder / inside
+    precious.mkdir(exist_ok=True)
+    (precious / "thesis.txt").write_text("three years")
+    before = sorted(path.name for path in precious.iterdir())
+    arguments: tuple[str | Path | int, ...] = (command, precious, "--size", 8)
+    if command == "decompose":
+        arguments = (command, folder, "--out", precious, *FEW)
+    assert run(*arguments, "--overwrite") == 2
+    assert f"{precious}: expected an earlier output to replace" in one_line(capsys)
+    assert sorted(path.name for path in precious.iterdir()) == before
+
+
+def test_nobody_reading_the_table_does_not_fail_the_fit(folder: Path, tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no device that is always full")
+    command = [sys.executable, "-m", "pbrfit", "decompose", folder, "--out", tmp_path / "out"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([*map(str, command), *map(str, FEW)], stdout=full, check=False)
+    assert done.returncode == 0
+    assert (tmp_path / "out" / "result.json").exists()
+
+
+def test_near_misses_are_named(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (folder / "Mask.tif").write_bytes(b"")
+    Scene.load(folder)
+    [record] = caplog.records
+    assert f"{folder / 'Mask.tif'}: not read; expected" in record.message
+
+
 # Several scenes
 
 
@@ -191,7 +225,8 @@ def test_when_all_scenes_fail_nothing_is_left(
 ) -> None:
     assert run("decompose", scenes, "--out", tmp_path / "out", "--iterations", -1) == 2
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == f"pbrfit: {scenes / 'one'}: iterations: expected 0 or more, found -1"
+    expected = "iterations: expected a whole number, 0 or more, found -1"
+    assert lines[0] == f"pbrfit: {scenes / 'one'}: {expected}"
     assert lines[2].startswith("pbrfit: 2 of 2 scenes failed")
     assert not (tmp_path / "out").exists()
 
@@ -427,7 +462,7 @@ def keep(folder: Path) -> None:
         (keep, ("--fov", 180), r"fov: expected degrees in \[0, 180\), found 180"),
         (keep, ("--fov", "nan"), "fov: expected degrees"),
         (keep, ("--max-size", 0), "max_size: expected at least 1 pixel"),
-        (keep, ("--iterations", -1), "iterations: expected 0 or more, found -1"),
+        (keep, ("--iterations", -1), "iterations: expected a whole number, 0 or more, found -1"),
         (keep, ("--time-limit", -1), "time_limit: expected seconds"),
         (keep, ("--threads", -1), "threads: expected 0"),
     ],

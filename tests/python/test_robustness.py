@@ -126,13 +126,16 @@ def running(*arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
 @pytest.mark.parametrize("old", [False, True], ids=["new", "overwrite"])
 @pytest.mark.parametrize("command", ["decompose", "demo"])
-def test_ctrl_c_stops_within_a_second_and_leaves_what_was_there(
-    scene: Path, tmp_path: Path, command: str, old: bool
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_within_a_second_and_leaves_what_was_there(
+    scene: Path, tmp_path: Path, command: str, old: bool, number: signal.Signals
 ) -> None:
     out = tmp_path / "out"
+    parts = ("result.json", "materials.exr") if command == "decompose" else ("scene", "result")
     if old:
         out.mkdir()
-        (out / "old.txt").write_text("old")
+        for part in parts:
+            (out / part).write_text("old")
     arguments: tuple[str | Path, ...] = ("decompose", scene, "--out", out)
     if command == "demo":
         arguments = ("demo", out, "--size", "64")
@@ -145,15 +148,16 @@ def test_ctrl_c_stops_within_a_second_and_leaves_what_was_there(
         time.sleep(1.0)  # well into the fit
         assert not list(out.glob("*")) or old
         sent = time.monotonic()
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         stdout, stderr = process.communicate(timeout=PATIENCE)
         assert time.monotonic() - sent < 1.0
     # Python itself ends by the signal when it came amid an exec(); a shell says 130 of both.
-    assert process.returncode in (130, -signal.SIGINT)
+    assert process.returncode in (128 + number, -number)
     assert stdout == ""
-    assert stderr == "pbrfit: interrupted; no unfinished result was left behind\n"
+    if number == signal.SIGINT:
+        assert stderr == "pbrfit: interrupted; no unfinished result was left behind\n"
     found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")}
-    assert found == ({"out", "out/old.txt"} if old else set())
+    assert found == ({"out", *(f"out/{part}" for part in parts)} if old else set())
 
 
 # Forks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -124,10 +125,32 @@ def test_time_limit_keeps_the_best_so_far() -> None:
     assert result.metrics["recon_rmse"] <= 1.001 * result.history["recon_rmse"].min()
 
 
+def test_numpy_scalars_are_numbers(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"fov": np.float32(60)}
+    scene = dataclasses.replace(room(8, lights=2, held_out=1), **options)
+    options = {"iterations": np.int64(3), "time_limit": np.float32(9)}
+    result = pbrfit.decompose(scene, **options)
+    result.save(tmp_path / "out")
+    assert pbrfit.Result.load(tmp_path / "out").fov == 60.0
+
+
+@pytest.mark.parametrize("factor", [1e-300, 1e300])
+def test_radiance_beyond_float32_is_fitted_all_the_same(factor: float) -> None:
+    scene = room(8, lights=3, held_out=1)
+    results = [
+        pbrfit.decompose(pbrfit.Scene(scene.images * f, scene.normals), iterations=20)
+        for f in (1.0, factor)
+    ]
+    recon = [result.metrics["recon_rmse"] for result in results]
+    assert recon[1] == pytest.approx(recon[0] * factor, rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("options", "name"),
     [
         ({"solver": "adam"}, "solver"),
+        ({"iterations": 4.5}, "iterations"),
+        ({"threads": 10**20}, "threads"),
         ({"iterations": -1}, "iterations"),
         ({"time_limit": float("inf")}, "time_limit"),
         ({"time_limit": -1.0}, "time_limit"),
@@ -146,6 +169,28 @@ def test_a_start_must_cover_the_valid_pixels() -> None:
     roughness[3, 3] = np.nan
     with pytest.raises(pbrfit.InputError, match=r"^roughness: expected finite"):
         pbrfit.decompose(scene, start=pbrfit.Materials(maps.albedo, roughness, maps.metallic))
+
+
+@pytest.mark.parametrize("name", ["", ".hidden", "a/b", "..\\b", 7])
+def test_names_that_are_no_file_names_are_refused(name: Any) -> None:
+    scene = room(8, lights=2, held_out=1)
+    with pytest.raises(pbrfit.InputError, match=r"^names: expected file names"):
+        dataclasses.replace(scene, names=("first", name))
+
+
+def test_truth_of_no_valid_pixel_is_refused() -> None:
+    scene = room(8, lights=2, held_out=1)
+    known = truth(scene)
+    hollow = np.full_like(known.materials.albedo, np.nan)
+    maps = dataclasses.replace(known.materials, albedo=hollow)
+    with pytest.raises(pbrfit.InputError, match=r"^truth: expected materials of some valid"):
+        dataclasses.replace(scene, truth=dataclasses.replace(known, materials=maps))
+
+
+def test_known_lights_far_beyond_the_pictures_are_refused() -> None:
+    scene = room(8, lights=2, held_out=1)
+    with pytest.raises(pbrfit.InputError, match=r"^lighting: expected coefficients like"):
+        pbrfit.Objective(dataclasses.replace(scene, lighting=np.full((2, 16, 3), 1e60)))
 
 
 def test_black_pictures_are_refused() -> None:
