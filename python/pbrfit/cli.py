@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, get_args
@@ -263,10 +263,13 @@ def _decompose_one(path: Path, output: Path, options: argparse.Namespace) -> Non
         result = _fit(scene, path.resolve().name, options)
         result.write(folder, scene)
     if not options.quiet:
-        # The result is there, whether or not anybody can read about it.
-        with suppress(OSError):
+        try:
             _print_result(result, scene, output)
             sys.stdout.flush()
+        except OSError:
+            # The result is there, whether or not anybody can read about it. What is still in the
+            # buffer goes nowhere, or Python would fail on it when it ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
