@@ -18,6 +18,7 @@ from pbrfit._core import InputError
 from pbrfit.history import History
 from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
+from pbrfit.metrics import PROTOCOL
 from pbrfit.output import new_folder
 from pbrfit.scene import Scene
 
@@ -144,6 +145,7 @@ class Result:
             "iterations": len(self.history) - 1,
             "evaluations": self.evaluations,
             "seconds": self.seconds,
+            "protocol": PROTOCOL,
             "metrics": dict(self.metrics),
             "options": asdict(self.options),
             "assumed": dict(self.assumed),
