@@ -49,7 +49,7 @@ def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientChec
     p = objective.pixels
     blocks = {
         "albedo": slice(0, 3 * p),
-        "roughness": slice(3 * p, 4 * p),
+        "roughness": objective.roughness,
         "metallic": slice(4 * p, 5 * p),
     }
     x = rng.uniform(0.25, 0.75, 5 * p)

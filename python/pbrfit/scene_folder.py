@@ -6,7 +6,7 @@ import hashlib
 import logging
 import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, get_args
 
@@ -40,21 +40,26 @@ HOW_TO_GET_NORMALS = (
     "--from flat`"
 )
 
-SETTINGS = {
-    "fov": "horizontal field of view in degrees, 0 = orthographic",
-    "color_space": " | ".join(get_args(ColorSpace)),
-    "normals": "opengl (Y up) | directx (Y down)",
-    "normals_frame": "camera | world",
-    "world_to_camera": "3 × 3 rotation, needed with normals_frame = world",
-}
-"""Keys of `scene.toml`, with what they mean."""
-
 _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """`scene.toml`."""
+    """Keys of `scene.toml`.
+
+    Attributes
+    ----------
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    color_space
+        Of all pictures.
+    normals
+        "opengl" (Y up) or "directx" (Y down).
+    normals_frame
+        "camera" or "world".
+    world_to_camera
+        (3, 3) rotation, needed when the frame is "world".
+    """
 
     fov: float | None = None
     color_space: ColorSpace | None = None
@@ -230,9 +235,10 @@ def _read_settings(path: Path, inputs: dict[str, str]) -> Settings:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: expected TOML, found {error}") from None
-    unknown = sorted(set(content) - set(SETTINGS))
+    known = [field.name for field in fields(Settings)]
+    unknown = sorted(set(content) - set(known))
     if unknown:
-        raise InputError(f"{path}: expected keys {', '.join(SETTINGS)}, found {unknown[0]}")
+        raise InputError(f"{path}: expected keys {', '.join(known)}, found {unknown[0]}")
     inputs["scene.toml"] = _sha256(path)
     return Settings(
         fov=_fov(path, content),
@@ -322,8 +328,7 @@ def _read_pictures(
     assert pixels is not None
     assert mask is not None
     for color, names in colors.items():
-        which = "all pictures" if len(colors) == 1 else ", ".join(names)
-        assumed["color" if len(colors) == 1 else f"color of {which}"] = color
+        assumed["color" if len(colors) == 1 else f"color of {', '.join(names)}"] = color
     if clipped > 0:
         assumed["clipped"] = f"{100 * clipped:.2g} % of the samples are at their type's maximum"
     if not mask.any():

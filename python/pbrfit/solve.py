@@ -67,7 +67,8 @@ def decompose(
     scene
         Pictures, normals and what else is known. With `scene.lighting` only materials are fitted.
     solver
-        `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the paper's recipe).
+        `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the paper's recipe), in stages that keep
+        off roughness 0; in one stage when `start` is given.
     iterations
         At most so many iterations.
     time_limit
@@ -270,6 +271,7 @@ def _metrics(
     scene: Scene, materials: Materials, lighting: NDArray[np.float64], threads: int
 ) -> dict[str, float]:
     """Final errors, computed in float64."""
+    # One picture at a time: all at once would be held in float64.
     of_pictures = [
         metrics.rmse(render(materials, scene.normals, light, scene.fov, threads), image)
         for image, light in zip(scene.images, lighting, strict=True)

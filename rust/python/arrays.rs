@@ -34,31 +34,21 @@ pub(super) fn materials(
     roughness: &PyReadonlyArray1<'_, f64>,
     metallic: &PyReadonlyArray1<'_, f64>,
 ) -> Result<Vec<Material>> {
-    let (albedo, roughness, metallic) =
-        (albedo.as_array(), roughness.as_array(), metallic.as_array());
-    let pixels = albedo.nrows();
-    shape("albedo", &[pixels, 3], albedo.shape())?;
-    shape("roughness", &[pixels], roughness.shape())?;
-    shape("metallic", &[pixels], metallic.shape())?;
-    let material =
-        |((albedo, &roughness), &metallic): ((numpy::ndarray::ArrayView1<f64>, _), _)| Material {
-            albedo: [albedo[0], albedo[1], albedo[2]],
-            roughness,
-            metallic,
-        };
-    let materials: Vec<Material> = albedo
-        .rows()
-        .into_iter()
-        .zip(roughness)
-        .zip(metallic)
-        .map(material)
-        .collect();
-    let all = |of: fn(&Material) -> f64| materials.iter().map(of).collect::<Vec<_>>();
-    let albedo: Vec<f64> = materials.iter().flat_map(|m| m.albedo).collect();
+    let pixels = albedo.as_array().nrows();
+    shape("albedo", &[pixels, 3], albedo.as_array().shape())?;
+    shape("roughness", &[pixels], roughness.as_array().shape())?;
+    shape("metallic", &[pixels], metallic.as_array().shape())?;
+    let (albedo, roughness, metallic) = (copied(albedo), copied(roughness), copied(metallic));
     check::unit_interval("albedo", &albedo)?;
-    check::unit_interval("roughness", &all(|m| m.roughness))?;
-    check::unit_interval("metallic", &all(|m| m.metallic))?;
-    Ok(materials)
+    check::unit_interval("roughness", &roughness)?;
+    check::unit_interval("metallic", &metallic)?;
+    let rows = albedo.as_chunks::<3>().0.iter();
+    let material = |((&albedo, roughness), metallic)| Material {
+        albedo,
+        roughness,
+        metallic,
+    };
+    Ok(rows.zip(roughness).zip(metallic).map(material).collect())
 }
 
 pub(super) fn shape(name: &'static str, expected: &[usize], found: &[usize]) -> Result<()> {

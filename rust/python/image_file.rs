@@ -10,6 +10,7 @@ use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
 
 use super::InputError;
+use super::arrays::copied;
 use crate::image_file::{self, ExrChannel, Format, PngSamples, Samples};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -125,7 +126,7 @@ fn write_exr(
         .into_iter()
         .map(|(name, plane)| ExrChannel {
             name,
-            values: plane.as_array().iter().copied().collect(),
+            values: copied(&plane),
         })
         .collect();
     py.detach(|| image_file::write_exr(&path, shape[1], shape[0], channels, half))?;
@@ -136,16 +137,10 @@ fn write_exr(
 #[pyfunction]
 fn write_png(py: Python<'_>, path: PathBuf, image: Bound<'_, PyAny>, srgb: bool) -> PyResult<()> {
     if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u8>>() {
-        let (shape, samples) = (
-            png_shape(image.shape())?,
-            image.as_array().iter().copied().collect::<Vec<_>>(),
-        );
+        let (shape, samples) = (png_shape(image.shape())?, copied(&image));
         py.detach(|| image_file::write_png(&path, PngSamples::U8(&samples), shape, srgb))?;
     } else if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u16>>() {
-        let (shape, samples) = (
-            png_shape(image.shape())?,
-            image.as_array().iter().copied().collect::<Vec<_>>(),
-        );
+        let (shape, samples) = (png_shape(image.shape())?, copied(&image));
         py.detach(|| image_file::write_png(&path, PngSamples::U16(&samples), shape, srgb))?;
     } else {
         let kind = image
