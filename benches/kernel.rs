@@ -5,7 +5,7 @@ use std::hint::black_box;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use glam::DVec3;
 use pbrfit::ggx;
-use pbrfit::problem::Problem;
+use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::shade::{Frame, Material, shade, shade_vjp};
 
 const PICTURES: usize = 16;
@@ -52,7 +52,6 @@ fn objective(c: &mut Criterion) {
                         .unwrap()
                 })
             });
-            group.bench_function(id("render"), |b| b.iter(|| problem.render(black_box(&x))));
         }
     }
     group.finish();
@@ -68,7 +67,19 @@ fn example(pixels: usize, threads: usize) -> (Problem, Vec<f64>) {
     let images: Vec<f32> = (0..PICTURES * pixels * 3)
         .map(|i| wave(i, 2.1) as f32)
         .collect();
-    let problem = Problem::new(&images, PICTURES, &normals, &views, threads).unwrap();
+    let given = Pictures {
+        images: &images,
+        pictures: PICTURES,
+        channels: 3,
+        weights: None,
+        normals: &normals,
+        views: &views,
+    };
+    let options = Options {
+        threads,
+        ..Options::default()
+    };
+    let problem = Problem::new(&given, options).unwrap();
     let x = (0..problem.size()).map(|i| wave(i, 0.31)).collect();
     (problem, x)
 }

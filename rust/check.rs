@@ -36,6 +36,23 @@ pub(crate) fn unit_interval(name: &'static str, values: &[f64]) -> Result<()> {
     }
 }
 
+/// Weights must be finite, none negative, not all zero. Returns their sum.
+pub(crate) fn weights(name: &'static str, values: &[f32]) -> Result<f64> {
+    let usable = |v: &f32| v.is_finite() && *v >= 0.0;
+    if let Some(i) = values.iter().position(|v| !usable(v)) {
+        return Err(Error::argument(
+            name,
+            "finite numbers, 0 or more",
+            format!("{} at {i}", values[i]),
+        ));
+    }
+    let sum = values.iter().map(|&v| f64::from(v)).sum();
+    if sum > 0.0 {
+        return Ok(sum);
+    }
+    Err(Error::argument(name, "some weight above 0", "all zero"))
+}
+
 pub(crate) fn unit_vectors(name: &'static str, vectors: &[DVec3]) -> Result<()> {
     // Written so that NaN fails.
     let is_unit = |v: &DVec3| (v.length() - 1.0).abs() <= UNIT_TOLERANCE;

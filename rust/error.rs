@@ -16,6 +16,9 @@ pub enum Error {
         /// What was there instead.
         found: String,
     },
+    /// The machine has not enough memory for an array.
+    #[error("{0}: expected memory for a copy, found too little")]
+    Memory(&'static str),
     /// A file was read but its content cannot be used.
     #[error("{}: {reason}", path.display())]
     Content {

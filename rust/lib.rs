@@ -13,13 +13,18 @@
 //! | [`sh`] | the basis Y_k and the cosine transfer A_l |
 //! | [`ggx`] | h_l(r), masking and Fresnel, with derivatives |
 //! | [`shade`] | one pixel: material → weights w_ck, and the adjoint |
-//! | [`tile`] | the same for sixteen pixels in float32, and the products with lights and residuals |
+//! | [`band_table`] | h_l(r) from a table, for the fast path |
+//! | [`simd`] | the choice of vector instructions at run time |
+//! | [`block`] | the same for a block of pixels in float32, and the products with lights and residuals |
 //! | [`problem`] | all pixels: loss and gradient |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`image_file`] | picture files |
 
+pub mod band_table;
+pub mod block;
 mod check;
 pub mod error;
+mod evaluate;
 pub mod ggx;
 pub mod image_file;
 mod pool;
@@ -29,6 +34,6 @@ mod python;
 pub mod render;
 pub mod sh;
 pub mod shade;
-pub mod tile;
+pub mod simd;
 
 pub use error::{Error, Result};

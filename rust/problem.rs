@@ -1,55 +1,114 @@
 //! The pictures of one scene, and the loss over them with its gradient by every unknown.
 
+use std::ops::Range;
+
 use glam::DVec3;
 
-use crate::sh::COEFFICIENTS;
-use crate::shade::{Factors, Frame, Material};
-use crate::tile::{self, LANES, Lanes, LightPartials, PARTIAL_LANES, TileFactors, TileFrame};
+use crate::block::{BLOCK, Directions, Plane};
+use crate::evaluate::{self, Evaluate};
+use crate::shade::{Material, shade};
+use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
 
-/// Tiles in a block: so many pixels are summed in float32 before float64 takes over.
-const TILES: usize = 16;
-const BLOCK: usize = TILES * LANES;
 /// At most so many pieces of work. Their borders depend on the pixel count alone, and their
 /// results are added in order, so every sum is the same at any number of threads.
 const MAX_CHUNKS: usize = 64;
+/// Blocks in a piece of work at least: a piece has a cost of its own.
+const MIN_CHUNK: usize = 4;
+/// Samples (pixels times pictures) at most.
+const MAX_SAMPLES: usize = 1 << 31;
+
+/// What is given to a [`Problem`].
+#[derive(Clone, Copy, Debug)]
+pub struct Pictures<'a> {
+    /// Linear radiance: (picture, pixel, channel).
+    pub images: &'a [f32],
+    /// Number of pictures.
+    pub pictures: usize,
+    /// Colour channels, 1 or 3.
+    pub channels: usize,
+    /// Weight of each sample, 0 or more: (picture, pixel), or (picture, pixel, channel).
+    pub weights: Option<&'a [f32]>,
+    /// Unit vectors, one a pixel.
+    pub normals: &'a [DVec3],
+    /// Unit vectors from the surface to the camera, one a pixel.
+    pub views: &'a [DVec3],
+}
+
+/// What is known beforehand, and so costs nothing in an evaluation; and how to run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Highest band of the lights, 2 or 3.
+    pub sh_order: usize,
+    /// Metallic of all pixels, where it is no unknown.
+    pub metallic: Option<f64>,
+    /// The lights, where they are no unknowns: (picture, coefficient, channel).
+    pub lighting: Option<Vec<f64>>,
+    /// 0 means one for each processor.
+    pub threads: usize,
+    /// The vector instructions to use.
+    pub instructions: Instructions,
+}
+
+impl Default for Options {
+    /// Everything unknown, order 3, all processors, the widest vectors.
+    fn default() -> Self {
+        Self {
+            sh_order: 3,
+            metallic: None,
+            lighting: None,
+            threads: 0,
+            instructions: Instructions::best(),
+        }
+    }
+}
 
 /// The pictures, prepared for repeated evaluation.
 ///
-/// Unknowns are one vector, x = \[albedo R, G, B (a plane of `pixels` each) | roughness | metallic |
-/// lighting (picture, coefficient, channel)\]. The loss is the mean over pixels, pictures and
-/// channels of (I − T)².
+/// Unknowns are one vector, x = \[albedo (a plane of `pixels` for each channel) | roughness |
+/// metallic | lighting (picture, coefficient, channel)\], without those that are known. The loss is
+/// the mean of (I − T)² over pixels, pictures and channels, weighted if there are weights.
 #[derive(Debug)]
 pub struct Problem {
     pixels: usize,
     pictures: usize,
+    channels: usize,
+    coefficients: usize,
+    metallic: Option<f64>,
+    lighting: Option<Vec<f64>>,
     threads: usize,
-    frames: Vec<TileFrame>,
-    /// (tile, channel, picture)
-    targets: Vec<Lanes>,
+    instructions: Instructions,
+    evaluate: Evaluate,
+    /// Sum of the weights of all samples and channels.
+    total_weight: f64,
+    directions: Vec<Directions>,
+    /// (block, channel, picture)
+    targets: Vec<Plane>,
+    /// (block, channel, picture), with one channel where all share a weight; or empty.
+    weights: Vec<Plane>,
 }
 
 /// The least-squares problem for the lights when materials are known, one channel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LightEquations {
-    /// Wᵀ W.
-    pub gram: [[f64; COEFFICIENTS]; COEFFICIENTS],
-    /// Tᵀ W, a row for each picture.
-    pub right: Vec<[f64; COEFFICIENTS]>,
+    /// Wᵀ Ω W, one for all pictures, or one for each where samples have weights of their own:
+    /// (1 or picture, K, K).
+    pub gram: Vec<f64>,
+    /// Wᵀ Ω T: (picture, K).
+    pub right: Vec<f64>,
 }
 
 impl Problem {
-    /// Copies and checks the pictures.
-    ///
-    /// `images` is (picture, pixel, channel), linear radiance; `normals` and `views` hold unit
-    /// vectors, one a pixel. `threads` = 0 means one for each processor.
-    pub fn new(
-        images: &[f32],
-        pictures: usize,
-        normals: &[DVec3],
-        views: &[DVec3],
-        threads: usize,
-    ) -> Result<Self> {
+    /// Copies and checks the pictures, and chooses the kernel for them.
+    pub fn new(given: &Pictures, options: Options) -> Result<Self> {
+        let &Pictures {
+            images,
+            pictures,
+            channels,
+            normals,
+            views,
+            ..
+        } = given;
         let pixels = normals.len();
         if pixels == 0 || pictures == 0 {
             return Err(Error::argument(
@@ -58,30 +117,79 @@ impl Problem {
                 format!("{pictures} pictures of {pixels} pixels"),
             ));
         }
-        check::length("images", pictures * pixels * 3, images.len())?;
+        if !matches!(channels, 1 | 3) {
+            return Err(Error::argument("images", "1 or 3 channels", channels));
+        }
+        let samples = pixels.checked_mul(pictures).filter(|&s| s <= MAX_SAMPLES);
+        let Some(samples) = samples else {
+            return Err(Error::argument(
+                "images",
+                format!("at most {MAX_SAMPLES} pixels times pictures"),
+                format!("{pictures} pictures of {pixels} pixels"),
+            ));
+        };
+        check::length("images", samples * channels, images.len())?;
         check::length("views", pixels, views.len())?;
-        check::finite("images", images)?;
         check::unit_vectors("normals", normals)?;
         check::unit_vectors("views", views)?;
-
-        let tiles = pixels.div_ceil(LANES);
-        let mut frames = vec![TileFrame::empty(); tiles];
-        let mut targets = vec![[0.0; LANES]; tiles * 3 * pictures];
-        for p in 0..pixels {
-            let (t, lane) = (p / LANES, p % LANES);
-            frames[t].set(lane, &Frame::new(normals[p], views[p]));
-            for i in 0..pictures {
-                for c in 0..3 {
-                    targets[(t * 3 + c) * pictures + i][lane] = images[(i * pixels + p) * 3 + c];
-                }
+        if !matches!(options.sh_order, 2 | 3) {
+            return Err(Error::argument("sh_order", "2 or 3", options.sh_order));
+        }
+        let coefficients = (options.sh_order + 1).pow(2);
+        if let Some(metallic) = options.metallic {
+            check::unit_interval("metallic", &[metallic])?;
+        }
+        if let Some(lighting) = &options.lighting {
+            check::length(
+                "lighting",
+                pictures * coefficients * channels,
+                lighting.len(),
+            )?;
+            check::finite("lighting", lighting)?;
+        }
+        check::finite("images", images)?;
+        let (weights, total_weight) = match given.weights {
+            None => (Vec::new(), (samples * channels) as f64),
+            Some(weights) => {
+                let of_sample = if weights.len() == samples {
+                    1
+                } else {
+                    channels
+                };
+                check::length("weights", samples * of_sample, weights.len())?;
+                let total = check::weights("weights", weights)? * (channels / of_sample) as f64;
+                let planes = planes(weights, pictures, pixels, of_sample, options.threads)?;
+                (planes, total)
             }
+        };
+
+        let mut directions = Vec::new();
+        directions
+            .try_reserve_exact(pixels.div_ceil(BLOCK))
+            .map_err(|_| Error::Memory("normals"))?;
+        directions.resize(pixels.div_ceil(BLOCK), Directions::default());
+        for p in 0..pixels {
+            directions[p / BLOCK].set(p % BLOCK, normals[p], views[p]);
         }
         Ok(Self {
             pixels,
             pictures,
-            threads,
-            frames,
-            targets,
+            channels,
+            coefficients,
+            evaluate: evaluate::choose(
+                channels,
+                coefficients,
+                !weights.is_empty(),
+                options.lighting.is_none(),
+            ),
+            metallic: options.metallic,
+            lighting: options.lighting,
+            threads: options.threads,
+            instructions: options.instructions,
+            total_weight,
+            directions,
+            targets: planes(images, pictures, pixels, channels, options.threads)?,
+            weights,
         })
     }
 
@@ -95,290 +203,255 @@ impl Problem {
         self.pictures
     }
 
+    /// Number of colour channels.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Coefficients of a light in one channel.
+    pub fn coefficients(&self) -> usize {
+        self.coefficients
+    }
+
     /// Number of unknowns.
     pub fn size(&self) -> usize {
-        5 * self.pixels + self.pictures * COEFFICIENTS * 3
+        let lights = self.pictures * self.coefficients * self.channels;
+        self.planes() * self.pixels + if self.lighting.is_none() { lights } else { 0 }
+    }
+
+    /// Unknowns of a pixel.
+    fn planes(&self) -> usize {
+        self.channels + 1 + usize::from(self.metallic.is_none())
     }
 
     /// The loss at x; its gradient is written to `gradient`.
     pub fn value_and_grad(&self, x: &[f64], gradient: &mut [f64]) -> Result<f64> {
-        let x = Unknowns::new(self, x)?;
+        check::length("x", self.size(), x.len())?;
         check::length("gradient", self.size(), gradient.len())?;
-        let lights = x.lights();
-        let samples = 3.0 * (self.pixels * self.pictures) as f64;
-        let scale = 2.0 / samples;
-        let (maps, by_lighting) = gradient.split_at_mut(5 * self.pixels);
+        let (maps, free) = x.split_at(self.planes() * self.pixels);
+        let lighting = match &self.lighting {
+            Some(known) => known,
+            None => {
+                check::finite("x (lighting)", free)?;
+                free
+            }
+        };
+        let lights = self.by_channel(lighting);
+        let scale = 2.0 / self.total_weight;
+
+        let (by_maps, by_lighting) = gradient.split_at_mut(maps.len());
+        let chunk = self.chunk();
         let pieces = self
             .chunks()
-            .zip(chunks_of_planes(maps, self.pixels, self.chunk()));
-        let partials = pool::map(self.threads, pieces.collect(), |(first, mut out)| {
-            self.evaluate_chunk(&x, &lights, first, scale, &mut out)
+            .zip(chunks_of_planes(by_maps, self.pixels, chunk * BLOCK));
+        let partials = pool::map(self.threads, pieces.collect(), |(blocks, mut out)| {
+            (self.evaluate)(self, maps, &lights, blocks, scale, &mut out)
         });
 
         let mut loss = 0.0;
-        by_lighting.fill(0.0);
+        let mut by_lights = vec![0.0; lights.len()];
         for partial in &partials {
-            loss += partial.squares;
-            for (c, of_channel) in partial.by_lights.chunks(self.pictures).enumerate() {
-                for (i, of_picture) in of_channel.iter().enumerate() {
-                    for k in 0..COEFFICIENTS {
-                        by_lighting[(i * COEFFICIENTS + k) * 3 + c] += scale * of_picture[k];
-                    }
-                }
+            if !partial.in_range {
+                // Which entry it was is worth a second look only now.
+                check::unit_interval("x (albedo, roughness, metallic)", maps)?;
             }
+            loss += partial.squares;
+            add(&mut by_lights, &partial.by_lights);
         }
         if !loss.is_finite() {
             // Lights so large that float32 overflows.
             return Err(Error::argument("x", "a point with a finite loss", loss));
         }
-        Ok(loss / samples)
-    }
-
-    /// The pictures that x predicts: (picture, pixel, channel).
-    pub fn render(&self, x: &[f64]) -> Result<Vec<f32>> {
-        let x = Unknowns::new(self, x)?;
-        let lights = x.lights();
-        let n = self.pictures;
-        let rendered = pool::map(self.threads, self.chunks().collect(), |first| {
-            let tiles = first / LANES..(first + self.chunk()).min(self.pixels).div_ceil(LANES);
-            let mut out = vec![[0.0; LANES]; tiles.len() * 3 * n];
-            for (t, out) in tiles.zip(out.chunks_mut(3 * n)) {
-                let mut factors = [TileFactors::ZERO; 3];
-                for (lane, p) in self.pixels_of_tile(t).enumerate() {
-                    let of_pixel = Factors::new(self.frames[t].cosine[lane], &x.material(p));
-                    for c in 0..3 {
-                        factors[c].set(lane, &of_pixel, c);
-                    }
-                }
-                for c in 0..3 {
-                    let w = tile::weights(&self.frames[t], &factors[c]);
-                    tile::radiance(&w, &lights[c * n..][..n], &mut out[c * n..][..n]);
-                }
-            }
-            out
-        });
-        let mut images = vec![0.0; n * self.pixels * 3];
-        for (t, radiance) in rendered
-            .iter()
-            .flat_map(|out| out.chunks(3 * n))
-            .enumerate()
-        {
-            for (lane, p) in self.pixels_of_tile(t).enumerate() {
-                for c in 0..3 {
-                    for i in 0..n {
-                        images[(i * self.pixels + p) * 3 + c] = radiance[c * n + i][lane];
-                    }
-                }
-            }
+        let (k, c) = (self.coefficients, self.channels);
+        for (i, of_entry) in by_lighting.iter_mut().enumerate() {
+            let (picture, coefficient, channel) = (i / (k * c), i / c % k, i % c);
+            *of_entry = scale * by_lights[(channel * self.pictures + picture) * k + coefficient];
         }
-        Ok(images)
+        Ok(loss / self.total_weight)
     }
 
-    /// The normal equations of the lights, channel by channel, for the materials in x. Sums run in
-    /// float64, because the lights' condition number squares here.
-    pub fn light_equations(&self, x: &[f64]) -> Result<[LightEquations; 3]> {
-        let x = Unknowns::new(self, x)?;
-        let n = self.pictures;
-        let zero = LightEquations {
-            gram: [[0.0; COEFFICIENTS]; COEFFICIENTS],
-            right: vec![[0.0; COEFFICIENTS]; n],
-        };
-        let partials = pool::map(self.threads, self.chunks().collect(), |first| {
-            let mut sums = [zero.clone(), zero.clone(), zero.clone()];
-            for p in first..(first + self.chunk()).min(self.pixels) {
-                let (t, lane) = (p / LANES, p % LANES);
-                let weights = crate::shade::shade(&self.frames[t].get(lane), &x.material(p));
-                for (c, sum) in sums.iter_mut().enumerate() {
-                    let w = &weights[c];
-                    for j in 0..COEFFICIENTS {
-                        for k in 0..=j {
-                            sum.gram[j][k] += w[j] * w[k];
-                        }
-                    }
-                    for (i, right) in sum.right.iter_mut().enumerate() {
-                        let target = f64::from(self.targets[(t * 3 + c) * n + i][lane]);
-                        for k in 0..COEFFICIENTS {
-                            right[k] += target * w[k];
-                        }
-                    }
-                }
+    /// The normal equations of the lights, channel by channel, for the materials in `maps`, the
+    /// first part of x. Sums run in float64, because the lights' condition number squares here.
+    pub fn light_equations(&self, maps: &[f64]) -> Result<Vec<LightEquations>> {
+        check::length("maps", self.planes() * self.pixels, maps.len())?;
+        check::unit_interval("maps (albedo, roughness, metallic)", maps)?;
+        let partials = pool::map(self.threads, self.chunks().collect(), |blocks| {
+            if self.channels == 1 {
+                self.equations_of_chunk::<1>(maps, blocks)
+            } else {
+                self.equations_of_chunk::<3>(maps, blocks)
             }
-            sums
         });
-        let mut total = [zero.clone(), zero.clone(), zero];
+        let mut partials = partials.into_iter();
+        let mut total = partials.next().expect("at least one piece of work");
         for partial in partials {
             for (total, partial) in total.iter_mut().zip(partial) {
-                add(total.gram.as_flattened_mut(), partial.gram.as_flattened());
-                add(total.right.as_flattened_mut(), partial.right.as_flattened());
+                add(&mut total.gram, &partial.gram);
+                add(&mut total.right, &partial.right);
             }
         }
-        for LightEquations { gram, .. } in &mut total {
-            for j in 0..COEFFICIENTS {
-                for k in 0..j {
-                    gram[k][j] = gram[j][k];
+        let k = self.coefficients;
+        for gram in total.iter_mut().flat_map(|e| e.gram.chunks_mut(k * k)) {
+            for row in 0..k {
+                for column in 0..row {
+                    gram[column * k + row] = gram[row * k + column];
                 }
             }
         }
         Ok(total)
     }
 
-    /// Pixels in a piece of work: whole blocks.
-    fn chunk(&self) -> usize {
-        BLOCK * self.pixels.div_ceil(BLOCK * MAX_CHUNKS)
-    }
-
-    /// First pixel of every piece of work.
-    fn chunks(&self) -> impl Iterator<Item = usize> {
-        (0..self.pixels).step_by(self.chunk())
-    }
-
-    fn pixels_of_tile(&self, t: usize) -> std::ops::Range<usize> {
-        t * LANES..((t + 1) * LANES).min(self.pixels)
-    }
-
-    /// Loss and gradient of one piece of work, a block at a time: the factors of the block's
-    /// pixels; then, channel by channel, the matrix products; then the material derivatives.
-    fn evaluate_chunk(
+    /// Lower triangles of the Gram matrices, and the right sides.
+    fn equations_of_chunk<const C: usize>(
         &self,
-        x: &Unknowns,
-        lights: &[[f32; COEFFICIENTS]],
-        first: usize,
-        scale: f64,
-        by_material: &mut [&mut [f64]; 5],
-    ) -> Partial {
-        let n = self.pictures;
-        let mut partial = Partial {
-            squares: 0.0,
-            by_lights: vec![[0.0; COEFFICIENTS]; 3 * n],
+        maps: &[f64],
+        blocks: Range<usize>,
+    ) -> Vec<LightEquations> {
+        let (n, k) = (self.pictures, self.coefficients);
+        let grams = if self.weights.is_empty() { 1 } else { n };
+        let zero = LightEquations {
+            gram: vec![0.0; grams * k * k],
+            right: vec![0.0; n * k],
         };
-        let mut by_lights: Vec<LightPartials> = vec![[[0.0; PARTIAL_LANES]; COEFFICIENTS]; n];
-        let end = (first + self.chunk()).min(self.pixels);
-        for block in (first..end).step_by(BLOCK) {
-            let pixels = block..(block + BLOCK).min(end);
-            let tiles = block / LANES..pixels.end.div_ceil(LANES);
-
-            let mut factors = Vec::with_capacity(BLOCK);
-            let mut tile_factors = [[TileFactors::ZERO; TILES]; 3];
-            for (q, p) in pixels.clone().enumerate() {
-                let (t, lane) = (p / LANES, p % LANES);
-                let of_pixel = Factors::new(self.frames[t].cosine[lane], &x.material(p));
-                for c in 0..3 {
-                    tile_factors[c][q / LANES].set(lane, &of_pixel, c);
+        let mut sums = vec![zero; C];
+        for p in blocks.start * BLOCK..(blocks.end * BLOCK).min(self.pixels) {
+            let (block, x) = (p / BLOCK, p % BLOCK);
+            let material = self.material::<C>(maps, p);
+            let weights = shade(&self.directions[block].get(x), &material);
+            for (c, sum) in sums.iter_mut().enumerate() {
+                let w = &weights[c][..k];
+                let mut add_gram = |gram: usize, omega: f64| {
+                    for (row, gram) in sum.gram[gram * k * k..][..k * k].chunks_mut(k).enumerate() {
+                        for column in 0..=row {
+                            gram[column] += omega * w[row] * w[column];
+                        }
+                    }
+                };
+                let omegas = self.weights(block, c);
+                if omegas.is_empty() {
+                    add_gram(0, 1.0);
                 }
-                factors.push(of_pixel);
-            }
-
-            let mut by_diffuse = [[[0.0; LANES]; TILES]; 3];
-            let mut band_sums = [[[[0.0; LANES]; 4]; TILES]; 3];
-            for c in 0..3 {
-                let mut squares = [0.0; LANES];
-                by_lights.fill([[0.0; PARTIAL_LANES]; COEFFICIENTS]);
-                for (q, t) in tiles.clone().enumerate() {
-                    let w = tile::weights(&self.frames[t], &tile_factors[c][q]);
-                    let mut by_weights = [[0.0; LANES]; COEFFICIENTS];
-                    tile::residuals(
-                        &w,
-                        &lights[c * n..][..n],
-                        &self.targets[(t * 3 + c) * n..][..n],
-                        &mut by_weights,
-                        &mut by_lights,
-                        &mut squares,
-                    );
-                    (by_diffuse[c][q], band_sums[c][q]) =
-                        tile::reduce(&self.frames[t], &by_weights);
-                }
-                partial.squares += sum(&squares);
-                for (total, of_block) in partial.by_lights[c * n..].iter_mut().zip(&by_lights) {
-                    for k in 0..COEFFICIENTS {
-                        total[k] += sum(&of_block[k]);
+                for (i, target) in self.targets(block, c).iter().enumerate() {
+                    let omega = omegas.get(i).map_or(1.0, |plane| f64::from(plane.0[x]));
+                    if !omegas.is_empty() {
+                        add_gram(i, omega);
+                    }
+                    let target = omega * f64::from(target.0[x]);
+                    for (right, w) in sum.right[i * k..][..k].iter_mut().zip(w) {
+                        *right += target * w;
                     }
                 }
             }
+        }
+        sums
+    }
 
-            for (q, p) in pixels.enumerate() {
-                let (t, lane) = (q / LANES, p % LANES);
-                let gradient = factors[q].pull_back(
-                    &x.material(p),
-                    &[0, 1, 2].map(|c| f64::from(by_diffuse[c][t][lane])),
-                    &[0, 1, 2].map(|c| band_sums[c][t].map(|s| f64::from(s[lane]))),
-                );
-                let [r, g, b] = gradient.albedo;
-                let planes = [r, g, b, gradient.roughness, gradient.metallic];
-                for (plane, value) in by_material.iter_mut().zip(planes) {
-                    plane[p - first] = scale * value;
+    fn material<const C: usize>(&self, maps: &[f64], p: usize) -> Material<C> {
+        let plane = |i: usize| maps[i * self.pixels + p];
+        Material {
+            albedo: std::array::from_fn(plane),
+            roughness: plane(C),
+            metallic: self.metallic.unwrap_or_else(|| plane(C + 1)),
+        }
+    }
+
+    /// Lights in float32: (channel, picture, coefficient).
+    fn by_channel(&self, lighting: &[f64]) -> Vec<f32> {
+        let mut lights = Vec::with_capacity(lighting.len());
+        for c in 0..self.channels {
+            let of_channel = lighting.iter().skip(c).step_by(self.channels);
+            lights.extend(of_channel.map(|&l| l as f32));
+        }
+        lights
+    }
+
+    /// Blocks in a piece of work.
+    fn chunk(&self) -> usize {
+        self.directions.len().div_ceil(MAX_CHUNKS).max(MIN_CHUNK)
+    }
+
+    /// The pieces of work, as ranges of blocks.
+    fn chunks(&self) -> impl Iterator<Item = Range<usize>> {
+        let (chunk, blocks) = (self.chunk(), self.directions.len());
+        (0..blocks)
+            .step_by(chunk)
+            .map(move |first| first..(first + chunk).min(blocks))
+    }
+
+    pub(crate) fn instructions(&self) -> Instructions {
+        self.instructions
+    }
+
+    pub(crate) fn known_metallic(&self) -> Option<f64> {
+        self.metallic
+    }
+
+    pub(crate) fn directions(&self, block: usize) -> &Directions {
+        &self.directions[block]
+    }
+
+    /// A plane for each picture.
+    pub(crate) fn targets(&self, block: usize, channel: usize) -> &[Plane] {
+        &self.targets[(block * self.channels + channel) * self.pictures..][..self.pictures]
+    }
+
+    /// A plane for each picture, or none where all samples weigh the same.
+    pub(crate) fn weights(&self, block: usize, channel: usize) -> &[Plane] {
+        if self.weights.is_empty() {
+            return &[];
+        }
+        let channels = self.weights.len() / (self.directions.len() * self.pictures);
+        let first = (block * channels + channel % channels) * self.pictures;
+        &self.weights[first..][..self.pictures]
+    }
+}
+
+/// From (picture, pixel, channel) to planes (block, channel, picture), zero where no pixel is.
+fn planes(
+    values: &[f32],
+    pictures: usize,
+    pixels: usize,
+    channels: usize,
+    threads: usize,
+) -> Result<Vec<Plane>> {
+    let of_block = channels * pictures;
+    let blocks = pixels.div_ceil(BLOCK);
+    let mut planes: Vec<Plane> = Vec::new();
+    planes
+        .try_reserve_exact(blocks * of_block)
+        .map_err(|_| Error::Memory("images"))?;
+    planes.resize(blocks * of_block, Plane::default());
+    let pieces = planes.chunks_mut(of_block).enumerate().collect();
+    pool::map(threads, pieces, |(block, planes): (usize, &mut [Plane])| {
+        let first = block * BLOCK;
+        let count = BLOCK.min(pixels - first);
+        for i in 0..pictures {
+            let picture = &values[(i * pixels + first) * channels..][..count * channels];
+            for c in 0..channels {
+                let out = &mut planes[c * pictures + i].0[..count];
+                for (out, &value) in out.iter_mut().zip(picture[c..].iter().step_by(channels)) {
+                    *out = value;
                 }
             }
         }
-        partial
-    }
+    });
+    Ok(planes)
 }
 
-/// What one piece of work adds to the sums over pixels.
-struct Partial {
-    /// Σ (I − T)²
-    squares: f64,
-    /// Derivatives of ½ Σ (I − T)² by the lights: (channel, picture).
-    by_lights: Vec<[f64; COEFFICIENTS]>,
-}
-
-/// The vector of unknowns, taken apart.
-struct Unknowns<'a> {
-    pixels: usize,
-    maps: &'a [f64],
-    lighting: &'a [f64],
-}
-
-impl<'a> Unknowns<'a> {
-    fn new(problem: &Problem, x: &'a [f64]) -> Result<Self> {
-        check::length("x", problem.size(), x.len())?;
-        check::finite("x", x)?;
-        let (maps, lighting) = x.split_at(5 * problem.pixels);
-        check::unit_interval("x (albedo, roughness, metallic)", maps)?;
-        Ok(Self {
-            pixels: problem.pixels,
-            maps,
-            lighting,
-        })
-    }
-
-    fn material(&self, p: usize) -> Material {
-        let plane = |i: usize| self.maps[i * self.pixels + p];
-        Material {
-            albedo: [plane(0), plane(1), plane(2)],
-            roughness: plane(3),
-            metallic: plane(4),
-        }
-    }
-
-    /// The lights in float32: (channel, picture).
-    fn lights(&self) -> Vec<[f32; COEFFICIENTS]> {
-        let pictures = self.lighting.as_chunks::<{ COEFFICIENTS * 3 }>().0;
-        let of_channel = |c: usize| {
-            pictures
-                .iter()
-                .map(move |l| std::array::from_fn(|k| l[k * 3 + c] as f32))
-        };
-        (0..3).flat_map(of_channel).collect()
-    }
-}
-
-/// Five planes of `pixels` values each, cut into pieces of `chunk` pixels.
+/// Planes of `pixels` values each, cut into pieces of `chunk` pixels.
 fn chunks_of_planes(
     maps: &mut [f64],
     pixels: usize,
     chunk: usize,
-) -> impl Iterator<Item = [&mut [f64]; 5]> {
-    let mut planes = maps.chunks_mut(pixels).map(|plane| plane.chunks_mut(chunk));
-    let mut planes: [_; 5] = std::array::from_fn(|_| planes.next().expect("five planes"));
+) -> impl Iterator<Item = Vec<&mut [f64]>> {
+    let mut planes: Vec<_> = maps
+        .chunks_mut(pixels)
+        .map(|plane| plane.chunks_mut(chunk))
+        .collect();
     (0..pixels.div_ceil(chunk)).map(move |_| {
-        planes
-            .each_mut()
-            .map(|plane| plane.next().expect("equal planes"))
+        let pieces = planes.iter_mut().map(Iterator::next);
+        pieces.map(|piece| piece.expect("equal planes")).collect()
     })
-}
-
-fn sum(partials: &[f32]) -> f64 {
-    partials.iter().map(|&s| f64::from(s)).sum()
 }
 
 fn add(total: &mut [f64], partial: &[f64]) {

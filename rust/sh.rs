@@ -17,7 +17,7 @@ pub const COSINE_TRANSFER: [f64; 4] = {
 
 /// Real SH basis of a unit direction, without Condon-Shortley phase, index k = l(l+1)+m, so that
 /// Y₁₋₁ ∝ y, Y₁₀ ∝ z, Y₁₁ ∝ x and ∫ Y_j Y_k dω = δ_jk.
-#[inline]
+#[inline(always)]
 pub fn basis(d: DVec3) -> [f64; COEFFICIENTS] {
     let DVec3 { x, y, z } = d;
     let (xx, yy, zz) = (x * x, y * y, z * z);

@@ -20,13 +20,13 @@ use crate::ggx::{self, Bands, DIELECTRIC_F0, MIN_COSINE};
 use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
 
 /// Weights w_ck of one pixel, channel first.
-pub type Weights = [[f64; COEFFICIENTS]; 3];
+pub type Weights<const C: usize = 3> = [[f64; COEFFICIENTS]; C];
 
-/// Material of one pixel; all five numbers lie in \[0, 1\].
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Material {
+/// Material of one pixel with C colour channels; all numbers lie in \[0, 1\].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material<const C: usize = 3> {
     /// Base colour ρ, linear Rec.709; of a metal it is F0.
-    pub albedo: [f64; 3],
+    pub albedo: [f64; C],
     /// Perceptual roughness r, α = r².
     pub roughness: f64,
     /// Metallic m.
@@ -47,38 +47,52 @@ pub struct Frame {
 impl Frame {
     /// From unit normal and unit view direction (surface to camera).
     pub fn new(normal: DVec3, view: DVec3) -> Self {
-        let cosine = normal.dot(view);
+        let (cosine, mirror) = Self::directions(normal, view);
+        Self::at(cosine, normal, mirror)
+    }
+
+    /// From the clamped n·v, the normal and the mirror direction.
+    pub fn at(cosine: f64, normal: DVec3, mirror: DVec3) -> Self {
         let mut diffuse = sh::basis(normal);
         for (y, &l) in diffuse.iter_mut().zip(&BAND_OF) {
             *y *= COSINE_TRANSFER[l];
         }
         Self {
-            cosine: cosine.max(MIN_COSINE),
+            cosine,
             diffuse,
-            mirror: sh::basis(2.0 * cosine * normal - view),
+            mirror: sh::basis(mirror),
         }
+    }
+
+    /// The clamped n·v and the mirror direction; the latter is not clamped.
+    pub fn directions(normal: DVec3, view: DVec3) -> (f64, DVec3) {
+        let cosine = normal.dot(view);
+        (cosine.max(MIN_COSINE), 2.0 * cosine * normal - view)
     }
 }
 
 /// The factors of the weights that depend on the material, and what their derivatives need.
 #[derive(Clone, Copy, Debug)]
-pub struct Factors {
+pub struct Factors<const C: usize = 3> {
     /// kd_c
-    pub diffuse: [f64; 3],
+    pub diffuse: [f64; C],
     /// ks_c
-    pub specular: [f64; 3],
+    pub specular: [f64; C],
     /// h_l and dh_l/dr
     pub bands: Bands,
-    fresnel: [f64; 3],
+    fresnel: [f64; C],
     schlick: f64,
     g1: f64,
     g1_slope: f64,
 }
 
-impl Factors {
-    /// Factors of one material seen at the clamped cosine n·v.
-    #[inline]
-    pub fn new(cosine: f64, material: &Material) -> Self {
+impl<const C: usize> Factors<C> {
+    /// Factors of one material seen at the clamped cosine n·v, with the bands of its roughness.
+    ///
+    /// Always inlined, here and in [`pull_back`](Self::pull_back): the fast path runs them over
+    /// blocks of pixels, and only then does the compiler turn them into vector code.
+    #[inline(always)]
+    pub fn new(cosine: f64, material: &Material<C>, bands: Bands) -> Self {
         let Material {
             albedo,
             roughness,
@@ -86,17 +100,15 @@ impl Factors {
         } = *material;
         let schlick = ggx::schlick(cosine);
         let (g1, g1_slope) = ggx::smith_g1(cosine, roughness);
-        let fresnel = albedo.map(|rho| {
-            let f0 = DIELECTRIC_F0 * (1.0 - metallic) + metallic * rho;
-            f0 + (1.0 - f0) * schlick
-        });
-        let mut diffuse = [0.0; 3];
-        let mut specular = [0.0; 3];
-        for c in 0..3 {
+        let mut fresnel = [0.0; C];
+        let mut diffuse = [0.0; C];
+        let mut specular = [0.0; C];
+        for c in 0..C {
+            let f0 = DIELECTRIC_F0 * (1.0 - metallic) + metallic * albedo[c];
+            fresnel[c] = f0 + (1.0 - f0) * schlick;
             diffuse[c] = (1.0 - fresnel[c]) * (1.0 - metallic) * albedo[c] * FRAC_1_PI;
             specular[c] = 0.25 * fresnel[c] * g1;
         }
-        let bands = ggx::bands(roughness);
         Self {
             diffuse,
             specular,
@@ -120,18 +132,22 @@ impl Factors {
     /// g_m    = Σ_c −(1−F_c)(ρ_c/π) g_kd_c + (ρ_c − 0.04) g_F0_c
     /// g_r    = Σ_c (F_c/4) G₁′ g_ks_c + Σ_l h_l′ g_h_l
     /// ```
-    #[inline]
+    #[inline(always)]
     pub fn pull_back(
         &self,
-        material: &Material,
-        by_diffuse: &[f64; 3],
-        band_sums: &[[f64; 4]; 3],
-    ) -> Material {
+        material: &Material<C>,
+        by_diffuse: &[f64; C],
+        band_sums: &[[f64; 4]; C],
+    ) -> Material<C> {
         let Material {
             albedo, metallic, ..
         } = *material;
-        let mut gradient = Material::default();
-        for c in 0..3 {
+        let mut gradient = Material {
+            albedo: [0.0; C],
+            roughness: 0.0,
+            metallic: 0.0,
+        };
+        for c in 0..C {
             let mut by_specular = 0.0;
             for l in 0..4 {
                 by_specular += self.bands.weight[l] * band_sums[c][l];
@@ -150,10 +166,10 @@ impl Factors {
 }
 
 /// The weights of one pixel in double precision.
-pub fn shade(frame: &Frame, material: &Material) -> Weights {
-    let factors = Factors::new(frame.cosine, material);
-    let mut weights = [[0.0; COEFFICIENTS]; 3];
-    for c in 0..3 {
+pub fn shade<const C: usize>(frame: &Frame, material: &Material<C>) -> Weights<C> {
+    let factors = Factors::new(frame.cosine, material, ggx::bands(material.roughness));
+    let mut weights = [[0.0; COEFFICIENTS]; C];
+    for c in 0..C {
         for k in 0..COEFFICIENTS {
             weights[c][k] = factors.diffuse[c] * frame.diffuse[k]
                 + factors.specular[c] * factors.bands.weight[BAND_OF[k]] * frame.mirror[k];
@@ -164,14 +180,22 @@ pub fn shade(frame: &Frame, material: &Material) -> Weights {
 
 /// The adjoint of [`shade`] by the material: `cotangent` holds the derivatives of a scalar by the
 /// weights, the result its derivatives by albedo, roughness and metallic.
-pub fn shade_vjp(frame: &Frame, material: &Material, cotangent: &Weights) -> Material {
-    let mut by_diffuse = [0.0; 3];
-    let mut band_sums = [[0.0; 4]; 3];
-    for c in 0..3 {
+pub fn shade_vjp<const C: usize>(
+    frame: &Frame,
+    material: &Material<C>,
+    cotangent: &Weights<C>,
+) -> Material<C> {
+    let mut by_diffuse = [0.0; C];
+    let mut band_sums = [[0.0; 4]; C];
+    for c in 0..C {
         for k in 0..COEFFICIENTS {
             by_diffuse[c] += cotangent[c][k] * frame.diffuse[k];
             band_sums[c][BAND_OF[k]] += cotangent[c][k] * frame.mirror[k];
         }
     }
-    Factors::new(frame.cosine, material).pull_back(material, &by_diffuse, &band_sums)
+    Factors::new(frame.cosine, material, ggx::bands(material.roughness)).pull_back(
+        material,
+        &by_diffuse,
+        &band_sums,
+    )
 }

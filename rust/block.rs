@@ -1,0 +1,683 @@
+//! A block of pixels: what is done to it in an evaluation, each step over all its pixels.
+//!
+//! For one colour channel, with W (pixel, K), lights L (picture, K) and targets T:
+//!
+//! ```text
+//! I = W Lᵀ,   e = ω (I − T),   ∂/∂W = e L,   ∂/∂L = eᵀ W        (of ½ Σ ω (I − T)²)
+//! ```
+//!
+//! W does not depend on the picture, so its derivative is reduced to the material once per pixel.
+//! Factors that depend on the material are float64 and rounded once; the products are float32.
+//!
+//! Values lie in planes, pixel beside pixel. The three products keep a small rectangle of results
+//! in registers (pictures or coefficients by vectors of pixels), so that every number loaded is
+//! used several times. The remaining steps are plain loops that the compiler turns into vectors.
+
+use std::ops::Range;
+
+use glam::DVec3;
+
+use crate::band_table::{FUNCTIONS, TABLE};
+use crate::ggx::Bands;
+use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
+use crate::shade::{Factors, Frame, Material};
+use crate::simd::{Isa, Kernel, Vectors, prefetch};
+
+/// Pixels in a block.
+pub const BLOCK: usize = 128;
+/// Pictures at most that go through the products together: their residuals stay in the cache.
+pub const GROUP: usize = 16;
+/// Basis functions with a diffuse response: bands 0 to 2.
+const DIFFUSE: usize = 9;
+/// Lanes of the widest vector.
+const MAX_LANES: usize = 16;
+
+/// One number for each pixel of a block.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub struct Plane<T = f32>(pub [T; BLOCK]);
+
+impl<T: Copy + Default> Default for Plane<T> {
+    fn default() -> Self {
+        Self([T::default(); BLOCK])
+    }
+}
+
+/// Where the pixels of a block look, as float32; a pixel that is not used has zeros.
+#[derive(Clone, Debug)]
+pub struct Directions {
+    cosine: Plane<f64>,
+    normal: [Plane; 3],
+    mirror: [Plane; 3],
+}
+
+/// The basis functions at those directions, A_l Y_k(n) and Y_k(mirror).
+#[derive(Clone, Debug, Default)]
+pub struct Basis {
+    diffuse: [Plane; DIFFUSE],
+    mirror: [Plane; COEFFICIENTS],
+}
+
+/// The materials of a block, or derivatives by them.
+#[derive(Clone, Debug)]
+pub struct Materials<const C: usize> {
+    /// Base colour, by channel.
+    pub albedo: [Plane<f64>; C],
+    /// Perceptual roughness.
+    pub roughness: Plane<f64>,
+    /// Metallic.
+    pub metallic: Plane<f64>,
+}
+
+/// h_l and dh_l/dr of a block's roughness.
+pub type BlockBands = [Plane<f64>; FUNCTIONS];
+
+/// One channel's material factors, rounded once to float32: kd and ks h_l.
+#[derive(Clone, Debug, Default)]
+pub struct ChannelFactors {
+    diffuse: Plane,
+    specular: [Plane; 4],
+}
+
+/// The adjoint of [`ChannelFactors`]: derivatives by kd, and for each band Σ_k g_k Y_k(mirror).
+#[derive(Clone, Debug, Default)]
+pub struct ChannelSums {
+    diffuse: Plane,
+    bands: [Plane; 4],
+}
+
+/// Sums over pixels, kept apart by lane until they are added up in float64.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub struct Lanes([f32; MAX_LANES]);
+
+/// Derivatives by the K coefficients of one light.
+pub type LightSums<const K: usize> = [Lanes; K];
+
+impl Default for Directions {
+    fn default() -> Self {
+        Self {
+            cosine: Plane([1.0; BLOCK]),
+            normal: Default::default(),
+            mirror: Default::default(),
+        }
+    }
+}
+
+impl Directions {
+    /// Puts a pixel into the block.
+    pub fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
+        let (cosine, mirror) = Frame::directions(normal, view);
+        self.cosine.0[pixel] = cosine;
+        for axis in 0..3 {
+            self.normal[axis].0[pixel] = normal[axis] as f32;
+            self.mirror[axis].0[pixel] = mirror[axis] as f32;
+        }
+    }
+
+    /// Asks for the block before it is needed.
+    pub fn prefetch(&self) {
+        prefetch(&self.cosine.0);
+        for plane in self.normal.iter().chain(&self.mirror) {
+            prefetch(&plane.0);
+        }
+    }
+
+    /// A pixel of the block, as the fast path sees it: directions rounded to float32.
+    pub fn get(&self, pixel: usize) -> Frame {
+        let [normal, mirror] = [&self.normal, &self.mirror].map(|d| vector(d, pixel));
+        Frame::at(self.cosine.0[pixel], normal, mirror)
+    }
+}
+
+#[inline(always)]
+fn vector(planes: &[Plane; 3], pixel: usize) -> DVec3 {
+    DVec3::new(
+        f64::from(planes[0].0[pixel]),
+        f64::from(planes[1].0[pixel]),
+        f64::from(planes[2].0[pixel]),
+    )
+}
+
+impl<const C: usize> Default for Materials<C> {
+    fn default() -> Self {
+        Self {
+            albedo: [Plane::default(); C],
+            roughness: Plane::default(),
+            metallic: Plane::default(),
+        }
+    }
+}
+
+impl<const C: usize> Materials<C> {
+    /// Takes `count` pixels from planes of `pixels` values each, starting at `first`; whether all
+    /// of them lie in \[0, 1\]. The copy lets the compiler know that no two planes overlap, without
+    /// which the loops over them are no vector code.
+    pub fn load(
+        &mut self,
+        maps: &[f64],
+        pixels: usize,
+        first: usize,
+        count: usize,
+        known_metallic: Option<f64>,
+    ) -> bool {
+        let mut in_range = true;
+        let mut load = |plane: &mut Plane<f64>, i: usize| {
+            let (used, unused) = plane.0.split_at_mut(count);
+            used.copy_from_slice(&maps[i * pixels + first..][..count]);
+            unused.fill(0.5);
+            for &v in &*used {
+                in_range &= (v >= 0.0) & (v <= 1.0);
+            }
+        };
+        for c in 0..C {
+            load(&mut self.albedo[c], c);
+        }
+        load(&mut self.roughness, C);
+        match known_metallic {
+            Some(metallic) => self.metallic.0.fill(metallic),
+            None => load(&mut self.metallic, C + 1),
+        }
+        in_range
+    }
+
+    /// Puts `count` pixels into planes, starting at `first`; metallic only where there is a plane.
+    pub fn store(&self, planes: &mut [&mut [f64]], first: usize, count: usize) {
+        let own = self.albedo.iter().chain([&self.roughness, &self.metallic]);
+        for (plane, own) in planes.iter_mut().zip(own) {
+            plane[first..][..count].copy_from_slice(&own.0[..count]);
+        }
+    }
+
+    #[inline(always)]
+    fn get(&self, pixel: usize) -> Material<C> {
+        let mut albedo = [0.0; C];
+        for c in 0..C {
+            albedo[c] = self.albedo[c].0[pixel];
+        }
+        Material {
+            albedo,
+            roughness: self.roughness.0[pixel],
+            metallic: self.metallic.0[pixel],
+        }
+    }
+}
+
+/// Fills in the basis functions, K of them at the mirror direction.
+pub struct FillBasis<'a, const K: usize> {
+    /// Where the pixels look.
+    pub directions: &'a Directions,
+    /// To be written.
+    pub basis: &'a mut Basis,
+}
+
+impl<const K: usize> Kernel for FillBasis<'_, K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self { directions, basis } = self;
+        for x in 0..BLOCK {
+            let y = sh::basis(vector(&directions.normal, x));
+            for k in 0..DIFFUSE {
+                basis.diffuse[k].0[x] = (COSINE_TRANSFER[BAND_OF[k]] * y[k]) as f32;
+            }
+        }
+        for x in 0..BLOCK {
+            let y = sh::basis(vector(&directions.mirror, x));
+            for k in 0..K {
+                basis.mirror[k].0[x] = y[k] as f32;
+            }
+        }
+    }
+}
+
+/// Fills in bands and factors of the first `pixels` pixels; the others' factors become zero, and
+/// with them their weights, residuals and derivatives.
+pub struct FillFactors<'a, const C: usize> {
+    /// Where the pixels look.
+    pub directions: &'a Directions,
+    /// What they are made of.
+    pub materials: &'a Materials<C>,
+    /// Pixels used.
+    pub pixels: usize,
+    /// To be written.
+    pub bands: &'a mut BlockBands,
+    /// To be written.
+    pub factors: &'a mut [ChannelFactors; C],
+}
+
+impl<const C: usize> Kernel for FillFactors<'_, C> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) {
+        let Self {
+            directions,
+            materials,
+            pixels,
+            bands,
+            factors,
+        } = self;
+        let table = &*TABLE;
+        for x in 0..BLOCK {
+            let row = table.row(isa, materials.roughness.0[x]);
+            for f in 0..FUNCTIONS {
+                bands[f].0[x] = row.0[f];
+            }
+        }
+        for x in 0..BLOCK {
+            let of_pixel = factors_of(directions, materials, bands, x);
+            for c in 0..C {
+                factors[c].diffuse.0[x] = of_pixel.diffuse[c] as f32;
+                for l in 0..4 {
+                    factors[c].specular[l].0[x] =
+                        (of_pixel.specular[c] * of_pixel.bands.weight[l]) as f32;
+                }
+            }
+        }
+        for of_channel in factors {
+            of_channel.diffuse.0[pixels..].fill(0.0);
+            for plane in &mut of_channel.specular {
+                plane.0[pixels..].fill(0.0);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn factors_of<const C: usize>(
+    directions: &Directions,
+    materials: &Materials<C>,
+    bands: &BlockBands,
+    x: usize,
+) -> Factors<C> {
+    let mut of_pixel = Bands {
+        weight: [0.0; 4],
+        slope: [0.0; 4],
+    };
+    for l in 0..4 {
+        of_pixel.weight[l] = bands[l].0[x];
+        of_pixel.slope[l] = bands[4 + l].0[x];
+    }
+    Factors::new(directions.cosine.0[x], &materials.get(x), of_pixel)
+}
+
+/// Fills in one channel's weights, W transposed: coefficient first.
+pub struct FillWeights<'a, const K: usize> {
+    /// The basis functions.
+    pub basis: &'a Basis,
+    /// The channel's factors.
+    pub factors: &'a ChannelFactors,
+    /// To be written.
+    pub weights: &'a mut [Plane; K],
+}
+
+impl<const K: usize> Kernel for FillWeights<'_, K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) {
+        fill_weights(isa, self.basis, self.factors, self.weights);
+    }
+}
+
+#[inline(always)]
+fn fill_weights<I: Vectors<f32>, const K: usize>(
+    isa: I,
+    basis: &Basis,
+    factors: &ChannelFactors,
+    weights: &mut [Plane; K],
+) {
+    for k in 0..K {
+        let w = I::of_mut(&mut weights[k].0);
+        let specular = I::of(&factors.specular[BAND_OF[k]].0);
+        let mirror = I::of(&basis.mirror[k].0);
+        for v in 0..BLOCK / I::LANES {
+            w[v] = isa.mul(specular[v], mirror[v]);
+        }
+        if k < DIFFUSE {
+            let diffuse = I::of(&factors.diffuse.0);
+            let normal = I::of(&basis.diffuse[k].0);
+            for v in 0..BLOCK / I::LANES {
+                w[v] = isa.mul_add(diffuse[v], normal[v], w[v]);
+            }
+        }
+    }
+}
+
+/// First product: e = ω (W Lᵀ − T) for up to [`GROUP`] pictures. Returns Σ ω (I − T)².
+pub struct Residuals<'a, const K: usize, const WEIGHTED: bool> {
+    /// The channel's weights.
+    pub weights: &'a [Plane; K],
+    /// A row for each picture.
+    pub lights: &'a [[f32; K]],
+    /// A plane for each picture.
+    pub targets: &'a [Plane],
+    /// What will be read next, a plane for each picture: asked for while this is computed.
+    pub next_targets: &'a [Plane],
+    /// ω, a plane for each picture; not read unless `WEIGHTED`.
+    pub sample_weights: &'a [Plane],
+    /// To be written, a plane for each picture.
+    pub residuals: &'a mut [Plane],
+}
+
+impl<const K: usize, const WEIGHTED: bool> Kernel for Residuals<'_, K, WEIGHTED> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<I: Isa>(mut self, isa: I) -> f64 {
+        if I::REGISTERS >= 32 {
+            self.all::<I, 4>(isa)
+        } else {
+            self.all::<I, 2>(isa)
+        }
+    }
+}
+
+impl<const K: usize, const WEIGHTED: bool> Residuals<'_, K, WEIGHTED> {
+    #[inline(always)]
+    fn all<I: Vectors<f32>, const V: usize>(&mut self, isa: I) -> f64 {
+        let n = self.lights.len();
+        let mut squares = [isa.splat(0.0); V];
+        let mut j = 0;
+        while j + 4 <= n {
+            self.some::<I, V, 4>(isa, j, &mut squares);
+            j += 4;
+        }
+        match n - j {
+            3 => self.some::<I, V, 3>(isa, j, &mut squares),
+            2 => self.some::<I, V, 2>(isa, j, &mut squares),
+            1 => self.some::<I, V, 1>(isa, j, &mut squares),
+            _ => {}
+        }
+        let mut sum = 0.0;
+        for i in 0..V {
+            let mut lanes = Lanes::default();
+            I::of_mut(&mut lanes.0)[0] = squares[i];
+            sum += lanes.0.iter().map(|&s| f64::from(s)).sum::<f64>();
+        }
+        sum
+    }
+
+    /// J pictures, V vectors at a time.
+    #[inline(always)]
+    fn some<I: Vectors<f32>, const V: usize, const J: usize>(
+        &mut self,
+        isa: I,
+        first: usize,
+        squares: &mut [I::Vector; V],
+    ) {
+        let lights = &self.lights[first..first + J];
+        let targets = &self.targets[first..first + J];
+        let residuals = &mut self.residuals[first..first + J];
+        for v in (0..BLOCK / I::LANES).step_by(V) {
+            let mut radiance = [[isa.splat(0.0); V]; J];
+            for k in 0..K {
+                let w = &I::of(&self.weights[k].0)[v..v + V];
+                for j in 0..J {
+                    let light = isa.splat(lights[j][k]);
+                    for i in 0..V {
+                        radiance[j][i] = isa.mul_add(light, w[i], radiance[j][i]);
+                    }
+                }
+            }
+            for j in 0..J {
+                let target = &I::of(&targets[j].0)[v..v + V];
+                let out = &mut I::of_mut(&mut residuals[j].0)[v..v + V];
+                prefetch(&I::of(&self.next_targets[first + j].0)[v..v + V]);
+                for i in 0..V {
+                    let e = isa.sub(radiance[j][i], target[i]);
+                    if WEIGHTED {
+                        let omega = I::of(&self.sample_weights[first + j].0)[v + i];
+                        out[i] = isa.mul(omega, e);
+                        squares[i] = isa.mul_add(out[i], e, squares[i]);
+                    } else {
+                        out[i] = e;
+                        squares[i] = isa.mul_add(e, e, squares[i]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Second product, reduced at once: adds the derivatives by kd and the band sums.
+pub struct Reduce<'a, const K: usize> {
+    /// The basis functions.
+    pub basis: &'a Basis,
+    /// A row for each picture.
+    pub lights: &'a [[f32; K]],
+    /// e, a plane for each picture.
+    pub residuals: &'a [Plane],
+    /// Added to.
+    pub sums: &'a mut ChannelSums,
+}
+
+impl<const K: usize> Kernel for Reduce<'_, K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(mut self, isa: I) {
+        // Coefficients band by band, bands 0 and 1 together, by as many vectors as registers hold.
+        if I::REGISTERS >= 32 {
+            self.some::<I, 0, 4, 4>(isa);
+            self.some::<I, 4, 5, 4>(isa);
+        } else {
+            self.some::<I, 0, 4, 2>(isa);
+            self.some::<I, 4, 5, 2>(isa);
+        }
+        if K == COEFFICIENTS {
+            if I::REGISTERS >= 32 {
+                self.some::<I, 9, 7, 2>(isa);
+            } else {
+                self.some::<I, 9, 7, 1>(isa);
+            }
+        }
+    }
+}
+
+impl<const K: usize> Reduce<'_, K> {
+    /// `COUNT` coefficients from `FIRST`, V vectors at a time.
+    #[inline(always)]
+    fn some<I: Vectors<f32>, const FIRST: usize, const COUNT: usize, const V: usize>(
+        &mut self,
+        isa: I,
+    ) {
+        for v in (0..BLOCK / I::LANES).step_by(V) {
+            let mut by_weights = [[isa.splat(0.0); V]; COUNT];
+            for (light, e) in self.lights.iter().zip(self.residuals) {
+                let e = &I::of(&e.0)[v..v + V];
+                for k in 0..COUNT {
+                    let light = isa.splat(light[FIRST + k]);
+                    for i in 0..V {
+                        by_weights[k][i] = isa.mul_add(light, e[i], by_weights[k][i]);
+                    }
+                }
+            }
+            for k in 0..COUNT {
+                let mirror = &I::of(&self.basis.mirror[FIRST + k].0)[v..v + V];
+                let sum = &mut I::of_mut(&mut self.sums.bands[BAND_OF[FIRST + k]].0)[v..v + V];
+                for i in 0..V {
+                    sum[i] = isa.mul_add(by_weights[k][i], mirror[i], sum[i]);
+                }
+                if FIRST + k < DIFFUSE {
+                    let normal = &I::of(&self.basis.diffuse[FIRST + k].0)[v..v + V];
+                    let sum = &mut I::of_mut(&mut self.sums.diffuse.0)[v..v + V];
+                    for i in 0..V {
+                        sum[i] = isa.mul_add(by_weights[k][i], normal[i], sum[i]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Third product: adds eᵀ W to the sums of each picture.
+pub struct ByLights<'a, const K: usize> {
+    /// The channel's weights.
+    pub weights: &'a [Plane; K],
+    /// e, a plane for each picture.
+    pub residuals: &'a [Plane],
+    /// Added to, an entry for each picture.
+    pub sums: &'a mut [LightSums<K>],
+}
+
+impl<const K: usize> Kernel for ByLights<'_, K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(mut self, isa: I) {
+        if K == DIFFUSE {
+            self.all::<I, 3>(isa);
+        } else if I::REGISTERS >= 32 {
+            self.all::<I, 4>(isa);
+        } else {
+            self.all::<I, 2>(isa);
+        }
+    }
+}
+
+impl<const K: usize> ByLights<'_, K> {
+    #[inline(always)]
+    fn all<I: Vectors<f32>, const COUNT: usize>(&mut self, isa: I) {
+        let n = self.residuals.len();
+        let mut j = 0;
+        while j + 4 <= n {
+            self.some::<I, COUNT, 4>(isa, j);
+            j += 4;
+        }
+        match n - j {
+            3 => self.some::<I, COUNT, 3>(isa, j),
+            2 => self.some::<I, COUNT, 2>(isa, j),
+            1 => self.some::<I, COUNT, 1>(isa, j),
+            _ => {}
+        }
+    }
+
+    /// J pictures, `COUNT` coefficients at a time.
+    #[inline(always)]
+    fn some<I: Vectors<f32>, const COUNT: usize, const J: usize>(&mut self, isa: I, first: usize) {
+        let residuals = &self.residuals[first..first + J];
+        let sums = &mut self.sums[first..first + J];
+        for k in (0..K).step_by(COUNT) {
+            let mut total = [[isa.splat(0.0); COUNT]; J];
+            for j in 0..J {
+                for i in 0..COUNT {
+                    total[j][i] = I::of(&sums[j][k + i].0)[0];
+                }
+            }
+            for v in 0..BLOCK / I::LANES {
+                let mut w = [isa.splat(0.0); COUNT];
+                for i in 0..COUNT {
+                    w[i] = I::of(&self.weights[k + i].0)[v];
+                }
+                for j in 0..J {
+                    let e = I::of(&residuals[j].0)[v];
+                    for i in 0..COUNT {
+                        total[j][i] = isa.mul_add(e, w[i], total[j][i]);
+                    }
+                }
+            }
+            for j in 0..J {
+                for i in 0..COUNT {
+                    I::of_mut(&mut sums[j][k + i].0)[0] = total[j][i];
+                }
+            }
+        }
+    }
+}
+
+/// The same in float64, for the long run.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub struct WideLanes([f64; MAX_LANES / 2]);
+
+/// Moves sums in float32 to sums in float64.
+pub struct Flush<'a> {
+    /// Become zero.
+    pub from: &'a mut [Lanes],
+    /// As many; added to.
+    pub to: &'a mut [WideLanes],
+}
+
+impl Kernel for Flush<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        for (from, to) in self.from.iter_mut().zip(self.to) {
+            let (low, high) = from.0.split_at(MAX_LANES / 2);
+            for x in 0..MAX_LANES / 2 {
+                to.0[x] += f64::from(low[x]) + f64::from(high[x]);
+            }
+            from.0 = [0.0; MAX_LANES];
+        }
+    }
+}
+
+impl WideLanes {
+    /// All lanes together.
+    pub fn sum(&self) -> f64 {
+        self.0.iter().sum()
+    }
+}
+
+/// The pictures in groups of at most [`GROUP`], as even as fours allow.
+pub fn groups(pictures: usize) -> impl Iterator<Item = Range<usize>> {
+    let size = pictures
+        .div_ceil(pictures.div_ceil(GROUP))
+        .next_multiple_of(4);
+    (0..pictures)
+        .step_by(size)
+        .map(move |first| first..(first + size).min(pictures))
+}
+
+/// The last step: from the channels' sums to the derivatives by the material, times `scale`.
+pub struct PullBack<'a, const C: usize> {
+    /// Where the pixels look.
+    pub directions: &'a Directions,
+    /// What they are made of.
+    pub materials: &'a Materials<C>,
+    /// The bands of their roughness.
+    pub bands: &'a BlockBands,
+    /// The adjoint of the factors.
+    pub sums: &'a [ChannelSums; C],
+    /// Factor on all derivatives.
+    pub scale: f64,
+    /// To be written.
+    pub gradient: &'a mut Materials<C>,
+}
+
+impl<const C: usize> Kernel for PullBack<'_, C> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self {
+            directions,
+            materials,
+            bands,
+            sums,
+            scale,
+            gradient,
+        } = self;
+        for x in 0..BLOCK {
+            let factors = factors_of(directions, materials, bands, x);
+            let mut by_diffuse = [0.0; C];
+            let mut band_sums = [[0.0; 4]; C];
+            for c in 0..C {
+                by_diffuse[c] = f64::from(sums[c].diffuse.0[x]);
+                for l in 0..4 {
+                    band_sums[c][l] = f64::from(sums[c].bands[l].0[x]);
+                }
+            }
+            let of_pixel = factors.pull_back(&materials.get(x), &by_diffuse, &band_sums);
+            for c in 0..C {
+                gradient.albedo[c].0[x] = scale * of_pixel.albedo[c];
+            }
+            gradient.roughness.0[x] = scale * of_pixel.roughness;
+            gradient.metallic.0[x] = scale * of_pixel.metallic;
+        }
+    }
+}
