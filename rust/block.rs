@@ -21,7 +21,7 @@ use crate::band_table::{FUNCTIONS, TABLE};
 use crate::ggx::Bands;
 use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
 use crate::shade::{Factors, Frame, Material};
-use crate::simd::{Isa, Kernel, Vectors, prefetch};
+use crate::simd::{Ahead, Isa, Kernel, Vectors};
 
 /// Pixels in a block.
 pub const BLOCK: usize = 128;
@@ -112,14 +112,6 @@ impl Directions {
         for axis in 0..3 {
             self.normal[axis].0[pixel] = normal[axis] as f32;
             self.mirror[axis].0[pixel] = mirror[axis] as f32;
-        }
-    }
-
-    /// Asks for the block before it is needed.
-    pub fn prefetch(&self) {
-        prefetch(&self.cosine.0);
-        for plane in self.normal.iter().chain(&self.mirror) {
-            prefetch(&plane.0);
         }
     }
 
@@ -354,12 +346,12 @@ pub struct Residuals<'a, const K: usize, const WEIGHTED: bool> {
     pub lights: &'a [[f32; K]],
     /// A plane for each picture.
     pub targets: &'a [Plane],
-    /// What will be read next, a plane for each picture: asked for while this is computed.
-    pub next_targets: &'a [Plane],
     /// ω, a plane for each picture; not read unless `WEIGHTED`.
     pub sample_weights: &'a [Plane],
     /// To be written, a plane for each picture.
     pub residuals: &'a mut [Plane],
+    /// What the next steps will need.
+    pub ahead: &'a mut Ahead,
 }
 
 impl<const K: usize, const WEIGHTED: bool> Kernel for Residuals<'_, K, WEIGHTED> {
@@ -412,6 +404,7 @@ impl<const K: usize, const WEIGHTED: bool> Residuals<'_, K, WEIGHTED> {
         let targets = &self.targets[first..first + J];
         let residuals = &mut self.residuals[first..first + J];
         for v in (0..BLOCK / I::LANES).step_by(V) {
+            self.ahead.step(2 * V);
             let mut radiance = [[isa.splat(0.0); V]; J];
             for k in 0..K {
                 let w = &I::of(&self.weights[k].0)[v..v + V];
@@ -425,7 +418,6 @@ impl<const K: usize, const WEIGHTED: bool> Residuals<'_, K, WEIGHTED> {
             for j in 0..J {
                 let target = &I::of(&targets[j].0)[v..v + V];
                 let out = &mut I::of_mut(&mut residuals[j].0)[v..v + V];
-                prefetch(&I::of(&self.next_targets[first + j].0)[v..v + V]);
                 for i in 0..V {
                     let e = isa.sub(radiance[j][i], target[i]);
                     if WEIGHTED {
@@ -452,6 +444,8 @@ pub struct Reduce<'a, const K: usize> {
     pub residuals: &'a [Plane],
     /// Added to.
     pub sums: &'a mut ChannelSums,
+    /// What the next steps will need.
+    pub ahead: &'a mut Ahead,
 }
 
 impl<const K: usize> Kernel for Reduce<'_, K> {
@@ -485,6 +479,7 @@ impl<const K: usize> Reduce<'_, K> {
         isa: I,
     ) {
         for v in (0..BLOCK / I::LANES).step_by(V) {
+            self.ahead.step(2 * V);
             let mut by_weights = [[isa.splat(0.0); V]; COUNT];
             for (light, e) in self.lights.iter().zip(self.residuals) {
                 let e = &I::of(&e.0)[v..v + V];
@@ -521,6 +516,8 @@ pub struct ByLights<'a, const K: usize> {
     pub residuals: &'a [Plane],
     /// Added to, an entry for each picture.
     pub sums: &'a mut [LightSums<K>],
+    /// What the next steps will need.
+    pub ahead: &'a mut Ahead,
 }
 
 impl<const K: usize> Kernel for ByLights<'_, K> {
@@ -561,6 +558,7 @@ impl<const K: usize> ByLights<'_, K> {
         let residuals = &self.residuals[first..first + J];
         let sums = &mut self.sums[first..first + J];
         for k in (0..K).step_by(COUNT) {
+            self.ahead.step(COUNT);
             let mut total = [[isa.splat(0.0); COUNT]; J];
             for j in 0..J {
                 for i in 0..COUNT {

@@ -10,7 +10,7 @@ use crate::block::{
     FillWeights, Flush, GROUP, Lanes, Materials, Plane, PullBack, Reduce, Residuals, WideLanes,
 };
 use crate::problem::Problem;
-use crate::simd::prefetch;
+use crate::simd::Ahead;
 
 /// Blocks whose light derivatives are summed in float32 before float64 takes over.
 const FLUSH: usize = 16;
@@ -90,6 +90,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
     let mut weights = [Plane::default(); K];
     let mut residuals = [Plane::default(); GROUP];
 
+    let mut ahead = Ahead::default();
     let first_pixel = blocks.start * BLOCK;
     let last = blocks.end - 1;
     for block in blocks {
@@ -115,29 +116,17 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
                 weights: &mut weights,
             });
             sums[c] = ChannelSums::default();
-            if block < last {
-                let next = first + BLOCK;
-                match c {
-                    0 => {
-                        for plane in maps.chunks(pixels) {
-                            prefetch(&plane[next..(next + BLOCK).min(pixels)]);
-                        }
-                    }
-                    1 => problem.directions(block + 1).prefetch(),
-                    _ => {
-                        for plane in &mut *gradient {
-                            let from = next - first_pixel;
-                            prefetch(&plane[from..(from + BLOCK).min(plane.len())]);
-                        }
-                    }
-                }
-            }
+            look_ahead::<C>(
+                problem,
+                maps,
+                gradient,
+                first_pixel,
+                block,
+                last,
+                c,
+                &mut ahead,
+            );
             let targets = problem.targets(block, c);
-            let next_targets = if c + 1 < C {
-                problem.targets(block, c + 1)
-            } else {
-                problem.targets(block.min(last - 1) + 1, 0)
-            };
             let sample_weights = problem.weights(block, c);
             for group in block::groups(pictures) {
                 let lights = &lights[c * pictures..][group.clone()];
@@ -146,25 +135,27 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
                     weights: &weights,
                     lights,
                     targets: &targets[group.clone()],
-                    next_targets: &next_targets[group.clone()],
                     sample_weights: if WEIGHTED {
                         &sample_weights[group.clone()]
                     } else {
                         &[]
                     },
                     residuals,
+                    ahead: &mut ahead,
                 });
                 isa.run(Reduce {
                     basis: &basis,
                     lights,
                     residuals,
                     sums: &mut sums[c],
+                    ahead: &mut ahead,
                 });
                 if FREE_LIGHTS {
                     isa.run(ByLights {
                         weights: &weights,
                         residuals,
                         sums: &mut light_sums[c * pictures..][group],
+                        ahead: &mut ahead,
                     });
                 }
             }
@@ -192,4 +183,42 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
         .map(WideLanes::sum)
         .collect();
     partial
+}
+
+/// While channel c of a block is worked on: the next channel's targets, and a share of the rest of
+/// the next block.
+fn look_ahead<const C: usize>(
+    problem: &Problem,
+    maps: &[f64],
+    gradient: &[&mut [f64]],
+    first_pixel: usize,
+    block: usize,
+    last: usize,
+    c: usize,
+    ahead: &mut Ahead,
+) {
+    ahead.clear();
+    let pixels = problem.pixels();
+    let from = (block + 1) * BLOCK;
+    if block < last {
+        if c == C - 1 {
+            for plane in gradient {
+                let from = from - first_pixel;
+                ahead.push(&plane[from..(from + BLOCK).min(plane.len())]);
+            }
+        }
+        if c == 1 % C {
+            ahead.push(std::slice::from_ref(problem.directions(block + 1)));
+        }
+        if c == 0 {
+            for plane in maps.chunks(pixels) {
+                ahead.push(&plane[from..(from + BLOCK).min(pixels)]);
+            }
+        }
+    }
+    if c + 1 < C {
+        ahead.push(problem.targets(block, c + 1));
+    } else if block < last {
+        ahead.push(problem.targets(block + 1, 0));
+    }
 }

@@ -212,17 +212,60 @@ vectors!(
     mul_add_f64s
 );
 
-/// Asks for memory that will be needed soon. The processor's own guess ends at each 4 KiB page and
-/// loses count among a dozen arrays; asking saves 10 to 20 % of an evaluation of a large picture.
+/// Memory that will be needed soon, asked for a few lines at a time between other work.
+///
+/// The processor's own guess ends at each 4 KiB page and loses count among a dozen arrays; and too
+/// many requests at once make it wait. Asked for at an even pace, memory costs next to nothing.
+#[derive(Debug, Default)]
+pub struct Ahead {
+    /// Address and bytes of what is left, the last first.
+    ranges: Vec<(usize, usize)>,
+}
+
+impl Ahead {
+    /// Forgets what was not asked for yet.
+    pub fn clear(&mut self) {
+        self.ranges.clear();
+    }
+
+    /// Adds memory that will be needed.
+    pub fn push<T>(&mut self, values: &[T]) {
+        if !values.is_empty() {
+            self.ranges
+                .push((values.as_ptr().addr(), size_of_val(values)));
+        }
+    }
+
+    /// Asks for the next lines.
+    #[inline(always)]
+    pub fn step(&mut self, lines: usize) {
+        let Some((address, bytes)) = self.ranges.last_mut() else {
+            return;
+        };
+        for line in 0..lines {
+            prefetch(*address + line * LINE);
+        }
+        *address += lines * LINE;
+        if *bytes <= lines * LINE {
+            self.ranges.pop();
+        } else {
+            *bytes -= lines * LINE;
+        }
+    }
+}
+
+/// Bytes in a cache line.
+const LINE: usize = 64;
+
 #[inline(always)]
 #[allow(unsafe_code)]
-pub fn prefetch<T>(values: &[T]) {
+fn prefetch(address: usize) {
     #[cfg(target_arch = "x86_64")]
-    for line in values.chunks(64 / size_of::<T>()) {
-        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
-        // SAFETY: a hint that reads nothing and never faults, and an address inside the slice.
-        unsafe { _mm_prefetch::<_MM_HINT_T1>(line.as_ptr().cast()) };
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a hint; it reads nothing and never faults, whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::without_provenance(address)) };
     }
     #[cfg(not(target_arch = "x86_64"))]
-    let _ = values;
+    let _ = address;
 }
