@@ -321,19 +321,20 @@ fn fill_weights<I: Vectors<f32>, const K: usize>(
     factors: &ChannelFactors,
     weights: &mut [Plane; K],
 ) {
-    for k in 0..K {
-        let w = I::of_mut(&mut weights[k].0);
-        let specular = I::of(&factors.specular[BAND_OF[k]].0);
-        let mirror = I::of(&basis.mirror[k].0);
-        for v in 0..BLOCK / I::LANES {
-            w[v] = isa.mul(specular[v], mirror[v]);
+    // Pixels outside, so that the five factors stay in registers.
+    for v in 0..BLOCK / I::LANES {
+        let diffuse = I::of(&factors.diffuse.0)[v];
+        let mut specular = [diffuse; 4];
+        for l in 0..4 {
+            specular[l] = I::of(&factors.specular[l].0)[v];
         }
-        if k < DIFFUSE {
-            let diffuse = I::of(&factors.diffuse.0);
-            let normal = I::of(&basis.diffuse[k].0);
-            for v in 0..BLOCK / I::LANES {
-                w[v] = isa.mul_add(diffuse[v], normal[v], w[v]);
+        for k in 0..K {
+            let mirror = I::of(&basis.mirror[k].0)[v];
+            let mut w = isa.mul(specular[BAND_OF[k]], mirror);
+            if k < DIFFUSE {
+                w = isa.mul_add(diffuse, I::of(&basis.diffuse[k].0)[v], w);
             }
+            I::of_mut(&mut weights[k].0)[v] = w;
         }
     }
 }

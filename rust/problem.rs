@@ -16,7 +16,7 @@ const MAX_CHUNKS: usize = 64;
 /// Blocks in a piece of work at least: a piece has a cost of its own.
 const MIN_CHUNK: usize = 4;
 /// Samples (pixels times pictures) at most.
-const MAX_SAMPLES: usize = 1 << 31;
+pub const MAX_SAMPLES: usize = 1 << 31;
 
 /// What is given to a [`Problem`].
 #[derive(Clone, Copy, Debug)]

@@ -59,8 +59,11 @@ def render(
 class Problem:
     """The pictures of one scene, and the loss over them.
 
-    images (N, P, 3) float32; normals, views (P, 3) float64 unit vectors; threads 0 = all.
-    Unknowns x = [albedo R | G | B | roughness | metallic (P each) | lighting (N, 16, 3)].
+    images (N, P, C) float32 with C = 1 or 3; normals, views (P, 3) float64 unit vectors; weights
+    (N, P) or (N, P, C) float32; lighting (N, K, C) float64, known; metallic a number, known;
+    threads 0 = all. K = (sh_order + 1)², sh_order 2 or 3.
+    Unknowns x = [albedo (C planes of P) | roughness | metallic | lighting (N, K, C)], without
+    those that are known. The loss is the (weighted) mean of the squared residuals.
     """
 
     def __new__(
@@ -69,6 +72,11 @@ class Problem:
         normals: NDArray[np.float64],
         views: NDArray[np.float64],
         threads: int = 0,
+        *,
+        weights: NDArray[np.float32] | None = None,
+        sh_order: int = 3,
+        metallic: float | None = None,
+        lighting: NDArray[np.float64] | None = None,
     ) -> Problem: ...
     @property
     def size(self) -> int: ...
@@ -76,11 +84,19 @@ class Problem:
     def pixels(self) -> int: ...
     @property
     def pictures(self) -> int: ...
+    @property
+    def channels(self) -> int: ...
+    @property
+    def coefficients(self) -> int: ...
     def value_and_grad(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]: ...
-    def render(self, x: NDArray[np.float64]) -> NDArray[np.float32]: ...
     def light_equations(
-        self, x: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+        self, maps: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Gram matrices (C, 1 or N, K, K) and right sides (C, N, K) of the lights.
+
+        `maps` is x without its lighting. One Gram matrix for all pictures, or one for each where
+        samples have weights.
+        """
 
 @final
 class Raster:

@@ -1,9 +1,16 @@
-//! Copies of numpy arrays: what crosses the boundary belongs to Rust from then on.
+//! Numpy arrays as they come in: checked, and read where they are or copied.
+
+use std::borrow::Cow;
 
 use glam::DVec3;
 use numpy::ndarray::{ArrayView, Dimension};
-use numpy::{Element, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{
+    Element, PyArrayDescrMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArray, PyUntypedArrayMethods, dtype,
+};
+use pyo3::prelude::*;
 
+use super::InputError;
 use crate::shade::Material;
 use crate::{Error, Result, check};
 
@@ -11,6 +18,43 @@ use crate::{Error, Result, check};
 pub(super) fn copied<T: Element + Copy, D: Dimension>(array: &PyReadonlyArray<'_, T, D>) -> Vec<T> {
     let view: ArrayView<T, D> = array.as_array();
     view.iter().copied().collect()
+}
+
+/// An argument as an array of `T` with as many dimensions as `D`; a refusal names it.
+pub(super) fn array<'py, T: Element, D: Dimension>(
+    name: &'static str,
+    argument: &Bound<'py, PyAny>,
+) -> PyResult<PyReadonlyArray<'py, T, D>> {
+    argument.extract().map_err(|_| {
+        let expected = dtype::<T>(argument.py());
+        let found = match argument.cast::<PyUntypedArray>() {
+            Err(_) => argument.get_type().to_string(),
+            Ok(array) if array.dtype().is_equiv_to(&expected) => {
+                format!("shape {:?}", array.shape())
+            }
+            Ok(array) => array.dtype().to_string(),
+        };
+        let dimensions = D::NDIM.map_or_else(String::new, |n| format!(" in {n} dimensions"));
+        InputError::new_err(format!(
+            "{name}: expected an array of {expected}{dimensions}, found {found}"
+        ))
+    })
+}
+
+/// The values of an array in C order: its own memory where they lie like that, else a copy.
+pub(super) struct Contiguous<'a, T: Clone>(Cow<'a, [T]>);
+
+impl<'a, T: Element + Copy> Contiguous<'a, T> {
+    pub(super) fn of<D: Dimension>(array: &'a PyReadonlyArray<'_, T, D>) -> Self {
+        Self(match array.as_slice() {
+            Ok(values) => Cow::Borrowed(values),
+            Err(_) => Cow::Owned(copied(array)),
+        })
+    }
+
+    pub(super) fn values(&self) -> &[T] {
+        &self.0
+    }
 }
 
 /// Rows of an (M, 3) array.

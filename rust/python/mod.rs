@@ -9,7 +9,7 @@ mod model;
 mod problem;
 
 use pyo3::create_exception;
-use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::Error;
@@ -27,6 +27,7 @@ impl From<Error> for PyErr {
             Error::Argument { .. } | Error::Content { .. } => {
                 InputError::new_err(error.to_string())
             }
+            Error::Memory(_) => PyMemoryError::new_err(error.to_string()),
             Error::Io { path, source } => {
                 // OSError(errno, text, path) lets Python choose FileNotFoundError and its kin.
                 let code = source.raw_os_error();

@@ -1,102 +1,182 @@
 //! `pbrfit._core.Problem`: the pictures, and the loss over them.
 
-use numpy::{
-    IntoPyArray, PyArray1, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
-};
+use std::sync::Mutex;
+
+use numpy::{IntoPyArray, PyArray1, PyArray3, PyArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use super::arrays::{copied, shape, vectors};
+use super::arrays::{Contiguous, array, shape, vectors};
 use super::model::array3;
-use crate::problem::Problem;
-use crate::sh::COEFFICIENTS;
+use crate::problem::{Options, Pictures, Problem};
+use crate::{Error, Result};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProblem>()
 }
 
 #[pyclass(frozen, name = "Problem", module = "pbrfit._core")]
-struct PyProblem(Problem);
+struct PyProblem {
+    problem: Problem,
+    /// The last copy of x: its memory serves again.
+    copy: Mutex<Vec<f64>>,
+}
 
 #[pymethods]
 impl PyProblem {
     #[new]
-    #[pyo3(signature = (images, normals, views, threads = 0))]
+    #[pyo3(signature = (
+        images, normals, views, threads = 0, *,
+        weights = None, sh_order = 3, metallic = None, lighting = None
+    ))]
+    #[expect(clippy::too_many_arguments)]
     fn new(
-        py: Python<'_>,
-        images: PyReadonlyArray3<'_, f32>,
-        normals: PyReadonlyArray2<'_, f64>,
-        views: PyReadonlyArray2<'_, f64>,
+        images: &Bound<'_, PyAny>,
+        normals: &Bound<'_, PyAny>,
+        views: &Bound<'_, PyAny>,
         threads: usize,
+        weights: Option<&Bound<'_, PyAny>>,
+        sh_order: usize,
+        metallic: Option<f64>,
+        lighting: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        let (normals, views) = (vectors("normals", &normals)?, vectors("views", &views)?);
-        let pictures = images.as_array().shape()[0];
+        let images = array::<f32, numpy::Ix3>("images", images)?;
+        let normals = vectors("normals", &array("normals", normals)?)?;
+        let views = vectors("views", &array("views", views)?)?;
+        let &[pictures, pixels, channels] = images.shape() else {
+            unreachable!("an array of three dimensions");
+        };
         shape(
             "images",
-            &[pictures, normals.len(), 3],
-            images.as_array().shape(),
+            &[pictures, normals.len(), channels],
+            images.shape(),
         )?;
-        let images = copied(&images);
-        let problem = py.detach(|| Problem::new(&images, pictures, &normals, &views, threads))?;
-        Ok(Self(problem))
+        let samples = [pictures, pixels, channels];
+        let weights = weights
+            .map(|weights| array::<f32, numpy::IxDyn>("weights", weights))
+            .transpose()?;
+        if let Some(weights) = &weights {
+            let of_samples = &samples[..if weights.shape().len() == 2 { 2 } else { 3 }];
+            shape("weights", of_samples, weights.shape())?;
+        }
+        let lighting = lighting
+            .map(|lighting| array::<f64, numpy::Ix3>("lighting", lighting))
+            .transpose()?;
+        if let Some(lighting) = &lighting {
+            let coefficients = (sh_order.min(3) + 1).pow(2);
+            shape(
+                "lighting",
+                &[pictures, coefficients, channels],
+                lighting.shape(),
+            )?;
+        }
+        check_size(pictures, pixels)?;
+        let (images, weights) = (
+            Contiguous::of(&images),
+            weights.as_ref().map(Contiguous::of),
+        );
+        let given = Pictures {
+            images: images.values(),
+            pictures,
+            channels,
+            weights: weights.as_ref().map(Contiguous::values),
+            normals: &normals,
+            views: &views,
+        };
+        let options = Options {
+            sh_order,
+            metallic,
+            lighting: lighting.map(|lighting| Contiguous::of(&lighting).values().to_vec()),
+            threads,
+            ..Options::default()
+        };
+        // The one long call that keeps the interpreter lock: it reads the caller's pictures where
+        // they are, and nobody may change them meanwhile. A copy to work from would double the
+        // memory.
+        Ok(Self {
+            problem: Problem::new(&given, options)?,
+            copy: Mutex::default(),
+        })
     }
 
     #[getter]
     fn size(&self) -> usize {
-        self.0.size()
+        self.problem.size()
     }
 
     #[getter]
     fn pixels(&self) -> usize {
-        self.0.pixels()
+        self.problem.pixels()
     }
 
     #[getter]
     fn pictures(&self) -> usize {
-        self.0.pictures()
+        self.problem.pictures()
+    }
+
+    #[getter]
+    fn channels(&self) -> usize {
+        self.problem.channels()
+    }
+
+    #[getter]
+    fn coefficients(&self) -> usize {
+        self.problem.coefficients()
     }
 
     fn value_and_grad<'py>(
         &self,
         py: Python<'py>,
-        x: PyReadonlyArray1<'py, f64>,
+        x: &Bound<'py, PyAny>,
     ) -> PyResult<(f64, Bound<'py, PyArray1<f64>>)> {
-        let x = copied(&x);
-        let mut gradient = vec![0.0; self.0.size()];
-        let value = py.detach(|| self.0.value_and_grad(&x, &mut gradient))?;
+        let x = array::<f64, numpy::Ix1>("x", x)?;
+        shape("x", &[self.problem.size()], x.shape())?;
+        // Another thread may be using the kept copy; then this call has one of its own.
+        let mut kept = self.copy.try_lock().ok();
+        let mut own = Vec::new();
+        let copy = kept.as_deref_mut().unwrap_or(&mut own);
+        copy.clear();
+        copy.extend_from_slice(Contiguous::of(&x).values());
+        let mut gradient = vec![0.0; self.problem.size()];
+        let copy = &*copy;
+        let value = py.detach(|| self.problem.value_and_grad(copy, &mut gradient))?;
+        drop(kept);
         Ok((value, gradient.into_pyarray(py)))
-    }
-
-    fn render<'py>(
-        &self,
-        py: Python<'py>,
-        x: PyReadonlyArray1<'py, f64>,
-    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let x = copied(&x);
-        let images = py.detach(|| self.0.render(&x))?;
-        Ok(array3(images, [self.0.pictures(), self.0.pixels(), 3]).into_pyarray(py))
     }
 
     #[expect(clippy::type_complexity)]
     fn light_equations<'py>(
         &self,
         py: Python<'py>,
-        x: PyReadonlyArray1<'py, f64>,
-    ) -> PyResult<(Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>)> {
-        let x = copied(&x);
-        let equations = py.detach(|| self.0.light_equations(&x))?;
-        let gram = equations
-            .iter()
-            .flat_map(|e| e.gram.as_flattened())
-            .copied()
-            .collect();
-        let right = equations
-            .iter()
-            .flat_map(|e| e.right.as_flattened())
-            .copied()
-            .collect();
+        maps: &Bound<'py, PyAny>,
+    ) -> PyResult<(Bound<'py, PyArray4<f64>>, Bound<'py, PyArray3<f64>>)> {
+        let maps = Contiguous::of(&array::<f64, numpy::Ix1>("maps", maps)?)
+            .values()
+            .to_vec();
+        let equations = py.detach(|| self.problem.light_equations(&maps))?;
+        let (channels, k) = (self.problem.channels(), self.problem.coefficients());
+        let gram: Vec<f64> = equations.iter().flat_map(|e| &e.gram).copied().collect();
+        let right: Vec<f64> = equations.iter().flat_map(|e| &e.right).copied().collect();
+        let grams = gram.len() / (channels * k * k);
+        let gram = numpy::ndarray::Array4::from_shape_vec([channels, grams, k, k], gram)
+            .expect("Gram matrices of every channel");
         Ok((
-            array3(gram, [3, COEFFICIENTS, COEFFICIENTS]).into_pyarray(py),
-            array3(right, [3, self.0.pictures(), COEFFICIENTS]).into_pyarray(py),
+            gram.into_pyarray(py),
+            array3(right, [channels, self.problem.pictures(), k]).into_pyarray(py),
         ))
+    }
+}
+
+/// Before anything is copied: a broadcast array may pretend to more than any memory holds.
+fn check_size(pictures: usize, pixels: usize) -> Result<()> {
+    match pictures.checked_mul(pixels) {
+        Some(samples) if samples <= crate::problem::MAX_SAMPLES => Ok(()),
+        _ => Err(Error::argument(
+            "images",
+            format!(
+                "at most {} pixels times pictures",
+                crate::problem::MAX_SAMPLES
+            ),
+            format!("{pictures} pictures of {pixels} pixels"),
+        )),
     }
 }
