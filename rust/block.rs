@@ -37,25 +37,57 @@ const MAX_LANES: usize = 16;
 #[repr(C, align(64))]
 pub struct Plane<T = f32>(pub [T; BLOCK]);
 
+/// Precision of basis functions, weights and radiance.
+pub trait Real: Copy + Default + Send + Sync {
+    /// Rounds.
+    fn from_f64(value: f64) -> Self;
+    /// Exact.
+    fn to_f64(self) -> f64;
+}
+
+impl Real for f32 {
+    #[inline(always)]
+    fn from_f64(value: f64) -> Self {
+        value as Self
+    }
+
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        self.into()
+    }
+}
+
+impl Real for f64 {
+    #[inline(always)]
+    fn from_f64(value: f64) -> Self {
+        value
+    }
+
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        self
+    }
+}
+
 impl<T: Copy + Default> Default for Plane<T> {
     fn default() -> Self {
         Self([T::default(); BLOCK])
     }
 }
 
-/// Where the pixels of a block look, as float32; a pixel that is not used has zeros.
+/// Where the pixels of a block look; a pixel that is not used has zeros.
 #[derive(Clone, Debug)]
-pub struct Directions {
+pub struct Directions<T = f32> {
     cosine: Plane<f64>,
-    normal: [Plane; 3],
-    mirror: [Plane; 3],
+    normal: [Plane<T>; 3],
+    mirror: [Plane<T>; 3],
 }
 
 /// The basis functions at those directions, A_l Y_k(n) and Y_k(mirror).
 #[derive(Clone, Debug, Default)]
-pub struct Basis {
-    diffuse: [Plane; DIFFUSE],
-    mirror: [Plane; COEFFICIENTS],
+pub struct Basis<T: Copy + Default = f32> {
+    diffuse: [Plane<T>; DIFFUSE],
+    mirror: [Plane<T>; COEFFICIENTS],
 }
 
 /// The materials of a block, or derivatives by them.
@@ -72,11 +104,11 @@ pub struct Materials<const C: usize> {
 /// h_l and dh_l/dr of a block's roughness.
 pub type BlockBands = [Plane<f64>; FUNCTIONS];
 
-/// One channel's material factors, rounded once to float32: kd and ks h_l.
+/// One channel's material factors, rounded once: kd and ks h_l.
 #[derive(Clone, Debug, Default)]
-pub struct ChannelFactors {
-    diffuse: Plane,
-    specular: [Plane; 4],
+pub struct ChannelFactors<T: Copy + Default = f32> {
+    diffuse: Plane<T>,
+    specular: [Plane<T>; 4],
 }
 
 /// The adjoint of [`ChannelFactors`]: derivatives by kd, and for each band Σ_k g_k Y_k(mirror).
@@ -94,7 +126,7 @@ pub struct Lanes([f32; MAX_LANES]);
 /// Derivatives by the K coefficients of one light.
 pub type LightSums<const K: usize> = [Lanes; K];
 
-impl Default for Directions {
+impl<T: Real> Default for Directions<T> {
     fn default() -> Self {
         Self {
             cosine: Plane([1.0; BLOCK]),
@@ -104,18 +136,18 @@ impl Default for Directions {
     }
 }
 
-impl Directions {
+impl<T: Real> Directions<T> {
     /// Puts a pixel into the block.
     pub fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
         let (cosine, mirror) = Frame::directions(normal, view);
         self.cosine.0[pixel] = cosine;
         for axis in 0..3 {
-            self.normal[axis].0[pixel] = normal[axis] as f32;
-            self.mirror[axis].0[pixel] = mirror[axis] as f32;
+            self.normal[axis].0[pixel] = T::from_f64(normal[axis]);
+            self.mirror[axis].0[pixel] = T::from_f64(mirror[axis]);
         }
     }
 
-    /// A pixel of the block, as the fast path sees it: directions rounded to float32.
+    /// A pixel of the block, with its directions as they were rounded.
     pub fn get(&self, pixel: usize) -> Frame {
         let [normal, mirror] = [&self.normal, &self.mirror].map(|d| vector(d, pixel));
         Frame::at(self.cosine.0[pixel], normal, mirror)
@@ -123,11 +155,11 @@ impl Directions {
 }
 
 #[inline(always)]
-fn vector(planes: &[Plane; 3], pixel: usize) -> DVec3 {
+fn vector<T: Real>(planes: &[Plane<T>; 3], pixel: usize) -> DVec3 {
     DVec3::new(
-        f64::from(planes[0].0[pixel]),
-        f64::from(planes[1].0[pixel]),
-        f64::from(planes[2].0[pixel]),
+        planes[0].0[pixel].to_f64(),
+        planes[1].0[pixel].to_f64(),
+        planes[2].0[pixel].to_f64(),
     )
 }
 
@@ -173,6 +205,15 @@ impl<const C: usize> Materials<C> {
         in_range
     }
 
+    /// Puts one pixel into the block.
+    pub fn set(&mut self, pixel: usize, material: &Material<C>) {
+        for c in 0..C {
+            self.albedo[c].0[pixel] = material.albedo[c];
+        }
+        self.roughness.0[pixel] = material.roughness;
+        self.metallic.0[pixel] = material.metallic;
+    }
+
     /// Puts `count` pixels into planes, starting at `first`; metallic only where there is a plane.
     pub fn store(&self, planes: &mut [&mut [f64]], first: usize, count: usize) {
         let own = self.albedo.iter().chain([&self.roughness, &self.metallic]);
@@ -196,14 +237,14 @@ impl<const C: usize> Materials<C> {
 }
 
 /// Fills in the basis functions, K of them at the mirror direction.
-pub struct FillBasis<'a, const K: usize> {
+pub struct FillBasis<'a, T: Real, const K: usize> {
     /// Where the pixels look.
-    pub directions: &'a Directions,
+    pub directions: &'a Directions<T>,
     /// To be written.
-    pub basis: &'a mut Basis,
+    pub basis: &'a mut Basis<T>,
 }
 
-impl<const K: usize> Kernel for FillBasis<'_, K> {
+impl<T: Real, const K: usize> Kernel for FillBasis<'_, T, K> {
     type Output = ();
 
     #[inline(always)]
@@ -212,13 +253,13 @@ impl<const K: usize> Kernel for FillBasis<'_, K> {
         for x in 0..BLOCK {
             let y = sh::basis(vector(&directions.normal, x));
             for k in 0..DIFFUSE {
-                basis.diffuse[k].0[x] = (COSINE_TRANSFER[BAND_OF[k]] * y[k]) as f32;
+                basis.diffuse[k].0[x] = T::from_f64(COSINE_TRANSFER[BAND_OF[k]] * y[k]);
             }
         }
         for x in 0..BLOCK {
             let y = sh::basis(vector(&directions.mirror, x));
             for k in 0..K {
-                basis.mirror[k].0[x] = y[k] as f32;
+                basis.mirror[k].0[x] = T::from_f64(y[k]);
             }
         }
     }
@@ -226,9 +267,9 @@ impl<const K: usize> Kernel for FillBasis<'_, K> {
 
 /// Fills in bands and factors of the first `pixels` pixels; the others' factors become zero, and
 /// with them their weights, residuals and derivatives.
-pub struct FillFactors<'a, const C: usize> {
+pub struct FillFactors<'a, T: Real, const C: usize> {
     /// Where the pixels look.
-    pub directions: &'a Directions,
+    pub directions: &'a Directions<T>,
     /// What they are made of.
     pub materials: &'a Materials<C>,
     /// Pixels used.
@@ -236,10 +277,10 @@ pub struct FillFactors<'a, const C: usize> {
     /// To be written.
     pub bands: &'a mut BlockBands,
     /// To be written.
-    pub factors: &'a mut [ChannelFactors; C],
+    pub factors: &'a mut [ChannelFactors<T>; C],
 }
 
-impl<const C: usize> Kernel for FillFactors<'_, C> {
+impl<T: Real, const C: usize> Kernel for FillFactors<'_, T, C> {
     type Output = ();
 
     #[inline(always)]
@@ -261,25 +302,25 @@ impl<const C: usize> Kernel for FillFactors<'_, C> {
         for x in 0..BLOCK {
             let of_pixel = factors_of(directions, materials, bands, x);
             for c in 0..C {
-                factors[c].diffuse.0[x] = of_pixel.diffuse[c] as f32;
+                factors[c].diffuse.0[x] = T::from_f64(of_pixel.diffuse[c]);
                 for l in 0..4 {
                     factors[c].specular[l].0[x] =
-                        (of_pixel.specular[c] * of_pixel.bands.weight[l]) as f32;
+                        T::from_f64(of_pixel.specular[c] * of_pixel.bands.weight[l]);
                 }
             }
         }
         for of_channel in factors {
-            of_channel.diffuse.0[pixels..].fill(0.0);
+            of_channel.diffuse.0[pixels..].fill(T::default());
             for plane in &mut of_channel.specular {
-                plane.0[pixels..].fill(0.0);
+                plane.0[pixels..].fill(T::default());
             }
         }
     }
 }
 
 #[inline(always)]
-fn factors_of<const C: usize>(
-    directions: &Directions,
+fn factors_of<T: Real, const C: usize>(
+    directions: &Directions<T>,
     materials: &Materials<C>,
     bands: &BlockBands,
     x: usize,
@@ -296,30 +337,39 @@ fn factors_of<const C: usize>(
 }
 
 /// Fills in one channel's weights, W transposed: coefficient first.
-pub struct FillWeights<'a, const K: usize> {
+pub struct FillWeights<'a, T: Real, const K: usize> {
     /// The basis functions.
-    pub basis: &'a Basis,
+    pub basis: &'a Basis<T>,
     /// The channel's factors.
-    pub factors: &'a ChannelFactors,
+    pub factors: &'a ChannelFactors<T>,
     /// To be written.
-    pub weights: &'a mut [Plane; K],
+    pub weights: &'a mut [Plane<T>; K],
 }
 
-impl<const K: usize> Kernel for FillWeights<'_, K> {
+impl<const K: usize> Kernel for FillWeights<'_, f64, K> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, isa: I) {
-        fill_weights(isa, self.basis, self.factors, self.weights);
+        fill_weights::<f64, I, K>(isa, self.basis, self.factors, self.weights);
+    }
+}
+
+impl<const K: usize> Kernel for FillWeights<'_, f32, K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) {
+        fill_weights::<f32, I, K>(isa, self.basis, self.factors, self.weights);
     }
 }
 
 #[inline(always)]
-fn fill_weights<I: Vectors<f32>, const K: usize>(
+fn fill_weights<T: Real, I: Vectors<T>, const K: usize>(
     isa: I,
-    basis: &Basis,
-    factors: &ChannelFactors,
-    weights: &mut [Plane; K],
+    basis: &Basis<T>,
+    factors: &ChannelFactors<T>,
+    weights: &mut [Plane<T>; K],
 ) {
     // Pixels outside, so that the five factors stay in registers.
     for v in 0..BLOCK / I::LANES {
@@ -336,6 +386,46 @@ fn fill_weights<I: Vectors<f32>, const K: usize>(
             }
             I::of_mut(&mut weights[k].0)[v] = w;
         }
+    }
+}
+
+/// I = W Lᵀ of one picture, in double precision.
+pub struct Radiance<'a> {
+    /// The channel's weights.
+    pub weights: &'a [Plane<f64>; COEFFICIENTS],
+    /// The picture's light.
+    pub light: &'a [f64; COEFFICIENTS],
+    /// To be written.
+    pub radiance: &'a mut Plane<f64>,
+}
+
+impl Kernel for Radiance<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) {
+        radiance(isa, self.weights, self.light, self.radiance);
+    }
+}
+
+#[inline(always)]
+fn radiance<I: Vectors<f64>>(
+    isa: I,
+    weights: &[Plane<f64>; COEFFICIENTS],
+    light: &[f64; COEFFICIENTS],
+    out: &mut Plane<f64>,
+) {
+    const V: usize = 8;
+    for v in (0..BLOCK / I::LANES).step_by(V) {
+        let mut radiance = [isa.splat(0.0); V];
+        for k in 0..COEFFICIENTS {
+            let light = isa.splat(light[k]);
+            let w = &I::of(&weights[k].0)[v..v + V];
+            for i in 0..V {
+                radiance[i] = isa.mul_add(light, w[i], radiance[i]);
+            }
+        }
+        I::of_mut(&mut out.0)[v..v + V].copy_from_slice(&radiance);
     }
 }
 

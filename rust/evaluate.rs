@@ -98,7 +98,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
         let count = BLOCK.min(pixels - first);
         partial.in_range &= materials.load(maps, pixels, first, count, problem.known_metallic());
         let directions = problem.directions(block);
-        isa.run(FillBasis::<K> {
+        isa.run(FillBasis::<f32, K> {
             directions,
             basis: &mut basis,
         });

@@ -2,11 +2,17 @@
 
 use glam::DVec3;
 
+use crate::block::{
+    BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBasis, FillFactors, FillWeights,
+    Materials, Plane, Radiance,
+};
 use crate::sh::COEFFICIENTS;
-use crate::shade::{Frame, Material, shade};
+use crate::shade::Material;
+use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
 
-const CHUNK: usize = 1024;
+/// Blocks in a piece of work.
+const CHUNK: usize = 8;
 
 /// Radiance of every pixel under every light: (light, pixel, channel).
 ///
@@ -24,7 +30,7 @@ pub fn render(
     check::finite("lighting", lighting)?;
     check::unit_vectors("normals", normals)?;
     check::unit_vectors("views", views)?;
-    let (lights, rest) = lighting.as_chunks::<{ COEFFICIENTS * 3 }>();
+    let (coefficients, rest) = lighting.as_chunks::<{ COEFFICIENTS * 3 }>();
     if !rest.is_empty() {
         return Err(Error::argument(
             "lighting",
@@ -32,28 +38,89 @@ pub fn render(
             lighting.len(),
         ));
     }
+    let lights: Vec<[[f64; COEFFICIENTS]; 3]> = coefficients
+        .iter()
+        .map(|light| [0, 1, 2].map(|c| std::array::from_fn(|k| light[k * 3 + c])))
+        .collect();
 
-    let chunks = pool::map(threads, (0..pixels).step_by(CHUNK).collect(), |first| {
-        let end = (first + CHUNK).min(pixels);
-        let mut out = vec![0.0; lights.len() * (end - first) * 3];
-        for p in first..end {
-            let w = shade(&Frame::new(normals[p], views[p]), &materials[p]);
-            for (i, light) in lights.iter().enumerate() {
-                for c in 0..3 {
-                    let radiance: f64 = (0..COEFFICIENTS).map(|k| w[c][k] * light[k * 3 + c]).sum();
-                    out[(i * (end - first) + p - first) * 3 + c] = radiance;
+    let mut images = Vec::new();
+    images
+        .try_reserve_exact(lights.len() * pixels * 3)
+        .map_err(|_| Error::Memory("images"))?;
+    images.resize(lights.len() * pixels * 3, 0.0);
+    if images.is_empty() {
+        return Ok(images);
+    }
+    // Each piece of work writes its own part of every picture.
+    let mut pictures: Vec<_> = images
+        .chunks_mut(pixels * 3)
+        .map(|picture| picture.chunks_mut(CHUNK * BLOCK * 3))
+        .collect();
+    let pieces = (0..pixels.div_ceil(CHUNK * BLOCK))
+        .map(|i| {
+            let parts = pictures.iter_mut().map(Iterator::next);
+            let parts: Vec<_> = parts.map(|part| part.expect("equal pictures")).collect();
+            (i * CHUNK * BLOCK, parts)
+        })
+        .collect();
+    pool::map(threads, pieces, |(first, mut parts): (usize, Vec<_>)| {
+        render_chunk(normals, views, materials, &lights, first, &mut parts);
+    });
+    Ok(images)
+}
+
+/// Renders the pixels from `first` on that the parts have room for.
+fn render_chunk(
+    normals: &[DVec3],
+    views: &[DVec3],
+    materials: &[Material],
+    lights: &[[[f64; COEFFICIENTS]; 3]],
+    first: usize,
+    parts: &mut [&mut [f64]],
+) {
+    let isa = Instructions::best();
+    let mut directions = Directions::<f64>::default();
+    let mut of_block = Materials::<3>::default();
+    let mut basis = Basis::<f64>::default();
+    let mut bands = BlockBands::default();
+    let mut factors: [ChannelFactors<f64>; 3] = Default::default();
+    let mut weights = [Plane::default(); COEFFICIENTS];
+    let mut radiance = Plane::default();
+    let end = first + parts[0].len() / 3;
+    for block in (first..end).step_by(BLOCK) {
+        let count = BLOCK.min(end - block);
+        for x in 0..count {
+            directions.set(x, normals[block + x], views[block + x]);
+            of_block.set(x, &materials[block + x]);
+        }
+        isa.run(FillBasis::<f64, COEFFICIENTS> {
+            directions: &directions,
+            basis: &mut basis,
+        });
+        isa.run(FillFactors {
+            directions: &directions,
+            materials: &of_block,
+            pixels: count,
+            bands: &mut bands,
+            factors: &mut factors,
+        });
+        for c in 0..3 {
+            isa.run(FillWeights {
+                basis: &basis,
+                factors: &factors[c],
+                weights: &mut weights,
+            });
+            for (light, part) in lights.iter().zip(parts.iter_mut()) {
+                isa.run(Radiance {
+                    weights: &weights,
+                    light: &light[c],
+                    radiance: &mut radiance,
+                });
+                let pixels = part[(block - first) * 3..].as_chunks_mut::<3>().0;
+                for (pixel, radiance) in pixels.iter_mut().zip(&radiance.0[..count]) {
+                    pixel[c] = *radiance;
                 }
             }
         }
-        out
-    });
-
-    let mut images = Vec::with_capacity(lights.len() * pixels * 3);
-    for i in 0..lights.len() {
-        for chunk in &chunks {
-            let length = chunk.len() / lights.len();
-            images.extend_from_slice(&chunk[i * length..][..length]);
-        }
     }
-    Ok(images)
 }

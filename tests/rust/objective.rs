@@ -1,96 +1,204 @@
-//! The fast objective against the model in float64, and against itself at other thread counts.
+//! The fast objective against the model in float64, in every version and instruction set, and
+//! against itself at other thread counts.
 
 use glam::DVec3;
-use pbrfit::problem::Problem;
+use pbrfit::band_table::TABLE;
+use pbrfit::ggx;
+use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::render::render;
 use pbrfit::shade::{Frame, Material, shade, shade_vjp};
+use pbrfit::simd::{Instructions, Isa, Kernel};
 
+#[derive(Clone)]
 struct Example {
     pictures: usize,
+    channels: usize,
+    sh_order: usize,
+    metallic: Option<f64>,
+    known_lights: bool,
     normals: Vec<DVec3>,
     views: Vec<DVec3>,
     images: Vec<f32>,
-    x: Vec<f64>,
+    weights: Option<Vec<f32>>,
+    /// All maps, then all lights, known or not.
+    maps: Vec<f64>,
+    lighting: Vec<f64>,
+}
+
+fn wave(i: usize, a: f64) -> f64 {
+    0.5 + 0.45 * (a * (i + 1) as f64).sin()
 }
 
 impl Example {
     fn new(pixels: usize, pictures: usize) -> Self {
-        let wave = |i: usize, a: f64| 0.5 + 0.45 * (a * (i + 1) as f64).sin();
+        Self::with(pixels, pictures, 3, 3)
+    }
+
+    fn with(pixels: usize, pictures: usize, channels: usize, sh_order: usize) -> Self {
         let direction = |p: usize, a: f64| {
             DVec3::new(wave(p, a) - 0.5, wave(p, 1.9 * a) - 0.5, 0.6).normalize()
         };
+        let coefficients = (sh_order + 1).pow(2);
         Self {
             pictures,
+            channels,
+            sh_order,
+            metallic: None,
+            known_lights: false,
             normals: (0..pixels).map(|p| direction(p, 0.7)).collect(),
             views: (0..pixels).map(|p| direction(p, 0.011)).collect(),
-            images: (0..pictures * pixels * 3)
+            images: (0..pictures * pixels * channels)
                 .map(|i| wave(i, 2.1) as f32)
                 .collect(),
-            x: (0..5 * pixels + pictures * 48)
+            weights: None,
+            maps: (0..(channels + 2) * pixels)
                 .map(|i| wave(i, 0.313))
+                .collect(),
+            lighting: (0..pictures * coefficients * channels)
+                .map(|i| wave(i, 0.517))
                 .collect(),
         }
     }
 
     fn problem(&self, threads: usize) -> Problem {
-        Problem::new(
-            &self.images,
-            self.pictures,
-            &self.normals,
-            &self.views,
-            threads,
-        )
-        .unwrap()
+        self.problem_for(threads, Instructions::best())
     }
 
+    fn problem_for(&self, threads: usize, instructions: Instructions) -> Problem {
+        let given = Pictures {
+            images: &self.images,
+            pictures: self.pictures,
+            channels: self.channels,
+            weights: self.weights.as_deref(),
+            normals: &self.normals,
+            views: &self.views,
+        };
+        let options = Options {
+            sh_order: self.sh_order,
+            metallic: self.metallic,
+            lighting: self.known_lights.then(|| self.lighting.clone()),
+            threads,
+            instructions,
+        };
+        Problem::new(&given, options).unwrap()
+    }
+
+    fn pixels(&self) -> usize {
+        self.normals.len()
+    }
+
+    fn coefficients(&self) -> usize {
+        (self.sh_order + 1).pow(2)
+    }
+
+    /// Entries of x that are maps.
+    fn free_maps(&self) -> usize {
+        (self.channels + 1 + usize::from(self.metallic.is_none())) * self.pixels()
+    }
+
+    fn x(&self) -> Vec<f64> {
+        let mut x = self.maps[..self.free_maps()].to_vec();
+        if !self.known_lights {
+            x.extend(&self.lighting);
+        }
+        x
+    }
+
+    /// With three channels, the missing ones black.
     fn material(&self, p: usize) -> Material {
-        let n = self.normals.len();
-        let plane = |i: usize| self.x[i * n + p];
+        let plane = |i: usize| self.maps[i * self.pixels() + p];
+        let mut albedo = [0.0; 3];
+        for (c, albedo) in albedo[..self.channels].iter_mut().enumerate() {
+            *albedo = plane(c);
+        }
         Material {
-            albedo: [plane(0), plane(1), plane(2)],
-            roughness: plane(3),
-            metallic: plane(4),
+            albedo,
+            roughness: plane(self.channels),
+            metallic: self.metallic.unwrap_or_else(|| plane(self.channels + 1)),
         }
     }
 
-    /// Loss and gradient by the definition, pixel by pixel in float64.
+    fn weight(&self, picture: usize, p: usize, c: usize) -> f64 {
+        let sample = picture * self.pixels() + p;
+        match &self.weights {
+            None => 1.0,
+            Some(w) if w.len() == self.pictures * self.pixels() => f64::from(w[sample]),
+            Some(w) => f64::from(w[sample * self.channels + c]),
+        }
+    }
+
+    /// Loss and gradient by the definition, pixel by pixel in float64; all unknowns, known or not.
     fn reference(&self) -> (f64, Vec<f64>) {
-        let pixels = self.normals.len();
-        let samples = (3 * pixels * self.pictures) as f64;
-        let lighting = &self.x[5 * pixels..];
+        let (pixels, channels, count) = (self.pixels(), self.channels, self.coefficients());
+        let mut total = 0.0;
         let mut loss = 0.0;
-        let mut gradient = vec![0.0; self.x.len()];
+        let mut by_maps = vec![0.0; self.maps.len()];
+        let mut by_lighting = vec![0.0; self.lighting.len()];
         for p in 0..pixels {
             let frame = Frame::new(self.normals[p], self.views[p]);
             let w = shade(&frame, &self.material(p));
             let mut by_weights = [[0.0; 16]; 3];
             for i in 0..self.pictures {
-                for c in 0..3 {
-                    let radiance: f64 = (0..16)
-                        .map(|k| w[c][k] * lighting[(i * 16 + k) * 3 + c])
-                        .sum();
-                    let e = radiance - f64::from(self.images[(i * pixels + p) * 3 + c]);
-                    loss += e * e / samples;
-                    for k in 0..16 {
-                        let by_radiance = 2.0 * e / samples;
-                        by_weights[c][k] += by_radiance * lighting[(i * 16 + k) * 3 + c];
-                        gradient[5 * pixels + (i * 16 + k) * 3 + c] += by_radiance * w[c][k];
+                for c in 0..channels {
+                    let light = |k: usize| (i * count + k) * channels + c;
+                    let radiance: f64 = (0..count).map(|k| w[c][k] * self.lighting[light(k)]).sum();
+                    let e = radiance - f64::from(self.images[(i * pixels + p) * channels + c]);
+                    let omega = self.weight(i, p, c);
+                    total += omega;
+                    loss += omega * e * e;
+                    for k in 0..count {
+                        by_weights[c][k] += 2.0 * omega * e * self.lighting[light(k)];
+                        by_lighting[light(k)] += 2.0 * omega * e * w[c][k];
                     }
                 }
             }
             let g = shade_vjp(&frame, &self.material(p), &by_weights);
-            let planes = [
-                g.albedo[0],
-                g.albedo[1],
-                g.albedo[2],
-                g.roughness,
-                g.metallic,
-            ];
-            for (i, value) in planes.into_iter().enumerate() {
-                gradient[i * pixels + p] = value;
+            for c in 0..channels {
+                by_maps[c * pixels + p] = g.albedo[c];
             }
+            by_maps[channels * pixels + p] = g.roughness;
+            by_maps[(channels + 1) * pixels + p] = g.metallic;
         }
-        (loss, gradient)
+        by_maps.truncate(self.free_maps());
+        if !self.known_lights {
+            by_maps.append(&mut by_lighting);
+        }
+        (loss / total, by_maps.iter().map(|g| g / total).collect())
+    }
+
+    /// Fails, naming the part, where the fast objective misses the reference.
+    fn check(&self, instructions: Instructions, what: &str) {
+        let x = self.x();
+        let mut gradient = vec![f64::NAN; x.len()];
+        let loss = self
+            .problem_for(2, instructions)
+            .value_and_grad(&x, &mut gradient)
+            .unwrap();
+        let (true_loss, true_gradient) = self.reference();
+        assert!(
+            (loss - true_loss).abs() <= 1e-6 * true_loss,
+            "{what}: loss {loss}, expected {true_loss}"
+        );
+        let n = self.pixels();
+        let ends = [
+            0,
+            self.channels * n,
+            (self.channels + 1) * n,
+            self.free_maps(),
+            x.len(),
+        ];
+        for (i, name) in ["albedo", "roughness", "metallic", "lighting"]
+            .iter()
+            .enumerate()
+        {
+            let block = ends[i]..ends[i + 1];
+            let off = norm(block.clone().map(|i| gradient[i] - true_gradient[i]));
+            let size = norm(block.map(|i| true_gradient[i]));
+            assert!(
+                off <= 1e-5 * size,
+                "{what}: {name} is off by {off:e} of {size:e}"
+            );
+        }
     }
 }
 
@@ -99,31 +207,48 @@ fn norm(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 #[test]
-fn agrees_with_the_definition() {
-    for (pixels, pictures) in [(1, 1), (15, 2), (16, 3), (17, 4), (300, 5), (4_500, 9)] {
-        let example = Example::new(pixels, pictures);
-        let mut gradient = vec![0.0; example.x.len()];
-        let loss = example
-            .problem(2)
-            .value_and_grad(&example.x, &mut gradient)
-            .unwrap();
-        let (true_loss, true_gradient) = example.reference();
-        assert!(
-            (loss - true_loss).abs() <= 1e-6 * true_loss,
-            "{pixels} pixels, {pictures} pictures: loss {loss}, expected {true_loss}"
-        );
-        for (name, block) in [
-            ("albedo", 0..3 * pixels),
-            ("roughness", 3 * pixels..4 * pixels),
-            ("metallic", 4 * pixels..5 * pixels),
-            ("lighting", 5 * pixels..example.x.len()),
-        ] {
-            let off = norm(block.clone().map(|i| gradient[i] - true_gradient[i]));
-            let size = norm(block.map(|i| true_gradient[i]));
-            assert!(
-                off <= 1e-5 * size,
-                "{name}, {pixels} × {pictures}: off by {off:e} of {size:e}"
+fn agrees_with_the_definition_at_any_size() {
+    for (pixels, pictures) in [
+        (1, 1),
+        (15, 2),
+        (127, 3),
+        (128, 4),
+        (129, 5),
+        (300, 16),
+        (513, 17),
+        (200, 35),
+        (4_500, 9),
+    ] {
+        let what = format!("{pixels} pixels, {pictures} pictures");
+        Example::new(pixels, pictures).check(Instructions::best(), &what);
+    }
+}
+
+#[test]
+fn every_version_agrees_with_the_definition() {
+    for instructions in Instructions::all() {
+        for bits in 0..64 {
+            let bit = |i: usize| bits >> i & 1 == 1;
+            let (channels, order) = (if bit(0) { 1 } else { 3 }, if bit(1) { 2 } else { 3 });
+            let mut example = Example::with(150, 7, channels, order);
+            example.metallic = bit(2).then_some(0.3);
+            example.known_lights = bit(3);
+            if bit(4) {
+                let of_sample = if bit(5) { channels } else { 1 };
+                example.weights = Some(
+                    (0..7 * 150 * of_sample)
+                        .map(|i| if i % 5 == 0 { 0.0 } else { wave(i, 0.9) as f32 })
+                        .collect(),
+                );
+            }
+            let what = format!(
+                "{}: {channels} channels, order {order}, metallic {:?}, lights known {}, weights {:?}",
+                instructions.name(),
+                example.metallic,
+                example.known_lights,
+                example.weights.as_ref().map(Vec::len),
             );
+            example.check(instructions, &what);
         }
     }
 }
@@ -131,17 +256,13 @@ fn agrees_with_the_definition() {
 #[test]
 fn same_bits_at_any_thread_count() {
     let example = Example::new(20_000, 3);
+    let x = example.x();
     let evaluate = |threads: usize| {
         let problem = example.problem(threads);
-        let mut gradient = vec![0.0; example.x.len()];
-        let loss = problem.value_and_grad(&example.x, &mut gradient).unwrap();
-        let images = problem.render(&example.x).unwrap();
-        (
-            loss,
-            gradient,
-            images,
-            problem.light_equations(&example.x).unwrap(),
-        )
+        let mut gradient = vec![0.0; x.len()];
+        let loss = problem.value_and_grad(&x, &mut gradient).unwrap();
+        let equations = problem.light_equations(&x[..example.maps.len()]).unwrap();
+        (loss, gradient, equations)
     };
     let one = evaluate(1);
     for threads in [2, 3, 8] {
@@ -153,43 +274,104 @@ fn same_bits_at_any_thread_count() {
 }
 
 #[test]
-fn fast_rendering_agrees_with_float64() {
-    let example = Example::new(77, 5);
-    let fast = example.problem(1).render(&example.x).unwrap();
-    let materials: Vec<Material> = (0..77).map(|p| example.material(p)).collect();
-    let slow = render(
-        &example.normals,
-        &example.views,
-        &materials,
-        &example.x[5 * 77..],
-        1,
-    )
-    .unwrap();
-    assert_eq!(fast.len(), slow.len());
-    for (f, s) in fast.iter().zip(&slow) {
-        assert!(
-            (f64::from(*f) - s).abs() <= 2e-6 * s.abs().max(1.0),
-            "{f} is not {s}"
+fn rendering_agrees_with_shade() {
+    for (pixels, lights) in [(1, 1), (128, 2), (77, 5), (3_000, 3)] {
+        let example = Example::new(pixels, lights);
+        let materials: Vec<Material> = (0..pixels).map(|p| example.material(p)).collect();
+        let Example {
+            normals,
+            views,
+            lighting,
+            ..
+        } = &example;
+        let images = render(normals, views, &materials, lighting, 1).unwrap();
+        assert_eq!(
+            images,
+            render(normals, views, &materials, lighting, 3).unwrap()
         );
+        for (p, material) in materials.iter().enumerate() {
+            let w = shade(&Frame::new(normals[p], views[p]), material);
+            for i in 0..lights {
+                for c in 0..3 {
+                    let expected: f64 = (0..16)
+                        .map(|k| w[c][k] * lighting[(i * 16 + k) * 3 + c])
+                        .sum();
+                    let found = images[(i * pixels + p) * 3 + c];
+                    assert!(
+                        (found - expected).abs() <= 1e-13,
+                        "{found} is not {expected}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// The row of the band table at a roughness.
+struct Row(f64);
+
+impl Kernel for Row {
+    type Output = [f64; 8];
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) -> [f64; 8] {
+        TABLE.row(isa, self.0).0
+    }
+}
+
+#[test]
+fn band_table_agrees_with_the_bands() {
+    // Between the cells' borders, on them, beside them, and where the table begins.
+    let mut roughness: Vec<f64> = (0..=20_000).map(|i| f64::from(i) / 20_000.0).collect();
+    for i in 0..=96 {
+        let octave = 2f64.powi(i / 16 - 6);
+        let border = octave * (1.0 + f64::from(i % 16) / 16.0);
+        roughness.extend([border.next_down(), border, border.next_up().min(1.0)]);
+    }
+    roughness.extend([0.0, f64::MIN_POSITIVE, 1e-80, 1e-5, 0.4f64.next_down()]);
+    for instructions in Instructions::all() {
+        for &r in &roughness {
+            let exact = ggx::bands(r);
+            let row = instructions.run(Row(r));
+            for l in 0..4 {
+                let (h, slope) = (row[l] - exact.weight[l], row[4 + l] - exact.slope[l]);
+                assert!(h.abs() <= 2e-14, "h{l}({r}) is off by {h:e}");
+                assert!(slope.abs() <= 1e-13, "h{l}'({r}) is off by {slope:e}");
+            }
+        }
     }
 }
 
 #[test]
 fn best_lights_explain_rendered_pictures() {
-    let mut example = Example::new(500, 2);
-    example.images = example.problem(1).render(&example.x).unwrap();
-    let equations = example.problem(1).light_equations(&example.x).unwrap();
-    for (c, e) in equations.iter().enumerate() {
-        for i in 0..example.pictures {
-            for j in 0..16 {
-                let product: f64 = (0..16)
-                    .map(|k| e.gram[j][k] * example.x[5 * 500 + (i * 16 + k) * 3 + c])
-                    .sum();
-                assert!(
-                    (product - e.right[i][j]).abs() <= 1e-5 * e.right[i][j].abs().max(1.0),
-                    "channel {c}, picture {i}, row {j}: {product} is not {}",
-                    e.right[i][j]
-                );
+    for weighted in [false, true] {
+        let mut example = Example::new(500, 2);
+        let materials: Vec<Material> = (0..500).map(|p| example.material(p)).collect();
+        let images = render(
+            &example.normals,
+            &example.views,
+            &materials,
+            &example.lighting,
+            1,
+        );
+        example.images = images.unwrap().iter().map(|&v| v as f32).collect();
+        if weighted {
+            example.weights = Some((0..1000).map(|i| wave(i, 0.9) as f32).collect());
+        }
+        let equations = example.problem(1).light_equations(&example.maps).unwrap();
+        for (c, e) in equations.iter().enumerate() {
+            for i in 0..example.pictures {
+                let gram = &e.gram[if weighted { i * 256 } else { 0 }..][..256];
+                for j in 0..16 {
+                    let product: f64 = (0..16)
+                        .map(|k| gram[j * 16 + k] * example.lighting[(i * 16 + k) * 3 + c])
+                        .sum();
+                    let right = e.right[i * 16 + j];
+                    assert!(
+                        (product - right).abs() <= 1e-5 * right.abs().max(1.0),
+                        "channel {c}, picture {i}, row {j}: {product} is not {right}",
+                    );
+                }
             }
         }
     }
@@ -198,43 +380,132 @@ fn best_lights_explain_rendered_pictures() {
 #[test]
 fn refusals_name_the_array() {
     let example = Example::new(20, 2);
-    let new = |images: &[f32], normals: &[DVec3], views: &[DVec3]| {
-        Problem::new(images, 2, normals, views, 1)
-            .unwrap_err()
-            .to_string()
+    let given = Pictures {
+        images: &example.images,
+        pictures: 2,
+        channels: 3,
+        weights: None,
+        normals: &example.normals,
+        views: &example.views,
     };
-    let Example {
-        images,
-        normals,
-        views,
-        ..
-    } = &example;
-    assert!(new(&images[1..], normals, views).starts_with("images: expected 120 numbers"));
-    assert!(new(images, normals, &views[1..]).starts_with("views: expected 20"));
-    let mut bad = images.clone();
-    bad[7] = f32::NAN;
+    let new =
+        |given: &Pictures, options: Options| Problem::new(given, options).unwrap_err().to_string();
+    let refusal = |given: Pictures| new(&given, Options::default());
+    assert!(
+        refusal(Pictures {
+            images: &example.images[1..],
+            ..given
+        })
+        .starts_with("images: expected 120 numbers")
+    );
+    assert!(
+        refusal(Pictures {
+            views: &example.views[1..],
+            ..given
+        })
+        .starts_with("views: expected 20")
+    );
+    let mut images = example.images.clone();
+    images[7] = f32::NAN;
     assert_eq!(
-        new(&bad, normals, views),
+        refusal(Pictures {
+            images: &images,
+            ..given
+        }),
         "images: expected finite numbers, found NaN at 7"
     );
-    let mut bad = normals.clone();
-    bad[3] = DVec3::ZERO;
+    let mut normals = example.normals.clone();
+    normals[3] = DVec3::ZERO;
     assert!(
-        new(images, &bad, views).starts_with("normals: expected unit vectors, found [0, 0, 0]")
+        refusal(Pictures {
+            normals: &normals,
+            ..given
+        })
+        .starts_with("normals: expected unit vectors, found [0, 0, 0]")
     );
-    assert!(new(&[], &[], &[]).starts_with("images: expected at least one picture and one pixel"));
+    assert!(
+        refusal(Pictures {
+            images: &[],
+            normals: &[],
+            views: &[],
+            ..given
+        })
+        .starts_with("images: expected at least one picture and one pixel")
+    );
+    assert!(
+        refusal(Pictures {
+            pictures: 1 << 40,
+            ..given
+        })
+        .starts_with("images: expected at most 2147483648 pixels times pictures")
+    );
+    assert!(
+        refusal(Pictures {
+            channels: 2,
+            ..given
+        })
+        .starts_with("images: expected 1 or 3 channels")
+    );
+    for (weights, reason) in [
+        (vec![1.0; 39], "weights: expected 120 numbers"),
+        (vec![0.0; 40], "weights: expected some weight above 0"),
+        (
+            vec![-1.0; 40],
+            "weights: expected finite numbers, 0 or more",
+        ),
+        (
+            vec![f32::NAN; 120],
+            "weights: expected finite numbers, 0 or more",
+        ),
+    ] {
+        let weights = Some(&weights[..]);
+        assert!(refusal(Pictures { weights, ..given }).starts_with(reason));
+    }
+    let with = |options: Options| new(&given, options);
+    assert!(
+        with(Options {
+            sh_order: 4,
+            ..Options::default()
+        })
+        .starts_with("sh_order: expected 2 or 3")
+    );
+    assert!(
+        with(Options {
+            metallic: Some(1.5),
+            ..Options::default()
+        })
+        .starts_with("metallic: expected numbers in [0, 1]")
+    );
+    assert!(
+        with(Options {
+            lighting: Some(vec![1.0; 95]),
+            ..Options::default()
+        })
+        .starts_with("lighting: expected 96 numbers")
+    );
 
     let problem = example.problem(1);
+    let x = example.x();
     let evaluate = |x: &[f64]| {
         problem
             .value_and_grad(x, &mut vec![0.0; x.len()])
             .unwrap_err()
             .to_string()
     };
-    assert!(evaluate(&example.x[1..]).starts_with("x: expected"));
-    let mut bad = example.x.clone();
-    bad[3 * 20] = 1.0 + 1e-12;
-    assert!(evaluate(&bad).contains("expected numbers in [0, 1]"));
-    bad[3 * 20] = f64::INFINITY;
-    assert!(evaluate(&bad).starts_with("x: expected finite numbers"));
+    assert!(evaluate(&x[1..]).starts_with("x: expected"));
+    for (i, value) in [(3 * 20, 1.0 + 1e-12), (0, f64::NAN), (99, -1e-300)] {
+        let mut bad = x.clone();
+        bad[i] = value;
+        let message = evaluate(&bad);
+        assert!(
+            message.starts_with("x (albedo, roughness, metallic): expected numbers in [0, 1]")
+                && message.ends_with(&format!("at {i}")),
+            "{message}"
+        );
+    }
+    let mut bad = x.clone();
+    bad[100] = f64::INFINITY;
+    assert!(evaluate(&bad).starts_with("x (lighting): expected finite numbers"));
+    bad[100] = 1e30;
+    assert!(evaluate(&bad).starts_with("x: expected a point with a finite loss"));
 }
