@@ -1,19 +1,50 @@
-//! Time of the core's parts: `cargo bench`. Compare rows of one run with each other.
+//! Time of the core's parts: `cargo bench --bench kernel`. Compare rows of one run with each other.
 
 use std::hint::black_box;
 
-use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use criterion::measurement::WallTime;
+use criterion::{
+    BenchmarkGroup, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main,
+};
 use glam::DVec3;
+use pbrfit::band_table::TABLE;
 use pbrfit::ggx;
 use pbrfit::problem::{Options, Pictures, Problem};
+use pbrfit::render::render;
 use pbrfit::shade::{Frame, Material, shade, shade_vjp};
+use pbrfit::simd::{Instructions, Isa, Kernel};
 
-const PICTURES: usize = 16;
-
+/// Bands of one roughness: exact, and from the table that the fast path uses.
 fn bands(c: &mut Criterion) {
-    let mut group = c.benchmark_group("bands");
-    for (name, r) in [("closed form", 0.3), ("series", 0.7)] {
-        group.bench_function(name, |b| b.iter(|| ggx::bands(black_box(r))));
+    struct Rows<'a>(&'a [f64]);
+    impl Kernel for Rows<'_> {
+        type Output = f64;
+
+        #[inline(always)]
+        fn run<I: Isa>(self, isa: I) -> f64 {
+            let mut sum = 0.0;
+            for &r in self.0 {
+                sum += TABLE.row(isa, r).0[7];
+            }
+            sum
+        }
+    }
+
+    const COUNT: usize = 1000;
+    let mut group = c.benchmark_group("bands, 1000 of them");
+    for (name, from, to) in [("closed form", 0.05, 0.4), ("series", 0.4, 1.0)] {
+        let roughness: Vec<f64> = (0..COUNT)
+            .map(|i| from + (to - from) * wave(i, 0.7))
+            .collect();
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                let of = |&r| ggx::bands(r).slope[3];
+                roughness.iter().map(of).sum::<f64>()
+            });
+        });
+        group.bench_function(format!("table instead of {name}"), |b| {
+            b.iter(|| Instructions::best().run(Rows(black_box(&roughness))));
+        });
     }
     group.finish();
 }
@@ -29,60 +60,183 @@ fn pixel(c: &mut Criterion) {
     let mut group = c.benchmark_group("pixel in float64");
     group.bench_function("shade", |b| b.iter(|| shade(black_box(&frame), &material)));
     group.bench_function("shade_vjp", |b| {
-        b.iter(|| shade_vjp(black_box(&frame), &material, &cotangent))
+        b.iter(|| shade_vjp(black_box(&frame), &material, &cotangent));
     });
     group.finish();
 }
 
-fn objective(c: &mut Criterion) {
-    let mut group = c.benchmark_group("objective, 16 pictures");
+/// By number of pixels and threads: cost should be linear in pixels.
+fn sizes(c: &mut Criterion) {
+    let mut group = c.benchmark_group("value_and_grad, 16 pictures");
     group.sample_size(20);
-    for side in [64, 128, 256, 512] {
+    for side in [64, 128, 256, 512, 1024] {
+        let example = Example::new(side * side, 16);
         for threads in [1, 2] {
-            let (problem, x) = example(side * side, threads);
-            let mut gradient = vec![0.0; problem.size()];
-            group.throughput(Throughput::Elements((side * side * PICTURES * 3) as u64));
-            let id = |what: &str| {
-                BenchmarkId::new(format!("{what}, {threads} threads"), format!("{side}²"))
+            let options = Options {
+                threads,
+                ..Options::default()
             };
-            group.bench_function(id("value_and_grad"), |b| {
+            let name = format!("{threads} threads");
+            example.bench(&mut group, &name, &format!("{side}²"), options);
+        }
+    }
+    group.finish();
+}
+
+/// By number of pictures: cost should be linear, beside a part that every pixel costs once.
+fn pictures(c: &mut Criterion) {
+    let mut group = c.benchmark_group("value_and_grad, 256², 2 threads, pictures");
+    group.sample_size(20);
+    for pictures in [1, 4, 5, 16, 17, 64] {
+        let options = Options {
+            threads: 2,
+            ..Options::default()
+        };
+        Example::new(256 * 256, pictures).bench(&mut group, "", &pictures.to_string(), options);
+    }
+    group.finish();
+}
+
+/// What is known or absent should cost nothing.
+fn parts(c: &mut Criterion) {
+    let mut group = c.benchmark_group("value_and_grad, 256², 16 pictures, 1 thread");
+    group.sample_size(20);
+    let one = || Options {
+        threads: 1,
+        ..Options::default()
+    };
+    let full = Example::new(256 * 256, 16);
+    full.bench(&mut group, "parts", "all", one());
+    let options = Options {
+        lighting: Some(full.x[5 * 256 * 256..].to_vec()),
+        ..one()
+    };
+    full.bench(&mut group, "parts", "known lights", options);
+    let options = Options {
+        metallic: Some(0.0),
+        ..one()
+    };
+    full.bench(&mut group, "parts", "known metallic", options);
+    let options = Options {
+        sh_order: 2,
+        ..one()
+    };
+    full.bench(&mut group, "parts", "order 2", options);
+    let grey = Example::with_channels(256 * 256, 16, 1);
+    grey.bench(&mut group, "parts", "one channel", one());
+    let weighted = Example {
+        weights: Some(vec![1.0; 256 * 256 * 16 * 3]),
+        ..full.clone()
+    };
+    weighted.bench(&mut group, "parts", "weights", one());
+    for instructions in Instructions::all() {
+        let options = Options {
+            instructions,
+            ..one()
+        };
+        full.bench(&mut group, "instructions", instructions.name(), options);
+    }
+    group.finish();
+}
+
+/// Forward only, in double precision.
+fn forward(c: &mut Criterion) {
+    let mut group = c.benchmark_group("render");
+    group.sample_size(20);
+    for (side, pictures) in [(256, 1), (256, 16), (512, 16)] {
+        let example = Example::new(side * side, pictures);
+        let pixels = example.normals.len();
+        let material = |p: usize| Material {
+            albedo: [0, 1, 2].map(|c| example.x[c * pixels + p]),
+            roughness: example.x[3 * pixels + p],
+            metallic: example.x[4 * pixels + p],
+        };
+        let materials: Vec<Material> = (0..pixels).map(material).collect();
+        let lighting = &example.x[5 * pixels..];
+        group.throughput(Throughput::Elements((pixels * pictures * 3) as u64));
+        for threads in [1, 2] {
+            let id = BenchmarkId::new(
+                format!("{threads} threads"),
+                format!("{side}², {pictures} lights"),
+            );
+            group.bench_function(id, |b| {
                 b.iter(|| {
-                    problem
-                        .value_and_grad(black_box(&x), &mut gradient)
-                        .unwrap()
-                })
+                    render(
+                        &example.normals,
+                        &example.views,
+                        &materials,
+                        lighting,
+                        threads,
+                    )
+                    .unwrap()
+                });
             });
         }
     }
     group.finish();
 }
 
-/// A problem with varied normals and materials; nothing depends on its being a picture of anything.
-fn example(pixels: usize, threads: usize) -> (Problem, Vec<f64>) {
-    let wave = |i: usize, a: f64| 0.5 + 0.45 * (a * i as f64).sin();
-    let normals: Vec<DVec3> = (0..pixels)
-        .map(|p| DVec3::new(wave(p, 0.7) - 0.5, wave(p, 1.3) - 0.5, 1.0).normalize())
-        .collect();
-    let views = vec![DVec3::Z; pixels];
-    let images: Vec<f32> = (0..PICTURES * pixels * 3)
-        .map(|i| wave(i, 2.1) as f32)
-        .collect();
-    let given = Pictures {
-        images: &images,
-        pictures: PICTURES,
-        channels: 3,
-        weights: None,
-        normals: &normals,
-        views: &views,
-    };
-    let options = Options {
-        threads,
-        ..Options::default()
-    };
-    let problem = Problem::new(&given, options).unwrap();
-    let x = (0..problem.size()).map(|i| wave(i, 0.31)).collect();
-    (problem, x)
+/// Pictures of varied normals and materials; nothing depends on their being pictures of anything.
+#[derive(Clone)]
+struct Example {
+    pictures: usize,
+    channels: usize,
+    normals: Vec<DVec3>,
+    views: Vec<DVec3>,
+    images: Vec<f32>,
+    weights: Option<Vec<f32>>,
+    x: Vec<f64>,
 }
 
-criterion_group!(benches, bands, pixel, objective);
+fn wave(i: usize, a: f64) -> f64 {
+    0.5 + 0.45 * (a * i as f64).sin()
+}
+
+impl Example {
+    fn new(pixels: usize, pictures: usize) -> Self {
+        Self::with_channels(pixels, pictures, 3)
+    }
+
+    fn with_channels(pixels: usize, pictures: usize, channels: usize) -> Self {
+        let normal = |p| DVec3::new(wave(p, 0.7) - 0.5, wave(p, 1.3) - 0.5, 1.0).normalize();
+        let samples = pixels * pictures * channels;
+        Self {
+            pictures,
+            channels,
+            normals: (0..pixels).map(normal).collect(),
+            views: vec![DVec3::Z; pixels],
+            images: (0..samples).map(|i| wave(i, 2.1) as f32).collect(),
+            weights: None,
+            x: (0..(channels + 2) * pixels + pictures * 16 * channels)
+                .map(|i| wave(i, 0.31))
+                .collect(),
+        }
+    }
+
+    fn bench(
+        &self,
+        group: &mut BenchmarkGroup<'_, WallTime>,
+        function: &str,
+        parameter: &str,
+        options: Options,
+    ) {
+        let given = Pictures {
+            images: &self.images,
+            pictures: self.pictures,
+            channels: self.channels,
+            weights: self.weights.as_deref(),
+            normals: &self.normals,
+            views: &self.views,
+        };
+        let problem = Problem::new(&given, options).unwrap();
+        let x = &self.x[..problem.size()];
+        let mut gradient = vec![0.0; problem.size()];
+        group.throughput(Throughput::Elements(self.images.len() as u64));
+        group.bench_function(BenchmarkId::new(function, parameter), |b| {
+            b.iter(|| problem.value_and_grad(black_box(x), &mut gradient).unwrap());
+        });
+    }
+}
+
+criterion_group!(benches, bands, pixel, sizes, pictures, parts, forward);
 criterion_main!(benches);

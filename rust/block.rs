@@ -191,7 +191,7 @@ impl<const C: usize> Materials<C> {
             used.copy_from_slice(&maps[i * pixels + first..][..count]);
             unused.fill(0.5);
             for &v in &*used {
-                in_range &= (v >= 0.0) & (v <= 1.0);
+                in_range &= v == v.clamp(0.0, 1.0); // NaN is not
             }
         };
         for c in 0..C {

@@ -15,9 +15,22 @@ use crate::simd::Ahead;
 /// Blocks whose light derivatives are summed in float32 before float64 takes over.
 const FLUSH: usize = 16;
 
-/// Evaluates a range of blocks: (problem, maps, lights by channel and picture, blocks, scale of the
-/// gradient, planes of the gradient for these blocks).
-pub type Evaluate = fn(&Problem, &[f64], &[f32], Range<usize>, f64, &mut [&mut [f64]]) -> Partial;
+/// A piece of work.
+pub struct Piece<'a> {
+    /// The pictures.
+    pub problem: &'a Problem,
+    /// The first part of x.
+    pub maps: &'a [f64],
+    /// In float32: (channel, picture, coefficient).
+    pub lights: &'a [f32],
+    /// Factor on the gradient.
+    pub scale: f64,
+    /// What to evaluate.
+    pub blocks: Range<usize>,
+}
+
+/// Evaluates a piece of work and writes the planes of its gradient.
+pub type Evaluate = fn(&Piece, &mut [&mut [f64]]) -> Partial;
 
 /// What one piece of work adds to the sums over pixels.
 pub struct Partial {
@@ -63,13 +76,16 @@ fn with_coefficients<const C: usize, const K: usize>(
 /// A block at a time: basis functions and factors of its pixels; then, channel by channel and
 /// group of pictures by group, the matrix products; then the material derivatives.
 fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIGHTS: bool>(
-    problem: &Problem,
-    maps: &[f64],
-    lights: &[f32],
-    blocks: Range<usize>,
-    scale: f64,
+    piece: &Piece,
     gradient: &mut [&mut [f64]],
 ) -> Partial {
+    let &Piece {
+        problem,
+        maps,
+        lights,
+        scale,
+        ref blocks,
+    } = piece;
     let (isa, pixels, pictures) = (problem.instructions(), problem.pixels(), problem.pictures());
     let lights: &[[f32; K]] = lights.as_chunks().0;
     let mut partial = Partial {
@@ -92,8 +108,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
 
     let mut ahead = Ahead::default();
     let first_pixel = blocks.start * BLOCK;
-    let last = blocks.end - 1;
-    for block in blocks {
+    for block in blocks.clone() {
         let first = block * BLOCK;
         let count = BLOCK.min(pixels - first);
         partial.in_range &= materials.load(maps, pixels, first, count, problem.known_metallic());
@@ -116,16 +131,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
                 weights: &mut weights,
             });
             sums[c] = ChannelSums::default();
-            look_ahead::<C>(
-                problem,
-                maps,
-                gradient,
-                first_pixel,
-                block,
-                last,
-                c,
-                &mut ahead,
-            );
+            piece.look_ahead::<C>(gradient, block, c, &mut ahead);
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
             for group in block::groups(pictures) {
@@ -170,7 +176,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
         });
         by_materials.store(gradient, first - first_pixel, count);
 
-        if FREE_LIGHTS && ((block + 1) % FLUSH == 0 || block == last) {
+        if FREE_LIGHTS && ((block + 1) % FLUSH == 0 || block + 1 == blocks.end) {
             isa.run(Flush {
                 from: light_sums.as_flattened_mut(),
                 to: light_totals.as_flattened_mut(),
@@ -185,40 +191,39 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
     partial
 }
 
-/// While channel c of a block is worked on: the next channel's targets, and a share of the rest of
-/// the next block.
-fn look_ahead<const C: usize>(
-    problem: &Problem,
-    maps: &[f64],
-    gradient: &[&mut [f64]],
-    first_pixel: usize,
-    block: usize,
-    last: usize,
-    c: usize,
-    ahead: &mut Ahead,
-) {
-    ahead.clear();
-    let pixels = problem.pixels();
-    let from = (block + 1) * BLOCK;
-    if block < last {
-        if c == C - 1 {
-            for plane in gradient {
-                let from = from - first_pixel;
-                ahead.push(&plane[from..(from + BLOCK).min(plane.len())]);
+impl Piece<'_> {
+    /// While channel c of a block is worked on: the next channel's targets, and a share of what the
+    /// next block needs else.
+    fn look_ahead<const C: usize>(
+        &self,
+        gradient: &[&mut [f64]],
+        block: usize,
+        c: usize,
+        ahead: &mut Ahead,
+    ) {
+        ahead.clear();
+        let next = block + 1;
+        if next < self.blocks.end {
+            let pixels = self.problem.pixels();
+            let (from, to) = (next * BLOCK, ((next + 1) * BLOCK).min(pixels));
+            if c == 0 {
+                for plane in self.maps.chunks(pixels) {
+                    ahead.push(&plane[from..to]);
+                }
+            }
+            if c == 1 % C {
+                ahead.push(std::slice::from_ref(self.problem.directions(next)));
+            }
+            if c == C - 1 {
+                let first = self.blocks.start * BLOCK;
+                for plane in gradient {
+                    ahead.push(&plane[from - first..to - first]);
+                }
+                ahead.push(self.problem.targets(next, 0));
             }
         }
-        if c == 1 % C {
-            ahead.push(std::slice::from_ref(problem.directions(block + 1)));
+        if c + 1 < C {
+            ahead.push(self.problem.targets(block, c + 1));
         }
-        if c == 0 {
-            for plane in maps.chunks(pixels) {
-                ahead.push(&plane[from..(from + BLOCK).min(pixels)]);
-            }
-        }
-    }
-    if c + 1 < C {
-        ahead.push(problem.targets(block, c + 1));
-    } else if block < last {
-        ahead.push(problem.targets(block + 1, 0));
     }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use crate::block::{BLOCK, Directions, Plane};
-use crate::evaluate::{self, Evaluate};
+use crate::evaluate::{self, Evaluate, Piece};
 use crate::shade::{Material, shade};
 use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
@@ -245,7 +245,14 @@ impl Problem {
             .chunks()
             .zip(chunks_of_planes(by_maps, self.pixels, chunk * BLOCK));
         let partials = pool::map(self.threads, pieces.collect(), |(blocks, mut out)| {
-            (self.evaluate)(self, maps, &lights, blocks, scale, &mut out)
+            let piece = Piece {
+                problem: self,
+                maps,
+                lights: &lights,
+                scale,
+                blocks,
+            };
+            (self.evaluate)(&piece, &mut out)
         });
 
         let mut loss = 0.0;
