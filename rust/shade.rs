@@ -10,7 +10,7 @@
 //!
 //! The factors that depend on the material ([`Factors`]) are kept apart from the two sets of
 //! basis functions ([`Frame`]), which do not. This file is the one place that knows the model:
-//! the double-precision reference and the fast float32 tiles are both built on it.
+//! the double-precision reference and the fast float32 blocks are both built on it.
 
 use std::f64::consts::FRAC_1_PI;
 
