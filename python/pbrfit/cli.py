@@ -104,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_out(added, "result folder; with several scenes it holds one result folder a scene")
     _add_input_options(added)
     _add_solver_options(added)
+    _add_model_options(added, "of the lights; 2 leaves out band 3")
     _add_quiet(added)
 
     added = command("inspect", _inspect, "show what a scene folder holds and what is assumed")
@@ -119,6 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     added = command("synth", _synth, "render a synthetic scene folder with ground truth")
     added.add_argument("out", metavar="DIR", type=Path, help="scene folder to write")
     _add_synth_options(added)
+    _add_sh_order(added, "of the lights")
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
 
     added = command("normals", _normals, "give normals to a folder of pictures")
@@ -137,6 +139,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     _add_input_options(added)
+    _add_model_options(added, "of the lights; 2 leaves out band 3")
     added.add_argument(
         "--seed", type=whole_number, default=0, help="of the random point and directions"
     )
@@ -145,6 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
     _add_synth_options(added)
     _add_solver_options(added)
+    _add_model_options(added, "of the lights, true and fitted")
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
     _add_quiet(added)
     return parser
@@ -200,6 +204,20 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_model_options(parser: argparse.ArgumentParser, what_order: str) -> None:
+    _add_sh_order(parser, what_order)
+    parser.add_argument(
+        "--metallic",
+        choices=("free", "0"),
+        default="free",
+        help="0: no pixel is a metal, and metallic is not fitted",
+    )
+
+
+def _add_sh_order(parser: argparse.ArgumentParser, what: str) -> None:
+    parser.add_argument("--sh-order", type=int, choices=(2, 3), default=3, help=what)
+
+
 def _add_synth_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene",
@@ -210,7 +228,6 @@ def _add_synth_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--size", metavar="PIXELS", type=int, default=128, help="side of a picture")
     parser.add_argument("--lights", metavar="N", type=int, default=16, help="number of pictures")
-    parser.add_argument("--sh-order", type=int, choices=(2, 3), default=3, help="of the lights")
     parser.add_argument(
         "--noise", metavar="S", type=float, default=0.0, help="Gaussian; mean radiance is 0.4"
     )
@@ -329,8 +346,14 @@ def _fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
             iterations=options.iterations,
             time_limit=options.time_limit,
             threads=options.threads,
+            sh_order=options.sh_order,
+            metallic=_metallic(options),
             progress=show,
         )
+
+
+def _metallic(options: argparse.Namespace) -> float | None:
+    return None if options.metallic == "free" else float(options.metallic)
 
 
 def _inspect(options: argparse.Namespace) -> int:
@@ -380,7 +403,9 @@ def _check_gradients(options: argparse.Namespace) -> int:
     from pbrfit.gradient_check import TOLERANCE, check_gradients
     from pbrfit.objective import Objective
 
-    checks = check_gradients(Objective(_load(options.scene, options)), seed=options.seed)
+    scene = _load(options.scene, options)
+    objective = Objective(scene, sh_order=options.sh_order, metallic=_metallic(options))
+    checks = check_gradients(objective, seed=options.seed)
     print(f"{'unknowns':<12}{'analytic':>16}{'numeric':>16}{'relative error':>16}")
     for check in checks:
         verdict = "" if check.passed else "   differs"

@@ -46,21 +46,17 @@ def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientChec
     signs of the gradient, so that contributions do not cancel.
     """
     rng = np.random.default_rng(seed)
-    p = objective.pixels
-    blocks = {
-        "albedo": slice(0, 3 * p),
-        "roughness": objective.roughness,
-        "metallic": slice(4 * p, 5 * p),
-    }
-    x = rng.uniform(0.25, 0.75, 5 * p)
-    if objective.size > 5 * p:
-        x = objective.with_best_lights(x)
+    x = objective.with_best_lights(rng.uniform(0.25, 0.75, objective.size))
+    if objective.lighting is not None:
         # Away from the best lights, where their gradient is zero.
-        x[5 * p :] *= rng.uniform(0.8, 1.2, objective.size - 5 * p)
-        blocks["lighting"] = slice(5 * p, objective.size)
+        lights = x[objective.lighting]
+        lights *= rng.uniform(0.8, 1.2, lights.size)
     _, gradient = objective.value_and_grad(x)
     checks = []
-    for name, block in blocks.items():
+    for name in ("albedo", "roughness", "metallic", "lighting"):
+        block: slice | None = getattr(objective, name)
+        if block is None:
+            continue  # known, no unknown
         for _ in range(DIRECTIONS):
             direction = np.zeros(objective.size)
             amounts = rng.uniform(0.5, 1.0, block.stop - block.start)

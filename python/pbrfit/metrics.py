@@ -11,28 +11,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-PROTOCOL = "pbrfit-1: RMSE over valid pixels and channels, linear values; relight under true lights"
+PROTOCOL = (
+    "pbrfit-1: RMSE over valid pixels and channels, linear values; "
+    "recon with the samples' weights; relight under true lights"
+)
 
 
-def rmse(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> float:
+def rmse(
+    found: NDArray[np.floating[Any]],
+    true: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]] | None = None,
+) -> float:
     """Root mean square difference over the entries that are NaN in neither array.
+
+    Parameters
+    ----------
+    found, true
+        Arrays of one shape.
+    weights
+        How much each entry counts, 0 or more, of a shape that broadcasts to theirs; None = all the
+        same. Entries of weight 0 never enter, whatever they are.
 
     Raises
     ------
     ValueError
-        If the shapes differ or all entries are NaN in one of the arrays.
+        If the shapes differ, or no entry is left that is NaN in neither array and has a weight.
     """
     if found.shape != true.shape:
         raise ValueError(f"rmse: expected equal shapes, found {found.shape} and {true.shape}")
-    difference = found.astype(np.float64) - true
-    difference = difference[~(np.isnan(found) | np.isnan(true))]
+    used = ~(np.isnan(found) | np.isnan(true))
+    if weights is not None:
+        weights = np.broadcast_to(weights, found.shape)
+        used &= weights > 0
+        weights = weights[used].astype(np.float64)
+    difference = found[used].astype(np.float64) - true[used]
     if not difference.size:
         raise ValueError("rmse: expected at least one entry that is NaN in neither array")
     largest = float(np.max(np.abs(difference)))
     if largest == 0.0:
         return 0.0
     # Divided by the largest, because squares of large radiance overflow.
-    return largest * math.sqrt(float(np.mean(np.square(difference / largest))))
+    return largest * math.sqrt(float(np.average(np.square(difference / largest), weights=weights)))
 
 
 def scaled_per_channel(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -32,14 +33,19 @@ LARGEST_LIGHT = 1e15
 LIGHT_RIDGE = 1e-6
 """Of the mean eigenvalue: keeps the lights finite where the normals show only part of a sphere."""
 
+SH_ORDERS = (2, 3)
+"""Highest bands that the lights may have."""
+
 
 class Objective:
     """Mean squared error of the pictures as a function of x, with its gradient.
 
-    x = [albedo R, G, B (a plane of P valid pixels each) | roughness | metallic | lighting
-    (N·16·3)], float64. With known lights the last part is absent. Inside, pictures are divided by
-    one scene scale that makes their mean valid radiance 0.4; `pack` and `unpack` convert lights
-    between the scene's own units and x.
+    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | lighting
+    (N, K, C)], float64, without what is known: metallic where it is fixed, and known lights. What
+    a scene does not need is not computed: grey pictures have C = 1, lights of order 2 have K = 9
+    coefficients instead of 16. Samples count as much as `scene.weights` says. Inside, pictures are
+    divided by one scene scale that makes their mean valid radiance 0.4; `pack` and `unpack` convert
+    between x and maps and lights of three channels in the scene's own units.
 
     Parameters
     ----------
@@ -47,13 +53,26 @@ class Objective:
         The pictures.
     threads
         0 = one for each processor. Results do not depend on it, to the last bit.
+    sh_order
+        Highest band of the lights: 3, or 2 to leave out band 3.
+    metallic
+        A number in [0, 1] that all pixels have, then it is no unknown; None = free.
 
     Attributes
     ----------
     size
         Length of x.
-    roughness
-        Where in x the roughness lies.
+    pixels
+        P, the number of valid pixels.
+    channels
+        C: 1 where the pictures (and the lights, if they are known) are grey, that is, all three
+        channels are exactly equal in all valid samples; else 3.
+    coefficients
+        K, of one light in one channel: 9 or 16.
+    albedo, roughness
+        Slices of x: where they lie.
+    metallic, lighting
+        Slices of x, or None where they are known.
     bounds
         (size, 2): [0, 1] for materials, infinite for lights.
     scale
@@ -62,62 +81,92 @@ class Objective:
     Raises
     ------
     InputError
-        If the pictures are black on the whole.
+        If the pictures are black on the whole, an option is none of the above, or known lights do
+        not go with the pictures or with `sh_order`.
     """
 
-    def __init__(self, scene: Scene, *, threads: int = 0) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        threads: int = 0,
+        sh_order: int = 3,
+        metallic: float | None = None,
+    ) -> None:
         threads = whole_number("threads", threads)
-        self._valid = scene.valid
+        sh_order = whole_number("sh_order", sh_order)
+        if sh_order not in SH_ORDERS:
+            raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
+        self._known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
         self._known_lighting = scene.lighting
+        self._valid = scene.valid
         self._pictures = len(scene.images)
         self.pixels = int(np.count_nonzero(self._valid))
-        self.scale = _scene_scale(scene, self._valid)
-        if scene.lighting is not None and np.abs(scene.lighting).max() > LARGEST_LIGHT * self.scale:
-            raise InputError(
-                f"lighting: expected coefficients like the pictures' radiance (mean "
-                f"{self.scale * MEAN_RADIANCE:g}), found {np.abs(scene.lighting).max():g}"
-            )
-        images = np.empty((self._pictures, self.pixels, 3), dtype=np.float32)
-        for scaled, image in zip(images, scene.images, strict=True):
-            scaled[:] = image[self._valid].astype(np.float64) / self.scale
-        self._mean_image = images.mean(axis=0, dtype=np.float64)
+        self.channels = 1 if scene.grey else 3
+        self.coefficients = (sh_order + 1) ** 2
+        weights = _weights(scene)
+        self.scale = _scene_scale(scene, weights)
+
+        images = np.empty((self._pictures, self.pixels, self.channels), dtype=np.float32)
+        for i, scaled in enumerate(images):
+            samples = scene.samples(i)[:, : self.channels]
+            scaled[:] = samples.astype(np.float64) / self.scale
+        self._mean_image = _mean_image(images, weights)
         self._problem = _core.Problem(
             images,
             scene.normals[self._valid].astype(np.float64),
             scene.views[self._valid],
             threads,
+            weights=weights,
+            sh_order=sh_order,
+            metallic=self._known_metallic,
+            lighting=None if scene.lighting is None else self._reduced(scene.lighting),
         )
-        fitted_lights = 0 if self._known_lighting is not None else self._pictures * 48
-        self.size = 5 * self.pixels + fitted_lights
-        self.roughness = slice(3 * self.pixels, 4 * self.pixels)
+
+        ends = np.cumsum([0, self.channels, 1, 0 if metallic is not None else 1]) * self.pixels
+        self.albedo, self.roughness, unknown = (
+            slice(int(a), int(b)) for a, b in itertools.pairwise(ends)
+        )
+        self.metallic = None if metallic is not None else unknown
+        self._maps = int(ends[-1])
+        self.size = self._problem.size
+        self.lighting = None if scene.lighting is not None else slice(self._maps, self.size)
         self.bounds = np.empty((self.size, 2))
-        self.bounds[: 5 * self.pixels] = (0.0, 1.0)
-        self.bounds[5 * self.pixels :] = (-np.inf, np.inf)
+        self.bounds[: self._maps] = (0.0, 1.0)
+        self.bounds[self._maps :] = (-np.inf, np.inf)
 
     def start(self) -> NDArray[np.float64]:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
+        maps = np.empty(self._maps)
         albedo = START_MEAN_ALBEDO / MEAN_RADIANCE * self._mean_image
-        albedo = np.clip(albedo, *START_ALBEDO_RANGE)
-        grey = np.ones(self.pixels)
-        x = np.concatenate([albedo.T.ravel(), START_ROUGHNESS * grey, START_METALLIC * grey])
-        return x if self._known_lighting is not None else self.with_best_lights(x)
+        maps[self.albedo] = np.clip(albedo, *START_ALBEDO_RANGE).T.ravel()
+        maps[self.roughness] = START_ROUGHNESS
+        if self.metallic is not None:
+            maps[self.metallic] = START_METALLIC
+        return self.with_best_lights(maps)
 
     def with_best_lights(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """X with these maps (the first 5 P entries) and the lights that fit them best.
+        """X with the maps of `maps`, which is x or its first part, and the lights that fit best.
 
-        Radiance is linear in the light, so this is a linear least-squares problem a channel.
+        Radiance is linear in the light, so this is a linear least-squares problem a channel, and
+        for each picture apart where samples have weights.
         """
-        lights = np.zeros((self._pictures, 16, 3))
-        x = np.concatenate([maps[: 5 * self.pixels], lights.ravel()])
-        gram, right = self._problem.light_equations(x)
-        ridge = LIGHT_RIDGE * np.trace(gram, axis1=1, axis2=2) / 16
-        gram += ridge[:, None, None] * np.eye(16)
-        for c in range(3):
-            lights[..., c] = np.linalg.solve(gram[c], right[c].T).T
-        x[5 * self.pixels :] = lights.ravel()
-        return x
+        maps = np.array(maps[: self._maps], dtype=np.float64)
+        if self.lighting is None:
+            return maps
+        gram, right = self._problem.light_equations(maps)
+        k = self.coefficients
+        ridge = LIGHT_RIDGE * np.trace(gram, axis1=-2, axis2=-1) / k
+        # A Gram matrix of zeros (nothing reflects) gives lights of 0 instead of an error.
+        ridge += np.finfo(np.float64).tiny
+        gram += ridge[..., None, None] * np.eye(k)
+        if gram.shape[1] == 1:
+            lights = np.linalg.solve(gram[:, 0], right.transpose(0, 2, 1)).transpose(2, 1, 0)
+        else:
+            lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
+        return np.concatenate([maps, lights.ravel()])
 
-    def value_and_grad(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         """Loss at x and its gradient: (float, (size,) float64). x is not changed.
 
         Raises
@@ -125,8 +174,7 @@ class Objective:
         InputError
             If x has another length, is not finite, or leaves its bounds.
         """
-        value, gradient = self._problem.value_and_grad(self._whole(x))
-        return value, gradient[: self.size]
+        return self._problem.value_and_grad(_real_numbers(x))
 
     def residual_rmse(self, loss: float) -> float:
         """Root mean square residual in picture units of a value of the loss."""
@@ -141,73 +189,140 @@ class Objective:
     ) -> NDArray[np.float64]:
         """X from maps (H, W, ...) and lights (N, 16, 3) in picture units.
 
-        Without `lighting` the lights that fit the maps best are taken.
+        Without `lighting` the lights that fit the maps best are taken. What x does not have is
+        dropped: known metallic, known lights, band 3; of three channels the mean is taken.
         """
+        given = {"albedo": albedo, "roughness": roughness, "metallic": metallic}
         maps = []
-        for name, values, end in (
-            ("albedo", albedo, (3,)),
-            ("roughness", roughness, ()),
-            ("metallic", metallic, ()),
-        ):
+        for name, values in given.items():
             values = np.asarray(values, dtype=np.float64)
-            if values.shape != self._valid.shape + end:
-                raise InputError(
-                    f"{name}: expected shape {self._valid.shape + end}, found {values.shape}"
-                )
-            if not np.isfinite(values[self._valid]).all():
+            shape = self._valid.shape + ((3,) if name == "albedo" else ())
+            if values.shape != shape:
+                raise InputError(f"{name}: expected shape {shape}, found {values.shape}")
+            values = values[self._valid]
+            if not np.isfinite(values).all():
                 raise InputError(f"{name}: expected finite values at all valid pixels, found NaN")
-            maps.append(values[self._valid].T.ravel())
+            if name == "albedo":
+                values = self._channels(values).T.ravel()
+            if name != "metallic" or self.metallic is not None:
+                maps.append(values)
         x = np.concatenate(maps)
-        if self._known_lighting is not None:
-            return x
-        if lighting is None:
+        if lighting is None or self.lighting is None:
             return self.with_best_lights(x)
         lighting = np.asarray(lighting, dtype=np.float64)
         if lighting.shape != (self._pictures, 16, 3):
             raise InputError(
                 f"lighting: expected shape {(self._pictures, 16, 3)}, found {lighting.shape}"
             )
+        lighting = self._channels(lighting[:, : self.coefficients])
         return np.concatenate([x, (lighting / self.scale).ravel()])
 
     def unpack(self, x: NDArray[np.float64]) -> tuple[Materials, NDArray[np.float64]]:
-        """Maps (NaN outside the mask) and lights (N, 16, 3) in picture units."""
+        """Maps (NaN outside the mask) and lights (N, 16, 3) in picture units.
+
+        Whatever x holds, there are three channels and 16 coefficients: one channel comes three
+        times, and band 3 is 0 where it is left out.
+        """
         x = np.asarray(x)
-        p = self.pixels
         if x.shape != (self.size,):
             raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
+        metallic = self._known_metallic if self.metallic is None else x[self.metallic]
         materials = Materials(
-            self._map(x[: 3 * p].reshape(3, p).T),
-            self._map(x[3 * p : 4 * p]),
-            self._map(x[4 * p : 5 * p]),
+            self._map(albedo),
+            self._map(x[self.roughness]),
+            self._map(np.broadcast_to(np.asarray(metallic), self.pixels)),
         )
         if self._known_lighting is not None:
             return materials, self._known_lighting.copy()
-        return materials, x[5 * p :].reshape(-1, 16, 3) * self.scale
+        lighting = np.zeros((self._pictures, 16, 3))
+        lighting[:, : self.coefficients] = self.scale * x[self.lighting].reshape(
+            -1, self.coefficients, self.channels
+        )
+        return materials, lighting
 
     def _map(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         whole = np.full(self._valid.shape + values.shape[1:], np.nan)
         whole[self._valid] = values
         return whole
 
-    def _whole(self, x: ArrayLike) -> NDArray[np.float64]:
-        """X as the core takes it: with the known lights appended."""
-        try:
-            if np.iscomplexobj(x):
-                raise TypeError("complex numbers")
-            x = np.asarray(x, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"x: expected real numbers, found {error}") from None
-        if x.shape != (self.size,):
-            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
-        if self._known_lighting is None:
-            return x
-        return np.concatenate([x, (self._known_lighting / self.scale).ravel()])
+    def _channels(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """From three channels on the last axis to those of x."""
+        return values if self.channels == 3 else values.mean(axis=-1, keepdims=True)
+
+    def _reduced(self, known: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Known lights as the core takes them: in units of x, with its bands and channels."""
+        largest = np.abs(known).max()
+        if largest > LARGEST_LIGHT * self.scale:
+            raise InputError(
+                f"lighting: expected coefficients like the pictures' radiance (mean "
+                f"{self.scale * MEAN_RADIANCE:g}), found {largest:g}"
+            )
+        left_out = np.abs(known[:, self.coefficients :]).max(initial=0.0)
+        if left_out > 0:
+            raise InputError(
+                f"lighting: expected known lights without band 3 for sh_order 2, found a "
+                f"coefficient of {left_out:g} there; sh_order 3 keeps it"
+            )
+        return known[:, : self.coefficients, : self.channels] / self.scale
 
 
-def _scene_scale(scene: Scene, valid: NDArray[np.bool_]) -> float:
-    mean = float(np.mean([image[valid].mean(dtype=np.float64) for image in scene.images]))
+def _unit_interval(name: str, value: float) -> float:
+    try:
+        number = np.nan if isinstance(value, (bool, str)) else float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not 0 <= number <= 1:
+        raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
+    return number
+
+
+def _real_numbers(x: ArrayLike) -> NDArray[np.float64]:
+    try:
+        if np.iscomplexobj(x):
+            raise TypeError("complex numbers")
+        return np.asarray(x, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"x: expected real numbers, found {error}") from None
+
+
+def _weights(scene: Scene) -> NDArray[np.float32] | None:
+    """(N, P) weights of the samples, at most 1; None where all are the same."""
+    if scene.weights is None:
+        return None
+    weights = scene.weights[:, scene.valid]
+    largest = weights.max()
+    if weights.min() == largest:
+        return None
+    # Only ratios matter; this way float32 neither overflows nor loses digits.
+    return np.asarray(weights / largest, dtype=np.float32)
+
+
+def _scene_scale(scene: Scene, weights: NDArray[np.float32] | None) -> float:
+    total = count = 0.0
+    for i in range(len(scene.images)):
+        samples = scene.samples(i).mean(axis=-1, dtype=np.float64)
+        if weights is not None:
+            # No dot product: BLAS rounds differently on a machine with another processor count.
+            samples *= weights[i]
+        total += float(samples.sum())
+        count += samples.size if weights is None else float(weights[i].sum(dtype=np.float64))
+    mean = total / count
     if not 0 < mean < np.inf:
         raise InputError(
             f"images: expected a positive mean radiance over the valid pixels, found {mean:g}"
         )
     return mean / MEAN_RADIANCE
+
+
+def _mean_image(
+    images: NDArray[np.float32], weights: NDArray[np.float32] | None
+) -> NDArray[np.float64]:
+    """(P, C): the mean over pictures."""
+    if weights is None:
+        return images.mean(axis=0, dtype=np.float64)
+    total = weights.sum(axis=0, dtype=np.float64)
+    mean: NDArray[np.float64] = np.einsum("npc,np->pc", images, weights, dtype=np.float64)
+    # Weights that are tiny beside the largest can vanish in float32.
+    np.divide(mean, total[:, None], out=mean, where=total[:, None] > 0)
+    return mean

@@ -36,11 +36,21 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `decompose` that change the result."""
+    """Options of `decompose` that change the result.
+
+    Attributes
+    ----------
+    solver, iterations, time_limit, sh_order
+        As given.
+    metallic
+        The number that all pixels have; None = free.
+    """
 
     solver: str
     iterations: int
     time_limit: float | None
+    sh_order: int = 3
+    metallic: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,6 +67,10 @@ class Scene:
         (H, W) integer ids, 0 = unclassified; None = unknown.
     lighting
         (N, 16, 3): known lights, then only the materials are fitted; None = unknown.
+    weights
+        (N, H, W), or (H, W) for all pictures alike: how much each sample counts, 0 or more; None =
+        all the same. Kept as float32. Only their ratios matter. Samples of weight 0 are no data:
+        they may be NaN or infinite. `save` does not keep weights.
     names
         One a picture; `picture_00`, ... when left out.
     truth
@@ -87,6 +92,7 @@ class Scene:
     mask: NDArray[np.bool_] | None = None
     segments: NDArray[np.integer[Any]] | None = None
     lighting: NDArray[np.float64] | None = None
+    weights: NDArray[np.floating[Any]] | None = None
     names: tuple[str, ...] = ()
     truth: Truth | None = None
     assumed: Mapping[str, str] = field(default_factory=dict)
@@ -108,7 +114,8 @@ class Scene:
         fov = _number("fov", self.fov)
         geometry.check_fov(fov)
         mask = _mask(self.mask, (height, width))
-        _check_finite(images, names, mask)
+        weights = _weights(self.weights, names, (height, width), mask)
+        _check_finite(images, names, mask, weights)
         if n == 1 and self.lighting is None:
             raise InputError(
                 "images: expected at least two pictures under different lights, found one "
@@ -130,7 +137,7 @@ class Scene:
                 f"lighting: expected finite coefficients of shape {(n, 16, 3)}, "
                 f"found shape {lighting.shape}"
             )
-        valid = np.ones((height, width), bool) if mask is None else mask
+        valid = _valid(mask, weights, (height, width))
         if self.truth is not None:
             _check_truth(self.truth, n, height, width)
             if not np.isfinite(self.truth.materials.albedo[valid]).any():
@@ -144,6 +151,7 @@ class Scene:
             "mask": mask,
             "segments": segments,
             "lighting": lighting,
+            "weights": weights,
             "names": names,
         }
         for name, value in values.items():
@@ -159,10 +167,25 @@ class Scene:
         """Columns of a picture."""
         return int(self.images.shape[2])
 
-    @property
+    @cached_property
     def valid(self) -> NDArray[np.bool_]:
-        """(H, W) bool: the pixels that are fitted."""
-        return np.ones((self.height, self.width), bool) if self.mask is None else self.mask
+        """(H, W) bool: the pixels that are fitted, in the mask and of some weight."""
+        return _valid(self.mask, self.weights, (self.height, self.width))
+
+    @cached_property
+    def grey(self) -> bool:
+        """Whether the pictures, and the lights if they are known, have three equal channels."""
+        if self.lighting is not None and not _equal_channels(self.lighting):
+            return False
+        # The first picture in colour ends it.
+        return all(_equal_channels(self.samples(i)) for i in range(len(self.images)))
+
+    def samples(self, picture: int) -> NDArray[np.floating[Any]]:
+        """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight."""
+        samples = self.images[picture][self.valid]
+        if self.weights is not None:
+            samples[self.weights[picture][self.valid] == 0] = 0
+        return samples
 
     @property
     def views(self) -> NDArray[np.float64]:
@@ -203,6 +226,9 @@ class Scene:
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a scene folder that `load` reads back: float32 EXR, truth included.
 
+        Weights are not stored. The mask leaves out pixels that have no weight in any picture or a
+        sample that is NaN or infinite.
+
         Raises
         ------
         FileExistsError
@@ -225,6 +251,55 @@ def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_
     if not mask.any():
         raise InputError("mask: expected at least one pixel to use, found none")
     return None if mask.all() else mask
+
+
+def _weights(
+    weights: Any,
+    names: tuple[str, ...],
+    shape: tuple[int, int],
+    mask: NDArray[np.bool_] | None,
+) -> NDArray[np.float32] | None:
+    """As (N, H, W) float32; what the mask leaves out need not be sound and gets weight 0."""
+    if weights is None:
+        return None
+    given = _array("weights", weights)
+    expected = (len(names), *shape)
+    if given.shape not in (shape, expected):
+        raise InputError(f"weights: expected shape {expected} or {shape}, found {given.shape}")
+    if given.dtype.kind not in "buif":
+        raise InputError(f"weights: expected real numbers, found {given.dtype}")
+    with np.errstate(over="ignore"):  # what float32 cannot hold is infinite then, and refused
+        found: NDArray[np.float32] = given.astype(np.float32)
+    if mask is not None:
+        found = np.where(mask, found, np.float32(0))
+    bad = ~(np.isfinite(found) & (found >= 0))
+    if bad.any():
+        index = tuple(map(int, np.argwhere(bad)[0]))
+        raise InputError(
+            f"weights: expected finite numbers, 0 or more, found {given[index]:g} at {index}"
+        )
+    found = np.broadcast_to(found, expected)
+    for name, of_picture in zip(names, found, strict=True):
+        if not of_picture.any():
+            raise InputError(
+                f"weights: expected some weight above 0 in every picture, found none in {name}"
+            )
+    return found
+
+
+def _valid(
+    mask: NDArray[np.bool_] | None,
+    weights: NDArray[np.floating[Any]] | None,
+    shape: tuple[int, int],
+) -> NDArray[np.bool_]:
+    if weights is not None:
+        return np.asarray((weights > 0).any(axis=0))  # they are 0 outside the mask
+    return np.ones(shape, bool) if mask is None else mask
+
+
+def _equal_channels(values: NDArray[Any]) -> bool:
+    first = values[..., 0]
+    return all(np.array_equal(first, values[..., c]) for c in (1, 2))
 
 
 def _array(name: str, values: Any) -> NDArray[Any]:
@@ -262,12 +337,17 @@ def _check_names(names: tuple[Any, ...], pictures: int) -> None:
 
 
 def _check_finite(
-    images: NDArray[Any], names: tuple[str, ...], mask: NDArray[np.bool_] | None
+    images: NDArray[Any],
+    names: tuple[str, ...],
+    mask: NDArray[np.bool_] | None,
+    weights: NDArray[np.float32] | None,
 ) -> None:
-    for name, image in zip(names, images, strict=True):
+    for i, (name, image) in enumerate(zip(names, images, strict=True)):
         bad = ~np.isfinite(image).all(-1)
         if mask is not None:
             bad &= mask
+        if weights is not None:
+            bad &= weights[i] > 0
         if bad.any():
             row, column = np.argwhere(bad)[0]
             raise InputError(

@@ -156,9 +156,10 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
             folder / "normals.exr", {name: normals[..., i] for i, name in enumerate("XYZ")}
         )
         (folder / "scene.toml").write_text(f"fov = {float(scene.fov)!r}\n", encoding="utf-8")
-        if scene.mask is not None:
+        sound = scene.valid & np.isfinite(scene.images).all(axis=(0, -1))
+        if not sound.all():
             images.write_png(
-                folder / "mask.png", np.where(scene.mask, 255, 0).astype(np.uint8), srgb=False
+                folder / "mask.png", np.where(sound, 255, 0).astype(np.uint8), srgb=False
             )
         if scene.segments is not None:
             images.write_png(folder / "segments.png", _ids(scene.segments), srgb=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import math
+import operator
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -58,6 +59,8 @@ def decompose(
     time_limit: float | None = None,
     start: Materials | tuple[Materials, NDArray[Any]] | None = None,
     threads: int = 0,
+    sh_order: int = 3,
+    metallic: float | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Result:
     """Recover materials and lights from the pictures of one view.
@@ -78,6 +81,10 @@ def decompose(
         the mean picture, constant roughness and metallic, lights by least squares.
     threads
         0 = one for each processor. The result does not depend on it, to the last bit.
+    sh_order
+        Highest band of the lights: 3, or 2 to fit lights without band 3.
+    metallic
+        A number in [0, 1] that all pixels have, then it is not fitted; None = fitted.
     progress
         Called after each iteration.
 
@@ -103,7 +110,7 @@ def decompose(
     # starts: loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
     began = time.perf_counter()
-    objective = Objective(scene, threads=threads)
+    objective = Objective(scene, threads=threads, sh_order=sh_order, metallic=metallic)
     x = _start(objective, start)
     run = _Run(scene, objective, iterations, time_limit, progress, began)
     x, status, stop_reason = run.lbfgsb(x, start_given=start is not None)
@@ -123,9 +130,15 @@ def decompose(
         evaluations=run.evaluations,
         seconds=seconds,
         metrics=_metrics(scene, materials, lighting, threads),
-        options=Options(solver=solver, iterations=iterations, time_limit=time_limit),
+        options=Options(
+            solver=solver,
+            iterations=iterations,
+            time_limit=time_limit,
+            sh_order=int(sh_order),
+            metallic=None if metallic is None else float(metallic),
+        ),
         assumed=dict(scene.assumed),
-        left_out=_left_out(scene),
+        left_out=_left_out(scene, objective),
         inputs=dict(scene.inputs),
     )
     log.info("%s after %d iterations, %.1f s: %s", status, run.iteration, seconds, stop_reason)
@@ -271,12 +284,17 @@ def _metrics(
     scene: Scene, materials: Materials, lighting: NDArray[np.float64], threads: int
 ) -> dict[str, float]:
     """Final errors, computed in float64."""
+    weights = (
+        [None] * len(scene.images) if scene.weights is None else list(scene.weights[..., None])
+    )
+    totals = [1.0 if w is None else float(w.sum(dtype=np.float64)) for w in weights]
     # One picture at a time: all at once would be held in float64.
     of_pictures = [
-        metrics.rmse(render(materials, scene.normals, light, scene.fov, threads), image)
-        for image, light in zip(scene.images, lighting, strict=True)
+        metrics.rmse(render(materials, scene.normals, light, scene.fov, threads), image, w)
+        for image, light, w in zip(scene.images, lighting, weights, strict=True)
     ]
-    found = {"recon_rmse": math.hypot(*of_pictures) / math.sqrt(len(of_pictures))}
+    shares = [math.sqrt(total / math.fsum(totals)) for total in totals]
+    found = {"recon_rmse": math.hypot(*map(operator.mul, shares, of_pictures))}
     truth = scene.truth
     if truth is None:
         return found
@@ -289,11 +307,25 @@ def _metrics(
     return found
 
 
-def _left_out(scene: Scene) -> tuple[str, ...]:
+def _left_out(scene: Scene, objective: Objective) -> tuple[str, ...]:
+    """Work that the scene did not need or the options ruled out, in words."""
     left_out = []
-    masked = scene.height * scene.width - int(np.count_nonzero(scene.valid))
+    masked = 0 if scene.mask is None else int(np.count_nonzero(~scene.mask))
     if masked:
         left_out.append(f"{masked} pixels outside the mask")
-    if scene.lighting is not None:
-        left_out.append("lights: known, so only materials were fitted")
+    if scene.weights is not None:
+        without = scene.valid.size - masked - objective.pixels
+        if without:
+            left_out.append(f"{without} pixels of weight 0 in all pictures")
+        single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
+        if single:
+            left_out.append(f"{single} samples of weight 0 at other pixels")
+    if objective.channels == 1:
+        left_out.append("second and third colour channel: equal to the first")
+    if objective.coefficients < 16:
+        left_out.append("band 3 of the lights: order 2 was asked for")
+    if objective.metallic is None:
+        left_out.append("metallic: given, so it was not fitted")
+    if objective.lighting is None:
+        left_out.append("lights and their gradient: known, so only materials were fitted")
     return tuple(left_out)
