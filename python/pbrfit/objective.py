@@ -320,7 +320,7 @@ def _mean_image(
 ) -> NDArray[np.float64]:
     """(P, C): the mean over pictures."""
     if weights is None:
-        return images.mean(axis=0, dtype=np.float64)
+        return np.asarray(images.mean(axis=0, dtype=np.float64))
     total = weights.sum(axis=0, dtype=np.float64)
     mean: NDArray[np.float64] = np.einsum("npc,np->pc", images, weights, dtype=np.float64)
     # Weights that are tiny beside the largest can vanish in float32.

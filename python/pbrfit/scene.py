@@ -182,7 +182,7 @@ class Scene:
 
     def samples(self, picture: int) -> NDArray[np.floating[Any]]:
         """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight."""
-        samples = self.images[picture][self.valid]
+        samples: NDArray[np.floating[Any]] = self.images[picture][self.valid]
         if self.weights is not None:
             samples[self.weights[picture][self.valid] == 0] = 0
         return samples

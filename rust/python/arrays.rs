@@ -11,6 +11,7 @@ use numpy::{
 use pyo3::prelude::*;
 
 use super::InputError;
+use crate::problem::MAX_SAMPLES;
 use crate::shade::Material;
 use crate::{Error, Result, check};
 
@@ -20,25 +21,70 @@ pub(super) fn copied<T: Element + Copy, D: Dimension>(array: &PyReadonlyArray<'_
     view.iter().copied().collect()
 }
 
+/// The same where there may not be enough memory: a broadcast array can pretend to any size.
+pub(super) fn try_copied<T: Element + Copy, D: Dimension>(
+    name: &'static str,
+    array: &PyReadonlyArray<'_, T, D>,
+) -> Result<Vec<T>> {
+    let view: ArrayView<T, D> = array.as_array();
+    collect(name, view.len(), view.iter().copied())
+}
+
+/// `count` values as a vector, or an error where memory does not suffice.
+pub(super) fn collect<T>(
+    name: &'static str,
+    count: usize,
+    values: impl IntoIterator<Item = T>,
+) -> Result<Vec<T>> {
+    let mut collected = Vec::new();
+    collected
+        .try_reserve_exact(count)
+        .map_err(|_| Error::Memory(name))?;
+    collected.extend(values);
+    Ok(collected)
+}
+
 /// An argument as an array of `T` with as many dimensions as `D`; a refusal names it.
 pub(super) fn array<'py, T: Element, D: Dimension>(
     name: &'static str,
     argument: &Bound<'py, PyAny>,
 ) -> PyResult<PyReadonlyArray<'py, T, D>> {
-    argument.extract().map_err(|_| {
+    let refused = |_| {
         let expected = dtype::<T>(argument.py());
         let found = match argument.cast::<PyUntypedArray>() {
-            Err(_) => argument.get_type().to_string(),
+            Err(_) => argument
+                .get_type()
+                .fully_qualified_name()
+                .map_or_else(|_| "something else".into(), |name| name.to_string()),
             Ok(array) if array.dtype().is_equiv_to(&expected) => {
                 format!("shape {:?}", array.shape())
             }
             Ok(array) => array.dtype().to_string(),
         };
-        let dimensions = D::NDIM.map_or_else(String::new, |n| format!(" in {n} dimensions"));
+        let dimensions = match D::NDIM {
+            None => String::new(),
+            Some(1) => " in 1 dimension".into(),
+            Some(n) => format!(" in {n} dimensions"),
+        };
         InputError::new_err(format!(
             "{name}: expected an array of {expected}{dimensions}, found {found}"
         ))
-    })
+    };
+    let array: PyReadonlyArray<'py, T, D> = argument.extract().map_err(refused)?;
+    let mut axes = array.shape().iter().zip(array.strides());
+    let broadcast = axes.any(|(&length, &stride)| length > 1 && stride == 0);
+    if broadcast && array.len() > MAX_SAMPLES {
+        // There is no memory behind it, and there may be none for a copy.
+        return Err(InputError::new_err(format!(
+            "{name}: expected at most {MAX_SAMPLES} numbers in a broadcast array, found shape {:?}",
+            array.shape()
+        )));
+    }
+    if array.is_aligned() {
+        return Ok(array);
+    }
+    // A field of a packed record, or a view of bytes: strides in bytes, which we cannot follow.
+    argument.call_method0("copy")?.extract().map_err(refused)
 }
 
 /// The values of an array in C order: its own memory where they lie like that, else a copy.
@@ -46,9 +92,10 @@ pub(super) struct Contiguous<'a, T: Clone>(Cow<'a, [T]>);
 
 impl<'a, T: Element + Copy> Contiguous<'a, T> {
     pub(super) fn of<D: Dimension>(array: &'a PyReadonlyArray<'_, T, D>) -> Self {
+        // The slice of an array in Fortran order would have the values in that order.
         Self(match array.as_slice() {
-            Ok(values) => Cow::Borrowed(values),
-            Err(_) => Cow::Owned(copied(array)),
+            Ok(values) if array.is_c_contiguous() => Cow::Borrowed(values),
+            _ => Cow::Owned(copied(array)),
         })
     }
 
@@ -59,17 +106,11 @@ impl<'a, T: Element + Copy> Contiguous<'a, T> {
 
 /// Rows of an (M, 3) array.
 pub(super) fn vectors(name: &'static str, array: &PyReadonlyArray2<'_, f64>) -> Result<Vec<DVec3>> {
-    shape(
-        name,
-        &[array.as_array().nrows(), 3],
-        array.as_array().shape(),
-    )?;
-    Ok(array
-        .as_array()
-        .rows()
-        .into_iter()
-        .map(|v| DVec3::new(v[0], v[1], v[2]))
-        .collect())
+    let rows = array.shape()[0];
+    shape(name, &[rows, 3], array.shape())?;
+    let view = array.as_array();
+    let vectors = view.rows().into_iter();
+    collect(name, rows, vectors.map(|v| DVec3::new(v[0], v[1], v[2])))
 }
 
 /// Materials from (M, 3), (M,) and (M,) arrays, checked to lie in \[0, 1\].
@@ -78,11 +119,13 @@ pub(super) fn materials(
     roughness: &PyReadonlyArray1<'_, f64>,
     metallic: &PyReadonlyArray1<'_, f64>,
 ) -> Result<Vec<Material>> {
-    let pixels = albedo.as_array().nrows();
-    shape("albedo", &[pixels, 3], albedo.as_array().shape())?;
-    shape("roughness", &[pixels], roughness.as_array().shape())?;
-    shape("metallic", &[pixels], metallic.as_array().shape())?;
-    let (albedo, roughness, metallic) = (copied(albedo), copied(roughness), copied(metallic));
+    let pixels = albedo.shape()[0];
+    shape("albedo", &[pixels, 3], albedo.shape())?;
+    shape("roughness", &[pixels], roughness.shape())?;
+    shape("metallic", &[pixels], metallic.shape())?;
+    let albedo = try_copied("albedo", albedo)?;
+    let roughness = try_copied("roughness", roughness)?;
+    let metallic = try_copied("metallic", metallic)?;
     check::unit_interval("albedo", &albedo)?;
     check::unit_interval("roughness", &roughness)?;
     check::unit_interval("metallic", &metallic)?;
@@ -92,7 +135,8 @@ pub(super) fn materials(
         roughness,
         metallic,
     };
-    Ok(rows.zip(roughness).zip(metallic).map(material).collect())
+    let materials = rows.zip(roughness).zip(metallic).map(material);
+    collect("albedo", pixels, materials)
 }
 
 pub(super) fn shape(name: &'static str, expected: &[usize], found: &[usize]) -> Result<()> {

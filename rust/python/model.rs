@@ -1,15 +1,21 @@
 //! `pbrfit._core`: the forward model on flat arrays.
 
+use glam::DVec3;
 use numpy::ndarray::{Array1, Array2, Array3};
 use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+    IntoPyArray, Ix1, Ix2, Ix3, PyArray1, PyArray2, PyArray3, PyReadonlyArray,
+    PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 
-use super::arrays::{copied, materials, shape, vectors};
+use super::arrays::{array, collect, materials, shape, try_copied, vectors};
+use crate::problem::MAX_SAMPLES;
 use crate::render::render as render_pixels;
-use crate::shade::{Frame, Weights, shade as shade_pixel, shade_vjp as pull_back_pixel};
-use crate::{Result, check, ggx, sh};
+use crate::shade::{Frame, Material, shade as shade_pixel, shade_vjp as pull_back_pixel};
+use crate::{Error, Result, check, ggx, sh};
+
+/// Weights and their derivatives are below 10³, so sums over numbers of this size stay finite.
+const LARGEST: f64 = 1e304;
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(sh_basis, module)?)?;
@@ -22,95 +28,108 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 #[pyfunction]
 fn sh_basis<'py>(
     py: Python<'py>,
-    directions: PyReadonlyArray2<'py, f64>,
+    directions: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let directions = vectors("directions", &directions)?;
+    let directions = vectors("directions", &array("directions", directions)?)?;
     let basis = py.detach(|| {
         check::unit_vectors("directions", &directions)?;
-        Ok::<_, crate::Error>(directions.iter().flat_map(|&d| sh::basis(d)).collect())
+        let rows = directions.iter().map(|&d| sh::basis(d));
+        collect("directions", directions.len(), rows)
     })?;
-    Ok(array2(basis, sh::COEFFICIENTS).into_pyarray(py))
+    Ok(array2(basis).into_pyarray(py))
 }
 
 #[pyfunction]
 #[expect(clippy::type_complexity)]
 fn ggx_band_weights<'py>(
     py: Python<'py>,
-    roughness: PyReadonlyArray1<'py, f64>,
+    r: &Bound<'py, PyAny>,
 ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)> {
-    let roughness = copied(&roughness);
-    let bands = py.detach(|| {
-        check::unit_interval("r", &roughness)?;
-        Ok::<_, crate::Error>(roughness.iter().map(|&r| ggx::bands(r)).collect::<Vec<_>>())
+    let r = array::<f64, Ix1>("r", r)?;
+    let r = try_copied("r", &r)?;
+    let (weights, slopes) = py.detach(|| {
+        check::unit_interval("r", &r)?;
+        let bands = collect("r", r.len(), r.iter().map(|&r| ggx::bands(r)))?;
+        Ok::<_, Error>((
+            collect("r", r.len(), bands.iter().map(|b| b.weight))?,
+            collect("r", r.len(), bands.iter().map(|b| b.slope))?,
+        ))
     })?;
-    let flat = |of: fn(&ggx::Bands) -> [f64; 4]| array2(bands.iter().flat_map(of).collect(), 4);
     Ok((
-        flat(|b| b.weight).into_pyarray(py),
-        flat(|b| b.slope).into_pyarray(py),
+        array2(weights).into_pyarray(py),
+        array2(slopes).into_pyarray(py),
     ))
 }
 
 #[pyfunction]
 fn shade<'py>(
     py: Python<'py>,
-    normal: PyReadonlyArray2<'py, f64>,
-    view: PyReadonlyArray2<'py, f64>,
-    albedo: PyReadonlyArray2<'py, f64>,
-    roughness: PyReadonlyArray1<'py, f64>,
-    metallic: PyReadonlyArray1<'py, f64>,
+    normal: &Bound<'py, PyAny>,
+    view: &Bound<'py, PyAny>,
+    albedo: &Bound<'py, PyAny>,
+    roughness: &Bound<'py, PyAny>,
+    metallic: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    let materials = materials(&albedo, &roughness, &metallic)?;
-    let frames = frames(&normal, &view, materials.len())?;
+    let pixels = Pixels::new(
+        ("normal", normal),
+        ("view", view),
+        albedo,
+        roughness,
+        metallic,
+    )?;
     let weights = py.detach(|| {
-        let weights = frames
-            .iter()
-            .zip(&materials)
-            .map(|(f, m)| shade_pixel(f, m));
-        weights.collect::<Vec<Weights>>()
-    });
-    let flat = weights.into_iter().flatten().flatten().collect();
-    Ok(array3(flat, [materials.len(), 3, sh::COEFFICIENTS]).into_pyarray(py))
+        pixels.check()?;
+        let weights = pixels.frames().map(|(frame, m)| shade_pixel(&frame, m));
+        collect("normal", pixels.count(), weights)
+    })?;
+    let shape = [pixels.count(), 3, sh::COEFFICIENTS];
+    let weights = weights.into_flattened().into_flattened();
+    Ok(array3(weights, shape).into_pyarray(py))
 }
 
 #[pyfunction]
 #[expect(clippy::type_complexity)]
 fn shade_vjp<'py>(
     py: Python<'py>,
-    normal: PyReadonlyArray2<'py, f64>,
-    view: PyReadonlyArray2<'py, f64>,
-    albedo: PyReadonlyArray2<'py, f64>,
-    roughness: PyReadonlyArray1<'py, f64>,
-    metallic: PyReadonlyArray1<'py, f64>,
-    cotangent: PyReadonlyArray3<'py, f64>,
+    normal: &Bound<'py, PyAny>,
+    view: &Bound<'py, PyAny>,
+    albedo: &Bound<'py, PyAny>,
+    roughness: &Bound<'py, PyAny>,
+    metallic: &Bound<'py, PyAny>,
+    cotangent: &Bound<'py, PyAny>,
 ) -> PyResult<(
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<f64>>,
 )> {
-    let materials = materials(&albedo, &roughness, &metallic)?;
-    let frames = frames(&normal, &view, materials.len())?;
-    let expected = [materials.len(), 3, sh::COEFFICIENTS];
-    shape("cotangent", &expected, cotangent.as_array().shape())?;
-    let cotangent = copied(&cotangent);
+    let pixels = Pixels::new(
+        ("normal", normal),
+        ("view", view),
+        albedo,
+        roughness,
+        metallic,
+    )?;
+    let cotangent = array::<f64, Ix3>("cotangent", cotangent)?;
+    let expected = [pixels.count(), 3, sh::COEFFICIENTS];
+    shape("cotangent", &expected, cotangent.shape())?;
+    let cotangent = try_copied("cotangent", &cotangent)?;
     let gradients = py.detach(|| {
-        check::finite("cotangent", &cotangent)?;
+        pixels.check()?;
+        not_too_large("cotangent", &cotangent)?;
         let weights = cotangent
             .as_chunks::<{ sh::COEFFICIENTS }>()
             .0
             .as_chunks::<3>()
             .0;
-        let pixels = frames.iter().zip(&materials).zip(weights);
-        Ok::<_, crate::Error>(
-            pixels
-                .map(|((f, m), w)| pull_back_pixel(f, m, w))
-                .collect::<Vec<_>>(),
-        )
+        let pairs = pixels.frames().zip(weights);
+        let gradients = pairs.map(|((frame, m), w)| pull_back_pixel(&frame, m, w));
+        collect("normal", pixels.count(), gradients)
     })?;
-    let albedo = array2(gradients.iter().flat_map(|g| g.albedo).collect(), 3);
+    let albedo = collect("albedo", pixels.count(), gradients.iter().map(|g| g.albedo))?;
     let roughness: Array1<f64> = gradients.iter().map(|g| g.roughness).collect();
     let metallic: Array1<f64> = gradients.iter().map(|g| g.metallic).collect();
     Ok((
-        albedo.into_pyarray(py),
+        array2(albedo).into_pyarray(py),
         roughness.into_pyarray(py),
         metallic.into_pyarray(py),
     ))
@@ -120,47 +139,108 @@ fn shade_vjp<'py>(
 #[expect(clippy::too_many_arguments)]
 fn render<'py>(
     py: Python<'py>,
-    normals: PyReadonlyArray2<'py, f64>,
-    views: PyReadonlyArray2<'py, f64>,
-    albedo: PyReadonlyArray2<'py, f64>,
-    roughness: PyReadonlyArray1<'py, f64>,
-    metallic: PyReadonlyArray1<'py, f64>,
-    lighting: PyReadonlyArray3<'py, f64>,
+    normals: &Bound<'py, PyAny>,
+    views: &Bound<'py, PyAny>,
+    albedo: &Bound<'py, PyAny>,
+    roughness: &Bound<'py, PyAny>,
+    metallic: &Bound<'py, PyAny>,
+    lighting: &Bound<'py, PyAny>,
     threads: usize,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    let materials = materials(&albedo, &roughness, &metallic)?;
-    let (normals, views) = (vectors("normals", &normals)?, vectors("views", &views)?);
-    let lights = lighting.as_array().shape()[0];
-    shape(
-        "lighting",
-        &[lights, sh::COEFFICIENTS, 3],
-        lighting.as_array().shape(),
+    let pixels = Pixels::new(
+        ("normals", normals),
+        ("views", views),
+        albedo,
+        roughness,
+        metallic,
     )?;
-    let lighting = copied(&lighting);
-    let images = py.detach(|| render_pixels(&normals, &views, &materials, &lighting, threads))?;
-    Ok(array3(images, [lights, materials.len(), 3]).into_pyarray(py))
+    let lighting = array::<f64, Ix3>("lighting", lighting)?;
+    let lights = lighting.shape()[0];
+    shape("lighting", &[lights, sh::COEFFICIENTS, 3], lighting.shape())?;
+    let samples = lights.saturating_mul(pixels.count());
+    if samples > MAX_SAMPLES {
+        let expected = format!("at most {MAX_SAMPLES} lights times pixels");
+        return Err(Error::argument("lighting", expected, samples).into());
+    }
+    let lighting = try_copied("lighting", &lighting)?;
+    let Pixels {
+        normals,
+        views,
+        materials,
+        ..
+    } = &pixels;
+    let images = py.detach(|| {
+        not_too_large("lighting", &lighting)?;
+        render_pixels(normals, views, materials, &lighting, threads)
+    })?;
+    Ok(array3(images, [lights, pixels.count(), 3]).into_pyarray(py))
 }
 
-fn frames(
-    normal: &PyReadonlyArray2<'_, f64>,
-    view: &PyReadonlyArray2<'_, f64>,
-    pixels: usize,
-) -> Result<Vec<Frame>> {
-    let (normal, view) = (vectors("normal", normal)?, vectors("view", view)?);
-    shape("normal", &[pixels, 3], &[normal.len(), 3])?;
-    shape("view", &[pixels, 3], &[view.len(), 3])?;
-    check::unit_vectors("normal", &normal)?;
-    check::unit_vectors("view", &view)?;
-    Ok(normal
-        .into_iter()
-        .zip(view)
-        .map(|(n, v)| Frame::new(n, v))
-        .collect())
+/// Copies of what is given for each pixel.
+struct Pixels {
+    names: [&'static str; 2],
+    normals: Vec<DVec3>,
+    views: Vec<DVec3>,
+    materials: Vec<Material>,
 }
 
-fn array2(values: Vec<f64>, columns: usize) -> Array2<f64> {
-    let rows = values.len() / columns;
-    Array2::from_shape_vec((rows, columns), values).expect("whole rows")
+impl Pixels {
+    /// From arrays of as many rows each; the first two by their names.
+    fn new(
+        normals: (&'static str, &Bound<'_, PyAny>),
+        views: (&'static str, &Bound<'_, PyAny>),
+        albedo: &Bound<'_, PyAny>,
+        roughness: &Bound<'_, PyAny>,
+        metallic: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
+        let names = [normals.0, views.0];
+        let normals: PyReadonlyArray<'_, f64, Ix2> = array(normals.0, normals.1)?;
+        let views: PyReadonlyArray<'_, f64, Ix2> = array(views.0, views.1)?;
+        let materials = materials(
+            &array("albedo", albedo)?,
+            &array("roughness", roughness)?,
+            &array("metallic", metallic)?,
+        )?;
+        shape(names[0], &[materials.len(), 3], normals.shape())?;
+        shape(names[1], &[materials.len(), 3], views.shape())?;
+        Ok(Self {
+            names,
+            normals: vectors(names[0], &normals)?,
+            views: vectors(names[1], &views)?,
+            materials,
+        })
+    }
+
+    fn count(&self) -> usize {
+        self.materials.len()
+    }
+
+    fn check(&self) -> Result<()> {
+        check::unit_vectors(self.names[0], &self.normals)?;
+        check::unit_vectors(self.names[1], &self.views)
+    }
+
+    fn frames(&self) -> impl Iterator<Item = (Frame, &Material)> {
+        let directions = self.normals.iter().zip(&self.views);
+        let frames = directions.map(|(&n, &v)| Frame::new(n, v));
+        frames.zip(&self.materials)
+    }
+}
+
+fn not_too_large(name: &'static str, values: &[f64]) -> Result<()> {
+    check::finite(name, values)?;
+    match values.iter().position(|v| v.abs() > LARGEST) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(
+            name,
+            format!("numbers up to {LARGEST:e}"),
+            format!("{:e} at {i}", values[i]),
+        )),
+    }
+}
+
+fn array2<const N: usize>(rows: Vec<[f64; N]>) -> Array2<f64> {
+    Array2::from(rows)
 }
 
 pub(super) fn array3<T>(values: Vec<T>, shape: [usize; 3]) -> Array3<T> {

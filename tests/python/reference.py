@@ -7,6 +7,7 @@ and no cancellation error, and everything below is rational in albedo, roughness
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -136,7 +137,7 @@ def shade_derivatives(
     return by_albedo.imag / STEP, by_roughness.imag / STEP, by_metallic.imag / STEP
 
 
-def unpack(x: Array, pixels: int) -> tuple[Array, Array, Array, Array]:
+def unpack(x: NDArray[Any], pixels: int) -> tuple[NDArray[Any], ...]:
     """x = [albedo (3 planes of P) | roughness | metallic | lighting (N·16·3)]."""
     albedo = x[: 3 * pixels].reshape(3, pixels).T
     return (
@@ -154,12 +155,20 @@ def render(normal: Array, view: Array, x: Array) -> Array:
     return np.asarray(np.einsum("pck,nkc->npc", weights, lighting, optimize=True))
 
 
-def value_and_grad(images: Array, normal: Array, view: Array, x: Array) -> tuple[float, Array]:
-    """Mean over pictures, pixels and channels of (I − T)², and its gradient."""
+def value_and_grad(
+    images: Array, normal: Array, view: Array, x: Array, sample_weights: Array | None = None
+) -> tuple[float, Array]:
+    """Mean over pictures, pixels and channels of (I − T)², and its gradient.
+
+    `sample_weights`, (N, P, 3) or with one channel for all three, make it a weighted mean.
+    """
     albedo, roughness, metallic, lighting = unpack(x, len(normal))
     residual = render(normal, view, x) - images
-    # dloss/dw[p,c,k] = Σ_n 2(I−T) L[n,k,c] / count, then the chain through w.
-    scaled = 2 * residual / residual.size
+    omega = np.ones_like(residual)
+    if sample_weights is not None:
+        omega = omega * sample_weights
+    # dloss/dw[p,c,k] = Σ_n 2ω(I−T) L[n,k,c] / Σω, then the chain through w.
+    scaled = 2 * omega * residual / omega.sum()
     by_weight = np.einsum("npc,nkc->pck", scaled, lighting, optimize=True)
     d_albedo, d_roughness, d_metallic = shade_derivatives(normal, view, albedo, roughness, metallic)
     weights = shade(normal, view, albedo, roughness, metallic)
@@ -169,4 +178,84 @@ def value_and_grad(images: Array, normal: Array, view: Array, x: Array) -> tuple
         np.sum(by_weight * d_metallic, axis=(-1, -2)),
         np.einsum("npc,pck->nkc", scaled, weights, optimize=True),
     ]
-    return float(np.mean(residual**2)), np.concatenate([np.ravel(block) for block in gradient])
+    return (
+        float(np.sum(omega * residual**2) / omega.sum()),
+        np.concatenate([np.ravel(block) for block in gradient]),
+    )
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """A part of the unknowns: the rest is known, zero, or equal to one that is there.
+
+    Attributes
+    ----------
+    channels
+        With 1, all three are equal.
+    sh_order
+        With 2, band 3 is zero.
+    metallic
+        Of all pixels, where it is known.
+    lighting
+        (N, K, C), where it is known.
+    """
+
+    pixels: int
+    pictures: int
+    channels: int = 3
+    sh_order: int = 3
+    metallic: float | None = None
+    lighting: Array | None = None
+
+    @property
+    def coefficients(self) -> int:
+        return (self.sh_order + 1) ** 2
+
+    @property
+    def maps(self) -> int:
+        """Unknowns that are not lights."""
+        return (self.channels + 1 + (self.metallic is None)) * self.pixels
+
+    @property
+    def blocks(self) -> dict[str, slice]:
+        """Where each kind of unknown lies; a known one is not there."""
+        lights = self.pictures * self.coefficients * self.channels
+        lengths = {
+            "albedo": self.channels * self.pixels,
+            "roughness": self.pixels,
+            "metallic": self.pixels if self.metallic is None else 0,
+            "lighting": lights if self.lighting is None else 0,
+        }
+        ends = np.cumsum([0, *lengths.values()])
+        blocks = zip(lengths, ends[:-1], ends[1:], strict=True)
+        return {name: slice(int(a), int(b)) for name, a, b in blocks if a < b}
+
+    @property
+    def size(self) -> int:
+        return max(int(block.stop) for block in self.blocks.values())
+
+    def expand(self, x: NDArray[Any]) -> NDArray[Any]:
+        """All unknowns, from those that there are."""
+        shape = (self.pictures, self.coefficients, self.channels)
+        lighting = x[self.maps :].reshape(shape) if self.lighting is None else self.lighting
+        whole = np.zeros((self.pictures, 16, 3))
+        whole[:, : self.coefficients] = lighting
+        metallic = np.full(self.pixels, self.metallic)
+        if self.metallic is None:
+            metallic = x[self.blocks["metallic"]]
+        albedo = x[self.blocks["albedo"]].reshape(self.channels, self.pixels)
+        parts = [np.broadcast_to(albedo, (3, self.pixels)), x[self.blocks["roughness"]], metallic]
+        return np.concatenate([np.ravel(part) for part in [*parts, whole]])
+
+    def restrict(self, gradient: NDArray[Any]) -> NDArray[Any]:
+        """Derivatives by the unknowns that there are, from those by all."""
+        albedo, roughness, metallic, lighting = unpack(gradient, self.pixels)
+        lighting = lighting[:, : self.coefficients]
+        if self.channels == 1:
+            albedo, lighting = albedo.sum(-1, keepdims=True), lighting.sum(-1, keepdims=True)
+        parts = [albedo.T, roughness]
+        if self.metallic is None:
+            parts.append(metallic)
+        if self.lighting is None:
+            parts.append(lighting)
+        return np.concatenate([np.ravel(part) for part in parts])

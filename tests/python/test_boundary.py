@@ -1,0 +1,425 @@
+"""The border to Rust: whatever is passed, a finite result or one line that names the argument.
+
+A panic would surface as `pyo3_runtime.PanicException`, which no test here expects, and a crash
+would end the run.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+import reference
+from pbrfit import InputError, _core
+
+Array = NDArray[Any]
+Arguments = dict[str, Any]
+
+thorough = settings(
+    max_examples=200,
+    deadline=None,
+    derandomize=True,  # the same examples in every run
+    suppress_health_check=[HealthCheck.too_slow],
+)
+
+
+# --- Arguments as they should be ---
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Sizes, and which of the parts of a problem there are."""
+
+    pixels: int
+    pictures: int
+    channels: int
+    sh_order: int
+    weights: str
+    known_lights: bool
+    metallic: float | None
+
+    @property
+    def coefficients(self) -> int:
+        return (self.sh_order + 1) ** 2
+
+
+kinds = st.builds(
+    Kind,
+    pixels=st.sampled_from([1, 2, 5, 130]),
+    pictures=st.integers(1, 3),
+    channels=st.sampled_from([1, 3]),
+    sh_order=st.sampled_from([2, 3]),
+    weights=st.sampled_from(["none", "sample", "channel"]),
+    known_lights=st.booleans(),
+    metallic=st.sampled_from([None, 0.0, 0.7]),
+)
+
+
+def pixels_of(kind: Kind, rng: np.random.Generator) -> Arguments:
+    normal, view = reference.unit(rng.normal(size=(2, kind.pixels, 3)))
+    return {
+        "normal": normal,
+        "view": view,
+        "albedo": rng.random((kind.pixels, 3)),
+        "roughness": rng.random(kind.pixels),
+        "metallic": rng.random(kind.pixels),
+    }
+
+
+def problem_of(kind: Kind, rng: np.random.Generator) -> Arguments:
+    pixels = pixels_of(kind, rng)
+    shape = (kind.pictures, kind.pixels, kind.channels)
+    arguments = {
+        "images": rng.random(shape, dtype=np.float32),
+        "normals": pixels["normal"],
+        "views": pixels["view"],
+        "threads": 1,
+        "sh_order": kind.sh_order,
+        "metallic": kind.metallic,
+    }
+    if kind.weights != "none":
+        of_samples = shape[: 2 if kind.weights == "sample" else 3]
+        arguments["weights"] = rng.random(of_samples, dtype=np.float32)
+    if kind.known_lights:
+        lights = (kind.pictures, kind.coefficients, kind.channels)
+        arguments["lighting"] = rng.normal(size=lights)
+    return arguments
+
+
+def maps_of(kind: Kind, rng: np.random.Generator) -> Array:
+    return rng.random((kind.channels + 1 + (kind.metallic is None)) * kind.pixels)
+
+
+def x_of(kind: Kind, rng: np.random.Generator) -> Array:
+    lights = 0 if kind.known_lights else kind.pictures * kind.coefficients * kind.channels
+    return np.concatenate([maps_of(kind, rng), rng.normal(size=lights)])
+
+
+def evaluate(kind: Kind, rng: np.random.Generator, arguments: Arguments) -> tuple[Array, ...]:
+    """Everything that a problem of these arguments can say."""
+    problem = _core.Problem(**arguments)
+    loss, gradient = problem.value_and_grad(x_of(kind, rng))
+    return np.array(loss), gradient, *problem.light_equations(maps_of(kind, rng))
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function of the core: good arguments, and how it is called."""
+
+    arguments: Callable[[Kind, np.random.Generator], Arguments]
+    call: Callable[[Kind, np.random.Generator, Arguments], Any]
+
+
+FUNCTIONS = {
+    "sh_basis": Function(
+        lambda kind, rng: {"directions": pixels_of(kind, rng)["normal"]},
+        lambda _, __, arguments: _core.sh_basis(**arguments),
+    ),
+    "ggx_band_weights": Function(
+        lambda kind, rng: {"r": rng.random(kind.pixels)},
+        lambda _, __, arguments: _core.ggx_band_weights(**arguments),
+    ),
+    "shade": Function(pixels_of, lambda _, __, arguments: _core.shade(**arguments)),
+    "shade_vjp": Function(
+        lambda kind, rng: (
+            pixels_of(kind, rng) | {"cotangent": rng.normal(size=(kind.pixels, 3, 16))}
+        ),
+        lambda _, __, arguments: _core.shade_vjp(**arguments),
+    ),
+    "render": Function(
+        lambda kind, rng: (
+            {
+                {"normal": "normals", "view": "views"}.get(name, name): array
+                for name, array in pixels_of(kind, rng).items()
+            }
+            | {"lighting": rng.normal(size=(kind.pictures, 16, 3)), "threads": 1}
+        ),
+        lambda _, __, arguments: _core.render(**arguments),
+    ),
+    "Problem": Function(problem_of, evaluate),
+    "value_and_grad": Function(
+        lambda kind, rng: {"x": x_of(kind, rng)},
+        lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).value_and_grad(
+            **arguments
+        ),
+    ),
+    "light_equations": Function(
+        lambda kind, rng: {"maps": maps_of(kind, rng)},
+        lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).light_equations(
+            **arguments
+        ),
+    ),
+}
+
+every_function = pytest.mark.parametrize("name", FUNCTIONS)
+
+
+def outcome(function: Function, kind: Kind, arguments: Arguments) -> tuple[Array, ...]:
+    found = function.call(kind, np.random.default_rng(1), arguments)
+    arrays = found if isinstance(found, tuple) else (found,)
+    return tuple(np.asarray(array) for array in arrays)
+
+
+# --- The same values in another place of memory ---
+
+
+def packed(array: Array) -> Array:
+    """A field of records without padding: strides that are no multiple of the item size."""
+    records = np.zeros(array.shape, dtype=[("other", "u1"), ("values", array.dtype)])
+    records["values"] = array
+    return np.asarray(records["values"])
+
+
+def shifted(array: Array) -> Array:
+    """One byte off any alignment."""
+    data = b"\0" + array.tobytes()
+    return np.frombuffer(data, array.dtype, array.size, offset=1).reshape(array.shape)
+
+
+def every_other(array: Array) -> Array:
+    whole = np.full((*array.shape[:-1], 2 * array.shape[-1]), 7, dtype=array.dtype)
+    whole[..., ::2] = array
+    return whole[..., ::2]
+
+
+def backwards(array: Array) -> Array:
+    flipped = tuple(slice(None, None, -1) for _ in array.shape)
+    return array[flipped].copy()[flipped]
+
+
+def read_only(array: Array) -> Array:
+    copy = array.copy()
+    copy.setflags(write=False)
+    return copy
+
+
+def first_repeated(array: Array) -> Array:
+    """All rows like the first, in the memory of one."""
+    return np.broadcast_to(array[:1], array.shape)
+
+
+LAYOUTS: dict[str, Callable[[Array], Array]] = {
+    "C order": np.ascontiguousarray,
+    "Fortran order": np.asfortranarray,
+    "last axis first": lambda a: np.moveaxis(np.moveaxis(a, -1, 0).copy(), 0, -1),
+    "negative strides": backwards,
+    "every other": every_other,
+    "packed records": packed,
+    "one byte off": shifted,
+    "read-only": read_only,
+    "zero stride": first_repeated,
+}
+
+
+@every_function
+@thorough
+@given(kind=kinds, data=st.data())
+def test_layout_does_not_change_a_bit(name: str, kind: Kind, data: st.DataObject) -> None:
+    function = FUNCTIONS[name]
+    arguments = function.arguments(kind, np.random.default_rng(0))
+    for argument, value in arguments.items():
+        if isinstance(value, np.ndarray):
+            layout = data.draw(st.sampled_from(list(LAYOUTS)), label=f"layout of {argument}")
+            arguments[argument] = LAYOUTS[layout](value)
+    plain = {
+        argument: np.array(value, order="C") if isinstance(value, np.ndarray) else value
+        for argument, value in arguments.items()
+    }
+    found, expected = outcome(function, kind, arguments), outcome(function, kind, plain)
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+# --- Arguments as they should not be ---
+
+DTYPES = [
+    *("float16", "float32", "float64", "longdouble", "complex64", "complex128"),
+    *("bool", "int8", "int64", "uint64", ">f4", ">f8", "datetime64[s]", "U3", "S3", "O"),
+]
+NO_ARRAYS: list[Any] = [None, "a picture", b"bytes", 0.5, 3, [0.5, 0.5], [], {}, object(), ...]
+VALUES = [np.nan, np.inf, -np.inf, -0.0, 5e-324, 1e-45, -1e-9, 1 + 1e-9, 1e9, 1e19, 1e38, 1e308]
+
+
+def other_dtype(array: Array, data: st.DataObject) -> Any:
+    dtype = data.draw(st.sampled_from([d for d in DTYPES if np.dtype(d) != array.dtype]))
+    return np.zeros(array.shape, dtype) if dtype[0] in "d>US" else array.astype(dtype)
+
+
+def other_shape(array: Array, data: st.DataObject) -> Any:
+    """An axis that is longer, shorter, empty, gone or more, or no axes at all."""
+    axis = data.draw(st.integers(0, array.ndim - 1))
+    length = array.shape[axis]
+    changes: dict[str, Callable[[], Array]] = {
+        "longer": lambda: np.take(array, [0, *range(length)], axis),
+        "shorter": lambda: np.take(array, range(1, length), axis),
+        "empty": lambda: np.take(array, [], axis),
+        "gone": lambda: np.take(array, 0, axis),
+        "more": lambda: np.expand_dims(array, axis),
+        "many more": lambda: array.reshape((1,) * (32 - array.ndim) + array.shape),
+        "none": lambda: array.ravel()[0],
+        "swapped": lambda: array.T,
+    }
+    return changes[data.draw(st.sampled_from(list(changes)))]()
+
+
+def other_value(array: Array, data: st.DataObject) -> Any:
+    changed = array.copy()
+    place = data.draw(st.integers(0, array.size - 1))
+    with np.errstate(over="ignore"):
+        changed.flat[place] = data.draw(st.sampled_from(VALUES))
+    return changed
+
+
+def huge(array: Array, data: st.DataObject) -> Any:
+    """More numbers than memory could hold, of which few exist."""
+    axis = data.draw(st.integers(0, array.ndim - 1))
+    length = data.draw(st.sampled_from([2**31 + 1, 2**40]))
+    one = np.take(array, [0], axis)
+    shape = (*array.shape[:axis], length, *array.shape[axis + 1 :])
+    return np.broadcast_to(one, shape)
+
+
+def no_array(_: Array, data: st.DataObject) -> Any:
+    return data.draw(st.sampled_from(NO_ARRAYS))
+
+
+NUMBERS = ("sh_order", "metallic", "threads")
+CHANGES = [other_dtype, other_shape, other_value, huge, no_array]
+
+
+def assert_finite_or_refused(
+    function: Function, kind: Kind, arguments: Arguments, changed: str = ""
+) -> None:
+    """A refusal is one line that names an argument: the changed one, or one it should go with.
+
+    Numbers of another type are the business of the signature.
+    """
+    names = "|".join([*function.arguments(kind, np.random.default_rng(0)), "x", "maps"])
+    try:
+        found = outcome(function, kind, arguments)
+    except (InputError, TypeError) as error:
+        message, form = str(error), rf"({names})( \(.*\))?: expected .*, found .*"
+        if isinstance(error, TypeError):
+            message = " ".join([message, *getattr(error, "__notes__", [])])
+            form = f".*'{changed}'" if changed in NUMBERS else "(no TypeError)"
+        if not re.fullmatch(form, message):
+            raise AssertionError(f"{changed}: {message!r} is not of the form {form}") from error
+    else:
+        for array in found:
+            assert np.isfinite(array).all(), f"{changed} led to {array}"
+
+
+@every_function
+@pytest.mark.parametrize("change", CHANGES)
+@thorough
+@given(kind=kinds, data=st.data())
+def test_a_bad_array_is_refused_by_name(
+    change: Callable[[Array, st.DataObject], Any], name: str, kind: Kind, data: st.DataObject
+) -> None:
+    function = FUNCTIONS[name]
+    arguments = function.arguments(kind, np.random.default_rng(0))
+    arrays = [argument for argument, value in arguments.items() if isinstance(value, np.ndarray)]
+    changed = data.draw(st.sampled_from(arrays))
+    arguments[changed] = change(arguments[changed], data)
+    if change in (other_dtype, no_array, huge):
+        if changed in ("weights", "lighting") and arguments[changed] is None:
+            return  # may be left out
+        with pytest.raises(InputError, match=f"^{changed}: expected") as refusal:
+            outcome(function, kind, arguments)
+        assert "\n" not in str(refusal.value)
+    assert_finite_or_refused(function, kind, arguments, changed)
+
+
+@every_function
+@thorough
+@given(kind=kinds, data=st.data())
+def test_several_bad_arrays_at_once(name: str, kind: Kind, data: st.DataObject) -> None:
+    function = FUNCTIONS[name]
+    arguments = function.arguments(kind, np.random.default_rng(0))
+    for argument, value in arguments.items():
+        if isinstance(value, np.ndarray) and data.draw(st.booleans()):
+            change = data.draw(st.sampled_from(CHANGES))
+            arguments[argument] = change(value, data)
+    assert_finite_or_refused(function, kind, arguments)
+
+
+@thorough
+@given(
+    kind=kinds,
+    changed=st.sampled_from(NUMBERS),
+    value=st.sampled_from([None, "3", 2.5, 0, 1, 4, 10**6, np.nan, -1.0, 1.5, np.inf, [2], 2j]),
+)
+def test_a_bad_number_is_refused_by_name(kind: Kind, changed: str, value: Any) -> None:
+    arguments = problem_of(kind, np.random.default_rng(0)) | {changed: value}
+    if changed == "metallic" and (value is None) != (kind.metallic is None):
+        return  # that is another kind of problem
+    assert_finite_or_refused(FUNCTIONS["Problem"], kind, arguments, changed)
+
+
+@pytest.mark.parametrize(("pixels", "pictures"), [(0, 1), (1, 0), (0, 0), (5, 0)])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_problem_of_nothing_is_refused(pixels: int, pictures: int, channels: int) -> None:
+    kind = Kind(pixels, pictures, channels, 3, "sample", known_lights=True, metallic=None)
+    with pytest.raises(InputError, match=r"^images: expected at least one picture and one pixel"):
+        _core.Problem(**problem_of(kind, np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("name", ["sh_basis", "ggx_band_weights", "shade", "shade_vjp", "render"])
+@pytest.mark.parametrize("pixels", [0, 1])
+@pytest.mark.parametrize("pictures", [0, 1])
+def test_nothing_gives_nothing(name: str, pixels: int, pictures: int) -> None:
+    kind = Kind(pixels, pictures, 3, 3, "none", known_lights=False, metallic=None)
+    function = FUNCTIONS[name]
+    found = outcome(function, kind, function.arguments(kind, np.random.default_rng(0)))
+    for array in found:
+        assert (array.size == 0) == (pixels == 0 or (name == "render" and pictures == 0))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize(
+    ("pixels", "pictures"), [(2, 2**30 + 1), (2**16, 2**16), (2**31 + 1, 1), (2**40, 2**15)]
+)
+def test_too_many_samples_are_refused_before_they_are_copied(
+    pixels: int, pictures: int, channels: int
+) -> None:
+    images = np.broadcast_to(np.float32(0.5), (pictures, pixels, channels))
+    directions = np.broadcast_to([0.0, 0.0, 1.0], (pixels, 3))
+    weights = np.broadcast_to(np.float32(0.5), (pictures, pixels))
+    for of_samples in (None, weights):
+        with pytest.raises(InputError, match=r"^(images|normals): expected at most 2147483648 "):
+            _core.Problem(images, directions, directions, weights=of_samples)
+
+
+def test_too_many_rendered_samples_are_refused_before_they_are_made() -> None:
+    pixels = FUNCTIONS["render"].arguments(
+        Kind(2000, 1, 3, 3, "none", known_lights=False, metallic=None), np.random.default_rng(0)
+    )
+    pixels["lighting"] = np.broadcast_to(1.0, (2**21, 16, 3))
+    with pytest.raises(InputError, match=r"^lighting: expected at most 2147483648 lights times"):
+        _core.render(**pixels)
+
+
+def test_every_pair_of_layouts_of_pictures_and_weights() -> None:
+    """All of them, because a mistake here would be silent."""
+    kind = Kind(130, 3, 3, 3, "channel", known_lights=True, metallic=None)
+    arguments = problem_of(kind, np.random.default_rng(0))
+    expected = outcome(FUNCTIONS["Problem"], kind, arguments)
+    layouts = [layout for name, layout in LAYOUTS.items() if name != "zero stride"]
+    for of_images, of_weights in itertools.product(layouts, repeat=2):
+        changed = {
+            "images": of_images(arguments["images"]),
+            "weights": of_weights(arguments["weights"]),
+            "lighting": of_weights(arguments["lighting"]),
+        }
+        found = outcome(FUNCTIONS["Problem"], kind, arguments | changed)
+        for a, b in zip(found, expected, strict=True):
+            np.testing.assert_array_equal(a, b)
