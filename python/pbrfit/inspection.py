@@ -7,28 +7,45 @@ import numpy as np
 from pbrfit import geometry
 from pbrfit.scene import Scene
 
-SCIPY_BYTES_PER_UNKNOWN = 501
-"""Measured for scipy 1.17's L-BFGS-B with 10 corrections."""
+BYTES_PER_UNKNOWN = 480
+"""Measured with scipy 1.17's L-BFGS-B and 10 corrections: its workspace, bounds, x and gradient."""
 
-FRAME_BYTES_PER_PIXEL = 108
-"""Basis functions and n·v of a pixel in the Rust core."""
+BLOCK = 128
+"""Pixels are padded to whole blocks of so many in the Rust core."""
+
+DIRECTION_BYTES = 32
+"""Of a pixel in the Rust core: normal and mirror direction in float32, n·v in float64."""
+
+VECTOR_BYTES = 5 * 24
+"""Of a pixel while the core is made: view directions, and two copies of those and of normals."""
+
+
+def unknowns(scene: Scene) -> int:
+    """Length of x in a fit with the default options; see `Objective`."""
+    channels = 1 if scene.grey else 3
+    lights = 0 if scene.lighting is not None else 16 * channels * len(scene.images)
+    return (channels + 2) * int(np.count_nonzero(scene.valid)) + lights
 
 
 def fit_memory(scene: Scene) -> int:
     """Bytes that `decompose` needs at its peak, beside the interpreter and its libraries."""
     pixels = int(np.count_nonzero(scene.valid))
-    pictures = len(scene.images)
-    samples = 3 * pictures * pixels
-    unknowns = 5 * pixels + (0 if scene.lighting is not None else 48 * pictures)
-    # Pictures as loaded, their scaled copy and the core's; normals and view directions.
-    arrays = scene.images.nbytes + 2 * 4 * samples + 4 * scene.normals.nbytes
-    return arrays + FRAME_BYTES_PER_PIXEL * pixels + SCIPY_BYTES_PER_UNKNOWN * unknowns
+    channels = 1 if scene.grey else 3
+    planes = len(scene.images) * (channels + (scene.weights is not None))
+    arrays = scene.images.nbytes + scene.normals.nbytes + 8 * channels * pixels  # mean picture
+    if scene.weights is not None:
+        arrays += scene.weights.nbytes
+    core = (4 * planes + DIRECTION_BYTES) * BLOCK * -(-pixels // BLOCK)
+    # Pictures and weights are scaled into arrays that the core copies; these are gone when the
+    # solver begins.
+    making = (4 * planes + VECTOR_BYTES) * pixels
+    return arrays + core + max(making, BYTES_PER_UNKNOWN * unknowns(scene))
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     pixels = int(np.count_nonzero(scene.valid))
-    radiance = scene.images[:, scene.valid]
+    radiance = np.stack([scene.samples(i) for i in range(len(scene.images))])
     away = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
     found = [
         ("pictures", f"{len(scene.images)} of {scene.width} × {scene.height} pixels"),
@@ -46,13 +63,13 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
             if scene.segments is None
             else f"{len(np.setdiff1d(scene.segments[scene.valid], 0))} ids",
         ),
+        ("colour", "grey: one channel will be fitted" if scene.grey else "three channels"),
         ("lights", "unknown, will be fitted" if scene.lighting is None else "known"),
         ("truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]
     found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]
-    unknowns = 5 * pixels + (0 if scene.lighting is not None else 48 * len(scene.images))
     found += [
-        ("unknowns", f"{unknowns}"),
+        ("unknowns", f"{unknowns(scene)}"),
         ("memory needed", f"about {fit_memory(scene) / 2**20:.0f} MiB for solver lbfgsb"),
     ]
     return found

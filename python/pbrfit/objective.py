@@ -290,12 +290,12 @@ def _weights(scene: Scene) -> NDArray[np.float32] | None:
     """(N, P) weights of the samples, at most 1; None where all are the same."""
     if scene.weights is None:
         return None
-    weights = scene.weights[:, scene.valid]
+    weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
     largest = weights.max()
     if weights.min() == largest:
         return None
-    # Only ratios matter; this way float32 neither overflows nor loses digits.
-    return np.asarray(weights / largest, dtype=np.float32)
+    weights /= largest  # only ratios matter; this way float32 neither overflows nor loses digits
+    return weights
 
 
 def _scene_scale(scene: Scene, weights: NDArray[np.float32] | None) -> float:

@@ -93,7 +93,7 @@ def test_known_lights_stay_as_they_are(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run("decompose", tmp_path / "scene", "--out", out, *FEW) == 0
     facts = outcome(out)
-    assert facts["left_out"] == ["lights: known, so only materials were fitted"]
+    assert facts["left_out"] == ["lights and their gradient: known, so only materials were fitted"]
     assert facts["assumed"]["lighting"] == "known, from lighting.json"
     light = Lighting.load(out / "lighting.json")
     assert light.pictures == ("light_00",)
@@ -265,6 +265,7 @@ def test_inspect_tells_facts_and_writes_only_the_preview(
         "mask              192 pixels used, 75.0 %",
         "facing away       0.0 % of the normals",
         "segments          none",
+        "colour            three channels",
         "lights            unknown, will be fitted",
         "truth             none",
         "assumed color     linear Rec.709",
@@ -356,6 +357,57 @@ def test_check_gradients(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
         assert name in output
 
 
+def test_check_gradients_of_what_is_fitted(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("check-gradients", folder, "--sh-order", 2, "--metallic", 0) == 0
+    output = capsys.readouterr().out
+    assert "9 of 9 within" in output
+    assert "metallic" not in output
+
+
+def test_parts_of_the_model_can_be_left_out(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ("--sh-order", 2, "--metallic", 0)
+    assert run("decompose", folder, "--out", out, *FEW, *arguments) == 0
+    facts = outcome(out)
+    assert facts["options"]["sh_order"] == 2
+    assert facts["options"]["metallic"] == 0.0
+    assert facts["left_out"] == [
+        "band 3 of the lights: order 2 was asked for",
+        "metallic: given, so it was not fitted",
+    ]
+    result = Result.load(out)
+    assert not result.lighting[:, 9:].any()
+    assert not result.metallic.any()
+
+
+def test_nothing_is_left_out_unasked(folder: Path, tmp_path: Path) -> None:
+    for arguments in ((), ("--sh-order", 3, "--metallic", "free")):
+        out = tmp_path / f"out{len(arguments)}"
+        assert run("decompose", folder, "--out", out, *FEW, *arguments) == 0
+        facts = outcome(out)
+        assert facts["options"]["sh_order"] == 3
+        assert facts["options"]["metallic"] is None
+        assert facts["left_out"] == []
+
+
+def test_grey_pictures_are_fitted_in_one_channel(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = tmp_path / "scene", tmp_path / "out"
+    grey = np.repeat(room().images[..., :1], 3, axis=-1)
+    Scene(images=grey, normals=room().normals, names=room().names).save(folder)
+    assert run("inspect", folder) == 0
+    text = capsys.readouterr().out
+    assert "colour            grey: one channel will be fitted\n" in text
+    assert f"unknowns          {3 * SIZE**2 + 16 * LIGHTS}\n" in text
+    assert run("decompose", folder, "--out", out, *FEW) == 0
+    assert outcome(out)["left_out"] == ["second and third colour channel: equal to the first"]
+    albedo = Result.load(out).albedo
+    np.testing.assert_array_equal(albedo[..., 0], albedo[..., 2])
+
+
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "demo"
     assert run("demo", out, "--size", 8, "--lights", 3, *FEW) == 0
@@ -365,6 +417,15 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert Result.load(out / "result").metrics["relight_rmse"] > 0
     assert run("demo", out) == 2
     assert run("demo", out, "--size", 8, "--lights", 3, *FEW, "--overwrite") == 0
+
+
+def test_a_demo_of_order_two_is_fitted_at_order_two(tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    arguments = ("--size", 8, "--lights", 3, "--sh-order", 2, *FEW, "--quiet")
+    assert run("demo", out, *arguments) == 0
+    assert outcome(out / "result")["options"]["sh_order"] == 2
+    for folder in (out / "result", out / "scene" / "truth"):
+        assert not Lighting.load(folder / "lighting.json").coefficients[:, 9:].any()
 
 
 # Usage
@@ -402,6 +463,8 @@ def test_help_names_defaults_once(command: str, capsys: pytest.CaptureFixture[st
         ("decompose s --out o --iterations many", "--iterations: invalid int value: 'many'"),
         ("decompose s --out o --iter 3", "unrecognized arguments: --iter 3"),
         ("decompose s --out o --robust huber", "unrecognized arguments: --robust huber"),
+        ("decompose s --out o --sh-order 1", "--sh-order: invalid choice: 1"),
+        ("decompose s --out o --metallic 0.5", "--metallic: invalid choice: '0.5'"),
         ("decompose s --out o --color-space log", "--color-space: invalid choice: 'log'"),
         ("synth s --scene moon", "--scene: invalid choice: 'moon'"),
         ("normals s --from guess", "--from: invalid choice: 'guess'"),

@@ -23,11 +23,27 @@ def test_rmse_in_float64() -> None:
     assert rmse(found, np.zeros(10)) == pytest.approx(1e-30)
 
 
+def test_rmse_with_weights_by_hand() -> None:
+    found, true = np.array([[1.0, 2.0], [3.0, 9.0]]), np.array([[2.0, 4.0], [6.0, 9.0]])
+    assert rmse(found, true, np.array([[1.0, 2.0], [0.5, 4.0]])) == pytest.approx(
+        np.sqrt((1 * 1 + 2 * 4 + 0.5 * 9) / 7.5)
+    )
+    assert rmse(found, true, np.array([[1.0], [0.0]])) == pytest.approx(np.sqrt(2.5))
+    assert rmse(found, true, np.full((2, 2), 0.3)) == pytest.approx(rmse(found, true))
+
+
+def test_entries_of_weight_zero_may_be_anything() -> None:
+    found, true = np.array([1.0, np.inf, np.nan, 3.0]), np.array([2.0, np.inf, 0.0, np.inf])
+    assert rmse(found, true, np.array([1.0, 0.0, 0.0, 0.0])) == 1.0
+
+
 def test_rmse_refuses_what_cannot_be_compared() -> None:
     with pytest.raises(ValueError, match=r"equal shapes, found \(2,\) and \(3,\)"):
         rmse(np.ones(2), np.ones(3))
     with pytest.raises(ValueError, match="at least one entry"):
         rmse(np.array([np.nan]), np.ones(1))
+    with pytest.raises(ValueError, match="at least one entry"):
+        rmse(np.zeros(2), np.array([np.nan, 1.0]), np.array([1.0, 0.0]))
 
 
 def test_the_best_scale_undoes_a_scale_by_channel() -> None:

@@ -86,7 +86,13 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
     assert content["status"] == "iteration_limit"
     assert content["iterations"] == 4
     assert list(content["metrics"]) == ["recon_rmse"]
-    assert content["options"] == {"solver": "lbfgsb", "iterations": 4, "time_limit": None}
+    assert content["options"] == {
+        "solver": "lbfgsb",
+        "iterations": 4,
+        "time_limit": None,
+        "sh_order": 3,
+        "metallic": None,
+    }
     assert content["assumed"] == {"fov": "60 degrees, asked for"}
     assert content["left_out"] == [f"{SIZE + 12} pixels outside the mask"]
     assert content["inputs"] == {"images/a.exr": "0" * 64}
@@ -136,6 +142,19 @@ def test_save_and_load_give_the_same_result(result: Result, tmp_path: Path) -> N
     for name in ("history.csv", "lighting.json", "materials.exr", "result.json"):
         again = (tmp_path / "again" / name).read_bytes()
         assert again == (tmp_path / "out" / name).read_bytes(), name
+
+
+def test_a_result_from_before_the_options_were_added_is_read(
+    result: Result, tmp_path: Path
+) -> None:
+    result.save(tmp_path / "out")
+    file = tmp_path / "out" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    for name in ("sh_order", "metallic"):
+        del content["options"][name]
+    file.write_text(json.dumps(content), encoding="utf-8")
+    options = Result.load(tmp_path / "out").options
+    assert (options.sh_order, options.metallic) == (3, None)
 
 
 def test_saving_needs_a_free_name_or_overwrite(result: Result, tmp_path: Path) -> None:

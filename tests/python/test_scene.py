@@ -80,6 +80,42 @@ BAD_ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
     "segments of another size": ({"segments": np.ones((W, H), int)}, "segments: expected"),
     "NaN light": ({"lighting": np.full((N, 16, 3), np.nan)}, "lighting: expected finite"),
     "light of order 2": ({"lighting": np.ones((N, 9, 3))}, r"lighting: .* \(2, 16, 3\)"),
+    "weights of another size": (
+        {"weights": np.ones((H, N))},
+        r"weights: expected shape \(2, 3, 4\) or \(3, 4\), found \(3, 2\)",
+    ),
+    "a weight a channel": ({"weights": np.ones((N, H, W, 3))}, "weights: expected shape"),
+    "complex weights": ({"weights": np.ones((H, W), complex)}, "weights: expected real numbers"),
+    "ragged weights": ({"weights": [[1.0], [1.0, 2.0]]}, "weights: expected an array"),
+    "negative weight": (
+        {"weights": with_value((H, W), (1, 2), -1e-9)},
+        r"weights: expected finite numbers, 0 or more, found -1e-09 at \(1, 2\)",
+    ),
+    "NaN weight": (
+        {"weights": with_value((N, H, W), (1, 0, 3), np.nan)},
+        r"weights: .* found nan at \(1, 0, 3\)",
+    ),
+    "infinite weight": ({"weights": with_value((H, W), (0, 0), np.inf)}, "weights: .* found inf"),
+    "weight beyond float32": (
+        {"weights": np.full((H, W), 1e39)},
+        r"weights: .* found 1e\+39 at \(0, 0\)",
+    ),
+    "no weight": ({"weights": np.zeros((H, W))}, "weights: .* found none in picture_00"),
+    "no weight in a picture": (
+        {"weights": np.array([[[1.0]], [[0.0]]]) * np.ones((H, W))},
+        "weights: expected some weight above 0 in every picture, found none in picture_01",
+    ),
+    "no weight inside the mask": (
+        {"weights": np.eye(H, W), "mask": np.eye(H, W) == 0},
+        "weights: .* found none in picture_00",
+    ),
+    "NaN pixel of some weight": (
+        {
+            "images": with_value((N, H, W, 3), (1, 2, 3, 0), np.nan),
+            "weights": with_value((N, H, W), (0, 2, 3), 0.0),
+        },
+        "picture_01: expected finite pixels, found 1 .* row 2, column 3",
+    ),
     "one name": ({"names": ("a",)}, "names: expected 2 different names"),
     "equal names": ({"names": ("a", "a")}, "names: expected 2 different names"),
     "fov 180": ({"fov": 180.0}, r"fov: expected degrees in \[0, 180\), found 180"),
@@ -143,3 +179,43 @@ def test_a_warning_is_due_above_5_percent(
     normals.reshape(-1, 3)[:away, 2] = -1.0
     Scene(images=np.ones((2, 10, 10, 3)), normals=normals)
     assert bool(caplog.records) == warned
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.float16, np.int64, bool])
+@pytest.mark.parametrize("shape", [(H, W), (N, H, W)])
+def test_weights_are_kept_for_each_picture(shape: tuple[int, ...], kind: Any) -> None:
+    weights = (np.arange(np.prod(shape)).reshape(shape) % 3).astype(kind)
+    given = weights.copy()
+    made = scene(weights=weights)
+    assert made.weights is not None
+    assert made.weights.shape == (N, H, W)
+    assert made.weights.dtype == np.float32
+    np.testing.assert_array_equal(made.weights, np.broadcast_to(given, (N, H, W)))
+    np.testing.assert_array_equal(weights, given)
+    np.testing.assert_array_equal(made.valid, np.broadcast_to(given > 0, (N, H, W)).any(axis=0))
+
+
+def test_what_has_no_weight_need_not_be_sound() -> None:
+    images, normals = with_value((N, H, W, 3), (1, 0, 0, 2), np.nan), FACING.copy()
+    images[:, 1, 2] = np.inf
+    normals[1, 2] = 0.0
+    weights = np.ones((N, H, W))
+    weights[1, 0, 0] = weights[:, 1, 2] = 0
+    made = scene(images=images, normals=normals, weights=weights)
+    assert made.valid.sum() == H * W - 1
+    assert not made.valid[1, 2]
+    assert np.isnan(made.normals[1, 2]).all()
+    assert np.isfinite(made.normals[made.valid]).all()
+    assert all(np.isfinite(made.samples(i)).all() for i in range(N))
+    assert made.samples(1)[0].tolist() == [0, 0, 0]
+    assert made.samples(0)[0].tolist() == [1, 1, 1]
+
+
+def test_weights_outside_the_mask_need_not_be_sound() -> None:
+    mask = np.ones((H, W), bool)
+    mask[0] = False
+    weights = np.ones((N, H, W))
+    weights[:, 0] = [np.nan, -1.0, np.inf, 5.0]
+    made = scene(mask=mask, weights=weights)
+    np.testing.assert_array_equal(made.valid, mask)
+    np.testing.assert_array_equal(made.weights, np.broadcast_to(mask, (N, H, W)))

@@ -94,7 +94,7 @@ def test_known_lights_are_kept_and_make_better_maps() -> None:
     known = dataclasses.replace(scene, lighting=truth(scene).lighting)
     free, fixed = (pbrfit.decompose(s, iterations=150) for s in (scene, known))
     np.testing.assert_array_equal(fixed.lighting, truth(scene).lighting)
-    assert "lights: known, so only materials were fitted" in fixed.left_out
+    assert "lights and their gradient: known, so only materials were fitted" in fixed.left_out
     for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
         assert fixed.metrics[name] < free.metrics[name], name
 
