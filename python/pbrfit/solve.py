@@ -121,7 +121,7 @@ def decompose(
         materials=materials,
         lighting=lighting,
         normals=np.asarray(scene.normals, dtype=np.float64),
-        mask=scene.valid,
+        mask=scene.valid.copy(),
         fov=scene.fov,
         pictures=scene.names,
         status=status,
