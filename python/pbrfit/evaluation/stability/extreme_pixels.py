@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.double_precision import Case, Pixels
+from pbrfit.evaluation.stability.double_precision import Case, Pixels
 
 Array = NDArray[np.float64]
 
