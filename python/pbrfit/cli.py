@@ -446,10 +446,11 @@ def _evaluate_stability(options: argparse.Namespace) -> int:
             bar.update(len(stability.SECTIONS) - bar.n)
         report.write(folder, measured)
     if not options.quiet:
+        print(f"{'worst':>9}{'bound':>9}")
         for check in measured.checks:
             if check.bound is not None:
-                mark = "" if check.passed else "   FAIL"
-                print(f"{check.worst:>9.1e} of {check.bound:<9.1e}{check.what}{mark}")
+                mark = "" if check.passed else "   FAILS"
+                print(f"{check.worst:>9.1e}{check.bound:>9.0e}  {check.what}{mark}")
         print(f"\n{report.verdict(measured)}; look at {options.out / 'report.html'}")
     return DONE if measured.passed else SOME_FAILED
 
