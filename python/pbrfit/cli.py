@@ -288,13 +288,19 @@ def _decompose_one(path: Path, output: Path, options: argparse.Namespace) -> Non
         result = _fit(scene, path.resolve().name, options)
         result.write(folder, scene)
     if not options.quiet:
-        try:
+        with _unread_is_no_failure():
             _print_result(result, scene, output)
-            sys.stdout.flush()
-        except OSError:
-            # The result is there, whether or not anybody can read about it. What is still in the
-            # buffer goes nowhere, or Python would fail on it when it ends.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _unread_is_no_failure() -> Iterator[None]:
+    """For telling about an output that is there, whether or not anybody can read about it."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError:
+        # What is still in the buffer goes nowhere, or Python would fail on it when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
@@ -446,12 +452,13 @@ def _evaluate_stability(options: argparse.Namespace) -> int:
             bar.update(len(stability.SECTIONS) - bar.n)
         report.write(folder, measured)
     if not options.quiet:
-        print(f"{'worst':>9}{'bound':>9}")
-        for check in measured.checks:
-            if check.bound is not None:
-                mark = "" if check.passed else "   FAILS"
-                print(f"{check.worst:>9.1e}{check.bound:>9.0e}  {check.what}{mark}")
-        print(f"\n{report.verdict(measured)}; look at {options.out / 'report.html'}")
+        with _unread_is_no_failure():
+            print(f"{'worst':>9}{'bound':>9}")
+            for check in measured.checks:
+                if check.bound is not None:
+                    mark = "" if check.passed else "   FAILS"
+                    print(f"{check.worst:>9.1e}{check.bound:>9.1e}  {check.what}{mark}")
+            print(f"\n{report.verdict(measured)}; look at {options.out / 'report.html'}")
     return DONE if measured.passed else SOME_FAILED
 
 

@@ -17,7 +17,8 @@ def scientific(value: float) -> str:
     if 0.01 <= abs(value) < 1000:
         return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
     digits, _, exponent = f"{value:.1e}".partition("e")
-    return f"{digits.removesuffix('.0')}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    power = f"10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    return power if digits == "1.0" else f"{digits.removesuffix('.0')}·{power}"
 
 
 def band(index: int) -> str:

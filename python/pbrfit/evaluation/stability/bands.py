@@ -34,7 +34,7 @@ class BandErrors:
     slope: dict[str, Array]
 
 
-RULES = ("pbrfit", "paper's rule, float64", "the same, float32")
+RULES = ("pbrfit", "paper's rule, float64", "paper's rule, float32")
 
 
 def measure_bands(effort: Effort) -> BandErrors:

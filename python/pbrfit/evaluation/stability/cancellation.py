@@ -119,7 +119,7 @@ def _cancellation_checks(
         ),
         Check(
             "loss_lost_at",
-            "largest residual at which the loss is off by 10 %",
+            "largest residual tried at which the loss is off by more than 10 %",
             lost_at,
             2e-6,
             "An error δ of a residual d that has one sign everywhere changes the loss by 2δ/d, "
