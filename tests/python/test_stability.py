@@ -395,6 +395,22 @@ def test_scientific(value: float, text: str) -> None:
     assert scientific(value) == text
 
 
+TINY = stability.Effort(
+    name="tiny",
+    band_points=100,
+    pixels_of_a_kind=64,
+    pictures=2,
+    branch_pixels=4,
+    scan_points=5,
+    residual_pixels=16,
+    summed_pixels=(16, 64),
+    summed_pictures=2,
+    summed_many=(8, 4),
+    draws=1,
+    subnormal_pixels=16,
+    repeated=((3, 2),),
+)
+
 FILES = [
     "accumulation.png",
     "bands.png",
@@ -427,7 +443,7 @@ def test_report(written: Path, measured: Stability) -> None:
     assert sorted(path.name for path in written.iterdir()) == FILES
     page = (written / "report.html").read_text(encoding="utf-8")
     assert "All 42 bounds hold." in page
-    assert "FAIL" not in page
+    assert ">FAIL<" not in page
     assert page.count("data:image/png;base64,") == 7
     assert "http" not in page  # all of it is inside
     assert page.count("<h2>") == len(SECTIONS)
@@ -461,9 +477,22 @@ def test_report_of_failures(tmp_path: Path, failing: Stability) -> None:
     report.write(tmp_path, failing)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "2 of 42 bounds fail." in page
-    assert page.count("FAIL") == 2
+    assert page.count(">FAIL<") == 2
     rows = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["rows"]
     assert [row["metrics"]["failed"] for row in rows] == [0, 0, 0, 0, 0, 0, 2]
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_report_of_nonsense(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However wrong the core is, the page is drawn and says so."""
+    distort(monkeypatch, lambda loss, gradient, *_: (loss * math.nan, gradient * math.nan))
+    found = stability.measure(TINY)
+    assert not found.passed
+    report.write(tmp_path, found)
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+    failed = sum(not check.passed for check in found.checks)
+    assert failed > 20
+    assert (tmp_path / "report.html").read_text(encoding="utf-8").count(">FAIL<") == failed
 
 
 def test_page_escapes_its_text(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ MANY = 256
 
 
 def measure_accumulation(effort: Effort, rng: Generator, threads: int) -> Accumulation:
-    """Loss and light gradients of up to 16 million samples against exact sums."""
+    """Loss and light gradients of up to 16 million samples against float64 sums."""
     samples = np.array([pixels * effort.summed_pictures for pixels in effort.summed_pixels])
     loss: dict[str, list[float]] = {form: [] for form in FORMS}
     lights: dict[str, list[float]] = {form: [] for form in FORMS}

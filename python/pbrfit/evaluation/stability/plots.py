@@ -189,10 +189,9 @@ def draw_noise(branches: BranchPoints) -> bytes:
         ax.set_title(scan.branch, fontsize=11)
         ax.set_xlabel("offset / 10⁻⁶")
         _grid(ax)
-    largest = max(
-        np.abs([scan.loss, scan.gradient]).max() for scan in branches.scans
-    )  # the same scale for all
-    axes[0].set_ylim(-1.2e8 * largest, 1.2e8 * largest)
+    sizes = np.abs([[scan.loss, scan.gradient] for scan in branches.scans])
+    span = 1.2e8 * float(np.max(sizes, where=np.isfinite(sizes), initial=1e-9))
+    axes[0].set_ylim(-span, span)
     axes[0].set_ylabel("float32 − float64\n(relative, in 10⁻⁸)")
     handles = [
         axes[0].plot([], [], color=BLACK, label="loss")[0],
@@ -254,6 +253,7 @@ def draw_cancellation(cancellation: Cancellation) -> bytes:
         xlabel="true residual, RMS over the signal's RMS",
         ylabel="error of the gradient / its norm",
         xlim=(1e-8, 0.3),
+        ylim=(1e-7, 1e3),
     )
     for ax in (left, right):
         _grid(ax)
@@ -302,6 +302,7 @@ def draw_accumulation(accumulation: Accumulation) -> bytes:
     right.tick_params(labelleft=True)
     for ax in (left, right):
         ax.set(xscale="log", yscale="log", xlabel="samples", ylim=(1e-10, 3))
+        ax.set_xlim(accumulation.samples[0] / 2, 2 * accumulation.samples[-1])
         _grid(ax)
         ax.legend(frameon=False, fontsize=8.5, loc="upper left")
     return _png(figure)
@@ -332,6 +333,7 @@ def draw_exposures(tiny: TinyNumbers) -> bytes:
         xlabel="exposure: factor on lights and pictures",
         ylabel="relative error of the loss",
         xlim=(tiny.exposure[0], tiny.exposure[-1]),
+        ylim=(1e-11, 10),
     )
     _grid(ax)
     ax.legend(frameon=False)

@@ -168,10 +168,11 @@ def _sections(measured: Stability) -> list[Section]:
             "5. Accumulated error",
             [
                 f"Sums over up to {m.accumulation.samples[-1]:,} samples (pixels times pictures; "
-                "times three channels) against exactly rounded sums. Float32 sums drift as terms "
-                "are added; here they may cover a block only, so that the error must not grow with "
-                "the count. The hard case is residuals of one sign, whose errors cannot cancel, "
-                "hardest when all pixels are alike, so that every addition rounds the same way.",
+                "times three channels) against float64 sums over short pieces, themselves added "
+                "without rounding. Float32 sums drift as terms are added; here they may cover a "
+                "block only, so that the error must not grow with the count. The hard case is "
+                "residuals of one sign, whose errors cannot cancel, hardest when all pixels are "
+                "alike, so that every addition rounds the same way.",
             ],
             _lines(m.accumulation.checks),
             [
