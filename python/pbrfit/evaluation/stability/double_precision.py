@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.model import ggx_band_weights, sh_basis, shade, shade_vjp
+from pbrfit.model import ggx_band_weights, shade, shade_vjp
 
 PIECE = 4096
 """Pixels at a time."""
@@ -23,6 +23,10 @@ PIECE = 4096
 COSINE_TRANSFER = np.repeat([math.pi, 2 * math.pi / 3, math.pi / 4, 0.0], [1, 3, 5, 7])
 FIRST_OF_BAND = (0, 1, 4, 9)
 BAND_OF = np.repeat([0, 1, 2, 3], [1, 3, 5, 7])
+BASIS_SIZE = np.sqrt((2 * BAND_OF + 1) / (4 * math.pi))
+"""Largest value of a band's basis functions. They are polynomials whose terms cancel, so their
+errors go with this and not with their value."""
+
 DIELECTRIC_F0 = 0.04
 MIN_COSINE = 1e-4
 
@@ -112,7 +116,8 @@ class Evaluation:
     """Loss and gradient, each with its natural scale.
 
     The scale is the same sum with every term replaced by its size, down to the single products
-    that make up a weight, and each residual I − T by Σ_k |w_k L_k| + |T|. However floating-point
+    that make up a weight; each residual I − T by Σ_k |w_k L_k| + |T|; and each basis function by
+    the largest value in its band. However floating-point
     arithmetic orders the terms, its error is a small multiple of its precision times that scale;
     relative to the sum itself it can be anything, because terms cancel.
     """
@@ -212,12 +217,9 @@ class _Sizes:
 
     def __init__(self, pixels: Pixels) -> None:
         cosine = np.sum(pixels.normals * pixels.views, axis=-1)
-        mirror = 2 * cosine[:, None] * pixels.normals - pixels.views
         cosine = np.maximum(cosine, MIN_COSINE)
         rho = pixels.albedo.T  # (3, P), as all below
         r, m = pixels.roughness, pixels.metallic
-        self._at_normal = np.abs(COSINE_TRANSFER * sh_basis(pixels.normals))  # (P, 16)
-        self._at_mirror = np.abs(sh_basis(mirror))
         h, slope = (np.abs(b) for b in ggx_band_weights(r))
         schlick = (1 - cosine) ** 5
         k = r**4 / 2
@@ -244,13 +246,13 @@ class _Sizes:
     @cached_property
     def weights(self) -> Array:
         """(3, P, 16)."""
-        diffuse = self._diffuse[..., None] * self._at_normal
-        return np.asarray(diffuse + self._specular[..., BAND_OF] * self._at_mirror)
+        diffuse = self._diffuse[..., None] * (COSINE_TRANSFER * BASIS_SIZE)
+        return np.asarray(diffuse + self._specular[..., BAND_OF] * BASIS_SIZE)
 
     def by_material(self, by_weights: Array) -> Array:
         """Sizes (5, P) of the material derivatives from sizes (3, P, 16) of those by weights."""
-        at_normal = np.sum(by_weights * self._at_normal, axis=-1)
-        at_mirror = by_weights * self._at_mirror
+        at_normal = np.sum(by_weights * (COSINE_TRANSFER * BASIS_SIZE), axis=-1)
+        at_mirror = by_weights * BASIS_SIZE
         bands = np.add.reduceat(at_mirror, FIRST_OF_BAND, axis=-1)
 
         def pull_back(factors: tuple[Array, tuple[Array, Array]]) -> Array:

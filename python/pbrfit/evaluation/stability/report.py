@@ -98,10 +98,10 @@ def _sections(measured: Stability) -> list[Section]:
                 "residuals are as large as the signal.",
                 "Two measures. One compares the error with the result: of the loss with the loss, "
                 "of a block of the gradient with the block's norm. The other compares each entry "
-                "with its natural scale: the same sum with every term replaced by its size, and "
-                "every residual I − T by the sizes of the terms of I and of T. That is what "
-                "rounding errors are proportional to; the entry itself may be anything, because "
-                "its terms cancel.",
+                "with its natural scale: the same sum with every term replaced by its size, every "
+                "residual I − T by the sizes of the terms of I and of T, and every basis function "
+                "by the largest value in its band. That is what rounding errors are proportional "
+                "to; the entry itself may be anything, because its terms cancel.",
             ],
             _lines(m.kernel.checks),
             [
