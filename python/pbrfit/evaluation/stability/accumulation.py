@@ -54,7 +54,6 @@ ALIKE = "one sign, all pixels alike"
 FORMS = (RANDOM, ONE_SIGN, ALIKE)
 
 EQUAL_TERMS_BOUND = 256 * ROUNDING
-EQUAL_TERMS_MANY_BOUND = 1024 * ROUNDING
 
 FEW_PIXELS = 1024
 MANY = 256
@@ -155,9 +154,8 @@ def _equal_terms(
             "loss_error_equal_many",
             f"loss, relative error, {ALIKE}, {MANY} pictures",
             float(np.max(many)),
-            EQUAL_TERMS_MANY_BOUND,
-            "1024 u; where a block's sum of squares runs over its pictures too, it may have 4096 "
-            "equal terms.",
+            EQUAL_TERMS_BOUND,
+            "The same: pictures are no reason to sum for longer.",
             where,
         ),
         Check(
