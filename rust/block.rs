@@ -495,7 +495,7 @@ impl<const K: usize, const WEIGHTED: bool> Residuals<'_, K, WEIGHTED> {
         let targets = &self.targets[first..first + J];
         let residuals = &mut self.residuals[first..first + J];
         for v in (0..BLOCK / I::LANES).step_by(V) {
-            self.ahead.step(2 * V);
+            self.ahead.step(I::LANES / 2);
             let mut radiance = [[isa.splat(0.0); V]; J];
             for k in 0..K {
                 let w = &I::of(&self.weights[k].0)[v..v + V];
@@ -570,7 +570,7 @@ impl<const K: usize> Reduce<'_, K> {
         isa: I,
     ) {
         for v in (0..BLOCK / I::LANES).step_by(V) {
-            self.ahead.step(2 * V);
+            self.ahead.step(I::LANES / 2);
             let mut by_weights = [[isa.splat(0.0); V]; COUNT];
             for (light, e) in self.lights.iter().zip(self.residuals) {
                 let e = &I::of(&e.0)[v..v + V];
@@ -649,7 +649,7 @@ impl<const K: usize> ByLights<'_, K> {
         let residuals = &self.residuals[first..first + J];
         let sums = &mut self.sums[first..first + J];
         for k in (0..K).step_by(COUNT) {
-            self.ahead.step(COUNT);
+            self.ahead.step(I::LANES / 2);
             let mut total = [[isa.splat(0.0); COUNT]; J];
             for j in 0..J {
                 for i in 0..COUNT {

@@ -144,6 +144,27 @@ def _parser() -> argparse.ArgumentParser:
         "--seed", type=whole_number, default=0, help="of the random point and directions"
     )
 
+    suites = commands.add_parser(
+        "evaluate",
+        help="measure this package and write a report",
+        description="Run a suite of measurements and write its report.",
+    ).add_subparsers(metavar="SUITE", required=True, title="suites")
+    added = suites.add_parser(
+        "stability",
+        help="numerical stability of the core",
+        description="Check band weights, loss and gradient against exact or float64 references, "
+        "and state a bound for every figure. Writes report.html, its plots and summary.json. "
+        "Exit code 1 if a bound fails.",
+    )
+    added.set_defaults(command=_evaluate_stability)
+    _add_out(added, "folder to write")
+    added.add_argument(
+        "--quick", action="store_true", help="seconds instead of minutes: fewer pixels"
+    )
+    added.add_argument("--seed", type=whole_number, default=0, help="of pixels, lights, pictures")
+    _add_threads(added)
+    _add_quiet(added)
+
     added = command("demo", _demo, "make a synthetic scene, decompose it, compare with the truth")
     added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
     _add_synth_options(added)
@@ -195,6 +216,10 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         help="stop the fit of a scene after so many seconds (default: none)",
     )
+    _add_threads(parser)
+
+
+def _add_threads(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threads",
         metavar="T",
@@ -280,13 +305,19 @@ def _decompose_one(path: Path, output: Path, options: argparse.Namespace) -> Non
         result = _fit(scene, path.resolve().name, options)
         result.write(folder, scene)
     if not options.quiet:
-        try:
+        with _unread_is_no_failure():
             _print_result(result, scene, output)
-            sys.stdout.flush()
-        except OSError:
-            # The result is there, whether or not anybody can read about it. What is still in the
-            # buffer goes nowhere, or Python would fail on it when it ends.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _unread_is_no_failure() -> Iterator[None]:
+    """For telling about an output that is there, whether or not anybody can read about it."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError:
+        # What is still in the buffer goes nowhere, or Python would fail on it when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
@@ -416,6 +447,44 @@ def _check_gradients(options: argparse.Namespace) -> int:
     failed = sum(not check.passed for check in checks)
     print(f"{len(checks) - failed} of {len(checks)} within {TOLERANCE:g}")
     return SOME_FAILED if failed else DONE
+
+
+def _evaluate_stability(options: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from pbrfit.evaluation import stability
+    from pbrfit.evaluation.stability import report
+    from pbrfit.output import new_folder
+
+    with new_folder(options.out, overwrite=options.overwrite, contains=report.CONTAINS) as folder:
+        with tqdm(
+            total=len(stability.SECTIONS),
+            unit="section",
+            disable=True if options.quiet else None,
+            dynamic_ncols=True,
+        ) as bar:
+
+            def show(section: str) -> None:
+                bar.set_description(section)
+                bar.update(stability.SECTIONS.index(section) - bar.n)
+
+            measured = stability.measure(
+                stability.QUICK if options.quick else stability.FULL,
+                seed=options.seed,
+                threads=options.threads,
+                progress=show,
+            )
+            bar.update(len(stability.SECTIONS) - bar.n)
+        report.write(folder, measured)
+    if not options.quiet:
+        with _unread_is_no_failure():
+            print(f"{'worst':>9}{'bound':>9}")
+            for check in measured.checks:
+                if check.bound is not None:
+                    mark = "" if check.passed else "   FAILS"
+                    print(f"{check.worst:>9.1e}{check.bound:>9.1e}  {check.what}{mark}")
+            print(f"\n{report.verdict(measured)}; look at {options.out / 'report.html'}")
+    return DONE if measured.passed else SOME_FAILED
 
 
 def _demo(options: argparse.Namespace) -> int:

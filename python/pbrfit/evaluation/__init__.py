@@ -1,0 +1,1 @@
+"""Suites that measure this package and write a report: `pbrfit evaluate SUITE`."""

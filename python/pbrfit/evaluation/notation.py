@@ -1,0 +1,26 @@
+"""Numbers as people read them."""
+
+from __future__ import annotations
+
+import math
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
+
+def scientific(value: float) -> str:
+    """Two digits and a power of ten, 4.7·10⁻¹⁵; plain where that is short: 0, 0.041, 16,384."""
+    if not math.isfinite(value):
+        return "not a number" if math.isnan(value) else "infinite"
+    if value == int(value) and abs(value) < 1e6:
+        return f"{int(value):,}"
+    if 0.01 <= abs(value) < 1000:
+        return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
+    digits, _, exponent = f"{value:.1e}".partition("e")
+    power = f"10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    return power if digits == "1.0" else f"{digits.removesuffix('.0')}·{power}"
+
+
+def band(index: int) -> str:
+    """Name a band weight: h₃."""
+    return f"h{index}".translate(_SUBSCRIPT)
