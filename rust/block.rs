@@ -581,21 +581,45 @@ impl<const K: usize> Reduce<'_, K> {
                     }
                 }
             }
+            // In registers to the end: a store for each coefficient would cost as much as a tenth
+            // of the products.
+            let mut diffuse = [isa.splat(0.0); V];
+            let mut bands = [[isa.splat(0.0); V]; 4];
             for k in 0..COUNT {
                 let mirror = &I::of(&self.basis.mirror[FIRST + k].0)[v..v + V];
-                let sum = &mut I::of_mut(&mut self.sums.bands[BAND_OF[FIRST + k]].0)[v..v + V];
+                let band = &mut bands[BAND_OF[FIRST + k]];
                 for i in 0..V {
-                    sum[i] = isa.mul_add(by_weights[k][i], mirror[i], sum[i]);
+                    band[i] = isa.mul_add(by_weights[k][i], mirror[i], band[i]);
                 }
                 if FIRST + k < DIFFUSE {
                     let normal = &I::of(&self.basis.diffuse[FIRST + k].0)[v..v + V];
-                    let sum = &mut I::of_mut(&mut self.sums.diffuse.0)[v..v + V];
                     for i in 0..V {
-                        sum[i] = isa.mul_add(by_weights[k][i], normal[i], sum[i]);
+                        diffuse[i] = isa.mul_add(by_weights[k][i], normal[i], diffuse[i]);
                     }
                 }
             }
+            for l in BAND_OF[FIRST]..=BAND_OF[FIRST + COUNT - 1] {
+                add(
+                    isa,
+                    &mut I::of_mut(&mut self.sums.bands[l].0)[v..v + V],
+                    &bands[l],
+                );
+            }
+            if FIRST < DIFFUSE {
+                add(
+                    isa,
+                    &mut I::of_mut(&mut self.sums.diffuse.0)[v..v + V],
+                    &diffuse,
+                );
+            }
         }
+    }
+}
+
+#[inline(always)]
+fn add<I: Vectors<f32>>(isa: I, total: &mut [I::Vector], more: &[I::Vector]) {
+    for (total, &more) in total.iter_mut().zip(more) {
+        *total = isa.add(*total, more);
     }
 }
 

@@ -25,27 +25,40 @@ pub(crate) fn finite<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> R
     }
 }
 
-pub(crate) fn unit_interval(name: &'static str, values: &[f64]) -> Result<()> {
-    match values.iter().position(|v| !(0.0..=1.0).contains(v)) {
+/// Radiance and light beyond this overflow when squared and summed in float32.
+pub(crate) const LARGEST: f64 = 1e16;
+
+/// Finite, and within [`LARGEST`].
+pub(crate) fn moderate<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {
+    let moderate = |&v: &T| v.into().abs() <= LARGEST;
+    match values.iter().find(|&v| !moderate(v)) {
+        None => Ok(()),
+        Some(&v) if v.into().is_finite() => Err(Error::argument(
+            name,
+            format!("numbers up to {LARGEST:e} in size"),
+            v.into(),
+        )),
+        Some(_) => finite(name, values),
+    }
+}
+
+pub(crate) fn unit_interval<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {
+    match values
+        .iter()
+        .position(|&v| !(0.0..=1.0).contains(&v.into()))
+    {
         None => Ok(()),
         Some(i) => Err(Error::argument(
             name,
             "numbers in [0, 1]",
-            format!("{} at {i}", values[i]),
+            format!("{} at {i}", values[i].into()),
         )),
     }
 }
 
-/// Weights must be finite, none negative, not all zero. Returns their sum.
+/// Weights must lie in \[0, 1\] and not all be zero. Returns their sum.
 pub(crate) fn weights(name: &'static str, values: &[f32]) -> Result<f64> {
-    let usable = |v: &f32| v.is_finite() && *v >= 0.0;
-    if let Some(i) = values.iter().position(|v| !usable(v)) {
-        return Err(Error::argument(
-            name,
-            "finite numbers, 0 or more",
-            format!("{} at {i}", values[i]),
-        ));
-    }
+    unit_interval(name, values)?;
     let sum = values.iter().map(|&v| f64::from(v)).sum();
     if sum > 0.0 {
         return Ok(sum);

@@ -27,7 +27,7 @@ pub struct Pictures<'a> {
     pub pictures: usize,
     /// Colour channels, 1 or 3.
     pub channels: usize,
-    /// Weight of each sample, 0 or more: (picture, pixel), or (picture, pixel, channel).
+    /// Weight of each sample, in \[0, 1\]: (picture, pixel), or (picture, pixel, channel).
     pub weights: Option<&'a [f32]>,
     /// Unit vectors, one a pixel.
     pub normals: &'a [DVec3],
@@ -145,9 +145,9 @@ impl Problem {
                 pictures * coefficients * channels,
                 lighting.len(),
             )?;
-            check::finite("lighting", lighting)?;
+            check::moderate("lighting", lighting)?;
         }
-        check::finite("images", images)?;
+        check::moderate("images", images)?;
         let (weights, total_weight) = match given.weights {
             None => (Vec::new(), (samples * channels) as f64),
             Some(weights) => {
@@ -158,7 +158,7 @@ impl Problem {
                 };
                 check::length("weights", samples * of_sample, weights.len())?;
                 let total = check::weights("weights", weights)? * (channels / of_sample) as f64;
-                let planes = planes(weights, pictures, pixels, of_sample, options.threads)?;
+                let planes = planes("weights", weights, pictures, of_sample, options.threads)?;
                 (planes, total)
             }
         };
@@ -188,7 +188,7 @@ impl Problem {
             instructions: options.instructions,
             total_weight,
             directions,
-            targets: planes(images, pictures, pixels, channels, options.threads)?,
+            targets: planes("images", images, pictures, channels, options.threads)?,
             weights,
         })
     }
@@ -213,10 +213,15 @@ impl Problem {
         self.coefficients
     }
 
+    /// Number of unknowns that are maps, the first part of x.
+    pub fn maps(&self) -> usize {
+        self.planes() * self.pixels
+    }
+
     /// Number of unknowns.
     pub fn size(&self) -> usize {
         let lights = self.pictures * self.coefficients * self.channels;
-        self.planes() * self.pixels + if self.lighting.is_none() { lights } else { 0 }
+        self.maps() + if self.lighting.is_none() { lights } else { 0 }
     }
 
     /// Unknowns of a pixel.
@@ -228,11 +233,11 @@ impl Problem {
     pub fn value_and_grad(&self, x: &[f64], gradient: &mut [f64]) -> Result<f64> {
         check::length("x", self.size(), x.len())?;
         check::length("gradient", self.size(), gradient.len())?;
-        let (maps, free) = x.split_at(self.planes() * self.pixels);
+        let (maps, free) = x.split_at(self.maps());
         let lighting = match &self.lighting {
             Some(known) => known,
             None => {
-                check::finite("x (lighting)", free)?;
+                check::moderate("x (lighting)", free)?;
                 free
             }
         };
@@ -265,10 +270,6 @@ impl Problem {
             loss += partial.squares;
             add(&mut by_lights, &partial.by_lights);
         }
-        if !loss.is_finite() {
-            // Lights so large that float32 overflows.
-            return Err(Error::argument("x", "a point with a finite loss", loss));
-        }
         let (k, c) = (self.coefficients, self.channels);
         for (i, of_entry) in by_lighting.iter_mut().enumerate() {
             let (picture, coefficient, channel) = (i / (k * c), i / c % k, i % c);
@@ -280,7 +281,7 @@ impl Problem {
     /// The normal equations of the lights, channel by channel, for the materials in `maps`, the
     /// first part of x. Sums run in float64, because the lights' condition number squares here.
     pub fn light_equations(&self, maps: &[f64]) -> Result<Vec<LightEquations>> {
-        check::length("maps", self.planes() * self.pixels, maps.len())?;
+        check::length("maps", self.maps(), maps.len())?;
         check::unit_interval("maps (albedo, roughness, metallic)", maps)?;
         let partials = pool::map(self.threads, self.chunks().collect(), |blocks| {
             if self.channels == 1 {
@@ -415,18 +416,19 @@ impl Problem {
 
 /// From (picture, pixel, channel) to planes (block, channel, picture), zero where no pixel is.
 fn planes(
+    name: &'static str,
     values: &[f32],
     pictures: usize,
-    pixels: usize,
     channels: usize,
     threads: usize,
 ) -> Result<Vec<Plane>> {
+    let pixels = values.len() / (pictures * channels);
     let of_block = channels * pictures;
     let blocks = pixels.div_ceil(BLOCK);
     let mut planes: Vec<Plane> = Vec::new();
     planes
         .try_reserve_exact(blocks * of_block)
-        .map_err(|_| Error::Memory("images"))?;
+        .map_err(|_| Error::Memory(name))?;
     planes.resize(blocks * of_block, Plane::default());
     let pieces = planes.chunks_mut(of_block).enumerate().collect();
     pool::map(threads, pieces, |(block, planes): (usize, &mut [Plane])| {

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use super::arrays::{Contiguous, array, shape, vectors};
+use super::arrays::{Contiguous, array, shape, try_copied, vectors};
 use super::model::array3;
 use crate::problem::{Options, Pictures, Problem};
 use crate::{Error, Result};
@@ -40,16 +40,14 @@ impl PyProblem {
         lighting: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let images = array::<f32, numpy::Ix3>("images", images)?;
-        let normals = vectors("normals", &array("normals", normals)?)?;
-        let views = vectors("views", &array("views", views)?)?;
+        let normals = array("normals", normals)?;
+        let views = array("views", views)?;
         let &[pictures, pixels, channels] = images.shape() else {
             unreachable!("an array of three dimensions");
         };
-        shape(
-            "images",
-            &[pictures, normals.len(), channels],
-            images.shape(),
-        )?;
+        check_size(pictures, pixels)?;
+        shape("normals", &[pixels, 3], normals.shape())?;
+        shape("views", &[pixels, 3], views.shape())?;
         let samples = [pictures, pixels, channels];
         let weights = weights
             .map(|weights| array::<f32, numpy::IxDyn>("weights", weights))
@@ -61,15 +59,15 @@ impl PyProblem {
         let lighting = lighting
             .map(|lighting| array::<f64, numpy::Ix3>("lighting", lighting))
             .transpose()?;
-        if let Some(lighting) = &lighting {
-            let coefficients = (sh_order.min(3) + 1).pow(2);
+        if let (Some(lighting), 2 | 3) = (&lighting, sh_order) {
+            let coefficients = (sh_order + 1).pow(2);
             shape(
                 "lighting",
                 &[pictures, coefficients, channels],
                 lighting.shape(),
             )?;
         }
-        check_size(pictures, pixels)?;
+        let (normals, views) = (vectors("normals", &normals)?, vectors("views", &views)?);
         let (images, weights) = (
             Contiguous::of(&images),
             weights.as_ref().map(Contiguous::of),
@@ -149,9 +147,9 @@ impl PyProblem {
         py: Python<'py>,
         maps: &Bound<'py, PyAny>,
     ) -> PyResult<(Bound<'py, PyArray4<f64>>, Bound<'py, PyArray3<f64>>)> {
-        let maps = Contiguous::of(&array::<f64, numpy::Ix1>("maps", maps)?)
-            .values()
-            .to_vec();
+        let maps = array::<f64, numpy::Ix1>("maps", maps)?;
+        shape("maps", &[self.problem.maps()], maps.shape())?;
+        let maps = try_copied("maps", &maps)?;
         let equations = py.detach(|| self.problem.light_equations(&maps))?;
         let (channels, k) = (self.problem.channels(), self.problem.coefficients());
         let gram: Vec<f64> = equations.iter().flat_map(|e| &e.gram).copied().collect();
