@@ -19,7 +19,7 @@ use glam::DVec3;
 
 use crate::band_table::{FUNCTIONS, TABLE};
 use crate::ggx::Bands;
-use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
+use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::shade::{Factors, Frame, Material};
 use crate::simd::{Ahead, Isa, Kernel, Vectors};
 
@@ -36,38 +36,6 @@ const MAX_LANES: usize = 16;
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct Plane<T = f32>(pub [T; BLOCK]);
-
-/// Precision of basis functions, weights and radiance.
-pub trait Real: Copy + Default + Send + Sync {
-    /// Rounds.
-    fn from_f64(value: f64) -> Self;
-    /// Exact.
-    fn to_f64(self) -> f64;
-}
-
-impl Real for f32 {
-    #[inline(always)]
-    fn from_f64(value: f64) -> Self {
-        value as Self
-    }
-
-    #[inline(always)]
-    fn to_f64(self) -> f64 {
-        self.into()
-    }
-}
-
-impl Real for f64 {
-    #[inline(always)]
-    fn from_f64(value: f64) -> Self {
-        value
-    }
-
-    #[inline(always)]
-    fn to_f64(self) -> f64 {
-        self
-    }
-}
 
 impl<T: Copy + Default> Default for Plane<T> {
     fn default() -> Self {
@@ -149,18 +117,15 @@ impl<T: Real> Directions<T> {
 
     /// A pixel of the block, with its directions as they were rounded.
     pub fn get(&self, pixel: usize) -> Frame {
-        let [normal, mirror] = [&self.normal, &self.mirror].map(|d| vector(d, pixel));
+        let [normal, mirror] =
+            [&self.normal, &self.mirror].map(|d| DVec3::from(vector(d, pixel).map(Real::to_f64)));
         Frame::at(self.cosine.0[pixel], normal, mirror)
     }
 }
 
 #[inline(always)]
-fn vector<T: Real>(planes: &[Plane<T>; 3], pixel: usize) -> DVec3 {
-    DVec3::new(
-        planes[0].0[pixel].to_f64(),
-        planes[1].0[pixel].to_f64(),
-        planes[2].0[pixel].to_f64(),
-    )
+fn vector<T: Real>(planes: &[Plane<T>; 3], pixel: usize) -> [T; 3] {
+    [planes[0].0[pixel], planes[1].0[pixel], planes[2].0[pixel]]
 }
 
 impl<const C: usize> Default for Materials<C> {
@@ -174,37 +139,6 @@ impl<const C: usize> Default for Materials<C> {
 }
 
 impl<const C: usize> Materials<C> {
-    /// Takes `count` pixels from planes of `pixels` values each, starting at `first`; whether all
-    /// of them lie in \[0, 1\]. The copy lets the compiler know that no two planes overlap, without
-    /// which the loops over them are no vector code.
-    pub fn load(
-        &mut self,
-        maps: &[f64],
-        pixels: usize,
-        first: usize,
-        count: usize,
-        known_metallic: Option<f64>,
-    ) -> bool {
-        let mut in_range = true;
-        let mut load = |plane: &mut Plane<f64>, i: usize| {
-            let (used, unused) = plane.0.split_at_mut(count);
-            used.copy_from_slice(&maps[i * pixels + first..][..count]);
-            unused.fill(0.5);
-            for &v in &*used {
-                in_range &= v == v.clamp(0.0, 1.0); // NaN is not
-            }
-        };
-        for c in 0..C {
-            load(&mut self.albedo[c], c);
-        }
-        load(&mut self.roughness, C);
-        match known_metallic {
-            Some(metallic) => self.metallic.0.fill(metallic),
-            None => load(&mut self.metallic, C + 1),
-        }
-        in_range
-    }
-
     /// Puts one pixel into the block.
     pub fn set(&mut self, pixel: usize, material: &Material<C>) {
         for c in 0..C {
@@ -236,6 +170,55 @@ impl<const C: usize> Materials<C> {
     }
 }
 
+/// Takes `count` pixels from planes of `pixels` values each, starting at `first`. Returns whether all
+/// of them lie in \[0, 1\].
+///
+/// The copy lets the compiler know that no two planes overlap, without which the loops over them
+/// are no vector code.
+pub struct Load<'a, const C: usize> {
+    /// Albedo, roughness and, unless it is known, metallic.
+    pub maps: &'a [f64],
+    /// Pixels in a plane.
+    pub pixels: usize,
+    /// First pixel of the block.
+    pub first: usize,
+    /// Pixels of the block that are used; the others get values that do no harm.
+    pub count: usize,
+    /// Metallic, where maps have none.
+    pub known_metallic: Option<f64>,
+    /// To be written.
+    pub materials: &'a mut Materials<C>,
+}
+
+impl<const C: usize> Kernel for Load<'_, C> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) -> bool {
+        let Materials {
+            albedo,
+            roughness,
+            metallic,
+        } = self.materials;
+        let mut planes = self.maps.chunks(self.pixels);
+        let mut in_range = true;
+        for to in albedo.iter_mut().chain([roughness, &mut *metallic]) {
+            let Some(plane) = planes.next() else {
+                break;
+            };
+            to.0[self.count..].fill(0.5);
+            for (to, &from) in to.0.iter_mut().zip(&plane[self.first..][..self.count]) {
+                in_range &= from == from.clamp(0.0, 1.0); // NaN is not
+                *to = from;
+            }
+        }
+        if let Some(known) = self.known_metallic {
+            metallic.0.fill(known);
+        }
+        in_range
+    }
+}
+
 /// Fills in the basis functions, K of them at the mirror direction.
 pub struct FillBasis<'a, T: Real, const K: usize> {
     /// Where the pixels look.
@@ -253,13 +236,13 @@ impl<T: Real, const K: usize> Kernel for FillBasis<'_, T, K> {
         for x in 0..BLOCK {
             let y = sh::basis(vector(&directions.normal, x));
             for k in 0..DIFFUSE {
-                basis.diffuse[k].0[x] = T::from_f64(COSINE_TRANSFER[BAND_OF[k]] * y[k]);
+                basis.diffuse[k].0[x] = T::from_f64(COSINE_TRANSFER[BAND_OF[k]]) * y[k];
             }
         }
         for x in 0..BLOCK {
             let y = sh::basis(vector(&directions.mirror, x));
             for k in 0..K {
-                basis.mirror[k].0[x] = T::from_f64(y[k]);
+                basis.mirror[k].0[x] = y[k];
             }
         }
     }
@@ -525,15 +508,17 @@ impl<const K: usize, const WEIGHTED: bool> Residuals<'_, K, WEIGHTED> {
     }
 }
 
-/// Second product, reduced at once: adds the derivatives by kd and the band sums.
+/// Second product, reduced at once to the derivatives by kd and the band sums.
 pub struct Reduce<'a, const K: usize> {
+    /// Whether to begin the sums, or add to them.
+    pub begin: bool,
     /// The basis functions.
     pub basis: &'a Basis,
     /// A row for each picture.
     pub lights: &'a [[f32; K]],
     /// e, a plane for each picture.
     pub residuals: &'a [Plane],
-    /// Added to.
+    /// Written or added to.
     pub sums: &'a mut ChannelSums,
     /// What the next steps will need.
     pub ahead: &'a mut Ahead,
@@ -599,27 +584,21 @@ impl<const K: usize> Reduce<'_, K> {
                 }
             }
             for l in BAND_OF[FIRST]..=BAND_OF[FIRST + COUNT - 1] {
-                add(
-                    isa,
-                    &mut I::of_mut(&mut self.sums.bands[l].0)[v..v + V],
-                    &bands[l],
-                );
+                let sum = &mut I::of_mut(&mut self.sums.bands[l].0)[v..v + V];
+                add(isa, self.begin, sum, &bands[l]);
             }
             if FIRST < DIFFUSE {
-                add(
-                    isa,
-                    &mut I::of_mut(&mut self.sums.diffuse.0)[v..v + V],
-                    &diffuse,
-                );
+                let sum = &mut I::of_mut(&mut self.sums.diffuse.0)[v..v + V];
+                add(isa, self.begin && FIRST == 0, sum, &diffuse);
             }
         }
     }
 }
 
 #[inline(always)]
-fn add<I: Vectors<f32>>(isa: I, total: &mut [I::Vector], more: &[I::Vector]) {
+fn add<I: Vectors<f32>>(isa: I, begin: bool, total: &mut [I::Vector], more: &[I::Vector]) {
     for (total, &more) in total.iter_mut().zip(more) {
-        *total = isa.add(*total, more);
+        *total = if begin { more } else { isa.add(*total, more) };
     }
 }
 

@@ -7,7 +7,8 @@ use std::ops::Range;
 
 use crate::block::{
     self, BLOCK, Basis, BlockBands, ByLights, ChannelFactors, ChannelSums, FillBasis, FillFactors,
-    FillWeights, Flush, GROUP, Lanes, Materials, Plane, PullBack, Reduce, Residuals, WideLanes,
+    FillWeights, Flush, GROUP, Lanes, Load, Materials, Plane, PullBack, Reduce, Residuals,
+    WideLanes,
 };
 use crate::problem::Problem;
 use crate::simd::Ahead;
@@ -111,7 +112,14 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
     for block in blocks.clone() {
         let first = block * BLOCK;
         let count = BLOCK.min(pixels - first);
-        partial.in_range &= materials.load(maps, pixels, first, count, problem.known_metallic());
+        partial.in_range &= isa.run(Load {
+            maps,
+            pixels,
+            first,
+            count,
+            known_metallic: problem.known_metallic(),
+            materials: &mut materials,
+        });
         let directions = problem.directions(block);
         isa.run(FillBasis::<f32, K> {
             directions,
@@ -130,7 +138,6 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
                 factors: &factors[c],
                 weights: &mut weights,
             });
-            sums[c] = ChannelSums::default();
             piece.look_ahead::<C>(gradient, block, c, &mut ahead);
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
@@ -150,6 +157,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
                     ahead: &mut ahead,
                 });
                 isa.run(Reduce {
+                    begin: group.start == 0,
                     basis: &basis,
                     lights,
                     residuals,

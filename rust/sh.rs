@@ -1,6 +1,6 @@
 //! Real spherical harmonics up to l = 3.
 
-use glam::DVec3;
+use std::ops::{Add, Mul, Sub};
 
 /// Number of basis functions, (l+1)² for l = 3.
 pub const COEFFICIENTS: usize = 16;
@@ -15,29 +15,64 @@ pub const COSINE_TRANSFER: [f64; 4] = {
     [PI, 2.0 * PI / 3.0, PI / 4.0, 0.0]
 };
 
+/// Precision of basis functions, weights and radiance.
+pub trait Real:
+    Copy + Default + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+{
+    /// Rounds.
+    fn from_f64(value: f64) -> Self;
+    /// Exact.
+    fn to_f64(self) -> f64;
+}
+
+impl Real for f32 {
+    #[inline(always)]
+    fn from_f64(value: f64) -> Self {
+        value as Self
+    }
+
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        self.into()
+    }
+}
+
+impl Real for f64 {
+    #[inline(always)]
+    fn from_f64(value: f64) -> Self {
+        value
+    }
+
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        self
+    }
+}
+
 /// Real SH basis of a unit direction, without Condon-Shortley phase, index k = l(l+1)+m, so that
 /// Y₁₋₁ ∝ y, Y₁₀ ∝ z, Y₁₁ ∝ x and ∫ Y_j Y_k dω = δ_jk.
 #[inline(always)]
-pub fn basis(d: DVec3) -> [f64; COEFFICIENTS] {
-    let DVec3 { x, y, z } = d;
+pub fn basis<T: Real>([x, y, z]: [T; 3]) -> [T; COEFFICIENTS] {
+    let of = T::from_f64;
     let (xx, yy, zz) = (x * x, y * y, z * z);
+    let (one, three, five) = (of(1.0), of(3.0), of(5.0));
     [
-        C00,
-        C1 * y,
-        C1 * z,
-        C1 * x,
-        C2 * x * y,
-        C2 * y * z,
-        C20 * (3.0 * zz - 1.0),
-        C2 * x * z,
-        0.5 * C2 * (xx - yy),
-        C33 * y * (3.0 * xx - yy),
-        C32 * x * y * z,
-        C31 * y * (5.0 * zz - 1.0),
-        C30 * z * (5.0 * zz - 3.0),
-        C31 * x * (5.0 * zz - 1.0),
-        0.5 * C32 * z * (xx - yy),
-        C33 * x * (xx - 3.0 * yy),
+        of(C00),
+        of(C1) * y,
+        of(C1) * z,
+        of(C1) * x,
+        of(C2) * x * y,
+        of(C2) * y * z,
+        of(C20) * (three * zz - one),
+        of(C2) * x * z,
+        of(0.5 * C2) * (xx - yy),
+        of(C33) * y * (three * xx - yy),
+        of(C32) * x * y * z,
+        of(C31) * y * (five * zz - one),
+        of(C30) * z * (five * zz - three),
+        of(C31) * x * (five * zz - one),
+        of(0.5 * C32) * z * (xx - yy),
+        of(C33) * x * (xx - three * yy),
     ]
 }
 

@@ -53,14 +53,14 @@ impl Frame {
 
     /// From the clamped n·v, the normal and the mirror direction.
     pub fn at(cosine: f64, normal: DVec3, mirror: DVec3) -> Self {
-        let mut diffuse = sh::basis(normal);
+        let mut diffuse = sh::basis(normal.to_array());
         for (y, &l) in diffuse.iter_mut().zip(&BAND_OF) {
             *y *= COSINE_TRANSFER[l];
         }
         Self {
             cosine,
             diffuse,
-            mirror: sh::basis(mirror),
+            mirror: sh::basis(mirror.to_array()),
         }
     }
 

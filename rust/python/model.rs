@@ -33,7 +33,7 @@ fn sh_basis<'py>(
     let directions = vectors("directions", &array("directions", directions)?)?;
     let basis = py.detach(|| {
         check::unit_vectors("directions", &directions)?;
-        let rows = directions.iter().map(|&d| sh::basis(d));
+        let rows = directions.iter().map(|&d| sh::basis(d.to_array()));
         collect("directions", directions.len(), rows)
     })?;
     Ok(array2(basis).into_pyarray(py))
