@@ -56,10 +56,8 @@ impl BandTable {
         if r < LOWEST {
             return exact(r);
         }
-        let lowest = (LOWEST.to_bits() >> SHIFT) as usize;
-        let cell = ((r.to_bits() >> SHIFT) as usize - lowest).min(CELLS - 1);
-        let (middle, half) = extent(cell);
-        let s = isa.splat((r - middle) * (1.0 / half));
+        let (cell, s) = locate(r);
+        let s = isa.splat(s);
         let terms = &self.cells[cell];
         let mut result = terms[TERMS - 1];
         let sums = I::of_mut(&mut result.0);
@@ -72,14 +70,24 @@ impl BandTable {
     }
 }
 
-/// Middle and half-width of a cell. Both are exact: the width is a power of two.
+/// The cell of a roughness, and where it lies in the cell, from −1 to 1. Without rounding: both are
+/// read off the bits.
 #[inline(always)]
+fn locate(r: f64) -> (usize, f64) {
+    let bits = r.to_bits().min(1f64.to_bits() - 1); // 1 is the end of the last cell
+    let cell = (bits >> SHIFT) - (LOWEST.to_bits() >> SHIFT);
+    let begin = f64::from_bits(bits >> SHIFT << SHIFT);
+    // 2ᵉ ≤ r < 2ᵉ⁺¹: the exponent of 1/half-width is CELLS_BITS + 1 − e.
+    let exponent = bits >> 52;
+    let inverse = f64::from_bits((2 * 1023 + u64::from(CELLS_BITS) + 1 - exponent) << 52);
+    (cell as usize, (r - begin) * inverse - 1.0)
+}
+
+/// Middle and half-width of a cell.
 fn extent(cell: usize) -> (f64, f64) {
-    let first = LOWEST.to_bits() >> SHIFT;
-    let begin = f64::from_bits((first + cell as u64) << SHIFT);
-    let octave = f64::from_bits(begin.to_bits() & (0x7ff << 52));
-    let half = octave / f64::from(2 << CELLS_BITS);
-    (begin + half, half)
+    let begin = |cell| f64::from_bits(((LOWEST.to_bits() >> SHIFT) + cell as u64) << SHIFT);
+    let (begin, end) = (begin(cell), begin(cell + 1));
+    (0.5 * (begin + end), 0.5 * (end - begin))
 }
 
 #[cold]
