@@ -31,6 +31,8 @@ pub const GROUP: usize = 16;
 const DIFFUSE: usize = 9;
 /// Lanes of the widest vector.
 const MAX_LANES: usize = 16;
+/// Parts in which sums over pixels are kept.
+const PARTS: usize = 8;
 
 /// One number for each pixel of a block.
 #[derive(Clone, Copy, Debug)]
@@ -86,13 +88,13 @@ pub struct ChannelSums {
     bands: [Plane; 4],
 }
 
-/// Sums over pixels, kept apart by lane until they are added up in float64.
+/// A sum over pixels, in parts that are added up in float64 in the end.
 #[derive(Clone, Copy, Debug, Default)]
-#[repr(C, align(64))]
-pub struct Lanes([f32; MAX_LANES]);
+#[repr(C, align(32))]
+pub struct Parts([f32; PARTS]);
 
 /// Derivatives by the K coefficients of one light.
-pub type LightSums<const K: usize> = [Lanes; K];
+pub type LightSums<const K: usize> = [Parts; K];
 
 impl<T: Real> Default for Directions<T> {
     fn default() -> Self {
@@ -459,9 +461,10 @@ impl<const K: usize, const WEIGHTED: bool> Residuals<'_, K, WEIGHTED> {
         }
         let mut sum = 0.0;
         for i in 0..V {
-            let mut lanes = Lanes::default();
-            I::of_mut(&mut lanes.0)[0] = squares[i];
-            sum += lanes.0.iter().map(|&s| f64::from(s)).sum::<f64>();
+            sum += lanes(isa, squares[i])
+                .iter()
+                .map(|&s| f64::from(s))
+                .sum::<f64>();
         }
         sum
     }
@@ -654,11 +657,6 @@ impl<const K: usize> ByLights<'_, K> {
         for k in (0..K).step_by(COUNT) {
             self.ahead.step(I::LANES / 2);
             let mut total = [[isa.splat(0.0); COUNT]; J];
-            for j in 0..J {
-                for i in 0..COUNT {
-                    total[j][i] = I::of(&sums[j][k + i].0)[0];
-                }
-            }
             for v in 0..BLOCK / I::LANES {
                 let mut w = [isa.splat(0.0); COUNT];
                 for i in 0..COUNT {
@@ -673,9 +671,30 @@ impl<const K: usize> ByLights<'_, K> {
             }
             for j in 0..J {
                 for i in 0..COUNT {
-                    I::of_mut(&mut sums[j][k + i].0)[0] = total[j][i];
+                    sums[j][k + i].add(&lanes(isa, total[j][i]), I::LANES);
                 }
             }
+        }
+    }
+}
+
+/// The lanes of a vector, with zeros to the widest.
+#[inline(always)]
+fn lanes<I: Vectors<f32>>(_: I, vector: I::Vector) -> [f32; MAX_LANES] {
+    let mut lanes = [0.0; MAX_LANES];
+    I::of_mut(&mut lanes)[0] = vector;
+    lanes
+}
+
+impl Parts {
+    #[inline(always)]
+    fn add(&mut self, lanes: &[f32; MAX_LANES], used: usize) {
+        for x in 0..PARTS.min(used) {
+            self.0[x] += if used > PARTS {
+                lanes[x] + lanes[x + PARTS]
+            } else {
+                lanes[x]
+            };
         }
     }
 }
@@ -683,14 +702,14 @@ impl<const K: usize> ByLights<'_, K> {
 /// The same in float64, for the long run.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
-pub struct WideLanes([f64; MAX_LANES / 2]);
+pub struct WideParts([f64; PARTS]);
 
 /// Moves sums in float32 to sums in float64.
 pub struct Flush<'a> {
     /// Become zero.
-    pub from: &'a mut [Lanes],
+    pub from: &'a mut [Parts],
     /// As many; added to.
-    pub to: &'a mut [WideLanes],
+    pub to: &'a mut [WideParts],
 }
 
 impl Kernel for Flush<'_> {
@@ -699,17 +718,16 @@ impl Kernel for Flush<'_> {
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
         for (from, to) in self.from.iter_mut().zip(self.to) {
-            let (low, high) = from.0.split_at(MAX_LANES / 2);
-            for x in 0..MAX_LANES / 2 {
-                to.0[x] += f64::from(low[x]) + f64::from(high[x]);
+            for x in 0..PARTS {
+                to.0[x] += f64::from(from.0[x]);
             }
-            from.0 = [0.0; MAX_LANES];
+            from.0 = [0.0; PARTS];
         }
     }
 }
 
-impl WideLanes {
-    /// All lanes together.
+impl WideParts {
+    /// All parts together.
     pub fn sum(&self) -> f64 {
         self.0.iter().sum()
     }

@@ -7,8 +7,8 @@ use std::ops::Range;
 
 use crate::block::{
     self, BLOCK, Basis, BlockBands, ByLights, ChannelFactors, ChannelSums, FillBasis, FillFactors,
-    FillWeights, Flush, GROUP, Lanes, Load, Materials, Plane, PullBack, Reduce, Residuals,
-    WideLanes,
+    FillWeights, Flush, GROUP, Load, Materials, Parts, Plane, PullBack, Reduce, Residuals,
+    WideParts,
 };
 use crate::problem::Problem;
 use crate::simd::Ahead;
@@ -95,8 +95,8 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
         in_range: true,
     };
     let lit = if FREE_LIGHTS { C * pictures } else { 0 };
-    let mut light_sums = vec![[Lanes::default(); K]; lit];
-    let mut light_totals = vec![[WideLanes::default(); K]; lit];
+    let mut light_sums = vec![[Parts::default(); K]; lit];
+    let mut light_totals = vec![[WideParts::default(); K]; lit];
 
     let mut basis = Basis::default();
     let mut materials = Materials::<C>::default();
@@ -194,7 +194,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
     partial.by_lights = light_totals
         .as_flattened()
         .iter()
-        .map(WideLanes::sum)
+        .map(WideParts::sum)
         .collect();
     partial
 }
