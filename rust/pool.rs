@@ -69,3 +69,18 @@ pub fn map<T: Send, R: Send>(
         }
     })
 }
+
+/// Makes `to` a copy of `from`, on several threads where its memory serves again.
+#[cfg(feature = "python")]
+pub fn copy(threads: usize, from: &[f64], to: &mut Vec<f64>) {
+    const PIECE: usize = 1 << 16;
+    if to.len() != from.len() {
+        to.clear();
+        to.extend_from_slice(from);
+        return;
+    }
+    let pieces = to.chunks_mut(PIECE).zip(from.chunks(PIECE)).collect();
+    map(threads, pieces, |(to, from): (&mut [f64], &[f64])| {
+        to.copy_from_slice(from);
+    });
+}

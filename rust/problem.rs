@@ -386,6 +386,11 @@ impl Problem {
             .map(move |first| first..(first + chunk).min(blocks))
     }
 
+    #[cfg(feature = "python")]
+    pub(crate) fn threads(&self) -> usize {
+        self.threads
+    }
+
     pub(crate) fn instructions(&self) -> Instructions {
         self.instructions
     }

@@ -43,11 +43,13 @@ pub fn render(
         .map(|light| [0, 1, 2].map(|c| std::array::from_fn(|k| light[k * 3 + c])))
         .collect();
 
-    let mut images = Vec::new();
-    images
-        .try_reserve_exact(lights.len() * pixels * 3)
+    let samples = lights.len() * pixels * 3;
+    // Asked for twice: whether there is memory, and then as zeros, which the system hands out page
+    // by page to the threads that write there.
+    Vec::<f64>::new()
+        .try_reserve_exact(samples)
         .map_err(|_| Error::Memory("images"))?;
-    images.resize(lights.len() * pixels * 3, 0.0);
+    let mut images = vec![0.0; samples];
     if images.is_empty() {
         return Ok(images);
     }

@@ -170,18 +170,25 @@ def render(
     light = _array("lighting", lighting, (16, 3))
     if light.ndim > 3:
         raise InputError(f"lighting: expected shape (16, 3) or (N, 16, 3), found {light.shape}")
-    used = np.isfinite(albedo).all(-1) & np.isfinite(roughness + metallic) & np.isfinite(n).all(-1)
+    of: slice | NDArray[np.bool_] = slice(None)
+    if not all(np.isfinite(given).all() for given in (albedo, roughness, metallic, n)):
+        used = np.isfinite(albedo).all(-1) & np.isfinite(n).all(-1)
+        of = (used & np.isfinite(roughness) & np.isfinite(metallic)).reshape(-1)
     rendered = _core.render(
-        n[used],
-        view_directions(height, width, fov)[used],
-        albedo[used],
-        roughness[used],
-        metallic[used],
+        n.reshape(-1, 3)[of],
+        view_directions(height, width, fov).reshape(-1, 3)[of],
+        albedo.reshape(-1, 3)[of],
+        roughness.reshape(-1)[of],
+        metallic.reshape(-1)[of],
         light.reshape(-1, 16, 3),
         whole_number("threads", threads),
     )
-    images = np.full((len(rendered), height, width, 3), np.nan)
-    images[:, used] = rendered
+    if isinstance(of, slice):
+        images = rendered
+    else:
+        images = np.full((len(rendered), height * width, 3), np.nan)
+        images[:, of] = rendered
+    images = images.reshape(-1, height, width, 3)
     return images[0] if light.ndim == 2 else images
 
 
@@ -213,7 +220,7 @@ def _array(name: str, values: ArrayLike, trailing: tuple[int, ...]) -> NDArray[n
         array = np.asarray(values)
         if np.iscomplexobj(array):
             raise TypeError("complex numbers")
-        array = array.astype(np.float64)
+        array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: expected an array of real numbers, found {error}") from None
     if array.shape[max(array.ndim - len(trailing), 0) :] != trailing:

@@ -99,6 +99,17 @@ impl<'a, T: Element + Copy> Contiguous<'a, T> {
         })
     }
 
+    /// The same where there may not be enough memory for a copy.
+    pub(super) fn try_of<D: Dimension>(
+        name: &'static str,
+        array: &'a PyReadonlyArray<'_, T, D>,
+    ) -> Result<Self> {
+        Ok(Self(match array.as_slice() {
+            Ok(values) if array.is_c_contiguous() => Cow::Borrowed(values),
+            _ => Cow::Owned(try_copied(name, array)?),
+        }))
+    }
+
     pub(super) fn values(&self) -> &[T] {
         &self.0
     }
@@ -108,9 +119,9 @@ impl<'a, T: Element + Copy> Contiguous<'a, T> {
 pub(super) fn vectors(name: &'static str, array: &PyReadonlyArray2<'_, f64>) -> Result<Vec<DVec3>> {
     let rows = array.shape()[0];
     shape(name, &[rows, 3], array.shape())?;
-    let view = array.as_array();
-    let vectors = view.rows().into_iter();
-    collect(name, rows, vectors.map(|v| DVec3::new(v[0], v[1], v[2])))
+    let values = Contiguous::try_of(name, array)?;
+    let vectors = values.values().as_chunks().0.iter();
+    collect(name, rows, vectors.map(|&v| DVec3::from_array(v)))
 }
 
 /// Materials from (M, 3), (M,) and (M,) arrays, checked to lie in \[0, 1\].
@@ -123,19 +134,22 @@ pub(super) fn materials(
     shape("albedo", &[pixels, 3], albedo.shape())?;
     shape("roughness", &[pixels], roughness.shape())?;
     shape("metallic", &[pixels], metallic.shape())?;
-    let albedo = try_copied("albedo", albedo)?;
-    let roughness = try_copied("roughness", roughness)?;
-    let metallic = try_copied("metallic", metallic)?;
-    check::unit_interval("albedo", &albedo)?;
-    check::unit_interval("roughness", &roughness)?;
-    check::unit_interval("metallic", &metallic)?;
-    let rows = albedo.as_chunks::<3>().0.iter();
-    let material = |((&albedo, roughness), metallic)| Material {
+    let albedo = Contiguous::try_of("albedo", albedo)?;
+    let roughness = Contiguous::try_of("roughness", roughness)?;
+    let metallic = Contiguous::try_of("metallic", metallic)?;
+    check::unit_interval("albedo", albedo.values())?;
+    check::unit_interval("roughness", roughness.values())?;
+    check::unit_interval("metallic", metallic.values())?;
+    let rows = albedo.values().as_chunks::<3>().0.iter();
+    let material = |((&albedo, &roughness), &metallic)| Material {
         albedo,
         roughness,
         metallic,
     };
-    let materials = rows.zip(roughness).zip(metallic).map(material);
+    let materials = rows
+        .zip(roughness.values())
+        .zip(metallic.values())
+        .map(material);
     collect("albedo", pixels, materials)
 }
 

@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use super::arrays::{Contiguous, array, shape, try_copied, vectors};
 use super::model::array3;
 use crate::problem::{Options, Pictures, Problem};
-use crate::{Error, Result};
+use crate::{Error, Result, pool};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProblem>()
@@ -132,12 +132,13 @@ impl PyProblem {
         let mut kept = self.copy.try_lock().ok();
         let mut own = Vec::new();
         let copy = kept.as_deref_mut().unwrap_or(&mut own);
-        copy.clear();
-        copy.extend_from_slice(Contiguous::of(&x).values());
-        let mut gradient = vec![0.0; self.problem.size()];
+        pool::copy(self.problem.threads(), Contiguous::of(&x).values(), copy);
         let copy = &*copy;
-        let value = py.detach(|| self.problem.value_and_grad(copy, &mut gradient))?;
-        drop(kept);
+        let (value, gradient) = py.detach(|| {
+            let mut gradient = vec![0.0; self.problem.size()];
+            let value = self.problem.value_and_grad(copy, &mut gradient);
+            value.map(|value| (value, gradient))
+        })?;
         Ok((value, gradient.into_pyarray(py)))
     }
 

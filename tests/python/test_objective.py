@@ -120,9 +120,9 @@ def planted(
     shape = {"none": None, "sample": (pictures, pixels), "channel": images.shape}[weights]
     of_samples = None
     if shape is not None:
-        of_samples = rng.exponential(size=shape).astype(np.float32)
+        of_samples = rng.random(shape, dtype=np.float32)
         of_samples[rng.random(shape) < 0.1] = 0
-        of_samples[0] += 0.01  # no picture of a single pixel without any
+        of_samples[0] = np.maximum(of_samples[0], 0.01)  # no picture of one pixel without any
     return Planted(images.astype(np.float32), normals, views, of_samples, unknowns, truth, x)
 
 
