@@ -46,8 +46,10 @@ impl PyProblem {
             unreachable!("an array of three dimensions");
         };
         check_size(pictures, pixels)?;
-        shape("normals", &[pixels, 3], normals.shape())?;
-        shape("views", &[pixels, 3], views.shape())?;
+        let rows = normals.shape()[0];
+        shape("normals", &[rows, 3], normals.shape())?;
+        shape("views", &[rows, 3], views.shape())?;
+        shape("images", &[pictures, rows, channels], images.shape())?;
         let samples = [pictures, pixels, channels];
         let weights = weights
             .map(|weights| array::<f32, numpy::IxDyn>("weights", weights))
