@@ -23,7 +23,8 @@ const ROUND_TIME: Duration = Duration::from_millis(60);
 const DEFAULT_MIB: usize = 512;
 
 const USAGE: &str = "options: --threads T (default: one for each processor), \
-                     --mib SIZE to read (default: 512), --json";
+                     --mib SIZE to read (default: 512), \
+                     --json (to standard output; the text then goes to standard error)";
 
 /// `steps` multiply-adds in each lane of each chain.
 #[derive(Clone, Copy)]
@@ -212,27 +213,25 @@ fn main() -> ExitCode {
     };
     let measured: Vec<_> = counts
         .iter()
-        .map(|&threads| {
-            let (flops, bytes) = (multiply_add_rate(threads), read_rate(threads, mib));
-            json!({"threads": threads, "fma_gflops": flops, "memory_gbs": bytes})
-        })
+        .map(|&threads| (threads, multiply_add_rate(threads), read_rate(threads, mib)))
         .collect();
-    if json {
-        println!(
-            "{:#}",
-            json!({"vector_bits": 32 * lanes(), "measured": measured})
-        );
-        return ExitCode::SUCCESS;
+    let bits = 32 * lanes();
+    let mut text =
+        format!("{bits}-bit vectors\nthreads   float32 multiply-add   memory read, {mib} MiB\n");
+    for (threads, flops, bytes) in &measured {
+        text += &format!("{threads:>7}   {flops:>12.1} GFLOP/s   {bytes:>11.1} GB/s\n");
     }
-    println!("{}-bit vectors, {} float32 each", 32 * lanes(), lanes());
-    println!("threads   float32 multiply-add   memory read, {mib} MiB");
-    for row in measured {
-        println!(
-            "{:>7}   {:>12.1} GFLOP/s   {:>11.1} GB/s",
-            row["threads"],
-            row["fma_gflops"].as_f64().unwrap_or(f64::NAN),
-            row["memory_gbs"].as_f64().unwrap_or(f64::NAN),
-        );
+    if json {
+        let rows: Vec<_> = measured
+            .iter()
+            .map(|(threads, flops, bytes)| {
+                json!({"threads": threads, "fma_gflops": flops, "memory_gbs": bytes})
+            })
+            .collect();
+        eprint!("{text}");
+        println!("{:#}", json!({"vector_bits": bits, "measured": rows}));
+    } else {
+        print!("{text}");
     }
     ExitCode::SUCCESS
 }
