@@ -21,6 +21,10 @@ def main() -> int:
     rounds = options.rounds or (3 if options.quick else 15)
     out = options.out or REPOSITORY / ("out" if options.quick else "docs") / "benchmarks"
     found = machine.Machine.find(options.machine, options.threads)
+    if found.load is not None and found.load > machine.QUIET:
+        print(
+            f"load {found.load:.2f}: something else is at work, times will be off", file=sys.stderr
+        )
     if options.scaling:
         sides, counts = scaling.QUICK if options.quick else scaling.FULL
         measured = scaling.measure(sides, counts, options.threads, rounds)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CPU_INFO = Path("/proc/cpuinfo")
+QUIET = 0.5
+"""Load above which something else is at work."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +24,7 @@ class Machine:
     memory_gbs
         Memory read, 10⁹ bytes a second; all threads.
     load
-        Processes that wanted to run in the last minute before the start, on average. Above about
-        0.5 something else was at work.
+        Processes that wanted to run in the last minute before the start, on average.
     """
 
     name: str

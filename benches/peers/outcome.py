@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from peers.machine import Machine
 from peers.race import KEEP_FREED_MEMORY, Settings, Standing, Times, race
-from peers.roster import OURS, Entry
+from peers.roster import OURS, ROSTER, Entry
 
 FLOPS = 99
 """Of the matrix form, for one pixel, picture and channel: three products of 32 operations, the
@@ -99,12 +99,13 @@ class Outcome:
     @property
     def versions(self) -> dict[str, str]:
         """Of Python, of each package that took part, and of the libraries below numpy."""
+        found = {row.tuned.package: row.tuned for row in self.rows if row.tuned.version}
         versions = {"python": platform.python_version()}
-        for row in self.rows:
-            if row.tuned.version:
-                versions[row.tuned.package] = row.tuned.version
-            if row.name.startswith("numpy"):
-                versions |= {"blas": ", ".join(row.tuned.libraries)}
+        for package in dict.fromkeys(entry.package for entry in ROSTER):
+            if package in found:
+                versions[package] = found[package].version or ""
+        if "numpy" in found:
+            versions["numpy's libraries"] = ", ".join(found["numpy"].libraries)
         return versions
 
 

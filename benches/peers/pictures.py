@@ -22,16 +22,21 @@ def picture(outcome: Outcome) -> Figure:
     figure = Figure(figsize=(8.5, 1.6 + 0.42 * len(rows)), layout="constrained")
     axes = figure.add_subplot()
     longest = max(
-        times.median_ms for row in rows for times in (row.times, row.installed.times) if times
+        max(times.median_ms, times.quartiles_ms[1])
+        for row in rows
+        for times in (row.times, row.installed.times)
+        if times
     )
     for place, row in enumerate(rows):
         times, installed = row.times, row.installed.times
         assert times is not None
         color = OURS_COLOR if row.name == OURS else OTHERS_COLOR
-        axes.barh(place, times.median_ms, color=color, height=0.66)
-        end = times.median_ms
+        lower, upper = times.quartiles_ms
+        spread = [[times.median_ms - lower], [upper - times.median_ms]]
+        axes.barh(place, times.median_ms, xerr=spread, color=color, height=0.66, ecolor="black")
+        end = upper
         if outcome.tuned and installed is not None:
-            label = "with the system's memory allocation as installed" if place == 0 else None
+            label = "as installed: glibc's memory allocation not tuned" if place == 0 else None
             axes.plot(
                 installed.median_ms, place, "D", color="black", fillstyle="none", ms=5, label=label
             )
@@ -41,7 +46,7 @@ def picture(outcome: Outcome) -> Figure:
         if row.name != OURS and ratio is not None:
             words += f", {ratio:.1f} × ours"
         axes.text(
-            end + 0.015 * longest,
+            end + 0.025 * longest,
             place,
             words,
             va="center",
@@ -50,7 +55,9 @@ def picture(outcome: Outcome) -> Figure:
     axes.set_yticks(range(len(rows)), [row.name for row in rows])
     axes.invert_yaxis()
     axes.set_xlim(0, 1.3 * longest)
-    axes.set_xlabel(f"time of one evaluation, ms (median of {settings.rounds} rounds)")
+    axes.set_xlabel(
+        f"time of one evaluation, ms (median of {settings.rounds} rounds, lines: quartiles)"
+    )
     axes.set_title(
         f"Loss and gradient: {settings.size}² pixels, {settings.pictures} pictures, "
         f"{settings.threads} threads",
@@ -58,7 +65,7 @@ def picture(outcome: Outcome) -> Figure:
     )
     axes.spines[["top", "right"]].set_visible(False)
     if outcome.tuned:
-        axes.legend(loc="lower right", frameon=False)
+        figure.legend(loc="outside lower right", frameon=False)
     return figure
 
 
@@ -66,63 +73,53 @@ def scaling_picture(scaling: Scaling) -> Figure:
     """Time over samples, logarithmic, with the fit."""
     figure = Figure(figsize=(7.5, 5.0), layout="constrained")
     axes = figure.add_subplot()
-    series = (
-        (
-            [point for point in scaling.points if point.pictures == PICTURES],
-            f"{PICTURES} pictures, size varies",
-            "o",
-            OURS_COLOR,
-        ),
-        (
-            [point for point in scaling.points if point.side == SIDE],
-            f"{SIDE}² pixels, number of pictures varies",
-            "s",
-            SECOND_COLOR,
-        ),
-    )
-    for points, label, marker, color in series:
-        points = sorted(points, key=lambda point: point.pixels * point.pictures)
-        samples = np.array([point.pixels * point.pictures for point in points])
+    by_size = [point for point in scaling.points if point.pictures == PICTURES]
+    by_count = [point for point in scaling.points if point.side == SIDE]
+    for points, label, marker, color, place in (
+        (by_size, f"{PICTURES} pictures, size varies", "o", OURS_COLOR, (9, -11)),
+        (by_count, f"{SIDE}² pixels, number of pictures varies", "s", SECOND_COLOR, (-7, 8)),
+    ):
+        points.sort(key=lambda point: point.pixels * point.pictures)
+        first, last = points[0], points[-1]
         axes.plot(
-            samples,
+            [point.pixels * point.pictures for point in points],
             [point.median_ms for point in points],
             marker,
             color=color,
-            label=f"measured: {label}",
+            label=label,
             fillstyle="none",
             ms=8,
         )
-        ends = points[0], points[-1]
         between = np.linspace(0, 1, 100)
-        pixels = ends[0].pixels * (ends[1].pixels / ends[0].pixels) ** between
-        pictures = ends[0].pictures * (ends[1].pictures / ends[0].pictures) ** between
+        pixels = first.pixels * (last.pixels / first.pixels) ** between
+        pictures = first.pictures * (last.pictures / first.pictures) ** between
         axes.plot(
             pixels * pictures,
             [scaling.fitted_ms(p, n) for p, n in zip(pixels, pictures, strict=True)],
             color=color,
             lw=1,
-            label="fit" if label == series[0][1] else None,
         )
         for point in points:
-            words = f"{point.side}²" if points[0].side != points[-1].side else f"{point.pictures}"
             axes.annotate(
-                words,
+                f"{point.side}²" if points is by_size else f"{point.pictures}",
                 (point.pixels * point.pictures, point.median_ms),
-                xytext=(8, -12),
+                xytext=place,
                 textcoords="offset points",
-                fontsize=8,
+                ha="left" if place[0] > 0 else "right",
+                fontsize=9,
                 color=color,
             )
-    worst = scaling.worst
+    axes.plot([], [], color="black", lw=1, label="fit a · P + b · P · N")
     axes.set(
         xscale="log",
         yscale="log",
-        xlabel="pixels × pictures",
-        ylabel=f"time of one evaluation, ms (median of {scaling.rounds})",
+        xlabel="pixels P × pictures N",
+        ylabel=f"time of one evaluation, ms (median of {scaling.rounds} rounds)",
     )
+    axes.set_xlim(right=1.9 * axes.get_xlim()[1])  # room for the last label
     axes.set_title(
-        f"t = {scaling.per_pixel_ns:.1f} ns · P + {scaling.per_sample_ns:.2f} ns · P · N,  "
-        f"{scaling.threads} threads;  farthest point {scaling.deviation(worst):+.0%}",
+        f"a = {scaling.per_pixel_ns:.3g} ns, b = {scaling.per_sample_ns:.3g} ns, "
+        f"{scaling.threads} threads; farthest point {scaling.deviation(scaling.worst):+.0%}",
         loc="left",
         fontsize=11,
     )

@@ -33,7 +33,11 @@ THREAD_VARIABLES = (
     "NPROC",  # XLA's thread pool
 )
 
-KEEP_FREED_MEMORY = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": str(2**62)}
+KEEP_FREED_MEMORY = {
+    "MALLOC_ARENA_MAX": "1",  # or memory of XLA's threads would still go back
+    "MALLOC_MMAP_MAX_": "0",
+    "MALLOC_TRIM_THRESHOLD_": str(2**62),
+}
 """glibc: freed memory stays with the process instead of going back to the system page by page."""
 
 

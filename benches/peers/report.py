@@ -155,10 +155,9 @@ def page(outcome: Outcome) -> str:
         peak = "The machine's own speed was not measured."
     else:
         peak = (
-            f"The machine ({machine.vector_bits}-bit vectors) does "
-            f"{machine.fma_peak_gflops:.0f} GFLOP/s of float32 multiply-adds from registers and "
-            f"reads {machine.memory_gbs:.1f} GB/s from memory, on the same number of threads "
-            "(`cargo bench --bench machine`)."
+            f"`cargo bench --bench machine` ({machine.vector_bits}-bit vectors): "
+            f"{machine.fma_peak_gflops:.0f} GFLOP/s of float32 multiply-adds\n  from registers, "
+            f"{machine.memory_gbs:.1f} GB/s read from memory, on the same number of threads."
         )
     waiting = max(
         (row.times.waiting_share for row in outcome.rows if row.times is not None), default=0.0
@@ -209,7 +208,8 @@ One evaluation of the loss and its gradient by every unknown, {size}² pixels, {
   for that.
 - **ms, quartiles**: over the rounds. {kept}
 - **of FMA peak**: {flops} operations for each pixel, picture and channel, which is what the matrix
-  form needs, over time and over the machine's peak. {peak}
+  form needs, over time and over the machine's peak.
+  {peak}
 - **peak MiB**: highest resident memory during the rounds, over what the process held before it had
   any data (libraries loaded and used once on a small case). Pictures and other constants are in it,
   once, in the form that the peer keeps. As installed. Measured on Linux only.
@@ -221,20 +221,23 @@ band weights are polynomials of degree 16 in float32, off by 3·10⁻⁶, cheape
 ## The peers
 
 - **einsum**: as one reads it from the paper, a diffuse and a specular sum over coefficients,
-  `pk,nkc->pnc` twice, then the sum of both.
+  `kp,nkc->cnp` twice, then the sum of both. Band weights go to coefficients by a product with a
+  one-hot matrix, not by an index, which cripples eager gradients.
 - **matrix**: the two bases are combined to one weight matrix a channel first; then it is three
   matrix products, I = W Lᵀ and the two of the gradient. So are both rows of numpy, and ours.
 - **eager, torch.compile, jit**: gradients by the framework's automatic differentiation.
 - **numpy**: gradient written by hand. Whole arrays with BLAS's threads; or in blocks of 8192 pixels
-  that stay in the cache, on a pool of threads.
+  that stay in the cache, on a pool of threads. Orders of axes, and loops or batches over channels,
+  are for each framework the fastest of those tried.
 - **pbrfit**: called from Python, as the solver does.
 """
 
 KEPT = """\
 glibc is told to keep freed memory
-  (`MALLOC_MMAP_MAX_=0`, a large `MALLOC_TRIM_THRESHOLD_`) for all peers alike, which spares those
-  with large intermediate arrays most of their page faults. **as installed**: without that, as a
-  user meets it first, in a race of its own; in brackets times ours."""
+  (`MALLOC_ARENA_MAX=1`, `MALLOC_MMAP_MAX_=0`, a large `MALLOC_TRIM_THRESHOLD_`), for all alike:
+  peers with large intermediate arrays otherwise spend up to half their time on page faults.
+  **as installed**: without that, as a user meets it first, in a race of its own; in brackets times
+  ours."""
 
 NOT_KEPT = """\
 Memory allocation is the system's own, so the column **as installed** says the same; in

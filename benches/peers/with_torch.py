@@ -71,46 +71,55 @@ class Factors:
 
 
 def einsum_form(case: Case) -> Callable[..., torch.Tensor]:
-    """As one reads it from the paper: a diffuse and a specular sum over coefficients a picture."""
+    """As one reads it from the paper: a diffuse and a specular sum over coefficients a picture.
+
+    Of the possible orders of the axes the fastest: "pnc" takes 1.2 times as long eager, 2.5 times
+    compiled.
+    """
     factors = Factors(case)
-    diffuse_basis = torch.tensor(case.diffuse_basis)
-    mirror_basis = torch.tensor(case.mirror_basis)
-    one_hot = torch.nn.functional.one_hot(torch.tensor(BAND_OF), 4).float()  # (16, 4)
-    targets = torch.tensor(case.images.transpose(1, 0, 2).copy())  # (P, N, 3)
-
-    def loss(
-        albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, lights: torch.Tensor
-    ) -> torch.Tensor:
-        kd, ks, h = factors(albedo, roughness, metallic)
-        diffuse = torch.einsum("pk,nkc->pnc", diffuse_basis, lights[:, :DIFFUSE])
-        specular_basis = torch.einsum("lp,kl->pk", h, one_hot) * mirror_basis
-        specular = torch.einsum("pk,nkc->pnc", specular_basis, lights)
-        image = kd.T[:, None] * diffuse + ks.T[:, None] * specular
-        return torch.mean((image - targets) ** 2)
-
-    return loss
-
-
-def matrix_form(case: Case) -> Callable[..., torch.Tensor]:
-    """One matrix W a channel that takes lights to pixels: three products in all."""
-    factors = Factors(case)
-    diffuse_basis = torch.nn.functional.pad(
-        torch.tensor(case.diffuse_basis.T.copy()), (0, 0, 0, 16 - DIFFUSE)
-    )
+    diffuse_basis = torch.tensor(case.diffuse_basis.T.copy())  # (9, P)
     mirror_basis = torch.tensor(case.mirror_basis.T.copy())  # (16, P)
-    one_hot = torch.nn.functional.one_hot(torch.tensor(BAND_OF), 4).float()  # (16, 4)
+    one_hot = _one_hot()
     targets = torch.tensor(case.images.transpose(2, 0, 1).copy())  # (3, N, P)
 
     def loss(
         albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, lights: torch.Tensor
     ) -> torch.Tensor:
         kd, ks, h = factors(albedo, roughness, metallic)
+        diffuse = torch.einsum("kp,nkc->cnp", diffuse_basis, lights[:, :DIFFUSE])
         specular_basis = (one_hot @ h) * mirror_basis
-        w = kd[:, None] * diffuse_basis + ks[:, None] * specular_basis  # (3, 16, P)
-        image = torch.bmm(lights.permute(2, 0, 1), w)
-        return torch.nn.functional.mse_loss(image, targets)
+        specular = torch.einsum("kp,nkc->cnp", specular_basis, lights)
+        image = kd[:, None] * diffuse + ks[:, None] * specular
+        return torch.mean((image - targets) ** 2)
 
     return loss
+
+
+def matrix_form(case: Case) -> Callable[..., torch.Tensor]:
+    """One weight matrix W (P, 16) a channel, I = W Lᵀ. A loop over channels beats one batch."""
+    factors = Factors(case)
+    diffuse_basis = torch.nn.functional.pad(torch.tensor(case.diffuse_basis), (0, 16 - DIFFUSE))
+    mirror_basis = torch.tensor(case.mirror_basis)  # (P, 16)
+    one_hot = _one_hot()
+    targets = torch.tensor(case.images.transpose(2, 1, 0).copy())  # (3, P, N)
+
+    def loss(
+        albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, lights: torch.Tensor
+    ) -> torch.Tensor:
+        kd, ks, h = factors(albedo, roughness, metallic)
+        specular_basis = (h.T @ one_hot.T) * mirror_basis
+        total = torch.zeros(())
+        for c in range(3):
+            w = kd[c, :, None] * diffuse_basis + ks[c, :, None] * specular_basis
+            total = total + torch.nn.functional.mse_loss(w @ lights[:, :, c].T, targets[c])
+        return total / 3
+
+    return loss
+
+
+def _one_hot() -> torch.Tensor:
+    """(16, 4), takes bands to coefficients. Indexing in its place cripples eager gradients."""
+    return torch.nn.functional.one_hot(torch.tensor(BAND_OF), 4).float()
 
 
 EagerEinsum = partial(Torch, form=einsum_form, compiled=False)
