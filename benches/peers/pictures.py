@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from peers.outcome import Outcome
 from peers.roster import OURS
@@ -12,52 +13,55 @@ from peers.scaling import PICTURES, SIDE, Scaling
 # Okabe and Ito's palette, told apart by all common kinds of colour vision.
 OURS_COLOR = "#0072b2"
 SECOND_COLOR = "#d55e00"
-OTHERS_COLOR = "#b5b5b5"
+OURS_COLORS = (OURS_COLOR, "#99c7e0")
+OTHERS_COLORS = ("#7f7f7f", "#cccccc")
 
 
 def picture(outcome: Outcome) -> Figure:
-    """Horizontal bars, the fastest on top."""
+    """Horizontal bars, the fastest on top; below each the one as installed, if it is another."""
     settings = outcome.settings
     rows = [row for row in outcome.rows if row.times]
-    figure = Figure(figsize=(8.5, 1.6 + 0.42 * len(rows)), layout="constrained")
+    bars = 2 if outcome.tuned else 1
+    height = 0.8 / bars
+    figure = Figure(figsize=(8.5, 1.5 + 0.3 * bars * len(rows)), layout="constrained")
     axes = figure.add_subplot()
-    longest = max(
-        max(times.median_ms, times.quartiles_ms[1])
-        for row in rows
-        for times in (row.times, row.installed.times)
-        if times
-    )
+    longest = 0.0
     for place, row in enumerate(rows):
-        times, installed = row.times, row.installed.times
-        assert times is not None
-        color = OURS_COLOR if row.name == OURS else OTHERS_COLOR
-        lower, upper = times.quartiles_ms
-        spread = [[times.median_ms - lower], [upper - times.median_ms]]
-        axes.barh(place, times.median_ms, xerr=spread, color=color, height=0.66, ecolor="black")
-        end = upper
-        if outcome.tuned and installed is not None:
-            label = "as installed: glibc's memory allocation not tuned" if place == 0 else None
-            axes.plot(
-                installed.median_ms, place, "D", color="black", fillstyle="none", ms=5, label=label
+        ours = row.name == OURS
+        pairs = [
+            (row.times, outcome.ratio(row)),
+            (row.installed.times, outcome.ratio_installed(row)),
+        ]
+        for bar, (times, ratio) in enumerate(pairs[:bars]):
+            if times is None:
+                continue
+            at = place + height * (bar - (bars - 1) / 2)
+            lower, upper = times.quartiles_ms
+            axes.barh(
+                at,
+                times.median_ms,
+                height=height,
+                xerr=[[times.median_ms - lower], [upper - times.median_ms]],
+                color=(OURS_COLORS if ours else OTHERS_COLORS)[bar],
+                error_kw={"lw": 1},
             )
-            end = max(end, installed.median_ms)
-        ratio = outcome.ratio(row)
-        words = f"{times.median_ms:.1f} ms"
-        if row.name != OURS and ratio is not None:
-            words += f", {ratio:.1f} × ours"
-        axes.text(
-            end + 0.025 * longest,
-            place,
-            words,
-            va="center",
-            weight="bold" if row.name == OURS else "normal",
-        )
+            words = f"{times.median_ms:.1f} ms"
+            if not ours and ratio is not None:
+                words += f", {ratio:.1f} × ours"
+            axes.annotate(
+                words,
+                (upper, at),
+                xytext=(5, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=9,
+                weight="bold" if ours else "normal",
+            )
+            longest = max(longest, upper)
     axes.set_yticks(range(len(rows)), [row.name for row in rows])
     axes.invert_yaxis()
-    axes.set_xlim(0, 1.3 * longest)
-    axes.set_xlabel(
-        f"time of one evaluation, ms (median of {settings.rounds} rounds, lines: quartiles)"
-    )
+    axes.set_xlim(0, 1.25 * longest)
+    axes.set_xlabel(f"time of one evaluation, ms (median of {settings.rounds}, lines: quartiles)")
     axes.set_title(
         f"Loss and gradient: {settings.size}² pixels, {settings.pictures} pictures, "
         f"{settings.threads} threads",
@@ -65,7 +69,9 @@ def picture(outcome: Outcome) -> Figure:
     )
     axes.spines[["top", "right"]].set_visible(False)
     if outcome.tuned:
-        figure.legend(loc="outside lower right", frameon=False)
+        labels = ("freed memory kept", "memory allocation as installed")
+        handles = [Patch(color=c, label=w) for c, w in zip(OTHERS_COLORS, labels, strict=True)]
+        figure.legend(handles=handles, loc="outside lower right", ncols=2, frameon=False)
     return figure
 
 
@@ -75,9 +81,9 @@ def scaling_picture(scaling: Scaling) -> Figure:
     axes = figure.add_subplot()
     by_size = [point for point in scaling.points if point.pictures == PICTURES]
     by_count = [point for point in scaling.points if point.side == SIDE]
-    for points, label, marker, color, place in (
-        (by_size, f"{PICTURES} pictures, size varies", "o", OURS_COLOR, (9, -11)),
-        (by_count, f"{SIDE}² pixels, number of pictures varies", "s", SECOND_COLOR, (-7, 8)),
+    for points, label, marker, color in (
+        (by_size, f"{PICTURES} pictures, size varies", "o", OURS_COLOR),
+        (by_count, f"{SIDE}² pixels, number of pictures varies", "s", SECOND_COLOR),
     ):
         points.sort(key=lambda point: point.pixels * point.pictures)
         first, last = points[0], points[-1]
@@ -100,12 +106,13 @@ def scaling_picture(scaling: Scaling) -> Figure:
             lw=1,
         )
         for point in points:
+            above = points is by_count and point.pictures <= PICTURES  # of both lines
             axes.annotate(
                 f"{point.side}²" if points is by_size else f"{point.pictures}",
                 (point.pixels * point.pictures, point.median_ms),
-                xytext=place,
+                xytext=(-7, 8) if above else (9, -11),
                 textcoords="offset points",
-                ha="left" if place[0] > 0 else "right",
+                ha="right" if above else "left",
                 fontsize=9,
                 color=color,
             )

@@ -235,7 +235,7 @@ band weights are polynomials of degree 16 in float32, off by 3·10⁻⁶, cheape
 KEPT = """\
 glibc is told to keep freed memory
   (`MALLOC_ARENA_MAX=1`, `MALLOC_MMAP_MAX_=0`, a large `MALLOC_TRIM_THRESHOLD_`), for all alike:
-  peers with large intermediate arrays otherwise spend up to half their time on page faults.
+  peers with large intermediate arrays otherwise spend much of their time on page faults.
   **as installed**: without that, as a user meets it first, in a race of its own; in brackets times
   ours."""
 

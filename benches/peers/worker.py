@@ -98,7 +98,8 @@ def work(connection: Connection, assignment: Assignment) -> None:
     except (EOFError, BrokenPipeError):
         return
     except Exception as error:
-        traceback.print_exc()
+        if not isinstance(error, ImportError):  # not installed: its one line says it all
+            traceback.print_exc()
         connection.send(Failed(_one_line(error)))
 
 
