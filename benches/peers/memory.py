@@ -1,0 +1,36 @@
+"""Memory of this process, where the system tells (Linux)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+STATUS = Path("/proc/self/status")
+CLEAR = Path("/proc/self/clear_refs")
+
+
+def resident_kib() -> int | None:
+    """Memory that is resident now."""
+    return _status("VmRSS")
+
+
+def peak_kib() -> int | None:
+    """Highest resident memory since `forget_peak`."""
+    return _status("VmHWM")
+
+
+def forget_peak() -> bool:
+    """Start a new peak from now. False where that is not possible."""
+    try:
+        CLEAR.write_text("5", encoding="ascii")
+    except OSError:
+        return False
+    return True
+
+
+def _status(name: str) -> int | None:
+    try:
+        lines = STATUS.read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    values = [line.split()[1] for line in lines if line.startswith(f"{name}:")]
+    return int(values[0]) if values else None
