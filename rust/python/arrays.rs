@@ -91,19 +91,12 @@ pub(super) fn array<'py, T: Element, D: Dimension>(
 pub(super) struct Contiguous<'a, T: Clone>(Cow<'a, [T]>);
 
 impl<'a, T: Element + Copy> Contiguous<'a, T> {
-    pub(super) fn of<D: Dimension>(array: &'a PyReadonlyArray<'_, T, D>) -> Self {
-        // The slice of an array in Fortran order would have the values in that order.
-        Self(match array.as_slice() {
-            Ok(values) if array.is_c_contiguous() => Cow::Borrowed(values),
-            _ => Cow::Owned(copied(array)),
-        })
-    }
-
-    /// The same where there may not be enough memory for a copy.
+    /// An error where there is not enough memory for a copy.
     pub(super) fn try_of<D: Dimension>(
         name: &'static str,
         array: &'a PyReadonlyArray<'_, T, D>,
     ) -> Result<Self> {
+        // The slice of an array in Fortran order would have the values in that order.
         Ok(Self(match array.as_slice() {
             Ok(values) if array.is_c_contiguous() => Cow::Borrowed(values),
             _ => Cow::Owned(try_copied(name, array)?),

@@ -2,7 +2,10 @@
 
 use std::sync::Mutex;
 
-use numpy::{IntoPyArray, PyArray1, PyArray3, PyArray4, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray3, PyArray4, PyArrayMethods, PyUntypedArrayMethods,
+    get_array_module,
+};
 use pyo3::prelude::*;
 
 use super::arrays::{Contiguous, array, shape, try_copied, vectors};
@@ -70,10 +73,11 @@ impl PyProblem {
             )?;
         }
         let (normals, views) = (vectors("normals", &normals)?, vectors("views", &views)?);
-        let (images, weights) = (
-            Contiguous::of(&images),
-            weights.as_ref().map(Contiguous::of),
-        );
+        let images = Contiguous::try_of("images", &images)?;
+        let weights = weights
+            .as_ref()
+            .map(|weights| Contiguous::try_of("weights", weights))
+            .transpose()?;
         let given = Pictures {
             images: images.values(),
             pictures,
@@ -85,7 +89,9 @@ impl PyProblem {
         let options = Options {
             sh_order,
             metallic,
-            lighting: lighting.map(|lighting| Contiguous::of(&lighting).values().to_vec()),
+            lighting: lighting
+                .map(|lighting| try_copied("lighting", &lighting))
+                .transpose()?,
             threads,
             ..Options::default()
         };
@@ -134,11 +140,17 @@ impl PyProblem {
         let mut kept = self.copy.try_lock().ok();
         let mut own = Vec::new();
         let copy = kept.as_deref_mut().unwrap_or(&mut own);
-        pool::copy(self.problem.threads(), Contiguous::of(&x).values(), copy);
+        let values = Contiguous::try_of("x", &x)?;
+        copy.try_reserve_exact(self.problem.size() - copy.len())
+            .map_err(|_| Error::Memory("x"))?;
+        pool::copy(self.problem.threads(), values.values(), copy);
         let copy = &*copy;
         // numpy's memory, because numpy asks the system for large pages: with a vector of ours the
-        // first touch of each small page takes a third of the time at 1024².
-        let gradient = PyArray1::zeros(py, [self.problem.size()], false);
+        // first touch of each small page takes a third of the time at 1024². By numpy's function,
+        // which raises MemoryError where `PyArray1::zeros` panics.
+        let gradient = get_array_module(py)?
+            .call_method1("zeros", (self.problem.size(),))?
+            .cast_into::<PyArray1<f64>>()?;
         let mut access = gradient.readwrite();
         let values = access.as_slice_mut()?;
         let value = py.detach(|| self.problem.value_and_grad(copy, values))?;
