@@ -1,18 +1,22 @@
 //! The one place that names pyo3 and numpy: arrays in, arrays out.
 //!
 //! Every function copies its input before it releases the interpreter lock: a
-//! borrowed numpy array could be changed by another thread meanwhile.
+//! borrowed numpy array could be changed by another thread meanwhile. Only making a `Problem`
+//! keeps the lock instead.
 
 mod arrays;
 mod image_file;
 mod model;
 mod problem;
 
+use std::sync::LazyLock;
+
 use pyo3::create_exception;
 use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::Error;
+use crate::band_table::TABLE;
 
 create_exception!(
     pbrfit._core,
@@ -45,6 +49,9 @@ impl From<Error> for PyErr {
 /// The extension module `pbrfit._core`.
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    // Under the interpreter lock, without which nobody forks: a child that was forked while another
+    // thread makes the table would wait for it for ever.
+    LazyLock::force(&TABLE);
     module.add("InputError", module.py().get_type::<InputError>())?;
     model::register(module)?;
     problem::register(module)?;
