@@ -25,7 +25,8 @@ pub(crate) fn finite<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> R
     }
 }
 
-/// Radiance and light beyond this overflow when squared and summed in float32.
+/// Up to here, radiance and light do not overflow when they are multiplied, squared and summed in
+/// float32.
 pub(crate) const LARGEST: f64 = 1e16;
 
 /// Finite, and within [`LARGEST`].

@@ -28,7 +28,8 @@ START_ALBEDO_RANGE = (0.02, 0.98)
 """The start keeps clear of the bounds, where the gradient by albedo may vanish."""
 
 LARGEST_LIGHT = 1e15
-"""Known lights beyond this multiple of the scene scale overflow float32 when squared."""
+"""Known lights beyond this multiple of the scene scale are refused: float32 has to hold the squares
+of residuals."""
 
 LIGHT_RIDGE = 1e-6
 """Of the mean eigenvalue: keeps the lights finite where the normals show only part of a sphere."""
