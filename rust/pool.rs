@@ -8,8 +8,8 @@
 use std::cell::RefCell;
 use std::mem;
 use std::process;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// More threads than pieces of work would only wait.
@@ -41,6 +41,44 @@ pub fn map<T: Send, R: Send>(
     if threads == 1 || items.len() < 2 {
         return items.into_iter().map(f).collect();
     }
+    let count = items.len();
+    let waiting = Mutex::new(items.into_iter().enumerate());
+    let done = Mutex::new(Vec::with_capacity(count));
+    let work = || {
+        loop {
+            let item = lock(&waiting).next();
+            let Some((i, item)) = item else {
+                break;
+            };
+            let result = f(item);
+            lock(&done).push((i, result));
+        }
+    };
+    with_pool(threads - 1, |pool| match pool {
+        // The caller takes its share. Were it only to wait, the system might wake two threads of
+        // the pool on the processor that it leaves, and let another idle: then they take turns for
+        // seconds, at half the speed.
+        Some(pool) => pool.in_place_scope(|scope| {
+            for _ in 1..threads {
+                scope.spawn(|_| work());
+            }
+            work();
+        }),
+        // The system gives no more threads: slower, but the same result.
+        None => work(),
+    });
+    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    done.sort_unstable_by_key(|&(i, _)| i);
+    done.into_iter().map(|(_, result)| result).collect()
+}
+
+/// Nothing that may panic is done under these locks, so a poisoned one is as good as any.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// `f` with this thread's pool of `threads` threads, made anew where there is none in this process.
+fn with_pool<R>(threads: usize, f: impl FnOnce(Option<&ThreadPool>) -> R) -> R {
     POOL.with_borrow_mut(|slot| {
         let here = process::id();
         let usable = slot
@@ -62,11 +100,7 @@ pub fn map<T: Send, R: Send>(
                     pool,
                 });
         }
-        match slot {
-            Some(Owned { pool, .. }) => pool.install(|| items.into_par_iter().map(f).collect()),
-            // The system gives no more threads: slower, but the same result.
-            None => items.into_iter().map(f).collect(),
-        }
+        f(slot.as_ref().map(|owned| &owned.pool))
     })
 }
 
