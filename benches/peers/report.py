@@ -203,7 +203,8 @@ One evaluation of the loss and its gradient by every unknown, {size}² pixels, {
   to {gradient}, relative, in each of albedo, roughness, metallic and lights.
 - **In turn.** Each peer has a process that stays alive. In each of {rounds} rounds every peer
   evaluates once to warm up and five times for the clock, of which the median counts; then it
-  sleeps 0.1 s, in which thread pools come to rest. While others worked, no peer used more than {waiting} of one processor.
+  sleeps 0.1 s, in which thread pools come to rest. While others worked, no peer used more than
+  {waiting} of one processor.
 - **Threads.** {threads} each, by the settings that OpenMP, the BLAS libraries, PyTorch and XLA have
   for that.
 - **ms, quartiles**: over the rounds. {kept}
