@@ -113,12 +113,12 @@ class Seat:
 
     def turn(self) -> Turn:
         """Have it evaluate once."""
-        self._connection.send("turn")
+        self._tell("turn")
         return self._answer(Turn, TURN_TIMEOUT_S)
 
     def peak_kib(self) -> int | None:
         """Its peak memory over the turns."""
-        self._connection.send("memory")
+        self._tell("memory")
         return self._answer(Memory, TURN_TIMEOUT_S).peak_kib
 
     def leave(self) -> None:
@@ -129,18 +129,27 @@ class Seat:
             self._process.kill()
             self._process.join()
 
-    def _answer(self, kind: type[Answer], timeout: float) -> Answer:
-        if not self._connection.poll(timeout):
-            raise WithdrawnError(f"no answer within {timeout:g} s")
+    def _tell(self, what: str) -> None:
         try:
+            self._connection.send(what)
+        except OSError:
+            raise self._ended() from None
+
+    def _answer(self, kind: type[Answer], timeout: float) -> Answer:
+        try:
+            if not self._connection.poll(timeout):
+                raise WithdrawnError(f"no answer within {timeout:g} s")
             message = self._connection.recv()
-        except EOFError:
-            self._process.join(LEAVE_TIMEOUT_S)
-            raise WithdrawnError(f"its process ended with code {self._process.exitcode}") from None
+        except (EOFError, OSError):
+            raise self._ended() from None
         if isinstance(message, Failed):
             raise WithdrawnError(message.reason)
         assert isinstance(message, kind)
         return message
+
+    def _ended(self) -> WithdrawnError:
+        self._process.join(LEAVE_TIMEOUT_S)
+        return WithdrawnError(f"its process ended with code {self._process.exitcode}")
 
 
 def race(

@@ -111,6 +111,18 @@ def test_peers_that_cannot_take_part_are_named_with_the_reason() -> None:
     assert dies.status == "its process ended with code 3"
 
 
+def test_a_peer_that_ends_between_turns_withdraws() -> None:
+    seat = race.Seat(ENTRIES["pbrfit"], Settings(8, 2, 1, 2))
+    try:
+        seat.ready()
+        seat._process.kill()
+        seat._process.join()
+        with pytest.raises(race.WithdrawnError, match="its process ended with code"):
+            seat.turn()
+    finally:
+        seat.leave()
+
+
 def test_tolerances_at_their_borders() -> None:
     gradient = np.ones(16)
     case = Case.make(2, 1)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import itertools
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -406,6 +408,33 @@ def test_too_many_rendered_samples_are_refused_before_they_are_made() -> None:
     pixels["lighting"] = np.broadcast_to(1.0, (2**21, 16, 3))
     with pytest.raises(InputError, match=r"^lighting: expected at most 2147483648 lights times"):
         _core.render(**pixels)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits and sizes of memory as Linux has them")
+def test_too_little_memory_is_a_memory_error() -> None:
+    """For the copy of x, then for the gradient, 38 MiB each; in a process of its own."""
+    code = """
+import resource
+import numpy as np
+from pbrfit import _core
+
+normals = np.tile([0.0, 0.0, 1.0], (1_000_000, 1))
+images = np.ones((1, 1_000_000, 3), np.float32)
+problem = _core.Problem(images, normals, normals, 1)
+x = np.full(problem.size, 0.5)
+pages = int(open("/proc/self/statm").read().split()[0])
+for mib in (10, 60, 120):
+    limit = pages * resource.getpagesize() + mib * 2**20
+    resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+    try:
+        print("ok" if problem.value_and_grad(x)[0] > 0 else "wrong")
+    except MemoryError:
+        print("MemoryError")
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert ran.stdout.split() == ["MemoryError", "MemoryError", "ok"], ran.stderr
 
 
 def test_every_pair_of_layouts_of_pictures_and_weights() -> None:

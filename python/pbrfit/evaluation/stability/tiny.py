@@ -188,7 +188,7 @@ def _exposed(case: Case, factor: float, threads: int) -> float:
     )
     try:
         loss, _ = exposed.problem(threads).value_and_grad(exposed.x)
-    except InputError:  # squares overflow float32
+    except InputError:  # beyond what float32 sums of squares can hold
         return math.inf
     truth = evaluate(exposed).loss
     return abs(loss - truth) / truth
