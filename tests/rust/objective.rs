@@ -230,13 +230,14 @@ fn every_version_agrees_with_the_definition() {
         for bits in 0..64 {
             let bit = |i: usize| bits >> i & 1 == 1;
             let (channels, order) = (if bit(0) { 1 } else { 3 }, if bit(1) { 2 } else { 3 });
-            let mut example = Example::with(150, 7, channels, order);
+            // More pictures than go through the products together.
+            let mut example = Example::with(150, 19, channels, order);
             example.metallic = bit(2).then_some(0.3);
             example.known_lights = bit(3);
             if bit(4) {
                 let of_sample = if bit(5) { channels } else { 1 };
                 example.weights = Some(
-                    (0..7 * 150 * of_sample)
+                    (0..19 * 150 * of_sample)
                         .map(|i| if i % 5 == 0 { 0.0 } else { wave(i, 0.9) as f32 })
                         .collect(),
                 );
