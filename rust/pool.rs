@@ -3,7 +3,7 @@
 //! rayon's global pool is lost in a forked child: its threads are gone, and work given to it waits
 //! for ever. So every thread that calls us keeps a pool of its own, labelled with the process it
 //! was made in; a forked child finds the label wrong, abandons the pool and makes a new one. No
-//! lock is involved, so none can be held by a thread that did not come along.
+//! lock outlives a call, so none can be held by a thread that did not come along.
 
 use std::cell::RefCell;
 use std::mem;
@@ -31,7 +31,8 @@ pub fn available() -> usize {
 
 /// `f` of every item, on `threads` threads (0: one for each processor), results in order.
 ///
-/// Which thread takes which item is left to chance, so `f` must not depend on it.
+/// Which thread takes which item is left to chance, so `f` must not depend on it. Nor may it call
+/// this again: one of the threads is the caller's, whose pool is lent already.
 pub fn map<T: Send, R: Send>(
     threads: usize,
     items: Vec<T>,
