@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use crate::problem::MAX_SAMPLES;
 use crate::{Error, Result};
 
 /// How far a "unit" vector's length may be from 1: ones that were normalised in float32 pass.
@@ -12,6 +13,18 @@ pub(crate) fn length(name: &'static str, expected: usize, found: usize) -> Resul
         return Ok(());
     }
     Err(Error::argument(name, format!("{expected} numbers"), found))
+}
+
+/// Pixels times pictures, which must not be too many.
+pub(crate) fn samples(pictures: usize, pixels: usize) -> Result<usize> {
+    let samples = pixels.checked_mul(pictures).filter(|&s| s <= MAX_SAMPLES);
+    samples.ok_or_else(|| {
+        Error::argument(
+            "images",
+            format!("at most {MAX_SAMPLES} pixels times pictures"),
+            format!("{pictures} pictures of {pixels} pixels"),
+        )
+    })
 }
 
 pub(crate) fn finite<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {

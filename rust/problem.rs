@@ -15,8 +15,10 @@ use crate::{Error, Result, check, pool};
 const MAX_CHUNKS: usize = 64;
 /// Blocks in a piece of work at least: a piece has a cost of its own.
 const MIN_CHUNK: usize = 4;
+/// Pieces of work whose normal equations are held at once.
+const PIECES_AT_ONCE: usize = 16;
 /// Samples (pixels times pictures) at most.
-pub const MAX_SAMPLES: usize = 1 << 31;
+pub(crate) const MAX_SAMPLES: usize = 1 << 31;
 
 /// What is given to a [`Problem`].
 #[derive(Clone, Copy, Debug)]
@@ -120,14 +122,7 @@ impl Problem {
         if !matches!(channels, 1 | 3) {
             return Err(Error::argument("images", "1 or 3 channels", channels));
         }
-        let samples = pixels.checked_mul(pictures).filter(|&s| s <= MAX_SAMPLES);
-        let Some(samples) = samples else {
-            return Err(Error::argument(
-                "images",
-                format!("at most {MAX_SAMPLES} pixels times pictures"),
-                format!("{pictures} pictures of {pixels} pixels"),
-            ));
-        };
+        let samples = check::samples(pictures, pixels)?;
         check::length("images", samples * channels, images.len())?;
         check::length("views", pixels, views.len())?;
         check::unit_vectors("normals", normals)?;
@@ -283,21 +278,29 @@ impl Problem {
     pub fn light_equations(&self, maps: &[f64]) -> Result<Vec<LightEquations>> {
         check::length("maps", self.maps(), maps.len())?;
         check::unit_interval("maps (albedo, roughness, metallic)", maps)?;
-        let partials = pool::map(self.threads, self.chunks().collect(), |blocks| {
-            if self.channels == 1 {
-                self.equations_of_chunk::<1>(maps, blocks)
-            } else {
-                self.equations_of_chunk::<3>(maps, blocks)
-            }
-        });
-        let mut partials = partials.into_iter();
-        let mut total = partials.next().expect("at least one piece of work");
-        for partial in partials {
-            for (total, partial) in total.iter_mut().zip(partial) {
-                add(&mut total.gram, &partial.gram);
-                add(&mut total.right, &partial.right);
+        let pieces: Vec<_> = self.chunks().collect();
+        let mut total: Option<Vec<LightEquations>> = None;
+        // A few pieces at a time: with weights each holds a matrix for every picture.
+        for pieces in pieces.chunks(PIECES_AT_ONCE) {
+            let partials = pool::map(self.threads, pieces.to_vec(), |blocks| {
+                if self.channels == 1 {
+                    self.equations_of_chunk::<1>(maps, blocks)
+                } else {
+                    self.equations_of_chunk::<3>(maps, blocks)
+                }
+            });
+            for partial in partials {
+                let Some(total) = &mut total else {
+                    total = Some(partial);
+                    continue;
+                };
+                for (total, partial) in total.iter_mut().zip(partial) {
+                    add(&mut total.gram, &partial.gram);
+                    add(&mut total.right, &partial.right);
+                }
             }
         }
+        let mut total = total.expect("at least one piece of work");
         let k = self.coefficients;
         for gram in total.iter_mut().flat_map(|e| e.gram.chunks_mut(k * k)) {
             for row in 0..k {

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use super::arrays::{Contiguous, array, shape, try_copied, vectors};
 use super::model::array3;
 use crate::problem::{Options, Pictures, Problem};
-use crate::{Error, Result, pool};
+use crate::{Error, check, pool};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProblem>()
@@ -48,7 +48,8 @@ impl PyProblem {
         let &[pictures, pixels, channels] = images.shape() else {
             unreachable!("an array of three dimensions");
         };
-        check_size(pictures, pixels)?;
+        // Before anything is copied: a broadcast array may pretend to more than any memory holds.
+        check::samples(pictures, pixels)?;
         let rows = normals.shape()[0];
         shape("normals", &[rows, 3], normals.shape())?;
         shape("views", &[rows, 3], views.shape())?;
@@ -178,20 +179,5 @@ impl PyProblem {
             gram.into_pyarray(py),
             array3(right, [channels, self.problem.pictures(), k]).into_pyarray(py),
         ))
-    }
-}
-
-/// Before anything is copied: a broadcast array may pretend to more than any memory holds.
-fn check_size(pictures: usize, pixels: usize) -> Result<()> {
-    match pictures.checked_mul(pixels) {
-        Some(samples) if samples <= crate::problem::MAX_SAMPLES => Ok(()),
-        _ => Err(Error::argument(
-            "images",
-            format!(
-                "at most {} pixels times pictures",
-                crate::problem::MAX_SAMPLES
-            ),
-            format!("{pictures} pictures of {pixels} pixels"),
-        )),
     }
 }
