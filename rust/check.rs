@@ -27,33 +27,31 @@ pub(crate) fn samples(pictures: usize, pixels: usize) -> Result<usize> {
     })
 }
 
-pub(crate) fn finite<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {
-    match values.iter().position(|&v| !v.into().is_finite()) {
-        None => Ok(()),
-        Some(i) => Err(Error::argument(
-            name,
-            "finite numbers",
-            format!("{} at {i}", values[i].into()),
-        )),
-    }
-}
-
 /// Up to here, radiance and light do not overflow when they are multiplied, squared and summed in
 /// float32.
-pub(crate) const LARGEST: f64 = 1e16;
+pub(crate) const LARGEST_F32: f64 = 1e16;
+/// The same of numbers that are multiplied with weights or their derivatives, which are below 10³,
+/// and summed in float64.
+pub(crate) const LARGEST_F64: f64 = 1e304;
 
-/// Finite, and within [`LARGEST`].
-pub(crate) fn moderate<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {
-    let moderate = |&v: &T| v.into().abs() <= LARGEST;
-    match values.iter().find(|&v| !moderate(v)) {
-        None => Ok(()),
-        Some(&v) if v.into().is_finite() => Err(Error::argument(
-            name,
-            format!("numbers up to {LARGEST:e} in size"),
-            v.into(),
-        )),
-        Some(_) => finite(name, values),
-    }
+/// Finite, and no larger than a limit.
+pub(crate) fn moderate<T: Copy + Into<f64>>(
+    name: &'static str,
+    values: &[T],
+    limit: f64,
+) -> Result<()> {
+    // Written so that NaN fails.
+    let is_moderate = |&v: &T| v.into().abs() <= limit;
+    let Some(i) = values.iter().position(|v| !is_moderate(v)) else {
+        return Ok(());
+    };
+    let value: f64 = values[i].into();
+    Err(if value.is_finite() {
+        let expected = format!("numbers up to {limit:e} in size");
+        Error::argument(name, expected, format!("{value:e} at {i}"))
+    } else {
+        Error::argument(name, "finite numbers", format!("{value} at {i}"))
+    })
 }
 
 pub(crate) fn unit_interval<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {

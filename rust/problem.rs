@@ -5,6 +5,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use crate::block::{BLOCK, Directions, Plane};
+use crate::check::LARGEST_F32;
 use crate::evaluate::{self, Evaluate, Piece};
 use crate::shade::{Material, shade};
 use crate::simd::Instructions;
@@ -140,9 +141,9 @@ impl Problem {
                 pictures * coefficients * channels,
                 lighting.len(),
             )?;
-            check::moderate("lighting", lighting)?;
+            check::moderate("lighting", lighting, LARGEST_F32)?;
         }
-        check::moderate("images", images)?;
+        check::moderate("images", images, LARGEST_F32)?;
         let (weights, total_weight) = match given.weights {
             None => (Vec::new(), (samples * channels) as f64),
             Some(weights) => {
@@ -232,7 +233,7 @@ impl Problem {
         let lighting = match &self.lighting {
             Some(known) => known,
             None => {
-                check::moderate("x (lighting)", free)?;
+                check::moderate("x (lighting)", free, LARGEST_F32)?;
                 free
             }
         };

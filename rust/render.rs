@@ -27,7 +27,7 @@ pub fn render(
     let pixels = normals.len();
     check::length("views", pixels, views.len())?;
     check::length("materials", pixels, materials.len())?;
-    check::finite("lighting", lighting)?;
+    check::moderate("lighting", lighting, check::LARGEST_F64)?;
     check::unit_vectors("normals", normals)?;
     check::unit_vectors("views", views)?;
     let (coefficients, rest) = lighting.as_chunks::<{ COEFFICIENTS * 3 }>();

@@ -14,9 +14,6 @@ use crate::render::render as render_pixels;
 use crate::shade::{Frame, Material, shade as shade_pixel, shade_vjp as pull_back_pixel};
 use crate::{Error, Result, check, ggx, sh};
 
-/// Weights and their derivatives are below 10³, so sums over numbers of this size stay finite.
-const LARGEST: f64 = 1e304;
-
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(sh_basis, module)?)?;
     module.add_function(wrap_pyfunction!(ggx_band_weights, module)?)?;
@@ -115,7 +112,7 @@ fn shade_vjp<'py>(
     let cotangent = try_copied("cotangent", &cotangent)?;
     let gradients = py.detach(|| {
         pixels.check()?;
-        not_too_large("cotangent", &cotangent)?;
+        check::moderate("cotangent", &cotangent, check::LARGEST_F64)?;
         let weights = cotangent
             .as_chunks::<{ sh::COEFFICIENTS }>()
             .0
@@ -169,10 +166,7 @@ fn render<'py>(
         materials,
         ..
     } = &pixels;
-    let images = py.detach(|| {
-        not_too_large("lighting", &lighting)?;
-        render_pixels(normals, views, materials, &lighting, threads)
-    })?;
+    let images = py.detach(|| render_pixels(normals, views, materials, &lighting, threads))?;
     Ok(array3(images, [lights, pixels.count(), 3]).into_pyarray(py))
 }
 
@@ -224,18 +218,6 @@ impl Pixels {
         let directions = self.normals.iter().zip(&self.views);
         let frames = directions.map(|(&n, &v)| Frame::new(n, v));
         frames.zip(&self.materials)
-    }
-}
-
-fn not_too_large(name: &'static str, values: &[f64]) -> Result<()> {
-    check::finite(name, values)?;
-    match values.iter().position(|v| v.abs() > LARGEST) {
-        None => Ok(()),
-        Some(i) => Err(Error::argument(
-            name,
-            format!("numbers up to {LARGEST:e}"),
-            format!("{:e} at {i}", values[i]),
-        )),
     }
 }
 
