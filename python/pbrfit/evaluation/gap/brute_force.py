@@ -106,7 +106,8 @@ def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> Response:
             raise InputError(f"{name}: expected a number in (0, 1], found {value!r}")
     coarse = _integrate(roughness, n_dot_v, nodes)
     fine = _integrate(roughness, n_dot_v, 2 * nodes)
-    return Response(*fine, error=float(np.abs(fine - coarse).max()))
+    base, grazing, diffuse = fine
+    return Response(base, grazing, diffuse, float(np.abs(fine - coarse).max()))
 
 
 def view(n_dot_v: float) -> Array:
