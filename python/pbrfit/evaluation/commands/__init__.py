@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pbrfit.arguments import Subcommands
-from pbrfit.evaluation.commands import gap, stability
+from pbrfit.evaluation.commands import gap, real, stability
 
-SUITES = (stability, gap)
+SUITES = (stability, gap, real)
 
 
 def add_suites(suites: Subcommands) -> None:

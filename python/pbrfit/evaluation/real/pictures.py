@@ -1,0 +1,128 @@
+"""Pictures of the suite: a sheet a source, a plot of all."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit import metrics
+from pbrfit.evaluation.real.held_out import (
+    EXPLANATIONS,
+    IN_WORDS,
+    Explained,
+    Explanation,
+    Split,
+)
+from pbrfit.report import Panel, Row, sheet
+from pbrfit.scene import Scene
+
+OUTSIDE = 0.85
+"""Grey of pixels that are not used."""
+
+ERROR_SPAN = 0.2
+"""Error, as a share of white, that is drawn white."""
+
+CAPTIONS: dict[Explanation, str] = {
+    "default": "by our default",
+    "paper": "by the paper's recipe",
+    "lambertian": "by albedo alone (r = 1)",
+    "start": "by our start",
+    "constant": "by a constant guess",
+    "combination": "as sum of kept pictures",
+}
+
+# Okabe and Ito's colours, with markers for those who see none.
+LOOKS: dict[Explanation, tuple[str, str]] = {
+    "default": ("#000000", "o"),
+    "paper": ("#0072B2", "s"),
+    "lambertian": ("#009E73", "^"),
+    "start": ("#E69F00", "D"),
+    "constant": ("#CC79A7", "v"),
+    "combination": ("#56B4E9", "x"),
+}
+
+
+def draw_sheet(scene: Scene, which: Split, explained: Sequence[Explained]) -> bytes:
+    """PNG: maps of the default; a held-out picture, its explanations and their errors."""
+    by_name = {one.explanation: one for one in explained}
+    maps = by_name["default"].materials
+    assert maps is not None
+    kept, held_out = which.kept[0], which.held_out[0]
+    true = _masked(scene, held_out)
+    white = metrics.white_of(true)
+    of_kept = _masked(scene, kept)
+    shown: list[Explanation] = [name for name in EXPLANATIONS if name != "start"]
+    first: Row = [
+        Panel(f"kept picture {scene.names[kept]}", _display(of_kept, metrics.white_of(of_kept))),
+        Panel("albedo", _display(maps.albedo, 1.0)),
+        Panel("roughness, white = 1", _outside_grey(maps.roughness)),
+        Panel("metallic, white = 1", _outside_grey(maps.metallic)),
+        Panel("normals", _outside_grey(0.5 + 0.5 * scene.normals)),
+    ]
+    second: Row = [Panel(f"held out: {scene.names[held_out]}", _display(true, white))]
+    third: Row = [None]
+    for name in shown:
+        found = by_name[name].rendered[0]
+        second.append(Panel(CAPTIONS[name], _display(found, white)))
+        error = np.abs(found - true).mean(axis=-1) / white
+        third.append(Panel(f"|error|, white = {ERROR_SPAN:g}", _outside_grey(error / ERROR_SPAN)))
+    buffer = io.BytesIO()
+    Image.fromarray(sheet([first, second, third])).save(buffer, format="png")
+    return buffer.getvalue()
+
+
+def draw_errors(errors: Mapping[str, Mapping[Explanation, float]]) -> bytes:
+    """PNG: relative error of held-out pictures by source and explanation."""
+    # Imported here: matplotlib is slow to start and needed by nobody else.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 1.9 + 0.45 * len(errors)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    places = np.arange(len(errors))[::-1]
+    for name, (color, marker) in LOOKS.items():
+        axes.plot(
+            [of[name] for of in errors.values()],
+            places,
+            color=color,
+            marker=marker,
+            linestyle="none",
+            markersize=8,
+            markerfacecolor="none" if marker != "x" else color,
+            markeredgewidth=1.8,
+            label=IN_WORDS[name],
+        )
+    axes.set_yticks(places, list(errors))
+    axes.set_ylim(-0.6, len(errors) - 0.4)
+    axes.set(xscale="log", xlabel="held-out pictures: RMSE / RMS radiance")
+    axes.grid(color="0.9", linewidth=0.8, which="both")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=130)
+    return buffer.getvalue()
+
+
+def _masked(scene: Scene, picture: int) -> NDArray[np.float64]:
+    """A picture, NaN where it is not used."""
+    used = scene.valid.copy()
+    if scene.weights is not None:
+        used &= scene.weights[picture] > 0
+    return np.where(used[..., None], scene.images[picture].astype(np.float64), np.nan)
+
+
+def _display(linear: NDArray[np.floating[Any]], white: float) -> NDArray[np.floating[Any]]:
+    return _outside_grey(metrics.display(linear, white))
+
+
+def _outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    if values.ndim == 2:
+        values = np.repeat(values[..., None], 3, axis=-1)
+    return np.where(np.isfinite(values), values, OUTSIDE)
