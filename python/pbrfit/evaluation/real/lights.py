@@ -55,7 +55,8 @@ def fit_lights(
     used = np.isfinite(materials.albedo).all(-1) & np.isfinite(normals).all(-1)
     used &= np.isfinite(materials.roughness) & np.isfinite(materials.metallic)
     rows = np.flatnonzero(used)
-    views = view_directions(*images.shape[1:3], fov).reshape(-1, 3)
+    height, width = used.shape
+    views = view_directions(height, width, fov).reshape(-1, 3)
     flat = [a.reshape(-1, *a.shape[2:]) for a in (materials.albedo, normals)]
     maps = [materials.roughness.ravel(), materials.metallic.ravel()]
     # Pictures that count all samples alike share their rows, and so their factorisation.

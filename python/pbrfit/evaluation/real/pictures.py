@@ -57,20 +57,26 @@ def draw_sheet(scene: Scene, which: Split, explained: Sequence[Explained]) -> by
     white = metrics.white_of(true)
     of_kept = _masked(scene, kept)
     shown: list[Explanation] = [name for name in EXPLANATIONS if name != "start"]
+    rows, columns = (np.flatnonzero(scene.valid.any(axis=axis)) for axis in (1, 0))
+    used = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+
+    def panel(caption: str, pixels: NDArray[np.floating[Any]]) -> Panel:
+        return Panel(caption, pixels[used])
+
     first: Row = [
-        Panel(f"kept picture {scene.names[kept]}", _display(of_kept, metrics.white_of(of_kept))),
-        Panel("albedo", _display(maps.albedo, 1.0)),
-        Panel("roughness, white = 1", _outside_grey(maps.roughness)),
-        Panel("metallic, white = 1", _outside_grey(maps.metallic)),
-        Panel("normals", _outside_grey(0.5 + 0.5 * scene.normals)),
+        panel(f"kept picture {scene.names[kept]}", _display(of_kept, metrics.white_of(of_kept))),
+        panel("albedo", _display(maps.albedo, 1.0)),
+        panel("roughness, white = 1", _outside_grey(maps.roughness)),
+        panel("metallic, white = 1", _outside_grey(maps.metallic)),
+        panel("normals", _outside_grey(0.5 + 0.5 * scene.normals)),
     ]
-    second: Row = [Panel(f"held out: {scene.names[held_out]}", _display(true, white))]
+    second: Row = [panel(f"held out: {scene.names[held_out]}", _display(true, white))]
     third: Row = [None]
     for name in shown:
         found = by_name[name].rendered[0]
-        second.append(Panel(CAPTIONS[name], _display(found, white)))
+        second.append(panel(CAPTIONS[name], _display(found, white)))
         error = np.abs(found - true).mean(axis=-1) / white
-        third.append(Panel(f"|error|, white = {ERROR_SPAN:g}", _outside_grey(error / ERROR_SPAN)))
+        third.append(panel(f"|error|, white = {ERROR_SPAN:g}", _outside_grey(error / ERROR_SPAN)))
     buffer = io.BytesIO()
     Image.fromarray(sheet([first, second, third])).save(buffer, format="png")
     return buffer.getvalue()

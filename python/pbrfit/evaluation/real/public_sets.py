@@ -93,8 +93,8 @@ def _write_arrays(source: Source, folder: Path) -> None:
     with np.load(source.folder / f"{source.name}.npz") as arrays:
         pictures = arrays["images"]
     valid = mask & has_normal(normals)
+    (folder / "images").mkdir()
     for i, picture in enumerate(pictures):
-        (folder / "images").mkdir(exist_ok=True)
         channels = {name: picture[..., c].astype(np.float32) for c, name in enumerate("RGB")}
         images.write_exr(folder / "images" / f"picture_{i:02d}.exr", channels)
     _write_rest(folder, np.where(valid[..., None], normals, 0.0), valid, "fov = 0\n")

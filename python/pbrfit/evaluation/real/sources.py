@@ -59,14 +59,13 @@ def scene_folder_of(source: Source) -> Iterator[Path]:
         yield source.folder
         return
     with tempfile.TemporaryDirectory(prefix="pbrfit-") as temporary:
-        folder = Path(temporary) / source.name
+        folder = Path(temporary)
         write_scene(source, folder)
         yield folder
 
 
 def write_scene(source: Source, folder: Path) -> None:
-    """Write a public set as a new scene folder."""
-    folder.mkdir()
+    """Write a public set as a scene folder, into a folder that exists and is empty."""
     SETS[source.kind].write(source, folder)
 
 
