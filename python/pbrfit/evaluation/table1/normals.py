@@ -97,5 +97,5 @@ def _smooth(x: Array, y: Array, scale: float, rng: Generator) -> Array:
     return np.asarray(np.sqrt(2 / WAVES) * total)
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Floats) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

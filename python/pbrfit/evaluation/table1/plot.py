@@ -28,6 +28,7 @@ def draw(found: Sequence[Outcome], mean: Callable[[Outcome, Recipe, str], Mean])
     # Imported here: matplotlib is slow to start.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     shown = [outcome for outcome in found if outcome.finished]
     figure = Figure(figsize=(13, 1.6 + 0.62 * len(shown)), layout="constrained")
@@ -49,6 +50,11 @@ def draw(found: Sequence[Outcome], mean: Callable[[Outcome, Recipe, str], Mean])
         for border in range(1, len(shown)):
             axes.axhline(border - 0.5, color="#dddddd", linewidth=0.8)
         axes.set_xscale("log")
+        low, high = axes.get_xlim()
+        steps = (1,) if high > 50 * low else (1, 2, 5)
+        axes.xaxis.set_major_locator(LogLocator(subs=steps))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xlabel(f"{metric} RMSE")
         axes.grid(visible=True, axis="x", which="major", alpha=0.3)
     panels[0].set_yticks(range(len(shown)), [outcome.row.name for outcome in shown])
