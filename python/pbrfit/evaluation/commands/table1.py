@@ -156,10 +156,15 @@ def _setup(options: argparse.Namespace) -> list[str]:
         if options.predicted_normals
         else "simulated, with the spread and the correlation of a learned estimator"
     )
+    cycles = (
+        ""
+        if options.quick
+        else f" ({min(options.scenes, options.cycles_scenes)} in rows with Cycles)"
+    )
     return [
-        f"{options.scenes} scenes of {options.size} × {options.size} pixels, "
-        f"{options.cycles_scenes} of them for rows with Cycles; {options.lights} pictures "
-        f"each to decompose and {options.lights} held out; {options.iterations} iterations. "
+        f"{options.scenes} scenes{cycles} of {options.size} × {options.size} pixels, "
+        f"{options.lights} pictures each to decompose and {options.lights} held out; "
+        f"{options.iterations} iterations. "
         f"Detailed scenes have {textures}. Predicted normals are {normals}. "
         f"{options.jobs} jobs on {os.cpu_count()} processors."
     ]

@@ -181,12 +181,13 @@ def _opening(setup: Sequence[str]) -> list[str]:
         "setups of the paper's Table 1 and some that it leaves out.",
         *setup,
         "Figures are means over scenes; in brackets 95 % intervals by bootstrap over scenes. "
-        f"{PROTOCOL.partition(': ')[2].capitalize()}. Lines marked “paper” repeat the paper's "
+        f"Here, {PROTOCOL.partition(': ')[2]}. Lines marked “paper” repeat the paper's "
         "own numbers, which are of other scenes: context, no comparison.",
-        f"“{IN_WORDS['paper'].capitalize()}”: one run of scipy's L-BFGS-B on albedo, roughness, "
+        f"“{IN_WORDS['paper'].capitalize()}”, as we read it: one run of scipy's L-BFGS-B on albedo, roughness, "
         "metallic within [0, 1] and all lights, from the mean picture, roughness 0.5 and metallic "
         "0.1. The constant guess has roughness 0.5, metallic 0 and the mean of the true albedo, "
-        "with the lights that then fit best: what knows nothing of the pixels. "
+        "with the lights that then fit best: it knows nothing of the pixels. Our start is where our "
+        "default begins, with the lights that fit it. "
         f"Seeds from {FIRST_SEED} on; none served to tune anything.",
         f"pbrfit {version('pbrfit')}; {on['processor']}, {on['cores']} cores, {on['system']}, "
         f"Python {on['python']}, numpy {on['numpy']}. Seconds are of one fit while as many others "
@@ -259,7 +260,7 @@ def _table(measured: _Measured, metrics: Sequence[str], *, with_paper: bool = Fa
                     [
                         Cell(name),
                         Cell(scenes, "number"),
-                        Cell(IN_WORDS[recipe]),
+                        Cell(IN_WORDS[recipe], "name"),
                         *(_figure(measured, outcome, recipe, metric) for metric in metrics),
                     ]
                 )
@@ -338,7 +339,7 @@ def lines(found: Sequence[Outcome]) -> list[str]:
     """The paper's columns for a terminal."""
     width = max(len(outcome.row.name) for outcome in found)
     head = "".join(f"{name:>11}" for name in COLUMNS)
-    texts = [f"{'':<{width}}  {'':<28}{head}"]
+    texts = [f"{'':<{width}}  {'':<21}{head}"]
     for outcome in found:
         name = outcome.row.name
         if not outcome.finished:
@@ -347,11 +348,11 @@ def lines(found: Sequence[Outcome]) -> list[str]:
         for recipe in RECIPES:
             means = [outcome.mean(recipe, metric) for metric in COLUMNS]
             figures = "".join(f"{_three_digits(m.mean) if m.count else '–':>11}" for m in means)
-            texts.append(f"{name:<{width}}  {IN_WORDS[recipe]:<28}{figures}")
+            texts.append(f"{name:<{width}}  {IN_WORDS[recipe]:<21}{figures}")
             name = ""
         if outcome.row.paper:
             figures = "".join(f"{outcome.row.paper.get(c, '–'):>11}" for c in COLUMNS)
-            texts.append(f"{'':<{width}}  {'paper, other scenes':<28}{figures}")
+            texts.append(f"{'':<{width}}  {'paper, other scenes':<21}{figures}")
     counts = Counter(outcome.status for outcome in found if outcome.records)
     for status, count in counts.items():
         if status != "ok":
