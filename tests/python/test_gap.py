@@ -151,17 +151,17 @@ def test_sphere_error_is_that_of_many_turned_lights(measured: Gap) -> None:
     directions = reference.unit(rng.normal(size=(64, 3)))
     basis = reference.sh_basis(directions)
     squares = []
-    for _ in range(20000 // 20):
+    for _ in range(300):
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         turned = np.linalg.lstsq(basis, reference.sh_basis(directions @ turn) @ light[0])[0]
         squares.append(np.einsum("ck,kc->c", difference[0, 0], turned) ** 2)
-    assert found == pytest.approx(math.sqrt(np.mean(squares)), rel=0.06)
+    assert found == pytest.approx(math.sqrt(np.mean(squares)), rel=0.12)
     assert measured.sphere_signal.shape == (4, 3)
 
 
 def test_rings_of_the_sphere_are_enough() -> None:
-    few = gap.measure(Effort("few", (0.2, 0.4, 1.0), (1.0,), rings=gap.FULL.rings, lights=8))
-    many = gap.measure(Effort("many", (0.2, 0.4, 1.0), (1.0,), rings=60, lights=8))
+    few = gap.measure(Effort("few", (0.3, 1.0), (1.0,), rings=gap.FULL.rings, lights=8))
+    many = gap.measure(Effort("many", (0.3, 1.0), (1.0,), rings=40, lights=8))
     np.testing.assert_allclose(
         few.overall_rmse(CLOSED_FORM), many.overall_rmse(CLOSED_FORM), rtol=0.002
     )

@@ -348,5 +348,5 @@ def test_numbers_below_one_are_refused(
     folder: Path, tmp_path: Path, flag: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("evaluate", "real", folder, "--out", tmp_path / "out", flag, 0) == 2
-    assert f"{flag}: expected 1 or more, found 0" in capsys.readouterr().err
+    assert f"argument {flag}: expected 1 or more, found 0" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

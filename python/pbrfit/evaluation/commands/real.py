@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pbrfit.arguments import Subcommands, unread_is_no_failure
+from pbrfit.arguments import Subcommands, positive, unread_is_no_failure
 from pbrfit.evaluation.commands import resumable
 
 if TYPE_CHECKING:
@@ -37,43 +37,38 @@ def add(suites: Subcommands) -> None:
     added.add_argument(
         "--held-out",
         metavar="K",
-        type=int,
+        type=positive,
         help="pictures of a scene that are held out at a time (default: a quarter)",
     )
     added.add_argument(
         "--folds",
         metavar="F",
-        type=int,
+        type=positive,
         help="at most so many ways to hold pictures out (default: 4, with --quick 1)",
     )
     added.add_argument(
         "--max-size",
         metavar="PIXELS",
-        type=int,
+        type=positive,
         help="average larger pictures down to this longer side (default: 256, with --quick 64)",
     )
     added.add_argument(
         "--iterations",
         metavar="N",
-        type=int,
+        type=positive,
         help="of each fit (default: 500, with --quick 60)",
     )
     added.add_argument("--quick", action="store_true", help="small pictures, short fits, one fold")
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pbrfit._core import InputError
     from pbrfit.evaluation import real, workspace
     from pbrfit.evaluation.real import report, sources
 
     effort = real.QUICK if options.quick else real.FULL
-    for name in ("held_out", "folds", "max_size", "iterations"):
-        value = getattr(options, name)
-        if value is not None:
-            if value < 1:
-                flag = name.replace("_", "-")
-                raise InputError(f"--{flag}: expected 1 or more, found {value}")
-            effort = replace(effort, **{name: value})
+    asked = {name: getattr(options, name) for name in ("held_out", "folds", "max_size")}
+    asked["iterations"] = options.iterations
+    effort = replace(effort, **{name: value for name, value in asked.items() if value is not None})
     data = real.find_data(options.folders, os.environ)
     found = [source for path in data for source in sources.find_sources(path)]
     absent = [one for path in data for one in sources.absent(path, found)]

@@ -27,12 +27,13 @@ EXPLANATIONS: tuple[Explanation, ...] = get_args(Explanation)
 
 IN_WORDS: dict[Explanation, str] = {
     "default": "our default",
-    "paper": "paper's recipe, as we read it",
-    "lambertian": "albedo of the default, r = 1, m = 0",
-    "start": "our start, not optimised",
-    "constant": "constant guess: mean albedo, r = 0.5, m = 0",
-    "combination": "sum of kept pictures, no materials",
+    "paper": "paper's recipe",
+    "lambertian": "its albedo, r = 1, m = 0",
+    "start": "our start",
+    "constant": "constant guess",
+    "combination": "sum of kept pictures",
 }
+"""The constant guess is the start's mean albedo with r = 0.5 and m = 0."""
 
 SHARE = 4
 """One picture in so many is held out."""

@@ -1,9 +1,9 @@
-"""Pictures of the suite: a sheet a source, a plot of all."""
+"""A sheet of pictures a source: maps, a held-out picture, its explanations and errors."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from PIL import Image
 from pbrfit import metrics
 from pbrfit.evaluation.real.held_out import (
     EXPLANATIONS,
-    IN_WORDS,
     Explained,
     Explanation,
     Split,
@@ -34,16 +33,6 @@ CAPTIONS: dict[Explanation, str] = {
     "start": "by our start",
     "constant": "by a constant guess",
     "combination": "as sum of kept pictures",
-}
-
-# Okabe and Ito's colours, with markers for those who see none.
-LOOKS: dict[Explanation, tuple[str, str]] = {
-    "default": ("#000000", "o"),
-    "paper": ("#0072B2", "s"),
-    "lambertian": ("#009E73", "^"),
-    "start": ("#E69F00", "D"),
-    "constant": ("#CC79A7", "v"),
-    "combination": ("#56B4E9", "x"),
 }
 
 
@@ -79,40 +68,6 @@ def draw_sheet(scene: Scene, which: Split, explained: Sequence[Explained]) -> by
         third.append(panel(f"|error|, white = {ERROR_SPAN:g}", _outside_grey(error / ERROR_SPAN)))
     buffer = io.BytesIO()
     Image.fromarray(sheet([first, second, third])).save(buffer, format="png")
-    return buffer.getvalue()
-
-
-def draw_errors(errors: Mapping[str, Mapping[Explanation, float]]) -> bytes:
-    """PNG: relative error of held-out pictures by source and explanation."""
-    # Imported here: matplotlib is slow to start and needed by nobody else.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 1.9 + 0.45 * len(errors)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    places = np.arange(len(errors))[::-1]
-    for name, (color, marker) in LOOKS.items():
-        axes.plot(
-            [of[name] for of in errors.values()],
-            places,
-            color=color,
-            marker=marker,
-            linestyle="none",
-            markersize=8,
-            markerfacecolor="none" if marker != "x" else color,
-            markeredgewidth=1.8,
-            label=IN_WORDS[name],
-        )
-    axes.set_yticks(places, list(errors))
-    axes.set_ylim(-0.6, len(errors) - 0.4)
-    axes.set(xscale="log", xlabel="held-out pictures: RMSE / RMS radiance")
-    axes.grid(color="0.9", linewidth=0.8, which="both")
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
     return buffer.getvalue()
 
 

@@ -10,7 +10,7 @@ from pbrfit.evaluation import page, summary
 from pbrfit.evaluation.page import Cell, Figure, Section, Table
 from pbrfit.evaluation.real import EXPLANATIONS, IN_WORDS, Effort, Fold, figures
 from pbrfit.evaluation.real.held_out import Explanation
-from pbrfit.evaluation.real.pictures import draw_errors
+from pbrfit.evaluation.real.plots import draw_errors
 from pbrfit.evaluation.real.sources import PublicSet, Source
 from pbrfit.evaluation.tables import write_csv
 
@@ -150,7 +150,7 @@ def _overview(errors: Mapping[str, Mapping[Explanation, float]]) -> Table:
     for source, of in errors.items():
         least = min(of[name] for name in EXPLANATIONS if name != "combination")
         cells = [Cell(f"{of[n]:.3f}", "best" if of[n] == least else "number") for n in EXPLANATIONS]
-        rows.append([Cell(source), *cells])
+        rows.append([Cell(source, "name"), *cells])
     return Table(columns, rows)
 
 
@@ -185,7 +185,7 @@ def _section(one: Measured) -> Section:
             "" if of.kept_error is None else f"{of.kept_error:.4f}",
             f"{of.seconds:.1f}" if of.seconds else "",
         )
-        rows.append([Cell(IN_WORDS[name]), *(Cell(text, "number") for text in texts)])
+        rows.append([Cell(IN_WORDS[name], "name"), *(Cell(text, "number") for text in texts)])
     pictures = [
         Figure(
             f"sheet-{one.source.name}",
