@@ -23,7 +23,7 @@ from pbrfit.synthetic.geometry import (
     rotation,
     trace,
 )
-from pbrfit.synthetic.scenes import _case_stage, _room_stage
+from pbrfit.synthetic.stages import case_stage, room_stage
 
 Array = NDArray[np.float64]
 KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
@@ -290,7 +290,7 @@ def test_pieces_do_not_run_into_each_other_or_the_walls() -> None:
     for seed in range(30):
         rng = np.random.default_rng(seed)
         rows, columns = rng.integers(4, 6, size=2)
-        for stage in (_room_stage(rng), _case_stage(rows, columns, rng)):
+        for stage in (room_stage(rng), case_stage(rows, columns, rng)):
             for piece in stage.pieces:
                 local = cloud * (piece.half if isinstance(piece, Box) else 1.0)
                 local = local / gauge(piece, local)[:, None]

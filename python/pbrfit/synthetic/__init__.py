@@ -13,9 +13,10 @@ from pbrfit._core import InputError
 from pbrfit.model import render
 from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic.lights import random_lights
-from pbrfit.synthetic.scenes import RayCast, SceneKind, build
+from pbrfit.synthetic.scenes import SceneKind, build, draw
+from pbrfit.synthetic.world import RayCast, World
 
-__all__ = ["RayCast", "SceneKind", "build", "make_scene", "random_lights"]
+__all__ = ["RayCast", "SceneKind", "World", "build", "draw", "make_scene", "random_lights"]
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ def make_scene(
     sh_order: int = 3,
     noise: float = 0.0,
     seed: int = 0,
+    fov: float = 60.0,
 ) -> Scene:
     """Draw a scene and its lights, and render the pictures in float64.
 
@@ -54,6 +56,8 @@ def make_scene(
         Non-negative. ``SeedSequence(seed)`` is split into four streams, in this order: geometry and
         materials, training lights, held-out lights, noise; so that each can change without the
         others.
+    fov
+        Horizontal field of view of the pictures in degrees, 0 < fov < 180.
 
     Returns
     -------
@@ -72,7 +76,7 @@ def make_scene(
     if seed < 0:
         raise InputError(f"seed: expected a non-negative integer, found {seed}")
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
-    view = build(kind, size, streams[0])
+    view = build(kind, size, streams[0], fov)
 
     lighting, images = _expose(view, random_lights(lights, streams[1], sh_order), streams[1])
     relight_lighting, relight_images = _expose(
