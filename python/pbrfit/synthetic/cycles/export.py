@@ -5,7 +5,8 @@ camera sits at the origin and is not turned, and normals, positions and lights n
 
 What blocks light. A closed shell would keep a panorama out, so the room is a stage set: the
 ceiling, and the walls that the camera does not see, are there for camera rays only; they are seen
-and lit, but cast no shadow and reflect nothing. The other walls and all pieces are solid.
+and lit, but cast no shadow and reflect nothing. The other walls and all pieces are solid. In an
+"open" set that goes for all walls but the floor.
 
 Materials that vary are given twice: as maps with one texel for each pixel, exact for what the
 camera sees, and at the vertices, for what is seen in reflections.
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,7 @@ from pbrfit.synthetic.surfaces import Spots
 from pbrfit.synthetic.world import World
 
 Array = NDArray[np.float64]
+Shell = Literal["stage", "open"]
 Patch = tuple[Array, Array]  # (m, n, 3) points and (m, n, 3) unit normals, in object space
 
 ROUND = 128
@@ -87,7 +90,7 @@ class Stage:
     fov: float
 
 
-def export(world: World, size: int, fov: float) -> Stage:
+def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage:
     """Triangulate a world.
 
     Parameters
@@ -98,17 +101,21 @@ def export(world: World, size: int, fov: float) -> Stage:
         Width and height of the picture in pixels.
     fov
         Horizontal field of view in degrees, 0 < fov < 180.
+    shell
+        "stage" or "open"; see above.
 
     Raises
     ------
     InputError
         If a number is out of its range, or a primitive is of another kind.
     """
+    if shell not in get_args(Shell):
+        raise InputError(f"shell: expected one of {', '.join(get_args(Shell))}, found {shell!r}")
     if size < 1:
         raise InputError(f"size: expected at least 1 pixel, found {size}")
     if not 0 < fov < 180:
         raise InputError(f"fov: expected degrees between 0 and 180, found {fov}")
-    solid = light_blockers(world, fov)
+    solid = light_blockers(world, fov, shell)
     meshes = tuple(_mesh(world, i, solid[i]) for i in range(len(world.primitives)))
     maps = {}
     if any(mesh.varies for mesh in meshes) or _has_relief(world):
@@ -121,12 +128,13 @@ def export(world: World, size: int, fov: float) -> Stage:
     return Stage(meshes=meshes, maps=maps, size=size, fov=fov)
 
 
-def light_blockers(world: World, fov: float) -> tuple[bool, ...]:
-    """Which primitives are solid: all but the ceiling and the walls out of sight."""
+def light_blockers(world: World, fov: float, shell: Shell) -> tuple[bool, ...]:
+    """Which primitives are solid: the pieces, and of the walls those that `shell` leaves."""
     rays = -view_directions(64, 64, fov).reshape(-1, 3)
     seen = set(trace(world.primitives, world.eye, rays @ world.turn.T).index.tolist())
+    lowest = -0.7 if shell == "stage" else 0.7  # how far up a wall's normal points at least
     return tuple(
-        bool(i >= world.walls or (i in seen and wall.rotation[1, 1] > -0.7))
+        bool(i >= world.walls or (i in seen and wall.rotation[1, 1] > lowest))
         for i, wall in enumerate(world.primitives)
     )
 

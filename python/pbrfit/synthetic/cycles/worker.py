@@ -43,7 +43,7 @@ def main(folder: Path) -> None:
         radiance = render_harmonics(scene, folder, job)
     else:
         radiance = render_points(scene, folder, job)
-    np.savez(folder / "truth.npz", **truth)
+    np.savez(folder / "truth.npz", allow_pickle=False, **truth)
     np.save(folder / "radiance.npy", radiance)
     outcome = {
         "blender": bpy.app.version_string,
