@@ -11,7 +11,7 @@ from pbrfit.synthetic.lights import random_colors
 
 Array = NDArray[np.float64]
 
-_CLEARANCE = 0.3  # metres to the nearest surface
+_CLEARANCE = 0.5  # metres to the nearest surface
 _TRIES = 2000
 
 
@@ -35,7 +35,7 @@ def random_point_lights(
     Returns
     -------
     positions : ndarray
-        (N, 3) in camera space, at least 0.3 m from every surface.
+        (N, 3) in camera space, at least 0.5 m from every surface.
     colors : ndarray
         (N, 3) linear Rec.709, the largest channel 1.
 

@@ -78,7 +78,7 @@ def set_up(scene: Any, job: dict[str, Any]) -> None:
     cycles.max_bounces = job["bounces"]["all"]
     cycles.diffuse_bounces = job["bounces"]["diffuse"]
     cycles.glossy_bounces = job["bounces"]["glossy"]
-    cycles.transparent_max_bounces = 64
+    cycles.transparent_max_bounces = cycles.min_transparent_bounces = 64  # no roulette there
     # Rays through a hundredth of a pixel about its centre: no pixel mixes two surfaces.
     cycles.pixel_filter_type, cycles.filter_width = "GAUSSIAN", 0.01
     world = bpy.data.worlds.new("world")
