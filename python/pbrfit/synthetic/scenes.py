@@ -12,11 +12,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from pbrfit._core import InputError
+from pbrfit.synthetic.furnished import draw_furnished
 from pbrfit.synthetic.stages import case_stage, room_stage
 from pbrfit.synthetic.surfaces import case_surfaces, plain_surfaces, textured_surfaces
 from pbrfit.synthetic.world import RayCast, World
 
-SceneKind = Literal["room", "spheres", "textured"]
+SceneKind = Literal["room", "spheres", "textured", "furnished"]
 
 
 def draw(kind: SceneKind, rng: np.random.Generator) -> World:
@@ -42,6 +43,8 @@ def draw(kind: SceneKind, rng: np.random.Generator) -> World:
     """
     if kind not in get_args(SceneKind):
         raise InputError(f"kind: expected one of {', '.join(get_args(SceneKind))}, found {kind!r}")
+    if kind == "furnished":
+        return draw_furnished(rng).world
     if kind == "spheres":
         columns, rows = rng.integers(4, 6, size=2)
         stage = case_stage(rows, columns, rng)
