@@ -13,6 +13,7 @@ from pbrfit.synthetic.palette import (
     DYES,
     FRUIT,
     LEAVES,
+    LIGHTEST_METAL,
     RUST,
     STONES,
     VERDIGRIS,
@@ -29,7 +30,7 @@ Rng = np.random.Generator
 def metal(rng: Rng, primitive: Primitive) -> Surface:
     """Polished, brushed, worn, rusty or patinated metal; mostly bare."""
     kind = int(rng.integers(len(METALS)))
-    color = np.clip(METALS[kind] * rng.uniform(0.94, 1.03), 0.0, 0.98)
+    color = np.clip(METALS[kind] * rng.uniform(0.94, 1.03), 0.0, LIGHTEST_METAL)
     bare = Paint(color, float(rng.uniform(0.15, 0.6)), 1.0)
     finish = rng.choice(["polished", "brushed", "worn", "corroded"], p=[0.25, 0.3, 0.25, 0.2])
     if finish == "polished":

@@ -71,7 +71,8 @@ STONES = np.array(
 LEAVES = np.array([[0.06, 0.17, 0.03], [0.16, 0.27, 0.05], [0.03, 0.10, 0.04], [0.30, 0.30, 0.06]])
 FRUIT = np.array([[0.45, 0.05, 0.03], [0.68, 0.30, 0.03], [0.35, 0.45, 0.06], [0.70, 0.55, 0.08]])
 RUST, VERDIGRIS = np.array([0.26, 0.085, 0.035]), np.array([0.17, 0.36, 0.28])
-DARKEST, LIGHTEST = 0.014, 0.86  # linear, of sRGB 31 and 239 of 255
+DARKEST, LIGHTEST = 0.014, 0.86  # of dielectrics, linear; sRGB 31 and 239 of 255
+LIGHTEST_METAL = 0.98
 
 
 def paint(color: Array, roughness: float, rng: Rng, spread: float = 0.2) -> Paint:
