@@ -6,6 +6,9 @@ what a fit of them cannot recover is the fault of the fit, or of the noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +18,20 @@ from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.synthetic.scenes import SceneKind, build, draw
+from pbrfit.synthetic.textures import MaterialSet, load_textures
 from pbrfit.synthetic.world import RayCast, World
 
-__all__ = ["RayCast", "SceneKind", "World", "build", "draw", "make_scene", "random_lights"]
+__all__ = [
+    "MaterialSet",
+    "RayCast",
+    "SceneKind",
+    "World",
+    "build",
+    "draw",
+    "load_textures",
+    "make_scene",
+    "random_lights",
+]
 
 Array = NDArray[np.float64]
 
@@ -32,6 +46,7 @@ def make_scene(
     noise: float = 0.0,
     seed: int = 0,
     fov: float = 60.0,
+    textures: Path | Sequence[MaterialSet] | None = None,
 ) -> Scene:
     """Draw a scene and its lights, and render the pictures in float64.
 
@@ -42,7 +57,7 @@ def make_scene(
     Parameters
     ----------
     kind
-        "room", "spheres" or "textured"; see `build`.
+        "room", "spheres", "textured", "furnished" or "detailed"; see `draw`.
     size
         Width and height of the pictures in pixels.
     lights, held_out
@@ -57,6 +72,9 @@ def make_scene(
         others.
     fov
         Horizontal field of view of the pictures in degrees, 0 < fov < 180.
+    textures
+        For "detailed" alone: a folder of texture maps, or the sets that `load_textures` read
+        from one. None for procedural detail.
 
     Returns
     -------
@@ -68,14 +86,14 @@ def make_scene(
     Raises
     ------
     InputError
-        When an argument is out of its range.
+        When an argument is out of its range, or the textures cannot be used.
     """
     if not 0.0 <= noise < np.inf:
         raise InputError(f"noise: expected a finite standard deviation >= 0, found {noise}")
     if seed < 0:
         raise InputError(f"seed: expected a non-negative integer, found {seed}")
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
-    view = build(kind, size, streams[0], fov)
+    view = build(kind, size, streams[0], fov, textures)
 
     lighting, images = _expose(view, random_lights(lights, streams[1], sh_order), streams[1])
     relight_lighting, relight_images = _expose(

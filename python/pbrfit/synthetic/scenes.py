@@ -2,24 +2,32 @@
 
 The stage (shell, pieces and camera) is drawn before the surfaces, and neither depends on the size
 or the field of view of the picture: the same generator state gives the same scene in any
-resolution, and "room" and "textured" share their geometry.
+resolution, "room" and "textured" share their geometry, and so do "furnished" and "detailed". Only
+"detailed" averages its materials over what a pixel covers, as pictures of fine textures must be.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
 from pbrfit._core import InputError
+from pbrfit.synthetic.detailed import draw_detailed
+from pbrfit.synthetic.furnished import draw_furnished
 from pbrfit.synthetic.stages import case_stage, room_stage
 from pbrfit.synthetic.surfaces import case_surfaces, plain_surfaces, textured_surfaces
+from pbrfit.synthetic.textures import MaterialSet, load_textures
 from pbrfit.synthetic.world import RayCast, World
 
-SceneKind = Literal["room", "spheres", "textured"]
+SceneKind = Literal["room", "spheres", "textured", "furnished", "detailed"]
 
 
-def draw(kind: SceneKind, rng: np.random.Generator) -> World:
+def draw(
+    kind: SceneKind, rng: np.random.Generator, textures: Path | Sequence[MaterialSet] | None = None
+) -> World:
     """Draw a scene.
 
     Parameters
@@ -28,8 +36,13 @@ def draw(kind: SceneKind, rng: np.random.Generator) -> World:
         "room": furniture of constant materials, at least a third of the pieces metal.
         "spheres": a grid, roughness growing from left to right, metal and dielectric rows.
         "textured": the room with patterns in albedo, roughness and, on some pieces, metallic.
+        "furnished": a room with 30 to 40 pieces of furniture and things, a few materials each.
+        "detailed": that room with texture maps, or with finer patterns and relief.
     rng
         Source of randomness; the same state gives the same scene.
+    textures
+        For "detailed" alone: a folder of texture maps (see `load_textures`), or the sets that
+        were read from one. None for procedural detail.
 
     Returns
     -------
@@ -38,10 +51,17 @@ def draw(kind: SceneKind, rng: np.random.Generator) -> World:
     Raises
     ------
     InputError
-        When `kind` is unknown.
+        When `kind` is unknown, or the textures cannot be used.
     """
     if kind not in get_args(SceneKind):
         raise InputError(f"kind: expected one of {', '.join(get_args(SceneKind))}, found {kind!r}")
+    if textures is not None and kind != "detailed":
+        raise InputError(f"textures: expected the kind detailed with them, found {kind}")
+    if kind == "furnished":
+        return draw_furnished(rng).world
+    if kind == "detailed":
+        sets = load_textures(textures) if isinstance(textures, Path) else textures or ()
+        return draw_detailed(draw_furnished(rng), sets, rng)
     if kind == "spheres":
         columns, rows = rng.integers(4, 6, size=2)
         stage = case_stage(rows, columns, rng)
@@ -59,12 +79,18 @@ def draw(kind: SceneKind, rng: np.random.Generator) -> World:
     )
 
 
-def build(kind: SceneKind, size: int, rng: np.random.Generator, fov: float = 60.0) -> RayCast:
+def build(
+    kind: SceneKind,
+    size: int,
+    rng: np.random.Generator,
+    fov: float = 60.0,
+    textures: Path | Sequence[MaterialSet] | None = None,
+) -> RayCast:
     """Draw a scene and cast one ray through every pixel centre: `draw`, then `World.cast`.
 
     Parameters
     ----------
-    kind
+    kind, textures
         As for `draw`.
     size
         Width and height of the picture in pixels.
@@ -81,6 +107,7 @@ def build(kind: SceneKind, size: int, rng: np.random.Generator, fov: float = 60.
     Raises
     ------
     InputError
-        When `kind` is unknown, `size` is below 1, or `fov` is outside its range.
+        When `kind` is unknown, the textures cannot be used, `size` is below 1, or `fov` is outside
+        its range.
     """
-    return draw(kind, rng).cast(size, fov)
+    return draw(kind, rng, textures).cast(size, fov)

@@ -31,8 +31,8 @@ class Spots:
     points, normals
         (P, 3) positions and unit normals in object space; lengths in metres.
     width
-        (P,) width of a pixel at the point, in metres, measured across the ray: detail finer than
-        this may be averaged away.
+        (P,) square root of the area of surface that a pixel covers there, in metres: detail finer
+        than this may be averaged away.
     """
 
     points: Array
@@ -77,28 +77,30 @@ class Paint:
     metallic: float
 
 
-def plain(points: Array) -> Array:
-    """No pattern: 0 everywhere."""
-    return np.zeros(len(points))
-
-
 @dataclass(frozen=True)
-class Blend(Surface):
-    """`base` where the pattern is 0, `over` where it is 1, a mixture between."""
+class Layers(Surface):
+    """Paints over paints: each layer replaces what is below it to the degree of its pattern."""
 
     base: Paint
-    over: Paint
-    pattern: Pattern = plain
+    layers: tuple[tuple[Paint, Pattern], ...] = ()
 
     def at(self, spots: Spots) -> Finish:
-        """Mix the two paints; see `Surface.at`."""
-        w = self.pattern(spots.points)
-        base, over = self.base, self.over
-        return Finish(
-            albedo=base.albedo + w[:, None] * (over.albedo - base.albedo),
-            roughness=base.roughness + w * (over.roughness - base.roughness),
-            metallic=base.metallic + w * (over.metallic - base.metallic),
-        )
+        """Mix the paints; see `Surface.at`."""
+        count = len(spots.points)
+        albedo = np.tile(self.base.albedo, (count, 1))
+        roughness = np.full(count, self.base.roughness)
+        metallic = np.full(count, self.base.metallic)
+        for paint, pattern in self.layers:
+            w = pattern(spots.points)
+            albedo += w[:, None] * (paint.albedo - albedo)
+            roughness += w * (paint.roughness - roughness)
+            metallic += w * (paint.metallic - metallic)
+        return Finish(albedo=albedo, roughness=roughness, metallic=metallic)
+
+
+def blend(base: Paint, over: Paint, pattern: Pattern) -> Layers:
+    """`base` where the pattern is 0, `over` where it is 1, a mixture between."""
+    return Layers(base, ((over, pattern),))
 
 
 # Linear Rec.709. F0 of gold, copper, aluminium, steel, brass and bronze.
@@ -174,13 +176,13 @@ def _metal_pieces(count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
     return rng.permutation(count) < metals
 
 
-def plain_surfaces(count: int, rng: np.random.Generator) -> list[Blend]:
+def plain_surfaces(count: int, rng: np.random.Generator) -> list[Surface]:
     """Constant materials for the six walls and `count` pieces."""
     pieces = [bare_metal(rng) if metal else dielectric(rng) for metal in _metal_pieces(count, rng)]
-    return [Blend(paint, paint) for paint in [*wall_paints(rng), *pieces]]
+    return [Layers(paint) for paint in [*wall_paints(rng), *pieces]]
 
 
-def case_surfaces(rows: int, columns: int, rng: np.random.Generator) -> list[Blend]:
+def case_surfaces(rows: int, columns: int, rng: np.random.Generator) -> list[Surface]:
     """Every second row metal; roughness grows along each row, in the order of `case_stage`."""
     roughness = np.linspace(0.15, 0.85, columns)
     metals, colors = rng.permutation(METALS), rng.permutation(COLORS)
@@ -191,19 +193,19 @@ def case_surfaces(rows: int, columns: int, rng: np.random.Generator) -> list[Ble
         color = metals[row] if metal else tinted(colors[row], rng)
         paints += [Paint(color, float(r), float(metal)) for r in roughness]
     board = Paint(tinted(rng.choice(FLOORS), rng), rng.uniform(0.3, 0.7), 0.0)
-    return [Blend(p, p) for p in [*wall_paints(rng), *paints, *[board] * rows]]
+    return [Layers(p) for p in [*wall_paints(rng), *paints, *[board] * rows]]
 
 
-def textured_surfaces(count: int, rng: np.random.Generator) -> list[Blend]:
+def textured_surfaces(count: int, rng: np.random.Generator) -> list[Surface]:
     """Patterned materials for the six walls and `count` pieces."""
     floor, ceiling, left, right, back, front = wall_paints(rng)
     tiles = checker(rng, 1.1) if rng.random() < 0.5 else planks(rng, 0.3)
     other = Paint(tinted(0.5 * floor.albedo, rng), rng.uniform(0.25, 0.7), 0.0)
-    walls = [Blend(floor, other, tiles), Blend(ceiling, ceiling)]
+    walls: list[Surface] = [blend(floor, other, tiles), Layers(ceiling)]
     for paint in (left, right, back, front):
         other = Paint(tinted(0.75 * paint.albedo, rng), rng.uniform(0.3, 0.9), 0.0)
         pattern = stripes(rng, 0.5, axis=0) if rng.random() < 0.4 else clouds(rng, 0.9)
-        walls.append(Blend(paint, other, pattern))
+        walls.append(blend(paint, other, pattern))
     metals = _metal_pieces(count, rng)
     first = int(np.argmax(metals))  # one piece is metal all over
     pieces = [
@@ -213,22 +215,22 @@ def textured_surfaces(count: int, rng: np.random.Generator) -> list[Blend]:
     return [*walls, *pieces]
 
 
-def _worn_metal(rng: np.random.Generator, *, whole: bool) -> Blend:
+def _worn_metal(rng: np.random.Generator, *, whole: bool) -> Surface:
     """Smudged, rusty, chipped or inlaid metal; metallic is 1 everywhere on a `whole` one."""
     metal = bare_metal(rng)
     finish = "smudged" if whole else rng.choice(["smudged", "rusty", "chipped", "inlaid"])
     if finish == "smudged":
         rough = float(np.clip(metal.roughness + rng.choice([-0.3, 0.3]), 0.15, 0.7))
-        return Blend(metal, replace(metal, roughness=rough), clouds(rng, 0.25))
+        return blend(metal, replace(metal, roughness=rough), clouds(rng, 0.25))
     if finish == "rusty":
         rust = Paint(tinted(RUST, rng), rng.uniform(0.7, 0.9), 0.0)
-        return Blend(metal, rust, patches(rng, 0.3))
+        return blend(metal, rust, patches(rng, 0.3))
     if finish == "chipped":
-        return Blend(dielectric(rng), metal, patches(rng, 0.3))
-    return Blend(dielectric(rng), metal, stripes(rng, 0.4, axis=1))
+        return blend(dielectric(rng), metal, patches(rng, 0.3))
+    return blend(dielectric(rng), metal, stripes(rng, 0.4, axis=1))
 
 
-def _decorated(rng: np.random.Generator) -> Blend:
+def _decorated(rng: np.random.Generator) -> Surface:
     """Draw a dielectric: two paints in checks, stripes or patches, wood, or marble."""
     finish = rng.choice(["checker", "stripes", "patches", "wood", "marble"])
     base = dielectric(rng)
@@ -236,9 +238,9 @@ def _decorated(rng: np.random.Generator) -> Blend:
         light = tinted(np.array([0.46, 0.27, 0.13]), rng, 0.3)
         base = Paint(light, rng.uniform(0.3, 0.5), 0.0)
         dark = Paint(tinted(0.4 * light, rng), rng.uniform(0.5, 0.8), 0.0)
-        return Blend(base, dark, grain(rng, 0.2))
+        return blend(base, dark, grain(rng, 0.2))
     if finish == "marble":
         over = Paint(tinted(0.35 * base.albedo, rng), rng.uniform(0.2, 0.5), 0.0)
-        return Blend(base, over, veins(rng, 0.3))
+        return blend(base, over, veins(rng, 0.3))
     pattern = {"checker": checker, "stripes": stripes, "patches": patches}[finish]
-    return Blend(base, dielectric(rng), pattern(rng, 0.35))
+    return blend(base, dielectric(rng), pattern(rng, 0.35))

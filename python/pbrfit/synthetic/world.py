@@ -91,9 +91,13 @@ class World:
         if not 0 < fov < 180:
             raise InputError(f"fov: expected degrees between 0 and 180, found {fov}")
         rays = -view_directions(size, size, fov).reshape(-1, 3)
-        hits = trace(self.primitives, self.eye, rays @ self.turn.T)
-        # Pixels are squares of one size on the plane z = -1, and grow with the depth.
-        width = hits.distance * -rays[:, 2] * (2 * np.tan(np.radians(fov) / 2) / size)
+        directions = rays @ self.turn.T
+        hits = trace(self.primitives, self.eye, directions)
+        # Pixels are squares of one size on the plane z = -1; they grow with the depth, and by
+        # 1/(n·v) on a slanted surface.
+        across = hits.distance * -rays[:, 2] * (2 * np.tan(np.radians(fov) / 2) / size)
+        facing = -np.einsum("pi,pi->p", hits.normals, directions)
+        width = across / np.sqrt(np.maximum(facing, 1e-6))
         normals = hits.normals.copy()
         albedo, roughness, metallic = np.empty((size * size, 3)), *np.empty((2, size * size))
         for i in np.unique(hits.index):
@@ -105,7 +109,7 @@ class World:
             albedo[here], roughness[here] = finish.albedo, finish.roughness
             metallic[here] = finish.metallic
             if finish.normals is not None:
-                normals[here] = finish.normals @ turn.T
+                normals[here] = _to_viewer(finish.normals @ turn.T, -directions[here])
         return RayCast(
             normals=(normals @ self.turn).reshape(size, size, 3),
             segments=(hits.index + 1).astype(np.uint16).reshape(size, size),
@@ -117,3 +121,17 @@ class World:
             mask=None,
             fov=fov,
         )
+
+
+_LEAST_FACING = 0.02
+
+
+def _to_viewer(normals: Array, views: Array) -> Array:
+    """Tilt normals of a relief just so far that they face the viewer: n·v is 0.02 before scaling.
+
+    A normal map says nothing of what hides what; seen from the side, slopes of it would turn away
+    from the viewer, which no visible surface does.
+    """
+    facing = np.einsum("pi,pi->p", normals, views)
+    tilted = normals + np.maximum(_LEAST_FACING - facing, 0.0)[:, None] * views
+    return np.asarray(tilted / np.linalg.norm(tilted, axis=-1, keepdims=True))
