@@ -49,6 +49,14 @@ def whole_number(text: str) -> int:
     return value
 
 
+def positive(text: str) -> int:
+    """Read a whole number above 0 for `argparse`."""
+    value = whole_number(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
+    return value
+
+
 @contextmanager
 def unread_is_no_failure() -> Iterator[None]:
     """For telling about an output that is there, whether or not anybody can read about it."""

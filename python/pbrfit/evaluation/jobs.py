@@ -28,6 +28,9 @@ import pbrfit
 RECORDS = "records"
 """Folder of the records, in that of the suite."""
 
+WRITERS = ("page.py", "plot.py", "plots.py", "report.py")
+"""Files that take no part in the results of a suite."""
+
 ATTEMPTS = 2
 """How often a task is tried whose worker process dies: it may have died of another's memory."""
 
@@ -205,11 +208,18 @@ def _digest(task: Task) -> str:
 
 @cache
 def _code() -> str:
-    """Digest of the package: results of other code are other results."""
+    """Digest of the package: results of other code are other results.
+
+    What only writes about results does not count.
+    """
     digest = hashlib.sha256()
     package = Path(pbrfit.__file__).parent
+    evaluation = Path(__file__).parent
     for path in sorted(package.rglob("*")):
-        if path.suffix in (".py", ".so", ".pyd"):
+        writes = path.is_relative_to(evaluation) and (
+            path.name in WRITERS or path.parent.name == "commands"
+        )
+        if path.suffix in (".py", ".so", ".pyd") and not writes:
             digest.update(path.relative_to(package).as_posix().encode() + b"\0")
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -14,7 +14,7 @@ FILE = "report.html"
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #1e1e1e; background: #fff;
-       max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
+       max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.7rem; margin-bottom: .3rem; }
 h2 { font-size: 1.25rem; margin: 2.5rem 0 .3rem; }
 p { max-width: 46rem; margin: .5rem 0; }
@@ -24,6 +24,7 @@ th, td { text-align: left; vertical-align: top; padding: .3rem .8rem .3rem 0;
 th { border-bottom: 2px solid #888; }
 td.number, th.number { text-align: right; white-space: nowrap;
                        font-variant-numeric: tabular-nums; }
+td.name, th.name { white-space: nowrap; }
 td.why { color: #555; max-width: 24rem; }
 .pass { color: #00674b; font-weight: 600; }
 .fail { color: #fff; background: #b33c00; font-weight: 600; padding: 0 .4em; border-radius: 3px; }
@@ -44,8 +45,8 @@ class Figure:
     caption: str
 
 
-Look = Literal["", "number", "pass", "fail", "note", "why", "best"]
-"""How a cell looks: a figure that is aligned right, a verdict, or a remark."""
+Look = Literal["", "name", "number", "best", "pass", "fail", "note", "why"]
+"""How a cell looks: a name on one line, a figure that is aligned right, a verdict, a remark."""
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ RECIPES: tuple[Recipe, ...] = get_args(Recipe)
 
 IN_WORDS: dict[Recipe, str] = {
     "default": "our default",
-    "paper": "paper's recipe, as we read it",
+    "paper": "paper's recipe",
     "constant": "constant guess",
-    "start": "our start, not optimised",
+    "start": "our start",
 }
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pbrfit.arguments import Subcommands
-from pbrfit.evaluation.commands import stability
+from pbrfit.evaluation.commands import stability, table1
 
-SUITES = (stability,)
+SUITES = (table1, stability)
 
 
 def add_suites(suites: Subcommands) -> None:

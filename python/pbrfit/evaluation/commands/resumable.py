@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from pbrfit.arguments import SOME_FAILED, UNUSABLE, add_out, add_quiet, complain
+from pbrfit.arguments import SOME_FAILED, UNUSABLE, add_out, add_quiet, complain, positive
 from pbrfit.evaluation.jobs import Record, Task, Values, run
 
 T = TypeVar("T", bound=Task)
@@ -24,7 +24,7 @@ def add_options(parser: argparse.ArgumentParser, *, jobs: int | None = None) -> 
     parser.add_argument(
         "--jobs",
         metavar="J",
-        type=_positive,
+        type=positive,
         default=jobs or os.cpu_count() or 1,
         help="scenes at the same time, each in a process of its own",
     )
@@ -77,10 +77,3 @@ def exit_code(records: Sequence[Record]) -> int:
         return 0
     complain(f"{len(failed)} of {len(records)} failed: {', '.join(failed)}")
     return SOME_FAILED if len(failed) < len(records) else UNUSABLE
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if not 1 <= value < 2**15:
-        raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
-    return value
