@@ -174,6 +174,7 @@ def scene() -> Scene:
 def test_true_materials_have_no_errors(scene: Scene) -> None:
     truth = scene.truth
     assert truth is not None
+    assert truth.lighting is not None
     start = truth.materials, truth.lighting
     found = scores.score(pbrfit.decompose(scene, start=start, iterations=0), scene)
     for name in ("recon", "albedo", "roughness", "metallic", "relight", "metallic_on_metal",
@@ -190,6 +191,7 @@ def test_scores_of_known_errors(scene: Scene) -> None:
     """Albedo twice the truth under half the light, and metallic off by 0.25 on metal only."""
     truth = scene.truth
     assert truth is not None
+    assert truth.lighting is not None
     true = truth.materials
     metal = true.metallic >= 0.5
     wrong = Materials(
@@ -213,6 +215,7 @@ def test_pixels_outside_the_mask_never_enter(scene: Scene) -> None:
     mask[:, :9] = False
     truth = scene.truth
     assert truth is not None
+    assert truth.lighting is not None
     ruined = scene.images.copy()
     ruined[:, :, :9] = np.nan
     masked = replace(scene, mask=mask, images=ruined)
@@ -227,6 +230,7 @@ def test_pixels_outside_the_mask_never_enter(scene: Scene) -> None:
 def test_scores_without_held_out_pictures_or_metal(scene: Scene) -> None:
     truth = scene.truth
     assert truth is not None
+    assert truth.lighting is not None
     true = truth.materials
     dielectric = replace(true, metallic=np.zeros_like(true.metallic))
     less = replace(scene, truth=Truth(dielectric, truth.lighting))
@@ -239,6 +243,7 @@ def test_scores_without_held_out_pictures_or_metal(scene: Scene) -> None:
 def test_constant_guess_and_paper_start_by_hand(scene: Scene) -> None:
     truth = scene.truth
     assert truth is not None
+    assert truth.lighting is not None
     guess = recipes.constant_guess(scene)
     np.testing.assert_allclose(
         guess.albedo[3, 4], truth.materials.albedo.mean(axis=(0, 1)), rtol=1e-12
@@ -274,6 +279,7 @@ def test_a_fit_that_starts_at_the_truth_stays_there(kind: str, seed: int) -> Non
     scene = make_scene(kind, size=48, held_out=1, seed=seed)  # type: ignore[arg-type]
     truth = scene.truth
     assert truth is not None
+    assert truth.lighting is not None
     result = pbrfit.decompose(scene, start=(truth.materials, truth.lighting))
     rms = np.sqrt(np.mean(np.square(scene.images)))
     assert result.metrics["recon_rmse"] <= 1e-7 * rms
