@@ -2,9 +2,9 @@
 
     python tools/cycles_report.py [--size 64] [--scenes 3] [--kind furnished] [--threads 1]
 
-Renders are kept in the user's cache, or in the folder that --cache names; times are of the first
-run. Needs the environment of `make cycles-env`.
-"""
+Renders are kept in the user's cache, or in the folder that --cache names; times are those of
+Renders are kept in the user's cache, or in the folder that --cache names. Needs the environment of
+`make cycles-env`.
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def main() -> None:
                 noise = np.sqrt(np.mean((a - b) ** 2, axis=(1, 2)) / 2) / a.mean(axis=(1, 2))
                 print(f"noise, {transport}, {SAMPLES[light, transport]} samples:", end=" ")
                 print(f"{noise.mean():.4f} ({noise.min():.4f} to {noise.max():.4f})", end="; ")
-                print(f"{two[0].seconds:.1f} and {two[1].seconds:.1f} s", flush=True)
+                print(f"{two[0].cpu_seconds:.1f} s of one processor", flush=True)
 
     if chosen.only in (None, "gap"):
         for light, transport in SAMPLES:
