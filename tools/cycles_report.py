@@ -2,9 +2,9 @@
 
     python tools/cycles_report.py [--size 64] [--scenes 3] [--kind furnished] [--threads 1]
 
-Renders are kept in the user's cache, or in the folder that --cache names; times are those of
 Renders are kept in the user's cache, or in the folder that --cache names. Needs the environment of
 `make cycles-env`.
+"""
 
 from __future__ import annotations
 

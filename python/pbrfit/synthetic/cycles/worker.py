@@ -11,7 +11,9 @@ Everything is in camera space: the Blender camera is not turned, so its axes are
 
 from __future__ import annotations
 
+import ctypes
 import json
+import signal
 import sys
 import time
 from pathlib import Path
@@ -52,6 +54,12 @@ def main(folder: Path) -> None:
         "cpu_seconds": time.process_time() - started,
     }
     (folder / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
+
+
+def end_with_parent() -> None:
+    """Let no render go on for a program that was killed; Linux alone can promise that."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def set_up(scene: Any, job: dict[str, Any]) -> None:
@@ -382,4 +390,5 @@ def render_points(scene: Any, folder: Path, job: dict[str, Any]) -> Floats:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     main(Path(sys.argv[1]))
