@@ -28,7 +28,7 @@ from pbrfit.synthetic.cycles.job import Job, Rendered, rendered
 from pbrfit.synthetic.cycles.scene import inner_pixels
 from pbrfit.synthetic.geometry import Sphere
 from pbrfit.synthetic.lights import random_lights
-from pbrfit.synthetic.surfaces import Blend, Paint
+from pbrfit.synthetic.surfaces import Layers, Paint
 from pbrfit.synthetic.world import World
 
 Array = NDArray[np.float64]
@@ -213,7 +213,7 @@ def _sphere(
 ) -> Rendered:
     world = World(
         primitives=(Sphere(centre=np.array([0.0, 0.0, -_DISTANCE]), radius=1.0),),
-        surfaces=(Blend(paint, paint),),
+        surfaces=(Layers(paint),),
         walls=0,
         eye=np.zeros(3),
         turn=np.eye(3),

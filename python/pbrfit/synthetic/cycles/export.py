@@ -23,7 +23,15 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.geometry import view_directions
-from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, trace
+from pbrfit.synthetic.geometry import (
+    Box,
+    Cylinder,
+    Frustum,
+    Plane,
+    Primitive,
+    Sphere,
+    trace,
+)
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit.synthetic.world import World
 
@@ -96,7 +104,7 @@ def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage
     Parameters
     ----------
     world
-        The scene; its primitives spheres, boxes, cylinders and planes.
+        The scene; its primitives are of the kinds in `pbrfit.synthetic.geometry`.
     size
         Width and height of the picture in pixels.
     fov
@@ -109,8 +117,7 @@ def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage
     InputError
         If a number is out of its range, or a primitive is of another kind.
     """
-    if shell not in get_args(Shell):
-        raise InputError(f"shell: expected one of {', '.join(get_args(Shell))}, found {shell!r}")
+    check_choice("shell", shell, get_args(Shell))
     if size < 1:
         raise InputError(f"size: expected at least 1 pixel, found {size}")
     if not 0 < fov < 180:
@@ -126,6 +133,12 @@ def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage
         if _has_relief(world):
             maps["normal"] = view.normals.astype(np.float32)
     return Stage(meshes=meshes, maps=maps, size=size, fov=fov)
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Raise InputError unless the value is one of the choices."""
+    if value not in choices:
+        raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
 
 
 def light_blockers(world: World, fov: float, shell: Shell) -> tuple[bool, ...]:
@@ -191,11 +204,14 @@ def _patches(primitive: Primitive, index: int, world: World) -> list[Patch]:
     if isinstance(primitive, Box):
         return _cuboid(primitive.half)
     if isinstance(primitive, Cylinder):
-        return _drum(primitive.radius, primitive.half)
+        return _drum(primitive.radius, primitive.radius, primitive.half)
+    if isinstance(primitive, Frustum):
+        return _drum(primitive.bottom, primitive.top, primitive.half)
     if isinstance(primitive, Plane):
         return [_wall(primitive, index, world)]
     raise InputError(
-        f"world: expected spheres, boxes, cylinders and planes, found {type(primitive).__name__}"
+        "world: expected spheres, boxes, cylinders, frustums and planes, found "
+        f"{type(primitive).__name__}"
     )
 
 
@@ -233,16 +249,20 @@ def _cuboid(half: Array) -> list[Patch]:
     return patches
 
 
-def _drum(radius: float, half: float) -> list[Patch]:
+def _drum(bottom: float, top: float, half: float) -> list[Patch]:
+    """Side and caps of a cylinder, a cone or part of one."""
     c, s = _circle()
-    up = np.linspace(-half, half, _steps(2 * half))[:, None]
-    normals = np.stack(np.broadcast_arrays(c, 0 * up, s), axis=-1)
-    side = np.stack(np.broadcast_arrays(radius * c, up, radius * s), axis=-1)
-    patches = [(side, normals)]
-    ring = np.linspace(0, radius, _steps(radius))[:, None]
-    for sign in (-1.0, 1.0):
-        cap = np.stack(np.broadcast_arrays(ring * c, sign * half + 0 * ring, ring * s), axis=-1)
-        patches.append((cap, np.broadcast_to(np.array([0.0, sign, 0.0]), cap.shape)))
+    along = np.linspace(0, 1, _steps(2 * half))[:, None]
+    radius = bottom + along * (top - bottom)
+    side = np.stack(np.broadcast_arrays(radius * c, half * (2 * along - 1), radius * s), axis=-1)
+    slope = (top - bottom) / (2 * half)
+    normals = np.stack(np.broadcast_arrays(c, -slope + 0 * radius, s), axis=-1)
+    patches = [(side, normals / np.sqrt(1 + slope**2))]
+    for sign, rim in ((-1.0, bottom), (1.0, top)):
+        if rim > 0:
+            ring = np.linspace(0, rim, _steps(rim))[:, None]
+            cap = np.stack(np.broadcast_arrays(ring * c, sign * half, ring * s), axis=-1)
+            patches.append((cap, np.broadcast_to(np.array([0.0, sign, 0.0]), cap.shape)))
     return patches
 
 
