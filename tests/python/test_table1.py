@@ -187,8 +187,8 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert f"Look at {out / 'report.html'}" in printed.out
     names = {path.name for path in out.iterdir()}
     assert names == {
-        "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv", "summary.json",
-        "example-base.png", "example-normals.png",
+        "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv",
+        "summary.json", "example-base.png", "example-normals.png",
     }  # fmt: skip
     content = json.loads((out / "summary.json").read_text("utf-8"))
     status = {row["name"]: row["status"] for row in content["rows"]}
