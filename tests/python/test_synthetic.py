@@ -398,6 +398,12 @@ def truth(scene: Scene) -> Truth:
     return scene.truth
 
 
+def lights(scene: Scene) -> NDArray[np.float64]:
+    lighting = truth(scene).lighting
+    assert lighting is not None
+    return lighting
+
+
 def relight(scene: Scene) -> tuple[NDArray[Any], Array]:
     """Held-out pictures and their lights."""
     images, lighting = truth(scene).relight_images, truth(scene).relight_lighting
@@ -415,7 +421,7 @@ def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
         "albedo": truth(scene).materials.albedo,
         "roughness": truth(scene).materials.roughness,
         "metallic": truth(scene).materials.metallic,
-        "lighting": truth(scene).lighting,
+        "lighting": lights(scene),
         "relight_lighting": relight(scene)[1],
         "relight_images": relight(scene)[0],
     }
@@ -458,7 +464,7 @@ def test_exposure(kind: SceneKind) -> None:
 def test_pictures_are_the_model_of_their_truth(kind: SceneKind) -> None:
     scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2)
     for images, lighting in (
-        (scene.images, truth(scene).lighting),
+        (scene.images, lights(scene)),
         relight(scene),
     ):
         again = render(truth(scene).materials, scene.normals, lighting, scene.fov)

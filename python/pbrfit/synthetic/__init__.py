@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.model import render
 from pbrfit.scene import Scene, Truth
+from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.synthetic.scenes import SceneKind, build, draw
 from pbrfit.synthetic.textures import MaterialSet, load_textures
@@ -33,8 +34,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-MEAN_RADIANCE = 0.4
 
 
 def make_scene(
@@ -123,6 +122,5 @@ def make_scene(
 def _expose(view: RayCast, lighting: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Scale each light so that its picture's mean is between 1/√2 and √2; return both, scaled."""
     images = render(view.materials, view.normals, lighting, view.fov)
-    level = np.sqrt(2) ** rng.uniform(-1, 1, size=len(images))
-    gain = level / images.mean(axis=(1, 2, 3))
+    gain = gains(images, rng)
     return gain[:, None, None] * lighting, gain[:, None, None, None] * images
