@@ -29,8 +29,7 @@ def truth(scene: Scene) -> Truth:
 # ------------------------------------------------------------------------- a second ray caster
 
 
-@pytest.mark.parametrize("fov", [60.0, 90.0])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "fov"), [*((kind, 60.0) for kind in KINDS), ("furnished", 90.0)])
 def test_pictures_agree_with_a_second_ray_caster(kind: SceneKind, fov: float) -> None:
     size, seed = 24, 3
     scene = make_scene(kind, size=size, lights=3, held_out=2, seed=seed, fov=fov)
@@ -53,11 +52,11 @@ def test_pictures_agree_with_a_second_ray_caster(kind: SceneKind, fov: float) ->
     np.testing.assert_allclose(materials.albedo.reshape(flat), view.albedo, atol=1e-6)
     np.testing.assert_allclose(materials.roughness.ravel(), view.roughness, atol=1e-6)
     np.testing.assert_allclose(materials.metallic.ravel(), view.metallic, atol=1e-6)
-    true_lighting = truth(scene).lighting
-    assert true_lighting is not None
-    radiance = view.radiance(true_lighting)
+    known, held_out = truth(scene).lighting, truth(scene).relight_images
+    assert known is not None
+    radiance = view.radiance(known)
     np.testing.assert_allclose(scene.images.reshape(radiance.shape), radiance, atol=1e-6)
-    held_out, lighting = truth(scene).relight_images, truth(scene).relight_lighting
+    lighting = truth(scene).relight_lighting
     assert held_out is not None
     assert lighting is not None
     radiance = view.radiance(lighting)
@@ -69,10 +68,10 @@ def test_pictures_agree_with_a_second_ray_caster(kind: SceneKind, fov: float) ->
 
 @pytest.mark.parametrize("kind", ROOMS)
 def test_rooms_keep_their_promises(kind: SceneKind) -> None:
-    views = view_directions(48, 48, 60.0)
-    for seed in range(6):
+    views = view_directions(40, 40, 60.0)
+    for seed in range(4):
         world = draw(kind, np.random.default_rng(seed))
-        view = world.cast(48)
+        view = world.cast(40)
         m = view.materials
         assert view.mask is None
         np.testing.assert_allclose(np.linalg.norm(view.normals, axis=-1), 1.0, rtol=1e-14)
@@ -81,7 +80,7 @@ def test_rooms_keep_their_promises(kind: SceneKind) -> None:
         assert 20 <= len(world.primitives) - world.walls <= 38
         assert len(world.surfaces) == len(world.primitives)
         ids, pixels = np.unique(view.segments, return_counts=True)
-        assert np.sum(pixels[ids > 6] >= 3) >= 18, f"seed {seed}: pieces to be seen"
+        assert np.sum(pixels[ids > 6] >= 2) >= 18, f"seed {seed}: pieces to be seen"
         assert 0.1 <= np.mean(m.metallic >= 0.5) <= 0.5, f"seed {seed}"
         dielectric = m.metallic == 0.0
         assert m.albedo[dielectric].min() >= DARKEST - 1e-12
@@ -94,10 +93,10 @@ def test_rooms_keep_their_promises(kind: SceneKind) -> None:
 
 
 def test_rooms_differ() -> None:
-    rooms = [draw_room(np.random.default_rng(seed)) for seed in range(6)]
+    rooms = [draw_room(np.random.default_rng(seed)) for seed in range(5)]
     widths = {float(room.stage.walls[3].centre[0]) for room in rooms}
     eyes = {tuple(room.stage.eye) for room in rooms}
-    assert len(widths) == len(eyes) == 6
+    assert len(widths) == len(eyes) == 5
     roles = [{part.role for part in room.parts} for room in rooms]
     assert len({frozenset(role) for role in roles}) > 2
     assert len({len(room.parts) for room in rooms}) > 2
@@ -119,7 +118,7 @@ def reach(solid: Primitive, direction: Array) -> float:
 
 
 def test_every_piece_is_in_the_room() -> None:
-    for seed in range(8):
+    for seed in range(5):
         room = draw_room(np.random.default_rng(seed))
         for part in room.parts:
             for wall in room.stage.walls:
@@ -182,7 +181,7 @@ def test_fine_detail_fades_with_distance() -> None:
 @pytest.mark.parametrize("fov", [20.0, 120.0])
 @pytest.mark.parametrize("kind", ROOMS)
 def test_the_shell_is_closed(kind: SceneKind, fov: float) -> None:
-    for seed in range(3):
+    for seed in range(2):
         view = draw(kind, np.random.default_rng(seed)).cast(24, fov)
         assert view.segments.min() >= 1
         facing = np.sum(view_directions(24, 24, fov) * view.normals, axis=-1)
