@@ -358,7 +358,7 @@ def test_maps_are_those_of_our_own_rays(bpy_cache: Path) -> None:
 
 def test_pictures_come_close_to_the_closed_form_only_without_shadows(bpy_cache: Path) -> None:
     render = partial(
-        render_scene, world("furnished"), SIZE, lights=4, held_out=1, samples=32, cache=bpy_cache
+        render_scene, world("textured"), SIZE, lights=4, held_out=1, samples=32, cache=bpy_cache
     )
     brdf, full = (closed_form_gap(render(transport=of)) for of in ("brdf", "full"))
     assert brdf.true_light is not None
