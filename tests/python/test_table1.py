@@ -240,7 +240,7 @@ def test_command_goes_on_and_reports_failures(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--rows", "base", "nonsense"), "--rows: expected some of base, sh2"),
+        (("--rows", "base", "nonsense"), "argument --rows: invalid choice: 'nonsense'"),
         (("--scenes", "0"), "expected 1 or more, found 0"),
         (("--scenes", "101"), "--scenes: expected at most 100, found 101"),
         (("--lights", "1"), "--lights: expected at least 2, found 1"),
