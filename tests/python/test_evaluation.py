@@ -8,6 +8,8 @@ import math
 import os
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,6 +54,65 @@ def test_a_worker_that_dies_is_tried_once_more(tmp_path: Path) -> None:
     records = jobs.run(tasks, work, tmp_path, jobs=2)
     assert [record.error for record in records] == ["its process died", None, None, None]
     assert attempts(tmp_path)["bad"] == 2
+
+
+def test_who_runs_beside_a_worker_that_dies_is_not_blamed(tmp_path: Path) -> None:
+    tasks = [Task("good", tmp_path, "last at first"), Task("bad", tmp_path, "die")]
+    records = jobs.run(tasks, work, tmp_path, jobs=2)
+    assert [record.error for record in records] == [None, "its process died"]
+    assert attempts(tmp_path) == {"good": 2, "bad": 2}
+
+
+@pytest.mark.parametrize("at_once", [1, 2])
+def test_values_that_no_file_can_hold_are_an_error_of_their_task(
+    tmp_path: Path, at_once: int
+) -> None:
+    tasks = [Task("a", tmp_path, "no JSON"), Task("b", tmp_path)]
+    records = jobs.run(tasks, work, tmp_path, jobs=at_once)
+    assert str(records[0].error).startswith("TypeError: Object of type set")
+    assert records[1].error is None
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    program = (
+        "import sys; from pathlib import Path; from evaluation_tasks import Task, work\n"
+        "from pbrfit.evaluation.jobs import run\n"
+        "if __name__ == '__main__':\n"
+        "    folder = Path(sys.argv[1])\n"
+        "    run([Task(key, folder, 'last') for key in 'ab'], work, folder, jobs=2)\n"
+    )
+    file = tmp_path / "program.py"
+    file.write_text(program, "utf-8")
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    parent = subprocess.Popen(
+        [sys.executable, str(file), str(tmp_path)], env={**os.environ, "PYTHONPATH": path}
+    )
+    try:
+        until(lambda: len(attempts(tmp_path)) == 2 and all(attempts(tmp_path).values()))
+    finally:
+        parent.kill()
+        parent.wait()
+    workers = [int(trace.read_text("utf-8")) for trace in tmp_path.glob("*.trace")]
+    until(lambda: not any(alive(worker) for worker in workers))
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for something that is bound to happen soon."""
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it did not happen")
+
+
+def alive(process: int) -> bool:
+    """Whether it runs; one that has ended and waits for its parent does not."""
+    try:
+        os.kill(process, 0)
+        status = Path(f"/proc/{process}/stat")
+        return not status.exists() or status.read_text("utf-8").rpartition(")")[2].split()[0] != "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return False
 
 
 def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:
@@ -289,7 +350,6 @@ def test_a_fit_that_starts_at_the_truth_stays_there(kind: str, seed: int) -> Non
 def test_a_command_interrupted_in_the_middle_can_go_on(tmp_path: Path) -> None:
     """Ctrl-C reaches parent and workers alike; nothing but whole records is left."""
     import signal
-    import time
 
     out = tmp_path / "out"
     command = [sys.executable, "-m", "pbrfit", "evaluate", "table1", "--out", str(out)]

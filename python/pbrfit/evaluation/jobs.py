@@ -20,7 +20,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from threading import Thread
 from typing import Any, Protocol, TypeVar
 
 import pbrfit
@@ -30,9 +32,6 @@ RECORDS = "records"
 
 WRITERS = ("page.py", "plot.py", "plots.py", "report.py")
 """Files that take no part in the results of a suite."""
-
-ATTEMPTS = 2
-"""How often a task is tried whose worker process dies: it may have died of another's memory."""
 
 Values = Mapping[str, Any]
 """What a task found: anything that JSON can hold."""
@@ -121,32 +120,34 @@ def _run_in_processes(
     keep: Callable[[T, Record], None],
 ) -> None:
     waiting = list(reversed(tasks))
-    attempts = dict.fromkeys((task.key for task in tasks), 0)
+    suspects: list[T] = []
     threads = max(1, (os.cpu_count() or 1) // max(1, jobs))
-    while waiting:
-        # No more than `jobs` are handed over at a time: whoever is out when a worker dies is
-        # suspected of it.
+    while waiting or suspects:
+        # No more than `at_once` are handed over at a time: whoever is out when a worker dies is
+        # suspected of it. Suspects are tried again in the end, one at a time, which shows whose
+        # process dies; the death may also have been another's doing, who took all memory.
+        alone = not waiting
+        queue, at_once = (suspects, 1) if alone else (waiting, jobs)
         running: dict[Future[Record], T] = {}
         others = set(multiprocessing.active_children())
         pool = ProcessPoolExecutor(
-            jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
+            at_once, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
         )
         try:
-            while waiting or running:
-                while waiting and len(running) < jobs:
-                    task = waiting.pop()
-                    running[pool.submit(_attempt, work, task, threads)] = task
+            while queue or running:
+                while queue and len(running) < at_once:
+                    running[pool.submit(_attempt, work, queue[-1], threads)] = queue[-1]
+                    queue.pop()  # only now: a pool that has just broken takes nothing
                 ended, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in ended:
+                for future in sorted(ended, key=lambda future: future.exception() is not None):
                     record = future.result()
                     keep(running.pop(future), record)
         except BrokenProcessPool:
-            for task in running.values():
-                attempts[task.key] += 1
-                if attempts[task.key] < ATTEMPTS:
-                    waiting.append(task)
-                else:
+            if alone:
+                for task in running.values():
                     keep(task, Record(task.key, None, "its process died", 0.0))
+            else:
+                suspects += running.values()
         except BaseException:
             # Ctrl-C: a worker would go on with its task, and Python waits for it.
             for worker in set(multiprocessing.active_children()) - others:
@@ -158,6 +159,15 @@ def _run_in_processes(
 
 def _begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is told too, and ends its workers
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        Thread(target=_end_with, args=[parent], daemon=True).start()
+
+
+def _end_with(parent: BaseProcess) -> None:
+    """End this process when its parent has died without a word: nobody else would end it."""
+    parent.join()
+    os._exit(1)
 
 
 def _attempt(work: Callable[[T, int], Values], task: T, threads: int) -> Record:
@@ -167,7 +177,8 @@ def _attempt(work: Callable[[T, int], Values], task: T, threads: int) -> Record:
     values, error = None, None
     try:
         with threadpool_limits(1):  # small matrices: more threads only get into each other's way
-            values = work(task, threads)
+            # By way of JSON, so that a new record is what it will be when it is read back.
+            values = json.loads(json.dumps(work(task, threads)))
     except Exception as failure:  # whatever it is, the other tasks are no worse for it
         words = " ".join(str(failure).split())
         error = f"{type(failure).__name__}: {words}" if words else type(failure).__name__
