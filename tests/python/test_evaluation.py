@@ -190,10 +190,12 @@ def test_csv_keeps_all_digits_and_leaves_gaps_empty(tmp_path: Path) -> None:
 def test_folder_of_a_suite(tmp_path: Path) -> None:
     out = tmp_path / "a" / "out"
     workspace.prepare(out, resume=False, overwrite=False)
-    (out / "records" / "x.json").write_text("{}", "utf-8")
+    jobs.run([Task("x", tmp_path)], work, out)
+    (out / "summary.json").write_text("{}", "utf-8")
     with pytest.raises(FileExistsError, match="expected a folder that does not exist yet"):
         workspace.prepare(out, resume=False, overwrite=False)
     workspace.prepare(out, resume=True, overwrite=False)
+    assert [path.name for path in out.iterdir()] == ["records"]  # it is not whole any more
     assert (out / "records" / "x.json").exists()
     workspace.prepare(out, resume=False, overwrite=True)
     assert list((out / "records").iterdir()) == []
@@ -204,6 +206,30 @@ def test_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     for resume in (False, True):
         with pytest.raises(FileExistsError, match="found a folder without records"):
             workspace.prepare(tmp_path, resume=resume, overwrite=True)
+
+
+@pytest.mark.parametrize(("resume", "overwrite"), [(True, False), (False, True), (True, True)])
+@pytest.mark.parametrize("name", ["records/song.json", "records/blue.mp3", "thesis.txt"])
+def test_records_of_somebody_else_are_left_alone(
+    tmp_path: Path, name: str, resume: bool, overwrite: bool
+) -> None:
+    (tmp_path / "records").mkdir()
+    (tmp_path / name).write_text('{"title": "x"}', "utf-8")
+    with pytest.raises(FileExistsError, match="expected an earlier output of a suite, found"):
+        workspace.prepare(tmp_path, resume=resume, overwrite=overwrite)
+    assert (tmp_path / name).exists()
+
+
+def test_a_link_to_a_folder_stays(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    workspace.prepare(out, resume=False, overwrite=False)
+    (out / "report.html").write_text("old", "utf-8")
+    jobs.run([Task("x", tmp_path)], work, out)
+    link = tmp_path / "link"
+    link.symlink_to(out, target_is_directory=True)
+    workspace.prepare(link, resume=False, overwrite=True)
+    assert link.is_symlink()
+    assert [path.name for path in out.iterdir()] == ["records"]
 
 
 def test_report_is_whole_or_marked_by_the_lack_of_a_summary(tmp_path: Path) -> None:

@@ -30,6 +30,12 @@ import pbrfit
 RECORDS = "records"
 """Folder of the records, in that of the suite."""
 
+PART = ".part"
+"""Ending of a record that is being written."""
+
+_HEAD = b'{\n "digest": "'
+"""What every record begins with."""
+
 WRITERS = ("page.py", "plot.py", "plots.py", "report.py")
 """Files that take no part in the results of a suite."""
 
@@ -204,13 +210,23 @@ def _save(records: Path, task: Task, record: Record) -> None:
         "values": record.values,
     }
     path = records / f"{task.key}.json"
-    temporary = path.with_suffix(".part")
+    temporary = path.with_suffix(PART)
     try:
         temporary.write_text(json.dumps(content, indent=1, allow_nan=True), encoding="utf-8")
         temporary.replace(path)
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def is_record(path: Path) -> bool:
+    """Whether a file was written by `run`, by its name and first words."""
+    if path.suffix == PART:
+        return True
+    if path.suffix != ".json" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(_HEAD)) == _HEAD
 
 
 def _digest(task: Task) -> str:

@@ -1,7 +1,8 @@
 """The output folder of a suite that can be resumed.
 
-While the suite runs, the folder holds its records alone. Report and summary come last, one rename
-each, `summary.json` at the very end: a folder with a summary is complete.
+While the suite runs, the folder holds its records, and perhaps a report of an earlier run. Report
+and summary come last, one rename each, `summary.json` at the very end: a folder with a summary is
+complete.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pbrfit.evaluation import summary
-from pbrfit.evaluation.jobs import RECORDS
+from pbrfit.evaluation.jobs import RECORDS, is_record
 from pbrfit.output import check_free
 
 
@@ -23,14 +24,32 @@ def prepare(folder: Path, *, resume: bool, overwrite: bool) -> None:
     Raises
     ------
     FileExistsError
-        If something is there that may not be replaced; see `pbrfit.output.check_free`.
+        If something is there that may not be replaced (see `pbrfit.output.check_free`), or its
+        records are not those of a suite.
     """
-    if resume and (folder / RECORDS).is_dir():
+    there = folder / RECORDS
+    if there.is_dir() and (resume or overwrite):
+        _check_ours(folder)
+    if resume and there.is_dir():
+        (folder / summary.FILE).unlink(missing_ok=True)
         return
     check_free(folder, overwrite=overwrite, contains=(RECORDS,))
     if folder.is_dir():
-        shutil.rmtree(folder)
-    (folder / RECORDS).mkdir(parents=True)
+        shutil.rmtree(folder.resolve())  # of a link to a folder, the link stays
+    (folder.resolve() / RECORDS).mkdir(parents=True)
+
+
+def _check_ours(folder: Path) -> None:
+    """Others call folders `records` too: what is in it must be records, or nothing anywhere."""
+    found = sorted((folder / RECORDS).iterdir())
+    strange = [path.name for path in found if not is_record(path)]
+    if not found:
+        strange = [path.name for path in folder.iterdir() if path.name != RECORDS]
+    if strange:
+        raise FileExistsError(
+            f"{folder}: expected an earlier output of a suite, found {strange[0]}; remove it "
+            "yourself if it is not needed"
+        )
 
 
 @contextmanager
