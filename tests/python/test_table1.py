@@ -136,6 +136,26 @@ def test_given_normals_are_used(tmp_path: Path) -> None:
         measure.work(Task("normals", 1001, 24, 4, 1, predicted_normals=tmp_path), 1)
 
 
+def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
+    normals, out = tmp_path / "normals", tmp_path / "out"
+    normals.mkdir()
+    command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 1, *TINY,
+               "--quiet", "--predicted-normals", normals)  # fmt: skip
+    scene = make_scene("furnished", size=16, lights=4, held_out=4, seed=1000)
+    off = []
+    for turned, options in ((0.0, ()), (0.2, ("--resume",)), (0.2, ("--resume",))):
+        x, y, z = np.moveaxis(scene.normals, -1, 0)
+        c, s = math.cos(turned), math.sin(turned)
+        (normals / "1000.exr").unlink(missing_ok=True)
+        images.write_exr(normals / "1000.exr", {"X": c * x + s * z, "Y": y, "Z": c * z - s * x})
+        assert run(*command, *options) == 0
+        record = json.loads((out / "records" / "normals_1000.json").read_text("utf-8"))
+        off.append((record["values"]["facts"]["normals_mean"], record["seconds"]))
+    assert off[0][0] < 0.01
+    assert off[1][0] > 5
+    assert off[2] == off[1]  # not done again
+
+
 # ---------------------------------------------------------------------------------------- report
 
 

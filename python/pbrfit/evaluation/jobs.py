@@ -14,7 +14,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -217,6 +217,19 @@ def _save(records: Path, task: Task, record: Record) -> None:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def digest_of_files(folder: Path, paths: Iterable[Path] | None = None) -> str:
+    """sha256 of names and contents of files: of all below a folder, or of some of them.
+
+    A task that holds it is done again when its input changes.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*") if paths is None else paths):
+        if path.is_file():
+            digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def is_record(path: Path) -> bool:

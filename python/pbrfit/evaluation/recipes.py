@@ -60,11 +60,19 @@ def explain(
 def paper_start(scene: Scene) -> Materials:
     """Our reading of the paper, which does not say where it starts.
 
-    Albedo is the mean picture, exposed to a mean of 0.4 and clipped to [0, 1]; roughness 0.5,
-    metallic 0.1.
+    Albedo is the mean picture (with the weights of its samples), exposed to a mean of 0.4 and
+    clipped to [0, 1]; roughness 0.5, metallic 0.1.
     """
-    pictures = range(len(scene.images))
-    mean = np.mean([scene.samples(i) for i in pictures], axis=0, dtype=np.float64)
+    pixels = int(np.count_nonzero(scene.valid))
+    total, counts = np.zeros((pixels, 3)), np.zeros((pixels, 1))
+    for i in range(len(scene.images)):
+        # What has no weight, such as a clipped sample, is not known: it is left out of the mean.
+        weights = np.ones((pixels, 1))
+        if scene.weights is not None:
+            weights = scene.weights[i][scene.valid][:, None].astype(np.float64)
+        total += weights * scene.samples(i)
+        counts += weights
+    mean = total / counts
     albedo = np.empty((*scene.valid.shape, 3))
     albedo[scene.valid] = np.clip(mean * (MEAN_RADIANCE / mean.mean()), 0.0, 1.0)
     return _constant(scene, albedo, 0.5, 0.1)

@@ -124,11 +124,19 @@ def _why_not(row: Row, *, quick: bool) -> str:
 
 
 def _tasks(row: Row, options: argparse.Namespace) -> list[Task]:
-    from pbrfit.evaluation.table1.measure import FIRST_SEED, Task
+    from pbrfit.evaluation.jobs import digest_of_files
+    from pbrfit.evaluation.table1.measure import FIRST_SEED, Task, predicted_files
 
     count = options.scenes
     if row.renderer == "cycles":
         count = min(count, options.cycles_scenes)
+    textures = _absolute(options.textures) if row.scene == "detailed" else None
+    normals = _absolute(options.predicted_normals) if row.normals == "predicted" else None
+    of_textures = digest_of_files(textures) if textures else ""
+
+    def inputs(seed: int) -> str:
+        return digest_of_files(normals, predicted_files(normals, seed)) if normals else of_textures
+
     return [
         Task(
             row.key,
@@ -136,10 +144,9 @@ def _tasks(row: Row, options: argparse.Namespace) -> list[Task]:
             options.size,
             options.lights,
             options.iterations,
-            textures=_absolute(options.textures) if row.scene == "detailed" else None,
-            predicted_normals=_absolute(options.predicted_normals)
-            if row.normals == "predicted"
-            else None,
+            textures=textures,
+            predicted_normals=normals,
+            inputs=inputs(FIRST_SEED + i),
             preview=i == 0,
             cycles_cache=_absolute(options.cycles_cache),
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import images, scene_folder
+from pbrfit.evaluation.jobs import digest_of_files
 from pbrfit.evaluation.real.spheres import sphere_normals
 
 Array = NDArray[np.floating[Any]]
@@ -44,12 +44,7 @@ class Source:
 
     def digest(self) -> str:
         """sha256 of the names and contents of all files."""
-        digest = hashlib.sha256()
-        for path in sorted(self.folder.rglob("*")):
-            if path.is_file():
-                digest.update(path.relative_to(self.folder).as_posix().encode() + b"\0")
-                digest.update(hashlib.sha256(path.read_bytes()).digest())
-        return digest.hexdigest()
+        return digest_of_files(self.folder)
 
 
 @dataclass(frozen=True)

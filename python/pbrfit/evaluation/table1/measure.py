@@ -47,6 +47,8 @@ class Task:
         Folder of PBR maps for detailed scenes; None = procedural.
     predicted_normals
         Folder that holds SEED.exr or SEED.png by an estimator; None = simulated.
+    inputs
+        Digest of what is read from these two.
     preview
         Whether to keep a picture of our default's result.
     cycles_cache
@@ -60,6 +62,7 @@ class Task:
     iterations: int
     textures: Path | None = None
     predicted_normals: Path | None = None
+    inputs: str = ""
     preview: bool = False
     cycles_cache: Path | None = field(default=None, repr=False)
 
@@ -136,6 +139,11 @@ def _as_given(scene: Scene, task: Task, row: Row) -> tuple[Scene, dict[str, floa
     return scene, facts
 
 
+def predicted_files(folder: Path, seed: int) -> list[Path]:
+    """Where the normals of a scene by an estimator may be."""
+    return [folder / f"{seed}{suffix}" for suffix in (".exr", ".png")]
+
+
 def _predicted(scene: Scene, task: Task) -> NDArray[np.float64]:
     folder = task.predicted_normals
     if folder is None:
@@ -143,7 +151,7 @@ def _predicted(scene: Scene, task: Task) -> NDArray[np.float64]:
         # A stream of its own, apart from those of the scene.
         rng = np.random.default_rng([task.seed, 1])
         return disturbed(scene.normals, scene.views, scene.segments, rng)
-    paths = [folder / f"{task.seed}{suffix}" for suffix in (".exr", ".png")]
+    paths = predicted_files(folder, task.seed)
     for path in paths:
         if path.exists():
             normals = read_normals(path)

@@ -357,7 +357,7 @@ def lines(found: Sequence[Outcome]) -> list[str]:
             texts.append(f"{name:<{width}}  {IN_WORDS[recipe]:<21}{figures}")
             name = ""
         if outcome.row.paper:
-            figures = "".join(f"{outcome.row.paper.get(c, '–'):>11}" for c in COLUMNS)
+            figures = "".join(f"{_papers(outcome.row.paper.get(c)).text:>11}" for c in COLUMNS)
             texts.append(f"{'':<{width}}  {'paper, other scenes':<21}{figures}")
     counts = Counter(outcome.status for outcome in found if outcome.records)
     for status, count in counts.items():
