@@ -16,13 +16,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
 from pbrfit._core import InputError
+from pbrfit.arguments import (
+    DONE,
+    INTERRUPTED,
+    SOME_FAILED,
+    UNUSABLE,
+    add_out,
+    add_quiet,
+    add_threads,
+    complain,
+    unread_is_no_failure,
+    whole_number,
+)
 from pbrfit.color import ColorSpace
+from pbrfit.evaluation.commands import add_suites
 
 if TYPE_CHECKING:
     from pbrfit.result import Result
     from pbrfit.scene import Scene
-
-DONE, SOME_FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,10 +46,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
     except (InputError, OSError, MemoryError) as error:
-        _complain(_message(error))
+        complain(_message(error))
         return UNUSABLE
-    except KeyboardInterrupt:
-        _complain("interrupted; no unfinished result was left behind")
+    except KeyboardInterrupt as interrupt:
+        complain(str(interrupt) or "interrupted; no unfinished result was left behind")
         return INTERRUPTED
 
 
@@ -101,11 +112,11 @@ def _parser() -> argparse.ArgumentParser:
     added.add_argument(
         "scenes", metavar="SCENE", nargs="+", type=Path, help="scene folder, or a folder of them"
     )
-    _add_out(added, "result folder; with several scenes it holds one result folder a scene")
+    add_out(added, "result folder; with several scenes it holds one result folder a scene")
     _add_input_options(added)
     _add_solver_options(added)
     _add_model_options(added, "of the lights; 2 leaves out band 3")
-    _add_quiet(added)
+    add_quiet(added)
 
     added = command("inspect", _inspect, "show what a scene folder holds and what is assumed")
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
@@ -149,21 +160,7 @@ def _parser() -> argparse.ArgumentParser:
         help="measure this package and write a report",
         description="Run a suite of measurements and write its report.",
     ).add_subparsers(metavar="SUITE", required=True, title="suites")
-    added = suites.add_parser(
-        "stability",
-        help="numerical stability of the core",
-        description="Check band weights, loss and gradient against exact or float64 references, "
-        "and state a bound for every figure. Writes report.html, its plots and summary.json. "
-        "Exit code 1 if a bound fails.",
-    )
-    added.set_defaults(command=_evaluate_stability)
-    _add_out(added, "folder to write")
-    added.add_argument(
-        "--quick", action="store_true", help="seconds instead of minutes: fewer pixels"
-    )
-    added.add_argument("--seed", type=whole_number, default=0, help="of pixels, lights, pictures")
-    _add_threads(added)
-    _add_quiet(added)
+    add_suites(suites)
 
     added = command("demo", _demo, "make a synthetic scene, decompose it, compare with the truth")
     added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
@@ -171,19 +168,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_solver_options(added)
     _add_model_options(added, "of the lights, true and fitted")
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
-    _add_quiet(added)
+    add_quiet(added)
     return parser
-
-
-def _add_out(parser: argparse.ArgumentParser, what: str) -> None:
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help=what)
-    parser.add_argument("--overwrite", action="store_true", help="replace existing results")
-
-
-def _add_quiet(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--quiet", action="store_true", help="no progress bar, no table, no warnings"
-    )
 
 
 def _add_input_options(parser: argparse.ArgumentParser) -> None:
@@ -216,17 +202,7 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         help="stop the fit of a scene after so many seconds (default: none)",
     )
-    _add_threads(parser)
-
-
-def _add_threads(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--threads",
-        metavar="T",
-        type=whole_number,
-        default=0,
-        help="0 = one for each processor; results do not depend on it",
-    )
+    add_threads(parser)
 
 
 def _add_model_options(parser: argparse.ArgumentParser, what_order: str) -> None:
@@ -259,14 +235,6 @@ def _add_synth_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=whole_number, default=0, help="of scene, lights and noise")
 
 
-def whole_number(text: str) -> int:
-    """Read a number for `argparse` that fits everywhere."""
-    value = int(text)
-    if not 0 <= value < 2**31:
-        raise argparse.ArgumentTypeError(f"expected 0 or more, found {text}")
-    return value
-
-
 def _decompose(options: argparse.Namespace) -> int:
     from pbrfit.output import check_free
     from pbrfit.result import CONTAINS
@@ -286,11 +254,11 @@ def _decompose(options: argparse.Namespace) -> int:
             if one:
                 raise
             message = _message(error)
-            _complain(message if str(path) in message else f"{path}: {message}")
+            complain(message if str(path) in message else f"{path}: {message}")
             failed.append(path)
     if failed:
         names = ", ".join(str(path) for path in failed)
-        _complain(f"{len(failed)} of {len(scenes)} scenes failed: {names}")
+        complain(f"{len(failed)} of {len(scenes)} scenes failed: {names}")
         return SOME_FAILED if len(failed) < len(scenes) else UNUSABLE
     return DONE
 
@@ -305,19 +273,8 @@ def _decompose_one(path: Path, output: Path, options: argparse.Namespace) -> Non
         result = _fit(scene, path.resolve().name, options)
         result.write(folder, scene)
     if not options.quiet:
-        with _unread_is_no_failure():
+        with unread_is_no_failure():
             _print_result(result, scene, output)
-
-
-@contextmanager
-def _unread_is_no_failure() -> Iterator[None]:
-    """For telling about an output that is there, whether or not anybody can read about it."""
-    try:
-        yield
-        sys.stdout.flush()
-    except OSError:
-        # What is still in the buffer goes nowhere, or Python would fail on it when it ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
@@ -449,44 +406,6 @@ def _check_gradients(options: argparse.Namespace) -> int:
     return SOME_FAILED if failed else DONE
 
 
-def _evaluate_stability(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
-
-    from pbrfit.evaluation import stability
-    from pbrfit.evaluation.stability import report
-    from pbrfit.output import new_folder
-
-    with new_folder(options.out, overwrite=options.overwrite, contains=report.CONTAINS) as folder:
-        with tqdm(
-            total=len(stability.SECTIONS),
-            unit="section",
-            disable=True if options.quiet else None,
-            dynamic_ncols=True,
-        ) as bar:
-
-            def show(section: str) -> None:
-                bar.set_description(section)
-                bar.update(stability.SECTIONS.index(section) - bar.n)
-
-            measured = stability.measure(
-                stability.QUICK if options.quick else stability.FULL,
-                seed=options.seed,
-                threads=options.threads,
-                progress=show,
-            )
-            bar.update(len(stability.SECTIONS) - bar.n)
-        report.write(folder, measured)
-    if not options.quiet:
-        with _unread_is_no_failure():
-            print(f"{'worst':>9}{'bound':>9}")
-            for check in measured.checks:
-                if check.bound is not None:
-                    mark = "" if check.passed else "   FAILS"
-                    print(f"{check.worst:>9.1e}{check.bound:>9.1e}  {check.what}{mark}")
-            print(f"\n{report.verdict(measured)}; look at {options.out / 'report.html'}")
-    return DONE if measured.passed else SOME_FAILED
-
-
 def _demo(options: argparse.Namespace) -> int:
     from pbrfit import report
     from pbrfit.output import new_folder
@@ -548,10 +467,6 @@ def _message(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split())
-
-
-def _complain(message: str) -> None:
-    print(f"pbrfit: {message}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -400,19 +400,19 @@ def _averaged(
     return small_normals, small_mask, segments
 
 
-def _read_normals(
-    folder: Path,
-    settings: Settings,
-    mask: NDArray[np.bool_],
-    inputs: dict[str, str],
-    assumed: dict[str, str],
-) -> NDArray[np.float64]:
-    found = [path for name in NORMAL_FILES if (path := folder / name).exists()]
-    if not found:
-        raise InputError(f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals")
-    if len(found) == 2:
-        raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
-    [path] = found
+def read_normals(path: Path) -> NDArray[np.float64]:
+    """Read a normal map: EXR channels as they are, or a PNG whose values v mean n = 2v - 1.
+
+    Returns
+    -------
+    ndarray
+        (H, W, 3), in whatever frame and of whatever length the file holds.
+
+    Raises
+    ------
+    InputError
+        If the file has other channels.
+    """
     if path.suffix == ".exr":
         channels = images.read_channels(path)
         triple = next(
@@ -429,12 +429,27 @@ def _read_normals(
                 f"{path}: expected channels X, Y, Z (or R, G, B, or normal.X ...), "
                 f"found {', '.join(sorted(channels))}"
             )
-        normals = np.stack([channels[name] for name in triple], axis=-1).astype(np.float64)
-    else:
-        data = images.read_data(path)
-        if data.shape[-1] < 3:
-            raise InputError(f"{path}: expected three channels, found {data.shape[-1]}")
-        normals = 2.0 * data[..., :3] - 1.0
+        return np.stack([channels[name] for name in triple], axis=-1).astype(np.float64)
+    data = images.read_data(path)
+    if data.shape[-1] < 3:
+        raise InputError(f"{path}: expected three channels, found {data.shape[-1]}")
+    return 2.0 * data[..., :3] - 1.0
+
+
+def _read_normals(
+    folder: Path,
+    settings: Settings,
+    mask: NDArray[np.bool_],
+    inputs: dict[str, str],
+    assumed: dict[str, str],
+) -> NDArray[np.float64]:
+    found = [path for name in NORMAL_FILES if (path := folder / name).exists()]
+    if not found:
+        raise InputError(f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals")
+    if len(found) == 2:
+        raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
+    [path] = found
+    normals = read_normals(path)
     _expect_size(path, normals.shape[:2], mask.shape)
     inputs[path.name] = _sha256(path)
     axes = settings.normals

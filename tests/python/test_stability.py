@@ -499,8 +499,9 @@ def test_report_of_nonsense(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_page_escapes_its_text(tmp_path: Path) -> None:
-    line = page.Line("a < b & c", "1", "here", "", None, 'the "reason"')
-    page.write_page(tmp_path, "<T>", ["x < y"], [page.Section("S & T", [], [line])])
+    row = [page.Cell("a < b & c"), page.Cell('the "reason"', "why")]
+    table = page.Table([page.Cell("one"), page.Cell("two")], [row])
+    page.write_page(tmp_path, "<T>", ["x < y"], [page.Section("S & T", [], [table])])
     content = (tmp_path / "report.html").read_text(encoding="utf-8")
     for text in (
         "a &lt; b &amp; c", "the &quot;reason&quot;", "<h1>&lt;T&gt;</h1>", "S &amp; T", "x &lt; y"

@@ -1,4 +1,4 @@
-"""One self-contained HTML page: sections with sentences, a table and plots."""
+"""One self-contained HTML page: sections with sentences, tables and pictures."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Literal
 
 FILE = "report.html"
 
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #1e1e1e; background: #fff;
-       max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
+       max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.7rem; margin-bottom: .3rem; }
 h2 { font-size: 1.25rem; margin: 2.5rem 0 .3rem; }
 p { max-width: 46rem; margin: .5rem 0; }
@@ -23,6 +24,7 @@ th, td { text-align: left; vertical-align: top; padding: .3rem .8rem .3rem 0;
 th { border-bottom: 2px solid #888; }
 td.number, th.number { text-align: right; white-space: nowrap;
                        font-variant-numeric: tabular-nums; }
+td.name, th.name { white-space: nowrap; }
 td.why { color: #555; max-width: 24rem; }
 .pass { color: #00674b; font-weight: 600; }
 .fail { color: #fff; background: #b33c00; font-weight: 600; padding: 0 .4em; border-radius: 3px; }
@@ -43,28 +45,34 @@ class Figure:
     caption: str
 
 
+Look = Literal["", "name", "number", "best", "pass", "fail", "note", "why"]
+"""How a cell looks: a name on one line, a figure that is aligned right, a verdict, a remark."""
+
+
 @dataclass(frozen=True)
-class Line:
-    """A row of a table: a figure beside its bound, both as text.
+class Cell:
+    """Text in a table; a line break in it stays one."""
 
-    `passed` is None where there is no bound.
-    """
+    text: str
+    look: Look = ""
 
-    what: str
-    figure: str
-    where: str
-    bound: str
-    passed: bool | None
-    why: str
+
+@dataclass(frozen=True)
+class Table:
+    """Names of the columns, and rows with a cell for each. A caption stands above."""
+
+    columns: Sequence[Cell]
+    rows: Sequence[Sequence[Cell]]
+    caption: str = ""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, sentences, a table, plots."""
+    """A heading, sentences, tables, pictures."""
 
     title: str
     sentences: Sequence[str]
-    lines: Sequence[Line] = ()
+    tables: Sequence[Table] = ()
     figures: Sequence[Figure] = ()
 
 
@@ -79,8 +87,7 @@ def write_page(
     for section in sections:
         body.append(f"<h2>{escape(section.title)}</h2>")
         body += [_paragraph(text) for text in section.sentences]
-        if section.lines:
-            body.append(_table(section.lines))
+        body += [_table(table) for table in section.tables]
         body += [_figure(figure) for figure in section.figures]
     content = "\n".join(
         [
@@ -98,25 +105,20 @@ def _paragraph(text: str) -> str:
     return f"<p>{escape(text)}</p>"
 
 
-def _table(lines: Sequence[Line]) -> str:
-    head = (
-        '<tr><th>What</th><th class="number">Worst</th><th class="number">Bound</th>'
-        "<th>Verdict</th><th>Where</th><th>Why this bound</th></tr>"
-    )
-    return f'<div class="scroll"><table>{head}{"".join(map(_row, lines))}</table></div>'
+def _table(table: Table) -> str:
+    caption = _paragraph(table.caption) if table.caption else ""
+    head = "".join(_cell("th", cell) for cell in table.columns)
+    rows = "".join(f"<tr>{''.join(_cell('td', cell) for cell in row)}</tr>" for row in table.rows)
+    return f'{caption}<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
 
 
-def _row(line: Line) -> str:
-    verdict = {
-        True: '<span class="pass">pass</span>',
-        False: '<span class="fail">FAIL</span>',
-        None: '<span class="note">reported</span>',
-    }[line.passed]
-    return (
-        f'<tr><td>{escape(line.what)}</td><td class="number">{escape(line.figure)}</td>'
-        f'<td class="number">{escape(line.bound)}</td><td>{verdict}</td>'
-        f'<td>{escape(line.where)}</td><td class="why">{escape(line.why)}</td></tr>'
-    )
+def _cell(tag: str, cell: Cell) -> str:
+    text = escape(cell.text).replace("\n", "<br>")
+    if cell.look in ("pass", "fail", "note"):
+        return f'<{tag}><span class="{cell.look}">{text}</span></{tag}>'
+    if cell.look == "best":
+        return f'<{tag} class="number"><b>{text}</b></{tag}>'
+    return f'<{tag} class="{cell.look}">{text}</{tag}>' if cell.look else f"<{tag}>{text}</{tag}>"
 
 
 def _figure(figure: Figure) -> str:

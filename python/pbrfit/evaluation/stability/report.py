@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pbrfit.evaluation import page, summary
 from pbrfit.evaluation.notation import scientific
-from pbrfit.evaluation.page import Line, Section
+from pbrfit.evaluation.page import Cell, Section, Table
 from pbrfit.evaluation.stability import SECTIONS, Check, Stability, plots
 from pbrfit.evaluation.stability.exact_bands import DIGITS
 
@@ -78,7 +78,7 @@ def _sections(measured: Stability) -> list[Section]:
                 "this is (closed form, and a Taylor series about r = 1 where 1 − r⁴ < 10⁻³) in "
                 "float64, and the same in float32.",
             ],
-            _lines(m.bands.checks),
+            _table(m.bands.checks),
             [
                 page.Figure(
                     "bands",
@@ -103,7 +103,7 @@ def _sections(measured: Stability) -> list[Section]:
                 "by the largest value in its band. That is what rounding errors are proportional "
                 "to; the entry itself may be anything, because its terms cancel.",
             ],
-            _lines(m.kernel.checks),
+            _table(m.kernel.checks),
             [
                 page.Figure(
                     "kernel",
@@ -123,7 +123,7 @@ def _sections(measured: Stability) -> list[Section]:
                 "First jumps of the float64 path, then analytic slopes against differences of "
                 "values, then what float32 adds: noise.",
             ],
-            _lines(m.branches.checks),
+            _table(m.branches.checks),
             [
                 page.Figure(
                     "jumps",
@@ -152,7 +152,7 @@ def _sections(measured: Stability) -> list[Section]:
                 "rounding keeps the true residual above 2·10⁻⁸, and the comparison is with the "
                 "true residual of the rounded pictures.",
             ],
-            _lines(m.cancellation.checks),
+            _table(m.cancellation.checks),
             [
                 page.Figure(
                     "cancellation",
@@ -174,7 +174,7 @@ def _sections(measured: Stability) -> list[Section]:
                 "residuals of one sign, whose errors cannot cancel, hardest when all pixels are "
                 "alike, so that every addition rounds the same way.",
             ],
-            _lines(m.accumulation.checks),
+            _table(m.accumulation.checks),
             [
                 page.Figure(
                     "accumulation",
@@ -195,7 +195,7 @@ def _sections(measured: Stability) -> list[Section]:
                 "small radiance and overflow for very large, which is refused with an error. The "
                 "solver scales pictures to a mean of 0.4 first.",
             ],
-            _lines(m.tiny.checks),
+            _table(m.tiny.checks),
             [
                 page.Figure(
                     "exposures",
@@ -211,20 +211,33 @@ def _sections(measured: Stability) -> list[Section]:
                 f"Loss and gradient bit for bit, in {m.determinism.evaluations} evaluations of "
                 "problems large and small.",
             ],
-            _lines(m.determinism.checks),
+            _table(m.determinism.checks),
         ),
     ]
 
 
-def _lines(checks: Sequence[Check]) -> list[Line]:
+_COLUMNS = (
+    Cell("What"),
+    Cell("Worst", "number"),
+    Cell("Bound", "number"),
+    Cell("Verdict"),
+    Cell("Where"),
+    Cell("Why this bound"),
+)
+
+
+def _table(checks: Sequence[Check]) -> list[Table]:
+    return [Table(_COLUMNS, [_row(check) for check in checks])]
+
+
+def _row(check: Check) -> list[Cell]:
+    bounded = check.bound is not None
+    verdict = Cell("pass", "pass") if check.passed else Cell("FAIL", "fail")
     return [
-        Line(
-            what=check.what,
-            figure=scientific(check.worst),
-            where=check.where,
-            bound="" if check.bound is None else scientific(check.bound),
-            passed=None if check.bound is None else check.passed,
-            why=check.why,
-        )
-        for check in checks
+        Cell(check.what),
+        Cell(scientific(check.worst), "number"),
+        Cell(scientific(check.bound) if check.bound is not None else "", "number"),
+        verdict if bounded else Cell("reported", "note"),
+        Cell(check.where),
+        Cell(check.why, "why"),
     ]

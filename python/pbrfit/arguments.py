@@ -1,0 +1,73 @@
+"""Options, exit codes and manners that the commands share."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+Subcommands = Any
+"""What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
+
+DONE, SOME_FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+"""Exit codes: done; some scenes failed; wrong usage or unusable input; Ctrl-C."""
+
+
+def add_out(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add `--out` and `--overwrite`."""
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help=what)
+    parser.add_argument("--overwrite", action="store_true", help="replace existing results")
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """Add `--quiet`."""
+    parser.add_argument(
+        "--quiet", action="store_true", help="no progress bar, no table, no warnings"
+    )
+
+
+def add_threads(parser: argparse.ArgumentParser) -> None:
+    """Add `--threads`."""
+    parser.add_argument(
+        "--threads",
+        metavar="T",
+        type=whole_number,
+        default=0,
+        help="0 = one for each processor; results do not depend on it",
+    )
+
+
+def whole_number(text: str) -> int:
+    """Read a number for `argparse` that fits everywhere."""
+    value = int(text)
+    if not 0 <= value < 2**31:
+        raise argparse.ArgumentTypeError(f"expected 0 or more, found {text}")
+    return value
+
+
+def positive(text: str) -> int:
+    """Read a whole number above 0 for `argparse`."""
+    value = whole_number(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
+    return value
+
+
+@contextmanager
+def unread_is_no_failure() -> Iterator[None]:
+    """For telling about an output that is there, whether or not anybody can read about it."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError:
+        # What is still in the buffer goes nowhere, or Python would fail on it when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def complain(message: str) -> None:
+    """Say what is wrong, in one line on stderr."""
+    print(f"pbrfit: {message}", file=sys.stderr)

@@ -1,0 +1,14 @@
+"""The suites as sub-commands of `pbrfit evaluate`, one file each; measuring is imported late."""
+
+from __future__ import annotations
+
+from pbrfit.arguments import Subcommands
+from pbrfit.evaluation.commands import stability, table1
+
+SUITES = (table1, stability)
+
+
+def add_suites(suites: Subcommands) -> None:
+    """Add them all."""
+    for suite in SUITES:
+        suite.add(suites)

@@ -1,0 +1,79 @@
+"""What suites of many tasks share: options, progress, an interruption that can be made good."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from pbrfit.arguments import SOME_FAILED, UNUSABLE, add_out, add_quiet, complain, positive
+from pbrfit.evaluation.jobs import Record, Task, Values, run
+
+T = TypeVar("T", bound=Task)
+
+
+def add_options(parser: argparse.ArgumentParser, *, jobs: int | None = None) -> None:
+    """Add `--out`, `--overwrite`, `--resume`, `--jobs` and `--quiet`."""
+    add_out(parser, "folder to write")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with an earlier run: what it finished with the same options and code is kept",
+    )
+    parser.add_argument(
+        "--jobs",
+        metavar="J",
+        type=positive,
+        default=jobs or os.cpu_count() or 1,
+        help="scenes at the same time, each in a process of its own",
+    )
+    add_quiet(parser)
+
+
+def run_tasks(
+    tasks: Sequence[T],
+    work: Callable[[T, int], Values],
+    options: argparse.Namespace,
+    *,
+    unit: str = "scene",
+) -> list[Record]:
+    """Run them with a progress bar; tell failures as they come.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        With a message that says how to go on.
+    """
+    from tqdm import tqdm
+
+    from pbrfit.evaluation import workspace
+
+    workspace.prepare(options.out, resume=options.resume, overwrite=options.overwrite)
+    # disable=None: only where stderr is a terminal.
+    with tqdm(
+        total=len(tasks), unit=unit, disable=True if options.quiet else None, dynamic_ncols=True
+    ) as bar:
+
+        def show(record: Record) -> None:
+            bar.set_postfix_str(record.key, refresh=False)
+            bar.update()
+            if record.error is not None:
+                with bar.external_write_mode():
+                    complain(f"{record.key}: {record.error}")
+
+        try:
+            return run(tasks, work, options.out, jobs=options.jobs, progress=show)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted after {bar.n} of {len(tasks)}; --resume goes on from there"
+            ) from None
+
+
+def exit_code(records: Sequence[Record]) -> int:
+    """0 if all went well, 1 if some failed, 2 if all did; says which."""
+    failed = [record.key for record in records if record.error is not None]
+    if not failed:
+        return 0
+    complain(f"{len(failed)} of {len(records)} failed: {', '.join(failed)}")
+    return SOME_FAILED if len(failed) < len(records) else UNUSABLE

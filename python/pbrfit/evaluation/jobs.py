@@ -1,0 +1,225 @@
+"""Many tasks in several processes, each result kept on disk: interrupted runs can go on.
+
+Every task ends in a record, `records/KEY.json` in the folder of the suite, which is there whole or
+not at all. A later run uses a record again if task and code are the same: the record holds a
+digest of both. Workers are started afresh (spawn), so that nothing is inherited from a process
+whose threads may hold locks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import pbrfit
+
+RECORDS = "records"
+"""Folder of the records, in that of the suite."""
+
+WRITERS = ("page.py", "plot.py", "plots.py", "report.py")
+"""Files that take no part in the results of a suite."""
+
+ATTEMPTS = 2
+"""How often a task is tried whose worker process dies: it may have died of another's memory."""
+
+Values = Mapping[str, Any]
+"""What a task found: anything that JSON can hold."""
+
+
+class Task(Protocol):
+    """A frozen dataclass that can be pickled; its `repr` says everything that matters."""
+
+    @property
+    def key(self) -> str:
+        """Unique name, fit for a file."""
+
+
+T = TypeVar("T", bound=Task)
+
+
+@dataclass(frozen=True)
+class Record:
+    """What became of a task: `values`, or in one line the `error`; and the seconds it took."""
+
+    key: str
+    values: Values | None
+    error: str | None
+    seconds: float
+
+
+def run(
+    tasks: Sequence[T],
+    work: Callable[[T, int], Values],
+    folder: Path,
+    *,
+    jobs: int = 1,
+    progress: Callable[[Record], None] = lambda _: None,
+) -> list[Record]:
+    """Do all tasks, or take their records from an earlier run.
+
+    Parameters
+    ----------
+    tasks
+        With different keys.
+    work
+        A function of a module, called with a task and the number of threads it may use.
+    folder
+        Exists. Records that are there already are used again if they are of the same task and
+        code, and ended well.
+    jobs
+        How many tasks run at the same time; 1 = in this process, with all processors.
+    progress
+        Called with each record, found or made.
+
+    Returns
+    -------
+    list of Record
+        In the order of `tasks`. A task that raises ends in a record with an error and does not
+        stop the others.
+    """
+    records = folder / RECORDS
+    records.mkdir(exist_ok=True)
+    done: dict[str, Record] = {}
+    missing: list[T] = []
+    for task in tasks:
+        found = _load(records, task)
+        if found is None:
+            missing.append(task)
+        else:
+            done[task.key] = found
+            progress(found)
+
+    def keep(task: T, record: Record) -> None:
+        _save(records, task, record)
+        done[task.key] = record
+        progress(record)
+
+    if jobs == 1:
+        for task in missing:
+            keep(task, _attempt(work, task, os.cpu_count() or 1))
+    else:
+        _run_in_processes(missing, work, min(jobs, len(missing)), keep)
+    return [done[task.key] for task in tasks]
+
+
+def _run_in_processes(
+    tasks: Sequence[T],
+    work: Callable[[T, int], Values],
+    jobs: int,
+    keep: Callable[[T, Record], None],
+) -> None:
+    waiting = list(reversed(tasks))
+    attempts = dict.fromkeys((task.key for task in tasks), 0)
+    threads = max(1, (os.cpu_count() or 1) // max(1, jobs))
+    while waiting:
+        # No more than `jobs` are handed over at a time: whoever is out when a worker dies is
+        # suspected of it.
+        running: dict[Future[Record], T] = {}
+        others = set(multiprocessing.active_children())
+        pool = ProcessPoolExecutor(
+            jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
+        )
+        try:
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    task = waiting.pop()
+                    running[pool.submit(_attempt, work, task, threads)] = task
+                ended, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    record = future.result()
+                    keep(running.pop(future), record)
+        except BrokenProcessPool:
+            for task in running.values():
+                attempts[task.key] += 1
+                if attempts[task.key] < ATTEMPTS:
+                    waiting.append(task)
+                else:
+                    keep(task, Record(task.key, None, "its process died", 0.0))
+        except BaseException:
+            # Ctrl-C: a worker would go on with its task, and Python waits for it.
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is told too, and ends its workers
+
+
+def _attempt(work: Callable[[T, int], Values], task: T, threads: int) -> Record:
+    from threadpoolctl import threadpool_limits
+
+    began = time.perf_counter()
+    values, error = None, None
+    try:
+        with threadpool_limits(1):  # small matrices: more threads only get into each other's way
+            values = work(task, threads)
+    except Exception as failure:  # whatever it is, the other tasks are no worse for it
+        words = " ".join(str(failure).split())
+        error = f"{type(failure).__name__}: {words}" if words else type(failure).__name__
+    return Record(task.key, values, error, time.perf_counter() - began)
+
+
+def _load(records: Path, task: Task) -> Record | None:
+    try:
+        content = json.loads((records / f"{task.key}.json").read_text(encoding="utf-8"))
+        if content["digest"] == _digest(task) and content["error"] is None:
+            return Record(task.key, content["values"], None, content["seconds"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # absent or broken: it is made again
+    return None
+
+
+def _save(records: Path, task: Task, record: Record) -> None:
+    content = {
+        "digest": _digest(task),
+        "task": repr(task),
+        "error": record.error,
+        "seconds": record.seconds,
+        "values": record.values,
+    }
+    path = records / f"{task.key}.json"
+    temporary = path.with_suffix(".part")
+    try:
+        temporary.write_text(json.dumps(content, indent=1, allow_nan=True), encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _digest(task: Task) -> str:
+    return hashlib.sha256(f"{_code()} {task!r}".encode()).hexdigest()
+
+
+@cache
+def _code() -> str:
+    """Digest of the package: results of other code are other results.
+
+    What only writes about results does not count.
+    """
+    digest = hashlib.sha256()
+    package = Path(pbrfit.__file__).parent
+    evaluation = Path(__file__).parent
+    for path in sorted(package.rglob("*")):
+        writes = path.is_relative_to(evaluation) and (
+            path.name in WRITERS or path.parent.name == "commands"
+        )
+        if path.suffix in (".py", ".so", ".pyd") and not writes:
+            digest.update(path.relative_to(package).as_posix().encode() + b"\0")
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,144 @@
+"""One scene of one row: rendered, explained by every recipe, compared with the truth."""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.evaluation.recipes import RECIPES, explain
+from pbrfit.evaluation.scores import METAL, score
+from pbrfit.evaluation.table1.normals import angles, disturbed
+from pbrfit.evaluation.table1.rows import BY_KEY, Row
+from pbrfit.scene import Scene, unit_normals
+from pbrfit.scene_folder import read_normals
+from pbrfit.synthetic import make_scene
+
+TRUE_FOV = 60.0
+
+FIRST_SEED = 100
+"""Scenes are those of the seeds from here on. Seeds below 100 and from 200 on served to tune
+solver, scenes and normals; none of 100 to 199 ever did."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A scene of a row.
+
+    Attributes
+    ----------
+    row
+        Its key.
+    seed
+        Of the scene.
+    size, lights
+        Side of the pictures, and their number; as many are held out.
+    iterations
+        Of both fits.
+    textures
+        Folder of PBR maps for detailed scenes; None = procedural.
+    predicted_normals
+        Folder that holds SEED.exr or SEED.png by an estimator; None = simulated.
+    preview
+        Whether to keep a picture of our default's result.
+    cycles_cache
+        Where renders are kept.
+    """
+
+    row: str
+    seed: int
+    size: int
+    lights: int
+    iterations: int
+    textures: Path | None = None
+    predicted_normals: Path | None = None
+    preview: bool = False
+    cycles_cache: Path | None = field(default=None, repr=False)
+
+    @property
+    def key(self) -> str:
+        """File name of the record."""
+        return f"{self.row}_{self.seed}"
+
+
+def work(task: Task, threads: int) -> dict[str, Any]:
+    """Scores of all recipes, facts about the scene, and perhaps a preview."""
+    row = BY_KEY[task.row]
+    truth = _scene(task, row, threads)
+    scene, facts = _as_given(truth, task, row)
+    found: dict[str, Any] = {"facts": facts, "recipes": {}}
+    for recipe in RECIPES:
+        result = explain(
+            scene, recipe, iterations=task.iterations, sh_order=row.sh_order, threads=threads
+        )
+        found["recipes"][recipe] = score(result, scene, threads).as_json()
+        if recipe == "default" and task.preview:
+            found["preview"] = _preview(result, scene)
+    return found
+
+
+def _scene(task: Task, row: Row, threads: int) -> Scene:
+    if row.renderer == "own":
+        return make_scene(
+            "room",
+            size=task.size,
+            lights=task.lights,
+            held_out=task.lights,
+            seed=task.seed,
+        )
+    raise NotImplementedError
+
+
+def _as_given(scene: Scene, task: Task, row: Row) -> tuple[Scene, dict[str, float]]:
+    """What the decomposition is told, which may be wrong; and facts about the truth."""
+    truth = scene.truth
+    assert truth is not None
+    valid = scene.valid
+    facts = {"metal_share": float(np.mean(truth.materials.metallic[valid] >= METAL))}
+    if truth.lighting is not None:
+        condition = np.linalg.cond(np.moveaxis(truth.lighting, -1, 0))
+        facts["condition"] = float(condition.max())
+    if row.normals == "predicted":
+        normals = _predicted(scene, task)
+        off = angles(normals, scene.normals)[valid]
+        facts |= {"normals_mean": float(off.mean()), "normals_median": float(np.median(off))}
+        scene = replace(scene, normals=normals)
+    if row.fov != scene.fov:
+        scene = replace(scene, fov=row.fov)
+    return scene, facts
+
+
+def _predicted(scene: Scene, task: Task) -> NDArray[np.float64]:
+    folder = task.predicted_normals
+    if folder is None:
+        assert scene.segments is not None
+        # A stream of its own, apart from those of the scene.
+        rng = np.random.default_rng([task.seed, 1])
+        return disturbed(scene.normals, scene.views, scene.segments, rng)
+    paths = [folder / f"{task.seed}{suffix}" for suffix in (".exr", ".png")]
+    for path in paths:
+        if path.exists():
+            normals = read_normals(path)
+            if normals.shape != scene.normals.shape:
+                height, width = normals.shape[:2]
+                raise InputError(
+                    f"{path}: expected {task.size} × {task.size} pixels, found {width} × {height}"
+                )
+            return unit_normals(normals, scene.valid)
+    raise InputError(f"{folder}: expected {paths[0].name} or {paths[1].name}, found neither")
+
+
+def _preview(result: Any, scene: Scene) -> str:
+    from PIL import Image
+
+    from pbrfit.report import preview
+
+    file = io.BytesIO()
+    Image.fromarray(preview(result, scene)).save(file, "PNG", optimize=True)
+    return base64.b64encode(file.getvalue()).decode("ascii")

@@ -1,0 +1,72 @@
+"""Table 1 as a plot: a panel a column, a line a setup, with intervals."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from pbrfit.evaluation.recipes import IN_WORDS, RECIPES, Recipe
+from pbrfit.evaluation.table1.rows import COLUMNS
+from pbrfit.evaluation.tables import Mean
+
+if TYPE_CHECKING:
+    from pbrfit.evaluation.table1.report import Outcome
+
+# Okabe and Ito's colours, told apart by all common colour vision, with shapes beside them.
+_LOOKS: dict[Recipe, tuple[str, str]] = {
+    "default": ("#0072B2", "o"),
+    "paper": ("#D55E00", "s"),
+    "constant": ("#999999", "^"),
+    "start": ("#56B4E9", "v"),
+}
+_PAPER = ("#000000", "x")
+
+
+def draw(found: Sequence[Outcome], mean: Callable[[Outcome, Recipe, str], Mean]) -> bytes:
+    """Draw the paper's columns as a PNG."""
+    # Imported here: matplotlib is slow to start.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    shown = [outcome for outcome in found if outcome.finished]
+    figure = Figure(figsize=(13, 1.6 + 0.62 * len(shown)), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, len(COLUMNS), sharey=True)
+    for axes, metric in zip(panels, COLUMNS, strict=True):
+        for place, outcome in enumerate(shown):
+            for step, recipe in enumerate(RECIPES):
+                m = mean(outcome, recipe, metric)
+                if not m.count:
+                    continue
+                color, marker = _LOOKS[recipe]
+                y = place + 0.16 * (step - 1.5)
+                if m.count > 1:
+                    axes.plot([m.low, m.high], [y, y], color=color, linewidth=1.5)
+                axes.plot(m.mean, y, marker, color=color, markersize=5)
+            if metric in outcome.row.paper:
+                axes.plot(outcome.row.paper[metric], place, _PAPER[1], color=_PAPER[0])
+        for border in range(1, len(shown)):
+            axes.axhline(border - 0.5, color="#dddddd", linewidth=0.8)
+        axes.set_xscale("log")
+        low, high = axes.get_xlim()
+        steps = (1,) if high > 50 * low else (1, 2, 5)
+        axes.xaxis.set_major_locator(LogLocator(subs=steps))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_xlabel(f"{metric} RMSE")
+        axes.grid(visible=True, axis="x", which="major", alpha=0.3)
+    panels[0].set_yticks(range(len(shown)), [outcome.row.name for outcome in shown])
+    panels[0].set_ylim(len(shown) - 0.5, -0.5)
+    handles = [
+        panels[0].plot([], [], marker, color=color, label=IN_WORDS[recipe])[0]
+        for recipe, (color, marker) in _LOOKS.items()
+    ]
+    handles += panels[0].plot(
+        [], [], _PAPER[1], color=_PAPER[0], label="the paper's number (other scenes)"
+    )
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    file = io.BytesIO()
+    figure.savefig(file, dpi=110)
+    return file.getvalue()

@@ -1,0 +1,360 @@
+"""Table 1 as files: page, plot, CSV, summary."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from importlib.metadata import version
+from pathlib import Path
+
+from pbrfit.evaluation import page, summary
+from pbrfit.evaluation.jobs import Record
+from pbrfit.evaluation.page import Cell, Figure, Section, Table
+from pbrfit.evaluation.recipes import IN_WORDS, RECIPES, Recipe
+from pbrfit.evaluation.scores import PROTOCOL, Scores
+from pbrfit.evaluation.table1 import plot
+from pbrfit.evaluation.table1.measure import FIRST_SEED, Task
+from pbrfit.evaluation.table1.rows import COLUMNS, Row
+from pbrfit.evaluation.tables import Mean, mean_with_interval, write_csv
+
+TABLE, SCENES = "table1.csv", "scenes.csv"
+
+METRICS = tuple(f.name for f in fields(Scores))
+
+NAMES = {
+    "recon": "recon",
+    "albedo": "albedo",
+    "roughness": "roughness",
+    "metallic": "metallic",
+    "relight": "relight",
+    "roughness_on_metal": "roughness\non metal",
+    "metallic_on_metal": "metallic\non metal",
+    "albedo_scaled": "albedo,\nscaled",
+    "relight_scaled": "relight,\nscaled",
+    "albedo_psnr": "albedo\nPSNR [dB]",
+    "albedo_ssim": "albedo\nSSIM",
+    "relight_psnr": "relight\nPSNR [dB]",
+    "relight_ssim": "relight\nSSIM",
+    "seconds": "seconds",
+    "evaluations": "evaluations",
+}
+"""Of the columns."""
+
+SOLVERS: dict[Recipe, str | None] = {
+    "default": "lbfgsb, default",
+    "paper": "lbfgsb, paper's recipe",
+    "constant": "constant guess",
+    "start": "start, not optimised",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A row with its records, or why there are none."""
+
+    row: Row
+    records: Sequence[Record]
+    unavailable: str = ""
+
+    @property
+    def finished(self) -> list[Record]:
+        """Those without an error."""
+        return [record for record in self.records if record.values is not None]
+
+    @property
+    def status(self) -> str:
+        """For the summary: "ok", or what went wrong."""
+        if self.unavailable:
+            return f"not run: {self.unavailable}"
+        failed = len(self.records) - len(self.finished)
+        return "ok" if not failed else f"{failed} of {len(self.records)} scenes failed"
+
+    def mean(self, recipe: Recipe, metric: str) -> Mean:
+        """Over the scenes that were finished."""
+        found = (r.values["recipes"][recipe][metric] for r in self.finished if r.values is not None)
+        return mean_with_interval(math.nan if value is None else value for value in found)
+
+    def fact(self, name: str) -> Mean:
+        """Of something about the scenes themselves."""
+        found = (r.values["facts"].get(name) for r in self.finished if r.values is not None)
+        return mean_with_interval(value for value in found if value is not None)
+
+
+def outcomes(
+    rows: Sequence[Row],
+    tasks: Sequence[Task],
+    records: Sequence[Record],
+    unavailable: Mapping[str, str],
+) -> list[Outcome]:
+    """Sort records by row; `unavailable` says by key why a row was not run."""
+    by_row: dict[str, list[Record]] = {row.key: [] for row in rows}
+    for task, record in zip(tasks, records, strict=True):
+        by_row[task.row].append(record)
+    return [Outcome(row, by_row[row.key], unavailable.get(row.key, "")) for row in rows]
+
+
+def write(folder: Path, found: Sequence[Outcome], setup: Sequence[str]) -> None:
+    """Write `report.html`, `table1.png`, `table1.csv`, `scenes.csv` and `summary.json`.
+
+    Parameters
+    ----------
+    folder
+        Exists.
+    found
+        The rows.
+    setup
+        Sentences on how it was run: sizes, numbers, options.
+    """
+    measured = _Measured(found)
+    page.write_page(
+        folder, "Table 1 on scenes whose truth is known", _opening(setup), _sections(measured)
+    )
+    write_csv(
+        folder / TABLE,
+        ("row", "recipe", "metric", "mean", "low", "high", "scenes"),
+        (
+            (outcome.row.key, recipe, metric, m.mean, m.low, m.high, m.count)
+            for outcome in found
+            for recipe in RECIPES
+            for metric in METRICS
+            if (m := measured(outcome, recipe, metric)).count
+        ),
+    )
+    write_csv(
+        folder / SCENES,
+        ("scene", "recipe", *METRICS),
+        (
+            (record.key, recipe, *record.values["recipes"][recipe].values())
+            for outcome in found
+            for record in outcome.finished
+            if record.values is not None
+            for recipe in RECIPES
+        ),
+    )
+    summary.write_summary(folder, PROTOCOL, [row for o in found for row in _rows(o, measured)])
+
+
+class _Measured:
+    """Means with intervals, each computed once."""
+
+    def __init__(self, found: Sequence[Outcome]) -> None:
+        self.outcomes = found
+        self._means: dict[tuple[str, Recipe, str], Mean] = {}
+
+    def __call__(self, outcome: Outcome, recipe: Recipe, metric: str) -> Mean:
+        key = (outcome.row.key, recipe, metric)
+        if key not in self._means:
+            self._means[key] = outcome.mean(recipe, metric)
+        return self._means[key]
+
+
+def _rows(outcome: Outcome, mean: _Measured) -> list[summary.Row]:
+    row = outcome.row
+    if not outcome.finished:
+        return [summary.Row(row.name, 0, None, {}, row.paper or None, outcome.status)]
+    rows = []
+    for recipe in RECIPES:
+        metrics: dict[str, float | None] = {}
+        for metric in METRICS:
+            m = mean(outcome, recipe, metric)
+            metrics |= {metric: m.mean, f"{metric}_low": m.low, f"{metric}_high": m.high}
+        rows.append(
+            summary.Row(
+                row.name,
+                len(outcome.finished),
+                SOLVERS[recipe],
+                metrics,
+                row.paper or None,
+                outcome.status,
+            )
+        )
+    return rows
+
+
+def _opening(setup: Sequence[str]) -> list[str]:
+    on = summary.machine()
+    return [
+        "How well materials and lights come back from pictures whose truth is known, in the "
+        "setups of the paper's Table 1 and some that it leaves out.",
+        *setup,
+        "Figures are means over scenes; in brackets 95 % intervals by bootstrap over scenes. "
+        f"Here, {PROTOCOL.partition(': ')[2]}. Lines marked “paper” repeat the paper's "
+        "own numbers, which are of other scenes: context, no comparison.",
+        f"“{IN_WORDS['paper'].capitalize()}”, as we read it: one run of scipy's L-BFGS-B on albedo, roughness, "
+        "metallic within [0, 1] and all lights, from the mean picture, roughness 0.5 and metallic "
+        "0.1. The constant guess has roughness 0.5, metallic 0 and the mean of the true albedo, "
+        "with the lights that then fit best: it knows nothing of the pixels. Our start is where our "
+        "default begins, with the lights that fit it. "
+        f"Seeds from {FIRST_SEED} on; none served to tune anything.",
+        f"pbrfit {version('pbrfit')}; {on['processor']}, {on['cores']} cores, {on['system']}, "
+        f"Python {on['python']}, numpy {on['numpy']}. Seconds are of one fit while as many others "
+        "ran as there were jobs.",
+    ]
+
+
+def _sections(measured: _Measured) -> list[Section]:
+    found = measured.outcomes
+    sections = [
+        Section(
+            "The paper's columns",
+            ["RMSE, linear. The better of the two fits is bold."],
+            [_table(measured, COLUMNS, with_paper=True)],
+            [Figure("table1", plot.draw(found, measured), "The same as a plot, with intervals.")]
+            if any(outcome.finished for outcome in found)
+            else [],
+        ),
+        Section(
+            "More of the same results",
+            [
+                "Errors on metal pixels alone; albedo and relit pictures after the best factor a "
+                "channel, which pictures barely fix; what people see; and the effort."
+            ],
+            [_table(measured, [name for name in METRICS if name not in COLUMNS])],
+        ),
+        _rows_in_words(found),
+    ]
+    failed = [record for outcome in found for record in outcome.records if record.error]
+    if failed:
+        rows = [[Cell(record.key), Cell(record.error or "", "why")] for record in failed]
+        sections.append(
+            Section(
+                "Scenes that failed",
+                ["They are in no mean."],
+                [Table([Cell("Scene"), Cell("Error")], rows)],
+            )
+        )
+    pictures = [
+        Figure(
+            f"example-{outcome.row.key}",
+            base64.b64decode(record.values["preview"]),
+            f"{outcome.row.name}, scene {record.key.rpartition('_')[2]}, our default: picture, "
+            "reconstruction, maps and normals; below the truth and the errors.",
+        )
+        for outcome in found
+        for record in outcome.finished
+        if record.values is not None and "preview" in record.values
+    ]
+    if pictures:
+        sections.append(Section("Examples", ["The first scene of each row."], figures=pictures))
+    return sections
+
+
+def _table(measured: _Measured, metrics: Sequence[str], *, with_paper: bool = False) -> Table:
+    columns = [Cell("Setup"), Cell("Scenes", "number"), Cell("Explained by")]
+    columns += [Cell(NAMES[name], "number") for name in metrics]
+    rows: list[list[Cell]] = []
+    for outcome in measured.outcomes:
+        row = outcome.row
+        name = row.name
+        if not outcome.finished:
+            gaps = [Cell("", "number")] * len(metrics)
+            rows.append([Cell(name), Cell(""), Cell(outcome.status, "note"), *gaps])
+            name = ""
+        else:
+            for recipe in RECIPES:
+                scenes = str(len(outcome.finished)) if recipe == RECIPES[0] else ""
+                rows.append(
+                    [
+                        Cell(name),
+                        Cell(scenes, "number"),
+                        Cell(IN_WORDS[recipe], "name"),
+                        *(_figure(measured, outcome, recipe, metric) for metric in metrics),
+                    ]
+                )
+                name = ""
+        if with_paper and row.paper:
+            rows.append(
+                [
+                    Cell(name),
+                    Cell(""),
+                    Cell(f"paper, other scenes: {row.paper_row}", "note"),
+                    *(_papers(row.paper.get(metric)) for metric in metrics),
+                ]
+            )
+    return Table(columns, rows)
+
+
+def _papers(value: float | None) -> Cell:
+    return Cell("–" if value is None else f"{value:.3f}", "number")
+
+
+def _figure(measured: _Measured, outcome: Outcome, recipe: Recipe, metric: str) -> Cell:
+    mean = measured(outcome, recipe, metric)
+    fits: tuple[Recipe, ...] = ("default", "paper")
+    sign = -1 if metric.endswith(("psnr", "ssim")) else 1
+    best = min(fits, key=lambda fit: _order(measured(outcome, fit, metric).mean * sign))
+    look: page.Look = "best" if recipe == best and metric in METRICS[:13] else "number"
+    return Cell(with_interval(mean, _format(metric)), look)
+
+
+def _order(value: float) -> float:
+    return math.inf if math.isnan(value) else value
+
+
+def _format(metric: str) -> Callable[[float], str]:
+    if metric.endswith("psnr") or metric == "seconds":
+        return "{:.1f}".format
+    if metric == "evaluations":
+        return "{:.0f}".format
+    return _three_digits
+
+
+def _three_digits(value: float) -> str:
+    return f"{value:.4f}" if abs(value) < 0.0995 else f"{value:.3f}"
+
+
+def with_interval(mean: Mean, form: Callable[[float], str] = _three_digits) -> str:
+    """A mean, and below it its interval."""
+    if not mean.count:
+        return "–"
+    if mean.count == 1:
+        return form(mean.mean)
+    return f"{form(mean.mean)}\n[{form(mean.low)}, {form(mean.high)}]"
+
+
+def _rows_in_words(found: Sequence[Outcome]) -> Section:
+    columns = [Cell("Setup"), Cell("What it is"), Cell("Metal\npixels", "number")]
+    columns += [Cell("Condition\nof the lights", "number"), Cell("Normals off by\nmean", "number")]
+    rows = []
+    for outcome in found:
+        metal, condition, off = (
+            outcome.fact(name) for name in ("metal_share", "condition", "normals_mean")
+        )
+        rows.append(
+            [
+                Cell(outcome.row.name),
+                Cell(outcome.row.what, "why"),
+                Cell(f"{100 * metal.mean:.0f} %" if metal.count else "", "number"),
+                Cell(f"{condition.mean:.0f}" if condition.count else "", "number"),
+                Cell(f"{off.mean:.1f}°" if off.count else "", "number"),
+            ]
+        )
+    return Section("The setups", [], [Table(columns, rows)])
+
+
+def lines(found: Sequence[Outcome]) -> list[str]:
+    """The paper's columns for a terminal."""
+    width = max(len(outcome.row.name) for outcome in found)
+    head = "".join(f"{name:>11}" for name in COLUMNS)
+    texts = [f"{'':<{width}}  {'':<21}{head}"]
+    for outcome in found:
+        name = outcome.row.name
+        if not outcome.finished:
+            texts.append(f"{name:<{width}}  {outcome.status}")
+            continue
+        for recipe in RECIPES:
+            means = [outcome.mean(recipe, metric) for metric in COLUMNS]
+            figures = "".join(f"{_three_digits(m.mean) if m.count else '–':>11}" for m in means)
+            texts.append(f"{name:<{width}}  {IN_WORDS[recipe]:<21}{figures}")
+            name = ""
+        if outcome.row.paper:
+            figures = "".join(f"{outcome.row.paper.get(c, '–'):>11}" for c in COLUMNS)
+            texts.append(f"{'':<{width}}  {'paper, other scenes':<21}{figures}")
+    counts = Counter(outcome.status for outcome in found if outcome.records)
+    for status, count in counts.items():
+        if status != "ok":
+            texts.append(f"{count} rows: {status}")
+    return texts

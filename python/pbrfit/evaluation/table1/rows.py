@@ -1,0 +1,161 @@
+"""The rows of Table 1: what each changes about the base, and what the paper found there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+COLUMNS = ("recon", "albedo", "roughness", "metallic", "relight")
+"""What the paper reports."""
+
+Renderer = Literal["own", "cycles"]
+NormalSource = Literal["true", "predicted"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setup.
+
+    Attributes
+    ----------
+    key, name
+        For files, and for people.
+    what
+        What sets it apart, in a sentence.
+    scene
+        Kind of scene.
+    renderer
+        Whose pictures: our forward model's, or Blender Cycles'.
+    lights, transport
+        Of Cycles: see `pbrfit.synthetic.cycles`.
+    normals
+        The true ones, or those of a simulated or given estimator.
+    sh_order
+        That the decomposition fits; the true lights have order 3.
+    fov
+        That the decomposition is told, in degrees; the true one is 60.
+    paper
+        The paper's RMSE, on the paper's scenes.
+    paper_row
+        What the paper calls its row.
+    unavailable
+        Why it cannot be run yet; "" where it can.
+    """
+
+    key: str
+    name: str
+    what: str
+    scene: Literal["furnished", "detailed"] = "furnished"
+    renderer: Renderer = "own"
+    lights: Literal["panorama", "points", "points-unshadowed"] = "panorama"
+    transport: Literal["brdf", "shadows", "full"] = "full"
+    normals: NormalSource = "true"
+    sh_order: int = 3
+    fov: float = 60.0
+    paper: Mapping[str, float] = field(default_factory=dict)
+    paper_row: str = ""
+    unavailable: str = ""
+
+
+def _paper(*errors: float) -> dict[str, float]:
+    return dict(zip(COLUMNS, errors, strict=False))
+
+
+ROWS = (
+    Row(
+        "base",
+        "Base",
+        "Our renderer, SH3 lights, true normals, true field of view.",
+        paper=_paper(0.001, 0.065, 0.232, 0.186, 0.166),
+        paper_row="Base",
+    ),
+    Row(
+        "sh2",
+        "SH2 decomposition",
+        "The base pictures, explained by lights of order 2.",
+        sh_order=2,
+        paper=_paper(0.002, 0.064, 0.242, 0.147, 0.154),
+        paper_row="SH2 decomp",
+    ),
+    Row(
+        "normals",
+        "Predicted normals",
+        "The base pictures with normals as a learned estimator gives them.",
+        normals="predicted",
+        paper=_paper(0.016, 0.160, 0.341, 0.446, 0.201),
+        paper_row="Pred. normals",
+    ),
+    Row(
+        "fov90",
+        "FOV 90",
+        "The base pictures, with a field of view of 90 degrees where 60 is true.",
+        fov=90.0,
+        paper=_paper(0.004, 0.091, 0.283, 0.194, 0.143),
+        paper_row="FOV=90",
+    ),
+    Row(
+        "detailed",
+        "Detailed scenes",
+        "Our renderer, the rooms with textures on everything.",
+        scene="detailed",
+    ),
+    Row(
+        "cycles-brdf",
+        "Cycles, panorama: BRDF alone",
+        "Cycles, a panorama that encodes the SH3 light, nothing blocks or reflects it.",
+        renderer="cycles",
+        transport="brdf",
+    ),
+    Row(
+        "cycles-shadows",
+        "Cycles, panorama: and shadows",
+        "As before, but furniture blocks the light.",
+        renderer="cycles",
+        transport="shadows",
+    ),
+    Row(
+        "cycles-panorama",
+        "Cycles, panorama",
+        "As before, and light bounces: all that a path tracer does.",
+        renderer="cycles",
+    ),
+    Row(
+        "cycles-points-unshadowed",
+        "Cycles, point lights without shadows",
+        "Direct light of lamps without size inside the room.",
+        renderer="cycles",
+        lights="points-unshadowed",
+        transport="shadows",
+        paper_row="",
+    ),
+    Row(
+        "cycles-points",
+        "Cycles, point lights",
+        "As before, with shadows.",
+        renderer="cycles",
+        lights="points",
+        transport="shadows",
+        paper=_paper(0.040, 0.386, 0.408, 0.630),
+        paper_row="Cycles (point lights)",
+    ),
+    Row(
+        "cycles-detailed",
+        "Detailed scenes, Cycles, panorama",
+        "The rooms with textures, rendered with all that a path tracer does.",
+        scene="detailed",
+        renderer="cycles",
+        paper=_paper(0.043, 0.222, 0.334, 0.435, 0.210),
+        paper_row="NFINITE",
+    ),
+    Row(
+        "regularized",
+        "Regularised",
+        "The base with priors.",
+        paper=_paper(0.010, 0.066, 0.241, 0.248, 0.160),
+        paper_row="Regularized",
+        unavailable="pbrfit has no priors yet",
+    ),
+)
+
+BY_KEY = {row.key: row for row in ROWS}

@@ -1,0 +1,248 @@
+"""The Table 1 suite: simulated normals, rows, the command end to end."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import images
+from pbrfit.cli import main
+from pbrfit.evaluation import recipes
+from pbrfit.evaluation.jobs import Record
+from pbrfit.evaluation.recipes import RECIPES
+from pbrfit.evaluation.scores import Scores
+from pbrfit.evaluation.table1 import measure, report
+from pbrfit.evaluation.table1.measure import Task
+from pbrfit.evaluation.table1.normals import LOWEST_COSINE, angles, disturbed
+from pbrfit.evaluation.table1.rows import BY_KEY, COLUMNS, ROWS
+from pbrfit.synthetic import make_scene
+
+TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
+
+
+def run(*arguments: object) -> int:
+    try:
+        return main([str(argument) for argument in arguments])
+    except SystemExit as ended:
+        assert isinstance(ended.code, int)
+        return ended.code
+
+
+# --------------------------------------------------------------------------------------- normals
+
+
+def errors_of(size: int, seed: int) -> NDArray[np.float64]:
+    scene = make_scene("room", size=size, lights=2, held_out=1, seed=seed)
+    assert scene.segments is not None
+    rng = np.random.default_rng(seed)
+    found = disturbed(scene.normals, scene.views, scene.segments, rng)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1.0, rtol=1e-12)
+    facing = np.einsum("...i,...i->...", found, scene.views)
+    assert facing.min() >= 0.9 * LOWEST_COSINE
+    return angles(found, scene.normals)
+
+
+def test_simulated_normals_err_as_published_estimators_do() -> None:
+    """Of DSINE on NYUv2: mean 16.4, median 8.4 degrees; 60 % within 11.25, 84 % within 30."""
+    off = np.concatenate([errors_of(64, seed).ravel() for seed in range(200, 212)])
+    assert 12 <= off.mean() <= 18
+    assert 7 <= np.median(off) <= 11
+    assert 0.5 <= np.mean(off < 11.25) <= 0.7
+    assert 0.8 <= np.mean(off < 30) <= 0.9
+
+
+def test_simulated_normals_are_alike_at_any_size() -> None:
+    coarse, fine = (errors_of(size, 201).mean() for size in (48, 96))
+    assert fine == pytest.approx(coarse, rel=0.15)
+
+
+def test_neighbours_err_alike() -> None:
+    scene = make_scene("room", size=64, lights=2, held_out=1, seed=203)
+    assert scene.segments is not None
+    found = disturbed(scene.normals, scene.views, scene.segments, np.random.default_rng(0))
+    error = found - scene.normals
+    inside = scene.segments[:, 1:] == scene.segments[:, :-1]
+    step = np.linalg.norm(error[:, 1:] - error[:, :-1], axis=-1)[inside]
+    shuffled = np.random.default_rng(1).permutation(error.reshape(-1, 3))
+    apart = np.linalg.norm(shuffled[1:] - shuffled[:-1], axis=-1)
+    assert step.mean() < 0.35 * apart.mean()
+
+
+def test_angles_by_hand() -> None:
+    x, y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    tiny = np.array([1.0, 1e-9, 0.0])
+    found = angles(np.stack([x, x, x, tiny]), np.stack([x, y, -x, x]))
+    np.testing.assert_allclose(found, [0, 90, 180, np.degrees(1e-9)], rtol=1e-6, atol=1e-12)
+    assert np.isnan(angles(np.full((1, 3), np.nan), x[None])).all()
+
+
+# ------------------------------------------------------------------------------------------ rows
+
+
+def test_rows_repeat_the_papers_table() -> None:
+    papers = {row.paper_row: tuple(row.paper.values()) for row in ROWS if row.paper}
+    assert papers["Base"] == (0.001, 0.065, 0.232, 0.186, 0.166)
+    assert papers["Pred. normals"] == (0.016, 0.160, 0.341, 0.446, 0.201)
+    assert papers["FOV=90"] == (0.004, 0.091, 0.283, 0.194, 0.143)
+    assert sum(len(paper) for paper in papers.values()) == 7 * 5 - 1  # no relighting of Cycles
+    assert all(row.paper_row for row in ROWS if row.paper)
+    assert len(BY_KEY) == len(ROWS)
+
+
+@pytest.mark.parametrize("key", ["base", "sh2", "fov90", "normals", "detailed"])
+def test_work_changes_what_the_row_says_and_nothing_else(
+    key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row, task = BY_KEY[key], Task(key, 101, 16, 4, 2)
+    asked: list[Any] = []
+    explain = recipes.explain
+
+    def watch(scene: Any, recipe: Any, **options: Any) -> Any:
+        asked.append((scene, recipe, options))
+        return explain(scene, recipe, **options)
+
+    monkeypatch.setattr(measure, "explain", watch)
+    found = measure.work(task, 1)
+    assert [recipe for _, recipe, _ in asked] == list(RECIPES)
+    truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=101)
+    for scene, _, options in asked:
+        np.testing.assert_array_equal(scene.images, truth.images)
+        assert scene.fov == row.fov
+        assert options == {"iterations": 2, "sh_order": row.sh_order, "threads": 1}
+        same = np.array_equal(scene.normals, truth.normals)
+        assert same == (row.normals == "true")
+    assert ("normals_mean" in found["facts"]) == (key == "normals")
+    assert found["facts"]["metal_share"] > 0
+    assert set(found["recipes"]["paper"]) == set(report.METRICS)
+    json.dumps(found)
+
+
+def test_given_normals_are_used(tmp_path: Path) -> None:
+    truth = make_scene("furnished", size=16, lights=4, held_out=4, seed=101)
+    stored = {name: truth.normals[..., i] for i, name in enumerate("XYZ")}
+    images.write_exr(tmp_path / "101.exr", stored)
+    found = measure.work(Task("normals", 101, 16, 4, 1, predicted_normals=tmp_path), 1)
+    assert found["facts"]["normals_mean"] <= 1e-4
+    with pytest.raises(ValueError, match=r"expected 100\.exr or 100\.png, found neither"):
+        measure.work(Task("normals", 100, 16, 4, 1, predicted_normals=tmp_path), 1)
+    with pytest.raises(ValueError, match="expected 24 × 24 pixels, found 16 × 16"):
+        measure.work(Task("normals", 101, 24, 4, 1, predicted_normals=tmp_path), 1)
+
+
+# ---------------------------------------------------------------------------------------- report
+
+
+def scored(**errors: float) -> dict[str, float | None]:
+    values: dict[str, float | None] = dict.fromkeys(report.METRICS, 0.25)
+    return values | errors
+
+
+def test_means_are_over_finished_scenes() -> None:
+    scenes = [
+        Record("base_100", {"facts": {}, "recipes": {r: scored(recon=0.1) for r in RECIPES}}, None, 1.0),
+        Record("base_101", {"facts": {}, "recipes": {r: scored(recon=0.3) for r in RECIPES}}, None, 1.0),
+        Record("base_102", None, "ValueError: no", 1.0),
+    ]  # fmt: skip
+    tasks = [Task("base", seed, 16, 4, 3) for seed in (100, 101, 102)]
+    [outcome, other] = report.outcomes(
+        [BY_KEY["base"], BY_KEY["regularized"]], tasks, scenes, {"regularized": "none yet"}
+    )
+    assert outcome.mean("paper", "recon").mean == pytest.approx(0.2)
+    assert outcome.status == "1 of 3 scenes failed"
+    assert other.status == "not run: none yet"
+    assert other.mean("paper", "recon").count == 0
+
+
+def test_columns_of_scores_have_names() -> None:
+    assert set(report.NAMES) == set(Scores.__dataclass_fields__)
+    assert set(COLUMNS) <= set(report.METRICS)
+
+
+# --------------------------------------------------------------------------------------- command
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    rows = ("--rows", "base", "normals", "regularized", "cycles-panorama")
+    assert run("evaluate", "table1", "--out", out, "--quick", "--scenes", 2, *rows, *TINY) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert "not run: pbrfit has no priors yet" in printed.out
+    assert f"Look at {out / 'report.html'}" in printed.out
+    names = {path.name for path in out.iterdir()}
+    assert names == {
+        "records", "report.html", "table1.png", "table1.csv", "scenes.csv", "summary.json",
+        "example-base.png", "example-normals.png",
+    }  # fmt: skip
+    content = json.loads((out / "summary.json").read_text("utf-8"))
+    status = {row["name"]: row["status"] for row in content["rows"]}
+    assert status["Base"] == "ok"
+    assert status["Cycles, panorama"] == "not run: --quick leaves Cycles out"
+    [base, *_] = [row for row in content["rows"] if row["name"] == "Base"]
+    assert base["scenes"] == 2
+    assert base["paper"]["albedo"] == 0.065
+    with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
+        scenes = list(csv.DictReader(file))
+    assert len(scenes) == 2 * 2 * len(RECIPES)
+    albedo = [float(s["albedo"]) for s in scenes if s["scene"].startswith("base") and
+              s["recipe"] == "default"]  # fmt: skip
+    assert base["metrics"]["albedo"] == pytest.approx(np.mean(albedo))
+    assert base["metrics"]["albedo_low"] <= base["metrics"]["albedo"]
+    assert all(math.isfinite(float(scene["relight"])) for scene in scenes)
+
+
+def test_command_goes_on_and_reports_failures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, work = tmp_path / "out", measure.work
+    done: list[str] = []
+
+    def some_fail(task: Task, threads: int) -> dict[str, Any]:
+        done.append(task.key)
+        if task.seed == 101:
+            raise MemoryError("too large")
+        return work(task, threads)
+
+    monkeypatch.setattr(measure, "work", some_fail)
+    command = ("evaluate", "table1", "--out", out, "--rows", "base", "--scenes", 2, *TINY)
+    assert run(*command) == 1
+    error = capsys.readouterr().err
+    assert "base_101: MemoryError: too large" in error
+    assert "1 of 2 failed: base_101" in error
+    assert "MemoryError: too large" in (out / "report.html").read_text("utf-8")
+    assert run(*command) == 2  # there is something already
+
+    def none_fails(task: Task, threads: int) -> dict[str, Any]:
+        done.append(task.key)
+        return work(task, threads)
+
+    monkeypatch.setattr(measure, "work", none_fails)
+    assert run(*command, "--resume", "--quiet") == 0
+    assert done == ["base_100", "base_101", "base_101"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--rows", "base", "nonsense"), "--rows: expected some of base, sh2"),
+        (("--scenes", "0"), "expected 1 or more, found 0"),
+        (("--scenes", "101"), "--scenes: expected at most 100, found 101"),
+        (("--lights", "1"), "--lights: expected at least 2, found 1"),
+        (("--textures", "nowhere"), "nowhere: expected a folder, found none"),
+    ],
+)
+def test_command_with_bad_arguments(
+    arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("evaluate", "table1", "--out", tmp_path / "out", *arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
