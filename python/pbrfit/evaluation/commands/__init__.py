@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pbrfit.arguments import Subcommands
-from pbrfit.evaluation.commands import stability, table1
+from pbrfit.evaluation.commands import convergence, stability, table1
 
-SUITES = (table1, stability)
+SUITES = (table1, convergence, stability)
 
 
 def add_suites(suites: Subcommands) -> None:

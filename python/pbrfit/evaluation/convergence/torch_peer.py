@@ -38,7 +38,11 @@ SIGMOID_RANGE = (0.01, 0.99)
 """Start values are brought in here: at 0 and 1 a sigmoid's unknown is infinite."""
 
 VISIT_EVERY = 5
-"""L-BFGS iterations between two looks at the state."""
+"""L-BFGS iterations between two looks at the state; a look after each of the first few."""
+
+
+TRIED = 5
+"""Evaluations by which a number of threads is judged."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,10 @@ class Settings:
     beta2: float = 0.999
 
 
+LBFGS = Settings("lbfgs", "sigmoid", rate=1.0)
+ADAM = Settings("adam", "sigmoid", rate=0.1)
+
+
 @dataclass(frozen=True)
 class Limits:
     """A run ends at the first of these."""
@@ -80,14 +88,12 @@ class Limits:
 def fit(scene: Scene, settings: Settings, limits: Limits, tracker: Tracker, threads: int) -> str:
     """Fit from the default start; the tracker gets every state. Returns why it ended.
 
-    The clock starts with the pictures as arrays; importing PyTorch and making the start, which this
-    package does, are not on it.
+    The clock starts with the pictures as arrays. Importing PyTorch, trying numbers of threads, and
+    making the start, which this package does, are not on it.
     """
-    import torch
-
-    torch.set_num_threads(threads)
     objective = Objective(scene, threads=threads)
     start = objective.start()
+    _choose_threads(Problem(scene, objective, start, settings), threads)
     clock = _Clock()
     problem = Problem(scene, objective, start, settings)
     run = _lbfgs if settings.optimiser == "lbfgs" else _adam
@@ -109,7 +115,8 @@ class Problem:
 
         valid = scene.valid
         images = np.stack([scene.samples(i) for i in range(len(scene.images))]) / objective.scale
-        view = View(images.astype(np.float32), scene.normals[valid], scene.views[valid])
+        normals = scene.normals[valid].astype(np.float64)
+        view = View(images.astype(np.float32), normals, scene.views[valid])
         self._loss = matrix_form(view)
         self._samples = view.images.size
         self._objective = objective
@@ -156,6 +163,24 @@ class Problem:
         lights = self._light_unit * self.lights.detach()
         x = np.concatenate([maps.numpy().ravel(), lights.numpy().ravel()]).astype(np.float64)
         return self._objective.unpack(x)
+
+
+def _choose_threads(problem: Problem, threads: int) -> None:
+    """Take one thread or all, whichever evaluates faster: pictures may be too small to share.
+
+    On a busy machine, too, threads that wait for each other can take a hundred times as long.
+    """
+    import torch
+
+    times = {}
+    for count in sorted({1, threads}):
+        torch.set_num_threads(count)
+        problem.evaluate()
+        began = time.perf_counter()
+        for _ in range(TRIED):
+            problem.evaluate()
+        times[count] = time.perf_counter() - began
+    torch.set_num_threads(min(times, key=lambda count: times[count]))
 
 
 class _Clock:
@@ -241,6 +266,8 @@ def _lbfgs(
         if clock.seconds >= limits.seconds:
             return iterations, evaluations, f"time limit of {limits.seconds:g} s reached"
         before = evaluations
+        for group in optimiser.param_groups:
+            group["max_iter"] = 1 if iterations < 2 * VISIT_EVERY else VISIT_EVERY
         optimiser.step(closure)
         repeated = True
         iterations = int(_state(optimiser)["n_iter"])
