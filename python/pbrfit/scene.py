@@ -37,13 +37,14 @@ class Truth:
     materials
         True maps.
     lighting
-        (N, 16, 3), true lights of the scene's pictures, in the pictures' units.
+        (N, 16, 3), true lights of the scene's pictures, in the pictures' units; None where they are
+        not spherical harmonics, such as point lights.
     relight_images, relight_lighting
         (M, H, W, 3) and (M, 16, 3): held-out pictures and their true lights; None without any.
     """
 
     materials: Materials
-    lighting: NDArray[np.float64]
+    lighting: NDArray[np.float64] | None = None
     relight_images: NDArray[np.floating[Any]] | None = None
     relight_lighting: NDArray[np.float64] | None = None
 
@@ -380,8 +381,9 @@ def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:
         "albedo": (truth.materials.albedo, (height, width, 3)),
         "roughness": (truth.materials.roughness, (height, width)),
         "metallic": (truth.materials.metallic, (height, width)),
-        "lighting": (truth.lighting, (pictures, 16, 3)),
     }
+    if truth.lighting is not None:
+        found["lighting"] = (truth.lighting, (pictures, 16, 3))
     if truth.relight_images is not None or truth.relight_lighting is not None:
         held_out = len(truth.relight_images) if truth.relight_images is not None else 0
         found["relight_images"] = (truth.relight_images, (held_out, height, width, 3))

@@ -479,7 +479,9 @@ def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> 
         log.warning("%s: another size than the pictures in use, left out", path)
         return None
     lighting_path = folder / "lighting.json"
-    lighting = Lighting.load(lighting_path).of(names, lighting_path)
+    lighting = None  # of pictures whose lights are not spherical harmonics
+    if lighting_path.exists():
+        lighting = Lighting.load(lighting_path).of(names, lighting_path)
     relight = folder / "relight"
     if not relight.is_dir():
         return Truth(materials, lighting)
@@ -495,7 +497,8 @@ def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> 
 def _write_truth(truth: Truth, scene: Scene, folder: Path) -> None:
     folder.mkdir()
     write_materials(folder / "materials.exr", truth.materials, scene.normals, scene.valid)
-    Lighting(scene.names, truth.lighting).save(folder / "lighting.json")
+    if truth.lighting is not None:
+        Lighting(scene.names, truth.lighting).save(folder / "lighting.json")
     if truth.relight_images is None or truth.relight_lighting is None:
         return
     (folder / "relight").mkdir()

@@ -86,6 +86,7 @@ def test_decompose_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFi
 def test_known_lights_stay_as_they_are(tmp_path: Path) -> None:
     made = make_scene("room", size=SIZE, lights=LIGHTS, held_out=1)
     assert made.truth is not None
+    assert made.truth.lighting is not None
     made.save(tmp_path / "scene")
     shutil.copy(tmp_path / "scene" / "truth" / "lighting.json", tmp_path / "scene")
     for path in sorted((tmp_path / "scene" / "images").iterdir())[1:]:

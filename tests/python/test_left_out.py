@@ -36,7 +36,7 @@ def in_grey() -> pbrfit.Scene:
         images=grey(scene.images),
         normals=scene.normals,
         fov=scene.fov,
-        truth=pbrfit.Truth(maps, grey(known.lighting)),
+        truth=pbrfit.Truth(maps, grey(lights(scene))),
     )
 
 
@@ -49,8 +49,14 @@ def truth(scene: pbrfit.Scene) -> pbrfit.Truth:
     return scene.truth
 
 
+def lights(scene: pbrfit.Scene) -> NDArray[np.float64]:
+    lighting = truth(scene).lighting
+    assert lighting is not None
+    return lighting
+
+
 def known_lights(scene: pbrfit.Scene) -> pbrfit.Scene:
-    return dataclasses.replace(scene, lighting=truth(scene).lighting)
+    return dataclasses.replace(scene, lighting=lights(scene))
 
 
 def some_weights(seed: int = 0) -> NDArray[np.float32]:
@@ -197,11 +203,11 @@ def test_grey_pictures_are_fitted_like_colour_pictures_of_equal_channels() -> No
     one, three = Objective(scene), Objective(colored)
     assert (one.channels, three.channels) == (1, 3)
     maps = truth(scene).materials
-    for lighting in (None, 0.9 * truth(scene).lighting):
+    for lighting in (None, 0.9 * lights(scene)):
         arguments = (maps.albedo**2, 0.5 * maps.roughness, maps.metallic, lighting)
         losses = [o.value_and_grad(o.pack(*arguments))[0] for o in (one, three)]
         assert losses[0] == pytest.approx(losses[1], rel=1e-5)
-    result = pbrfit.decompose(scene, start=(maps, truth(scene).lighting), iterations=5)
+    result = pbrfit.decompose(scene, start=(maps, lights(scene)), iterations=5)
     assert result.metrics["albedo_rmse"] <= 1e-6
     assert result.metrics["recon_rmse"] <= 1e-7
 
@@ -221,10 +227,10 @@ def test_one_sample_in_colour_makes_three_channels() -> None:
 
 def test_known_lights_in_colour_make_three_channels() -> None:
     scene = in_grey()
-    lights = truth(scene).lighting.copy()
-    assert Objective(dataclasses.replace(scene, lighting=lights)).channels == 1
-    lights[0, 15, 1] *= 1 + 1e-15
-    assert Objective(dataclasses.replace(scene, lighting=lights)).channels == 3
+    lighting = lights(scene).copy()
+    assert Objective(dataclasses.replace(scene, lighting=lighting)).channels == 1
+    lighting[0, 15, 1] *= 1 + 1e-15
+    assert Objective(dataclasses.replace(scene, lighting=lighting)).channels == 3
 
 
 def test_the_mean_of_channels_is_packed() -> None:
@@ -243,14 +249,13 @@ def test_the_mean_of_channels_is_packed() -> None:
 
 def test_scenes_of_order_two_are_explained_without_band_three() -> None:
     scene = in_color(sh_order=2)
-    known = truth(scene)
-    start = (known.materials, known.lighting)
+    start = (truth(scene).materials, lights(scene))
     result = pbrfit.decompose(scene, start=start, sh_order=2, iterations=5)
     assert result.metrics["recon_rmse"] <= 1e-7
     assert not result.lighting[:, 9:].any()
     known_order_2 = pbrfit.decompose(known_lights(scene), start=start[0], sh_order=2, iterations=5)
     assert known_order_2.metrics["recon_rmse"] <= 1e-7
-    np.testing.assert_array_equal(known_order_2.lighting, known.lighting)
+    np.testing.assert_array_equal(known_order_2.lighting, lights(scene))
 
 
 def test_known_lights_of_order_three_are_refused_at_order_two() -> None:
@@ -263,11 +268,12 @@ def test_known_lights_of_order_three_are_refused_at_order_two() -> None:
 @pytest.mark.parametrize("metallic", [0.0, 0.7])
 def test_given_metallic_explains_pictures_of_it(metallic: float) -> None:
     scene = in_color()
-    known = truth(scene)
-    maps = dataclasses.replace(known.materials, metallic=np.full((SIZE, SIZE), metallic))
-    images = pbrfit.render(maps, scene.normals, known.lighting, scene.fov)
-    scene = dataclasses.replace(scene, images=images, truth=pbrfit.Truth(maps, known.lighting))
-    start = (maps, known.lighting)
+    lighting = lights(scene)
+    flat = np.full((SIZE, SIZE), metallic)
+    maps = dataclasses.replace(truth(scene).materials, metallic=flat)
+    images = pbrfit.render(maps, scene.normals, lighting, scene.fov)
+    scene = dataclasses.replace(scene, images=images, truth=pbrfit.Truth(maps, lighting))
+    start = (maps, lighting)
     result = pbrfit.decompose(scene, start=start, iterations=5, metallic=metallic)
     assert (result.metallic == metallic).all()
     assert result.metrics["metallic_rmse"] == 0

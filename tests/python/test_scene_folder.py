@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import logging
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pbrfit import InputError, Scene, images
+from pbrfit import InputError, Scene, Truth, images
 from pbrfit.geometry import view_directions
 from pbrfit.lighting import Lighting
 from pbrfit.synthetic import make_scene
@@ -269,11 +270,23 @@ def test_max_size_is_the_longer_side(folder: Path, max_size: int, size: tuple[in
 # Round trip
 
 
+def test_truth_without_known_lights_is_kept_without(tmp_path: Path) -> None:
+    made = make_scene("room", size=SIZE, lights=2, held_out=2)
+    assert made.truth is not None
+    dataclasses.replace(made, truth=Truth(made.truth.materials)).save(tmp_path / "scene")
+    loaded = Scene.load(tmp_path / "scene").truth
+    assert loaded is not None
+    assert loaded.lighting is None
+    assert loaded.relight_images is None
+    np.testing.assert_allclose(loaded.materials.albedo, made.truth.materials.albedo, atol=1e-6)
+
+
 def test_save_and_load_give_the_same_scene(tmp_path: Path) -> None:
     made = make_scene("spheres", size=SIZE, lights=2, held_out=2, seed=4)
     mask = np.ones((SIZE, SIZE), bool)
     mask[:, 0] = False
     assert made.truth is not None
+    assert made.truth.lighting is not None
     scene = Scene(
         images=made.images.astype(np.float32),
         normals=made.normals,

@@ -23,7 +23,7 @@ from pbrfit.synthetic.geometry import (
     rotation,
     trace,
 )
-from pbrfit.synthetic.scenes import _case_stage, _room_stage
+from pbrfit.synthetic.stages import case_stage, room_stage
 
 Array = NDArray[np.float64]
 KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
@@ -290,7 +290,7 @@ def test_pieces_do_not_run_into_each_other_or_the_walls() -> None:
     for seed in range(30):
         rng = np.random.default_rng(seed)
         rows, columns = rng.integers(4, 6, size=2)
-        for stage in (_room_stage(rng), _case_stage(rows, columns, rng)):
+        for stage in (room_stage(rng), case_stage(rows, columns, rng)):
             for piece in stage.pieces:
                 local = cloud * (piece.half if isinstance(piece, Box) else 1.0)
                 local = local / gauge(piece, local)[:, None]
@@ -372,6 +372,12 @@ def truth(scene: Scene) -> Truth:
     return scene.truth
 
 
+def lights(scene: Scene) -> NDArray[np.float64]:
+    lighting = truth(scene).lighting
+    assert lighting is not None
+    return lighting
+
+
 def relight(scene: Scene) -> tuple[NDArray[Any], Array]:
     """Held-out pictures and their lights."""
     images, lighting = truth(scene).relight_images, truth(scene).relight_lighting
@@ -389,7 +395,7 @@ def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
         "albedo": truth(scene).materials.albedo,
         "roughness": truth(scene).materials.roughness,
         "metallic": truth(scene).materials.metallic,
-        "lighting": truth(scene).lighting,
+        "lighting": lights(scene),
         "relight_lighting": relight(scene)[1],
         "relight_images": relight(scene)[0],
     }
@@ -432,7 +438,7 @@ def test_exposure(kind: SceneKind) -> None:
 def test_pictures_are_the_model_of_their_truth(kind: SceneKind) -> None:
     scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2)
     for images, lighting in (
-        (scene.images, truth(scene).lighting),
+        (scene.images, lights(scene)),
         relight(scene),
     ):
         again = render(truth(scene).materials, scene.normals, lighting, scene.fov)

@@ -31,8 +31,7 @@ def run(*arguments: object) -> int:
     try:
         return main([str(argument) for argument in arguments])
     except SystemExit as ended:
-        assert isinstance(ended.code, int)
-        return ended.code
+        return int(ended.code or 0)
 
 
 # --------------------------------------------------------------------------------------- normals
@@ -145,11 +144,14 @@ def scored(**errors: float) -> dict[str, float | None]:
 
 
 def test_means_are_over_finished_scenes() -> None:
+    def found(recon: float) -> dict[str, Any]:
+        return {"facts": {}, "recipes": dict.fromkeys(RECIPES, scored(recon=recon))}
+
     scenes = [
-        Record("base_100", {"facts": {}, "recipes": {r: scored(recon=0.1) for r in RECIPES}}, None, 1.0),
-        Record("base_101", {"facts": {}, "recipes": {r: scored(recon=0.3) for r in RECIPES}}, None, 1.0),
+        Record("base_100", found(0.1), None, 1.0),
+        Record("base_101", found(0.3), None, 1.0),
         Record("base_102", None, "ValueError: no", 1.0),
-    ]  # fmt: skip
+    ]
     tasks = [Task("base", seed, 16, 4, 3) for seed in (100, 101, 102)]
     [outcome, other] = report.outcomes(
         [BY_KEY["base"], BY_KEY["regularized"]], tasks, scenes, {"regularized": "none yet"}

@@ -6,20 +6,34 @@ what a fit of them cannot recover is the fault of the fit, or of the noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.model import render
 from pbrfit.scene import Scene, Truth
+from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
-from pbrfit.synthetic.scenes import RayCast, SceneKind, build
+from pbrfit.synthetic.scenes import SceneKind, build, draw
+from pbrfit.synthetic.textures import MaterialSet, load_textures
+from pbrfit.synthetic.world import RayCast, World
 
-__all__ = ["RayCast", "SceneKind", "build", "make_scene", "random_lights"]
+__all__ = [
+    "MaterialSet",
+    "RayCast",
+    "SceneKind",
+    "World",
+    "build",
+    "draw",
+    "load_textures",
+    "make_scene",
+    "random_lights",
+]
 
 Array = NDArray[np.float64]
-
-MEAN_RADIANCE = 0.4
 
 
 def make_scene(
@@ -31,6 +45,8 @@ def make_scene(
     sh_order: int = 3,
     noise: float = 0.0,
     seed: int = 0,
+    fov: float = 60.0,
+    textures: Path | Sequence[MaterialSet] | None = None,
 ) -> Scene:
     """Draw a scene and its lights, and render the pictures in float64.
 
@@ -41,7 +57,7 @@ def make_scene(
     Parameters
     ----------
     kind
-        "room", "spheres" or "textured"; see `build`.
+        "room", "spheres", "textured", "furnished" or "detailed"; see `draw`.
     size
         Width and height of the pictures in pixels.
     lights, held_out
@@ -54,6 +70,11 @@ def make_scene(
         Non-negative. ``SeedSequence(seed)`` is split into four streams, in this order: geometry and
         materials, training lights, held-out lights, noise; so that each can change without the
         others.
+    fov
+        Horizontal field of view of the pictures in degrees, 0 < fov < 180.
+    textures
+        For "detailed" alone: a folder of texture maps, or the sets that `load_textures` read
+        from one. None for procedural detail.
 
     Returns
     -------
@@ -65,14 +86,14 @@ def make_scene(
     Raises
     ------
     InputError
-        When an argument is out of its range.
+        When an argument is out of its range, or the textures cannot be used.
     """
     if not 0.0 <= noise < np.inf:
         raise InputError(f"noise: expected a finite standard deviation >= 0, found {noise}")
     if seed < 0:
         raise InputError(f"seed: expected a non-negative integer, found {seed}")
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
-    view = build(kind, size, streams[0])
+    view = build(kind, size, streams[0], fov, textures)
 
     lighting, images = _expose(view, random_lights(lights, streams[1], sh_order), streams[1])
     relight_lighting, relight_images = _expose(
@@ -101,6 +122,5 @@ def make_scene(
 def _expose(view: RayCast, lighting: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Scale each light so that its picture's mean is between 1/√2 and √2; return both, scaled."""
     images = render(view.materials, view.normals, lighting, view.fov)
-    level = np.sqrt(2) ** rng.uniform(-1, 1, size=len(images))
-    gain = level / images.mean(axis=(1, 2, 3))
+    gain = gains(images, rng)
     return gain[:, None, None] * lighting, gain[:, None, None, None] * images

@@ -96,19 +96,19 @@ def _draw(count: int, rng: np.random.Generator, sh_order: int) -> Array:
 
     strength = rng.uniform(0.1, 0.45, size=shape)
     strength[:, 0] = 1.0
-    colors = strength[..., None] * _colors(shape, rng)
+    colors = strength[..., None] * random_colors(shape, rng)
 
     sharp = rng.random(shape) < 0.5
     sharp[:, 0] = True
     zonal = np.where(sharp[..., None], _zonal(_SHARP[sh_order]), _zonal(_SOFT[sh_order]))
     lights = np.einsum("nlk,nlc->nkc", zonal * sh_basis(directions), colors)
 
-    ambient = rng.uniform(0.02, 0.1, size=(count, 1)) * _colors((count,), rng)
+    ambient = rng.uniform(0.02, 0.1, size=(count, 1)) * random_colors((count,), rng)
     lights[:, 0] += np.sqrt(4 * np.pi) * ambient  # Y_00 = 1/√(4π)
     return np.asarray(lights)
 
 
-def _colors(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+def random_colors(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
     """Colours (..., 3) between two neighbouring lamps, or saturated; the largest channel is 1."""
     position = rng.uniform(0, len(_LAMPS) - 1, size=shape)
     lower = np.minimum(position.astype(np.int64), len(_LAMPS) - 2)

@@ -118,7 +118,9 @@ def _why_not(row: Row, *, quick: bool) -> str:
         return row.unavailable
     if quick:
         return "--quick leaves Cycles out"
-    return "no Cycles"
+    from pbrfit.synthetic import cycles
+
+    return cycles.why_not() or ""
 
 
 def _tasks(row: Row, options: argparse.Namespace) -> list[Task]:

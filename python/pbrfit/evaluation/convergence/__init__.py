@@ -31,8 +31,9 @@ REHEARSAL_BUDGET = Budget(iterations=3, evaluations=3, seconds=60.0)
 class Effort:
     """What is run: cases, and how long.
 
-    `seconds` are the longest runs, for a picture of 64²; larger pictures have as much more as they
-    have pixels.
+    `seconds` is where any run is cut off, for a picture of 64²; larger pictures have as much more
+    as they have pixels. On a quiet machine of two cores none is: iterations and evaluations are the
+    limits, so that only a busy one makes results depend on its speed.
     """
 
     name: str
@@ -62,7 +63,7 @@ FULL = Effort(
     seeds=3,
     iterations=500,
     evaluations=2000,
-    seconds=12.0,
+    seconds=60.0,
 )
 
 QUICK = Effort(
@@ -74,7 +75,7 @@ QUICK = Effort(
     seeds=1,
     iterations=200,
     evaluations=200,
-    seconds=3.0,
+    seconds=20.0,
 )
 
 
@@ -132,12 +133,15 @@ class Curve:
 
 
 def plan(effort: Effort, seeds: int | None = None) -> list[Task]:
-    """All runs that are possible here, those of a scene one after the other."""
+    """All runs that are possible here, those of a seed one after the other.
+
+    So a run that is broken off and resumed with fewer seeds is complete in those.
+    """
     count = effort.seeds if seeds is None else seeds
     return [
         Task(case, solver.name, FIRST_SEED + i, effort.budget(case))
-        for case in effort.cases
         for i in range(count)
+        for case in effort.cases
         for solver in SOLVERS
         if not solver.missing
     ]

@@ -74,7 +74,7 @@ class Settings:
 
 
 LBFGS = Settings("lbfgs", "sigmoid", rate=1.0)
-ADAM = Settings("adam", "sigmoid", rate=0.1)
+ADAM = Settings("adam", "sigmoid", rate=0.1, beta2=0.99)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from pbrfit.evaluation.table1.normals import angles, disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, Row
 from pbrfit.scene import Scene, unit_normals
 from pbrfit.scene_folder import read_normals
-from pbrfit.synthetic import make_scene
+from pbrfit.synthetic import cycles, draw, make_scene
 
 TRUE_FOV = 60.0
 
@@ -86,13 +86,27 @@ def work(task: Task, threads: int) -> dict[str, Any]:
 def _scene(task: Task, row: Row, threads: int) -> Scene:
     if row.renderer == "own":
         return make_scene(
-            "room",
+            row.scene,
             size=task.size,
             lights=task.lights,
             held_out=task.lights,
             seed=task.seed,
+            textures=task.textures,
         )
-    raise NotImplementedError
+    # The world that `make_scene` draws with this seed.
+    [stream] = np.random.SeedSequence(task.seed).spawn(1)
+    return cycles.render_scene(
+        draw(row.scene, np.random.default_rng(stream), task.textures),
+        task.size,
+        TRUE_FOV,
+        light=row.light,
+        transport=row.transport,
+        lights=task.lights,
+        held_out=task.lights,
+        seed=task.seed,
+        cache=task.cycles_cache,
+        threads=threads,
+    )
 
 
 def _as_given(scene: Scene, task: Task, row: Row) -> tuple[Scene, dict[str, float]]:

@@ -183,12 +183,12 @@ def _opening(setup: Sequence[str]) -> list[str]:
         "Figures are means over scenes; in brackets 95 % intervals by bootstrap over scenes. "
         f"Here, {PROTOCOL.partition(': ')[2]}. Lines marked “paper” repeat the paper's "
         "own numbers, which are of other scenes: context, no comparison.",
-        f"“{IN_WORDS['paper'].capitalize()}”, as we read it: one run of scipy's L-BFGS-B on albedo, roughness, "
-        "metallic within [0, 1] and all lights, from the mean picture, roughness 0.5 and metallic "
-        "0.1. The constant guess has roughness 0.5, metallic 0 and the mean of the true albedo, "
-        "with the lights that then fit best: it knows nothing of the pixels. Our start is where our "
-        "default begins, with the lights that fit it. "
-        f"Seeds from {FIRST_SEED} on; none served to tune anything.",
+        f"“{IN_WORDS['paper'].capitalize()}”, as we read it: one run of scipy's L-BFGS-B on "
+        "albedo, roughness and metallic within [0, 1] and all lights, from the mean picture, "
+        "roughness 0.5 and metallic 0.1. The constant guess has roughness 0.5, metallic 0 and the "
+        "mean of the true albedo, with the lights that then fit best: it knows nothing of the "
+        "pixels. Our start is where our default begins, with the lights that fit it. Seeds from "
+        f"{FIRST_SEED} on; none served to tune anything.",
         f"pbrfit {version('pbrfit')}; {on['processor']}, {on['cores']} cores, {on['system']}, "
         f"Python {on['python']}, numpy {on['numpy']}. Seconds are of one fit while as many others "
         "ran as there were jobs.",

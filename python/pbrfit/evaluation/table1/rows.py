@@ -27,8 +27,8 @@ class Row:
         Kind of scene.
     renderer
         Whose pictures: our forward model's, or Blender Cycles'.
-    lights, transport
-        Of Cycles: see `pbrfit.synthetic.cycles`.
+    light, transport
+        Of Cycles: see `pbrfit.synthetic.cycles.render_scene`.
     normals
         The true ones, or those of a simulated or given estimator.
     sh_order
@@ -48,7 +48,7 @@ class Row:
     what: str
     scene: Literal["furnished", "detailed"] = "furnished"
     renderer: Renderer = "own"
-    lights: Literal["panorama", "points", "points-unshadowed"] = "panorama"
+    light: Literal["panorama", "points"] = "panorama"
     transport: Literal["brdf", "shadows", "full"] = "full"
     normals: NormalSource = "true"
     sh_order: int = 3
@@ -125,16 +125,15 @@ ROWS = (
         "Cycles, point lights without shadows",
         "Direct light of lamps without size inside the room.",
         renderer="cycles",
-        lights="points-unshadowed",
-        transport="shadows",
-        paper_row="",
+        light="points",
+        transport="brdf",
     ),
     Row(
         "cycles-points",
         "Cycles, point lights",
         "As before, with shadows.",
         renderer="cycles",
-        lights="points",
+        light="points",
         transport="shadows",
         paper=_paper(0.040, 0.386, 0.408, 0.630),
         paper_row="Cycles (point lights)",

@@ -1,0 +1,167 @@
+"""Heat maps and curves of the gap, as PNG."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pbrfit.evaluation.gap import Array, Gap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+# Okabe and Ito's colours: told apart by all common colour vision.
+COLORS = ("#000000", "#E69F00", "#0072B2", "#009E73")
+MARKERS = ("o", "D", "v", "^")
+LINES = ("-", "--", ":", "-.")
+
+RATIO_SPAN = 4.0
+"""Ratios from 1/4 to 4 have colours of their own."""
+
+DARK = 0.62
+"""Share of the colour scale beyond which print on it is white."""
+
+
+def draw_ratios(gap: Gap, model: str, material: int) -> bytes:
+    """R_l of a model over the true one, by band."""
+    ratio = gap.ratio(model)[material]
+    figure = _figure(13, 10.4)
+    grid = figure.subplots(2, 2)
+    for band, axes in enumerate(grid.flat):
+        image = _ratio_map(axes, gap, ratio[..., band])
+        axes.set_title(f"l = {band}" + (", directional albedo" if band == 0 else ""))
+    _ratio_scale(figure, image, grid)
+    figure.suptitle(f"{gap.materials[material].name}: response, {model} / true")
+    return _png(figure)
+
+
+def draw_distances(gap: Gap, model: str, material: int) -> bytes:
+    """Response of the difference, by band."""
+    distance = gap.distance(model)[material]
+    figure = _figure(13, 10.4)
+    grid = figure.subplots(2, 2)
+    for band, axes in enumerate(grid.flat):
+        image = _map(axes, gap, distance[..., band], "cividis_r", 0.0, 1.0, cut=DARK)
+        axes.set_title(f"l = {band}")
+    bar = figure.colorbar(image, ax=grid, shrink=0.6, extend="max")
+    bar.set_label("size of the difference; a mirror's response is 1")
+    figure.suptitle(f"{gap.materials[material].name}: {model} less true")
+    return _png(figure)
+
+
+def draw_albedos(gap: Gap, model: str) -> bytes:
+    """R_0 of a model over the true one, by material."""
+    figure = _figure(13, 5.4 * -(-len(gap.materials) // 2))
+    grid = figure.subplots(-(-len(gap.materials) // 2), 2, squeeze=False)
+    ratio = gap.ratio(model)
+    for i, axes in enumerate(grid.flat):
+        if i >= len(gap.materials):
+            axes.set_axis_off()
+            continue
+        image = _ratio_map(axes, gap, ratio[i, ..., 0])
+        axes.set_title(gap.materials[i].name)
+    _ratio_scale(figure, image, grid)
+    figure.suptitle(f"Light that comes back under even light, {model} / true")
+    return _png(figure)
+
+
+def draw_spheres(gap: Gap) -> bytes:
+    """Relative error of spheres under random lights over roughness."""
+    figure = _figure(8, 4.6)
+    axes = figure.subplots()
+    for m, material in enumerate(gap.materials):
+        for line, model in zip(LINES, gap.models, strict=False):
+            axes.plot(
+                gap.effort.r,
+                gap.relative_rmse(model)[m],
+                color=COLORS[m % len(COLORS)],
+                marker=MARKERS[m % len(MARKERS)],
+                linestyle=line,
+                markersize=5,
+                linewidth=1.6,
+                label=material.name + (f", {model}" if len(gap.models) > 1 else ""),
+            )
+    axes.set(
+        xlabel="roughness r",
+        ylabel="RMSE / RMS radiance",
+        title="Spheres under random lights: error of the model alone",
+        xlim=(0, 1.02),
+        ylim=(0, None),
+    )
+    axes.grid(color="0.9", linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False)
+    return _png(figure)
+
+
+def _ratio_map(axes: Axes, gap: Gap, ratio: Array) -> AxesImage:
+    span = np.log2(RATIO_SPAN)
+    with np.errstate(divide="ignore"):  # a response of 0 has a ratio of 0: darkest
+        colors = np.log2(ratio)
+    return _map(axes, gap, colors, "PuOr_r", -span, span, cut=None, values=ratio)
+
+
+def _ratio_scale(figure: Figure, image: AxesImage, grid: Sequence[Axes] | np.ndarray) -> None:
+    ticks = (0.25, 0.5, 1.0, 2.0, 4.0)
+    bar = figure.colorbar(image, ax=np.asarray(grid), shrink=0.6, extend="both")
+    bar.set_ticks([float(np.log2(tick)) for tick in ticks], labels=["¼", "½", "1", "2", "4"])
+    bar.set_label("ratio; orange: too bright, purple: too dark")
+
+
+def _map(
+    axes: Axes,
+    gap: Gap,
+    colors: Array,
+    colormap: str,
+    low: float,
+    high: float,
+    *,
+    cut: float | None,
+    values: Array | None = None,
+) -> AxesImage:
+    """One cell for each (r, n·v) with its value; n·v to the right, r upwards."""
+    values = colors if values is None else values
+    image = axes.imshow(colors, colormap, vmin=low, vmax=high, origin="lower", aspect="auto")
+    axes.set_xticks(range(len(gap.effort.n_dot_v)), [f"{x:g}" for x in gap.effort.n_dot_v])
+    axes.set_yticks(range(len(gap.effort.r)), [f"{x:g}" for x in gap.effort.r])
+    axes.set(xlabel="n·v", ylabel="roughness r")
+    for i, row in enumerate(values):
+        for j, value in enumerate(row):
+            share = float(np.clip((colors[i, j] - low) / (high - low), 0, 1))
+            dark = abs(2 * share - 1) > DARK if cut is None else share > cut
+            axes.text(
+                j,
+                i,
+                _short(value),
+                ha="center",
+                va="center",
+                fontsize=8,
+                color="white" if dark else "black",
+            )
+    return image
+
+
+def _short(value: float) -> str:
+    return f"{value:.2f}" if value < 10 else f"{value:.0f}"
+
+
+def _figure(width: float, height: float) -> Figure:
+    # Imported here: matplotlib is slow to start and needed by nobody else.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=100)
+    return buffer.getvalue()

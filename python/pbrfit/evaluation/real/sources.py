@@ -1,0 +1,122 @@
+"""Pictures of other people, from photographs and other renderers, as scene folders.
+
+A *source* is a scene folder that somebody made, or one of the public sets below as it was
+published. The latter hold pictures and normals in forms of their own; `scene_folder_of` turns one
+into a scene folder (docs/formats.md).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import images, scene_folder
+from pbrfit._core import InputError
+from pbrfit.evaluation.real.public_sets import SETS, PublicSet, Source, room_source
+from pbrfit.scene import Scene
+
+__all__ = ["SETS", "PublicSet", "Source", "absent", "find_sources", "load", "write_scene"]
+
+
+def find_sources(path: Path) -> list[Source]:
+    """Sources that a path names: a scene folder, a public set, or a folder that holds such.
+
+    Raises
+    ------
+    FileNotFoundError, InputError
+        If there is no such folder, or nothing in it that could be pictures of one view.
+    """
+    if not path.is_dir():
+        there = "a file" if path.exists() else "nothing of that name"
+        raise FileNotFoundError(f"{path}: expected a folder of pictures, found {there}")
+    found = _sources_at(path)
+    if not found:
+        for below in sorted(path.iterdir()):
+            if below.is_dir() and not below.name.startswith("."):
+                found += _sources_at(below)
+    if not found:
+        raise InputError(
+            f"{path}: expected a scene folder or one of {', '.join(SETS)}, found none of them"
+        )
+    return found
+
+
+def absent(path: Path, found: Sequence[Source]) -> list[PublicSet]:
+    """Public sets that a folder of public sets lacks; none for a folder of another kind."""
+    kinds = {source.kind for source in found if path in source.folder.parents}
+    return [one for kind, one in SETS.items() if kind not in kinds] if kinds & set(SETS) else []
+
+
+@contextmanager
+def scene_folder_of(source: Source) -> Iterator[Path]:
+    """Give a scene folder for as long as the block lasts; that of the user where it is one."""
+    if source.kind == "scene":
+        yield source.folder
+        return
+    with tempfile.TemporaryDirectory(prefix="pbrfit-") as temporary:
+        folder = Path(temporary)
+        write_scene(source, folder)
+        yield folder
+
+
+def write_scene(source: Source, folder: Path) -> None:
+    """Write a public set as a scene folder, into a folder that exists and is empty."""
+    SETS[source.kind].write(source, folder)
+
+
+def load(source: Source, max_size: int | None = None) -> Scene:
+    """Read a source. Samples that an integer file holds at its maximum get weight 0.
+
+    Such a sample says that there was at least so much light, not how much. Where several pixels
+    are averaged down to one, one of them is enough.
+    """
+    with scene_folder_of(source) as folder:
+        scene = Scene.load(folder, max_size=max_size)
+        weights = np.ones(scene.images.shape[:3], dtype=np.float32)
+        for i, path in enumerate(scene_folder.find_pictures(folder)):
+            clipped = images.read_picture(path).clipped
+            if clipped.any():
+                weights[i][_touched(clipped, weights.shape[1:])] = 0.0
+    return Scene(
+        images=scene.images,
+        normals=scene.normals,
+        fov=scene.fov,
+        mask=scene.mask,
+        weights=None if weights.all() else weights,
+        names=scene.names,
+        assumed=scene.assumed,
+        inputs=scene.inputs,
+    )
+
+
+def _touched(pixels: NDArray[np.bool_], size: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which pixels of a picture averaged down to `size` have a part in any of `pixels`."""
+    touched = np.zeros(size, dtype=bool)
+    rows, columns = np.nonzero(pixels)
+    lows, highs = [], []
+    for at, full, small in zip((rows, columns), pixels.shape, size, strict=True):
+        lows.append(at * small // full)
+        highs.append(np.minimum(((at + 1) * small - 1) // full, small - 1))
+    for row in (lows[0], highs[0]):
+        for column in (lows[1], highs[1]):
+            touched[row, column] = True
+    return touched
+
+
+def _sources_at(path: Path) -> list[Source]:
+    name = path.resolve().name
+    if name in SETS:
+        return SETS[name].find(path)
+    if not scene_folder.is_scene(path):
+        return []
+    if not (path / "images").is_dir() and not any(
+        (path / file).exists() for file in scene_folder.NORMAL_FILES
+    ):
+        return [room_source(path)]
+    pictures = len(scene_folder.find_pictures(path))
+    return [Source(name, path, "scene", pictures, "scene folder, as it is")]

@@ -1,0 +1,384 @@
+"""Render one job with Cycles. Runs in the environment that has bpy, in a process of its own.
+
+    python worker.py FOLDER
+
+FOLDER holds `job.json` and `arrays.npz`, as `export.py` describes them; the results are written
+beside them: `radiance.npy`, `truth.npz` and `outcome.json`. Nothing of pbrfit is imported here,
+and bpy nowhere else.
+
+Everything is in camera space: the Blender camera is not turned, so its axes are the world's.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+
+def main(folder: Path) -> None:
+    """Read the job, build it, render the truth and then the light, write both."""
+    job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
+    arrays = np.load(folder / "arrays.npz")
+    start = time.perf_counter()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    set_up(scene, job)
+    add_camera(scene, job["fov"])
+    maps = {name: pixel_map(name, arrays[f"map.{name}"]) for name in job["maps"]}
+    for index, mesh in enumerate(job["meshes"]):
+        add_mesh(scene, index, mesh, arrays, maps, job)
+    built = time.perf_counter()
+    truth = render_truth(scene, folder)
+    if job["light"]["kind"] == "harmonics":
+        radiance = render_harmonics(scene, folder, job)
+    else:
+        radiance = render_points(scene, folder, job)
+    np.savez(folder / "truth.npz", allow_pickle=False, **truth)
+    np.save(folder / "radiance.npy", radiance)
+    outcome = {
+        "blender": bpy.app.version_string,
+        "build_seconds": built - start,
+        "render_seconds": time.perf_counter() - built,
+    }
+    (folder / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
+
+
+def set_up(scene: Any, job: dict[str, Any]) -> None:
+    """Path tracing without any of the settings that trade truth for looks."""
+    render, cycles = scene.render, scene.cycles
+    render.engine = "CYCLES"
+    render.resolution_x = render.resolution_y = job["size"]
+    render.resolution_percentage = 100
+    render.film_transparent = True
+    render.use_compositing = render.use_sequencer = False
+    render.threads_mode, render.threads = "FIXED", job["threads"]
+    if hasattr(render.image_settings, "media_type"):  # Blender 5
+        render.image_settings.media_type = "MULTI_LAYER_IMAGE"
+    render.image_settings.file_format = "OPEN_EXR_MULTILAYER"
+    render.image_settings.color_depth = "32"
+    render.image_settings.exr_codec = "NONE"
+    cycles.device = "CPU"
+    cycles.seed = job["seed"]
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
+    cycles.light_sampling_threshold = 0.0
+    cycles.blur_glossy = 0.0
+    cycles.caustics_reflective = True
+    cycles.use_auto_tile = False
+    cycles.max_bounces = job["bounces"]["all"]
+    cycles.diffuse_bounces = job["bounces"]["diffuse"]
+    cycles.glossy_bounces = job["bounces"]["glossy"]
+    cycles.transparent_max_bounces = cycles.min_transparent_bounces = 64  # no roulette there
+    # Rays through a hundredth of a pixel about its centre: no pixel mixes two surfaces.
+    cycles.pixel_filter_type, cycles.filter_width = "GAUSSIAN", 0.01
+    world = bpy.data.worlds.new("world")
+    world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
+    world.cycles.sampling_method = "NONE"
+    scene.world = world
+
+
+def add_camera(scene: Any, fov: float) -> None:
+    """At the origin, towards -Z, Y up; `fov` in degrees, horizontal."""
+    camera = bpy.data.cameras.new("camera")
+    camera.sensor_fit = "HORIZONTAL"
+    camera.angle = np.radians(fov)
+    camera.clip_start, camera.clip_end = 1e-3, 1e6
+    scene.camera = bpy.data.objects.new("camera", camera)
+    scene.collection.objects.link(scene.camera)
+
+
+def pixel_map(name: str, values: Floats) -> Any:
+    """Float picture of the view; values (H, W, 3), top row first."""
+    height, width = values.shape[:2]
+    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=True, is_data=True)
+    image.use_half_precision = False
+    pixels = np.ones((height, width, 4), np.float32)
+    pixels[..., :3] = values[::-1]
+    image.pixels.foreach_set(pixels.reshape(-1))
+    image.pack()
+    return image
+
+
+def add_mesh(
+    scene: Any,
+    index: int,
+    mesh: dict[str, Any],
+    arrays: Any,
+    maps: dict[str, Any],
+    job: dict[str, Any],
+) -> None:
+    """Triangles with normals and, where the material varies, its values at the vertices."""
+    part = {key: arrays[f"{index}.{key}"] for key in ("vertices", "normals", "triangles")}
+    data = triangles(f"piece {index}", part["vertices"], part["triangles"])
+    attribute = data.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT")
+    attribute.data.foreach_set("vector", part["normals"].reshape(-1))
+    if mesh["varies"]:
+        values = arrays[f"{index}.material"]  # (V, 5): albedo, roughness, metallic
+        finish = np.concatenate([values[:, 3:], 0 * values[:, :1]], axis=1)
+        for key, of in (("albedo", values[:, :3]), ("finish", finish)):
+            attribute = data.attributes.new(key, "FLOAT_VECTOR", "POINT")
+            attribute.data.foreach_set("vector", np.ascontiguousarray(of).reshape(-1))
+    data.materials.append(material(index, mesh, maps, job["specular"]))
+    data.update()
+    piece = bpy.data.objects.new(f"piece {index}", data)
+    piece.pass_index = index + 1
+    blocks = mesh["blocks_light"] and job["transport"] != "brdf"
+    only_camera(piece, not blocks)
+    piece.cycles.shadow_terminator_geometry_offset = 0.0
+    piece.cycles.shadow_terminator_offset = 0.0
+    scene.collection.objects.link(piece)
+
+
+def triangles(name: str, vertices: Floats, corners: NDArray[np.int32]) -> Any:
+    """A smooth Blender mesh."""
+    data = bpy.data.meshes.new(name)
+    data.vertices.add(len(vertices))
+    data.vertices.foreach_set("co", vertices.reshape(-1))
+    data.loops.add(corners.size)
+    data.loops.foreach_set("vertex_index", corners.reshape(-1))
+    data.polygons.add(len(corners))
+    data.polygons.foreach_set("loop_start", np.arange(0, corners.size, 3, dtype=np.int32))
+    data.polygons.foreach_set("use_smooth", np.ones(len(corners), bool))
+    data.update(calc_edges=True)
+    if data.validate():
+        raise ValueError(f"{name}: expected sound triangles, found some that Blender changed")
+    return data
+
+
+def only_camera(piece: Any, alone: bool) -> None:
+    """Let nothing but camera rays meet the object, or all rays."""
+    piece.visible_diffuse = piece.visible_glossy = piece.visible_shadow = not alone
+    piece.visible_transmission = piece.visible_volume_scatter = not alone
+
+
+class Nodes:
+    """Shader nodes of one material, made and linked in one step."""
+
+    def __init__(self, name: str) -> None:
+        self.material = bpy.data.materials.new(name)
+        self.material.use_nodes = True
+        self.tree = self.material.node_tree
+        self.tree.nodes.clear()
+
+    def add(self, kind: str, inputs: dict[Any, Any] | None = None, **settings: Any) -> Any:
+        """Make a node; an input is a constant or another node's output socket."""
+        node = self.tree.nodes.new(kind)
+        for key, value in settings.items():
+            setattr(node, key, value)
+        for key, value in (inputs or {}).items():
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, node.inputs[key])
+            else:
+                node.inputs[key].default_value = value
+        return node
+
+    def math(self, operation: str, a: Any, b: Any = 0.0) -> Any:
+        """Output of an arithmetic node."""
+        return self.add("ShaderNodeMath", {0: a, 1: b}, operation=operation).outputs[0]
+
+    def surface(self, shader: Any) -> None:
+        """Use the shader's output."""
+        self.add("ShaderNodeOutputMaterial", {"Surface": shader})
+
+
+def material(index: int, mesh: dict[str, Any], maps: dict[str, Any], specular: float) -> Any:
+    """Principled, and AOVs of what went into it.
+
+    What the camera sees comes from maps with one texel a pixel, looked up where the point is in
+    the picture; what other rays see comes from the values at the vertices.
+    """
+    nodes = Nodes(f"material {index}")
+    inputs: dict[str, Any] = {"IOR": 1.5, "Specular IOR Level": specular}
+    by_camera = None
+    if mesh["varies"]:
+        by_camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
+        window = nodes.add("ShaderNodeTexCoord").outputs["Window"]
+
+        def seen(name: str, otherwise: Any) -> Any:
+            texture = nodes.add(
+                "ShaderNodeTexImage",
+                {"Vector": window},
+                image=maps[name],
+                interpolation="Closest",
+                extension="EXTEND",
+            )
+            mix = nodes.add(
+                "ShaderNodeMix",
+                {"Factor": by_camera},
+                data_type="VECTOR",
+                clamp_factor=False,
+            )
+            a, b = (s for s in mix.inputs if s.name in "AB" and s.type == "VECTOR")
+            nodes.tree.links.new(otherwise, a)
+            nodes.tree.links.new(texture.outputs["Color"], b)
+            return next(s for s in mix.outputs if s.type == "VECTOR")
+
+        def at_vertices(name: str) -> Any:
+            node = nodes.add("ShaderNodeAttribute", attribute_name=name)
+            return node.outputs["Vector"]
+
+        finish = nodes.add("ShaderNodeSeparateXYZ", {0: seen("finish", at_vertices("finish"))})
+        inputs["Base Color"] = seen("albedo", at_vertices("albedo"))
+        inputs["Roughness"], inputs["Metallic"] = finish.outputs[0], finish.outputs[1]
+        if "normal" in maps:
+            smooth = nodes.add("ShaderNodeNewGeometry").outputs["Normal"]
+            inputs["Normal"] = seen("normal", smooth)
+        aov: dict[str, Any] = {"albedo": inputs["Base Color"]}
+    else:
+        inputs["Base Color"] = (*mesh["albedo"], 1.0)
+        inputs["Roughness"], inputs["Metallic"] = mesh["roughness"], mesh["metallic"]
+        aov = {"albedo": inputs["Base Color"]}
+    shader = nodes.add("ShaderNodeBsdfPrincipled", inputs, distribution="GGX")
+    nodes.surface(shader.outputs[0])
+    nodes.add("ShaderNodeOutputAOV", {"Color": aov["albedo"]}, aov_name="albedo")
+    for name in ("roughness", "metallic"):
+        nodes.add("ShaderNodeOutputAOV", {"Value": inputs[name.capitalize()]}, aov_name=name)
+    return nodes.material
+
+
+def render(scene: Any, folder: Path) -> dict[str, Floats]:
+    """Render; the channels of the written file, by name without the view layer."""
+    path = folder / "render.exr"
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {
+            name.split(".", 1)[1]: np.array(channel.pixels, np.float32)
+            for part in file.parts  # one a pass
+            for name, channel in part.channels.items()
+        }
+    path.unlink()
+    return channels
+
+
+def layer(channels: dict[str, Floats], name: str, ends: str) -> Floats:
+    """(H, W, len(ends)) of one pass."""
+    try:
+        return np.stack([channels[f"{name}.{end}"] for end in ends], axis=-1)
+    except KeyError as missing:
+        raise KeyError(f"no channel {missing} among {sorted(channels)}") from None
+
+
+def plane(channels: dict[str, Floats], *names: str) -> Floats:
+    """(H, W) of a pass with one channel, by any of its names."""
+    for key, values in channels.items():
+        if key.rsplit(".", 1)[0] in names:
+            return values
+    raise KeyError(f"no channel {names[0]} among {sorted(channels)}")
+
+
+def render_truth(scene: Any, folder: Path) -> dict[str, NDArray[Any]]:
+    """Albedo, roughness, metallic, normal, position and object of every pixel's centre."""
+    view_layer = scene.view_layers[0]
+    view_layer.use_pass_normal = view_layer.use_pass_position = True
+    view_layer.use_pass_object_index = True
+    for name, kind in (("albedo", "COLOR"), ("roughness", "VALUE"), ("metallic", "VALUE")):
+        aov = view_layer.aovs.add()
+        aov.name, aov.type = name, kind
+    scene.cycles.samples = 1
+    channels = render(scene, folder)
+    index = plane(channels, "Object Index", "IndexOB")
+    view_layer.use_pass_normal = view_layer.use_pass_position = False
+    view_layer.use_pass_object_index = False
+    while view_layer.aovs:
+        view_layer.aovs.remove(view_layer.aovs[0])
+    return {
+        "albedo": layer(channels, "albedo", "RGB"),
+        "normals": layer(channels, "Normal", "XYZ"),
+        "positions": layer(channels, "Position", "XYZ"),
+        "segments": np.rint(index).astype(np.uint16),
+        "roughness": plane(channels, "roughness"),
+        "metallic": plane(channels, "metallic"),
+    }
+
+
+def render_harmonics(scene: Any, folder: Path, job: dict[str, Any]) -> Floats:
+    """(K, H, W, 3): the picture under each basis function, all from one render.
+
+    Each function is the emission of one more box around everything, and a light group. The boxes
+    are transparent as well, so that a ray that leaves the scene meets all of them.
+    """
+    view_layer = scene.view_layers[0]
+    names = []
+    for k, terms in enumerate(job["light"]["basis"]):
+        name = f"basis{k:02d}"
+        view_layer.lightgroups.add(name=name)
+        names.append(name)
+        box = bpy.data.objects.new(name, enclosure(name, 1.01**k * job["light"]["distance"]))
+        box.data.materials.append(glow(name, terms))
+        box.lightgroup = name
+        box.visible_camera = box.visible_shadow = False
+        scene.collection.objects.link(box)
+    scene.cycles.samples = job["samples"]
+    channels = render(scene, folder)
+    return np.stack([layer(channels, f"Combined_{name}", "RGB") for name in names])
+
+
+def enclosure(name: str, half: float) -> Any:
+    """A cube about the origin. Its shape is of no matter: it emits by direction."""
+    signs = np.array(list(np.ndindex(2, 2, 2)), np.float32) * 2 - 1
+    quads = np.array(
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    )
+    corners = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
+    return triangles(name, half * signs, corners)
+
+
+def glow(name: str, terms: list[list[Any]]) -> Any:
+    """Transparent, and emits the polynomial of the ray's direction: [factor, [a, b, c]], ..."""
+    nodes = Nodes(name)
+    incoming = nodes.add("ShaderNodeNewGeometry").outputs["Incoming"]  # against the ray
+    towards = nodes.add("ShaderNodeVectorMath", {0: incoming, 3: -1.0}, operation="SCALE")
+    axes = nodes.add("ShaderNodeSeparateXYZ", {0: towards.outputs[0]}).outputs
+    total: Any = None
+    for factor, powers in terms:
+        term: Any = None
+        for axis, power in zip(axes, powers, strict=True):
+            for _ in range(power):
+                term = axis if term is None else nodes.math("MULTIPLY", term, axis)
+        term = factor if term is None else nodes.math("MULTIPLY", term, factor)
+        total = term if total is None else nodes.math("ADD", total, term)
+    emission = nodes.add("ShaderNodeEmission", {"Color": (1, 1, 1, 1), "Strength": total})
+    clear = nodes.add("ShaderNodeBsdfTransparent", {"Color": (1, 1, 1, 1)})
+    both = nodes.add("ShaderNodeAddShader", {0: emission.outputs[0], 1: clear.outputs[0]})
+    nodes.surface(both.outputs[0])
+    nodes.material.cycles.emission_sampling = "NONE"
+    return nodes.material
+
+
+def render_points(scene: Any, folder: Path, job: dict[str, Any]) -> Floats:
+    """(K, H, W, 3): the picture under each white point light.
+
+    A light of P watts and no size gives a white diffuse surface that faces it at the distance d
+    the radiance P / (4π²d²); with P = 4π² that is 1 at one metre.
+    """
+    light = bpy.data.lights.new("point", "POINT")
+    light.energy = 4 * np.pi**2
+    light.shadow_soft_size = 0.0
+    light.use_shadow = job["transport"] != "brdf"
+    lamp = bpy.data.objects.new("point", light)
+    scene.collection.objects.link(lamp)
+    scene.cycles.samples = job["samples"]
+    # Meshes stay as they are from one light to the next. Not from the render of the truth to these:
+    # with other passes, what an earlier render left in them would be added.
+    scene.render.use_persistent_data = True
+    pictures = []
+    for position in job["light"]["positions"]:
+        lamp.location = position
+        pictures.append(layer(render(scene, folder), "Combined", "RGB"))
+    return np.stack(pictures)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,197 @@
+"""The gap suite: its quadrature against other rules and known facts, its figures, its command."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+import reference
+from pbrfit import images
+from pbrfit.evaluation import gap
+from pbrfit.evaluation.gap import CLOSED_FORM, Effort, Gap, response
+from pbrfit.evaluation.gap.brute_force import respond, view
+from scene_files import run
+
+Array = NDArray[np.float64]
+
+SMALL = Effort("small", r=(0.2, 0.8, 1.0), n_dot_v=(0.2, 1.0), rings=4, lights=4)
+
+
+@pytest.fixture(scope="module")
+def measured() -> Gap:
+    return gap.measure(SMALL)
+
+
+def hemisphere() -> tuple[Array, Array]:
+    """Directions and weights of a plain rule over n·l > 0: 500 × 500 nodes."""
+    nodes, weights = np.polynomial.legendre.leggauss(500)
+    # Denser at the horizon, where masking falls to 0.
+    n_dot_l = ((1 + nodes) / 2) ** 3
+    shares = weights / 2 * 3 * ((1 + nodes) / 2) ** 2
+    azimuth = 2 * np.pi * (np.arange(500) + 0.5) / 500
+    sine = np.sqrt(1 - n_dot_l**2)[:, None]
+    directions = np.stack(
+        [sine * np.cos(azimuth), sine * np.sin(azimuth), np.repeat(n_dot_l[:, None], 500, axis=1)],
+        axis=-1,
+    )
+    return directions, np.repeat(2 * np.pi / 500 * shares[:, None], 500, axis=1)
+
+
+def reflected(rho: float, r: float, m: float, n_dot_v: float) -> Array:
+    """(16,) weights of one channel: the paper's eqs. 1 and 3-5 as printed, summed over l."""
+    l, shares = hemisphere()  # noqa: E741
+    v = np.array([math.sqrt(1 - n_dot_v**2), 0, n_dot_v])
+    h = reference.unit(v + l)
+    alpha = r * r
+    d = alpha**2 / (np.pi * (h[..., 2] ** 2 * (alpha**2 - 1) + 1) ** 2)
+    k = alpha**2 / 2
+    g = np.prod([x / (x * (1 - k) + k) for x in (l[..., 2], np.full(l.shape[:2], n_dot_v))], axis=0)
+    f0 = 0.04 * (1 - m) + m * rho
+    f = f0 + (1 - f0) * (1 - h @ v) ** 5
+    specular = d * g * f / (4 * n_dot_v * l[..., 2])
+    diffuse = (1 - f) * (1 - m) * rho / np.pi
+    radiance = (specular + diffuse) * l[..., 2] * shares
+    weights: Array = np.einsum("ij,ijk->k", radiance, reference.sh_basis(l))
+    return weights
+
+
+@pytest.mark.parametrize(
+    ("rho", "r", "m", "n_dot_v"),
+    [(0.5, 0.6, 0.0, 0.4), (0.8, 0.4, 1.0, 0.9), (0.3, 1.0, 0.3, 0.1), (0.05, 0.8, 0.0, 1.0)],
+)
+def test_quadrature_agrees_with_a_plain_rule(
+    rho: float, r: float, m: float, n_dot_v: float
+) -> None:
+    found = respond(r, n_dot_v).weights(np.full(3, rho), np.array(m))
+    np.testing.assert_allclose(found, np.tile(reflected(rho, r, m, n_dot_v), (3, 1)), atol=2e-6)
+
+
+@pytest.mark.parametrize("r", [0.02, 0.1, 0.3, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize("n_dot_v", [0.02, 0.2, 0.7, 1.0])
+def test_stated_error_covers_a_much_finer_rule(r: float, n_dot_v: float) -> None:
+    found, finer = respond(r, n_dot_v, 48), respond(r, n_dot_v, 160)
+    for name in ("base", "grazing", "diffuse"):
+        change = np.abs(getattr(found, name) - getattr(finer, name)).max()
+        assert change <= found.error + 1e-9
+    assert found.error < 2e-5
+    assert finer.error < 1e-9
+
+
+def test_rough_lobe_seen_straight_on_returns_one_minus_log_two() -> None:
+    # α = 1: D = 1/π, G1(1) = 1, G1(n·l) = 2x/(1+x) with x = n·l = 2c² − 1, so that
+    # ∫ D G1/4 dl = ½ ∫₀¹ x/(1+x) dx · 2 = 1 − ln 2.
+    exact = respond(1.0, 1.0)
+    albedo = 2 * math.sqrt(math.pi) * (exact.base + exact.grazing)[0]
+    assert albedo == pytest.approx(1 - math.log(2), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("r", "n_dot_v", "closed", "true"), [(1.0, 1.0, 0.50, 0.31), (0.8, 0.2, 0.39, 0.83)]
+)
+def test_known_directional_albedos(r: float, n_dot_v: float, closed: float, true: float) -> None:
+    measured = gap.measure(Effort("one", (r,), (n_dot_v,), rings=2, lights=2))
+    assert measured.model_response(CLOSED_FORM)[0, 0, 0, 0] == pytest.approx(closed, abs=0.005)
+    assert measured.true_response[0, 0, 0, 0] == pytest.approx(true, abs=0.005)
+
+
+def test_closed_form_is_within_three_per_cent_for_smooth_lobes_seen_straight() -> None:
+    measured = gap.measure(Effort("few", (0.1, 0.3, 0.5), (0.5, 0.7, 1.0), rings=2, lights=2))
+    np.testing.assert_allclose(measured.ratio(CLOSED_FORM)[0, ..., 0], 1.0, atol=0.03)
+
+
+@pytest.mark.parametrize("n_dot_v", [0.1, 0.6, 1.0])
+def test_white_furnace_of_a_mirror(n_dot_v: float) -> None:
+    exact = respond(0.01, n_dot_v)
+    assert 2 * math.sqrt(math.pi) * (exact.base + exact.grazing)[0] == pytest.approx(1, abs=1e-4)
+    mirror = view(n_dot_v) * [-1, -1, 1]
+    np.testing.assert_allclose(exact.base + exact.grazing, pbrfit.sh_basis(mirror), atol=1e-3)
+
+
+def test_mirror_has_a_response_of_one_in_every_band() -> None:
+    direction = np.array([0.48, 0.6, 0.64])
+    weights = np.repeat(pbrfit.sh_basis(direction)[None], 3, axis=0)
+    np.testing.assert_allclose(response(weights), 1.0, rtol=1e-14)
+
+
+def test_a_perfect_model_has_no_gap() -> None:
+    def exact(normal: Array, view: Array, albedo: Array, r: Array, m: Array) -> Array:
+        n_dot_v = np.einsum("...i,...i->...", normal, view)
+        found = np.empty((*r.shape, 3, 16))
+        for i in np.ndindex(*r.shape):
+            found[i] = respond(float(r[i]), float(n_dot_v[i])).weights(albedo[i], m[i])
+        return found
+
+    def brighter(normal: Array, view: Array, albedo: Array, r: Array, m: Array) -> Array:
+        return 1.5 * exact(normal, view, albedo, r, m)
+
+    measured = gap.measure(
+        Effort("one", (0.5,), (0.5,), rings=2, lights=2),
+        models={"exact": exact, "brighter": brighter},
+    )
+    assert measured.relative_rmse("exact").max() < 1e-14
+    np.testing.assert_allclose(measured.distance("exact"), 0, atol=1e-14)
+    np.testing.assert_allclose(measured.ratio("brighter"), 1.5)
+    np.testing.assert_allclose(measured.overall_rmse("brighter"), 0.5)
+
+
+def test_sphere_error_is_that_of_many_turned_lights(measured: Gap) -> None:
+    """The formula against drawn lights: rendered errors of one ring, the light turned around."""
+    rng = np.random.default_rng(0)
+    difference = rng.normal(size=(1, 1, 3, 16))
+    light = rng.normal(size=(1, 16, 3))
+    power = gap._band_power(light)
+    found = gap._rms_radiance(difference, np.ones(1), power)[0]
+    directions = reference.unit(rng.normal(size=(64, 3)))
+    basis = reference.sh_basis(directions)
+    squares = []
+    for _ in range(300):
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        turned = np.linalg.lstsq(basis, reference.sh_basis(directions @ turn) @ light[0])[0]
+        squares.append(np.einsum("ck,kc->c", difference[0, 0], turned) ** 2)
+    assert found == pytest.approx(math.sqrt(np.mean(squares)), rel=0.12)
+    assert measured.sphere_signal.shape == (4, 3)
+
+
+def test_rings_of_the_sphere_are_enough() -> None:
+    few = gap.measure(Effort("few", (0.3, 1.0), (1.0,), rings=gap.FULL.rings, lights=8))
+    many = gap.measure(Effort("many", (0.3, 1.0), (1.0,), rings=40, lights=8))
+    np.testing.assert_allclose(
+        few.overall_rmse(CLOSED_FORM), many.overall_rmse(CLOSED_FORM), rtol=0.002
+    )
+
+
+@pytest.mark.parametrize(("r", "n_dot_v"), [(0.0, 0.5), (0.5, 0.0), (1.1, 0.5), (math.nan, 0.5)])
+def test_points_outside_the_range_are_named(r: float, n_dot_v: float) -> None:
+    with pytest.raises(pbrfit.InputError, match=r"(roughness|n_dot_v): expected a number in \(0"):
+        respond(r, n_dot_v)
+
+
+def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "gap"
+    assert run("evaluate", "gap", "--out", out, "--quick") == 0
+    assert "closed form, lobe alone" in capsys.readouterr().out
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert summary["protocol"].startswith("pbrfit-gap-1")
+    assert len(summary["rows"]) == len(gap.MATERIALS)
+    assert summary["rows"][0]["metrics"]["quadrature_error"] < 1e-6
+    with (out / "gap.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(gap.MATERIALS) * len(gap.QUICK.r) * len(gap.QUICK.n_dot_v) * 4
+    [straight] = [
+        row
+        for row in rows
+        if (row["material"], row["r"], row["n_dot_v"], row["band"]) == ("lobe", "1.0", "1.0", "0")
+    ]
+    assert float(straight["found"]) == pytest.approx(0.5)
+    assert float(straight["true"]) == pytest.approx(1 - math.log(2))
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("<img") == 7
+    assert "0.50 / 0.31" in page
+    assert images.read_data(out / "ratio-lobe.png").shape[-1] >= 3

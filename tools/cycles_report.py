@@ -1,0 +1,91 @@
+"""Print the figures of docs/cycles.md: checks, noise, times, and how far the closed form is off.
+
+    python tools/cycles_report.py [--size 64] [--scenes 3] [--kind furnished] [--threads 1]
+
+Renders are kept in the user's cache, or in the folder that --cache names; times are of the first
+run. Needs the environment of `make cycles-env`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from pbrfit.synthetic import draw, random_lights
+from pbrfit.synthetic.cycles import SAMPLES, check_spheres, check_truth, render_scene
+from pbrfit.synthetic.cycles.export import export
+from pbrfit.synthetic.cycles.gap import closed_form_gap
+from pbrfit.synthetic.cycles.job import Job, rendered
+from pbrfit.synthetic.cycles.scene import inner_pixels
+
+FIRST_SEED = 9000  # tuned on by nobody
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--size", type=int, default=64)
+    parser.add_argument("--scenes", type=int, default=3)
+    parser.add_argument("--kind", default="furnished")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--cache", type=Path)
+    parser.add_argument("--only", choices=["checks", "noise", "gap"])
+    chosen = parser.parse_args()
+    size, cache, threads = chosen.size, chosen.cache, chosen.threads
+    seeds = range(FIRST_SEED, FIRST_SEED + chosen.scenes)
+    worlds = {
+        seed: draw(chosen.kind, np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[0]))
+        for seed in seeds
+    }
+
+    if chosen.only in (None, "checks"):
+        print(check_spheres(cache=cache, threads=threads))
+        for world in worlds.values():
+            print(check_truth(world, size, cache=cache, threads=threads))
+
+    if chosen.only in (None, "noise"):
+        lights = random_lights(16, np.random.default_rng(0))
+        stage = export(worlds[FIRST_SEED], size, 60.0)
+        for light, transport in SAMPLES:
+            if light == "panorama":
+                job = [
+                    Job(stage, None, transport, SAMPLES[light, transport], seed) for seed in (1, 2)
+                ]
+                two = [rendered(j, cache=cache, threads=threads) for j in job]
+                inner = inner_pixels(two[0].segments, two[0].normals, 60.0)
+                a, b = (np.einsum("kpc,nkc->npc", r.radiance[:, inner], lights) for r in two)
+                noise = np.sqrt(np.mean((a - b) ** 2, axis=(1, 2)) / 2) / a.mean(axis=(1, 2))
+                print(f"noise, {transport}, {SAMPLES[light, transport]} samples:", end=" ")
+                print(f"{noise.mean():.4f} ({noise.min():.4f} to {noise.max():.4f})", end="; ")
+                print(f"{two[0].seconds:.1f} and {two[1].seconds:.1f} s", flush=True)
+
+    if chosen.only in (None, "gap"):
+        for light, transport in SAMPLES:
+            for shell in ("stage", "open") if transport != "brdf" else ("stage",):
+                if (light, transport) == ("points", "full") or (light, shell) == ("points", "open"):
+                    continue
+                gaps = []
+                for seed, world in worlds.items():
+                    scene = render_scene(
+                        world,
+                        size,
+                        light=light,
+                        transport=transport,
+                        seed=seed,
+                        shell=shell,
+                        cache=cache,
+                        threads=threads,
+                    )
+                    gaps.append(closed_form_gap(scene))
+                known = [f"{gap.true_light:.3f}" for gap in gaps if gap.true_light is not None]
+                best = [f"{gap.best_light:.3f}" for gap in gaps]
+                print(
+                    f"gap, {light}, {transport}, {shell}: true lights {', '.join(known)};", end=""
+                )
+                print(f" best lights {', '.join(best)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
