@@ -30,7 +30,7 @@ from pbrfit.evaluation.convergence import (
     report,
     solvers,
 )
-from pbrfit.evaluation.convergence.cases import LIGHTS, condition, make
+from pbrfit.evaluation.convergence.cases import LIGHTS, condition, make, true_lighting
 from pbrfit.evaluation.convergence.measure import (
     QUANTITIES,
     Errors,
@@ -83,9 +83,8 @@ def test_condition_of_a_diagonal_light_matrix() -> None:
 def test_conditioning_goes_from_near_the_best_to_nearly_singular() -> None:
     numbers = []
     for lights in LIGHTS:
-        truth = make(replace(SMALL, lights=lights), seed=100).truth
-        assert truth is not None
-        numbers.append(condition(truth.lighting))
+        scene = make(replace(SMALL, lights=lights), seed=100)
+        numbers.append(condition(true_lighting(scene)))
     assert numbers[0] < 60
     assert 300 < numbers[1] < 3000
     assert 3e3 < numbers[2] < 4e4
@@ -97,7 +96,7 @@ def test_pictures_are_those_of_the_lights(lights: Any) -> None:
     scene = make(replace(SMALL, lights=lights), seed=101)
     truth = scene.truth
     assert truth is not None
-    rendered = pbrfit.render(truth.materials, scene.normals, truth.lighting, scene.fov)
+    rendered = pbrfit.render(truth.materials, scene.normals, true_lighting(scene), scene.fov)
     np.testing.assert_allclose(scene.images, rendered, rtol=1e-12, atol=1e-14)
     assert scene.images.mean() == pytest.approx(0.4)
     assert scene.images.min() > 0
@@ -107,18 +106,15 @@ def test_lights_are_positive_in_every_direction() -> None:
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     basis = pbrfit.sh_basis(directions / np.linalg.norm(directions, axis=1, keepdims=True))
     for lights in LIGHTS:
-        truth = make(replace(SMALL, lights=lights), seed=102).truth
-        assert truth is not None
-        radiance = np.einsum("dk,nkc->dnc", basis, truth.lighting)
+        scene = make(replace(SMALL, lights=lights), seed=102)
+        radiance = np.einsum("dk,nkc->dnc", basis, true_lighting(scene))
         assert radiance.min() >= -1e-12
 
 
 def test_noise_is_a_share_of_the_mean_radiance() -> None:
     clean, noisy = (make(Case("c", 24, noise, "alike"), 100) for noise in (0.0, 0.02))
     assert np.std(noisy.images - clean.images) == pytest.approx(0.02 * 0.4, rel=0.02)
-    assert clean.truth is not None
-    assert noisy.truth is not None
-    np.testing.assert_array_equal(noisy.truth.lighting, clean.truth.lighting)
+    np.testing.assert_array_equal(true_lighting(noisy), true_lighting(clean))
     np.testing.assert_array_equal(noisy.images, make(Case("c", 24, 0.02, "alike"), 100).images)
 
 
@@ -133,7 +129,7 @@ def test_unknown_lights_are_refused() -> None:
 def test_truth_has_no_errors_and_known_changes_have_known_ones() -> None:
     scene = make(SMALL, 100)
     assert scene.truth is not None
-    true, lighting = scene.truth.materials, scene.truth.lighting
+    true, lighting = scene.truth.materials, true_lighting(scene)
     assert max(measure.measure(scene, true, lighting).__dict__.values()) < 1e-12
     found = measure.measure(scene, replace(true, albedo=0.5 * true.albedo), lighting)
     assert found.albedo_scaled == pytest.approx(0.0, abs=1e-12)
@@ -148,13 +144,13 @@ def test_measuring_needs_a_truth() -> None:
     scene = make(SMALL, 100)
     assert scene.truth is not None
     with pytest.raises(pbrfit.InputError, match="ground truth"):
-        measure.measure(replace(scene, truth=None), scene.truth.materials, scene.truth.lighting)
+        measure.measure(replace(scene, truth=None), scene.truth.materials, true_lighting(scene))
 
 
 def test_checkpoints_are_spread_evenly_over_the_logarithm() -> None:
     scene = make(SMALL, 100)
     assert scene.truth is not None
-    state = scene.truth.materials, scene.truth.lighting
+    state = scene.truth.materials, true_lighting(scene)
     tracker = Tracker(scene, threads=1)
     for evaluations in range(1, 101):
         tracker.visit(0.5 * evaluations, evaluations - 1, evaluations, lambda: state)
@@ -232,11 +228,10 @@ def test_given_start_is_the_default_one() -> None:
 
 def test_known_lights_are_the_true_ones() -> None:
     scene = make(SMALL, 100)
-    assert scene.truth is not None
     tracker = Tracker(scene, threads=1)
     solvers.by_name("lbfgsb-known-lights").run(scene, Budget(0, 0, 60.0), tracker, 1)
     start, _ = Objective(scene).unpack(Objective(scene).start())
-    rendered = pbrfit.render(start, scene.normals, scene.truth.lighting, scene.fov)
+    rendered = pbrfit.render(start, scene.normals, true_lighting(scene), scene.fov)
     assert tracker.points[0].errors.recon == pytest.approx(metrics.rmse(rendered, scene.images))
 
 
@@ -433,4 +428,4 @@ def test_materials_beyond_their_range_by_a_rounding_are_measured() -> None:
     assert scene.truth is not None
     true = scene.truth.materials
     beyond = Materials(true.albedo, true.roughness, np.full_like(true.metallic, 1.0 + 1e-7))
-    assert math.isfinite(measure.measure(scene, beyond, scene.truth.lighting).recon)
+    assert math.isfinite(measure.measure(scene, beyond, true_lighting(scene)).recon)

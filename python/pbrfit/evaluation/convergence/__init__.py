@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pbrfit.evaluation.convergence.cases import Case, condition, make
+from pbrfit.evaluation.convergence.cases import Case, condition, make, true_lighting
 from pbrfit.evaluation.convergence.measure import Point, Tracker
 from pbrfit.evaluation.convergence.solvers import SOLVERS, Budget, Solver, by_name
 
@@ -154,13 +154,12 @@ def work(task: Task, threads: int) -> dict[str, Any]:
     rehearsal = make(REHEARSAL, seed=0)
     solver.run(rehearsal, REHEARSAL_BUDGET, Tracker(rehearsal, threads), threads)
     scene = make(task.case, task.seed)
-    assert scene.truth is not None
     tracker = Tracker(scene, threads)
     reason = solver.run(scene, task.budget, tracker, threads)
     return {
         "points": [point.as_row() for point in tracker.points],
         "stop_reason": reason,
-        "condition": condition(scene.truth.lighting),
+        "condition": condition(true_lighting(scene)),
         "threads": threads,
         "load": load,
     }

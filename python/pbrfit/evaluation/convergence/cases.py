@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.model import render, sh_basis
 from pbrfit.scene import Scene, Truth
-from pbrfit.synthetic import MEAN_RADIANCE, make_scene
+from pbrfit.synthetic import make_scene
+from pbrfit.synthetic.exposure import MEAN_RADIANCE
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ class Case:
 
 
 def make(case: Case, seed: int) -> Scene:
-    """Make a furnished room of the case, 16 training and 16 held-out pictures.
+    """Make a room of the case, 16 training and 16 held-out pictures.
 
     "typical" lights are those of `pbrfit.synthetic`: a key light and fills of several colours with
     an ambient term. With their mean L̄, L̄ + ε (L − L̄) has a condition number about 1/ε times as
@@ -78,8 +79,9 @@ def make(case: Case, seed: int) -> Scene:
     if not 0 <= case.noise < np.inf:
         raise InputError(f"noise: expected a share of the mean radiance, found {case.noise}")
     scene = make_scene("room", size=case.size, lights=PICTURES, held_out=PICTURES, seed=seed)
-    assert scene.truth is not None
     truth, images = scene.truth, scene.images
+    assert truth is not None
+    assert truth.lighting is not None
     if case.lights == "spread":
         truth, images = _lit_evenly(scene, truth)
     elif case.lights != "typical":
@@ -94,6 +96,13 @@ def make(case: Case, seed: int) -> Scene:
         rng = np.random.default_rng([seed, round(1e6 * case.noise)])
         images = images + rng.normal(scale=case.noise * MEAN_RADIANCE, size=images.shape)
     return replace(scene, images=images, truth=truth)
+
+
+def true_lighting(scene: Scene) -> Array:
+    """Lights of the scene's pictures, (N, 16, 3), which it was made with."""
+    assert scene.truth is not None
+    assert scene.truth.lighting is not None
+    return scene.truth.lighting
 
 
 def condition(lighting: Array) -> float:

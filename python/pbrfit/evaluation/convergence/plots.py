@@ -10,7 +10,7 @@ import numpy as np
 
 from pbrfit.evaluation.convergence import SOLVERS, Case, Curve
 from pbrfit.evaluation.convergence.measure import Array, Quantity, on_grid
-from pbrfit.synthetic import MEAN_RADIANCE
+from pbrfit.synthetic.exposure import MEAN_RADIANCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,7 +24,7 @@ from pbrfit.evaluation.convergence.measure import (
 from pbrfit.evaluation.notation import scientific
 from pbrfit.evaluation.page import Cell, Figure, Section, Table
 from pbrfit.evaluation.tables import write_csv
-from pbrfit.synthetic import MEAN_RADIANCE
+from pbrfit.synthetic.exposure import MEAN_RADIANCE
 
 CURVES, TIMES = "curves.csv", "times.csv"
 
@@ -199,7 +199,7 @@ def _opening(effort: Effort, curves: Sequence[Curve], seeds: int, jobs: int) -> 
     return [
         "How far reconstruction, maps and relit pictures are from the truth while solvers run, "
         "against wall time and against evaluations of loss and gradient.",
-        f"Scenes are furnished rooms with {PICTURES} training and {PICTURES} held-out pictures of "
+        f"Scenes are rooms with {PICTURES} training and {PICTURES} held-out pictures of "
         f"mean radiance {MEAN_RADIANCE:g}, made by this package's own model, of {seeds} seeds from "
         f"{FIRST_SEED} on. Constants of solvers and peers were chosen on other seeds.",
         "Errors are measured in float64 from the maps and lights of a run, at numbers of "

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.evaluation.convergence import torch_peer
+from pbrfit.evaluation.convergence.cases import true_lighting
 from pbrfit.evaluation.convergence.measure import Tracker
 from pbrfit.evaluation.convergence.torch_peer import Limits, Settings
 from pbrfit.evaluation.recipes import paper_start
@@ -90,8 +91,7 @@ def fit_with_ours(
 ) -> str:
     """Run `pbrfit.decompose`: from its own start, or in one stage from that of `start`."""
     if known_lights:
-        assert scene.truth is not None
-        scene = replace(scene, lighting=scene.truth.lighting)
+        scene = replace(scene, lighting=true_lighting(scene))
 
     def visit(progress: Progress) -> None:
         tracker.visit(progress.elapsed_s, progress.iteration, progress.evaluations, progress.state)

@@ -73,7 +73,7 @@ class Settings:
     beta2: float = 0.999
 
 
-LBFGS = Settings("lbfgs", "sigmoid", rate=1.0)
+LBFGS = Settings("lbfgs", "sigmoid", rate=1.0, light_unit=0.3)
 ADAM = Settings("adam", "sigmoid", rate=0.1, beta2=0.99)
 
 
