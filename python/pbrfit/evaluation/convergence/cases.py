@@ -79,9 +79,8 @@ def make(case: Case, seed: int) -> Scene:
     if not 0 <= case.noise < np.inf:
         raise InputError(f"noise: expected a share of the mean radiance, found {case.noise}")
     scene = make_scene("room", size=case.size, lights=PICTURES, held_out=PICTURES, seed=seed)
-    truth, images = scene.truth, scene.images
+    truth, images, lighting = scene.truth, scene.images, true_lighting(scene)
     assert truth is not None
-    assert truth.lighting is not None
     if case.lights == "spread":
         truth, images = _lit_evenly(scene, truth)
     elif case.lights != "typical":
@@ -89,7 +88,7 @@ def make(case: Case, seed: int) -> Scene:
         # Radiance is linear in the light, so the pictures blend as the lights do.
         lighting, images = (
             whole.mean(axis=0) + share * (whole - whole.mean(axis=0))
-            for whole in (truth.lighting, images)
+            for whole in (lighting, images)
         )
         truth = replace(truth, lighting=lighting)
     if case.noise:
