@@ -1,9 +1,13 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
+# make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PEERS := .venv-peers
+CYCLES := .venv-cycles
+CYCLES_PYTHON ?= python3.11
+CYCLES_NEEDS := python/pbrfit/synthetic/cycles/requirements.txt
 SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find rust -name '*.rs')
 PYTHON_SOURCES := $(shell find python -name '*.py')
 DEMO ?= out/demo
@@ -11,7 +15,7 @@ DEMO ?= out/demo
 THREADS ?= 2
 PEERS_OPTIONS ?=
 
-.PHONY: demo test lint bench bench-peers wheel clean
+.PHONY: demo test lint bench bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -37,11 +41,13 @@ bench-peers: $(PEERS)/installed
 	cargo bench --bench machine -- --threads $(THREADS) --json > out/machine.json
 	PYTHONPATH=benches $(PEERS)/bin/python -m peers --threads $(THREADS) --machine out/machine.json $(PEERS_OPTIONS)
 
+cycles-env: $(CYCLES)/installed
+
 wheel: $(VENV)/tools
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf $(VENV) $(PEERS) target dist out
+	rm -rf $(VENV) $(PEERS) $(CYCLES) target dist out
 
 $(VENV)/installed: $(SOURCES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pbrfit needs Python 3.11 or later; set PYTHON=...")'
@@ -64,4 +70,15 @@ $(PEERS)/installed: $(SOURCES) $(PYTHON_SOURCES) benches/peers/requirements.txt
 		echo "installing $$peer"; \
 		$(PEERS)/bin/pip install --quiet "$$peer" < /dev/null || echo "bench-peers: no $$peer; going on without"; \
 	done
+	touch $@
+
+$(CYCLES)/installed: $(CYCLES_NEEDS)
+	@$(CYCLES_PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null \
+		|| { echo "cycles-env: bpy's wheels are for Python 3.11, and $(CYCLES_PYTHON) is none; set CYCLES_PYTHON=..."; exit 1; }
+	test -d $(CYCLES) || $(CYCLES_PYTHON) -m venv $(CYCLES)
+	@echo "installing Blender as a module: 1 GB"
+	@$(CYCLES)/bin/pip install --quiet --requirement $(CYCLES_NEEDS) \
+		|| { echo "cycles-env: no bpy for this machine; it has wheels for Linux and Windows on x86-64 and for macOS"; exit 1; }
+	@$(CYCLES)/bin/python -c 'import bpy, OpenEXR' \
+		|| { echo "cycles-env: bpy does not load; on Linux it needs the X11 and OpenGL libraries (libx11-6 libxi6 libxxf86vm1 libxfixes3 libxkbcommon0 libsm6 libgl1 libegl1)"; exit 1; }
 	touch $@

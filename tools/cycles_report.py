@@ -2,8 +2,8 @@
 
     python tools/cycles_report.py [--size 64] [--scenes 3] [--kind furnished] [--threads 1]
 
-Renders are kept in the user's cache, or in the folder that --cache names; times are of the first
-run. Needs the environment of `make cycles-env`.
+Renders are kept in the user's cache, or in the folder that --cache names. Needs the environment of
+`make cycles-env`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pbrfit.synthetic import draw, random_lights
-from pbrfit.synthetic.cycles import SAMPLES, check_spheres, check_truth, render_scene
+from pbrfit import Scene, render
+from pbrfit.color import encode_srgb
+from pbrfit.synthetic import World, draw, random_lights
+from pbrfit.synthetic.cycles import (
+    SAMPLES,
+    Light,
+    Transport,
+    check_spheres,
+    check_truth,
+    render_scene,
+)
 from pbrfit.synthetic.cycles.export import export
 from pbrfit.synthetic.cycles.gap import closed_form_gap
 from pbrfit.synthetic.cycles.job import Job, rendered
@@ -32,6 +41,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--cache", type=Path)
     parser.add_argument("--only", choices=["checks", "noise", "gap"])
+    parser.add_argument("--picture", type=Path, help="write a comparison of pictures and stop")
     chosen = parser.parse_args()
     size, cache, threads = chosen.size, chosen.cache, chosen.threads
     seeds = range(FIRST_SEED, FIRST_SEED + chosen.scenes)
@@ -40,6 +50,9 @@ def main() -> None:
         for seed in seeds
     }
 
+    if chosen.picture is not None:
+        draw_pictures(worlds[FIRST_SEED], size, cache, threads, chosen.picture)
+        return
     if chosen.only in (None, "checks"):
         print(check_spheres(cache=cache, threads=threads))
         for world in worlds.values():
@@ -59,7 +72,7 @@ def main() -> None:
                 noise = np.sqrt(np.mean((a - b) ** 2, axis=(1, 2)) / 2) / a.mean(axis=(1, 2))
                 print(f"noise, {transport}, {SAMPLES[light, transport]} samples:", end=" ")
                 print(f"{noise.mean():.4f} ({noise.min():.4f} to {noise.max():.4f})", end="; ")
-                print(f"{two[0].seconds:.1f} and {two[1].seconds:.1f} s", flush=True)
+                print(f"{two[0].cpu_seconds:.1f} s of one processor", flush=True)
 
     if chosen.only in (None, "gap"):
         for light, transport in SAMPLES:
@@ -85,6 +98,46 @@ def main() -> None:
                     f"gap, {light}, {transport}, {shell}: true lights {', '.join(known)};", end=""
                 )
                 print(f" best lights {', '.join(best)}", flush=True)
+
+
+def draw_pictures(
+    world: World, size: int, cache: Path | None, threads: int, path: Path, lights: int = 3
+) -> None:
+    """One row a light, one column a renderer; each column exposed on its own."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    def pictures(light: Light, transport: Transport) -> Scene:
+        return render_scene(
+            world,
+            size,
+            light=light,
+            transport=transport,
+            seed=FIRST_SEED,
+            cache=cache,
+            threads=threads,
+        )
+
+    brdf = pictures("panorama", "brdf")
+    assert brdf.truth is not None
+    assert brdf.truth.lighting is not None
+    view = world.cast(size)
+    columns = {
+        "closed form": render(view.materials, view.normals, brdf.truth.lighting, view.fov),
+        "Cycles, BRDF alone": brdf.images,
+        "+ shadows": pictures("panorama", "shadows").images,
+        "+ interreflections": pictures("panorama", "full").images,
+        "point lights,\nno shadows": pictures("points", "brdf").images,
+        "point lights,\nshadows": pictures("points", "shadows").images,
+    }
+    figure = Figure(figsize=(2 * len(columns), 2 * lights + 0.4), layout="constrained")
+    axes = figure.subplots(lights, len(columns))
+    for column, (name, images) in enumerate(columns.items()):
+        axes[0, column].set_title(name, fontsize=10)
+        for row in range(lights):
+            axes[row, column].imshow(encode_srgb(np.clip(images[row], 0, 1)))
+            axes[row, column].set_axis_off()
+    FigureCanvasAgg(figure).print_png(path)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from pbrfit import images
 from pbrfit.cli import main
 from pbrfit.evaluation import recipes
 from pbrfit.evaluation.jobs import Record
+from pbrfit.evaluation.page import Cell, Table, markdown
 from pbrfit.evaluation.recipes import RECIPES
 from pbrfit.evaluation.scores import Scores
 from pbrfit.evaluation.table1 import measure, report
@@ -162,6 +163,12 @@ def test_means_are_over_finished_scenes() -> None:
     assert other.mean("paper", "recon").count == 0
 
 
+def test_markdown_table() -> None:
+    columns = [Cell("a"), Cell("b\nc", "number")]
+    table = Table(columns, [[Cell("x | y"), Cell("1\n[0, 2]", "best")]])
+    assert markdown(table) == "| a | b c |\n| --- | ---: |\n| x \\| y | **1 [0, 2]** |\n"
+
+
 def test_columns_of_scores_have_names() -> None:
     assert set(report.NAMES) == set(Scores.__dataclass_fields__)
     assert set(COLUMNS) <= set(report.METRICS)
@@ -180,8 +187,8 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert f"Look at {out / 'report.html'}" in printed.out
     names = {path.name for path in out.iterdir()}
     assert names == {
-        "records", "report.html", "table1.png", "table1.csv", "scenes.csv", "summary.json",
-        "example-base.png", "example-normals.png",
+        "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv",
+        "summary.json", "example-base.png", "example-normals.png",
     }  # fmt: skip
     content = json.loads((out / "summary.json").read_text("utf-8"))
     status = {row["name"]: row["status"] for row in content["rows"]}

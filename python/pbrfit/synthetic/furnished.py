@@ -7,7 +7,7 @@ until metal has its share of the picture: `METAL_SHARE`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from pbrfit.synthetic import furniture
 from pbrfit.synthetic.coverings import MAY_BE_METAL, covering, metal, unmetal
 from pbrfit.synthetic.furniture import Piece
 from pbrfit.synthetic.geometry import Hits, Primitive, rotation, trace
-from pbrfit.synthetic.parts import Parts, moved, retagged, turned
+from pbrfit.synthetic.parts import Parts, moved, reach, retagged, turned
 from pbrfit.synthetic.shell_coverings import shell_coverings
 from pbrfit.synthetic.stages import Stage, shell
 from pbrfit.synthetic.surfaces import Spots, Surface
@@ -27,16 +27,16 @@ from pbrfit.synthetic.world import World
 Array = NDArray[np.float64]
 Rng = np.random.Generator
 
-METAL_SHARE = (0.12, 0.3, 0.45)
+METAL_SHARE = (0.13, 0.3, 0.45)
 """Share of the picture with metallic >= 0.5, at 48 x 48 and 60 degrees: its least value is drawn
 between the first two, its largest is the third."""
 
-_PROBE = 48  # pixels of the pictures by which rooms are judged
-_LEAST_PIECES = 20  # to be seen, each in at least _LEAST_PIXELS of the probe
-_LEAST_PIXELS = 3
-_LEAST_FURNITURE = 0.36  # share of the probe
-_LEAST_POSSIBLE_METAL = 0.19  # share of the probe that parts cover which may be of metal
-_MOST_PARTS = 40
+_GLANCE, _PROBE = 32, 48  # sides in pixels of the pictures by which rooms and metal are judged
+_LEAST_PIECES = 20  # to be seen, each in at least _LEAST_PIXELS of the glance
+_LEAST_PIXELS = 2
+_LEAST_FURNITURE = 0.36  # share of the glance
+_LEAST_POSSIBLE_METAL = 0.19  # share of the glance that parts cover which may be of metal
+_MOST_PARTS = 31, 39  # of a room: its limit is drawn between these
 _GAP = 0.06  # metres between things that stand side by side
 
 
@@ -61,6 +61,8 @@ class Room:
 class _Plan:
     """The floor as it fills up."""
 
+    walls: Sequence[Primitive]
+    most: int  # parts
     taken: list[tuple[float, float, float, float]]
     parts: Parts = ()
     pieces: int = 0
@@ -71,30 +73,34 @@ class _Plan:
             for a, b, half_a, half_b in self.taken
         )
 
-    def place(self, piece: Piece, at: tuple[float, float, float], yaw: float) -> None:
-        """Add a piece that has its place already."""
-        name = f"{self.pieces}"
-        self.parts += moved(turned(retagged(piece.parts, name), yaw), *at)
+    def place(self, piece: Piece, at: tuple[float, float, float], yaw: float) -> bool:
+        """Add a piece that has its place, unless it would run into a wall or be too much."""
+        parts = moved(turned(retagged(piece.parts, f"{self.pieces}"), yaw), *at)
+        if len(self.parts) + len(parts) > self.most:
+            return False
+        for wall in self.walls:
+            outwards = -wall.rotation[:, 1]
+            if reach(parts, outwards) > wall.centre @ outwards + 1e-9:
+                return False
+        self.parts += parts
         self.pieces += 1
+        return True
 
     def stand(self, piece: Piece, x: float, z: float, yaw: float) -> bool:
-        """Stand a piece on the floor if there is room for it and its parts are not too many."""
+        """Stand a piece on the floor, unless something else is in its way."""
         c, s = abs(np.cos(np.radians(yaw))), abs(np.sin(np.radians(yaw)))
         half_x = c * piece.half[0] + s * piece.half[1]
         half_z = s * piece.half[0] + c * piece.half[1]
-        if len(self.parts) + len(piece.parts) > _MOST_PARTS:
-            return False
-        if not self.is_free(x, z, half_x, half_z):
+        if not self.is_free(x, z, half_x, half_z) or not self.place(piece, (x, 0.0, z), yaw):
             return False
         self.taken.append((x, z, half_x, half_z))
-        self.place(piece, (x, 0.0, z), yaw)
         return True
 
 
 def draw_room(rng: Rng) -> Room:
-    """Draw rooms until one shows enough; the best of 12 if none does."""
+    """Draw rooms until one shows enough; the best of 10 if none does."""
     best, best_score = None, -1.0
-    for _ in range(12):
+    for _ in range(10):
         room = _arrange(rng)
         score = _score(room)
         if score > best_score:
@@ -107,7 +113,7 @@ def draw_room(rng: Rng) -> Room:
 
 def _score(room: Room) -> float:
     """Least ratio of what a room shows to what it should: pieces, furniture, possible metal."""
-    hits = _probe(room.stage)
+    hits = _look(room.stage, _GLANCE)
     walls = len(room.stage.walls)
     pixels = np.bincount(hits.index, minlength=len(room.stage.primitives))[walls:]
     metal_pixels = sum(
@@ -120,16 +126,19 @@ def _score(room: Room) -> float:
     )
 
 
-def _probe(stage: Stage) -> Hits:
-    rays = -view_directions(_PROBE, _PROBE, 60.0).reshape(-1, 3)
+def _look(stage: Stage, size: int) -> Hits:
+    rays = -view_directions(size, size, 60.0).reshape(-1, 3)
     return trace(stage.primitives, stage.eye, rays @ stage.turn.T)
 
 
 def _arrange(rng: Rng) -> Room:
     width, depth, height = rng.uniform([3.2, 3.0, 2.4], [4.4, 3.9, 2.9])
     low, high = np.array([-width / 2, 0.0, -depth]), np.array([width / 2, height, 1.4])
-    plan = _Plan(taken=[])
-    _fill_middle(plan, rng, width, depth, height)
+    walls = shell(low, high)
+    plan = _Plan(walls, most=int(rng.integers(*_MOST_PARTS)), taken=[])
+    if rng.random() < 0.4:  # a wall of books, and less in the middle
+        plan.stand(furniture.bookcase(rng), rng.uniform(-0.5, 0.5), 0.25 - depth, 0.0)
+    _fill_middle(plan, rng, depth, height)
     free = _fill_back(plan, rng, width, depth)
     _hang_on_back(plan, rng, free, depth)
     for side in rng.permutation([-1, 1]):
@@ -141,7 +150,7 @@ def _arrange(rng: Rng) -> Room:
     x, y, z = target - eye
     yaw, pitch = np.degrees(np.arctan2(-x, -z)), np.degrees(np.arctan2(y, np.hypot(x, z)))
     stage = Stage(
-        walls=shell(low, high),
+        walls=walls,
         pieces=[part.primitive for part in plan.parts],
         eye=eye,
         turn=rotation(1, yaw) @ rotation(0, pitch),
@@ -149,7 +158,7 @@ def _arrange(rng: Rng) -> Room:
     return Room(stage, plan.parts)
 
 
-def _fill_middle(plan: _Plan, rng: Rng, width: float, depth: float, height: float) -> None:
+def _fill_middle(plan: _Plan, rng: Rng, depth: float, height: float) -> None:
     """Stand a table with seats about it, on a rug and under a lamp or not."""
     x, z = rng.uniform(-0.3, 0.3), -0.56 * depth + rng.uniform(-0.1, 0.15)
     low = bool(rng.random() < 0.45)
@@ -163,8 +172,7 @@ def _fill_middle(plan: _Plan, rng: Rng, width: float, depth: float, height: floa
         seat = seats[rng.integers(2)](rng)
         at = x + side * rng.uniform(0.85, 1.15)
         turn = -90 * side + rng.uniform(-25, 25)
-        reach = float(np.hypot(*seat.half))
-        if wanted and abs(at) + reach < width / 2:
+        if wanted:
             wanted -= plan.stand(seat, at, z + rng.uniform(-0.25, 0.35), turn)
     if rng.random() < 0.5:
         lamp = furniture.pendant(rng, height, rng.uniform(1.5, 1.75))
@@ -212,8 +220,7 @@ def _hang_on_back(
     for start, end, top in free:
         hung = furniture.wall_shelf(rng) if rng.random() < 0.25 else furniture.picture(rng)
         y = max(top + 0.12 + hung.height / 2, rng.uniform(1.35, 1.6))
-        fits = len(plan.parts) + len(hung.parts) <= _MOST_PARTS
-        if fits and end - start > 1.6 * hung.half[0] and y < 1.9:
+        if end - start > 1.6 * hung.half[0] and y < 1.9:
             plan.place(hung, ((start + end) / 2, y, -depth), 0.0)
 
 
@@ -222,12 +229,12 @@ def _fill_side(plan: _Plan, rng: Rng, side: int, width: float, depth: float) -> 
     wall, yaw = side * width / 2, -90.0 * side
     for i in rng.permutation(len(_ALONG_WALLS))[:3]:
         piece = _ALONG_WALLS[i](rng)
-        if len(plan.parts) > 30 and len(piece.parts) > 5:
+        if len(plan.parts) > plan.most - 8 and len(piece.parts) > 5:
             continue
         z = rng.uniform(-depth + 0.6, -1.5)
         if plan.stand(piece, wall - side * (piece.half[1] + 0.02), z, yaw) and piece.height < 1.0:
             break
-    if rng.random() < 0.6 and len(plan.parts) + 2 <= _MOST_PARTS:
+    if rng.random() < 0.6:
         hung = furniture.picture(rng)
         at = (wall, rng.uniform(1.5, 1.7), rng.uniform(-depth + 0.6, -1.8))
         tall = any(
@@ -280,7 +287,7 @@ def draw_furnished(rng: Rng) -> Furnished:
 
 def _balance(by_tag: dict[str, Surface], room: Room, rng: Rng) -> None:
     """Change materials, the largest first, until metal has its share of the picture."""
-    hits = _probe(room.stage)
+    hits = _look(room.stage, _PROBE)
     walls = len(room.stage.walls)
     first: dict[str, Primitive] = {}
     seen: dict[str, NDArray[np.intp]] = {}

@@ -200,8 +200,8 @@ def _opening(effort: Effort, curves: Sequence[Curve], seeds: int, jobs: int) -> 
         "How far reconstruction, maps and relit pictures are from the truth while solvers run, "
         "against wall time and against evaluations of loss and gradient.",
         f"Scenes are rooms with {PICTURES} training and {PICTURES} held-out pictures of "
-        f"mean radiance {MEAN_RADIANCE:g}, made by this package's own model, of {seeds} seeds from "
-        f"{FIRST_SEED} on. Constants of solvers and peers were chosen on other seeds.",
+        f"mean radiance {MEAN_RADIANCE:g}, made by this package's own model; seeds {FIRST_SEED} to "
+        f"{FIRST_SEED + seeds - 1}. Constants of solvers and peers were chosen on other seeds.",
         "Errors are measured in float64 from the maps and lights of a run, at numbers of "
         f"evaluations that grow by {100 * (CHECKPOINT_RATIO - 1):.0f} %, for all solvers by the "
         "same function; “recon” against the pictures that were fitted, noise included, “relight” "

@@ -117,8 +117,7 @@ def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage
     InputError
         If a number is out of its range, or a primitive is of another kind.
     """
-    if shell not in get_args(Shell):
-        raise InputError(f"shell: expected one of {', '.join(get_args(Shell))}, found {shell!r}")
+    check_choice("shell", shell, get_args(Shell))
     if size < 1:
         raise InputError(f"size: expected at least 1 pixel, found {size}")
     if not 0 < fov < 180:
@@ -134,6 +133,12 @@ def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage
         if _has_relief(world):
             maps["normal"] = view.normals.astype(np.float32)
     return Stage(meshes=meshes, maps=maps, size=size, fov=fov)
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Raise InputError unless the value is one of the choices."""
+    if value not in choices:
+        raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
 
 
 def light_blockers(world: World, fov: float, shell: Shell) -> tuple[bool, ...]:

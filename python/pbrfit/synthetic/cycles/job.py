@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.output import new_folder
-from pbrfit.synthetic.cycles.export import Stage
+from pbrfit.synthetic.cycles.export import Stage, check_choice
 from pbrfit.synthetic.cycles.process import (
     LOG,
     WORKER,
@@ -110,11 +110,7 @@ class Job:
     specular: float = 0.5
 
     def __post_init__(self) -> None:
-        if self.transport not in get_args(Transport):
-            raise InputError(
-                f"transport: expected one of {', '.join(get_args(Transport))}, "
-                f"found {self.transport!r}"
-            )
+        check_choice("transport", self.transport, get_args(Transport))
         if not 1 <= self.samples < 2**24:
             raise InputError(f"samples: expected a number from 1, found {self.samples}")
         if not 0 <= self.seed < 2**31:
@@ -189,8 +185,8 @@ class Rendered:
         (H, W, ...) float32 at the pixels' centres, normals and positions in camera space.
     segments
         (H, W) object ids from 1, 0 where nothing is.
-    seconds
-        What building and rendering took when it was rendered.
+    cpu_seconds
+        What building and rendering took of all processors, when it was rendered.
     """
 
     radiance: NDArray[np.float32]
@@ -200,7 +196,7 @@ class Rendered:
     normals: NDArray[np.float32]
     positions: NDArray[np.float32]
     segments: NDArray[np.uint16]
-    seconds: float
+    cpu_seconds: float
 
 
 def default_cache() -> Path:
@@ -270,7 +266,7 @@ def _read(folder: Path) -> Rendered:
     with np.load(folder / "truth.npz") as truth:
         return Rendered(
             radiance=np.load(folder / "radiance.npy"),
-            seconds=outcome["build_seconds"] + outcome["render_seconds"],
+            cpu_seconds=outcome["cpu_seconds"],
             **{name: truth[name] for name in _TRUTH},
         )
 

@@ -12,7 +12,7 @@ from pbrfit._core import InputError
 from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
 from pbrfit.scene import Scene, Truth
-from pbrfit.synthetic.cycles.export import Shell, export
+from pbrfit.synthetic.cycles.export import Shell, check_choice, export
 from pbrfit.synthetic.cycles.job import Job, Rendered, Transport, rendered
 from pbrfit.synthetic.cycles.point_lights import random_point_lights
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
@@ -26,7 +26,7 @@ MAX_TURN = 30.0
 """Neighbouring pixels of one object whose normals differ by more degrees lie at an edge."""
 
 SAMPLES: dict[tuple[Light, Transport], int] = {
-    ("panorama", "brdf"): 512,
+    ("panorama", "brdf"): 256,
     ("panorama", "shadows"): 1024,
     ("panorama", "full"): 1024,
     ("points", "brdf"): 1,  # without noise: one light without size, no bounces
@@ -103,8 +103,8 @@ def render_scene(
     CyclesError
         If the renderer fails.
     """
-    if light not in get_args(Light):
-        raise InputError(f"light: expected one of {', '.join(get_args(Light))}, found {light!r}")
+    check_choice("light", light, get_args(Light))
+    check_choice("transport", transport, get_args(Transport))
     if lights < 1 or held_out < 1:
         raise InputError(f"lights, held_out: expected 1 or more, found {lights} and {held_out}")
     if seed < 0:
