@@ -66,8 +66,8 @@ def make(case: Case, seed: int) -> Scene:
     an ambient term. With their mean L̄, L̄ + ε (L − L̄) has a condition number about 1/ε times as
     large, and stays positive as a mean of positive lights: "alike" has ε = 0.1, "nearly one" 0.01.
     "spread" lights are one white lobe a picture, evenly over the sphere: close to the best that
-    positive light of l ≤ 3 allows, because the smoothing in such a lobe alone makes band 3 an
-    eighth to a sixteenth of band 0.
+    positive light of l ≤ 3 allows, because the sharpest such lobe has a sixteenth of its band 0 in
+    band 3.
 
     Raises
     ------
