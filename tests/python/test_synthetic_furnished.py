@@ -12,7 +12,7 @@ import raycaster
 from pbrfit.geometry import view_directions
 from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic import SceneKind, draw, make_scene
-from pbrfit.synthetic.furnished import draw_room
+from pbrfit.synthetic.arrangement import draw_room
 from pbrfit.synthetic.geometry import Box, Cylinder, Frustum, Primitive, Sphere, trace
 from pbrfit.synthetic.palette import DARKEST, LIGHTEST, LIGHTEST_METAL
 

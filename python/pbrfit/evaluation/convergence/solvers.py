@@ -172,8 +172,8 @@ SOLVERS: tuple[Solver, ...] = (
         "lbfgsb-known-lights",
         "L-BFGS-B, lights known",
         "The default given the true lights, so that only materials are fitted: what is slow or "
-        "caught here is so for each pixel by itself. No solver of the whole problem; not a bound "
-        "on recon, because lights that are free can make up for pixels that are caught.",
+        "caught here is so for each pixel by itself. No solver of the whole problem, and no bound "
+        "on those: they can end lower.",
         partial(fit_with_ours, known_lights=True),
     ),
 )
