@@ -223,9 +223,17 @@ def _add_synth_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene",
         dest="kind",
-        choices=("room", "spheres", "textured"),
+        choices=("room", "spheres", "textured", "furnished", "detailed"),
         default="room",
-        help="kind of scene",
+        help="kind of scene: plain pieces; a grid of spheres; patterned pieces; a room with "
+        "furniture; that room with fine textures and relief",
+    )
+    parser.add_argument(
+        "--textures",
+        metavar="DIR",
+        type=Path,
+        help="with --scene detailed: maps NAME_albedo, NAME_roughness, NAME_metallic, NAME_normal "
+        "(default: procedural detail)",
     )
     parser.add_argument("--size", metavar="PIXELS", type=int, default=128, help="side of a picture")
     parser.add_argument("--lights", metavar="N", type=int, default=16, help="number of pictures")
@@ -376,6 +384,7 @@ def _make_scene(options: argparse.Namespace) -> Scene:
         sh_order=options.sh_order,
         noise=options.noise,
         seed=options.seed,
+        textures=options.textures,
     )
 
 

@@ -280,6 +280,22 @@ def test_inspect_tells_facts_and_writes_only_the_preview(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["preview.png", "scene"]
 
 
+def test_synth_with_textures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, maps = tmp_path / "scene", tmp_path / "maps"
+    arguments = ("--scene", "detailed", "--size", 8, "--lights", 2, "--textures", maps)
+    assert run("synth", scene, *arguments) == 2
+    assert f"{maps}: expected a folder of texture maps, found none" in one_line(capsys)
+    maps.mkdir()
+    for name in ("clay_albedo", "clay_roughness"):
+        images.write_png(maps / f"{name}.png", np.full((4, 4, 3), 120, dtype=np.uint8), srgb=False)
+    assert run("synth", scene, *arguments) == 0
+    assert f"{scene}: detailed, 2 pictures and ground truth" in capsys.readouterr().out
+    made = make_scene("detailed", size=8, lights=2, textures=maps)
+    np.testing.assert_array_equal(Scene.load(scene).images, made.images.astype(np.float32))
+    assert run("synth", tmp_path / "other", "--scene", "room", "--textures", maps) == 2
+    assert "textures: expected the kind detailed with them, found room" in one_line(capsys)
+
+
 def test_synth_then_decompose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = tmp_path / "scene"
     arguments = ("--scene", "spheres", "--size", 8, "--lights", 3, "--noise", 0.01, "--seed", 5)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from pbrfit.synthetic import SceneKind, build, make_scene, random_lights
 from pbrfit.synthetic.geometry import (
     Box,
     Cylinder,
+    Frustum,
     Plane,
     Primitive,
     Sphere,
@@ -26,7 +27,7 @@ from pbrfit.synthetic.geometry import (
 from pbrfit.synthetic.stages import case_stage, room_stage
 
 Array = NDArray[np.float64]
-KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
+KINDS: tuple[SceneKind, ...] = ("room", "spheres", "textured")
 ORIGIN = np.zeros(3)
 
 
@@ -92,6 +93,16 @@ def test_nearest_primitive_wins_in_any_order() -> None:
 
 TURNED = rotation(1, 30) @ rotation(0, 50)
 AT = np.array([0.2, -0.1, -4.0])
+
+
+def cone(p: Array, bottom: float, top: float, half: float) -> Array:
+    """Signed distance, outside only of the nearest side, of a frustum."""
+    slope = (top - bottom) / (2 * half)
+    radius = (top + bottom) / 2 + slope * p[..., 1]
+    side = (np.hypot(p[..., 0], p[..., 2]) - radius) / np.hypot(1, slope)
+    return np.asarray(np.maximum(side, np.abs(p[..., 1]) - half))
+
+
 SOLIDS: dict[str, tuple[Primitive, Any]] = {
     # primitive, signed function of object-space points that is negative inside
     "sphere": (
@@ -105,6 +116,18 @@ SOLIDS: dict[str, tuple[Primitive, Any]] = {
     "cylinder": (
         Cylinder(centre=AT, rotation=TURNED, radius=0.6, half=0.9),
         lambda p: np.maximum(np.hypot(p[..., 0], p[..., 2]) - 0.6, np.abs(p[..., 1]) - 0.9),
+    ),
+    "frustum": (
+        Frustum(centre=AT, rotation=TURNED, bottom=0.9, top=0.4, half=0.8),
+        lambda p: cone(p, 0.9, 0.4, 0.8),
+    ),
+    "frustum upside down": (
+        Frustum(centre=AT, rotation=rotation(0, 130), bottom=0.9, top=0.4, half=0.8),
+        lambda p: cone(p, 0.9, 0.4, 0.8),
+    ),
+    "cone": (
+        Frustum(centre=AT, rotation=TURNED, bottom=0.0, top=1.1, half=0.6),
+        lambda p: cone(p, 0.0, 1.1, 0.6),
     ),
     "plane": (
         Plane(centre=AT, rotation=TURNED),
@@ -120,7 +143,8 @@ def test_hits_agree_with_marching_along_the_ray(name: str) -> None:
     hits = trace([primitive], ORIGIN, rays)
 
     steps = np.linspace(0.0, 8.0, 4001)
-    march = (steps[:, None, None] * rays - AT) @ TURNED
+    turn = primitive.rotation
+    march = (steps[:, None, None] * rays - AT) @ turn
     negative = inside(march) < 0
     met = negative.any(axis=0)
     first = steps[negative.argmax(axis=0)]
@@ -134,12 +158,12 @@ def test_hits_agree_with_marching_along_the_ray(name: str) -> None:
 
     hit = hits.index == 0
     np.testing.assert_allclose(inside(hits.local[hit]), 0.0, atol=1e-14)
-    world = hits.local[hit] @ TURNED.T + AT
+    world = hits.local[hit] @ turn.T + AT
     np.testing.assert_allclose(world, hits.distance[hit, None] * rays[hit], atol=1e-14)
     # The normal is the gradient of the signed function.
     step = 1e-6 * np.eye(3)
     gradient = [inside(hits.local[hit] + s) - inside(hits.local[hit] - s) for s in step]
-    gradient_scene = np.stack(gradient, axis=-1) / 2e-6 @ TURNED.T
+    gradient_scene = np.stack(gradient, axis=-1) / 2e-6 @ turn.T
     np.testing.assert_allclose(hits.normals[hit], gradient_scene, atol=2e-6)
 
 
@@ -149,6 +173,7 @@ def test_what_is_behind_or_around_the_camera_is_not_seen() -> None:
         Sphere(centre=ORIGIN, radius=1.0),
         Box(centre=ORIGIN, half=np.ones(3)),
         Cylinder(centre=ORIGIN, radius=1.0, half=1.0),
+        Frustum(centre=ORIGIN, bottom=1.0, top=0.5, half=1.0),
     ]
     seen_from_below = Plane(centre=np.array([0.0, 1.0, 0.0]))
     hits = trace([behind, *around, seen_from_below], ORIGIN, camera_rays(9, 9, 60.0).reshape(-1, 3))
@@ -162,7 +187,8 @@ def test_rays_along_the_axes_of_a_solid() -> None:
     at = np.array([0.0, -3.0, 0.0])
     box = Box(centre=at, half=np.array([1.0, 0.5, 1.0]))
     barrel = Cylinder(centre=at, radius=1.0, half=0.5)
-    for solid in (box, barrel):
+    pot = Frustum(centre=at, bottom=0.9, top=1.0, half=0.5)
+    for solid in (box, barrel, pot):
         for x in (0.0, 0.75):
             hits = trace([solid], np.array([x, 0.0, 0.0]), down)
             np.testing.assert_array_equal(hits.distance, 2.5)

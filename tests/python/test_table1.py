@@ -16,6 +16,7 @@ from pbrfit import images
 from pbrfit.cli import main
 from pbrfit.evaluation import recipes
 from pbrfit.evaluation.jobs import Record
+from pbrfit.evaluation.page import Cell, Table, markdown
 from pbrfit.evaluation.recipes import RECIPES
 from pbrfit.evaluation.scores import Scores
 from pbrfit.evaluation.table1 import measure, report
@@ -99,7 +100,7 @@ def test_rows_repeat_the_papers_table() -> None:
 def test_work_changes_what_the_row_says_and_nothing_else(
     key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    row, task = BY_KEY[key], Task(key, 101, 16, 4, 2)
+    row, task = BY_KEY[key], Task(key, 1001, 16, 4, 2)
     asked: list[Any] = []
     explain = recipes.explain
 
@@ -110,7 +111,7 @@ def test_work_changes_what_the_row_says_and_nothing_else(
     monkeypatch.setattr(measure, "explain", watch)
     found = measure.work(task, 1)
     assert [recipe for _, recipe, _ in asked] == list(RECIPES)
-    truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=101)
+    truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=1001)
     for scene, _, options in asked:
         np.testing.assert_array_equal(scene.images, truth.images)
         assert scene.fov == row.fov
@@ -124,15 +125,15 @@ def test_work_changes_what_the_row_says_and_nothing_else(
 
 
 def test_given_normals_are_used(tmp_path: Path) -> None:
-    truth = make_scene("furnished", size=16, lights=4, held_out=4, seed=101)
+    truth = make_scene("furnished", size=16, lights=4, held_out=4, seed=1001)
     stored = {name: truth.normals[..., i] for i, name in enumerate("XYZ")}
-    images.write_exr(tmp_path / "101.exr", stored)
-    found = measure.work(Task("normals", 101, 16, 4, 1, predicted_normals=tmp_path), 1)
+    images.write_exr(tmp_path / "1001.exr", stored)
+    found = measure.work(Task("normals", 1001, 16, 4, 1, predicted_normals=tmp_path), 1)
     assert found["facts"]["normals_mean"] <= 1e-4
-    with pytest.raises(ValueError, match=r"expected 100\.exr or 100\.png, found neither"):
-        measure.work(Task("normals", 100, 16, 4, 1, predicted_normals=tmp_path), 1)
+    with pytest.raises(ValueError, match=r"expected 1000\.exr or 1000\.png, found neither"):
+        measure.work(Task("normals", 1000, 16, 4, 1, predicted_normals=tmp_path), 1)
     with pytest.raises(ValueError, match="expected 24 × 24 pixels, found 16 × 16"):
-        measure.work(Task("normals", 101, 24, 4, 1, predicted_normals=tmp_path), 1)
+        measure.work(Task("normals", 1001, 24, 4, 1, predicted_normals=tmp_path), 1)
 
 
 # ---------------------------------------------------------------------------------------- report
@@ -148,11 +149,11 @@ def test_means_are_over_finished_scenes() -> None:
         return {"facts": {}, "recipes": dict.fromkeys(RECIPES, scored(recon=recon))}
 
     scenes = [
-        Record("base_100", found(0.1), None, 1.0),
-        Record("base_101", found(0.3), None, 1.0),
-        Record("base_102", None, "ValueError: no", 1.0),
+        Record("base_1000", found(0.1), None, 1.0),
+        Record("base_1001", found(0.3), None, 1.0),
+        Record("base_1002", None, "ValueError: no", 1.0),
     ]
-    tasks = [Task("base", seed, 16, 4, 3) for seed in (100, 101, 102)]
+    tasks = [Task("base", seed, 16, 4, 3) for seed in (1000, 1001, 1002)]
     [outcome, other] = report.outcomes(
         [BY_KEY["base"], BY_KEY["regularized"]], tasks, scenes, {"regularized": "none yet"}
     )
@@ -160,6 +161,12 @@ def test_means_are_over_finished_scenes() -> None:
     assert outcome.status == "1 of 3 scenes failed"
     assert other.status == "not run: none yet"
     assert other.mean("paper", "recon").count == 0
+
+
+def test_markdown_table() -> None:
+    columns = [Cell("a"), Cell("b\nc", "number")]
+    table = Table(columns, [[Cell("x | y"), Cell("1\n[0, 2]", "best")]])
+    assert markdown(table) == "| a | b c |\n| --- | ---: |\n| x \\| y | **1 [0, 2]** |\n"
 
 
 def test_columns_of_scores_have_names() -> None:
@@ -180,8 +187,8 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert f"Look at {out / 'report.html'}" in printed.out
     names = {path.name for path in out.iterdir()}
     assert names == {
-        "records", "report.html", "table1.png", "table1.csv", "scenes.csv", "summary.json",
-        "example-base.png", "example-normals.png",
+        "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv",
+        "summary.json", "example-base.png", "example-normals.png",
     }  # fmt: skip
     content = json.loads((out / "summary.json").read_text("utf-8"))
     status = {row["name"]: row["status"] for row in content["rows"]}
@@ -208,7 +215,7 @@ def test_command_goes_on_and_reports_failures(
 
     def some_fail(task: Task, threads: int) -> dict[str, Any]:
         done.append(task.key)
-        if task.seed == 101:
+        if task.seed == 1001:
             raise MemoryError("too large")
         return work(task, threads)
 
@@ -216,8 +223,8 @@ def test_command_goes_on_and_reports_failures(
     command = ("evaluate", "table1", "--out", out, "--rows", "base", "--scenes", 2, *TINY)
     assert run(*command) == 1
     error = capsys.readouterr().err
-    assert "base_101: MemoryError: too large" in error
-    assert "1 of 2 failed: base_101" in error
+    assert "base_1001: MemoryError: too large" in error
+    assert "1 of 2 failed: base_1001" in error
     assert "MemoryError: too large" in (out / "report.html").read_text("utf-8")
     assert run(*command) == 2  # there is something already
 
@@ -227,13 +234,13 @@ def test_command_goes_on_and_reports_failures(
 
     monkeypatch.setattr(measure, "work", none_fails)
     assert run(*command, "--resume", "--quiet") == 0
-    assert done == ["base_100", "base_101", "base_101"]
+    assert done == ["base_1000", "base_1001", "base_1001"]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--rows", "base", "nonsense"), "--rows: expected some of base, sh2"),
+        (("--rows", "base", "nonsense"), "argument --rows: invalid choice: 'nonsense'"),
         (("--scenes", "0"), "expected 1 or more, found 0"),
         (("--scenes", "101"), "--scenes: expected at most 100, found 101"),
         (("--lights", "1"), "--lights: expected at least 2, found 1"),

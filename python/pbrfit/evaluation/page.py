@@ -121,6 +121,21 @@ def _cell(tag: str, cell: Cell) -> str:
     return f'<{tag} class="{cell.look}">{text}</{tag}>' if cell.look else f"<{tag}>{text}</{tag}>"
 
 
+def markdown(table: Table) -> str:
+    """Write a table as GitHub's Markdown, a line of text with each row."""
+    right = ("number", "best")
+    rule = ["---:" if cell.look in right else "---" for cell in table.columns]
+    rows = [[cell.text for cell in table.columns], rule]
+    rows += [[_marked(cell) for cell in row] for row in table.rows]
+    lines = (" | ".join(" ".join(text.split()) for text in row) for row in rows)
+    return "".join(f"| {line} |\n" for line in lines)
+
+
+def _marked(cell: Cell) -> str:
+    text = cell.text.replace("|", "\\|")
+    return f"**{text}**" if cell.look == "best" and text else text
+
+
 def _figure(figure: Figure) -> str:
     data = base64.b64encode(figure.png).decode("ascii")
     caption = escape(figure.caption)

@@ -255,9 +255,9 @@ def _weathered(surface: Layers, rng: Rng) -> Weathered:
     soft = surface.base.roughness > 0.7
     return Weathered(
         base=surface,
-        relief=_fractal(rng, rng.uniform(0.12, 0.3), 5),
+        relief=_fractal(rng, rng.uniform(0.15, 0.35), 5),
         grain=_fractal(rng, rng.uniform(0.1, 0.4), 5),
-        depth=float(rng.uniform(0.004, 0.012 if soft else 0.007)),
+        depth=float(rng.uniform(0.006, 0.025 if soft else 0.012)),
         tone=float(rng.uniform(0.15, 0.4)),
         dullness=float(rng.uniform(0.04, 0.12)),
     )

@@ -241,7 +241,7 @@ def picture(rng: np.random.Generator) -> Piece:
     inside: Role = "metal" if rng.random() < 0.3 else "canvas"
     parts = (
         box("frame", "frame", (0, 0, 0.02), (x, y, 0.02)),
-        box(inside, "inside", (0, 0, 0.022), (x - border, y - border, 0.024)),
+        box(inside, "inside", (0, 0, 0.024), (x - border, y - border, 0.024)),
     )
     return Piece(parts, (x, 0.05), 2 * y)
 

@@ -106,3 +106,24 @@ def cone(
     """Upright frustum that stands on `foot`."""
     centre = np.array([foot[0], foot[1] + height / 2, foot[2]])
     return Part(Frustum(centre=centre, bottom=bottom, top=top, half=height / 2), role, tag)
+
+
+def reach(parts: Sequence[Part], direction: Array) -> float:
+    """How far parts extend along a unit vector, from the origin of their space, in metres."""
+    farthest = -np.inf
+    for part in parts:
+        solid = part.primitive
+        x, y, z = np.abs(solid.rotation.T @ direction)
+        match solid:
+            case Sphere(radius=radius):
+                extent = radius
+            case Box(half=half):
+                extent = float(x * half[0] + y * half[1] + z * half[2])
+            case Cylinder(radius=radius, half=tall):
+                extent = float(y * tall + np.hypot(x, z) * radius)
+            case Frustum(bottom=bottom, top=top, half=tall):
+                extent = float(y * tall + np.hypot(x, z) * max(bottom, top))
+            case _:
+                raise AssertionError(type(solid))
+        farthest = max(farthest, float(solid.centre @ direction) + extent)
+    return farthest

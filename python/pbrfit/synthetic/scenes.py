@@ -36,7 +36,8 @@ def draw(
         "room": furniture of constant materials, at least a third of the pieces metal.
         "spheres": a grid, roughness growing from left to right, metal and dielectric rows.
         "textured": the room with patterns in albedo, roughness and, on some pieces, metallic.
-        "furnished": a room with 30 to 40 pieces of furniture and things, a few materials each.
+        "furnished": a room with furniture and things on it, 20 to 38 solids, many of several
+        paints and at least a tenth of the picture metal.
         "detailed": that room with texture maps, or with finer patterns and relief.
     rng
         Source of randomness; the same state gives the same scene.

@@ -250,12 +250,13 @@ def _reduced(layer: NDArray[Any]) -> Maps:
 def _block_means(layer: NDArray[Any], factor: int) -> Maps:
     """Mean of each block of factor x factor; what is left over at the far edges is dropped."""
     height, width = (n // factor for n in layer.shape[:2])
-    total = np.zeros((height, width, layer.shape[2]), dtype=np.float32)
-    for i, j in np.ndindex(factor, factor):
-        total += layer[i : i + height * factor : factor, j : j + width * factor : factor][
-            :height, :width
-        ]
-    return np.asarray(total / np.float32(factor**2))
+    rows = np.zeros((height, *layer.shape[1:]), dtype=layer.dtype)
+    for i in range(factor):
+        rows += layer[i : height * factor : factor]
+    total = np.zeros((height, width, layer.shape[2]), dtype=layer.dtype)
+    for j in range(factor):
+        total += rows[:, j : width * factor : factor]
+    return np.asarray(total / factor**2, dtype=np.float32)
 
 
 def _resized(layer: Maps, side: int) -> Maps:

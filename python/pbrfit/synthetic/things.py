@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pbrfit.synthetic.parts import Parts, ball, box, cone, drum, moved, retagged, turned
+from pbrfit.synthetic.parts import Parts, ball, box, cone, drum, moved, reach, retagged, turned
 
+UP = np.array([0.0, 1.0, 0.0])
 Thing = Callable[[np.random.Generator], tuple[Parts, float]]
 """Draws the parts of a thing, and the radius of the circle on which it stands."""
 
@@ -154,23 +155,6 @@ SMALL: tuple[Thing, ...] = (
 )  # fmt: skip
 
 
-def height_of(parts: Parts) -> float:
-    """Height of the highest centre and the extent of its primitive, roughly."""
-    from pbrfit.synthetic.geometry import Box, Cylinder, Frustum, Sphere
-
-    top = 0.0
-    for part in parts:
-        match part.primitive:
-            case Box(half=half):
-                reach = float(half[1])
-            case Cylinder(half=reach) | Frustum(half=reach) | Sphere(radius=reach):
-                pass
-            case other:
-                raise AssertionError(other)
-        top = max(top, float(part.primitive.centre[1]) + reach)
-    return top
-
-
 def row(
     rng: np.random.Generator,
     things: tuple[Thing, ...],
@@ -191,7 +175,7 @@ def row(
         if (
             2 * radius <= depth
             and used + 2 * radius <= length
-            and height_of(parts) <= ceiling
+            and reach(parts, UP) <= ceiling
             and len(chosen) < count
         ):
             chosen.append((retagged(parts, f"thing{len(chosen)}"), radius))

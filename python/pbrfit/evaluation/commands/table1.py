@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from pbrfit._core import InputError
 from pbrfit.arguments import Subcommands, positive, unread_is_no_failure
 from pbrfit.evaluation.commands.resumable import add_options, exit_code, run_tasks
+from pbrfit.evaluation.table1.rows import ROWS
 
 if TYPE_CHECKING:
     from pbrfit.evaluation.table1.measure import Task
@@ -33,7 +34,7 @@ def add(suites: Subcommands) -> None:
     added.add_argument(
         "--scenes", metavar="K", type=positive, default=67, help=f"at most {MOST_SCENES}"
     )
-    added.add_argument("--size", metavar="PIXELS", type=positive, default=128, help="side")
+    added.add_argument("--size", metavar="PIXELS", type=positive, default=128, help="of a picture")
     added.add_argument(
         "--lights",
         metavar="N",
@@ -46,7 +47,8 @@ def add(suites: Subcommands) -> None:
         "--rows",
         metavar="KEY",
         nargs="+",
-        help="only these setups, such as base, sh2, normals (default: all)",
+        choices=[row.key for row in ROWS],
+        help="only these setups (default: all): " + ", ".join(row.key for row in ROWS),
     )
     added.add_argument(
         "--textures",
@@ -76,14 +78,14 @@ def add(suites: Subcommands) -> None:
     added.add_argument(
         "--quick",
         action="store_true",
-        help=f"two minutes: {QUICK_SCENES} scenes of {QUICK_SIZE} pixels, without Cycles",
+        help=f"under two minutes: {QUICK_SCENES} scenes of {QUICK_SIZE} pixels, without Cycles",
     )
 
 
 def _run(options: argparse.Namespace) -> int:
     from pbrfit.evaluation import workspace
     from pbrfit.evaluation.table1 import measure, report
-    from pbrfit.evaluation.table1.rows import ROWS
+    from pbrfit.synthetic.textures import load_textures
 
     if options.quick:
         options.scenes = min(options.scenes, QUICK_SCENES)
@@ -95,10 +97,8 @@ def _run(options: argparse.Namespace) -> int:
     for folder in (options.textures, options.predicted_normals):
         if folder is not None and not folder.is_dir():
             raise InputError(f"{folder}: expected a folder, found none")
-    keys = [row.key for row in ROWS]
-    unknown = [key for key in options.rows or () if key not in keys]
-    if unknown:
-        raise InputError(f"--rows: expected some of {', '.join(keys)}; found {unknown[0]}")
+    if options.textures is not None:
+        load_textures(options.textures)  # what is wrong with them should show before the work
     rows = [row for row in ROWS if not options.rows or row.key in options.rows]
     unavailable = {row.key: why for row in rows if (why := _why_not(row, quick=options.quick))}
     tasks = [task for row in rows if row.key not in unavailable for task in _tasks(row, options)]

@@ -28,7 +28,7 @@ EXPLANATIONS: tuple[Explanation, ...] = get_args(Explanation)
 IN_WORDS: dict[Explanation, str] = {
     "default": "our default",
     "paper": "paper's recipe",
-    "lambertian": "its albedo, r = 1, m = 0",
+    "lambertian": "default's albedo, r = 1, m = 0",
     "start": "our start",
     "constant": "constant guess",
     "combination": "sum of kept pictures",

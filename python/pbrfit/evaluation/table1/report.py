@@ -20,7 +20,7 @@ from pbrfit.evaluation.table1.measure import FIRST_SEED, Task
 from pbrfit.evaluation.table1.rows import COLUMNS, Row
 from pbrfit.evaluation.tables import Mean, mean_with_interval, write_csv
 
-TABLE, SCENES = "table1.csv", "scenes.csv"
+TABLE, MARKDOWN, SCENES = "table1.csv", "table1.md", "scenes.csv"
 
 METRICS = tuple(f.name for f in fields(Scores))
 
@@ -97,7 +97,7 @@ def outcomes(
 
 
 def write(folder: Path, found: Sequence[Outcome], setup: Sequence[str]) -> None:
-    """Write `report.html`, `table1.png`, `table1.csv`, `scenes.csv` and `summary.json`.
+    """Write `report.html`, `table1.png`, `.csv` and `.md`, `scenes.csv` and `summary.json`.
 
     Parameters
     ----------
@@ -111,6 +111,12 @@ def write(folder: Path, found: Sequence[Outcome], setup: Sequence[str]) -> None:
     measured = _Measured(found)
     page.write_page(
         folder, "Table 1 on scenes whose truth is known", _opening(setup), _sections(measured)
+    )
+    rest = [name for name in METRICS if name not in COLUMNS]
+    (folder / MARKDOWN).write_text(
+        f"{page.markdown(_table(measured, COLUMNS, with_paper=True))}\n"
+        f"{page.markdown(_table(measured, rest))}",
+        encoding="utf-8",
     )
     write_csv(
         folder / TABLE,
