@@ -130,12 +130,14 @@ def draw_pictures(
         "point lights,\nno shadows": pictures("points", "brdf").images,
         "point lights,\nshadows": pictures("points", "shadows").images,
     }
-    figure = Figure(figsize=(2 * len(columns), 2 * lights + 0.4), layout="constrained")
+    figure = Figure(figsize=(1.6 * len(columns), 1.6 * lights + 0.4), layout="constrained")
     axes = figure.subplots(lights, len(columns))
     for column, (name, images) in enumerate(columns.items()):
-        axes[0, column].set_title(name, fontsize=10)
+        axes[0, column].set_title(name, fontsize=8)
         for row in range(lights):
-            axes[row, column].imshow(encode_srgb(np.clip(images[row], 0, 1)))
+            axes[row, column].imshow(
+                encode_srgb(np.clip(images[row], 0, 1)), interpolation="nearest"
+            )
             axes[row, column].set_axis_off()
     FigureCanvasAgg(figure).print_png(path)
 

@@ -8,7 +8,7 @@ import math
 import operator
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -43,12 +43,28 @@ that ended at the bound start again from the middle."""
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a running fit stands; passed to `progress` after each iteration."""
+    """Where a running fit stands; passed to `progress` at the start and after each iteration.
+
+    Attributes
+    ----------
+    iteration, iterations
+        Done, and at most to be done.
+    evaluations
+        Of loss and gradient so far.
+    recon_rmse
+        In picture units.
+    elapsed_s
+        Without the time that `progress` itself and comparing with ground truth have taken.
+    state
+        Called inside `progress`, it gives maps and lights as they are now, as `Objective.unpack`.
+    """
 
     iteration: int
     iterations: int
+    evaluations: int
     recon_rmse: float
     elapsed_s: float
+    state: Callable[[], tuple[Materials, NDArray[np.float64]]] = field(repr=False, compare=False)
 
 
 def decompose(
@@ -86,7 +102,7 @@ def decompose(
     metallic
         A number in [0, 1] that all pixels have, then it is not fitted; None = fitted.
     progress
-        Called after each iteration.
+        Called at the start and after each iteration.
 
     Returns
     -------
@@ -268,7 +284,16 @@ class _Run:
             HistoryRow(elapsed, self.iteration, self.evaluations, loss, recon, **errors)
         )
         if self.progress is not None:
-            self.progress(Progress(self.iteration, self.iterations, recon, elapsed))
+            self.progress(
+                Progress(
+                    self.iteration,
+                    self.iterations,
+                    self.evaluations,
+                    recon,
+                    elapsed,
+                    lambda: self.objective.unpack(x),
+                )
+            )
         self.unmeasured += self._elapsed() - elapsed
 
 

@@ -110,7 +110,7 @@ ROWS = (
     Row(
         "cycles-shadows",
         "Cycles, panorama: and shadows",
-        "As before, but furniture blocks the light.",
+        "As before, but furniture, floor and the walls in view block the light.",
         renderer="cycles",
         transport="shadows",
     ),
