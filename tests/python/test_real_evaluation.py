@@ -225,8 +225,11 @@ def test_folders_that_cannot_be_used_are_named(tmp_path: Path, folder: Path) -> 
     with pytest.raises(pbrfit.InputError, match="empty: expected a scene folder or one of bunny"):
         sources.find_sources(tmp_path / "empty")
     found = sources.find_sources(folder)
+    few = [replace(found[0], pictures=5, name="few"), found[0]]
+    failing, *others = real.plan(few, replace(TINY, held_out=4))
+    assert {task.source.name for task in others} == {"room"}
     with pytest.raises(pbrfit.InputError, match=r"expected at least 6 pictures, .* found 5"):
-        real.plan([replace(found[0], pictures=5)], replace(TINY, held_out=4))
+        real.work(failing, 1)
     with pytest.raises(pbrfit.InputError, match="expected different names, found room twice"):
         real.plan(found * 2, TINY)
     with pytest.raises(pbrfit.InputError, match=r"FOLDER: expected .* PBRFIT_DATA is not set"):

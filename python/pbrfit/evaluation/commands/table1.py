@@ -104,8 +104,9 @@ def _run(options: argparse.Namespace) -> int:
     tasks = [task for row in rows if row.key not in unavailable for task in _tasks(row, options)]
     records = run_tasks(tasks, measure.work, options)
     found = report.outcomes(rows, tasks, records, unavailable)
+    by_cycles = any(o.finished and o.row.renderer == "cycles" for o in found)
     with workspace.publish(options.out) as folder:
-        report.write(folder, found, _setup(options))
+        report.write(folder, found, _setup(options, by_cycles=by_cycles))
     if not options.quiet:
         with unread_is_no_failure():
             print("\n".join(report.lines(found)))
@@ -158,7 +159,7 @@ def _absolute(path: Path | None) -> Path | None:
     return None if path is None else path.resolve()
 
 
-def _setup(options: argparse.Namespace) -> list[str]:
+def _setup(options: argparse.Namespace, *, by_cycles: bool) -> list[str]:
     textures = f"PBR maps of {options.textures.name}" if options.textures else "procedural textures"
     normals = (
         f"given in {options.predicted_normals.name}"
@@ -166,9 +167,7 @@ def _setup(options: argparse.Namespace) -> list[str]:
         else "simulated, with the spread and the correlation of a learned estimator"
     )
     cycles = (
-        ""
-        if options.quick
-        else f" ({min(options.scenes, options.cycles_scenes)} in rows with Cycles)"
+        f" ({min(options.scenes, options.cycles_scenes)} in rows with Cycles)" if by_cycles else ""
     )
     return [
         f"{options.scenes} scenes{cycles} of {options.size} × {options.size} pixels, "

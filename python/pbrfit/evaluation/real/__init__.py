@@ -87,12 +87,12 @@ class RealTask:
 
 
 def plan(sources: Sequence[Source], effort: Effort) -> list[RealTask]:
-    """Tasks for all folds of all sources.
+    """Tasks for all folds of all sources; a single one that fails if there are too few pictures.
 
     Raises
     ------
     InputError
-        If a source has too few pictures, or two have one name.
+        If two sources have one name.
     """
     names = [source.name for source in sources]
     for source in sources:
@@ -100,22 +100,35 @@ def plan(sources: Sequence[Source], effort: Effort) -> list[RealTask]:
             raise InputError(
                 f"{source.folder}: expected different names, found {source.name} twice"
             )
-        least = LEAST_KEPT + (effort.held_out or 1)
-        if source.pictures < least:
-            raise InputError(
-                f"{source.folder}: expected at least {least} pictures, to fit some and hold out "
-                f"others, found {source.pictures}"
-            )
     return [
         RealTask(source, effort, fold, digest)
         for source in sources
         for digest in [source.digest()]
-        for fold in range(min(effort.folds, folds(source.pictures, effort.held_out)))
+        for fold in range(
+            min(effort.folds, folds(source.pictures, effort.held_out))
+            if source.pictures >= _least(effort)
+            else 1
+        )
     ]
 
 
+def _least(effort: Effort) -> int:
+    return LEAST_KEPT + (effort.held_out or 1)
+
+
 def work(task: RealTask, threads: int) -> Mapping[str, Any]:
-    """Do one task; what it returns is read back by `Fold.of`."""
+    """Do one task; what it returns is read back by `Fold.of`.
+
+    Raises
+    ------
+    InputError
+        If there are too few pictures.
+    """
+    if task.source.pictures < _least(task.effort):
+        raise InputError(
+            f"{task.source.folder}: expected at least {_least(task.effort)} pictures, to fit some "
+            f"and hold out others, found {task.source.pictures}"
+        )
     scene = load(task.source, task.effort.max_size)
     which = split(len(scene.images), task.effort.held_out, task.fold)
     explained = explain_held_out(scene, which, iterations=task.effort.iterations, threads=threads)

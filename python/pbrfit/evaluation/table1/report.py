@@ -24,6 +24,9 @@ TABLE, MARKDOWN, SCENES = "table1.csv", "table1.md", "scenes.csv"
 
 METRICS = tuple(f.name for f in fields(Scores))
 
+EFFORT = ("seconds", "evaluations")
+"""Columns that are no errors."""
+
 NAMES = {
     "recon": "recon",
     "albedo": "albedo",
@@ -292,7 +295,7 @@ def _figure(measured: _Measured, outcome: Outcome, recipe: Recipe, metric: str) 
     fits: tuple[Recipe, ...] = ("default", "paper")
     sign = -1 if metric.endswith(("psnr", "ssim")) else 1
     best = min(fits, key=lambda fit: _order(measured(outcome, fit, metric).mean * sign))
-    look: page.Look = "best" if recipe == best and metric in METRICS[:13] else "number"
+    look: page.Look = "best" if recipe == best and metric not in EFFORT else "number"
     return Cell(with_interval(mean, _format(metric)), look)
 
 
