@@ -54,8 +54,11 @@ def run_tasks(
     with tqdm(
         total=len(tasks), unit=unit, disable=True if options.quiet else None, dynamic_ncols=True
     ) as bar:
+        done = 0  # bar.n stays 0 where no bar is shown
 
         def show(record: Record) -> None:
+            nonlocal done
+            done += 1
             bar.set_postfix_str(record.key, refresh=False)
             bar.update()
             if record.error is not None:
@@ -66,7 +69,7 @@ def run_tasks(
             return run(tasks, work, options.out, jobs=options.jobs, progress=show)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
-                f"interrupted after {bar.n} of {len(tasks)}; --resume goes on from there"
+                f"interrupted after {done} of {len(tasks)}; --resume goes on from there"
             ) from None
 
 
