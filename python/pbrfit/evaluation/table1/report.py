@@ -295,7 +295,8 @@ def _figure(measured: _Measured, outcome: Outcome, recipe: Recipe, metric: str) 
     fits: tuple[Recipe, ...] = ("default", "paper")
     sign = -1 if metric.endswith(("psnr", "ssim")) else 1
     best = min(fits, key=lambda fit: _order(measured(outcome, fit, metric).mean * sign))
-    look: page.Look = "best" if recipe == best and metric not in EFFORT else "number"
+    is_best = recipe == best and metric not in EFFORT and mean.count
+    look: page.Look = "best" if is_best else "number"
     return Cell(with_interval(mean, _format(metric)), look)
 
 
