@@ -36,7 +36,7 @@ PART = ".part"
 _HEAD = b'{\n "digest": "'
 """What every record begins with."""
 
-WRITERS = ("page.py", "plot.py", "plots.py", "report.py")
+WRITERS = ("drawing.py", "page.py", "plot.py", "plots.py", "report.py")
 """Files that take no part in the results of a suite."""
 
 Values = Mapping[str, Any]

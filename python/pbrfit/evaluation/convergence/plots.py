@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +9,25 @@ import numpy as np
 
 from pbrfit.evaluation.convergence import SOLVERS, Case, Curve
 from pbrfit.evaluation.convergence.measure import Array, Quantity, on_grid
+from pbrfit.evaluation.drawing import (
+    AMBER,
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    as_png,
+    new_figure,
+)
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLORS = ("#000000", "#777777", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-"""Okabe and Ito's, told apart by all common colour vision; by place in the roster."""
+COLORS = (BLACK, GREY, BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER)
+"""By place in the roster."""
 
 DASHES = ("-", "--", "-", "-", "-", "-", ":", "-")
 MARKERS = ("o", "o", "s", "^", "D", "v", "x", "P")
@@ -37,13 +48,8 @@ FINEST_S = 1e-2
 
 def draw(curves: Sequence[Curve], quantity: Quantity) -> bytes:
     """Error against wall time (left) and evaluations (right); medians, and spread over seeds."""
-    # Imported here: matplotlib is slow to start and needed by nobody else.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     cases = list(dict.fromkeys(curve.task.case for curve in curves))
-    figure = Figure(figsize=(12, 1.0 + 2.5 * len(cases)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12, 1.0 + 2.5 * len(cases))
     axes = figure.subplots(len(cases), 2, sharex="col", squeeze=False)
     for (left, right), case in zip(axes, cases, strict=True):
         of_case = [curve for curve in curves if curve.task.case == case]
@@ -60,9 +66,7 @@ def draw(curves: Sequence[Curve], quantity: Quantity) -> bytes:
         for name, title in _solvers(curves)
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
-    return buffer.getvalue()
+    return as_png(figure, dpi=100)
 
 
 def _panel(axes: Axes, curves: Sequence[Curve], quantity: Quantity, cost: str, case: Case) -> None:

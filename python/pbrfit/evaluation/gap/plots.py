@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pbrfit.evaluation.drawing import AMBER, BLACK, BLUE, GREEN, as_png, new_figure
 from pbrfit.evaluation.gap import Array, Gap
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-# Okabe and Ito's colours: told apart by all common colour vision.
-COLORS = ("#000000", "#E69F00", "#0072B2", "#009E73")
+DPI = 100
+COLORS = (BLACK, AMBER, BLUE, GREEN)
 MARKERS = ("o", "D", "v", "^")
 LINES = ("-", "--", ":", "-.")
 
@@ -30,20 +30,20 @@ DARK = 0.62
 def draw_ratios(gap: Gap, model: str, material: int) -> bytes:
     """R_l of a model over the true one, by band."""
     ratio = gap.ratio(model)[material]
-    figure = _figure(13, 10.4)
+    figure = new_figure(13, 10.4)
     grid = figure.subplots(2, 2)
     for band, axes in enumerate(grid.flat):
         image = _ratio_map(axes, gap, ratio[..., band])
         axes.set_title(f"l = {band}" + (", directional albedo" if band == 0 else ""))
     _ratio_scale(figure, image, grid)
     figure.suptitle(f"{gap.materials[material].name}: response, {model} / true")
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def draw_distances(gap: Gap, model: str, material: int) -> bytes:
     """Response of the difference, by band."""
     distance = gap.distance(model)[material]
-    figure = _figure(13, 10.4)
+    figure = new_figure(13, 10.4)
     grid = figure.subplots(2, 2)
     for band, axes in enumerate(grid.flat):
         image = _map(axes, gap, distance[..., band], "cividis_r", 0.0, 1.0, cut=DARK)
@@ -51,12 +51,12 @@ def draw_distances(gap: Gap, model: str, material: int) -> bytes:
     bar = figure.colorbar(image, ax=grid, shrink=0.6, extend="max")
     bar.set_label("size of the difference; a mirror's response is 1")
     figure.suptitle(f"{gap.materials[material].name}: {model} less true")
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def draw_albedos(gap: Gap, model: str) -> bytes:
     """R_0 of a model over the true one, by material."""
-    figure = _figure(13, 5.4 * -(-len(gap.materials) // 2))
+    figure = new_figure(13, 5.4 * -(-len(gap.materials) // 2))
     grid = figure.subplots(-(-len(gap.materials) // 2), 2, squeeze=False)
     ratio = gap.ratio(model)
     for i, axes in enumerate(grid.flat):
@@ -67,12 +67,12 @@ def draw_albedos(gap: Gap, model: str) -> bytes:
         axes.set_title(gap.materials[i].name)
     _ratio_scale(figure, image, grid)
     figure.suptitle(f"Light that comes back under even light, {model} / true")
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def draw_spheres(gap: Gap) -> bytes:
     """Relative error of spheres under random lights over roughness."""
-    figure = _figure(8, 4.6)
+    figure = new_figure(8, 4.6)
     axes = figure.subplots()
     for m, material in enumerate(gap.materials):
         for line, model in zip(LINES, gap.models, strict=False):
@@ -97,7 +97,7 @@ def draw_spheres(gap: Gap) -> bytes:
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False)
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def _ratio_map(axes: Axes, gap: Gap, ratio: Array) -> AxesImage:
@@ -149,19 +149,3 @@ def _map(
 
 def _short(value: float) -> str:
     return f"{value:.2f}" if value < 10 else f"{value:.0f}"
-
-
-def _figure(width: float, height: float) -> Figure:
-    # Imported here: matplotlib is slow to start and needed by nobody else.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
-    return buffer.getvalue()

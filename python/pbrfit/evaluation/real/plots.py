@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 
 import numpy as np
 
+from pbrfit.evaluation.drawing import AMBER, BLACK, BLUE, GREEN, PURPLE, SKY, as_png, new_figure
 from pbrfit.evaluation.real.held_out import IN_WORDS, Explanation
 
-# Okabe and Ito's colours, with markers for those who see none.
+# Markers are for those who see no colours.
 LOOKS: dict[Explanation, tuple[str, str]] = {
-    "default": ("#000000", "o"),
-    "paper": ("#0072B2", "s"),
-    "lambertian": ("#009E73", "^"),
-    "start": ("#E69F00", "D"),
-    "constant": ("#CC79A7", "v"),
-    "combination": ("#56B4E9", "x"),
+    "default": (BLACK, "o"),
+    "paper": (BLUE, "s"),
+    "lambertian": (GREEN, "^"),
+    "start": (AMBER, "D"),
+    "constant": (PURPLE, "v"),
+    "combination": (SKY, "x"),
 }
 
 
 def draw_errors(errors: Mapping[str, Mapping[Explanation, float]]) -> bytes:
     """PNG: relative error of held-out pictures by source and explanation."""
-    # Imported here: matplotlib is slow to start and needed by nobody else.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 1.9 + 0.45 * len(errors)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(9, 1.9 + 0.45 * len(errors))
     axes = figure.subplots()
     places = np.arange(len(errors))[::-1]
     for name, (color, marker) in LOOKS.items():
@@ -49,6 +44,4 @@ def draw_errors(errors: Mapping[str, Mapping[Explanation, float]]) -> bytes:
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
-    return buffer.getvalue()
+    return as_png(figure, dpi=130)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pbrfit.evaluation.drawing import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, as_png, new_figure
 from pbrfit.evaluation.stability.accumulation import EQUAL_TERMS_BOUND, Accumulation
 from pbrfit.evaluation.stability.bands import RULES, BandErrors
 from pbrfit.evaluation.stability.branches import BranchPoints
@@ -24,30 +24,10 @@ from pbrfit.evaluation.stability.tiny import BOUNDED, TinyNumbers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-# Okabe and Ito's colours: told apart by all common colour vision.
-BLACK, ORANGE, BLUE, GREEN, PURPLE = "#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7"
-GREY = "#777777"
-
+DPI = 130
 NOTHING = 1e-18
 """Where an error of 0 is drawn on a logarithmic axis."""
-
-
-def _figure(width: float, height: float) -> Figure:
-    # Imported here: matplotlib is slow to start and needed by nobody else.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
-    return buffer.getvalue()
 
 
 def _grid(axes: Axes) -> None:
@@ -58,7 +38,7 @@ def _grid(axes: Axes) -> None:
 
 def draw_bands(bands: BandErrors) -> bytes:
     """Error of band weights and slopes over r, by rule."""
-    figure = _figure(11, 6.4)
+    figure = new_figure(11, 6.4)
     r = bands.r
     panels = (
         ("roughness r", r, (r >= 1e-90) & (r <= 0.1), "log"),
@@ -94,7 +74,7 @@ def draw_bands(bands: BandErrors) -> bytes:
         axes[0, 1].plot([], [], color=GREY, linewidth=4, label="bar at the top: no number")[0]
     )
     figure.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False)
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def _envelope(x: Array, errors: Array, log: bool) -> tuple[Array, Array, Array]:
@@ -114,7 +94,7 @@ def _envelope(x: Array, errors: Array, log: bool) -> tuple[Array, Array, Array]:
 
 def draw_kernel(kernel: KernelErrors) -> bytes:
     """Errors of loss and gradient by kind of pixel."""
-    figure = _figure(11, 5.2)
+    figure = new_figure(11, 5.2)
     left, right = figure.subplots(1, 2, sharey=True)
     y = np.arange(len(kernel.kinds))
     looks = zip(
@@ -142,12 +122,12 @@ def draw_kernel(kernel: KernelErrors) -> bytes:
         ax.set(xscale="log", xlim=(1e-9, 5e-6), xlabel=title)
         _grid(ax)
     figure.legend(loc="outside upper center", ncols=6, frameon=False)
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def draw_jumps(branches: BranchPoints) -> bytes:
     """Jumps at branch points against the width of the step."""
-    figure = _figure(8.5, 4.6)
+    figure = new_figure(8.5, 4.6)
     ax = figure.subplots()
     looks = zip(
         branches.jumps.items(),
@@ -174,12 +154,12 @@ def draw_jumps(branches: BranchPoints) -> bytes:
     )
     _grid(ax)
     ax.legend(frameon=False, loc="upper left")
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def draw_noise(branches: BranchPoints) -> bytes:
     """Float32 noise while pixels cross branch points."""
-    figure = _figure(11, 3.4)
+    figure = new_figure(11, 3.4)
     axes = figure.subplots(1, 4, sharey=True)
     for ax, scan in zip(axes, branches.scans, strict=True):
         offset = 1e6 * scan.offset
@@ -198,12 +178,12 @@ def draw_noise(branches: BranchPoints) -> bytes:
         axes[0].plot([], [], color=ORANGE, linestyle="--", label="slope by roughness")[0],
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def draw_cancellation(cancellation: Cancellation) -> bytes:
     """Reported residual, and error of the gradient, against the true residual."""
-    figure = _figure(11, 4.4)
+    figure = new_figure(11, 4.4)
     left, right = figure.subplots(1, 2)
     span = np.array([1e-8, 1.0])
     left.plot(span, span, color=GREY, linewidth=1, linestyle="--", label="exact")
@@ -258,12 +238,12 @@ def draw_cancellation(cancellation: Cancellation) -> bytes:
     for ax in (left, right):
         _grid(ax)
         ax.legend(frameon=False)
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def draw_accumulation(accumulation: Accumulation) -> bytes:
     """Errors of loss and light gradient against the number of samples."""
-    figure = _figure(11, 4.4)
+    figure = new_figure(11, 4.4)
     left, right = figure.subplots(1, 2, sharey=True)
     looks = dict(
         zip(
@@ -305,12 +285,12 @@ def draw_accumulation(accumulation: Accumulation) -> bytes:
         ax.set_xlim(accumulation.samples[0] / 2, 2 * accumulation.samples[-1])
         _grid(ax)
         ax.legend(frameon=False, fontsize=8.5, loc="upper left")
-    return _png(figure)
+    return as_png(figure, DPI)
 
 
 def draw_exposures(tiny: TinyNumbers) -> bytes:
     """Error of the loss over exposure."""
-    figure = _figure(8.5, 3.8)
+    figure = new_figure(8.5, 3.8)
     ax = figure.subplots()
     bounded = tiny.exposure[BOUNDED]
     ax.axvspan(bounded[0], bounded[-1], color="0.93", linewidth=0)
@@ -337,4 +317,4 @@ def draw_exposures(tiny: TinyNumbers) -> bytes:
     )
     _grid(ax)
     ax.legend(frameon=False)
-    return _png(figure)
+    return as_png(figure, DPI)

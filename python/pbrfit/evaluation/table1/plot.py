@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from pbrfit.evaluation.drawing import BLACK, BLUE, GREY, ORANGE, SKY, as_png, new_figure
 from pbrfit.evaluation.recipes import IN_WORDS, RECIPES, Recipe
 from pbrfit.evaluation.table1.rows import COLUMNS
 from pbrfit.evaluation.tables import Mean
@@ -13,26 +13,22 @@ from pbrfit.evaluation.tables import Mean
 if TYPE_CHECKING:
     from pbrfit.evaluation.table1.report import Outcome
 
-# Okabe and Ito's colours, told apart by all common colour vision, with shapes beside them.
+# Shapes are for those who see no colours.
 _LOOKS: dict[Recipe, tuple[str, str]] = {
-    "default": ("#0072B2", "o"),
-    "paper": ("#D55E00", "s"),
-    "constant": ("#999999", "^"),
-    "start": ("#56B4E9", "v"),
+    "default": (BLUE, "o"),
+    "paper": (ORANGE, "s"),
+    "constant": (GREY, "^"),
+    "start": (SKY, "v"),
 }
-_PAPER = ("#000000", "x")
+_PAPER = (BLACK, "x")
 
 
 def draw(found: Sequence[Outcome], mean: Callable[[Outcome, Recipe, str], Mean]) -> bytes:
     """Draw the paper's columns as a PNG."""
-    # Imported here: matplotlib is slow to start.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     shown = [outcome for outcome in found if outcome.finished]
-    figure = Figure(figsize=(13, 1.6 + 0.62 * len(shown)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13, 1.6 + 0.62 * len(shown))
     panels = figure.subplots(1, len(COLUMNS), sharey=True)
     for axes, metric in zip(panels, COLUMNS, strict=True):
         for place, outcome in enumerate(shown):
@@ -67,6 +63,4 @@ def draw(found: Sequence[Outcome], mean: Callable[[Outcome, Recipe, str], Mean])
         [], [], _PAPER[1], color=_PAPER[0], label="the paper's number (other scenes)"
     )
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-    file = io.BytesIO()
-    figure.savefig(file, dpi=110)
-    return file.getvalue()
+    return as_png(figure, dpi=110)
