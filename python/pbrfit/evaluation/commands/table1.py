@@ -160,7 +160,9 @@ def _absolute(path: Path | None) -> Path | None:
 
 
 def _setup(options: argparse.Namespace, *, by_cycles: bool) -> list[str]:
-    textures = f"PBR maps of {options.textures.name}" if options.textures else "procedural textures"
+    textures = (
+        f"the PBR maps in “{options.textures.name}”" if options.textures else "procedural textures"
+    )
     normals = (
         f"given in {options.predicted_normals.name}"
         if options.predicted_normals
