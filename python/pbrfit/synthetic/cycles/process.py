@@ -65,7 +65,9 @@ def blender_version(python: Path) -> str:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise CyclesNotFoundError(f"Cycles: {python} does not run: {error}") from None
     if found.returncode != 0:
-        raise CyclesNotFoundError(f"Cycles: {python}: {last_line(found.stderr)}")
+        raise CyclesNotFoundError(
+            f"Cycles: expected a Python with bpy at {python}, found: {last_line(found.stderr)}"
+        )
     return last_line(found.stdout)
 
 
