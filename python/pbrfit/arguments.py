@@ -57,6 +57,16 @@ def positive(text: str) -> int:
     return value
 
 
+def progress_bar(total: int, *, quiet: bool, unit: str = "it", name: str | None = None) -> Any:
+    """Make a `tqdm` bar on stderr; none where that is no terminal, or `quiet` is asked for."""
+    from tqdm import tqdm
+
+    # disable=None: only where stderr is a terminal.
+    return tqdm(
+        total=total, desc=name, unit=unit, disable=True if quiet else None, dynamic_ncols=True
+    )
+
+
 @contextmanager
 def unread_is_no_failure() -> Iterator[None]:
     """For telling about an output that is there, whether or not anybody can read about it."""

@@ -25,6 +25,7 @@ from pbrfit.arguments import (
     add_quiet,
     add_threads,
     complain,
+    progress_bar,
     unread_is_no_failure,
     whole_number,
 )
@@ -319,18 +320,9 @@ def _load(path: Path, options: argparse.Namespace) -> Scene:
 
 
 def _fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
-    from tqdm import tqdm
-
     from pbrfit.solve import Progress, decompose
 
-    # disable=None: only where stderr is a terminal.
-    with tqdm(
-        total=options.iterations,
-        desc=name,
-        unit="it",
-        disable=True if options.quiet else None,
-        dynamic_ncols=True,
-    ) as bar:
+    with progress_bar(options.iterations, quiet=options.quiet, name=name) as bar:
 
         def show(progress: Progress) -> None:
             bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)

@@ -9,6 +9,7 @@ from pbrfit.arguments import (
     Subcommands,
     add_out,
     add_quiet,
+    progress_bar,
     unread_is_no_failure,
     whole_number,
 )
@@ -31,17 +32,13 @@ def add(suites: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
-
     from pbrfit.evaluation import gap
     from pbrfit.evaluation.gap import report
     from pbrfit.output import new_folder
 
     effort = gap.QUICK if options.quick else gap.FULL
     with new_folder(options.out, overwrite=options.overwrite, contains=report.CONTAINS) as folder:
-        with tqdm(
-            total=len(effort.r), disable=True if options.quiet else None, dynamic_ncols=True
-        ) as bar:
+        with progress_bar(len(effort.r), quiet=options.quiet) as bar:
 
             def show(roughness: float) -> None:
                 bar.set_description(f"r = {roughness:g}")

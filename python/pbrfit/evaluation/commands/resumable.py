@@ -7,7 +7,15 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from pbrfit.arguments import SOME_FAILED, UNUSABLE, add_out, add_quiet, complain, positive
+from pbrfit.arguments import (
+    SOME_FAILED,
+    UNUSABLE,
+    add_out,
+    add_quiet,
+    complain,
+    positive,
+    progress_bar,
+)
 from pbrfit.evaluation.jobs import Record, Task, Values, run
 
 T = TypeVar("T", bound=Task)
@@ -45,15 +53,10 @@ def run_tasks(
     KeyboardInterrupt
         With a message that says how to go on.
     """
-    from tqdm import tqdm
-
     from pbrfit.evaluation import workspace
 
     workspace.prepare(options.out, resume=options.resume, overwrite=options.overwrite)
-    # disable=None: only where stderr is a terminal.
-    with tqdm(
-        total=len(tasks), unit=unit, disable=True if options.quiet else None, dynamic_ncols=True
-    ) as bar:
+    with progress_bar(len(tasks), quiet=options.quiet, unit=unit) as bar:
         done = 0  # bar.n stays 0 where no bar is shown
 
         def show(record: Record) -> None:

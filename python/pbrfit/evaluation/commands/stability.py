@@ -11,6 +11,7 @@ from pbrfit.arguments import (
     add_out,
     add_quiet,
     add_threads,
+    progress_bar,
     unread_is_no_failure,
     whole_number,
 )
@@ -36,19 +37,13 @@ def add(suites: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
-
     from pbrfit.evaluation import stability
     from pbrfit.evaluation.stability import report
     from pbrfit.output import new_folder
 
     with new_folder(options.out, overwrite=options.overwrite, contains=report.CONTAINS) as folder:
-        with tqdm(
-            total=len(stability.SECTIONS),
-            unit="section",
-            disable=True if options.quiet else None,
-            dynamic_ncols=True,
-        ) as bar:
+        sections = len(stability.SECTIONS)
+        with progress_bar(sections, quiet=options.quiet, unit="section") as bar:
 
             def show(section: str) -> None:
                 bar.set_description(section)
@@ -60,7 +55,7 @@ def _run(options: argparse.Namespace) -> int:
                 threads=options.threads,
                 progress=show,
             )
-            bar.update(len(stability.SECTIONS) - bar.n)
+            bar.update(sections - bar.n)
         report.write(folder, measured)
     if not options.quiet:
         with unread_is_no_failure():
