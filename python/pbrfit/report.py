@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from pbrfit.color import encode_srgb
+from pbrfit import metrics
 from pbrfit.materials import Materials
 from pbrfit.model import render
 
@@ -52,13 +53,13 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     """
     light = result.lighting[0]
     reconstruction = render(result.materials, result.normals, light, result.fov)
-    exposure = _exposure(reconstruction)
+    white = metrics.white_of(reconstruction)
     name = result.pictures[0]
-    row: Row = [Panel(f"reconstruction of {name}", _display(reconstruction * exposure))]
+    row: Row = [Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
     if scene is not None:
-        row.insert(0, Panel(f"picture {name}", _display(scene.images[0] * exposure)))
+        row.insert(0, Panel(f"picture {name}", displayed(scene.images[0], white)))
     row += _maps(result.materials, "")
-    row.append(Panel("normals", _outside_grey(0.5 + 0.5 * result.normals)))
+    row.append(Panel("normals", outside_grey(0.5 + 0.5 * result.normals)))
     rows = [row]
     if scene is not None and scene.truth is not None:
         true = scene.truth.materials
@@ -70,14 +71,14 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
 def normals_preview(scene: Scene) -> NDArray[np.uint8]:
     """Sheet for checking normals: first picture, normals, and n·v; (H, W, 3) uint8 sRGB."""
     cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
-    facing = np.repeat(_outside_grey(cosine)[..., :1], 3, axis=-1)
+    facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
     facing[cosine <= 0] = (0.84, 0.37, 0.0)  # vermillion, told apart by all common colour vision
     image = np.where(scene.valid[..., None], scene.images[0], np.nan)
     return sheet(
         [
             [
-                Panel(f"picture {scene.names[0]}", _display(image * _exposure(image))),
-                Panel("normals: R right, G up", _outside_grey(0.5 + 0.5 * scene.normals)),
+                Panel(f"picture {scene.names[0]}", displayed(image, metrics.white_of(image))),
+                Panel("normals: R right, G up", outside_grey(0.5 + 0.5 * scene.normals)),
                 Panel("n·v, orange faces away", facing),
             ]
         ]
@@ -111,6 +112,13 @@ def sheet(rows: list[Row]) -> NDArray[np.uint8]:
             scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
             canvas.paste(Image.fromarray(pixels).resize(size, scaling), (x, y + CAPTION))
     return np.asarray(canvas)
+
+
+def as_png(pixels: NDArray[np.uint8]) -> bytes:
+    """Encode a sheet."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
 
 
 def plot_history(result: Result, path: Path) -> None:
@@ -160,9 +168,9 @@ def _size(result: Result) -> str:
 
 def _maps(materials: Materials, prefix: str) -> Row:
     return [
-        Panel(f"{prefix}albedo", _display(materials.albedo)),
-        Panel(f"{prefix}roughness, white = 1", _outside_grey(materials.roughness)),
-        Panel(f"{prefix}metallic, white = 1", _outside_grey(materials.metallic)),
+        Panel(f"{prefix}albedo", displayed(materials.albedo)),
+        Panel(f"{prefix}roughness, white = 1", outside_grey(materials.roughness)),
+        Panel(f"{prefix}metallic, white = 1", outside_grey(materials.metallic)),
     ]
 
 
@@ -170,23 +178,19 @@ def _errors(found: Materials, true: Materials) -> Row:
     return [
         Panel(
             f"{name} |error|, white = {ERROR_SPAN:g}",
-            _outside_grey(np.abs(getattr(found, name) - getattr(true, name)) / ERROR_SPAN),
+            outside_grey(np.abs(getattr(found, name) - getattr(true, name)) / ERROR_SPAN),
         )
         for name in ("albedo", "roughness", "metallic")
     ]
 
 
-def _exposure(radiance: NDArray[np.floating[Any]]) -> float:
-    """Factor that brings the 98th percentile to display white."""
-    bright = float(np.nanpercentile(radiance, 98))
-    return 1.0 / bright if bright > 0 else 1.0
+def displayed(linear: NDArray[np.floating[Any]], white: float = 1.0) -> NDArray[np.floating[Any]]:
+    """Linear radiance (H, W, 3) as it goes to the screen; NaN becomes grey."""
+    return outside_grey(metrics.display(linear, white))
 
 
-def _display(linear: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    return _outside_grey(encode_srgb(np.clip(linear, 0, 1)))
-
-
-def _outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+def outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Values (H, W) or (H, W, 3) as (H, W, 3), grey where they are NaN."""
     if values.ndim == 2:
         values = np.repeat(values[..., None], 3, axis=-1)
     return np.where(np.isfinite(values), values, OUTSIDE)

@@ -30,7 +30,7 @@ from pbrfit.evaluation.convergence import (
     report,
     solvers,
 )
-from pbrfit.evaluation.convergence.cases import LIGHTS, condition, make, true_lighting
+from pbrfit.evaluation.convergence.cases import LIGHTS, make, true_lighting
 from pbrfit.evaluation.convergence.measure import (
     QUANTITIES,
     Errors,
@@ -43,6 +43,7 @@ from pbrfit.evaluation.convergence.measure import (
 from pbrfit.evaluation.convergence.solvers import Budget, Solver
 from pbrfit.objective import Objective
 from pbrfit.scene import Scene
+from pbrfit.synthetic.lights import condition
 
 SMALL = Case("small", 12, 0.0, "typical")
 TINY = Effort("tiny", (SMALL,), seeds=1, iterations=12, evaluations=12, seconds=60.0)

@@ -22,12 +22,12 @@ from pbrfit.model import sh_basis
 
 Array = NDArray[np.float64]
 
-# Powers of u, lowest first; every lobe is 1 at u = 1.
-_SHARP = {
+# Powers of u, lowest first, by order; every lobe is 1 at u = 1.
+SHARP = {
     3: (1 / 18, 5 / 18, 8 / 18, 4 / 18),
     2: (1 / 9, 4 / 9, 4 / 9),
 }  # (1+u)(1+2u)²/18, (1+2u)²/9
-_SOFT = {3: (1 / 8, 3 / 8, 3 / 8, 1 / 8), 2: (1 / 4, 2 / 4, 1 / 4)}  # ((1+u)/2)³, ((1+u)/2)²
+SOFT = {3: (1 / 8, 3 / 8, 3 / 8, 1 / 8), 2: (1 / 4, 2 / 4, 1 / 4)}  # ((1+u)/2)³, ((1+u)/2)²
 
 # Linear Rec.709: filament, warm LED, flash, overcast sky, blue sky.
 _LAMPS = np.array(
@@ -80,8 +80,13 @@ def random_lights(count: int, rng: np.random.Generator, sh_order: int = 3) -> Ar
     used = (sh_order + 1) ** 2
     while True:
         lights = _draw(count, rng, sh_order)
-        if np.linalg.cond(np.moveaxis(lights[:, :used], -1, 0)).max() <= _MAX_CONDITION:
+        if condition(lights[:, :used]) <= _MAX_CONDITION:
             return lights
+
+
+def condition(lights: Array) -> float:
+    """Condition number of the light matrix (N, K), the worst of the channels of (N, K, 3)."""
+    return float(np.linalg.cond(np.moveaxis(lights, -1, 0)).max())
 
 
 def _draw(count: int, rng: np.random.Generator, sh_order: int) -> Array:
@@ -90,7 +95,7 @@ def _draw(count: int, rng: np.random.Generator, sh_order: int) -> Array:
     directions = rng.normal(size=(*shape, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    directions[:, 0] = _lattice(count) @ turn
+    directions[:, 0] = even_directions(count) @ turn
     directions += _TOWARDS_VIEWER
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
 
@@ -100,8 +105,8 @@ def _draw(count: int, rng: np.random.Generator, sh_order: int) -> Array:
 
     sharp = rng.random(shape) < 0.5
     sharp[:, 0] = True
-    zonal = np.where(sharp[..., None], _zonal(_SHARP[sh_order]), _zonal(_SOFT[sh_order]))
-    lights = np.einsum("nlk,nlc->nkc", zonal * sh_basis(directions), colors)
+    lobes = np.where(sharp[..., None], zonal(SHARP[sh_order]), zonal(SOFT[sh_order]))
+    lights = np.einsum("nlk,nlc->nkc", lobes * sh_basis(directions), colors)
 
     ambient = rng.uniform(0.02, 0.1, size=(count, 1)) * random_colors((count,), rng)
     lights[:, 0] += np.sqrt(4 * np.pi) * ambient  # Y_00 = 1/√(4π)
@@ -119,7 +124,7 @@ def random_colors(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
     return np.asarray(colors / colors.max(axis=-1, keepdims=True))
 
 
-def _zonal(polynomial: tuple[float, ...]) -> Array:
+def zonal(polynomial: tuple[float, ...]) -> Array:
     """(16,) factors 4π/(2l+1) a_l of a lobe, repeated over the orders m of each band."""
     bands = np.zeros(4)
     bands[: len(polynomial)] = poly2leg(polynomial)
@@ -127,7 +132,7 @@ def _zonal(polynomial: tuple[float, ...]) -> Array:
     return np.repeat(4 * np.pi / orders * bands, orders)
 
 
-def _lattice(count: int) -> Array:
+def even_directions(count: int) -> Array:
     """(count, 3) unit vectors spread evenly over the sphere: a Fibonacci spiral."""
     i = np.arange(count) + 0.5
     z = 1 - 2 * i / count

@@ -12,9 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pbrfit.evaluation.convergence.cases import Case, condition, make, true_lighting
+from pbrfit.evaluation.convergence.cases import Case, make, true_lighting
 from pbrfit.evaluation.convergence.measure import Point, Tracker
 from pbrfit.evaluation.convergence.solvers import SOLVERS, Budget, Solver, by_name
+from pbrfit.synthetic.lights import condition
 
 __all__ = ["FULL", "QUICK", "SOLVERS", "Case", "Curve", "Effort", "Solver", "Task", "plan", "work"]
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.polynomial.legendre import poly2leg
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
@@ -14,6 +13,7 @@ from pbrfit.model import render, sh_basis
 from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
+from pbrfit.synthetic.lights import SHARP, even_directions, zonal
 
 Array = NDArray[np.float64]
 
@@ -25,10 +25,6 @@ PICTURES = 16
 
 BLEND: dict[Lights, float] = {"typical": 1.0, "alike": 0.1, "nearly one": 0.01}
 """What is left of a light's difference from the mean light."""
-
-LOBE = (1 / 18, 5 / 18, 8 / 18, 4 / 18)
-"""(1+u)(1+2u)²/18, u the cosine to the lobe's axis: the sharpest light of l ≤ 3 that is positive
-everywhere, falls to 0 at the back, and is 1 at the axis."""
 
 
 @dataclass(frozen=True)
@@ -104,25 +100,10 @@ def true_lighting(scene: Scene) -> Array:
     return scene.truth.lighting
 
 
-def condition(lighting: Array) -> float:
-    """Condition number of the light matrix (N, 16), the worst of the channels of (N, 16, 3)."""
-    return float(np.linalg.cond(np.moveaxis(lighting, -1, 0)).max())
-
-
 def _lit_evenly(scene: Scene, truth: Truth) -> tuple[Truth, Array]:
     """The scene under spread lights, in the same mean radiance."""
-    bands = 4 * np.pi / (2 * np.arange(4) + 1) * poly2leg(LOBE)
-    zonal = np.repeat(bands, 2 * np.arange(4) + 1)
-    lighting = np.repeat((zonal * sh_basis(_even_directions(PICTURES)))[..., None], 3, axis=-1)
+    lobes = zonal(SHARP[3]) * sh_basis(even_directions(PICTURES))
+    lighting = np.repeat(lobes[..., None], 3, axis=-1)
     images = render(truth.materials, scene.normals, lighting, scene.fov)
     exposure = MEAN_RADIANCE / images.mean()
     return replace(truth, lighting=exposure * lighting), exposure * images
-
-
-def _even_directions(count: int) -> Array:
-    """(count, 3) unit vectors spread evenly over the sphere: a Fibonacci spiral."""
-    i = np.arange(count) + 0.5
-    z = 1 - 2 * i / count
-    azimuth = np.pi * (1 + np.sqrt(5)) * i
-    ring = np.sqrt(1 - z**2)
-    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=-1)

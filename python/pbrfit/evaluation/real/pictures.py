@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit import metrics
 from pbrfit.evaluation.real.held_out import (
@@ -17,11 +15,8 @@ from pbrfit.evaluation.real.held_out import (
     Explanation,
     Split,
 )
-from pbrfit.report import Panel, Row, sheet
+from pbrfit.report import Panel, Row, as_png, displayed, outside_grey, sheet
 from pbrfit.scene import Scene
-
-OUTSIDE = 0.85
-"""Grey of pixels that are not used."""
 
 ERROR_SPAN = 0.2
 """Error, as a share of white, that is drawn white."""
@@ -53,22 +48,20 @@ def draw_sheet(scene: Scene, which: Split, explained: Sequence[Explained]) -> by
         return Panel(caption, pixels[used])
 
     first: Row = [
-        panel(f"kept picture {scene.names[kept]}", _display(of_kept, metrics.white_of(of_kept))),
-        panel("albedo", _display(maps.albedo, 1.0)),
-        panel("roughness, white = 1", _outside_grey(maps.roughness)),
-        panel("metallic, white = 1", _outside_grey(maps.metallic)),
-        panel("normals", _outside_grey(0.5 + 0.5 * scene.normals)),
+        panel(f"kept picture {scene.names[kept]}", displayed(of_kept, metrics.white_of(of_kept))),
+        panel("albedo", displayed(maps.albedo, 1.0)),
+        panel("roughness, white = 1", outside_grey(maps.roughness)),
+        panel("metallic, white = 1", outside_grey(maps.metallic)),
+        panel("normals", outside_grey(0.5 + 0.5 * scene.normals)),
     ]
-    second: Row = [panel(f"held out: {scene.names[held_out]}", _display(true, white))]
+    second: Row = [panel(f"held out: {scene.names[held_out]}", displayed(true, white))]
     third: Row = [None]
     for name in shown:
         found = by_name[name].rendered[0]
-        second.append(panel(CAPTIONS[name], _display(found, white)))
+        second.append(panel(CAPTIONS[name], displayed(found, white)))
         error = np.abs(found - true).mean(axis=-1) / white
-        third.append(panel(f"|error|, white = {ERROR_SPAN:g}", _outside_grey(error / ERROR_SPAN)))
-    buffer = io.BytesIO()
-    Image.fromarray(sheet([first, second, third])).save(buffer, format="png")
-    return buffer.getvalue()
+        third.append(panel(f"|error|, white = {ERROR_SPAN:g}", outside_grey(error / ERROR_SPAN)))
+    return as_png(sheet([first, second, third]))
 
 
 def _masked(scene: Scene, picture: int) -> NDArray[np.float64]:
@@ -77,13 +70,3 @@ def _masked(scene: Scene, picture: int) -> NDArray[np.float64]:
     if scene.weights is not None:
         used &= scene.weights[picture] > 0
     return np.where(used[..., None], scene.images[picture].astype(np.float64), np.nan)
-
-
-def _display(linear: NDArray[np.floating[Any]], white: float) -> NDArray[np.floating[Any]]:
-    return _outside_grey(metrics.display(linear, white))
-
-
-def _outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    if values.ndim == 2:
-        values = np.repeat(values[..., None], 3, axis=-1)
-    return np.where(np.isfinite(values), values, OUTSIDE)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -20,6 +19,7 @@ from pbrfit.evaluation.table1.rows import BY_KEY, Row
 from pbrfit.scene import Scene, unit_normals
 from pbrfit.scene_folder import read_normals
 from pbrfit.synthetic import cycles, draw, make_scene
+from pbrfit.synthetic.lights import condition
 from pbrfit.synthetic.textures import MaterialSet, load_textures
 
 TRUE_FOV = 60.0
@@ -127,8 +127,7 @@ def _as_given(scene: Scene, task: Task, row: Row) -> tuple[Scene, dict[str, floa
     valid = scene.valid
     facts = {"metal_share": float(np.mean(truth.materials.metallic[valid] >= METAL))}
     if truth.lighting is not None:
-        condition = np.linalg.cond(np.moveaxis(truth.lighting, -1, 0))
-        facts["condition"] = float(condition.max())
+        facts["condition"] = condition(truth.lighting)
     if row.normals == "predicted":
         normals = _predicted(scene, task)
         off = angles(normals, scene.normals)[valid]
@@ -165,10 +164,6 @@ def _predicted(scene: Scene, task: Task) -> NDArray[np.float64]:
 
 
 def _preview(result: Any, scene: Scene) -> str:
-    from PIL import Image
+    from pbrfit.report import as_png, preview
 
-    from pbrfit.report import preview
-
-    file = io.BytesIO()
-    Image.fromarray(preview(result, scene)).save(file, "PNG", optimize=True)
-    return base64.b64encode(file.getvalue()).decode("ascii")
+    return base64.b64encode(as_png(preview(result, scene))).decode("ascii")
