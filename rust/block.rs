@@ -28,7 +28,7 @@ pub const BLOCK: usize = 128;
 /// Pictures at most that go through the products together: their residuals stay in the cache.
 pub const GROUP: usize = 16;
 /// Basis functions with a diffuse response: bands 0 to 2.
-const DIFFUSE: usize = 9;
+pub const DIFFUSE: usize = 9;
 /// Lanes of the widest vector.
 const MAX_LANES: usize = 16;
 /// Parts in which sums over pixels are kept.
@@ -56,8 +56,10 @@ pub struct Directions<T = f32> {
 /// The basis functions at those directions, A_l Y_k(n) and Y_k(mirror).
 #[derive(Clone, Debug, Default)]
 pub struct Basis<T: Copy + Default = f32> {
-    diffuse: [Plane<T>; DIFFUSE],
-    mirror: [Plane<T>; COEFFICIENTS],
+    /// A_l Y_k(n)
+    pub diffuse: [Plane<T>; DIFFUSE],
+    /// Y_k(mirror)
+    pub mirror: [Plane<T>; COEFFICIENTS],
 }
 
 /// The materials of a block, or derivatives by them.
@@ -115,6 +117,20 @@ impl<T: Real> Directions<T> {
             self.normal[axis].0[pixel] = T::from_f64(normal[axis]);
             self.mirror[axis].0[pixel] = T::from_f64(mirror[axis]);
         }
+    }
+
+    /// Puts a pixel of another block into this one, with its directions as they were rounded.
+    pub fn take<U: Real>(&mut self, pixel: usize, from: &Directions<U>, there: usize) {
+        self.cosine.0[pixel] = from.cosine.0[there];
+        for axis in 0..3 {
+            self.normal[axis].0[pixel] = T::from_f64(from.normal[axis].0[there].to_f64());
+            self.mirror[axis].0[pixel] = T::from_f64(from.mirror[axis].0[there].to_f64());
+        }
+    }
+
+    /// The clamped n·v of a pixel.
+    pub fn cosine(&self, pixel: usize) -> f64 {
+        self.cosine.0[pixel]
     }
 
     /// A pixel of the block, with its directions as they were rounded.

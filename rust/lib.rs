@@ -17,6 +17,7 @@
 //! | [`simd`] | the choice of vector instructions at run time |
 //! | [`block`] | the same for a block of pixels in float32, and the products with lights and residuals |
 //! | [`problem`] | all pixels: loss and gradient |
+//! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`image_file`] | picture files |
 
@@ -27,6 +28,7 @@ pub mod error;
 mod evaluate;
 pub mod ggx;
 pub mod image_file;
+pub mod material_grid;
 mod pool;
 pub mod problem;
 #[cfg(feature = "python")]

@@ -390,7 +390,6 @@ impl Problem {
             .map(move |first| first..(first + chunk).min(blocks))
     }
 
-    #[cfg(feature = "python")]
     pub(crate) fn threads(&self) -> usize {
         self.threads
     }

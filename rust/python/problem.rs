@@ -8,7 +8,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-use super::arrays::{Contiguous, array, shape, try_copied, vectors};
+use super::arrays::{Contiguous, array, copied, shape, try_copied, vectors};
 use super::model::array3;
 use crate::problem::{Options, Pictures, Problem};
 use crate::{Error, check, pool};
@@ -179,5 +179,52 @@ impl PyProblem {
             gram.into_pyarray(py),
             array3(right, [channels, self.problem.pictures(), k]).into_pyarray(py),
         ))
+    }
+
+    fn material_grid<'py>(
+        &self,
+        py: Python<'py>,
+        lighting: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        roughness: &Bound<'py, PyAny>,
+        metallic: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let lighting = self.lighting(lighting)?;
+        let pixels = array::<u64, numpy::Ix1>("pixels", pixels)?;
+        let pixels: Vec<usize> = copied(&pixels).into_iter().map(|p| p as usize).collect();
+        let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
+        let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
+        let grid = py.detach(|| {
+            self.problem
+                .material_grid(&lighting, &pixels, &roughness, &metallic)
+        })?;
+        let shape = [pixels.len(), roughness.len(), metallic.len()];
+        Ok(array3(grid, shape).into_pyarray(py))
+    }
+
+    #[expect(clippy::type_complexity)]
+    fn best_albedo<'py>(
+        &self,
+        py: Python<'py>,
+        lighting: &Bound<'py, PyAny>,
+        maps: &Bound<'py, PyAny>,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let lighting = self.lighting(lighting)?;
+        let maps = array::<f64, numpy::Ix1>("maps", maps)?;
+        shape("maps", &[self.problem.maps()], maps.shape())?;
+        let maps = try_copied("maps", &maps)?;
+        let best = py.detach(|| self.problem.best_albedo(&lighting, &maps))?;
+        Ok((best.albedo.into_pyarray(py), best.squares.into_pyarray(py)))
+    }
+}
+
+impl PyProblem {
+    /// Lights (N, K, C) as flat numbers.
+    fn lighting(&self, lighting: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
+        let lighting = array::<f64, numpy::Ix3>("lighting", lighting)?;
+        let problem = &self.problem;
+        let expected = [problem.pictures(), problem.coefficients(), problem.channels()];
+        shape("lighting", &expected, lighting.shape())?;
+        Ok(copied(&lighting))
     }
 }

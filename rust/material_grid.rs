@@ -1,0 +1,478 @@
+//! How well materials explain a pixel when the lights are known, with its albedo put out of the way.
+//!
+//! With the lights known, roughness and metallic given, the channels of a pixel have nothing to do
+//! with each other, and each has one unknown, its albedo ρ. Over pictures i,
+//!
+//! ```text
+//! I_i = a D_i + b S_i        a = kd(ρ) = (1−F)(1−m)ρ/π       b = ks(ρ)/h = F G₁/4
+//! D_i = Σ_k A_l Y_k(n) L_ik          S_i = Σ_l h_l(r) B_li          B_li = Σ_{k in l} Y_k(mirror) L_ik
+//! F   = f₀ + f₁ρ             f₀ = s + (1−s) 0.04(1−m)        f₁ = (1−s) m       s = (1−n·v)⁵
+//! ```
+//!
+//! so that χ² = Σ_i ω_i (I_i − T_i)² is a polynomial of degree 4 in ρ, whose coefficients come from
+//! the products of the six vectors D, B₀ to B₃ and T over pictures. These products are summed once a
+//! pixel; after that roughness costs a small quadratic form, metallic and albedo a handful of
+//! operations, whatever the number of pictures.
+
+use std::f64::consts::FRAC_1_PI;
+
+use crate::block::{BLOCK, Basis, DIFFUSE, Directions, FillBasis, Plane};
+use crate::ggx::{self, DIELECTRIC_F0};
+use crate::problem::Problem;
+use crate::sh::{BAND_OF, COEFFICIENTS};
+use crate::simd::{Instructions, Isa, Kernel};
+use crate::{Error, Result, check, pool};
+
+/// Steps of Newton's method for the best albedo. From the best of [`STARTS`] three reach 1e-9.
+const NEWTON_STEPS: usize = 4;
+/// Albedos to start from: the polynomial may have two minima.
+const STARTS: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+/// Blocks of pixels in a piece of work.
+const CHUNK: usize = 2;
+
+type Doubles = Plane<f64>;
+
+/// Products over pictures, Σ ω u v, of one channel.
+#[derive(Clone, Debug, Default)]
+struct Products {
+    target_target: Doubles,
+    diffuse_diffuse: Doubles,
+    diffuse_target: Doubles,
+    /// Of D with each B_l.
+    diffuse_band: [Doubles; 4],
+    /// Of T with each B_l.
+    band_target: [Doubles; 4],
+    /// Of B_l with B_j, j ≤ l, row by row.
+    band_band: [Doubles; 10],
+}
+
+/// The products that remain when roughness is given: those of D, S and T.
+#[derive(Clone, Debug, Default)]
+struct Specular {
+    specular_specular: Doubles,
+    diffuse_specular: Doubles,
+    specular_target: Doubles,
+}
+
+/// Best albedo of each pixel, and Σ ω (I − T)² with it.
+#[derive(Clone, Debug)]
+pub struct BestAlbedo {
+    /// A plane for each channel.
+    pub albedo: Vec<f64>,
+    /// One number a pixel.
+    pub squares: Vec<f64>,
+}
+
+impl Problem {
+    /// Least Σ ω (I − T)² over albedo for every combination of roughness and metallic, in float32:
+    /// (pixel of `pixels`, roughness, metallic). `lighting` is (picture, coefficient, channel).
+    pub fn material_grid(
+        &self,
+        lighting: &[f64],
+        pixels: &[usize],
+        roughness: &[f64],
+        metallic: &[f64],
+    ) -> Result<Vec<f32>> {
+        check::unit_interval("roughness", roughness)?;
+        check::unit_interval("metallic", metallic)?;
+        if pixels.iter().any(|&p| p >= self.pixels()) {
+            return Err(Error::argument(
+                "pixels",
+                format!("indices below {}", self.pixels()),
+                pixels.iter().max().expect("some"),
+            ));
+        }
+        let lights = self.lights_of_planes(lighting)?;
+        let nodes = roughness.len() * metallic.len();
+        let mut grid: Vec<f32> = Vec::new();
+        grid.try_reserve_exact(pixels.len() * nodes)
+            .map_err(|_| Error::Memory("material grid"))?;
+        grid.resize(pixels.len() * nodes, 0.0);
+        if grid.is_empty() {
+            return Ok(grid);
+        }
+        let pieces = pixels
+            .chunks(CHUNK * BLOCK)
+            .zip(grid.chunks_mut(CHUNK * BLOCK * nodes))
+            .collect();
+        pool::map(self.threads(), pieces, |(pixels, grid)| {
+            let mut block = Block::new(self);
+            for (pixels, grid) in pixels.chunks(BLOCK).zip(grid.chunks_mut(BLOCK * nodes)) {
+                block.load(&lights, pixels);
+                block.fill_grid(roughness, metallic, pixels.len(), grid);
+            }
+        });
+        Ok(grid)
+    }
+
+    /// The albedo that explains each pixel best with the roughness and metallic of `maps`, the
+    /// first part of x, and the lights (picture, coefficient, channel).
+    pub fn best_albedo(&self, lighting: &[f64], maps: &[f64]) -> Result<BestAlbedo> {
+        check::length("maps", self.maps(), maps.len())?;
+        check::unit_interval("maps (albedo, roughness, metallic)", maps)?;
+        let lights = self.lights_of_planes(lighting)?;
+        let (count, channels) = (self.pixels(), self.channels());
+        let all: Vec<usize> = (0..count).collect();
+        let roughness = &maps[channels * count..][..count];
+        let metallic = maps.get((channels + 1) * count..);
+        let parts = pool::map(
+            self.threads(),
+            all.chunks(CHUNK * BLOCK).collect(),
+            |pixels: &[usize]| {
+                let mut block = Block::new(self);
+                let mut found = Vec::with_capacity(pixels.len());
+                for pixels in pixels.chunks(BLOCK) {
+                    block.load(&lights, pixels);
+                    for (x, &p) in pixels.iter().enumerate() {
+                        block.roughness.0[x] = roughness[p];
+                        block.metallic.0[x] = match metallic {
+                            Some(metallic) if !metallic.is_empty() => metallic[p],
+                            _ => self.known_metallic().unwrap_or(0.0),
+                        };
+                    }
+                    block.at_own_roughness();
+                    for x in 0..pixels.len() {
+                        let albedo: [f64; 3] =
+                            std::array::from_fn(|c| block.albedo.get(c).map_or(0.0, |a| a.0[x]));
+                        found.push((albedo, block.squares.0[x]));
+                    }
+                }
+                found
+            },
+        );
+        let found = || parts.iter().flatten();
+        Ok(BestAlbedo {
+            albedo: (0..channels)
+                .flat_map(|c| found().map(move |(albedo, _)| albedo[c]))
+                .collect(),
+            squares: found().map(|&(_, squares)| squares).collect(),
+        })
+    }
+
+    /// Lights as (channel, picture, coefficient), with zeros where a band is left out.
+    fn lights_of_planes(&self, lighting: &[f64]) -> Result<Vec<[f64; COEFFICIENTS]>> {
+        let (n, k, c) = (self.pictures(), self.coefficients(), self.channels());
+        check::length("lighting", n * k * c, lighting.len())?;
+        check::moderate("lighting", lighting, check::LARGEST_F32)?;
+        let light = |channel: usize, picture: usize| {
+            let of_picture = &lighting[picture * k * c..][..k * c];
+            std::array::from_fn(|i| {
+                if i < k {
+                    of_picture[i * c + channel]
+                } else {
+                    0.0
+                }
+            })
+        };
+        Ok((0..c)
+            .flat_map(|channel| (0..n).map(move |picture| light(channel, picture)))
+            .collect())
+    }
+}
+
+/// Up to [`BLOCK`] pixels and what is known of them.
+struct Block<'a> {
+    problem: &'a Problem,
+    isa: Instructions,
+    basis: Basis<f64>,
+    /// n·v
+    cosine: Doubles,
+    /// (1−n·v)⁵
+    schlick: Doubles,
+    products: Vec<Products>,
+    specular: Specular,
+    bands: [Doubles; 4],
+    g1: Doubles,
+    roughness: Doubles,
+    metallic: Doubles,
+    albedo: Vec<Doubles>,
+    squares: Doubles,
+}
+
+impl<'a> Block<'a> {
+    fn new(problem: &'a Problem) -> Self {
+        Self {
+            problem,
+            isa: problem.instructions(),
+            basis: Basis::default(),
+            cosine: Plane([1.0; BLOCK]),
+            schlick: Doubles::default(),
+            products: vec![Products::default(); problem.channels()],
+            specular: Specular::default(),
+            bands: Default::default(),
+            g1: Doubles::default(),
+            roughness: Doubles::default(),
+            metallic: Doubles::default(),
+            albedo: vec![Doubles::default(); problem.channels()],
+            squares: Doubles::default(),
+        }
+    }
+
+    /// Takes up pixels and sums their products over pictures.
+    fn load(&mut self, lights: &[[f64; COEFFICIENTS]], pixels: &[usize]) {
+        let problem = self.problem;
+        let mut directions = Directions::<f64>::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            let of_block = problem.directions(p / BLOCK);
+            directions.take(x, of_block, p % BLOCK);
+            self.cosine.0[x] = directions.cosine(x);
+            self.schlick.0[x] = ggx::schlick(self.cosine.0[x]);
+        }
+        self.isa.run(FillBasis::<f64, COEFFICIENTS> {
+            directions: &directions,
+            basis: &mut self.basis,
+        });
+        let pictures = problem.pictures();
+        for (c, products) in self.products.iter_mut().enumerate() {
+            *products = Products::default();
+            for (i, light) in lights[c * pictures..][..pictures].iter().enumerate() {
+                let mut target = Doubles::default();
+                let mut weight = Plane([1.0; BLOCK]);
+                for (x, &p) in pixels.iter().enumerate() {
+                    let (block, x_there) = (p / BLOCK, p % BLOCK);
+                    target.0[x] = problem.targets(block, c)[i].0[x_there].into();
+                    if let Some(plane) = problem.weights(block, c).get(i) {
+                        weight.0[x] = plane.0[x_there].into();
+                    }
+                }
+                self.isa.run(AddPicture {
+                    basis: &self.basis,
+                    light,
+                    target: &target,
+                    weight: &weight,
+                    products,
+                });
+            }
+        }
+    }
+
+    /// χ² of the first `count` pixels at every node of the grid.
+    fn fill_grid(&mut self, roughness: &[f64], metallic: &[f64], count: usize, grid: &mut [f32]) {
+        let nodes = roughness.len() * metallic.len();
+        // Squares wait here until all channels have added theirs.
+        let mut sums = vec![Doubles::default(); metallic.len()];
+        for (j, &r) in roughness.iter().enumerate() {
+            let of_roughness = ggx::bands(r).weight;
+            for (plane, h) in self.bands.iter_mut().zip(of_roughness) {
+                plane.0.fill(h);
+            }
+            for x in 0..BLOCK {
+                self.g1.0[x] = ggx::smith_g1(self.cosine.0[x], r).0;
+            }
+            sums.fill(Doubles::default());
+            for c in 0..self.products.len() {
+                self.take_roughness(c);
+                for (sum, &m) in sums.iter_mut().zip(metallic) {
+                    self.metallic.0.fill(m);
+                    std::mem::swap(&mut self.squares, sum);
+                    self.minimize(c);
+                    std::mem::swap(&mut self.squares, sum);
+                }
+            }
+            for (l, sum) in sums.iter().enumerate() {
+                for x in 0..count {
+                    grid[x * nodes + j * metallic.len() + l] = sum.0[x] as f32;
+                }
+            }
+        }
+    }
+
+    /// Best albedo and χ² at the roughness and metallic that each pixel has.
+    fn at_own_roughness(&mut self) {
+        for x in 0..BLOCK {
+            let r = self.roughness.0[x];
+            for (plane, h) in self.bands.iter_mut().zip(ggx::bands(r).weight) {
+                plane.0[x] = h;
+            }
+            self.g1.0[x] = ggx::smith_g1(self.cosine.0[x], r).0;
+        }
+        self.squares = Doubles::default();
+        for c in 0..self.products.len() {
+            self.take_roughness(c);
+            self.minimize(c);
+        }
+    }
+
+    fn take_roughness(&mut self, channel: usize) {
+        self.isa.run(TakeRoughness {
+            products: &self.products[channel],
+            bands: &self.bands,
+            specular: &mut self.specular,
+        });
+    }
+
+    fn minimize(&mut self, channel: usize) {
+        self.isa.run(MinimizeByAlbedo {
+            products: &self.products[channel],
+            specular: &self.specular,
+            schlick: &self.schlick,
+            g1: &self.g1,
+            metallic: &self.metallic,
+            albedo: &mut self.albedo[channel],
+            squares: &mut self.squares,
+        });
+    }
+}
+
+/// Adds one picture's share of the products.
+struct AddPicture<'a> {
+    basis: &'a Basis<f64>,
+    light: &'a [f64; COEFFICIENTS],
+    target: &'a Doubles,
+    weight: &'a Doubles,
+    products: &'a mut Products,
+}
+
+impl Kernel for AddPicture<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self {
+            basis,
+            light,
+            target,
+            weight,
+            products,
+        } = self;
+        let mut diffuse = Doubles::default();
+        let mut bands: [Doubles; 4] = Default::default();
+        for k in 0..COEFFICIENTS {
+            let band = &mut bands[BAND_OF[k]];
+            for x in 0..BLOCK {
+                band.0[x] += light[k] * basis.mirror[k].0[x];
+            }
+            if k < DIFFUSE {
+                for x in 0..BLOCK {
+                    diffuse.0[x] += light[k] * basis.diffuse[k].0[x];
+                }
+            }
+        }
+        for x in 0..BLOCK {
+            let (d, t) = (weight.0[x] * diffuse.0[x], weight.0[x] * target.0[x]);
+            products.target_target.0[x] += t * target.0[x];
+            products.diffuse_diffuse.0[x] += d * diffuse.0[x];
+            products.diffuse_target.0[x] += d * target.0[x];
+        }
+        for l in 0..4 {
+            for x in 0..BLOCK {
+                let b = weight.0[x] * bands[l].0[x];
+                products.diffuse_band[l].0[x] += b * diffuse.0[x];
+                products.band_target[l].0[x] += b * target.0[x];
+            }
+            for j in 0..=l {
+                let product = &mut products.band_band[l * (l + 1) / 2 + j];
+                for x in 0..BLOCK {
+                    product.0[x] += weight.0[x] * bands[l].0[x] * bands[j].0[x];
+                }
+            }
+        }
+    }
+}
+
+/// From the products of bands to those of S = Σ h_l B_l.
+struct TakeRoughness<'a> {
+    products: &'a Products,
+    bands: &'a [Doubles; 4],
+    specular: &'a mut Specular,
+}
+
+impl Kernel for TakeRoughness<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self {
+            products,
+            bands,
+            specular,
+        } = self;
+        *specular = Specular::default();
+        for l in 0..4 {
+            for x in 0..BLOCK {
+                let h = bands[l].0[x];
+                specular.diffuse_specular.0[x] += h * products.diffuse_band[l].0[x];
+                specular.specular_target.0[x] += h * products.band_target[l].0[x];
+            }
+            for j in 0..=l {
+                let product = &products.band_band[l * (l + 1) / 2 + j];
+                let twice = if j < l { 2.0 } else { 1.0 };
+                for x in 0..BLOCK {
+                    specular.specular_specular.0[x] +=
+                        twice * bands[l].0[x] * bands[j].0[x] * product.0[x];
+                }
+            }
+        }
+    }
+}
+
+/// One channel: the albedo with the least χ², which is added to `squares`.
+struct MinimizeByAlbedo<'a> {
+    products: &'a Products,
+    specular: &'a Specular,
+    schlick: &'a Doubles,
+    g1: &'a Doubles,
+    metallic: &'a Doubles,
+    albedo: &'a mut Doubles,
+    squares: &'a mut Doubles,
+}
+
+impl Kernel for MinimizeByAlbedo<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self {
+            products,
+            specular,
+            schlick,
+            g1,
+            metallic,
+            albedo,
+            squares,
+        } = self;
+        for x in 0..BLOCK {
+            let (m, s) = (metallic.0[x], schlick.0[x]);
+            let f0 = s + (1.0 - s) * DIELECTRIC_F0 * (1.0 - m);
+            let f1 = (1.0 - s) * m;
+            // a = a₁ρ − a₂ρ²,  b = b₀ + b₁ρ
+            let a1 = (1.0 - f0) * (1.0 - m) * FRAC_1_PI;
+            let a2 = f1 * (1.0 - m) * FRAC_1_PI;
+            let (b0, b1) = (0.25 * g1.0[x] * f0, 0.25 * g1.0[x] * f1);
+            let dd = products.diffuse_diffuse.0[x];
+            let dt = products.diffuse_target.0[x];
+            let ds = specular.diffuse_specular.0[x];
+            let ss = specular.specular_specular.0[x];
+            let st = specular.specular_target.0[x];
+            // χ² = c₀ + c₁ρ + c₂ρ² + c₃ρ³ + c₄ρ⁴
+            let c0 = products.target_target.0[x] + b0 * (b0 * ss - 2.0 * st);
+            let c1 = 2.0 * (a1 * (b0 * ds - dt) + b1 * (b0 * ss - st));
+            let c2 = a1 * a1 * dd + b1 * b1 * ss + 2.0 * ((a1 * b1 - a2 * b0) * ds + a2 * dt);
+            let c3 = -2.0 * a2 * (a1 * dd + b1 * ds);
+            let c4 = a2 * a2 * dd;
+            let polynomial =
+                |rho: f64| (((c4 * rho + c3) * rho + c2) * rho + c1) * rho + c0;
+
+            let (mut best, mut least) = (0.0, c0);
+            for start in STARTS {
+                let value = polynomial(start);
+                best = if value < least { start } else { best };
+                least = if value < least { value } else { least };
+            }
+            let mut rho = best;
+            for _ in 0..NEWTON_STEPS {
+                let slope = ((4.0 * c4 * rho + 3.0 * c3) * rho + 2.0 * c2) * rho + c1;
+                let bend = (12.0 * c4 * rho + 6.0 * c3) * rho + 2.0 * c2;
+                let next = rho - slope / (bend.abs() + f64::MIN_POSITIVE);
+                // A comparison with NaN is false: then the albedo stays where it is.
+                rho = if next > 0.0 { next } else { 0.0 };
+                rho = if rho < 1.0 { rho } else { 1.0 };
+            }
+            let value = polynomial(rho);
+            albedo.0[x] = if value < least { rho } else { best };
+            least = if value < least { value } else { least };
+            // Rounding may leave less than nothing of a sum of squares.
+            squares.0[x] += if least > 0.0 { least } else { 0.0 };
+        }
+    }
+}
