@@ -5,6 +5,7 @@ from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
 from pbrfit.model import ggx_band_weights, render, sh_basis, shade, shade_vjp
 from pbrfit.objective import Objective
+from pbrfit.priors import Priors
 from pbrfit.result import Result, Status
 from pbrfit.scene import Scene, Truth
 from pbrfit.solve import Progress, decompose
@@ -13,6 +14,7 @@ __all__ = [
     "InputError",
     "Materials",
     "Objective",
+    "Priors",
     "Progress",
     "Result",
     "Scene",

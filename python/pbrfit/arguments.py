@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from pbrfit.priors import Priors, prior_names
 
 Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
@@ -39,6 +42,44 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
         default=0,
         help="0 = one for each processor; results do not depend on it",
     )
+
+
+def add_priors(parser: argparse.ArgumentParser) -> None:
+    """Add `--prior` and `--no-priors`; `given_priors` reads them."""
+    parser.add_argument(
+        "--prior",
+        dest="prior_weights",
+        metavar="NAME=WEIGHT",
+        type=prior_weight,
+        action="append",
+        help=f"weight of a prior ({', '.join(prior_names())}); 0 leaves it out; can be repeated",
+    )
+    parser.add_argument(
+        "--no-priors", action="store_true", help="only the priors that --prior names"
+    )
+
+
+def given_priors(options: argparse.Namespace) -> Priors:
+    """Priors that `--prior` and `--no-priors` ask for."""
+    priors = Priors.none() if options.no_priors else Priors()
+    return dataclasses.replace(priors, **dict(options.prior_weights or ()))
+
+
+def prior_weight(text: str) -> tuple[str, float]:
+    """Read NAME=WEIGHT for `argparse`."""
+    name, _, weight = text.partition("=")
+    if name not in prior_names():
+        raise argparse.ArgumentTypeError(
+            f"expected NAME=WEIGHT with one of {', '.join(prior_names())}, found {text!r}"
+        )
+    try:
+        value = float(weight)
+        Priors(**{name: value})
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"expected a finite weight of 0 or more for {name}, found {weight!r}"
+        ) from None
+    return name, value
 
 
 def whole_number(text: str) -> int:

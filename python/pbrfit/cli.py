@@ -22,9 +22,11 @@ from pbrfit.arguments import (
     SOME_FAILED,
     UNUSABLE,
     add_out,
+    add_priors,
     add_quiet,
     add_threads,
     complain,
+    given_priors,
     progress_bar,
     unread_is_no_failure,
     whole_number,
@@ -152,6 +154,8 @@ def _parser() -> argparse.ArgumentParser:
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     _add_input_options(added)
     _add_model_options(added, "of the lights; 2 leaves out band 3")
+    _add_mono_light(added)
+    add_priors(added)
     added.add_argument(
         "--seed", type=whole_number, default=0, help="of the random point and directions"
     )
@@ -213,6 +217,14 @@ def _add_model_options(parser: argparse.ArgumentParser, what_order: str) -> None
         choices=("free", "0"),
         default="free",
         help="0: no pixel is a metal, and metallic is not fitted",
+    )
+
+
+def _add_mono_light(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--mono-light",
+        action="store_true",
+        help="lights are grey: the same in all colour channels",
     )
 
 
@@ -393,13 +405,19 @@ def _check_gradients(options: argparse.Namespace) -> int:
     from pbrfit.objective import Objective
 
     scene = _load(options.scene, options)
-    objective = Objective(scene, sh_order=options.sh_order, metallic=_metallic(options))
+    objective = Objective(
+        scene,
+        sh_order=options.sh_order,
+        metallic=_metallic(options),
+        mono_light=options.mono_light,
+        priors=given_priors(options),
+    )
     checks = check_gradients(objective, seed=options.seed)
-    print(f"{'unknowns':<12}{'analytic':>16}{'numeric':>16}{'relative error':>16}")
+    print(f"{'function':<12}{'unknowns':<12}{'analytic':>16}{'numeric':>16}{'relative error':>16}")
     for check in checks:
         verdict = "" if check.passed else "   differs"
         print(
-            f"{check.unknowns:<12}{check.analytic:>16.8e}{check.numeric:>16.8e}"
+            f"{check.function:<12}{check.unknowns:<12}{check.analytic:>16.8e}{check.numeric:>16.8e}"
             f"{check.relative_error:>16.1e}{verdict}"
         )
     failed = sum(not check.passed for check in checks)

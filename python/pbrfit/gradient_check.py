@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.objective import Objective
+from pbrfit.priors import Penalty
+
+ValueAndGrad = Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]
 
 TOLERANCE = 1e-4
 """Relative. The objective is evaluated in float32 inside, so differences carry noise of 1e-5."""
@@ -21,8 +24,19 @@ STEPS = 8
 
 @dataclass(frozen=True)
 class GradientCheck:
-    """One derivative along a direction, both ways."""
+    """One derivative along a direction, both ways.
 
+    Attributes
+    ----------
+    function
+        What is derived: "loss", with all its penalties, or the name of a penalty on its own.
+    unknowns
+        The kind that the direction lies in.
+    analytic, numeric
+        By the gradient, and by finite differences.
+    """
+
+    function: str
     unknowns: str
     analytic: float
     numeric: float
@@ -42,8 +56,9 @@ class GradientCheck:
 def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientCheck]:
     """Derivatives along random directions, for each kind of unknown apart.
 
-    Materials are drawn from [0.25, 0.75], lights are the ones that fit them. Directions follow the
-    signs of the gradient, so that contributions do not cancel.
+    First of the loss, then of each penalty on its own, which beside the data may be too small to
+    show an error. Materials are drawn from [0.25, 0.75], lights are the ones that fit them.
+    Directions follow the signs of the gradient, so that contributions do not cancel.
     """
     rng = np.random.default_rng(seed)
     x = objective.with_best_lights(rng.uniform(0.25, 0.75, objective.size))
@@ -51,24 +66,50 @@ def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientChec
         # Away from the best lights, where their gradient is zero.
         lights = x[objective.lighting]
         lights *= rng.uniform(0.8, 1.2, lights.size)
-    _, gradient = objective.value_and_grad(x)
+    checks = _along_blocks("loss", objective.value_and_grad, objective, x, rng)
+    for penalty in objective.penalties:
+        found = _along_blocks(penalty.name, _alone(penalty), objective, x, rng)
+        # Without what the penalty does not depend on.
+        checks += [check for check in found if check.analytic or check.numeric]
+    return checks
+
+
+def _along_blocks(
+    name: str,
+    value_and_grad: ValueAndGrad,
+    objective: Objective,
+    x: NDArray[np.float64],
+    rng: np.random.Generator,
+) -> list[GradientCheck]:
+    _, gradient = value_and_grad(x)
     checks = []
-    for name in ("albedo", "roughness", "metallic", "lighting"):
-        block: slice | None = getattr(objective, name)
+    for unknowns in ("albedo", "roughness", "metallic", "lighting"):
+        block: slice | None = getattr(objective, unknowns)
         if block is None:
             continue  # known, no unknown
         for _ in range(DIRECTIONS):
             direction = np.zeros(objective.size)
             amounts = rng.uniform(0.5, 1.0, block.stop - block.start)
+            # Where the gradient is 0, forwards: a difference would show that it should not be.
+            signs = np.where(gradient[block] < 0, -1, 1)
             # In units of the unknowns' own size, so that steps show above float32 noise.
             size = np.sqrt(np.mean(np.square(x[block])))
-            direction[block] = size * amounts * np.sign(gradient[block])
+            direction[block] = size * amounts * signs
 
             def along(step: float, direction: NDArray[np.float64] = direction) -> float:
-                return objective.value_and_grad(x + step * direction)[0]
+                return value_and_grad(x + step * direction)[0]
 
-            checks.append(GradientCheck(name, float(gradient @ direction), ridders(along)))
+            analytic = float(gradient @ direction)
+            checks.append(GradientCheck(name, unknowns, analytic, ridders(along)))
     return checks
+
+
+def _alone(penalty: Penalty) -> ValueAndGrad:
+    def value_and_grad(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        gradient = np.zeros_like(x)
+        return penalty.value_and_grad(x, gradient), gradient
+
+    return value_and_grad
 
 
 def ridders(f: Callable[[float], float]) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pbrfit import geometry
+from pbrfit.layout import Layout
 from pbrfit.scene import Scene
 
 BYTES_PER_UNKNOWN = 480
@@ -20,17 +21,9 @@ VECTOR_BYTES = 5 * 24
 """Of a pixel while the core is made: view directions, and two copies of those and of normals."""
 
 
-def unknowns(scene: Scene) -> int:
-    """Length of x in a fit with the default options; see `Objective`."""
-    channels = 1 if scene.grey else 3
-    lights = 0 if scene.lighting is not None else 16 * channels * len(scene.images)
-    return (channels + 2) * int(np.count_nonzero(scene.valid)) + lights
-
-
-def fit_memory(scene: Scene) -> int:
+def fit_memory(scene: Scene, layout: Layout) -> int:
     """Bytes that `decompose` needs at its peak, beside the interpreter and its libraries."""
-    pixels = int(np.count_nonzero(scene.valid))
-    channels = 1 if scene.grey else 3
+    pixels, channels = layout.pixels, layout.channels
     planes = len(scene.images) * (channels + (scene.weights is not None))
     arrays = scene.images.nbytes + scene.normals.nbytes + 8 * channels * pixels  # mean picture
     if scene.weights is not None:
@@ -39,12 +32,12 @@ def fit_memory(scene: Scene) -> int:
     # Pictures and weights are scaled into arrays that the core copies; these are gone when the
     # solver begins.
     making = (4 * planes + VECTOR_BYTES) * pixels
-    return arrays + core + max(making, BYTES_PER_UNKNOWN * unknowns(scene))
+    return arrays + core + max(making, BYTES_PER_UNKNOWN * layout.size)
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
-    pixels = int(np.count_nonzero(scene.valid))
+    layout = Layout.of(scene)
     radiance = np.stack([scene.samples(i) for i in range(len(scene.images))])
     away = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
     found = [
@@ -55,21 +48,22 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
             f"mean {radiance.mean(dtype=np.float64):.4g}, from {radiance.min():.4g} "
             f"to {radiance.max():.4g}",
         ),
-        ("mask", f"{pixels} pixels used, {100 * pixels / scene.valid.size:.1f} %"),
+        ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
         ("facing away", f"{100 * away.mean():.1f} % of the normals"),
         (
             "segments",
-            "none"
-            if scene.segments is None
-            else f"{len(np.setdiff1d(scene.segments[scene.valid], 0))} ids",
+            "none" if layout.segments is None else f"{layout.segment_count} ids",
         ),
-        ("colour", "grey: one channel will be fitted" if scene.grey else "three channels"),
-        ("lights", "unknown, will be fitted" if scene.lighting is None else "known"),
+        (
+            "colour",
+            "grey: one channel will be fitted" if layout.channels == 1 else "three channels",
+        ),
+        ("lights", "known" if layout.lighting_known else "unknown, will be fitted"),
         ("truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]
     found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]
     found += [
-        ("unknowns", f"{unknowns(scene)}"),
-        ("memory needed", f"about {fit_memory(scene) / 2**20:.0f} MiB for solver lbfgsb"),
+        ("unknowns", f"{layout.size}"),
+        ("memory needed", f"about {fit_memory(scene, layout) / 2**20:.0f} MiB for solver lbfgsb"),
     ]
     return found

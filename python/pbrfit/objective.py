@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.layout import Layout
 from pbrfit.materials import Materials
 from pbrfit.model import whole_number
-from pbrfit.scene import Scene
+from pbrfit.priors import Priors, penalties
+from pbrfit.scene import Scene, equal_channels
 
 MEAN_RADIANCE = 0.4
 """Mean valid radiance after division by the scene scale, so that exposure does not matter."""
@@ -39,14 +40,15 @@ SH_ORDERS = (2, 3)
 
 
 class Objective:
-    """Mean squared error of the pictures as a function of x, with its gradient.
+    """Mean squared error of the pictures as a function of x, with its gradient, plus penalties.
 
     x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | lighting
     (N, K, C)], float64, without what is known: metallic where it is fixed, and known lights. What
     a scene does not need is not computed: grey pictures have C = 1, lights of order 2 have K = 9
-    coefficients instead of 16. Samples count as much as `scene.weights` says. Inside, pictures are
-    divided by one scene scale that makes their mean valid radiance 0.4; `pack` and `unpack` convert
-    between x and maps and lights of three channels in the scene's own units.
+    coefficients instead of 16, lights that are the same in all channels are there once, (N, K).
+    Samples count as much as `scene.weights` says. Inside, pictures are divided by one scene scale
+    that makes their mean valid radiance 0.4; `pack` and `unpack` convert between x and maps and
+    lights of three channels in the scene's own units.
 
     Parameters
     ----------
@@ -58,9 +60,18 @@ class Objective:
         Highest band of the lights: 3, or 2 to leave out band 3.
     metallic
         A number in [0, 1] that all pixels have, then it is no unknown; None = free.
+    mono_light
+        Whether lights are the same in all channels.
+    priors
+        Weights of the penalties; None = no penalties. The prior learnt while a fit runs
+        (`Priors.material`) is left to the solver, and `Priors.monochrome` is 0 if not given.
 
     Attributes
     ----------
+    layout
+        Where the unknowns lie in x.
+    penalties
+        List of the terms beside the data. A solver may change it between evaluations.
     size
         Length of x.
     pixels
@@ -93,6 +104,8 @@ class Objective:
         threads: int = 0,
         sh_order: int = 3,
         metallic: float | None = None,
+        mono_light: bool = False,
+        priors: Priors | None = None,
     ) -> None:
         threads = whole_number("threads", threads)
         sh_order = whole_number("sh_order", sh_order)
@@ -100,23 +113,27 @@ class Objective:
             raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
         self._known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
         self._known_lighting = scene.lighting
-        self._valid = scene.valid
-        self._pictures = len(scene.images)
-        self.pixels = int(np.count_nonzero(self._valid))
-        self.channels = 1 if scene.grey else 3
-        self.coefficients = (sh_order + 1) ** 2
+        layout = Layout.of(
+            scene,
+            sh_order=sh_order,
+            metallic_known=metallic is not None,
+            mono_light=mono_light,
+        )
+        self.layout = layout
+        self.pixels, self.channels = layout.pixels, layout.channels
+        self.coefficients = layout.coefficients
         weights = _weights(scene)
         self.scale = _scene_scale(scene, weights)
 
-        images = np.empty((self._pictures, self.pixels, self.channels), dtype=np.float32)
+        images = np.empty((layout.pictures, self.pixels, self.channels), dtype=np.float32)
         for i, scaled in enumerate(images):
             samples = scene.samples(i)[:, : self.channels]
             scaled[:] = samples.astype(np.float64) / self.scale
         self._mean_image = _mean_image(images, weights)
         self._problem = _core.Problem(
             images,
-            scene.normals[self._valid].astype(np.float64),
-            scene.views[self._valid],
+            scene.normals[layout.valid].astype(np.float64),
+            scene.views[layout.valid],
             threads,
             weights=weights,
             sh_order=sh_order,
@@ -124,21 +141,17 @@ class Objective:
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
         )
 
-        ends = np.cumsum([0, self.channels, 1, 0 if metallic is not None else 1]) * self.pixels
-        self.albedo, self.roughness, unknown = (
-            slice(int(a), int(b)) for a, b in itertools.pairwise(ends)
-        )
-        self.metallic = None if metallic is not None else unknown
-        self._maps = int(ends[-1])
-        self.size = self._problem.size
-        self.lighting = None if scene.lighting is not None else slice(self._maps, self.size)
+        self.albedo, self.roughness = layout.albedo, layout.roughness
+        self.metallic, self.lighting = layout.metallic, layout.lighting
+        self.size = layout.size
         self.bounds = np.empty((self.size, 2))
-        self.bounds[: self._maps] = (0.0, 1.0)
-        self.bounds[self._maps :] = (-np.inf, np.inf)
+        self.bounds[layout.maps] = (0.0, 1.0)
+        self.bounds[layout.maps.stop :] = (-np.inf, np.inf)
+        self.penalties = [] if priors is None else penalties(layout, priors)
 
     def start(self) -> NDArray[np.float64]:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
-        maps = np.empty(self._maps)
+        maps = np.empty(self.layout.maps.stop)
         albedo = START_MEAN_ALBEDO / MEAN_RADIANCE * self._mean_image
         maps[self.albedo] = np.clip(albedo, *START_ALBEDO_RANGE).T.ravel()
         maps[self.roughness] = START_ROUGHNESS
@@ -149,13 +162,16 @@ class Objective:
     def with_best_lights(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
         """X with the maps of `maps`, which is x or its first part, and the lights that fit best.
 
-        Radiance is linear in the light, so this is a linear least-squares problem a channel, and
-        for each picture apart where samples have weights.
+        Radiance is linear in the light, so this is a linear least-squares problem a channel (one
+        for all, with the sums of their normal equations, where they share the light), and for each
+        picture apart where samples have weights. Penalties take no part.
         """
-        maps = np.array(maps[: self._maps], dtype=np.float64)
+        maps = np.array(maps[self.layout.maps], dtype=np.float64)
         if self.lighting is None:
             return maps
         gram, right = self._problem.light_equations(maps)
+        if self.layout.light_channels < self.channels:
+            gram, right = gram.sum(axis=0, keepdims=True), right.sum(axis=0, keepdims=True)
         k = self.coefficients
         ridge = LIGHT_RIDGE * np.trace(gram, axis1=-2, axis2=-1) / k
         # A Gram matrix of zeros (nothing reflects) gives lights of 0 instead of an error.
@@ -175,10 +191,36 @@ class Objective:
         InputError
             If x has another length, is not finite, or leaves its bounds.
         """
-        return self._problem.value_and_grad(_real_numbers(x))
+        x = _real_numbers(x)
+        data, gradient = self.data_value_and_grad(x)
+        return data + self.add_penalties(x, gradient), gradient
+
+    def data_value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+        """As `value_and_grad`, without the penalties."""
+        loss, gradient = self._problem.value_and_grad(self.for_core(x))
+        if self.layout.light_channels < self.channels:
+            # By the chain rule, derivatives by the light in each channel add up.
+            maps = self.layout.maps
+            by_light = gradient[maps.stop :].reshape(-1, self.channels).sum(axis=-1)
+            gradient = np.concatenate([gradient[maps], by_light])
+        return loss, gradient
+
+    def add_penalties(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+        """Sum of the penalties at x; their gradient is added to `gradient`."""
+        return sum((p.value_and_grad(x, gradient) for p in self.penalties), 0.0)
+
+    def for_core(self, x: ArrayLike) -> NDArray[np.float64]:
+        """X as `_core.Problem` takes it: with lights of every channel."""
+        x = _real_numbers(x)
+        if self.layout.light_channels == self.channels:
+            return x
+        if x.shape != (self.size,):
+            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        end = self.layout.maps.stop
+        return np.concatenate([x[:end], np.repeat(x[end:], self.channels)])
 
     def residual_rmse(self, loss: float) -> float:
-        """Root mean square residual in picture units of a value of the loss."""
+        """Root mean square residual in picture units of a loss without penalties."""
         return float(np.sqrt(loss) * self.scale)
 
     def pack(
@@ -191,31 +233,31 @@ class Objective:
         """X from maps (H, W, ...) and lights (N, 16, 3) in picture units.
 
         Without `lighting` the lights that fit the maps best are taken. What x does not have is
-        dropped: known metallic, known lights, band 3; of three channels the mean is taken.
+        dropped: known metallic, known lights, band 3; where x has one channel for three, their mean
+        is taken.
         """
         given = {"albedo": albedo, "roughness": roughness, "metallic": metallic}
         maps = []
         for name, values in given.items():
             values = np.asarray(values, dtype=np.float64)
-            shape = self._valid.shape + ((3,) if name == "albedo" else ())
+            shape = self.layout.valid.shape + ((3,) if name == "albedo" else ())
             if values.shape != shape:
                 raise InputError(f"{name}: expected shape {shape}, found {values.shape}")
-            values = values[self._valid]
+            values = values[self.layout.valid]
             if not np.isfinite(values).all():
                 raise InputError(f"{name}: expected finite values at all valid pixels, found NaN")
             if name == "albedo":
-                values = self._channels(values).T.ravel()
+                values = _channels(values, self.channels).T.ravel()
             if name != "metallic" or self.metallic is not None:
                 maps.append(values)
         x = np.concatenate(maps)
         if lighting is None or self.lighting is None:
             return self.with_best_lights(x)
         lighting = np.asarray(lighting, dtype=np.float64)
-        if lighting.shape != (self._pictures, 16, 3):
-            raise InputError(
-                f"lighting: expected shape {(self._pictures, 16, 3)}, found {lighting.shape}"
-            )
-        lighting = self._channels(lighting[:, : self.coefficients])
+        expected = (self.layout.pictures, 16, 3)
+        if lighting.shape != expected:
+            raise InputError(f"lighting: expected shape {expected}, found {lighting.shape}")
+        lighting = _channels(lighting[:, : self.coefficients], self.layout.light_channels)
         return np.concatenate([x, (lighting / self.scale).ravel()])
 
     def unpack(self, x: NDArray[np.float64]) -> tuple[Materials, NDArray[np.float64]]:
@@ -236,20 +278,16 @@ class Objective:
         )
         if self._known_lighting is not None:
             return materials, self._known_lighting.copy()
-        lighting = np.zeros((self._pictures, 16, 3))
+        lighting = np.zeros((self.layout.pictures, 16, 3))
         lighting[:, : self.coefficients] = self.scale * x[self.lighting].reshape(
-            -1, self.coefficients, self.channels
+            -1, self.coefficients, self.layout.light_channels
         )
         return materials, lighting
 
     def _map(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        whole = np.full(self._valid.shape + values.shape[1:], np.nan)
-        whole[self._valid] = values
+        whole = np.full(self.layout.valid.shape + values.shape[1:], np.nan)
+        whole[self.layout.valid] = values
         return whole
-
-    def _channels(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """From three channels on the last axis to those of x."""
-        return values if self.channels == 3 else values.mean(axis=-1, keepdims=True)
 
     def _reduced(self, known: NDArray[np.float64]) -> NDArray[np.float64]:
         """Known lights as the core takes them: in units of x, with its bands and channels."""
@@ -265,7 +303,16 @@ class Objective:
                 f"lighting: expected known lights without band 3 for sh_order 2, found a "
                 f"coefficient of {left_out:g} there; sh_order 3 keeps it"
             )
+        if self.layout.light_channels < self.channels and not equal_channels(known):
+            raise InputError(
+                "lighting: expected known lights with equal channels for mono_light, found colour"
+            )
         return known[:, : self.coefficients, : self.channels] / self.scale
+
+
+def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]:
+    """From three channels on the last axis to 3 or 1."""
+    return values if channels == 3 else values.mean(axis=-1, keepdims=True)
 
 
 def _unit_interval(name: str, value: float) -> float:

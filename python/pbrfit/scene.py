@@ -176,10 +176,10 @@ class Scene:
     @cached_property
     def grey(self) -> bool:
         """Whether the pictures, and the lights if they are known, have three equal channels."""
-        if self.lighting is not None and not _equal_channels(self.lighting):
+        if self.lighting is not None and not equal_channels(self.lighting):
             return False
         # The first picture in colour ends it.
-        return all(_equal_channels(self.samples(i)) for i in range(len(self.images)))
+        return all(equal_channels(self.samples(i)) for i in range(len(self.images)))
 
     def samples(self, picture: int) -> NDArray[np.floating[Any]]:
         """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight."""
@@ -228,7 +228,7 @@ class Scene:
         """Write a scene folder that `load` reads back: float32 EXR, truth included.
 
         Weights are not stored. The mask leaves out pixels that have no weight in any picture or a
-        sample that is NaN or infinite.
+        sample that is NaN or infinite. Segments with ids below 0 or above 65535 are numbered anew.
 
         Raises
         ------
@@ -298,7 +298,8 @@ def _valid(
     return np.ones(shape, bool) if mask is None else mask
 
 
-def _equal_channels(values: NDArray[Any]) -> bool:
+def equal_channels(values: NDArray[Any]) -> bool:
+    """Whether the three on the last axis are exactly equal, (..., 3)."""
     first = values[..., 0]
     return all(np.array_equal(first, values[..., c]) for c in (1, 2))
 

@@ -21,6 +21,7 @@ from pbrfit.lighting import Lighting
 from pbrfit.materials import read_materials, write_materials
 from pbrfit.output import new_folder
 from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Truth, unit_normals
+from pbrfit.segments import consecutive_labels
 
 log = logging.getLogger("pbrfit")
 
@@ -39,6 +40,9 @@ HOW_TO_GET_NORMALS = (
     "estimator such as Marigold or from a renderer, or flat ones from `pbrfit normals SCENE "
     "--from flat`"
 )
+
+MAX_ID = 65535
+"""Of a segment, as a picture of 16 bits holds it."""
 
 _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
@@ -514,10 +518,11 @@ def _write_picture(path: Path, image: NDArray[Any]) -> None:
 
 
 def _ids(segments: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
-    if segments.min() < 0 or segments.max() > 65535:
-        raise InputError(
-            f"segments: expected ids from 0 to 65535, found {segments.min()} to {segments.max()}"
-        )
+    """As a picture of 16 bits holds them: other ids are numbered anew from 1, in their order."""
+    if segments.min() < 0 or segments.max() > MAX_ID:
+        segments, count = consecutive_labels(segments)
+        if count > MAX_ID:
+            raise InputError(f"segments: expected at most {MAX_ID} to save, found {count}")
     return segments.astype(np.uint16)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 import json
 import re
 import shutil
@@ -16,7 +18,9 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError, Result, Scene, images
+from pbrfit.arguments import add_priors, given_priors
 from pbrfit.lighting import Lighting
+from pbrfit.priors import Priors
 from pbrfit.synthetic import make_scene
 from scene_files import FORMATS, LIGHTS, SIZE, room, run, write_folder, write_jpeg, write_normals
 from test_result import FILES, KEYS
@@ -381,6 +385,53 @@ def test_check_gradients_of_what_is_fitted(
     output = capsys.readouterr().out
     assert "9 of 9 within" in output
     assert "metallic" not in output
+
+
+def test_check_gradients_of_priors(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    priors = ("--prior", "smoothness=0.1", "--prior", "monochrome=1", "--prior", "sparsity=1e-3")
+    assert run("check-gradients", folder, *priors) == 0
+    output = capsys.readouterr().out
+    assert "24 of 24 within" in output
+    for name, count in (("smoothness", 6), ("monochrome", 3), ("sparsity", 3)):
+        assert output.count(f"\n{name} ") == count
+    assert run("check-gradients", folder, "--mono-light", *priors) == 0
+    assert "monochrome" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("prior", "complaint"),
+    [
+        ("cohesin=1", "expected NAME=WEIGHT with one of material, cohesion, smoothness"),
+        ("cohesion", "expected a finite weight of 0 or more for cohesion, found ''"),
+        ("cohesion=", "expected a finite weight of 0 or more for cohesion, found ''"),
+        ("cohesion=much", "for cohesion, found 'much'"),
+        ("sparsity=-1", "for sparsity, found '-1'"),
+        ("material=nan", "for material, found 'nan'"),
+        ("smoothness=inf", "for smoothness, found 'inf'"),
+    ],
+)
+def test_unusable_priors_are_named(
+    folder: Path, capsys: pytest.CaptureFixture[str], prior: str, complaint: str
+) -> None:
+    assert run("check-gradients", folder, "--prior", prior) == 2
+    assert complaint in one_line(capsys)
+
+
+def test_priors_that_are_asked_for_are_those_of_the_fit() -> None:
+    parser = argparse.ArgumentParser()
+    add_priors(parser)
+
+    def priors(*arguments: str) -> Priors:
+        return given_priors(parser.parse_args(arguments))
+
+    assert priors() == Priors()
+    assert priors("--no-priors") == Priors.none()
+    assert priors("--prior", "cohesion=2", "--prior", "material=0") == Priors(
+        material=0, cohesion=2
+    )
+    assert priors("--prior", "cohesion=2", "--prior", "cohesion=3").cohesion == 3
+    only = dataclasses.replace(Priors.none(), monochrome=0.5)
+    assert priors("--no-priors", "--prior", "monochrome=0.5") == only
 
 
 def test_parts_of_the_model_can_be_left_out(folder: Path, tmp_path: Path) -> None:

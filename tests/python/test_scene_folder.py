@@ -326,11 +326,25 @@ def test_a_smaller_size_has_no_truth(tmp_path: Path, caplog: pytest.LogCaptureFi
 
 
 @pytest.mark.parametrize("bad", [-1, 65536])
-def test_ids_that_do_not_fit_are_not_wrapped(tmp_path: Path, bad: int) -> None:
+def test_ids_that_do_not_fit_are_numbered_anew(tmp_path: Path, bad: int) -> None:
     segments = np.zeros((SIZE, SIZE), int)
     segments[3, 4] = bad
+    segments[0] = 7
     scene = Scene(images=room().images, normals=room().normals, segments=segments)
-    with pytest.raises(InputError, match=f"segments: expected ids from 0 to 65535, found .*{bad}"):
+    scene.save(tmp_path / "scene")
+    found = Scene.load(tmp_path / "scene").segments
+    assert found is not None
+    first, second = (1, 2) if bad < 7 else (2, 1)
+    np.testing.assert_array_equal(found, first * (segments == bad) + second * (segments == 7))
+
+
+def test_more_segments_than_a_file_holds_are_refused(tmp_path: Path) -> None:
+    size = 257
+    images = np.full((2, size, size, 3), 0.5, np.float32)
+    normals = np.broadcast_to([0.0, 0.0, 1.0], (size, size, 3))
+    segments = np.arange(size * size).reshape(size, size) + 1
+    scene = Scene(images=images, normals=normals, segments=segments)
+    with pytest.raises(InputError, match=r"^segments: expected at most 65535 to save, found 66049"):
         scene.save(tmp_path / "scene")
     assert not list(tmp_path.iterdir())
 

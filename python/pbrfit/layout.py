@@ -1,0 +1,110 @@
+"""Layout: which unknowns a scene has, and where in x they lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.scene import Scene
+from pbrfit.segments import consecutive_labels
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the unknowns of a scene lie in x.
+
+    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | lighting
+    (N, K, light_channels)], without what is known.
+
+    Attributes
+    ----------
+    valid
+        (H, W) bool: the pixels that are fitted; their row order is the order in x.
+    segments
+        (P,) labels of the valid pixels: 0 = unclassified, 1 … `segment_count` in the order of the
+        scene's ids, without gaps; None where the scene has no segments.
+    segment_count
+        Number of segments that have valid pixels.
+    pictures, channels, coefficients
+        N; C of albedo; K of one light in one channel.
+    light_channels
+        C, or 1 where the lights are the same in all channels.
+    metallic_known, lighting_known
+        Whether these are no unknowns.
+    """
+
+    valid: NDArray[np.bool_]
+    segments: NDArray[np.intp] | None
+    segment_count: int
+    pictures: int
+    channels: int
+    coefficients: int
+    light_channels: int
+    metallic_known: bool
+    lighting_known: bool
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        *,
+        sh_order: int = 3,
+        metallic_known: bool = False,
+        mono_light: bool = False,
+    ) -> Layout:
+        """Of the fit of `scene` with these options; see `Objective`."""
+        channels = 1 if scene.grey else 3
+        segments, count = None, 0
+        if scene.segments is not None:
+            segments, count = consecutive_labels(scene.segments[scene.valid])
+        return cls(
+            valid=scene.valid,
+            segments=segments,
+            segment_count=count,
+            pictures=len(scene.images),
+            channels=channels,
+            coefficients=(sh_order + 1) ** 2,
+            light_channels=1 if mono_light else channels,
+            metallic_known=metallic_known,
+            lighting_known=scene.lighting is not None,
+        )
+
+    @cached_property
+    def pixels(self) -> int:
+        """P, the number of valid pixels."""
+        return int(np.count_nonzero(self.valid))
+
+    @property
+    def albedo(self) -> slice:
+        """C planes of P."""
+        return slice(0, self.channels * self.pixels)
+
+    @property
+    def roughness(self) -> slice:
+        """One plane."""
+        return slice(self.albedo.stop, self.albedo.stop + self.pixels)
+
+    @property
+    def metallic(self) -> slice | None:
+        """One plane; None where it is known."""
+        end = self.roughness.stop
+        return None if self.metallic_known else slice(end, end + self.pixels)
+
+    @property
+    def maps(self) -> slice:
+        """All that are no lights."""
+        return slice(0, (self.metallic or self.roughness).stop)
+
+    @property
+    def lighting(self) -> slice | None:
+        """(N, K, light_channels); None where the lights are known."""
+        length = self.pictures * self.coefficients * self.light_channels
+        return None if self.lighting_known else slice(self.maps.stop, self.maps.stop + length)
+
+    @property
+    def size(self) -> int:
+        """Length of x."""
+        return int((self.lighting or self.maps).stop)
