@@ -154,19 +154,7 @@ impl Problem {
         let (n, k, c) = (self.pictures(), self.coefficients(), self.channels());
         check::length("lighting", n * k * c, lighting.len())?;
         check::moderate("lighting", lighting, check::LARGEST_F32)?;
-        let light = |channel: usize, picture: usize| {
-            let of_picture = &lighting[picture * k * c..][..k * c];
-            std::array::from_fn(|i| {
-                if i < k {
-                    of_picture[i * c + channel]
-                } else {
-                    0.0
-                }
-            })
-        };
-        Ok((0..c)
-            .flat_map(|channel| (0..n).map(move |picture| light(channel, picture)))
-            .collect())
+        Ok(self.padded_lights(lighting))
     }
 }
 
@@ -450,8 +438,7 @@ impl Kernel for MinimizeByAlbedo<'_> {
             let c2 = a1 * a1 * dd + b1 * b1 * ss + 2.0 * ((a1 * b1 - a2 * b0) * ds + a2 * dt);
             let c3 = -2.0 * a2 * (a1 * dd + b1 * ds);
             let c4 = a2 * a2 * dd;
-            let polynomial =
-                |rho: f64| (((c4 * rho + c3) * rho + c2) * rho + c1) * rho + c0;
+            let polynomial = |rho: f64| (((c4 * rho + c3) * rho + c2) * rho + c1) * rho + c0;
 
             let (mut best, mut least) = (0.0, c0);
             for start in STARTS {

@@ -7,6 +7,7 @@ use glam::DVec3;
 use crate::block::{BLOCK, Directions, Plane};
 use crate::check::LARGEST_F32;
 use crate::evaluate::{self, Evaluate, Piece};
+use crate::sh::COEFFICIENTS;
 use crate::shade::{Material, shade};
 use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
@@ -211,7 +212,7 @@ impl Problem {
 
     /// Number of unknowns that are maps, the first part of x.
     pub fn maps(&self) -> usize {
-        self.planes() * self.pixels
+        self.unknowns_of_pixel() * self.pixels
     }
 
     /// Number of unknowns.
@@ -221,7 +222,7 @@ impl Problem {
     }
 
     /// Unknowns of a pixel.
-    fn planes(&self) -> usize {
+    pub(crate) fn unknowns_of_pixel(&self) -> usize {
         self.channels + 1 + usize::from(self.metallic.is_none())
     }
 
@@ -358,7 +359,7 @@ impl Problem {
         sums
     }
 
-    fn material<const C: usize>(&self, maps: &[f64], p: usize) -> Material<C> {
+    pub(crate) fn material<const C: usize>(&self, maps: &[f64], p: usize) -> Material<C> {
         let plane = |i: usize| maps[i * self.pixels + p];
         Material {
             albedo: std::array::from_fn(plane),
@@ -373,6 +374,23 @@ impl Problem {
         for c in 0..self.channels {
             let of_channel = lighting.iter().skip(c).step_by(self.channels);
             lights.extend(of_channel.map(|&l| l as f32));
+        }
+        lights
+    }
+
+    /// Lights (picture, coefficient, channel), of any number of pictures, as (channel, picture,
+    /// coefficient), with zeros where a band is left out.
+    pub(crate) fn padded_lights(&self, lighting: &[f64]) -> Vec<[f64; COEFFICIENTS]> {
+        let (k, channels) = (self.coefficients, self.channels);
+        let mut lights = Vec::with_capacity(lighting.len() / k);
+        for channel in 0..channels {
+            lights.extend(lighting.chunks(k * channels).map(|of_picture| {
+                let mut light = [0.0; COEFFICIENTS];
+                for (to, from) in light.iter_mut().zip(of_picture.chunks(channels)) {
+                    *to = from[channel];
+                }
+                light
+            }));
         }
         lights
     }
@@ -400,6 +418,10 @@ impl Problem {
 
     pub(crate) fn known_metallic(&self) -> Option<f64> {
         self.metallic
+    }
+
+    pub(crate) fn known_lighting(&self) -> Option<&[f64]> {
+        self.lighting.as_deref()
     }
 
     pub(crate) fn directions(&self, block: usize) -> &Directions {

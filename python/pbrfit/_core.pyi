@@ -97,6 +97,32 @@ class Problem:
         `maps` is x without its lighting. One Gram matrix for all pictures, or one for each where
         samples have weights.
         """
+    def normal_equations(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Of the materials of some pixels, the lights held: JᵀΩJ (P', D, D), JᵀΩ(I−T) (P', D) and
+        Σω(I−T)² (P',).
+
+        The D unknowns of a pixel: albedo by channel, roughness and, unless it is known, metallic.
+        """
+    def derivatives(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Of the radiance of some pixels: by the channel's albedo, roughness and metallic
+        (P', N, C, 3); by the light, the same for all pictures, (P', C, K); and the weights of the
+        samples (P', N, C).
+        """
+    def moves_with_lights(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        covariances: NDArray[np.float64],
+        modes: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Σ over modes of the square of what they move the materials of some pixels by, (P', D).
+
+        covariances (P', D, D), the inverse of JᵀΩJ; modes (M, N, K, C) of the lights.
+        """
 
 @final
 class Raster:
