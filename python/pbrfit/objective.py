@@ -70,6 +70,10 @@ class Objective:
     ----------
     layout
         Where the unknowns lie in x.
+    problem
+        The pictures in the core; `for_core` gives x as it takes it.
+    samples
+        Number of samples (of one pixel, picture and channel) of some weight.
     penalties
         List of the terms beside the data. A solver may change it between evaluations.
     size
@@ -123,6 +127,9 @@ class Objective:
         self.pixels, self.channels = layout.pixels, layout.channels
         self.coefficients = layout.coefficients
         weights = _weights(scene)
+        self.samples = self.channels * (
+            layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
+        )
         self.scale = _scene_scale(scene, weights)
 
         images = np.empty((layout.pictures, self.pixels, self.channels), dtype=np.float32)
@@ -130,7 +137,7 @@ class Objective:
             samples = scene.samples(i)[:, : self.channels]
             scaled[:] = samples.astype(np.float64) / self.scale
         self._mean_image = _mean_image(images, weights)
-        self._problem = _core.Problem(
+        self.problem = _core.Problem(
             images,
             scene.normals[layout.valid].astype(np.float64),
             scene.views[layout.valid],
@@ -169,7 +176,7 @@ class Objective:
         maps = np.array(maps[self.layout.maps], dtype=np.float64)
         if self.lighting is None:
             return maps
-        gram, right = self._problem.light_equations(maps)
+        gram, right = self.problem.light_equations(maps)
         if self.layout.light_channels < self.channels:
             gram, right = gram.sum(axis=0, keepdims=True), right.sum(axis=0, keepdims=True)
         k = self.coefficients
@@ -197,7 +204,7 @@ class Objective:
 
     def data_value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         """As `value_and_grad`, without the penalties."""
-        loss, gradient = self._problem.value_and_grad(self.for_core(x))
+        loss, gradient = self.problem.value_and_grad(self.for_core(x))
         if self.layout.light_channels < self.channels:
             # By the chain rule, derivatives by the light in each channel add up.
             maps = self.layout.maps
