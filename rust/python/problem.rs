@@ -11,10 +11,20 @@ use pyo3::prelude::*;
 use super::arrays::{Contiguous, array, copied, shape, try_copied, vectors};
 use super::model::array3;
 use crate::problem::{Options, Pictures, Problem};
+use crate::robust::Robust;
 use crate::{Error, check, pool};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProblem>()
+}
+
+/// A robust loss by its name and scale.
+fn of_name((name, scale): (String, f64)) -> Result<Robust, Error> {
+    match name.as_str() {
+        "huber" => Ok(Robust::Huber(scale)),
+        "cauchy" => Ok(Robust::Cauchy(scale)),
+        _ => Err(Error::argument("robust", "huber or cauchy", name)),
+    }
 }
 
 #[pyclass(frozen, name = "Problem", module = "pbrfit._core")]
@@ -130,13 +140,16 @@ impl PyProblem {
         self.problem.coefficients()
     }
 
+    #[pyo3(signature = (x, robust = None))]
     fn value_and_grad<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
+        robust: Option<(String, f64)>,
     ) -> PyResult<(f64, Bound<'py, PyArray1<f64>>)> {
         let x = array::<f64, numpy::Ix1>("x", x)?;
         shape("x", &[self.problem.size()], x.shape())?;
+        let robust = robust.map(of_name).transpose()?;
         // Another thread may be using the kept copy; then this call has one of its own.
         let mut kept = self.copy.try_lock().ok();
         let mut own = Vec::new();
@@ -154,9 +167,28 @@ impl PyProblem {
             .cast_into::<PyArray1<f64>>()?;
         let mut access = gradient.readwrite();
         let values = access.as_slice_mut()?;
-        let value = py.detach(|| self.problem.value_and_grad(copy, values))?;
+        let value = py.detach(|| self.problem.value_and_grad(copy, robust, values))?;
         drop(access);
         Ok((value, gradient))
+    }
+
+    fn residuals<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let x = array::<f64, numpy::Ix1>("x", x)?;
+        let x = try_copied("x", &x)?;
+        let pixels = array::<u64, numpy::Ix1>("pixels", pixels)?;
+        let pixels: Vec<usize> = copied(&pixels).into_iter().map(|p| p as usize).collect();
+        let residuals = py.detach(|| self.problem.residuals(&x, &pixels))?;
+        let shape = [
+            self.problem.pictures(),
+            pixels.len(),
+            self.problem.channels(),
+        ];
+        Ok(array3(residuals, shape).into_pyarray(py))
     }
 
     #[expect(clippy::type_complexity)]
