@@ -16,6 +16,7 @@
 //! | [`band_table`] | h_l(r) from a table, for the fast path |
 //! | [`simd`] | the choice of vector instructions at run time |
 //! | [`block`] | the same for a block of pixels in float32, and the products with lights and residuals |
+//! | [`robust`] | losses that outliers pull less at |
 //! | [`problem`] | all pixels: loss and gradient |
 //! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
 //! | [`normal_matrix`] | pixels: Gauss–Newton normal matrices, and how they are tied to the lights |
@@ -36,6 +37,7 @@ pub mod problem;
 #[cfg(feature = "python")]
 mod python;
 pub mod render;
+pub mod robust;
 pub mod sh;
 pub mod shade;
 pub mod simd;

@@ -25,7 +25,6 @@ use crate::block::{
     BLOCK, Basis, BlockBands, ChannelFactors, DIFFUSE, Directions, FillBasis, FillFactors,
     FillWeights, Materials, Plane, Radiance,
 };
-use crate::check::LARGEST_F32;
 use crate::ggx::Bands;
 use crate::problem::Problem;
 use crate::sh::{BAND_OF, COEFFICIENTS};
@@ -101,24 +100,6 @@ impl Problem {
             _ => moves_with_lights::<3>(self, x, pixels, covariances, modes),
         }
     }
-
-    /// x, checked, as maps and lights, the latter as (channel, picture, coefficient).
-    fn materials_and_lights<'a>(
-        &self,
-        x: &'a [f64],
-        pixels: &[usize],
-    ) -> Result<(&'a [f64], Vec<[f64; COEFFICIENTS]>)> {
-        check::length("x", self.size(), x.len())?;
-        let (maps, free) = x.split_at(self.maps());
-        check::unit_interval("x (albedo, roughness, metallic)", maps)?;
-        check::moderate("x (lighting)", free, LARGEST_F32)?;
-        if let Some(&largest) = pixels.iter().max().filter(|&&p| p >= self.pixels()) {
-            let expected = format!("indices below {}", self.pixels());
-            return Err(Error::argument("pixels", expected, largest));
-        }
-        let lights = self.padded_lights(self.known_lighting().unwrap_or(free));
-        Ok((maps, lights))
-    }
 }
 
 fn normal_equations<const C: usize>(
@@ -126,7 +107,7 @@ fn normal_equations<const C: usize>(
     x: &[f64],
     pixels: &[usize],
 ) -> Result<NormalEquations> {
-    let (maps, lights) = problem.materials_and_lights(x, pixels)?;
+    let (maps, lights) = problem.at(x, pixels)?;
     let unknowns = problem.unknowns_of_pixel();
     let mut matrices = zeros(pixels.len() * unknowns * unknowns)?;
     let mut gradient = zeros(pixels.len() * unknowns)?;
@@ -182,7 +163,7 @@ fn derivatives<const C: usize>(
     x: &[f64],
     pixels: &[usize],
 ) -> Result<Derivatives> {
-    let (maps, lights) = problem.materials_and_lights(x, pixels)?;
+    let (maps, lights) = problem.at(x, pixels)?;
     let samples = problem.pictures() * C;
     let k = problem.coefficients();
     let mut by_material = zeros(pixels.len() * samples * DERIVATIVES)?;
@@ -241,7 +222,7 @@ fn moves_with_lights<const C: usize>(
     covariances: &[f64],
     modes: &[f64],
 ) -> Result<Vec<f64>> {
-    let (maps, lights) = problem.materials_and_lights(x, pixels)?;
+    let (maps, lights) = problem.at(x, pixels)?;
     let unknowns = problem.unknowns_of_pixel();
     let of_mode = problem.pictures() * problem.coefficients() * C;
     check::length(

@@ -63,7 +63,8 @@ class Problem:
     (N, P) or (N, P, C) float32; lighting (N, K, C) float64, known; metallic a number, known;
     threads 0 = all. K = (sh_order + 1)², sh_order 2 or 3.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | lighting (N, K, C)], without
-    those that are known. The loss is the (weighted) mean of the squared residuals.
+    those that are known. The loss is the (weighted) mean of the squared residuals, or of a robust
+    loss of them.
     """
 
     def __new__(
@@ -88,7 +89,19 @@ class Problem:
     def channels(self) -> int: ...
     @property
     def coefficients(self) -> int: ...
-    def value_and_grad(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]: ...
+    def value_and_grad(
+        self, x: NDArray[np.float64], robust: tuple[str, float] | None = None
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Loss at x and its gradient.
+
+        `robust` is a loss instead of the square, "huber" or "cauchy", and its scale, from 1e-15
+        to 1e15 in the unit of the images.
+        """
+    def residuals(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
+        """Rendered minus given radiance (N, len(pixels), C) at some pixels, whatever the weights.
+
+        `pixels` are indices below P, in any order.
+        """
     def light_equations(
         self, maps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
