@@ -23,7 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.normal_equations import chunks, eliminate, held_at_bounds, subtract_products
+from pbrfit.layout import Layout
+from pbrfit.normal_equations import Eliminated, chunks, eliminate
 from pbrfit.objective import Objective
 
 Array = NDArray[np.float64]
@@ -70,9 +71,13 @@ class Pull:
 
     def offset_precision(self) -> Array:
         """Σ a over the pixels of a cluster, (clusters, F)."""
+        return self.sums(self.precision)
+
+    def sums(self, values: Array) -> Array:
+        """Of (P, F) over the pixels of each cluster, (clusters, F)."""
         columns = [
             np.bincount(self.cluster, weights=column, minlength=self.clusters)
-            for column in self.precision.T
+            for column in values.T
         ]
         return np.stack(columns, axis=-1)
 
@@ -104,7 +109,9 @@ def minimize(
     steps
         At most so many.
     """
-    state = _with_best_albedo(objective, x, pixels, pull, np.zeros((pull.clusters, pull.centre.shape[1])))
+    state = _with_best_albedo(
+        objective, x, pixels, pull, np.zeros((pull.clusters, pull.centre.shape[1]))
+    )
     damping, done, failed = FIRST_DAMPING, 0, 0
     while done < steps and failed < FAILURES:
         try:
@@ -129,17 +136,11 @@ def _with_best_albedo(
     albedo, squares = objective.problem.best_albedo(objective.for_core(x), pixels)
     x = x.copy()
     x[layout.albedo].reshape(layout.channels, -1)[:, pixels] = albedo.T
-    off = _finish(objective, x, pixels) - pull.centre - offsets[pull.cluster]
+    values = np.stack([x[block][pixels] for block in layout.finish], axis=-1)
+    off = values - pull.centre - offsets[pull.cluster]
     pulled = float((pull.precision * off**2).sum())
     held = OFFSET_PULL * float((pull.offset_precision() * offsets**2).sum())
     return _State(x, offsets, float(squares.sum()) + pulled + held)
-
-
-def _finish(objective: Objective, x: Array, pixels: NDArray[np.uint64]) -> Array:
-    """(Q, F): roughness and metallic, as far as it is unknown."""
-    layout = objective.layout
-    planes = x[layout.roughness.start : layout.maps.stop].reshape(-1, layout.pixels)
-    return planes[:, pixels].T
 
 
 def _step(
@@ -148,28 +149,91 @@ def _step(
     """One damped step. Half the sum's derivatives are used throughout."""
     from scipy.linalg import cho_factor, cho_solve
 
-    layout, problem, x = objective.layout, objective.problem, state.x
+    layout, x = objective.layout, state.x
     for_core = objective.for_core(x)
-    lit, k, f = layout.light_channels, layout.coefficients, pull.centre.shape[1]
-    lights = layout.pictures * lit * k
-    size = lights + pull.clusters * f
-    own = layout.channels + f  # unknowns of a pixel
-    matrix = np.zeros((size, size))
-    gradient = np.zeros(size)
-    materials = x[layout.maps].reshape(-1, layout.pixels).T[pixels.astype(np.intp)]
-    off = materials[:, layout.channels :] - pull.centre - state.offsets[pull.cluster]
+    values = x[layout.maps].reshape(-1, layout.pixels)[:, pixels].T  # (Q, D)
+    finish = slice(layout.channels, None)
+    off = values[:, finish] - pull.centre - state.offsets[pull.cluster]
+    precision = np.zeros_like(values)
+    precision[:, finish] = pull.precision
+    residuals = objective.problem.residuals(for_core, pixels).transpose(1, 0, 2)
 
-    parts = []
-    for chunk in chunks(len(pixels), 8 * own * size):
-        by_pull = pull.precision[chunk] * off[chunk]
-        residuals = problem.residuals(for_core, pixels[chunk]).transpose(1, 0, 2)
-        part = eliminate(
-            problem, for_core, layout, pixels[chunk],
-            residuals=residuals,
-            materials=materials[chunk],
-            precision=pull.precision[chunk],
-            pull=by_pull,
-            damping=damping,
-        )
-        parts.append(part)
-    raise NotImplementedError
+    # Pixels: those on a bound that would leave it are held.
+    matrices, by_materials, _ = objective.problem.normal_equations(for_core, pixels)
+    by_materials[:, finish] += pull.precision * off
+    held = ((values <= 0) & (by_materials > 0)) | ((values >= 1) & (by_materials < 0))
+    part = eliminate(
+        objective.problem, for_core, layout, pixels, held, precision=precision, damping=damping
+    )
+    whitened = np.einsum("pij,pj->pi", part.whiten, by_materials)
+
+    # Lights and offsets: matrix and gradient with the pixels solved for.
+    system = _System.of(part, pull, layout)
+    left = part.weights * residuals - np.einsum("pdnc,pd->pnc", part.rows, whitened)
+    by_lights = np.einsum("pnc,pck->nck", left, part.by_light)
+    if layout.light_channels < layout.channels:
+        by_lights = by_lights.sum(axis=1, keepdims=True)
+    tied = np.einsum("pfg,pf->pg", system.by_offsets, whitened[:, finish])
+    by_offsets = OFFSET_PULL * pull.offset_precision() * state.offsets
+    by_offsets -= pull.sums(pull.precision * off + tied)
+    gradient = np.concatenate([by_lights.ravel(), by_offsets.ravel()])
+
+    matrix = system.matrix
+    diagonal = np.einsum("ii->i", matrix)
+    diagonal += LIGHT_DAMPING * damping * np.abs(diagonal) + RIDGE * diagonal.max()
+    moves = -cho_solve(cho_factor(matrix), gradient)
+    lights = moves[: by_lights.size].reshape(by_lights.shape)
+    offsets = moves[by_lights.size :].reshape(state.offsets.shape)
+
+    # Back to the pixels.
+    of_samples = np.einsum(
+        "nck,pck->pnc",
+        np.broadcast_to(lights, (len(lights), *part.by_light.shape[1:])),
+        part.by_light,
+    )
+    whitened += np.einsum("pdnc,pnc->pd", part.rows, of_samples)
+    whitened[:, finish] += np.einsum("pfg,pg->pf", system.by_offsets, offsets[pull.cluster])
+    values = np.clip(values - np.einsum("pij,pi->pj", part.whiten, whitened), 0, 1)
+    x = x.copy()
+    x[layout.maps].reshape(-1, layout.pixels)[:, pixels] = values.T
+    x[layout.lighting] += lights.transpose(0, 2, 1).ravel()
+    return _with_best_albedo(objective, x, pixels, pull, state.offsets + offsets)
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Lights and offsets when the pixels are solved for.
+
+    Attributes
+    ----------
+    matrix
+        Of (N, light channels, K) and (clusters, F), one after the other.
+    by_offsets
+        (Q, F, F): U ∂²/∂v∂δ, rows and columns of roughness and metallic.
+    """
+
+    matrix: Array
+    by_offsets: Array
+
+    @classmethod
+    def of(cls, part: Eliminated, pull: Pull, layout: Layout) -> _System:
+        finish = slice(layout.channels, None)
+        by_offsets = -part.whiten[:, finish, finish] * pull.precision[:, None, :]
+        of_lights = part.information(layout)
+        f = pull.precision.shape[1]
+        size, count = len(of_lights), pull.clusters * f
+        matrix = np.zeros((size + count, size + count))
+        matrix[:size, :size] = of_lights
+        total = (1 + OFFSET_PULL) * pull.offset_precision().ravel()
+        matrix[size:, size:] = np.diag(total)
+        for chunk in chunks(len(by_offsets), 8 * f * (size + count)):
+            of_chunk = by_offsets[chunk]
+            columns = np.zeros((len(of_chunk), f, pull.clusters, f))
+            columns[np.arange(len(of_chunk)), :, pull.cluster[chunk]] = of_chunk
+            columns = columns.reshape(-1, count)
+            rows = part.light_rows(chunk, layout)
+            crossed = rows.T @ columns
+            matrix[:size, size:] -= crossed
+            matrix[size:, :size] -= crossed.T
+            matrix[size:, size:] -= columns.T @ columns
+        return cls(matrix, by_offsets)

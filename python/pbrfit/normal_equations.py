@@ -104,35 +104,101 @@ def light_information(
 
     Each pixel's share is positive semidefinite: pixels are not scaled apart, so the sum is too.
     """
-    lit, k = layout.light_channels, layout.coefficients
-    size = layout.pictures * lit * k
-    alone = np.zeros((layout.pictures, lit, k, k))
-    solved_for = np.zeros((size, size))
-    unknowns = held.shape[1]
-    for chunk in chunks(len(pixels), 8 * unknowns * size):
-        by_material, by_light, weights = problem.derivatives(x, pixels[chunk])
-        jacobian = _by_unknowns(by_material, layout)
-        jacobian *= ~held[chunk, None, None, :]
-        scaled, scale = _scaled(_products(jacobian, weights), held[chunk])
-        gram = np.einsum("pnc,pck,pcl->nckl", weights, by_light, by_light, optimize=True)
-        # A⁻¹ = S (L Lᵀ)⁻¹ S with Cholesky's L, so Bᵀ A⁻¹ B = rowsᵀ rows with rows = L⁻¹ S B.
-        jacobian *= weights[..., None]
-        jacobian *= scale[:, None, None, :]
-        rows = np.linalg.solve(
-            np.linalg.cholesky(scaled),
-            jacobian.reshape(len(jacobian), -1, unknowns).transpose(0, 2, 1),
-        ).reshape(-1, layout.pictures, layout.channels, 1)
-        rows = rows * np.repeat(by_light, unknowns, axis=0)[:, None]
-        if lit < layout.channels:
-            rows, gram = rows.sum(axis=2), gram.sum(axis=1, keepdims=True)
-        rows = rows.reshape(-1, size)
-        solved_for += rows.T @ rows
-        alone += gram
-    shared = -solved_for
-    blocks = shared.reshape(layout.pictures * lit, k, layout.pictures * lit, k)
-    diagonal = np.arange(layout.pictures * lit)
-    blocks[diagonal, :, diagonal, :] += alone.reshape(-1, k, k)
+    size = layout.pictures * layout.light_channels * layout.coefficients
+    shared = np.zeros((size, size))
+    alone: Array = np.zeros(())
+    for chunk in chunks(len(pixels), 8 * held.shape[1] * size):
+        part = eliminate(problem, x, layout, pixels[chunk], held[chunk])
+        alone = alone + part.information_alone(layout)
+        shared += part.information(layout)
     return LightInformation(alone, shared, int(np.count_nonzero(~held)))
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """Some pixels whose materials are solved for, and what that leaves for the lights.
+
+    Attributes
+    ----------
+    jacobian
+        (P, N, C, D): J, 0 for unknowns that are held.
+    by_light, weights
+        (P, C, K) and (P, N, C): w and ω.
+    whiten
+        (P, D, D), lower triangular: U with U A Uᵀ = 1, so that A⁻¹ = Uᵀ U; 0 for what is held.
+    rows
+        (P, D, N, C): U Jᵀ Ω. Times w they are U B, so Bᵀ A⁻¹ B is the sum of their squares.
+    """
+
+    jacobian: Array
+    by_light: Array
+    weights: Array
+    whiten: Array
+    rows: Array
+
+    def information_alone(self, layout: Layout) -> Array:
+        """(N, light channels, K, K): what the pixels say about lights if materials are known."""
+        w = self.by_light
+        gram = np.einsum("pnc,pck,pcl->nckl", self.weights, w, w, optimize=True)
+        if layout.light_channels < layout.channels:
+            gram = gram.sum(axis=1, keepdims=True)
+        return np.asarray(gram)
+
+    def information(self, layout: Layout) -> Array:
+        """(M, M): what is left of it when materials are solved for, G − Σ_p Bᵀ A⁻¹ B."""
+        channels, unknowns = layout.channels, self.rows.shape[1]
+        n, lit, k = layout.pictures, layout.light_channels, layout.coefficients
+        blocks = np.zeros((n, lit, k, n, lit, k))
+        found = blocks.reshape(n * lit * k, -1)
+        for chunk in chunks(len(self.rows), 8 * unknowns * len(found)):
+            # Row c is that of the albedo of channel c: A is diagonal in these, U triangular.
+            for c in range(channels):
+                rows = self.rows[chunk, c, :, c, None] * self.by_light[chunk, None, c]
+                rows = rows.reshape(len(rows), -1)
+                blocks[:, c % lit, :, :, c % lit] -= (rows.T @ rows).reshape(n, k, n, k)
+            rest = self.light_rows(chunk, layout)
+            found -= rest.T @ rest
+        lights = np.arange(n * lit)
+        by_light = found.reshape(n * lit, k, n * lit, k)
+        by_light[lights, :, lights, :] += self.information_alone(layout).reshape(-1, k, k)
+        return found
+
+    def light_rows(self, chunk: slice, layout: Layout) -> Array:
+        """U B of roughness and metallic, (pixels · unknowns, M)."""
+        rows = self.rows[chunk, layout.channels :, ..., None] * self.by_light[chunk, None, None]
+        if layout.light_channels < layout.channels:
+            rows = rows.sum(axis=3)
+        return rows.reshape(-1, layout.pictures * layout.light_channels * layout.coefficients)
+
+
+def eliminate(
+    problem: _core.Problem,
+    x: Array,
+    layout: Layout,
+    pixels: NDArray[np.uint64],
+    held: NDArray[np.bool_],
+    *,
+    precision: Array | None = None,
+    damping: float = 0.0,
+) -> Eliminated:
+    """Solve some pixels' normal equations for their materials.
+
+    `precision` (P, D) is added to the diagonal of A, then the share `damping` of the diagonal to
+    itself.
+    """
+    by_material, by_light, weights = problem.derivatives(x, pixels)
+    jacobian = _by_unknowns(by_material, layout)
+    jacobian *= ~held[:, None, None, :]
+    matrices = _products(jacobian, weights)
+    if precision is not None:
+        np.einsum("pii->pi", matrices)[:] += precision
+    scaled, scale = _scaled(matrices, held)
+    np.einsum("pii->pi", scaled)[:] += damping
+    # A⁻¹ = S (L Lᵀ)⁻¹ S with Cholesky's L, so U = L⁻¹ S.
+    whiten = np.linalg.inv(np.linalg.cholesky(scaled)) * scale[:, None, :]
+    weighted = (jacobian * weights[..., None]).reshape(len(jacobian), -1, held.shape[1])
+    rows = (whiten @ weighted.transpose(0, 2, 1)).reshape(len(weighted), -1, *weights.shape[1:])
+    return Eliminated(jacobian, by_light, weights, whiten, rows)
 
 
 def chunks(count: int, bytes_each: int) -> list[slice]:

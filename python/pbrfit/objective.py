@@ -74,6 +74,11 @@ class Objective:
         The pictures in the core; `for_core` gives x as it takes it.
     samples
         Number of samples (of one pixel, picture and channel) of some weight.
+    total_weight
+        Sum of their weights, of which the largest is 1. The data term is the weighted sum of
+        squares divided by this.
+    known_metallic
+        `metallic`.
     penalties
         List of the terms beside the data. A solver may change it between evaluations.
     size
@@ -115,7 +120,7 @@ class Objective:
         sh_order = whole_number("sh_order", sh_order)
         if sh_order not in SH_ORDERS:
             raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
-        self._known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
+        self.known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
         self._known_lighting = scene.lighting
         layout = Layout.of(
             scene,
@@ -129,6 +134,11 @@ class Objective:
         weights = _weights(scene)
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
+        )
+        self.total_weight = (
+            float(self.samples)
+            if weights is None
+            else self.channels * float(weights.sum(dtype=np.float64))
         )
         self.scale = _scene_scale(scene, weights)
 
@@ -144,7 +154,7 @@ class Objective:
             threads,
             weights=weights,
             sh_order=sh_order,
-            metallic=self._known_metallic,
+            metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
         )
 
@@ -277,7 +287,7 @@ class Objective:
         if x.shape != (self.size,):
             raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
-        metallic = self._known_metallic if self.metallic is None else x[self.metallic]
+        metallic = self.known_metallic if self.metallic is None else x[self.metallic]
         materials = Materials(
             self._map(albedo),
             self._map(x[self.roughness]),

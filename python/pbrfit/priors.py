@@ -126,7 +126,7 @@ class Cohesion:
     def __init__(self, layout: Layout, weight: float) -> None:
         assert layout.segments is not None
         self._factor = weight / layout.pixels
-        self._blocks = _surface_maps(layout)
+        self._blocks = layout.finish
         self._labels = layout.segments
         self._unclassified = layout.segments == 0
         # At least 1: there may be no unclassified pixel.
@@ -169,7 +169,7 @@ class Smoothness:
 
     def __init__(self, layout: Layout, weight: float) -> None:
         self._factor = weight * SMOOTHNESS_STEP**2
-        self._blocks = _surface_maps(layout)
+        self._blocks = layout.finish
         self._edges = tied_neighbours(layout)
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
@@ -242,10 +242,3 @@ def tied_neighbours(layout: Layout) -> list[tuple[NDArray[np.intp], NDArray[np.i
         tied = (a == b) | (a == 0) | (b == 0)
         found.append((first[tied], second[tied]))
     return found
-
-
-def _surface_maps(layout: Layout) -> tuple[slice, ...]:
-    """The planes that tell one finish from another: roughness, and metallic where it is free."""
-    if layout.metallic is None:
-        return (layout.roughness,)
-    return layout.roughness, layout.metallic

@@ -247,7 +247,9 @@ def _estimate(objective: Objective, x: Array, priors: bool, light_pixels: int) -
     conditional, marginal = deviations(conditional), deviations(marginal)
     albedo_scale = np.zeros(3)
     if lights is not None:
-        albedo_scale[:] = np.minimum(lights.scale * noise, LARGEST) if noise is not None else LARGEST
+        albedo_scale[:] = (
+            np.minimum(lights.scale * noise, LARGEST) if noise is not None else LARGEST
+        )
     red, green, blue = albedo_scale.tolist()
     return Uncertainty(
         conditional=_materials(conditional, layout),
