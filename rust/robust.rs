@@ -117,11 +117,12 @@ impl Shape for Cauchy {
         // The square fits into float32, and beyond nothing is left of the slope.
         let u = (e * self.0).abs().min(1e19);
         let z = u * u;
-        (log_1p(z), e / (1.0 + z))
+        let (log, inverse) = log_1p(z);
+        (log, e * inverse)
     }
 }
 
-/// ln(1 + z) for z in \[0, 1e38\], to 3·10⁻⁷ of itself.
+/// ln(1 + z) and 1/(1 + z) for z in \[0, 1e38\], to 3·10⁻⁷ of themselves.
 ///
 /// y = 1 + z is rounded, and what is lost counts where z is small. To first order
 ///
@@ -137,9 +138,10 @@ impl Shape for Cauchy {
 ///
 /// and the terms left out are 2·10⁻⁹ of the sum.
 #[inline(always)]
-fn log_1p(z: f32) -> f32 {
+fn log_1p(z: f32) -> (f32, f32) {
     const MANTISSA_BITS: u32 = 23;
     let y = 1.0 + z;
+    let inverse = 1.0 / y;
     let bits = y.to_bits();
     // y ≥ 1, so the difference is not negative.
     let k = (bits - std::f32::consts::FRAC_1_SQRT_2.to_bits()) >> MANTISSA_BITS;
@@ -147,7 +149,8 @@ fn log_1p(z: f32) -> f32 {
     let s = (m - 1.0) / (m + 1.0);
     let t = s * s;
     let series = 1.0 + t * (1.0 / 3.0 + t * (1.0 / 5.0 + t * (1.0 / 7.0 + t * (1.0 / 9.0))));
-    let lost = (z - (y - 1.0)) / y;
+    let lost = (z - (y - 1.0)) * inverse;
     let k = k as i32; // which every processor turns into floats, several at a time
-    k as f32 * std::f32::consts::LN_2 + (2.0 * s * series + lost)
+    let log = k as f32 * std::f32::consts::LN_2 + (2.0 * s * series + lost);
+    (log, inverse)
 }
