@@ -28,10 +28,10 @@ IN_WORDS: dict[Recipe, str] = {
     "start": "our start",
 }
 
-PAPER_PRIORS = Priors(material=0.0, cohesion=0.1, smoothness=0.03, sparsity=1e-4, monochrome=1e-5)
-"""The four priors of the paper. It gives no weights: these are the best round ones on rooms of
-seeds 2000 and 2001, each alone where it helps; where it hurts at any weight, so small that it does
-little."""
+PAPER_PRIORS = Priors(material=0.0, cohesion=0.1, smoothness=0.03, sparsity=1e-5, monochrome=1e-4)
+"""The four priors of the paper, which gives no weights. Each alone, these lowered the errors of
+noisy rooms of seeds 2000 and 2001 with true segments; ten times the sparsity raises that of albedo.
+"""
 
 
 def explain(
