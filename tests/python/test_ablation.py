@@ -353,7 +353,7 @@ def test_command(
     of = {(r["case"], r["configuration"]): float(r["albedo"]) for r in rooms}
     assert by_name["varying, default"]["metrics"]["albedo"] == of["varying", "default"]
     assert by_name["mine, default"]["metrics"]["error"] > 0
-    assert by_name["cost, data"]["metrics"]["milliseconds"] > 0
+    assert by_name["cost, cohesion"]["metrics"]["milliseconds"] > 0
     assert by_name["cost, fit, none"]["metrics"]["seconds"] > 0
     kept = {path: path.stat().st_mtime_ns for path in (out / "records").iterdir()}
     assert len(kept) == len(CASES) + 2

@@ -14,11 +14,15 @@ from pbrfit.evaluation.ablation.cases import case
 from pbrfit.evaluation.ablation.configurations import WEIGHTS, Configuration
 from pbrfit.objective import Objective
 from pbrfit.priors import Priors, penalties, prior_names
+from pbrfit.robust import SCALES
 
 REPEATS = 30
 
-EVALUATED: tuple[str, ...] = tuple(name for name in prior_names() if name != "material")
-"""Priors that are penalties of the objective from the start: the other is learnt as a fit runs."""
+PENALTIES: tuple[str, ...] = tuple(name for name in prior_names() if name != "material")
+"""The other prior is learnt as a fit runs, and shows in the time of whole fits."""
+
+NOISE = 0.01
+"""Scale of robust losses."""
 
 
 def measure(
@@ -29,17 +33,22 @@ def measure(
     Returns
     -------
     dict
-        "evaluation": milliseconds of the data term with its gradient ("data"), and of each prior's
-        by its name; medians. "fits": seconds, evaluations and iterations of each configuration.
+        "data": milliseconds of loss and gradient without priors. "more": what each penalty, and
+        each robust loss instead of the square, takes beside that. Medians. "fits": seconds,
+        evaluations and iterations of each configuration.
     """
     scene = case("constant", seed, size=size)
     objective = Objective(scene, threads=threads)
     x, gradient = objective.start(), np.zeros(objective.size)
-    evaluation = {"data": _milliseconds(lambda: objective.data_value_and_grad(x))}
-    for name in EVALUATED:
+    data = _milliseconds(lambda: objective.problem.value_and_grad(x))
+    more = {}
+    for name in PENALTIES:
         priors = replace(Priors.none(), **{name: getattr(WEIGHTS, name)})
         [penalty] = penalties(objective.layout, priors)
-        evaluation[name] = _milliseconds(partial(penalty.value_and_grad, x, gradient))
+        more[name] = _milliseconds(partial(penalty.value_and_grad, x, gradient))
+    for loss in SCALES:
+        robust = _milliseconds(partial(objective.problem.value_and_grad, x, (loss, NOISE)))
+        more[f"{loss} loss"] = max(0.0, robust - data)
     fits = {}
     for one in configurations:
         fit = one.fit(scene, iterations=iterations, threads=threads)
@@ -48,7 +57,7 @@ def measure(
             "evaluations": fit.evaluations,
             "iterations": int(fit.history["iteration"][-1]),
         }
-    return {"evaluation": evaluation, "fits": fits}
+    return {"data": data, "more": more, "fits": fits}
 
 
 def _milliseconds(act: Callable[[], object]) -> float:

@@ -185,7 +185,8 @@ def _rows(measured: Measured) -> Iterator[summary.Row]:
         for key, found in record.values["found"].items():
             yield summary.Row(f"{task.source.name}, {key}", 1, "lbfgsb", found)
     if measured.cost.values is not None:
-        for name, milliseconds in measured.cost.values["evaluation"].items():
+        parts = {"loss and gradient": measured.cost.values["data"], **measured.cost.values["more"]}
+        for name, milliseconds in parts.items():
             yield summary.Row(f"cost, {name}", 1, None, {"milliseconds": milliseconds})
         for key, fit in measured.cost.values["fits"].items():
             yield summary.Row(f"cost, fit, {key}", 1, "lbfgsb", fit)
@@ -438,15 +439,15 @@ def _cost(measured: Measured) -> Section:
     if measured.cost.values is None:
         return Section("What it costs", [f"Failed: {measured.cost.error}."])
     values: Mapping[str, Any] = measured.cost.values
-    evaluation, fits = values["evaluation"], values["fits"]
-    data = evaluation["data"]
-    parts = [
+    data, fits = values["data"], values["fits"]
+    parts = [[Cell("loss and gradient alone", "name"), Cell(f"{data:.3f}", "number"), Cell("")]]
+    parts += [
         [
-            Cell("loss and gradient" if name == "data" else name, "name"),
+            Cell(name, "name"),
             Cell(f"{spent:.3f}", "number"),
-            Cell("" if name == "data" else f"{100 * spent / (data + spent):.1f} %", "number"),
+            Cell(f"{100 * spent / (data + spent):.1f} %", "number"),
         ]
-        for name, spent in evaluation.items()
+        for name, spent in values["more"].items()
     ]
     least = fits[NONE.key]["seconds"]
     titles = {one.key: one.title for one in CONFIGURATIONS}
