@@ -17,7 +17,16 @@ from pbrfit._core import InputError
 from pbrfit.evaluation.real.public_sets import SETS, PublicSet, Source, room_source
 from pbrfit.scene import Scene
 
-__all__ = ["SETS", "PublicSet", "Source", "absent", "find_sources", "load", "write_scene"]
+__all__ = [
+    "SETS",
+    "PublicSet",
+    "Source",
+    "absent",
+    "check_names",
+    "find_sources",
+    "load",
+    "write_scene",
+]
 
 
 def find_sources(path: Path) -> list[Source]:
@@ -41,6 +50,22 @@ def find_sources(path: Path) -> list[Source]:
             f"{path}: expected a scene folder or one of {', '.join(SETS)}, found none of them"
         )
     return found
+
+
+def check_names(sources: Sequence[Source]) -> None:
+    """Records are kept by name.
+
+    Raises
+    ------
+    InputError
+        If two sources have one name.
+    """
+    names = [source.name for source in sources]
+    for source in sources:
+        if names.count(source.name) > 1:
+            raise InputError(
+                f"{source.folder}: expected different names, found {source.name} twice"
+            )
 
 
 def absent(path: Path, found: Sequence[Source]) -> list[PublicSet]:
@@ -81,6 +106,7 @@ def load(source: Source, max_size: int | None = None) -> Scene:
     return Scene(
         images=scene.images,
         normals=scene.normals,
+        segments=scene.segments,
         fov=scene.fov,
         mask=scene.mask,
         weights=scene.weights,
