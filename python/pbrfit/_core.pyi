@@ -113,17 +113,17 @@ class Problem:
     def normal_equations(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Of the materials of some pixels, the lights held: JᵀΩJ (P', D, D), JᵀΩ(I−T) (P', D) and
-        Σω(I−T)² (P',).
+        """JᵀΩJ (P', D, D), JᵀΩ(I−T) (P', D) and Σω(I−T)² (P',) of some pixels, the lights held.
 
         The D unknowns of a pixel: albedo by channel, roughness and, unless it is known, metallic.
         """
     def derivatives(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Of the radiance of some pixels: by the channel's albedo, roughness and metallic
-        (P', N, C, 3); by the light, the same for all pictures, (P', C, K); and the weights of the
-        samples (P', N, C).
+        """Derivatives of the radiance of some pixels, and the weights of the samples (P', N, C).
+
+        By the channel's albedo, roughness and metallic (P', N, C, 3); and by the light, the same
+        for all pictures, (P', C, K).
         """
     def moves_with_lights(
         self,
