@@ -23,6 +23,7 @@ from pbrfit.normal_equations import (
     light_information,
 )
 from pbrfit.objective import Objective
+from pbrfit.sampling import spread
 
 Array = NDArray[np.float64]
 
@@ -301,7 +302,7 @@ def _light_modes(
     and bounds what those left out would add.
     """
     layout, for_core = objective.layout, objective.for_core(x)
-    pixels = _evenly_spread(layout.pixels, light_pixels)
+    pixels = spread(layout.pixels, light_pixels)
     own_held = held[pixels]
     known = light_information(objective.problem, for_core, layout, pixels, own_held)
     to_units, from_units = _units(known)
@@ -342,17 +343,6 @@ def _light_modes(
     )
 
 
-def _evenly_spread(count: int, most: int) -> NDArray[np.uint64]:
-    """Up to `most` of `count` pixels: one from anywhere in each of as many equal runs.
-
-    Not at equal steps, which would take the same columns of every row.
-    """
-    if count <= most:
-        return np.arange(count, dtype=np.uint64)
-    ends = np.arange(most + 1) * count // most
-    return np.random.default_rng(0).integers(ends[:-1], ends[1:]).astype(np.uint64)
-
-
 def _units(known: LightInformation) -> tuple[Array, Array]:
     """Blocks T⁻¹ and T (lights, K, K) with Tᵀ G T = 1; T is 0 where G is."""
     k = known.alone.shape[-1]
@@ -387,7 +377,7 @@ def _omitted(
     used: int,
 ) -> float:
     """Largest share of a deviation that the modes from `used` on would add, over some pixels."""
-    some = slice(None, None, -(-len(pixels) // CHECKED))
+    some = spread(len(pixels), CHECKED)
     matrices, _, _ = objective.problem.normal_equations(for_core, pixels[some])
     found = inverse(matrices, held[some])
     args = for_core, pixels[some], found.matrices
