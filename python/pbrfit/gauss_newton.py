@@ -41,7 +41,7 @@ LIGHT_DAMPING = 1e-3
 SMALLEST_DAMPING = 1e-6
 
 FAILURES = 4
-"""Steps that may fail, each followed by ten times the damping."""
+"""Steps in a row that may fail, each followed by ten times the damping."""
 
 ENOUGH = 1e-5
 """A step that lowers the sum by less than this share of it is the last."""
@@ -122,7 +122,7 @@ def minimize(
             damping, failed = 10 * damping, failed + 1
             continue
         gain = state.total - moved.total
-        state, done = moved, done + 1
+        state, done, failed = moved, done + 1, 0
         damping = max(damping / 5, SMALLEST_DAMPING)
         if gain < ENOUGH * state.total:
             break
