@@ -18,6 +18,7 @@
 //! | [`block`] | the same for a block of pixels in float32, and the products with lights and residuals |
 //! | [`problem`] | all pixels: loss and gradient |
 //! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
+//! | [`penalties`] | penalties on a map: neighbours alike, groups of pixels alike |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`image_file`] | picture files |
 
@@ -29,6 +30,7 @@ mod evaluate;
 pub mod ggx;
 pub mod image_file;
 pub mod material_grid;
+pub mod penalties;
 mod pool;
 pub mod problem;
 #[cfg(feature = "python")]
