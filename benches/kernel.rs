@@ -233,7 +233,11 @@ impl Example {
         let mut gradient = vec![0.0; problem.size()];
         group.throughput(Throughput::Elements(self.images.len() as u64));
         group.bench_function(BenchmarkId::new(function, parameter), |b| {
-            b.iter(|| problem.value_and_grad(black_box(x), &mut gradient).unwrap());
+            b.iter(|| {
+                problem
+                    .value_and_grad(black_box(x), None, &mut gradient)
+                    .unwrap()
+            });
         });
     }
 }

@@ -68,6 +68,14 @@ pub(crate) fn unit_interval<T: Copy + Into<f64>>(name: &'static str, values: &[T
     }
 }
 
+/// Indices of `count` things.
+pub(crate) fn indices(name: &'static str, count: usize, indices: &[usize]) -> Result<()> {
+    match indices.iter().find(|&&i| i >= count) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(name, format!("indices below {count}"), i)),
+    }
+}
+
 /// Weights must lie in \[0, 1\] and not all be zero. Returns their sum.
 pub(crate) fn weights(name: &'static str, values: &[f32]) -> Result<f64> {
     unit_interval(name, values)?;

@@ -11,6 +11,7 @@ use crate::block::{
     WideParts,
 };
 use crate::problem::Problem;
+use crate::robust::{Robust, Tame};
 use crate::simd::Ahead;
 
 /// Blocks whose light derivatives are summed in float32 before float64 takes over.
@@ -24,6 +25,8 @@ pub struct Piece<'a> {
     pub maps: &'a [f64],
     /// In float32: (channel, picture, coefficient).
     pub lights: &'a [f32],
+    /// φ, where it is not the square.
+    pub robust: Option<Robust>,
     /// Factor on the gradient.
     pub scale: f64,
     /// What to evaluate.
@@ -35,9 +38,9 @@ pub type Evaluate = fn(&Piece, &mut [&mut [f64]]) -> Partial;
 
 /// What one piece of work adds to the sums over pixels.
 pub struct Partial {
-    /// Σ ω (I − T)²
-    pub squares: f64,
-    /// Derivatives of ½ Σ ω (I − T)² by the lights: (channel, picture, coefficient).
+    /// Σ ω φ(I − T)
+    pub loss: f64,
+    /// Derivatives of ½ Σ ω φ(I − T) by the lights: (channel, picture, coefficient).
     pub by_lights: Vec<f64>,
     /// Whether all materials lay in \[0, 1\].
     pub in_range: bool,
@@ -84,13 +87,14 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
         problem,
         maps,
         lights,
+        robust,
         scale,
         ref blocks,
     } = piece;
     let (isa, pixels, pictures) = (problem.instructions(), problem.pixels(), problem.pictures());
     let lights: &[[f32; K]] = lights.as_chunks().0;
     let mut partial = Partial {
-        squares: 0.0,
+        loss: 0.0,
         by_lights: Vec::new(),
         in_range: true,
     };
@@ -144,18 +148,31 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
             for group in block::groups(pictures) {
                 let lights = &lights[c * pictures..][group.clone()];
                 let residuals = &mut residuals[..group.len()];
-                partial.squares += isa.run(Residuals::<K, WEIGHTED> {
+                let sample_weights = if WEIGHTED {
+                    &sample_weights[group.clone()]
+                } else {
+                    &[]
+                };
+                let step = Residuals::<K, WEIGHTED> {
                     weights: &weights,
                     lights,
                     targets: &targets[group.clone()],
-                    sample_weights: if WEIGHTED {
-                        &sample_weights[group.clone()]
-                    } else {
-                        &[]
-                    },
+                    sample_weights,
                     residuals,
                     ahead: &mut ahead,
-                });
+                };
+                partial.loss += match robust {
+                    None => isa.run(step),
+                    Some(loss) => {
+                        // The weights come after φ.
+                        isa.run(step.unweighted());
+                        isa.run(Tame {
+                            loss,
+                            sample_weights,
+                            residuals,
+                        })
+                    }
+                };
                 isa.run(Reduce {
                     begin: group.start == 0,
                     basis: &basis,

@@ -16,9 +16,11 @@
 //! | [`band_table`] | h_l(r) from a table, for the fast path |
 //! | [`simd`] | the choice of vector instructions at run time |
 //! | [`block`] | the same for a block of pixels in float32, and the products with lights and residuals |
+//! | [`robust`] | losses that outliers pull less at |
 //! | [`problem`] | all pixels: loss and gradient |
 //! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
 //! | [`penalties`] | penalties on a map: neighbours alike, groups of pixels alike |
+//! | [`normal_matrix`] | pixels: Gauss–Newton normal matrices, and how they are tied to the lights |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`image_file`] | picture files |
 
@@ -30,12 +32,14 @@ mod evaluate;
 pub mod ggx;
 pub mod image_file;
 pub mod material_grid;
+pub mod normal_matrix;
 pub mod penalties;
 mod pool;
 pub mod problem;
 #[cfg(feature = "python")]
 mod python;
 pub mod render;
+pub mod robust;
 pub mod sh;
 pub mod shade;
 pub mod simd;

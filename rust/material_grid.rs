@@ -57,32 +57,25 @@ struct Specular {
 /// Best albedo of each pixel, and Σ ω (I − T)² with it.
 #[derive(Clone, Debug)]
 pub struct BestAlbedo {
-    /// A plane for each channel.
+    /// (pixel, channel)
     pub albedo: Vec<f64>,
-    /// One number a pixel.
+    /// (pixel)
     pub squares: Vec<f64>,
 }
 
 impl Problem {
-    /// Least Σ ω (I − T)² over albedo for every combination of roughness and metallic, in float32:
-    /// (pixel of `pixels`, roughness, metallic). `lighting` is (picture, coefficient, channel).
+    /// Least Σ ω (I − T)² over albedo for every combination of roughness and metallic, with the
+    /// lights of x, in float32: (pixel of `pixels`, roughness, metallic).
     pub fn material_grid(
         &self,
-        lighting: &[f64],
+        x: &[f64],
         pixels: &[usize],
         roughness: &[f64],
         metallic: &[f64],
     ) -> Result<Vec<f32>> {
         check::unit_interval("roughness", roughness)?;
         check::unit_interval("metallic", metallic)?;
-        if pixels.iter().any(|&p| p >= self.pixels()) {
-            return Err(Error::argument(
-                "pixels",
-                format!("indices below {}", self.pixels()),
-                pixels.iter().max().expect("some"),
-            ));
-        }
-        let lights = self.lights_of_planes(lighting)?;
+        let (_, lights) = self.at(x, pixels)?;
         let nodes = roughness.len() * metallic.len();
         let mut grid: Vec<f32> = Vec::new();
         grid.try_reserve_exact(pixels.len() * nodes)
@@ -105,68 +98,36 @@ impl Problem {
         Ok(grid)
     }
 
-    /// The albedo that explains each pixel best with the roughness and metallic of `maps`, the
-    /// first part of x, and the lights (picture, coefficient, channel).
-    pub fn best_albedo(&self, lighting: &[f64], maps: &[f64]) -> Result<BestAlbedo> {
-        check::length("maps", self.maps(), maps.len())?;
-        check::unit_interval("maps (albedo, roughness, metallic)", maps)?;
-        let lights = self.lights_of_planes(lighting)?;
-        let (count, channels) = (self.pixels(), self.channels());
-        let all: Vec<usize> = (0..count).collect();
-        let roughness = &maps[channels * count..][..count];
-        let metallic = maps.get((channels + 1) * count..);
+    /// The albedo that explains each of `pixels` best with the roughness and metallic of x, and the
+    /// lights of x.
+    pub fn best_albedo(&self, x: &[f64], pixels: &[usize]) -> Result<BestAlbedo> {
+        let (maps, lights) = self.at(x, pixels)?;
         let parts = pool::map(
             self.threads(),
-            all.chunks(CHUNK * BLOCK).collect(),
+            pixels.chunks(CHUNK * BLOCK).collect(),
             |pixels: &[usize]| {
                 let mut block = Block::new(self);
-                let mut found = Vec::with_capacity(pixels.len());
+                let (mut albedo, mut squares) = (Vec::new(), Vec::new());
                 for pixels in pixels.chunks(BLOCK) {
                     block.load(&lights, pixels);
                     for (x, &p) in pixels.iter().enumerate() {
-                        block.roughness.0[x] = roughness[p];
-                        block.metallic.0[x] = match metallic {
-                            Some(metallic) if !metallic.is_empty() => metallic[p],
-                            _ => self.known_metallic().unwrap_or(0.0),
-                        };
+                        (block.roughness.0[x], block.metallic.0[x]) =
+                            self.roughness_and_metallic(maps, p);
                     }
                     block.at_own_roughness();
                     for x in 0..pixels.len() {
-                        let albedo: [f64; 3] =
-                            std::array::from_fn(|c| block.albedo.get(c).map_or(0.0, |a| a.0[x]));
-                        found.push((albedo, block.squares.0[x]));
+                        albedo.extend(block.albedo.iter().map(|plane| plane.0[x]));
+                        squares.push(block.squares.0[x]);
                     }
                 }
-                found
+                (albedo, squares)
             },
         );
-        let found = || parts.iter().flatten();
+        let (albedo, squares): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
         Ok(BestAlbedo {
-            albedo: (0..channels)
-                .flat_map(|c| found().map(move |(albedo, _)| albedo[c]))
-                .collect(),
-            squares: found().map(|&(_, squares)| squares).collect(),
+            albedo: albedo.concat(),
+            squares: squares.concat(),
         })
-    }
-
-    /// Lights as (channel, picture, coefficient), with zeros where a band is left out.
-    fn lights_of_planes(&self, lighting: &[f64]) -> Result<Vec<[f64; COEFFICIENTS]>> {
-        let (n, k, c) = (self.pictures(), self.coefficients(), self.channels());
-        check::length("lighting", n * k * c, lighting.len())?;
-        check::moderate("lighting", lighting, check::LARGEST_F32)?;
-        let light = |channel: usize, picture: usize| {
-            let of_picture = &lighting[picture * k * c..][..k * c];
-            std::array::from_fn(|i| {
-                if i < k {
-                    of_picture[i * c + channel]
-                } else {
-                    0.0
-                }
-            })
-        };
-        Ok((0..c)
-            .flat_map(|channel| (0..n).map(move |picture| light(channel, picture)))
-            .collect())
     }
 }
 
@@ -450,8 +411,7 @@ impl Kernel for MinimizeByAlbedo<'_> {
             let c2 = a1 * a1 * dd + b1 * b1 * ss + 2.0 * ((a1 * b1 - a2 * b0) * ds + a2 * dt);
             let c3 = -2.0 * a2 * (a1 * dd + b1 * ds);
             let c4 = a2 * a2 * dd;
-            let polynomial =
-                |rho: f64| (((c4 * rho + c3) * rho + c2) * rho + c1) * rho + c0;
+            let polynomial = |rho: f64| (((c4 * rho + c3) * rho + c2) * rho + c1) * rho + c0;
 
             let (mut best, mut least) = (0.0, c0);
             for start in STARTS {

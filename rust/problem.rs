@@ -7,6 +7,8 @@ use glam::DVec3;
 use crate::block::{BLOCK, Directions, Plane};
 use crate::check::LARGEST_F32;
 use crate::evaluate::{self, Evaluate, Piece};
+use crate::robust::Robust;
+use crate::sh::COEFFICIENTS;
 use crate::shade::{Material, shade};
 use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
@@ -18,6 +20,8 @@ const MAX_CHUNKS: usize = 64;
 const MIN_CHUNK: usize = 4;
 /// Pieces of work whose normal equations are held at once.
 const PIECES_AT_ONCE: usize = 16;
+/// The first part of x, in messages.
+const MAPS_OF_X: &str = "x (albedo, roughness, metallic)";
 /// Samples (pixels times pictures) at most.
 pub(crate) const MAX_SAMPLES: usize = 1 << 31;
 
@@ -70,7 +74,8 @@ impl Default for Options {
 ///
 /// Unknowns are one vector, x = \[albedo (a plane of `pixels` for each channel) | roughness |
 /// metallic | lighting (picture, coefficient, channel)\], without those that are known. The loss is
-/// the mean of (I − T)² over pixels, pictures and channels, weighted if there are weights.
+/// the mean of φ(I − T) over pixels, pictures and channels, weighted if there are weights; φ is the
+/// square, or a [`Robust`] loss.
 #[derive(Debug)]
 pub struct Problem {
     pixels: usize,
@@ -211,7 +216,7 @@ impl Problem {
 
     /// Number of unknowns that are maps, the first part of x.
     pub fn maps(&self) -> usize {
-        self.planes() * self.pixels
+        self.unknowns_of_pixel() * self.pixels
     }
 
     /// Number of unknowns.
@@ -221,22 +226,23 @@ impl Problem {
     }
 
     /// Unknowns of a pixel.
-    fn planes(&self) -> usize {
+    pub(crate) fn unknowns_of_pixel(&self) -> usize {
         self.channels + 1 + usize::from(self.metallic.is_none())
     }
 
-    /// The loss at x; its gradient is written to `gradient`.
-    pub fn value_and_grad(&self, x: &[f64], gradient: &mut [f64]) -> Result<f64> {
-        check::length("x", self.size(), x.len())?;
+    /// The loss at x, of squares unless `robust` says otherwise; its gradient is written to
+    /// `gradient`.
+    pub fn value_and_grad(
+        &self,
+        x: &[f64],
+        robust: Option<Robust>,
+        gradient: &mut [f64],
+    ) -> Result<f64> {
+        let (maps, lighting) = self.split(x)?;
         check::length("gradient", self.size(), gradient.len())?;
-        let (maps, free) = x.split_at(self.maps());
-        let lighting = match &self.lighting {
-            Some(known) => known,
-            None => {
-                check::moderate("x (lighting)", free, LARGEST_F32)?;
-                free
-            }
-        };
+        if let Some(robust) = robust {
+            robust.check()?;
+        }
         let lights = self.by_channel(lighting);
         let scale = 2.0 / self.total_weight;
 
@@ -250,6 +256,7 @@ impl Problem {
                 problem: self,
                 maps,
                 lights: &lights,
+                robust,
                 scale,
                 blocks,
             };
@@ -261,9 +268,9 @@ impl Problem {
         for partial in &partials {
             if !partial.in_range {
                 // Which entry it was is worth a second look only now.
-                check::unit_interval("x (albedo, roughness, metallic)", maps)?;
+                check::unit_interval(MAPS_OF_X, maps)?;
             }
-            loss += partial.squares;
+            loss += partial.loss;
             add(&mut by_lights, &partial.by_lights);
         }
         let (k, c) = (self.coefficients, self.channels);
@@ -272,6 +279,81 @@ impl Problem {
             *of_entry = scale * by_lights[(channel * self.pictures + picture) * k + coefficient];
         }
         Ok(loss / self.total_weight)
+    }
+
+    /// I − T of some pixels, without their weights, in float64 and rounded once: (picture, pixel of
+    /// `pixels`, channel).
+    pub fn residuals(&self, x: &[f64], pixels: &[usize]) -> Result<Vec<f32>> {
+        let (maps, lighting) = self.split(x)?;
+        check::unit_interval(MAPS_OF_X, maps)?;
+        check::indices("pixels", self.pixels, pixels)?;
+        let pieces = pool::map(
+            self.threads,
+            pixels.chunks(BLOCK).collect(),
+            |pixels: &[usize]| {
+                if self.channels == 1 {
+                    self.residuals_of::<1>(maps, lighting, pixels)
+                } else {
+                    self.residuals_of::<3>(maps, lighting, pixels)
+                }
+            },
+        );
+        let mut residuals = Vec::with_capacity(self.pictures * pixels.len() * self.channels);
+        for i in 0..self.pictures {
+            for of_pixels in &pieces {
+                let row = of_pixels.len() / self.pictures;
+                residuals.extend_from_slice(&of_pixels[i * row..][..row]);
+            }
+        }
+        Ok(residuals)
+    }
+
+    /// I − T of a few pixels: (picture, pixel, channel).
+    fn residuals_of<const C: usize>(
+        &self,
+        maps: &[f64],
+        lighting: &[f64],
+        pixels: &[usize],
+    ) -> Vec<f32> {
+        let k = self.coefficients;
+        let mut residuals = vec![0.0; self.pictures * pixels.len() * C];
+        for (j, &p) in pixels.iter().enumerate() {
+            let (block, x) = (p / BLOCK, p % BLOCK);
+            let weights = shade(&self.directions[block].get(x), &self.material::<C>(maps, p));
+            for (c, w) in weights.iter().enumerate() {
+                for (i, target) in self.targets(block, c).iter().enumerate() {
+                    let light = lighting[i * k * C + c..].iter().step_by(C);
+                    let radiance: f64 = w[..k].iter().zip(light).map(|(w, l)| w * l).sum();
+                    residuals[(i * pixels.len() + j) * C + c] =
+                        (radiance - f64::from(target.0[x])) as f32;
+                }
+            }
+        }
+        residuals
+    }
+
+    /// x where some pixels are asked for, checked: its maps, and its lights, known or of x, as
+    /// (channel, picture, coefficient), with zeros where a band is left out.
+    pub(crate) fn at<'a>(
+        &'a self,
+        x: &'a [f64],
+        pixels: &[usize],
+    ) -> Result<(&'a [f64], Vec<[f64; COEFFICIENTS]>)> {
+        let (maps, lighting) = self.split(x)?;
+        check::unit_interval(MAPS_OF_X, maps)?;
+        check::indices("pixels", self.pixels, pixels)?;
+        Ok((maps, self.padded_lights(lighting)))
+    }
+
+    /// The maps of x, and the lights, known or of x.
+    fn split<'a>(&'a self, x: &'a [f64]) -> Result<(&'a [f64], &'a [f64])> {
+        check::length("x", self.size(), x.len())?;
+        let (maps, free) = x.split_at(self.maps());
+        let Some(known) = &self.lighting else {
+            check::moderate("x (lighting)", free, LARGEST_F32)?;
+            return Ok((maps, free));
+        };
+        Ok((maps, known))
     }
 
     /// The normal equations of the lights, channel by channel, for the materials in `maps`, the
@@ -358,13 +440,20 @@ impl Problem {
         sums
     }
 
-    fn material<const C: usize>(&self, maps: &[f64], p: usize) -> Material<C> {
-        let plane = |i: usize| maps[i * self.pixels + p];
+    /// The material of a pixel; `maps` is the first part of x.
+    pub(crate) fn material<const C: usize>(&self, maps: &[f64], p: usize) -> Material<C> {
+        let (roughness, metallic) = self.roughness_and_metallic(maps, p);
         Material {
-            albedo: std::array::from_fn(plane),
-            roughness: plane(C),
-            metallic: self.metallic.unwrap_or_else(|| plane(C + 1)),
+            albedo: std::array::from_fn(|c| maps[c * self.pixels + p]),
+            roughness,
+            metallic,
         }
+    }
+
+    /// The same without albedo.
+    pub(crate) fn roughness_and_metallic(&self, maps: &[f64], p: usize) -> (f64, f64) {
+        let plane = |i: usize| maps[(self.channels + i) * self.pixels + p];
+        (plane(0), self.metallic.unwrap_or_else(|| plane(1)))
     }
 
     /// Lights in float32: (channel, picture, coefficient).
@@ -373,6 +462,23 @@ impl Problem {
         for c in 0..self.channels {
             let of_channel = lighting.iter().skip(c).step_by(self.channels);
             lights.extend(of_channel.map(|&l| l as f32));
+        }
+        lights
+    }
+
+    /// Lights (picture, coefficient, channel), of any number of pictures, as (channel, picture,
+    /// coefficient), with zeros where a band is left out.
+    pub(crate) fn padded_lights(&self, lighting: &[f64]) -> Vec<[f64; COEFFICIENTS]> {
+        let (k, channels) = (self.coefficients, self.channels);
+        let mut lights = Vec::with_capacity(lighting.len() / k);
+        for channel in 0..channels {
+            lights.extend(lighting.chunks(k * channels).map(|of_picture| {
+                let mut light = [0.0; COEFFICIENTS];
+                for (to, from) in light.iter_mut().zip(of_picture.chunks(channels)) {
+                    *to = from[channel];
+                }
+                light
+            }));
         }
         lights
     }

@@ -65,7 +65,8 @@ class Problem:
     (N, P) or (N, P, C) float32; lighting (N, K, C) float64, known; metallic a number, known;
     threads 0 = all. K = (sh_order + 1)², sh_order 2 or 3.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | lighting (N, K, C)], without
-    those that are known. The loss is the (weighted) mean of the squared residuals.
+    those that are known. The loss is the (weighted) mean of the squared residuals, or of a robust
+    loss of them.
     """
 
     def __new__(
@@ -90,7 +91,19 @@ class Problem:
     def channels(self) -> int: ...
     @property
     def coefficients(self) -> int: ...
-    def value_and_grad(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]: ...
+    def value_and_grad(
+        self, x: NDArray[np.float64], robust: tuple[str, float] | None = None
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Loss at x and its gradient.
+
+        `robust` is a loss instead of the square, "huber" or "cauchy", and its scale, from 1e-15
+        to 1e15 in the unit of the images.
+        """
+    def residuals(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
+        """Rendered minus given radiance (N, len(pixels), C) at some pixels, whatever the weights.
+
+        `pixels` are indices below P, in any order.
+        """
     def light_equations(
         self, maps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -98,6 +111,32 @@ class Problem:
 
         `maps` is x without its lighting. One Gram matrix for all pictures, or one for each where
         samples have weights.
+        """
+    def normal_equations(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Of the materials of some pixels, the lights held: JᵀΩJ (P', D, D), JᵀΩ(I−T) (P', D) and
+        Σω(I−T)² (P',).
+
+        The D unknowns of a pixel: albedo by channel, roughness and, unless it is known, metallic.
+        """
+    def derivatives(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Of the radiance of some pixels: by the channel's albedo, roughness and metallic
+        (P', N, C, 3); by the light, the same for all pictures, (P', C, K); and the weights of the
+        samples (P', N, C).
+        """
+    def moves_with_lights(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        covariances: NDArray[np.float64],
+        modes: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Σ over modes of the square of what they move the materials of some pixels by, (P', D).
+
+        covariances (P', D, D), the inverse of JᵀΩJ; modes (M, N, K, C) of the lights.
         """
 
 @final

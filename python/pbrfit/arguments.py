@@ -98,6 +98,14 @@ def positive(text: str) -> int:
     return value
 
 
+def code_range(text: str) -> tuple[int, int]:
+    """Read LOW,HIGH for `argparse`."""
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise argparse.ArgumentTypeError(f"expected LOW,HIGH, found {text}")
+    return whole_number(parts[0]), whole_number(parts[1])
+
+
 def progress_bar(total: int, *, quiet: bool, unit: str = "it", name: str | None = None) -> Any:
     """Make a `tqdm` bar on stderr; none where that is no terminal, or `quiet` is asked for."""
     from tqdm import tqdm

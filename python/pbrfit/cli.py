@@ -25,6 +25,7 @@ from pbrfit.arguments import (
     add_priors,
     add_quiet,
     add_threads,
+    code_range,
     complain,
     given_priors,
     progress_bar,
@@ -33,6 +34,7 @@ from pbrfit.arguments import (
 )
 from pbrfit.color import ColorSpace
 from pbrfit.evaluation.commands import add_suites
+from pbrfit.images import CODE_RANGE
 
 if TYPE_CHECKING:
     from pbrfit.result import Result
@@ -197,6 +199,14 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="average larger pictures down to this longer side (default: as they are)",
     )
+    parser.add_argument(
+        "--code-range",
+        metavar="LOW,HIGH",
+        type=code_range,
+        default=f"{CODE_RANGE[0]},{CODE_RANGE[1]}",
+        help="leave out samples of integer pictures with a channel above HIGH, or with all below "
+        "LOW, in 8-bit codes; 0,255 keeps all",
+    )
 
 
 def _add_solver_options(parser: argparse.ArgumentParser) -> None:
@@ -325,7 +335,11 @@ def _load(path: Path, options: argparse.Namespace) -> Scene:
     from pbrfit.scene import Scene
 
     return Scene.load(
-        path, fov=options.fov, color_space=options.color_space, max_size=options.max_size
+        path,
+        fov=options.fov,
+        color_space=options.color_space,
+        max_size=options.max_size,
+        code_range=options.code_range,
     )
 
 

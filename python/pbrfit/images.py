@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import operator
 import os
 import warnings
 from collections.abc import Mapping
@@ -36,6 +37,12 @@ logger = logging.getLogger("pbrfit")
 PICTURE_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 """Suffixes, in lower case, of files that `read_picture` reads."""
 
+CODE_RANGE = (1, 250)
+"""Codes of an 8-bit file that are data. 0 in all channels may be anything darker than the file can
+say, and 255 anything brighter. JPEG smears clipped areas: of samples that were clipped before a
+JPEG of quality 75 to 95 with halved colour, 15 to 22 % come back with all channels below 254, and
+5 to 9 % with all below 251, which drops 2 % of the sound samples of bright photographs."""
+
 # fmt: off
 _RAW_SUFFIXES = frozenset({
     ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos",
@@ -61,8 +68,10 @@ class Picture:
         (H, W), coverage in [0, 1], float32, or None. The colours are as stored: not divided and
         not multiplied by it.
     clipped
-        (H, W), bool: some colour channel is at the maximum of its integer type. All False for
-        float files.
+        (H, W), bool: some colour channel is above the code range, so that there may have been any
+        amount of light more. All False for float files.
+    dark
+        (H, W), bool: all colour channels are below the code range. All False for float files.
     color
         One sentence on how the colour was decided.
     focal_length_35mm
@@ -76,6 +85,7 @@ class Picture:
     pixels: NDArray[np.float32]
     alpha: NDArray[np.float32] | None
     clipped: NDArray[np.bool_]
+    dark: NDArray[np.bool_]
     color: str
     focal_length_35mm: float | None
     sha256: str
@@ -86,6 +96,7 @@ def read_picture(
     path: str | os.PathLike[str],
     color_space: ColorSpace | None = None,
     layer: str | None = None,
+    code_range: tuple[int, int] = CODE_RANGE,
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
@@ -103,6 +114,9 @@ def read_picture(
     layer
         Of an EXR file: read ``layer.R``, ``layer.G``, ``layer.B`` (or ``layer.Y``) and
         ``layer.A`` instead of ``R``, ``G``, ``B`` (or ``Y``) and ``A``.
+    code_range
+        Lowest and highest code that is data, of an 8-bit file; a 16-bit file has the same shares
+        of its maximum. They mark what is `clipped` or `dark`, and do not change pixels.
 
     Returns
     -------
@@ -112,10 +126,12 @@ def read_picture(
     ------
     InputError
         If the content cannot be used: another format, a damaged file, a profile that is not made
-        of curves and a matrix, no colour channels, an unknown `color_space`.
+        of curves and a matrix, no colour channels, an unknown `color_space`; or if `code_range` is
+        none.
     OSError
         If the file cannot be read.
     """
+    low, high = _checked(code_range)
     path, data, kind = _load(path)
     chosen: Conversion | None = None
     if color_space is not None:
@@ -140,11 +156,13 @@ def read_picture(
     if samples.shape[2] in (2, 4):
         colors, alpha = samples[..., :-1], samples[..., -1]
     clipped = np.zeros(samples.shape[:2], dtype=np.bool_)
+    dark = np.zeros_like(clipped)
     bit_depth = 8 * samples.dtype.itemsize
     if samples.dtype.kind == "u":
-        maximum = np.iinfo(samples.dtype).max
-        for k in range(colors.shape[2]):
-            clipped |= colors[..., k] == maximum
+        maximum = int(np.iinfo(samples.dtype).max)
+        unit = maximum // 255  # 65535 is 257 times 255
+        np.any(colors > high * unit, axis=-1, out=clipped)
+        np.all(colors < low * unit, axis=-1, out=dark)
         if alpha is not None:
             alpha = np.divide(alpha, np.float32(maximum), dtype=np.float32)
     elif alpha is not None:
@@ -155,6 +173,7 @@ def read_picture(
         pixels=pixels,
         alpha=alpha,
         clipped=clipped,
+        dark=dark,
         color=color,
         focal_length_35mm=focal_length,
         sha256=hashlib.sha256(data).hexdigest(),
@@ -314,6 +333,18 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any], srgb: bool) -> 
         If the file cannot be written.
     """
     _core.write_png(path, image, srgb)
+
+
+def _checked(code_range: tuple[int, int]) -> tuple[int, int]:
+    try:
+        low, high = (operator.index(code) for code in code_range)
+    except (TypeError, ValueError):
+        low, high = 0, 0
+    if not 0 <= low < high <= 255:
+        raise InputError(
+            f"code_range: expected two 8-bit codes, 0 ≤ low < high ≤ 255, found {code_range}"
+        )
+    return low, high
 
 
 def _load(path: str | os.PathLike[str]) -> tuple[Path, bytes, str]:

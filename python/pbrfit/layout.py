@@ -113,6 +113,11 @@ class Layout:
         return None if self.metallic_known else slice(end, end + self.pixels)
 
     @property
+    def finish(self) -> tuple[slice, ...]:
+        """The planes that tell one finish from another: roughness, and metallic where it is free."""
+        return (self.roughness,) if self.metallic is None else (self.roughness, self.metallic)
+
+    @property
     def maps(self) -> slice:
         """All that are no lights."""
         return slice(0, (self.metallic or self.roughness).stop)

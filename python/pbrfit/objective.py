@@ -70,6 +70,15 @@ class Objective:
     ----------
     layout
         Where the unknowns lie in x.
+    problem
+        The pictures in the core; `for_core` gives x as it takes it.
+    samples
+        Number of samples (of one pixel, picture and channel) of some weight.
+    total_weight
+        Sum of their weights, of which the largest is 1. The data term is the weighted sum of
+        squares divided by this.
+    known_metallic
+        `metallic`.
     penalties
         List of the terms beside the data. A solver may change it between evaluations.
     size
@@ -111,7 +120,7 @@ class Objective:
         sh_order = whole_number("sh_order", sh_order)
         if sh_order not in SH_ORDERS:
             raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
-        self._known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
+        self.known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
         self._known_lighting = scene.lighting
         layout = Layout.of(
             scene,
@@ -123,6 +132,14 @@ class Objective:
         self.pixels, self.channels = layout.pixels, layout.channels
         self.coefficients = layout.coefficients
         weights = _weights(scene) if layout.weighted else None
+        self.samples = self.channels * (
+            layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
+        )
+        self.total_weight = (
+            float(self.samples)
+            if weights is None
+            else self.channels * float(weights.sum(dtype=np.float64))
+        )
         self.scale = _scene_scale(scene, weights)
 
         images = np.empty((layout.pictures, self.pixels, self.channels), dtype=np.float32)
@@ -130,14 +147,14 @@ class Objective:
             samples = scene.samples(i)[:, : self.channels]
             scaled[:] = samples.astype(np.float64) / self.scale
         self._mean_image = _mean_image(images, weights)
-        self._problem = _core.Problem(
+        self.problem = _core.Problem(
             images,
             scene.normals[layout.valid].astype(np.float64),
             scene.views[layout.valid],
             threads,
             weights=weights,
             sh_order=layout.sh_order,
-            metallic=self._known_metallic,
+            metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
         )
 
@@ -169,7 +186,7 @@ class Objective:
         maps = np.array(maps[self.layout.maps], dtype=np.float64)
         if self.lighting is None:
             return maps
-        gram, right = self._problem.light_equations(maps)
+        gram, right = self.problem.light_equations(maps)
         if self.layout.light_channels < self.channels:
             gram, right = gram.sum(axis=0, keepdims=True), right.sum(axis=0, keepdims=True)
         k = self.coefficients
@@ -197,7 +214,7 @@ class Objective:
 
     def data_value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         """As `value_and_grad`, without the penalties."""
-        loss, gradient = self._problem.value_and_grad(self.for_core(x))
+        loss, gradient = self.problem.value_and_grad(self.for_core(x))
         if self.layout.light_channels < self.channels:
             # By the chain rule, derivatives by the light in each channel add up.
             end = self.layout.maps.stop
@@ -271,7 +288,7 @@ class Objective:
         if x.shape != (self.size,):
             raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
-        metallic = self._known_metallic if self.metallic is None else x[self.metallic]
+        metallic = self.known_metallic if self.metallic is None else x[self.metallic]
         materials = Materials(
             self._map(albedo),
             self._map(x[self.roughness]),
@@ -336,12 +353,10 @@ def _real_numbers(x: ArrayLike) -> NDArray[np.float64]:
 
 
 def _weights(scene: Scene) -> NDArray[np.float32]:
-    """(N, P) weights of the samples, at most 1."""
+    """(N, P) weights of the samples, at most 1: only their ratios matter."""
     assert scene.weights is not None
     weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
-    weights /= (
-        weights.max()
-    )  # only ratios matter; this way float32 neither overflows nor loses digits
+    weights /= weights.max()  # so that float32 neither overflows nor loses digits
     return weights
 
 

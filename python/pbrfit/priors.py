@@ -127,7 +127,7 @@ class Cohesion:
     def __init__(self, layout: Layout, weight: float) -> None:
         assert layout.segments is not None
         self._factor = weight / layout.pixels
-        self._blocks = _surface_maps(layout)
+        self._blocks = layout.finish
         self._groups = _core.Groups(layout.segments.astype(np.int64))
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
@@ -159,7 +159,7 @@ class Smoothness:
 
     def __init__(self, layout: Layout, pairs: NDArray[np.int64], weight: float) -> None:
         self._factor = weight * SMOOTHNESS_STEP**2
-        self._blocks = _surface_maps(layout)
+        self._blocks = layout.finish
         self._neighbours = _core.Neighbours(layout.pixels, *pairs)
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
@@ -233,10 +233,3 @@ def _on_maps(
 ) -> float:
     """Sum of a penalty over maps, each a block of x; see `Penalty`."""
     return sum(penalty.add_penalty(x[block], weight, gradient[block]) for block in blocks)
-
-
-def _surface_maps(layout: Layout) -> tuple[slice, ...]:
-    """The planes that tell one finish from another: roughness, and metallic where it is free."""
-    if layout.metallic is None:
-        return (layout.roughness,)
-    return layout.roughness, layout.metallic

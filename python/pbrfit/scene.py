@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit import geometry
 from pbrfit._core import InputError
+from pbrfit.images import CODE_RANGE
 from pbrfit.materials import Materials
 
 if TYPE_CHECKING:
@@ -201,6 +202,7 @@ class Scene:
         fov: float | None = None,
         color_space: ColorSpace | None = None,
         max_size: int | None = None,
+        code_range: tuple[int, int] = CODE_RANGE,
     ) -> Scene:
         """Read a scene folder (see docs/formats.md).
 
@@ -214,6 +216,10 @@ class Scene:
             Of all pictures; overrides `scene.toml`, profiles and file types.
         max_size
             Longer side in pixels; larger pictures are averaged down.
+        code_range
+            Lowest and highest code of 8-bit pictures that is data, and the same shares of the
+            maximum of 16-bit ones. Samples with a channel above, or with all channels below, get
+            weight 0; (0, 255) keeps all. Float pictures are taken as they are.
 
         Raises
         ------
@@ -222,7 +228,13 @@ class Scene:
         """
         from pbrfit import scene_folder
 
-        return scene_folder.load(Path(path), fov=fov, color_space=color_space, max_size=max_size)
+        return scene_folder.load(
+            Path(path),
+            fov=fov,
+            color_space=color_space,
+            max_size=max_size,
+            code_range=code_range,
+        )
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a scene folder that `load` reads back: float32 EXR, truth included.

@@ -78,6 +78,7 @@ def load(
     fov: float | None = None,
     color_space: ColorSpace | None = None,
     max_size: int | None = None,
+    code_range: tuple[int, int] = images.CODE_RANGE,
 ) -> Scene:
     """Read a scene folder; see `Scene.load`."""
     if max_size is not None and max_size < 1:
@@ -94,11 +95,12 @@ def load(
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"{paths[0].parent}: expected one picture a name, found {twice} twice")
 
-    pixels, mask, focal_length = _read_pictures(
-        paths, folder, color_space or settings.color_space, max_size, inputs, assumed
+    read = _read_pictures(
+        paths, folder, color_space or settings.color_space, max_size, code_range, inputs, assumed
     )
     # From here on every map must have the size that the pictures have on disk.
-    full_size, size = mask.shape, pixels.shape[1:3]
+    mask = read.mask
+    full_size, size = mask.shape, read.pixels.shape[1:3]
     if full_size != size:
         assumed["size"] = (
             f"averaged down from {full_size[1]} × {full_size[0]} to {size[1]} × {size[0]} pixels"
@@ -110,6 +112,7 @@ def load(
     segments = _read_segments(folder / "segments.png", full_size, inputs)
     if full_size != size:
         normals, mask, segments = _averaged(normals, mask, segments, size)
+    weights = _exposure_weights(read, mask, paths, code_range, assumed)
 
     lighting = None
     lighting_path = folder / "lighting.json"
@@ -123,9 +126,9 @@ def load(
     elif settings.fov is not None:
         fov = settings.fov
         assumed["fov"] = f"{fov:g} degrees, from scene.toml"
-    elif focal_length is not None:
-        fov = geometry.fov_from_focal_length(focal_length, *full_size)
-        assumed["fov"] = f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
+    elif read.focal_length is not None:
+        fov = geometry.fov_from_focal_length(read.focal_length, *full_size)
+        assumed["fov"] = f"{fov:.2f} degrees, from EXIF ({read.focal_length:g} mm equivalent)"
     else:
         fov = DEFAULT_FOV
         assumed["fov"] = f"{fov:g} degrees: neither --fov, scene.toml nor EXIF says"
@@ -134,12 +137,13 @@ def load(
     truth = _read_truth(folder / "truth", names, size)
     try:
         return Scene(
-            images=pixels,
+            images=read.pixels,
             normals=normals,
             fov=fov,
             mask=mask,
             segments=segments,
             lighting=lighting,
+            weights=weights,
             names=names,
             truth=truth,
             assumed=assumed,
@@ -293,54 +297,113 @@ def _rotation(path: Path, content: dict[str, Any]) -> NDArray[np.float64] | None
     return rotation
 
 
+@dataclass
+class _Pictures:
+    """All pictures of a scene folder.
+
+    Attributes
+    ----------
+    pixels
+        (N, H, W, 3) at the working size.
+    clipped, dark
+        (N, H, W), bool: samples with a part in what is too bright or too dark for its file.
+    mask
+        What alpha leaves, at the files' size.
+    focal_length
+        Of the first picture that has one, 35 mm equivalent, millimetres.
+    """
+
+    pixels: NDArray[np.float32]
+    clipped: NDArray[np.bool_]
+    dark: NDArray[np.bool_]
+    mask: NDArray[np.bool_]
+    focal_length: float | None = None
+
+
 def _read_pictures(
     paths: list[Path],
     folder: Path,
     color_space: ColorSpace | None,
     max_size: int | None,
+    code_range: tuple[int, int],
     inputs: dict[str, str],
     assumed: dict[str, str],
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], float | None]:
-    """Pixels (N, H, W, 3) at the working size; the mask that alpha leaves, at the files' size."""
-    pixels: NDArray[np.float32] | None = None
-    mask: NDArray[np.bool_] | None = None
-    focal_length = None
-    clipped = 0.0
+) -> _Pictures:
+    read: _Pictures | None = None
     colors: dict[str, list[str]] = {}
     for i, path in enumerate(paths):
-        picture = images.read_picture(path, color_space)
+        picture = images.read_picture(path, color_space, code_range=code_range)
         full_size = picture.pixels.shape[:2]
-        if pixels is None or mask is None:
+        if read is None:
             size = _working_size(full_size, max_size)
-            pixels = np.empty((len(paths), *size, 3), dtype=np.float32)
-            mask = np.ones(full_size, dtype=bool)
-        if full_size != mask.shape:
+            samples = (len(paths), *size)
+            read = _Pictures(
+                pixels=np.empty((*samples, 3), dtype=np.float32),
+                clipped=np.empty(samples, dtype=bool),
+                dark=np.empty(samples, dtype=bool),
+                mask=np.ones(full_size, dtype=bool),
+            )
+        if full_size != read.mask.shape:
+            height, width = read.mask.shape
             raise InputError(
                 f"{path}: expected the size of {paths[0].name}, "
-                f"{mask.shape[1]} × {mask.shape[0]} pixels, found {full_size[1]} × {full_size[0]}"
+                f"{width} × {height} pixels, found {full_size[1]} × {full_size[0]}"
             )
         if size == full_size:
-            pixels[i] = picture.pixels
+            read.pixels[i] = picture.pixels
         else:
             for c in range(3):
-                pixels[i, ..., c] = _resized(picture.pixels[..., c], size)
+                read.pixels[i, ..., c] = _resized(picture.pixels[..., c], size)
+        read.clipped[i] = _touched(picture.clipped, size)
+        read.dark[i] = _touched(picture.dark, size)
         if picture.alpha is not None:
-            mask &= picture.alpha >= 0.5
-        clipped += float(picture.clipped.mean()) / len(paths)
-        focal_length = focal_length or picture.focal_length_35mm
+            read.mask &= picture.alpha >= 0.5
+        read.focal_length = read.focal_length or picture.focal_length_35mm
         colors.setdefault(picture.color, []).append(path.name)
         inputs[path.relative_to(folder).as_posix()] = picture.sha256
-    assert pixels is not None
-    assert mask is not None
+    assert read is not None
     for color, names in colors.items():
         assumed["color" if len(colors) == 1 else f"color of {', '.join(names)}"] = color
-    if clipped > 0:
-        assumed["clipped"] = f"{100 * clipped:.2g} % of the samples are at their type's maximum"
-    if not mask.any():
+    if not read.mask.any():
         raise InputError(f"{paths[0].parent}: expected opaque pixels, found alpha below 0.5 in all")
-    if not mask.all():
-        assumed["alpha"] = f"{np.count_nonzero(~mask)} transparent pixels left out"
-    return pixels, mask, focal_length
+    if not read.mask.all():
+        assumed["alpha"] = f"{np.count_nonzero(~read.mask)} transparent pixels left out"
+    return read
+
+
+def _exposure_weights(
+    read: _Pictures,
+    mask: NDArray[np.bool_],
+    paths: list[Path],
+    code_range: tuple[int, int],
+    assumed: dict[str, str],
+) -> NDArray[np.float32] | None:
+    """(N, H, W), 0 where a sample of the mask is clipped or dark; None if none is."""
+    clipped, dark = read.clipped & mask, read.dark & mask
+    left_out = clipped | dark
+    if not left_out.any():
+        return None
+    low, high = code_range
+    for path, of_picture in zip(paths, left_out, strict=True):
+        if np.array_equal(of_picture, mask):
+            raise InputError(
+                f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
+                "found all clipped or dark; --code-range 0,255 keeps them"
+            )
+    samples = np.count_nonzero(mask) * len(paths)
+    causes = [
+        f"{100 * np.count_nonzero(samples_of) / samples:.2g} % {cause}"
+        for samples_of, cause in (
+            (clipped, f"with a channel above code {high} of 255"),
+            (dark, f"with all channels below {low}"),
+        )
+        if samples_of.any()
+    ]
+    assumed["exposure"] = f"samples left out: {', '.join(causes)}"
+    pixels = np.count_nonzero(left_out.all(axis=0))
+    if pixels:
+        assumed["exposure"] += f"; pixels left with none: {pixels}"
+    return np.where(left_out, np.float32(0), np.float32(1))
 
 
 def _working_size(full_size: tuple[int, int], max_size: int | None) -> tuple[int, int]:
@@ -354,6 +417,22 @@ def _resized(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float32]:
     """Average of the area that falls on each new pixel."""
     image = Image.fromarray(np.ascontiguousarray(plane, dtype=np.float32))
     return np.asarray(image.resize(size[::-1], Image.Resampling.BOX))
+
+
+def _touched(marked: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which pixels of a picture averaged down to `size` have a part in any that is marked."""
+    if marked.shape == size:
+        return marked
+    touched = np.zeros(size, dtype=bool)
+    rows, columns = np.nonzero(marked)
+    lows, highs = [], []
+    for at, full, small in zip((rows, columns), marked.shape, size, strict=True):
+        lows.append(at * small // full)
+        highs.append(np.minimum(((at + 1) * small - 1) // full, small - 1))
+    for row in (lows[0], highs[0]):
+        for column in (lows[1], highs[1]):
+            touched[row, column] = True
+    return touched
 
 
 def _read_mask(path: Path, size: tuple[int, int], inputs: dict[str, str]) -> NDArray[np.bool_]:

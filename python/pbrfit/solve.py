@@ -20,6 +20,7 @@ from pbrfit.history import History, HistoryRow
 from pbrfit.materials import Materials
 from pbrfit.model import render, whole_number
 from pbrfit.objective import START_ROUGHNESS, Objective
+from pbrfit.priors import Priors
 from pbrfit.result import Options, Result, Status
 from pbrfit.scene import Scene
 
@@ -39,6 +40,13 @@ hardly change, so little is lost by waiting."""
 STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 """(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
 that ended at the bound start again from the middle."""
+
+
+FIRST_SHARE = 0.5
+"""Of the iterations: the fit of the data that the material prior is learnt around. The rest is spent
+with the prior."""
+
+DEFAULT_PRIORS = Priors()
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,8 @@ def decompose(
     threads: int = 0,
     sh_order: int = 3,
     metallic: float | None = None,
+    mono_light: bool = False,
+    priors: Priors | None = DEFAULT_PRIORS,
     progress: Callable[[Progress], None] | None = None,
 ) -> Result:
     """Recover materials and lights from the pictures of one view.
@@ -101,6 +111,10 @@ def decompose(
         Highest band of the lights: 3, or 2 to fit lights without band 3.
     metallic
         A number in [0, 1] that all pixels have, then it is not fitted; None = fitted.
+    mono_light
+        Whether lights are the same in all channels.
+    priors
+        Weights of what is thought likely beforehand (docs/priors.md); None = none.
     progress
         Called at the start and after each iteration.
 
@@ -126,9 +140,17 @@ def decompose(
     # starts: loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
     began = time.perf_counter()
-    objective = Objective(scene, threads=threads, sh_order=sh_order, metallic=metallic)
+    priors = priors or Priors.none()
+    objective = Objective(
+        scene,
+        threads=threads,
+        sh_order=sh_order,
+        metallic=metallic,
+        mono_light=mono_light,
+        priors=priors,
+    )
     x = _start(objective, start)
-    run = _Run(scene, objective, iterations, time_limit, progress, began)
+    run = _Run(scene, objective, priors, iterations, time_limit, progress, began)
     x, status, stop_reason = run.lbfgsb(x, start_given=start is not None)
 
     materials, lighting = objective.unpack(x)
@@ -178,6 +200,7 @@ class _Run:
         self,
         scene: Scene,
         objective: Objective,
+        priors: Priors,
         iterations: int,
         time_limit: float | None,
         progress: Callable[[Progress], None] | None,
@@ -185,12 +208,14 @@ class _Run:
     ) -> None:
         self.truth = None if scene.truth is None else scene.truth.materials
         self.objective = objective
+        self.priors = priors
         self.iterations = iterations
         self.time_limit = time_limit
         self.progress = progress
         self.began = began
         self.unmeasured = 0.0  # seconds spent on comparing with the truth
         self.evaluations = 0
+        self._last = math.nan, math.nan  # loss and its data term, of the last evaluation
         self.iteration = 0
         self.rows: list[HistoryRow] = []
 
@@ -201,9 +226,12 @@ class _Run:
         self._record(x, loss)
         if self.iterations == 0:
             return x, Status.ITERATION_LIMIT, "0 iterations asked for"
+        learns = self.priors.material > 0
+        last = FIRST_SHARE if learns else 1.0
+        kept = ""
         best = loss, x
         for lowest_roughness, share in ((0.0, 1.0),) if start_given else STAGES:
-            iterations = round(share * self.iterations) - self.iteration
+            iterations = round(last * share * self.iterations) - self.iteration
             if iterations <= 0 or self._out_of_time():
                 continue
             if self.iteration > 0:
@@ -211,14 +239,31 @@ class _Run:
             loss, x = self._minimize(x, lowest_roughness, iterations)
             # A restart raises the loss at first, and time may run out before it pays.
             best = min(best, (loss, x), key=lambda pair: pair[0])
-        kept = "" if best[0] == loss else "; kept the better state before the last restart"
+        if best[0] < loss:
+            kept = "; kept the better state before the last restart"
         _, x = best
+        if learns and not self._out_of_time():
+            kept = ""
+            x = self._learnt(x)
+            loss, x = self._minimize(x, 0.0, self.iterations - self.iteration)
         if self._out_of_time():
             return x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached{kept}"
         if self.iteration >= self.iterations:
             return x, Status.ITERATION_LIMIT, f"{self.iterations} iterations done{kept}"
         # With zero tolerances scipy stops early only where rounding hides any further descent.
         return x, Status.CONVERGED, "no step lowers the loss further"
+
+    def _learnt(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """X with the material prior learnt, which is a penalty from here on."""
+        from pbrfit import material_prior
+
+        x, pull = material_prior.learn(
+            self.objective, x, self.priors.material, out_of_time=self._out_of_time
+        )
+        self.objective.penalties.append(pull)
+        loss, _ = self._evaluate(x)
+        self._record(x, loss)
+        return x
 
     def _restarted(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """X with the pixels that are trapped at the roughness bound put back to the middle."""
@@ -259,7 +304,15 @@ class _Run:
 
     def _evaluate(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         self.evaluations += 1
-        return self.objective.value_and_grad(x)
+        data, gradient = self.objective.data_value_and_grad(x)
+        loss = data + self.objective.add_penalties(x, gradient)
+        self._last = loss, data
+        return loss, gradient
+
+    def _data_loss(self, x: NDArray[np.float64], loss: float) -> float:
+        """Of an x whose loss is known; in all but rare cases x was the last to be evaluated."""
+        last, data = self._last
+        return data if last == loss else self.objective.data_value_and_grad(x)[0]
 
     def _out_of_time(self) -> bool:
         return self.time_limit is not None and self._elapsed() >= self.time_limit
@@ -275,7 +328,7 @@ class _Run:
 
     def _record(self, x: NDArray[np.float64], loss: float) -> None:
         elapsed = self._elapsed()
-        recon = self.objective.residual_rmse(loss)
+        recon = self.objective.residual_rmse(self._data_loss(x, loss))
         errors = {}
         if self.truth is not None:
             found, _ = self.objective.unpack(x)

@@ -228,3 +228,7 @@ fn array2<const N: usize>(rows: Vec<[f64; N]>) -> Array2<f64> {
 pub(super) fn array3<T>(values: Vec<T>, shape: [usize; 3]) -> Array3<T> {
     Array3::from_shape_vec(shape, values).expect("the shape's own number of values")
 }
+
+pub(super) fn matrix<T>(values: Vec<T>, shape: [usize; 2]) -> Array2<T> {
+    Array2::from_shape_vec(shape, values).expect("the shape's own number of values")
+}

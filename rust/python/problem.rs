@@ -3,18 +3,29 @@
 use std::sync::Mutex;
 
 use numpy::{
-    IntoPyArray, PyArray1, PyArray3, PyArray4, PyArrayMethods, PyUntypedArrayMethods,
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyUntypedArrayMethods,
     get_array_module,
 };
 use pyo3::prelude::*;
 
 use super::arrays::{Contiguous, array, copied, shape, try_copied, vectors};
-use super::model::array3;
+use super::model::{array3, matrix};
+use crate::normal_matrix::DERIVATIVES;
 use crate::problem::{Options, Pictures, Problem};
+use crate::robust::Robust;
 use crate::{Error, check, pool};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProblem>()
+}
+
+/// A robust loss by its name and scale.
+fn of_name((name, scale): (String, f64)) -> Result<Robust, Error> {
+    match name.as_str() {
+        "huber" => Ok(Robust::Huber(scale)),
+        "cauchy" => Ok(Robust::Cauchy(scale)),
+        _ => Err(Error::argument("robust", "huber or cauchy", name)),
+    }
 }
 
 #[pyclass(frozen, name = "Problem", module = "pbrfit._core")]
@@ -130,13 +141,16 @@ impl PyProblem {
         self.problem.coefficients()
     }
 
+    #[pyo3(signature = (x, robust = None))]
     fn value_and_grad<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
+        robust: Option<(String, f64)>,
     ) -> PyResult<(f64, Bound<'py, PyArray1<f64>>)> {
         let x = array::<f64, numpy::Ix1>("x", x)?;
         shape("x", &[self.problem.size()], x.shape())?;
+        let robust = robust.map(of_name).transpose()?;
         // Another thread may be using the kept copy; then this call has one of its own.
         let mut kept = self.copy.try_lock().ok();
         let mut own = Vec::new();
@@ -154,9 +168,28 @@ impl PyProblem {
             .cast_into::<PyArray1<f64>>()?;
         let mut access = gradient.readwrite();
         let values = access.as_slice_mut()?;
-        let value = py.detach(|| self.problem.value_and_grad(copy, values))?;
+        let value = py.detach(|| self.problem.value_and_grad(copy, robust, values))?;
         drop(access);
         Ok((value, gradient))
+    }
+
+    fn residuals<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let x = array::<f64, numpy::Ix1>("x", x)?;
+        let x = try_copied("x", &x)?;
+        let pixels = array::<u64, numpy::Ix1>("pixels", pixels)?;
+        let pixels: Vec<usize> = copied(&pixels).into_iter().map(|p| p as usize).collect();
+        let residuals = py.detach(|| self.problem.residuals(&x, &pixels))?;
+        let shape = [
+            self.problem.pictures(),
+            pixels.len(),
+            self.problem.channels(),
+        ];
+        Ok(array3(residuals, shape).into_pyarray(py))
     }
 
     #[expect(clippy::type_complexity)]
@@ -184,19 +217,17 @@ impl PyProblem {
     fn material_grid<'py>(
         &self,
         py: Python<'py>,
-        lighting: &Bound<'py, PyAny>,
+        x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
         roughness: &Bound<'py, PyAny>,
         metallic: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let lighting = self.lighting(lighting)?;
-        let pixels = array::<u64, numpy::Ix1>("pixels", pixels)?;
-        let pixels: Vec<usize> = copied(&pixels).into_iter().map(|p| p as usize).collect();
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
         let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
         let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
         let grid = py.detach(|| {
             self.problem
-                .material_grid(&lighting, &pixels, &roughness, &metallic)
+                .material_grid(&x, &pixels, &roughness, &metallic)
         })?;
         let shape = [pixels.len(), roughness.len(), metallic.len()];
         Ok(array3(grid, shape).into_pyarray(py))
@@ -206,25 +237,102 @@ impl PyProblem {
     fn best_albedo<'py>(
         &self,
         py: Python<'py>,
-        lighting: &Bound<'py, PyAny>,
-        maps: &Bound<'py, PyAny>,
-    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let lighting = self.lighting(lighting)?;
-        let maps = array::<f64, numpy::Ix1>("maps", maps)?;
-        shape("maps", &[self.problem.maps()], maps.shape())?;
-        let maps = try_copied("maps", &maps)?;
-        let best = py.detach(|| self.problem.best_albedo(&lighting, &maps))?;
-        Ok((best.albedo.into_pyarray(py), best.squares.into_pyarray(py)))
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let best = py.detach(|| self.problem.best_albedo(&x, &pixels))?;
+        let shape = [pixels.len(), self.problem.channels()];
+        Ok((
+            matrix(best.albedo, shape).into_pyarray(py),
+            best.squares.into_pyarray(py),
+        ))
+    }
+
+    #[expect(clippy::type_complexity)]
+    fn normal_equations<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+    ) -> PyResult<(
+        Bound<'py, PyArray3<f64>>,
+        Bound<'py, PyArray2<f64>>,
+        Bound<'py, PyArray1<f64>>,
+    )> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let found = py.detach(|| self.problem.normal_equations(&x, &pixels))?;
+        let (p, d) = (pixels.len(), self.problem.unknowns_of_pixel());
+        Ok((
+            array3(found.matrices, [p, d, d]).into_pyarray(py),
+            matrix(found.gradient, [p, d]).into_pyarray(py),
+            found.squares.into_pyarray(py),
+        ))
+    }
+
+    #[expect(clippy::type_complexity)]
+    fn derivatives<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+    ) -> PyResult<(
+        Bound<'py, PyArray4<f64>>,
+        Bound<'py, PyArray3<f64>>,
+        Bound<'py, PyArray3<f64>>,
+    )> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let found = py.detach(|| self.problem.derivatives(&x, &pixels))?;
+        let problem = &self.problem;
+        let (p, n, c) = (pixels.len(), problem.pictures(), problem.channels());
+        let by_material =
+            numpy::ndarray::Array4::from_shape_vec([p, n, c, DERIVATIVES], found.by_material)
+                .expect("three derivatives of every sample");
+        Ok((
+            by_material.into_pyarray(py),
+            array3(found.by_light, [p, c, problem.coefficients()]).into_pyarray(py),
+            array3(found.weights, [p, n, c]).into_pyarray(py),
+        ))
+    }
+
+    fn moves_with_lights<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        covariances: &Bound<'py, PyAny>,
+        modes: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let problem = &self.problem;
+        let (p, d) = (pixels.len(), problem.unknowns_of_pixel());
+        let covariances = array::<f64, numpy::Ix3>("covariances", covariances)?;
+        shape("covariances", &[p, d, d], covariances.shape())?;
+        let covariances = try_copied("covariances", &covariances)?;
+        let modes = array::<f64, numpy::Ix4>("modes", modes)?;
+        let count = modes.shape()[0];
+        let (n, k, c) = (
+            problem.pictures(),
+            problem.coefficients(),
+            problem.channels(),
+        );
+        shape("modes", &[count, n, k, c], modes.shape())?;
+        let modes = try_copied("modes", &modes)?;
+        let moves = py.detach(|| problem.moves_with_lights(&x, &pixels, &covariances, &modes))?;
+        Ok(matrix(moves, [p, d]).into_pyarray(py))
     }
 }
 
 impl PyProblem {
-    /// Lights (N, K, C) as flat numbers.
-    fn lighting(&self, lighting: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
-        let lighting = array::<f64, numpy::Ix3>("lighting", lighting)?;
-        let problem = &self.problem;
-        let expected = [problem.pictures(), problem.coefficients(), problem.channels()];
-        shape("lighting", &expected, lighting.shape())?;
-        Ok(copied(&lighting))
+    fn x(&self, x: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
+        let x = array::<f64, numpy::Ix1>("x", x)?;
+        shape("x", &[self.problem.size()], x.shape())?;
+        Ok(try_copied("x", &x)?)
     }
+}
+
+/// Pixels by number.
+fn indices(pixels: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+    let pixels = array::<u64, numpy::Ix1>("pixels", pixels)?;
+    Ok(copied(&pixels).into_iter().map(|p| p as usize).collect())
 }

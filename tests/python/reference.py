@@ -7,6 +7,7 @@ and no cancellation error, and everything below is rational in albedo, roughness
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating[Any]]
 RealOrComplex = NDArray[Any]  # complex while a derivative is taken
+Loss = Callable[[Array], tuple[Array, Array]]
+"""φ of residuals, and its derivative."""
 
 STEP = 1e-30
 CLAMP = 1e-4  # least n·v in G1 and Fresnel
@@ -155,10 +158,33 @@ def render(normal: Array, view: Array, x: Array) -> Array:
     return np.asarray(np.einsum("pck,nkc->npc", weights, lighting, optimize=True))
 
 
+def squares(e: Array) -> tuple[Array, Array]:
+    """φ(e) = e² and its derivative."""
+    return e**2, 2 * e
+
+
+def huber(scale: float) -> Loss:
+    """e² up to the scale, and the tangent there beyond."""
+    return lambda e: (
+        np.where(np.abs(e) <= scale, e**2, 2 * scale * np.abs(e) - scale**2),
+        np.where(np.abs(e) <= scale, 2 * e, 2 * scale * np.sign(e)),
+    )
+
+
+def cauchy(scale: float) -> Loss:
+    """s² ln(1 + e²/s²) for scale s."""
+    return lambda e: (scale**2 * np.log1p(e**2 / scale**2), 2 * e / (1 + e**2 / scale**2))
+
+
 def value_and_grad(
-    images: Array, normal: Array, view: Array, x: Array, sample_weights: Array | None = None
+    images: Array,
+    normal: Array,
+    view: Array,
+    x: Array,
+    sample_weights: Array | None = None,
+    loss: Loss = squares,
 ) -> tuple[float, Array]:
-    """Mean over pictures, pixels and channels of (I − T)², and its gradient.
+    """Mean over pictures, pixels and channels of φ(I − T), and its gradient.
 
     `sample_weights`, (N, P, 3) or with one channel for all three, make it a weighted mean.
     """
@@ -167,8 +193,9 @@ def value_and_grad(
     omega = np.ones_like(residual)
     if sample_weights is not None:
         omega = omega * sample_weights
-    # dloss/dw[p,c,k] = Σ_n 2ω(I−T) L[n,k,c] / Σω, then the chain through w.
-    scaled = 2 * omega * residual / omega.sum()
+    value, slope = loss(residual)
+    # dloss/dw[p,c,k] = Σ_n ωφ'(I−T) L[n,k,c] / Σω, then the chain through w.
+    scaled = omega * slope / omega.sum()
     by_weight = np.einsum("npc,nkc->pck", scaled, lighting, optimize=True)
     d_albedo, d_roughness, d_metallic = shade_derivatives(normal, view, albedo, roughness, metallic)
     weights = shade(normal, view, albedo, roughness, metallic)
@@ -179,7 +206,7 @@ def value_and_grad(
         np.einsum("npc,pck->nkc", scaled, weights, optimize=True),
     ]
     return (
-        float(np.sum(omega * residual**2) / omega.sum()),
+        float(np.sum(omega * value) / omega.sum()),
         np.concatenate([np.ravel(block) for block in gradient]),
     )
 

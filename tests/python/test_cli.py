@@ -83,12 +83,14 @@ def test_decompose_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFi
     assumed = outcome(out)["assumed"]
     assert assumed["fov"].startswith("60 degrees: neither")
     assert assumed["size"] == "averaged down from 16 × 16 to 8 × 8 pixels"
-    arguments = ("--fov", 40, "--color-space", "linear", "--overwrite")
+    assert "code 250 of 255" in assumed["exposure"]  # the room's brightest pixel is 255
+    arguments = ("--fov", 40, "--color-space", "linear", "--code-range", "0,255", "--overwrite")
     assert run("decompose", folder, "--out", out, *FEW, *arguments) == 0
     assert capsys.readouterr().err == ""
     assumed = outcome(out)["assumed"]
     assert assumed["fov"] == "40 degrees, asked for"
     assert assumed["color"] == "linear (as asked for)"
+    assert "exposure" not in assumed
     assert outcome(out)["fov"] == 40
 
 
@@ -582,6 +584,8 @@ def test_help_names_defaults_once(command: str, capsys: pytest.CaptureFixture[st
         ("decompose s --out o --robust huber", "unrecognized arguments: --robust huber"),
         ("decompose s --out o --sh-order 1", "--sh-order: invalid choice: 1"),
         ("decompose s --out o --metallic 0.5", "--metallic: invalid choice: '0.5'"),
+        ("decompose s --out o --code-range 250", "--code-range: expected LOW,HIGH, found 250"),
+        ("decompose s --out o --code-range a,b", "--code-range: invalid code_range value: 'a,b'"),
         ("decompose s --out o --color-space log", "--color-space: invalid choice: 'log'"),
         ("synth s --scene moon", "--scene: invalid choice: 'moon'"),
         ("normals s --from guess", "--from: invalid choice: 'guess'"),
@@ -642,6 +646,7 @@ def keep(folder: Path) -> None:
         (keep, ("--fov", 180), r"fov: expected degrees in \[0, 180\), found 180"),
         (keep, ("--fov", "nan"), "fov: expected degrees"),
         (keep, ("--max-size", 0), "max_size: expected at least 1 pixel"),
+        (keep, ("--code-range", "9,3"), "code_range: expected two 8-bit codes"),
         (keep, ("--iterations", -1), "iterations: expected a whole number, 0 or more, found -1"),
         (keep, ("--time-limit", -1), "time_limit: expected seconds"),
         (keep, ("--threads", -1), "threads: expected 0"),

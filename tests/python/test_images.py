@@ -69,7 +69,8 @@ def test_8_bit_png_is_srgb(tmp_path: Path) -> None:
     np.testing.assert_array_equal(picture.pixels, linear(RGB8))
     assert picture.pixels.dtype == np.float32
     assert picture.pixels.flags.c_contiguous
-    np.testing.assert_array_equal(picture.clipped, (RGB8 == 255).any(axis=-1))
+    np.testing.assert_array_equal(picture.clipped, (RGB8 > 250).any(axis=-1))
+    assert not picture.dark.any()
     assert picture.alpha is None
     assert picture.color == "sRGB (8-bit PNG without a profile)"
     assert picture.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -84,8 +85,34 @@ def test_16_bit_files_keep_all_bits(tmp_path: Path) -> None:
     for name in ("a.png", "a.tif", "b.tif"):
         picture = images.read_picture(tmp_path / name)
         np.testing.assert_array_equal(picture.pixels, linear(RGB16))
-        np.testing.assert_array_equal(picture.clipped, (RGB16 == 65535).any(axis=-1))
+        np.testing.assert_array_equal(picture.clipped, (RGB16 > 250 * 257).any(axis=-1))
         assert picture.bit_depth == 16
+
+
+@pytest.mark.parametrize(("low", "high"), [(1, 250), (0, 255), (17, 18), (254, 255)])
+def test_codes_at_the_thresholds(tmp_path: Path, low: int, high: int) -> None:
+    """The lowest and the highest code are data; one channel clips, but only all are dark."""
+    for dtype, unit in ((np.uint8, 1), (np.uint16, 257)):
+        codes = np.clip(
+            np.array([low * unit - 1, low * unit, high * unit, high * unit + 1]), 0, 255 * unit
+        )
+        first, second = np.meshgrid(codes, codes)
+        rgb = np.stack([first, second, second], axis=-1).astype(dtype)
+        images.write_png(tmp_path / "a.png", rgb, srgb=True)
+        picture = images.read_picture(tmp_path / "a.png", code_range=(low, high))
+        np.testing.assert_array_equal(picture.clipped, rgb.max(axis=-1) > high * unit)
+        np.testing.assert_array_equal(picture.dark, rgb.max(axis=-1) < low * unit)
+        assert picture.dark.any() == (low > 0)
+        assert picture.clipped.any() == (high < 255)
+        whole = images.read_picture(tmp_path / "a.png", code_range=(0, 255))
+        np.testing.assert_array_equal(picture.pixels, whole.pixels)
+
+
+@pytest.mark.parametrize("codes", [(-1, 250), (1, 256), (7, 7), (9, 3), (0.5, 3), (1,), "no", None])
+def test_a_code_range_that_is_none_is_refused(tmp_path: Path, codes: Any) -> None:
+    path = save_png(tmp_path / "a.png", RGB8)
+    with pytest.raises(InputError, match="code_range: expected two 8-bit codes"):
+        images.read_picture(path, code_range=codes)
 
 
 def test_grey_is_repeated_and_alpha_is_straight(tmp_path: Path) -> None:
@@ -100,7 +127,7 @@ def test_grey_is_repeated_and_alpha_is_straight(tmp_path: Path) -> None:
         np.testing.assert_array_equal(picture.pixels, linear(RGB8))
         assert picture.alpha is not None
         np.testing.assert_array_equal(picture.alpha, np.float32(grey) / np.float32(255))
-        np.testing.assert_array_equal(picture.clipped, (RGB8 == 255).any(axis=-1))
+        np.testing.assert_array_equal(picture.clipped, (RGB8 > 250).any(axis=-1))
 
     la = np.ascontiguousarray(RGB8[..., :2])
     picture = images.read_picture(save_png(tmp_path / "la.png", la))
@@ -287,7 +314,7 @@ def test_a_display_p3_profile_is_converted(tmp_path: Path) -> None:
     named = images.read_picture(tmp_path / "a.png", color_space="display-p3")
     np.testing.assert_allclose(tagged.pixels, named.pixels, atol=1e-4)
     assert tagged.pixels.min() < -0.01  # colours outside Rec.709 are kept
-    np.testing.assert_array_equal(tagged.clipped, (RGB8 == 255).any(axis=-1))
+    np.testing.assert_array_equal(tagged.clipped, (RGB8 > 250).any(axis=-1))
 
 
 def test_a_gamma_profile_with_acescg_primaries_at_16_bits(tmp_path: Path) -> None:

@@ -215,7 +215,7 @@ def test_grey_pictures_are_fitted_like_colour_pictures_of_equal_channels() -> No
         arguments = (maps.albedo**2, 0.5 * maps.roughness, maps.metallic, lighting)
         losses = [o.value_and_grad(o.pack(*arguments))[0] for o in (one, three)]
         assert losses[0] == pytest.approx(losses[1], rel=1e-5)
-    result = pbrfit.decompose(scene, start=(maps, lights(scene)), iterations=5)
+    result = pbrfit.decompose(scene, start=(maps, lights(scene)), iterations=5, priors=None)
     assert result.metrics["albedo_rmse"] <= 1e-6
     assert result.metrics["recon_rmse"] <= 1e-7
 
@@ -258,10 +258,11 @@ def test_the_mean_of_channels_is_packed() -> None:
 def test_scenes_of_order_two_are_explained_without_band_three() -> None:
     scene = in_color(sh_order=2)
     start = (truth(scene).materials, lights(scene))
-    result = pbrfit.decompose(scene, start=start, sh_order=2, iterations=5)
+    options: dict[str, Any] = {"sh_order": 2, "iterations": 5, "priors": None}
+    result = pbrfit.decompose(scene, start=start, **options)
     assert result.metrics["recon_rmse"] <= 1e-7
     assert not result.lighting[:, 9:].any()
-    known_order_2 = pbrfit.decompose(known_lights(scene), start=start[0], sh_order=2, iterations=5)
+    known_order_2 = pbrfit.decompose(known_lights(scene), start=start[0], **options)
     assert known_order_2.metrics["recon_rmse"] <= 1e-7
     np.testing.assert_array_equal(known_order_2.lighting, lights(scene))
 
@@ -281,12 +282,12 @@ def test_given_metallic_explains_pictures_of_it(metallic: float) -> None:
     maps = dataclasses.replace(truth(scene).materials, metallic=flat)
     images = pbrfit.render(maps, scene.normals, lighting, scene.fov)
     scene = dataclasses.replace(scene, images=images, truth=pbrfit.Truth(maps, lighting))
-    start = (maps, lighting)
-    result = pbrfit.decompose(scene, start=start, iterations=5, metallic=metallic)
+    options: dict[str, Any] = {"start": (maps, lighting), "iterations": 5, "priors": None}
+    result = pbrfit.decompose(scene, **options, metallic=metallic)
     assert (result.metallic == metallic).all()
     assert result.metrics["metallic_rmse"] == 0
     assert result.metrics["recon_rmse"] <= 1e-7
-    wrong = pbrfit.decompose(scene, start=start, iterations=5, metallic=1 - metallic)
+    wrong = pbrfit.decompose(scene, **options, metallic=1 - metallic)
     assert wrong.metrics["recon_rmse"] > 1e-3
 
 
@@ -397,7 +398,7 @@ def test_weights_keep_bad_samples_out_of_the_maps() -> None:
     spoilt = dataclasses.replace(scene, images=scene.images * np.where(bad, 10, 1)[..., None])
     weighted = dataclasses.replace(spoilt, weights=(~bad).astype(float))
     clean, without, within = (
-        pbrfit.decompose(s, iterations=200) for s in (scene, spoilt, weighted)
+        pbrfit.decompose(s, iterations=200, priors=None) for s in (scene, spoilt, weighted)
     )
     for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
         assert within.metrics[name] <= 2 * clean.metrics[name] + 0.02, name

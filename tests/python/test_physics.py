@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -13,6 +14,8 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 import pbrfit
+from pbrfit.objective import Objective
+from pbrfit.synthetic import make_scene
 from reference import smith_g1, unit
 
 Array = NDArray[np.floating[Any]]
@@ -263,3 +266,22 @@ def test_radiance_is_linear_in_the_light() -> None:
     lights = np.stack([first, second, 2 * first - 0.5 * second])
     a, b, mixed = pbrfit.render(materials, normals, lights, 60.0)
     np.testing.assert_allclose(mixed, 2 * a - 0.5 * b, rtol=0, atol=1e-13)
+
+
+def test_exposure_of_a_picture_is_its_light() -> None:
+    """One picture four times as bright: its light is too, and the same materials explain it."""
+    scene = make_scene("spheres", size=24, lights=4, seed=3)
+    assert scene.truth is not None
+    known = scene.truth.materials
+    brighter = np.array(scene.images)
+    brighter[2] *= 4
+    lights = []
+    for images in (scene.images, brighter):
+        objective = Objective(dataclasses.replace(scene, images=images), threads=1)
+        x = objective.pack(known.albedo, known.roughness, known.metallic)
+        loss, _ = objective.value_and_grad(x)
+        assert np.sqrt(loss) < 1e-5
+        lights.append(objective.unpack(x)[1])
+    lights[0][2] *= 4
+    scale = np.abs(lights[0]).max()
+    np.testing.assert_allclose(lights[1], lights[0], rtol=1e-5, atol=1e-5 * scale)

@@ -119,6 +119,15 @@ def test_sum_of_pictures_is_found(scene: Scene) -> None:
 # Splits and scores
 
 
+def test_segments_are_kept(scene: Scene, tmp_path: Path) -> None:
+    assert scene.segments is not None
+    kept = held_out.part(scene, (0, 2))
+    np.testing.assert_array_equal(kept.segments, scene.segments)
+    Scene(scene.images, scene.normals, fov=scene.fov, segments=scene.segments).save(tmp_path / "s")
+    [source] = sources.find_sources(tmp_path / "s")
+    np.testing.assert_array_equal(sources.load(source).segments, scene.segments)
+
+
 def test_every_fourth_picture_is_held_out() -> None:
     assert split(12) == Split((1, 2, 3, 5, 6, 7, 9, 10, 11), (0, 4, 8))
     assert split(12, fold=3).held_out == (3, 7, 11)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit import InputError, Scene, Truth, images
@@ -150,12 +151,104 @@ def test_alpha_and_mask_leave_pixels_out(folder: Path) -> None:
     assert "mask.png" in scene.inputs
 
 
-def test_clipped_samples_are_told(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene", "8-bit PNG")
-    assert "of the samples" in Scene.load(folder).assumed["clipped"]  # the brightest pixel is 255
+# --- What integer files cannot hold ---
+
+
+def write_codes(folder: Path, codes: NDArray[np.uint8]) -> None:
+    """Pictures of these 8-bit codes (N, H, W, 3) in place of the folder's."""
     for path in (folder / "images").iterdir():
-        write_png(path, 0.5 * room().images[0])
-    assert "clipped" not in Scene.load(folder).assumed
+        path.unlink()
+    for name, of_picture in zip(room().names, codes, strict=True):
+        images.write_png(folder / "images" / f"{name}.png", of_picture, srgb=True)
+
+
+def grey_codes() -> NDArray[np.uint8]:
+    """Codes of which none is at an end of the range."""
+    return np.full((LIGHTS, SIZE, SIZE, 3), 128, dtype=np.uint8)
+
+
+def test_clipped_and_dark_samples_have_no_weight(folder: Path) -> None:
+    codes = grey_codes()
+    codes[0, 2, 3] = (251, 9, 9)
+    codes[0, 2, 4] = (250, 250, 250)
+    codes[1, 5, 5:7] = 0
+    codes[1, 5, 8] = (0, 0, 1)
+    codes[:, 7, 7] = 255
+    write_codes(folder, codes)
+    expected = np.ones((LIGHTS, SIZE, SIZE), dtype=np.float32)
+    expected[0, 2, 3] = expected[1, 5, 5] = expected[1, 5, 6] = 0
+    expected[:, 7, 7] = 0
+    scene = Scene.load(folder)
+    assert scene.weights is not None
+    np.testing.assert_array_equal(scene.weights, expected)
+    assert not scene.valid[7, 7]
+    share = 100 / (LIGHTS * SIZE * SIZE)
+    assert scene.assumed["exposure"] == (
+        f"samples left out: {(1 + LIGHTS) * share:.2g} % with a channel above code 250 of 255, "
+        f"{2 * share:.2g} % with all channels below 1; pixels left with none: 1"
+    )
+
+    scene = Scene.load(folder, code_range=(0, 254))
+    assert scene.weights is not None
+    np.testing.assert_array_equal(np.argwhere(scene.weights == 0)[:, 1:], [[7, 7]] * LIGHTS)
+    scene = Scene.load(folder, code_range=(0, 255))
+    assert scene.weights is None
+    assert "exposure" not in scene.assumed
+
+
+def test_weights_only_where_something_is_left_out(folder: Path) -> None:
+    codes = grey_codes()
+    write_codes(folder, codes)
+    assert Scene.load(folder).weights is None
+
+    codes[:, 0] = 255  # where the mask is not
+    write_codes(folder, codes)
+    white = np.ones((SIZE, SIZE), bool)
+    white[0] = False
+    write_mask(folder / "mask.png", white)
+    scene = Scene.load(folder)
+    assert scene.weights is None
+    assert "exposure" not in scene.assumed
+    np.testing.assert_array_equal(scene.valid, white)
+
+
+def test_float_pictures_are_taken_as_they_are(folder: Path) -> None:
+    image = np.zeros((SIZE, SIZE, 3))
+    image[1:] = 70000.0
+    write_exr(folder / "images" / f"{room().names[0]}.exr", image)
+    assert Scene.load(folder).weights is None
+
+
+def test_a_picture_of_which_nothing_is_left_is_named(folder: Path) -> None:
+    codes = grey_codes()
+    codes[1, : SIZE // 2] = 0
+    codes[1, SIZE // 2 :] = 255
+    write_codes(folder, codes)
+    message = (
+        f"{room().names[1]}.png: expected some pixel of the mask with codes from 1 to 250 of 255, "
+        "found all clipped or dark; --code-range 0,255 keeps them"
+    )
+    with pytest.raises(InputError, match=message):
+        Scene.load(folder)
+    assert Scene.load(folder, code_range=(0, 255)).weights is None
+
+
+def test_one_clipped_pixel_spoils_what_it_is_averaged_into(folder: Path) -> None:
+    codes = grey_codes()
+    codes[0, 5, 9] = 255
+    codes[2, 15, 0] = 0
+    write_codes(folder, codes)
+    for size in (8, 5, 3):
+        scene = Scene.load(folder, max_size=size)
+        assert scene.weights is not None
+        expected = np.ones_like(scene.weights)
+        for picture, row, column in ((0, 5, 9), (2, 15, 0)):
+            # Pixel i of the file covers [i, i + 1] · size / SIZE of the reduced picture.
+            rows, columns = (
+                slice(at * size // SIZE, -(-(at + 1) * size // SIZE)) for at in (row, column)
+            )
+            expected[picture, rows, columns] = 0
+        np.testing.assert_array_equal(scene.weights, expected)
 
 
 def test_segments_keep_16_bits(folder: Path) -> None:
@@ -563,6 +656,7 @@ def test_bad_folders_are_refused_in_one_line(folder: Path, name: str) -> None:
         ({"fov": np.nan}, "fov: expected degrees"),
         ({"max_size": 0}, "max_size: expected at least 1 pixel, found 0"),
         ({"color_space": "log"}, "color_space: expected one of srgb"),
+        ({"code_range": (9, 3)}, "code_range: expected two 8-bit codes"),
     ],
 )
 def test_bad_options_are_refused(folder: Path, option: Any, message: str) -> None:
@@ -583,4 +677,6 @@ def test_published_multi_illumination_photographs(shared_data: Path, tmp_path: P
     assert len(scene.images) == 25
     assert scene.names[2] == "dir_2_mip6"
     np.testing.assert_array_equal(scene.views, view_directions(62, 93, 50))
-    assert "of the samples are at their type's maximum" in scene.assumed["clipped"]
+    assert "with a channel above code 250 of 255" in scene.assumed["exposure"]
+    assert scene.weights is not None
+    assert 0.06 < np.mean(scene.weights == 0) < 0.07

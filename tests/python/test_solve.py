@@ -50,7 +50,7 @@ def scaled(scene: pbrfit.Scene, factor: float) -> pbrfit.Scene:
 @pytest.fixture(scope="module")
 def fitted() -> tuple[pbrfit.Scene, pbrfit.Result]:
     scene = room(64)
-    return scene, pbrfit.decompose(scene)
+    return scene, pbrfit.decompose(scene, priors=None)
 
 
 def test_a_noise_free_room_is_recovered(fitted: tuple[pbrfit.Scene, pbrfit.Result]) -> None:
@@ -80,7 +80,7 @@ def test_exposure_does_not_change_the_errors(
     fitted: tuple[pbrfit.Scene, pbrfit.Result], factor: float
 ) -> None:
     scene, result = fitted
-    other = pbrfit.decompose(scaled(scene, factor))
+    other = pbrfit.decompose(scaled(scene, factor), priors=None)
     for name, value in result.metrics.items():
         unit = factor if name in ("recon_rmse", "relight_rmse") else 1.0
         assert other.metrics[name] == pytest.approx(value * unit, rel=0.05), name
@@ -90,7 +90,8 @@ def test_exposure_does_not_change_the_errors(
 def test_the_truth_stays_where_it_is(kind: Any) -> None:
     scene = make_scene(kind, size=32)
     known = truth(scene)
-    result = pbrfit.decompose(scene, start=(known.materials, lights(scene)), iterations=20)
+    start = known.materials, lights(scene)
+    result = pbrfit.decompose(scene, start=start, iterations=20, priors=None)
     assert result.metrics["recon_rmse"] <= 1e-7 * np.sqrt(np.mean(np.square(scene.images)))
     for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
         assert result.metrics[name] <= 1e-6, name
@@ -99,7 +100,7 @@ def test_the_truth_stays_where_it_is(kind: Any) -> None:
 def test_known_lights_are_kept_and_make_better_maps() -> None:
     scene = room(32, lights=6)
     known = dataclasses.replace(scene, lighting=truth(scene).lighting)
-    free, fixed = (pbrfit.decompose(s, iterations=150) for s in (scene, known))
+    free, fixed = (pbrfit.decompose(s, iterations=150, priors=None) for s in (scene, known))
     np.testing.assert_array_equal(fixed.lighting, truth(scene).lighting)
     assert "lights and their gradient: known, so only materials were fitted" in fixed.left_out
     for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
@@ -127,7 +128,7 @@ def test_the_default_start_leaves_no_pixel_in_the_trap(
 
 
 def test_time_limit_keeps_the_best_so_far() -> None:
-    result = pbrfit.decompose(room(48), time_limit=0.4, iterations=100_000)
+    result = pbrfit.decompose(room(48), time_limit=0.4, iterations=100_000, priors=None)
     assert result.status == pbrfit.Status.TIME_LIMIT
     assert result.metrics["recon_rmse"] <= 1.001 * result.history["recon_rmse"].min()
 

@@ -17,12 +17,11 @@ from pbrfit.cli import main
 from pbrfit.evaluation import recipes
 from pbrfit.evaluation.jobs import Record
 from pbrfit.evaluation.page import Cell, Table, markdown
-from pbrfit.evaluation.recipes import RECIPES
 from pbrfit.evaluation.scores import Scores
 from pbrfit.evaluation.table1 import measure, report
 from pbrfit.evaluation.table1.measure import Task
 from pbrfit.evaluation.table1.normals import LOWEST_COSINE, angles, disturbed
-from pbrfit.evaluation.table1.rows import BY_KEY, COLUMNS, ROWS
+from pbrfit.evaluation.table1.rows import BY_KEY, COLUMNS, PLAIN, ROWS
 from pbrfit.synthetic import make_scene
 
 TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
@@ -96,7 +95,14 @@ def test_rows_repeat_the_papers_table() -> None:
     assert len(BY_KEY) == len(ROWS)
 
 
-@pytest.mark.parametrize("key", ["base", "sh2", "fov90", "normals", "detailed"])
+def test_only_one_row_of_the_paper_has_priors() -> None:
+    with_priors = [row.key for row in ROWS if "plain" not in row.recipes]
+    assert with_priors == ["regularized"]
+    assert "paper-priors" in BY_KEY["regularized"].recipes
+    assert all("paper-priors" not in row.recipes for row in ROWS if row.key != "regularized")
+
+
+@pytest.mark.parametrize("key", ["base", "sh2", "fov90", "normals", "detailed", "regularized"])
 def test_work_changes_what_the_row_says_and_nothing_else(
     key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -110,7 +116,7 @@ def test_work_changes_what_the_row_says_and_nothing_else(
 
     monkeypatch.setattr(measure, "explain", watch)
     found = measure.work(task, 1)
-    assert [recipe for _, recipe, _ in asked] == list(RECIPES)
+    assert [recipe for _, recipe, _ in asked] == list(row.recipes)
     truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=1001)
     for scene, _, options in asked:
         np.testing.assert_array_equal(scene.images, truth.images)
@@ -120,7 +126,7 @@ def test_work_changes_what_the_row_says_and_nothing_else(
         assert same == (row.normals == "true")
     assert ("normals_mean" in found["facts"]) == (key == "normals")
     assert found["facts"]["metal_share"] > 0
-    assert set(found["recipes"]["paper"]) == set(report.METRICS)
+    assert set(found["recipes"]["default"]) == set(report.METRICS)
     json.dumps(found)
 
 
@@ -166,7 +172,7 @@ def scored(**errors: float) -> dict[str, float | None]:
 
 def test_means_are_over_finished_scenes() -> None:
     def found(recon: float) -> dict[str, Any]:
-        return {"facts": {}, "recipes": dict.fromkeys(RECIPES, scored(recon=recon))}
+        return {"facts": {}, "recipes": dict.fromkeys(PLAIN, scored(recon=recon))}
 
     scenes = [
         Record("base_1000", found(0.1), None, 1.0),
@@ -175,7 +181,7 @@ def test_means_are_over_finished_scenes() -> None:
     ]
     tasks = [Task("base", seed, 16, 4, 3) for seed in (1000, 1001, 1002)]
     [outcome, other] = report.outcomes(
-        [BY_KEY["base"], BY_KEY["regularized"]], tasks, scenes, {"regularized": "none yet"}
+        [BY_KEY["base"], BY_KEY["cycles-brdf"]], tasks, scenes, {"cycles-brdf": "none yet"}
     )
     assert outcome.mean("paper", "recon").mean == pytest.approx(0.2)
     assert outcome.status == "1 of 3 scenes failed"
@@ -203,25 +209,27 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("evaluate", "table1", "--out", out, "--quick", "--scenes", 2, *rows, *TINY) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
-    assert "not run: pbrfit has no priors yet" in printed.out
+    assert "not run: --quick leaves Cycles out" in printed.out
     assert f"Look at {out / 'report.html'}" in printed.out
     names = {path.name for path in out.iterdir()}
     assert names == {
         "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv",
-        "summary.json", "example-base.png", "example-normals.png",
+        "summary.json", "example-base.png", "example-normals.png", "example-regularized.png",
     }  # fmt: skip
     content = json.loads((out / "summary.json").read_text("utf-8"))
     status = {row["name"]: row["status"] for row in content["rows"]}
-    assert status["Base"] == "ok"
+    assert status["Base"] == status["Regularised"] == "ok"
     assert status["Cycles, panorama"] == "not run: --quick leaves Cycles out"
     [base, *_] = [row for row in content["rows"] if row["name"] == "Base"]
     assert base["scenes"] == 2
     assert base["paper"]["albedo"] == 0.065
     with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
         scenes = list(csv.DictReader(file))
-    assert len(scenes) == 2 * 2 * len(RECIPES)
+    assert len(scenes) == 2 * sum(
+        len(BY_KEY[key].recipes) for key in ("base", "normals", "regularized")
+    )
     albedo = [float(s["albedo"]) for s in scenes if s["scene"].startswith("base") and
-              s["recipe"] == "default"]  # fmt: skip
+              s["recipe"] == "plain"]  # fmt: skip
     assert base["metrics"]["albedo"] == pytest.approx(np.mean(albedo))
     assert base["metrics"]["albedo_low"] <= base["metrics"]["albedo"]
     assert all(math.isfinite(float(scene["relight"])) for scene in scenes)

@@ -6,6 +6,7 @@ use pbrfit::band_table::TABLE;
 use pbrfit::ggx;
 use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::render::render;
+use pbrfit::robust::Robust;
 use pbrfit::shade::{Frame, Material, shade, shade_vjp};
 use pbrfit::simd::{Instructions, Isa, Kernel};
 
@@ -16,6 +17,7 @@ struct Example {
     sh_order: usize,
     metallic: Option<f64>,
     known_lights: bool,
+    robust: Option<Robust>,
     normals: Vec<DVec3>,
     views: Vec<DVec3>,
     images: Vec<f32>,
@@ -45,6 +47,7 @@ impl Example {
             sh_order,
             metallic: None,
             known_lights: false,
+            robust: None,
             normals: (0..pixels).map(|p| direction(p, 0.7)).collect(),
             views: (0..pixels).map(|p| direction(p, 0.011)).collect(),
             images: (0..pictures * pixels * channels)
@@ -127,6 +130,20 @@ impl Example {
         }
     }
 
+    /// φ and φ', as textbooks have them.
+    fn of_residual(&self, e: f64) -> (f64, f64) {
+        match self.robust {
+            Some(Robust::Huber(d)) if e.abs() > d => {
+                (2.0 * d * e.abs() - d * d, 2.0 * d * e.signum())
+            }
+            Some(Robust::Cauchy(d)) => (
+                d * d * (e * e / (d * d)).ln_1p(),
+                2.0 * e / (1.0 + e * e / (d * d)),
+            ),
+            _ => (e * e, 2.0 * e),
+        }
+    }
+
     /// Loss and gradient by the definition, pixel by pixel in float64; all unknowns, known or not.
     fn reference(&self) -> (f64, Vec<f64>) {
         let (pixels, channels, count) = (self.pixels(), self.channels, self.coefficients());
@@ -145,10 +162,11 @@ impl Example {
                     let e = radiance - f64::from(self.images[(i * pixels + p) * channels + c]);
                     let omega = self.weight(i, p, c);
                     total += omega;
-                    loss += omega * e * e;
+                    let (value, slope) = self.of_residual(e);
+                    loss += omega * value;
                     for k in 0..count {
-                        by_weights[c][k] += 2.0 * omega * e * self.lighting[light(k)];
-                        by_lighting[light(k)] += 2.0 * omega * e * w[c][k];
+                        by_weights[c][k] += omega * slope * self.lighting[light(k)];
+                        by_lighting[light(k)] += omega * slope * w[c][k];
                     }
                 }
             }
@@ -172,7 +190,7 @@ impl Example {
         let mut gradient = vec![f64::NAN; x.len()];
         let loss = self
             .problem_for(2, instructions)
-            .value_and_grad(&x, &mut gradient)
+            .value_and_grad(&x, self.robust, &mut gradient)
             .unwrap();
         let (true_loss, true_gradient) = self.reference();
         assert!(
@@ -226,12 +244,24 @@ fn agrees_with_the_definition_at_any_size() {
 
 #[test]
 fn every_version_agrees_with_the_definition() {
+    every_version_agrees(None);
+}
+
+#[test]
+fn every_version_agrees_with_the_definition_of_robust_losses() {
+    // Residuals here are around 1, so some are small and some are outliers.
+    every_version_agrees(Some(Robust::Huber(0.7)));
+    every_version_agrees(Some(Robust::Cauchy(0.7)));
+}
+
+fn every_version_agrees(robust: Option<Robust>) {
     for instructions in Instructions::all() {
         for bits in 0..64 {
             let bit = |i: usize| bits >> i & 1 == 1;
             let (channels, order) = (if bit(0) { 1 } else { 3 }, if bit(1) { 2 } else { 3 });
             // More pictures than go through the products together.
             let mut example = Example::with(150, 19, channels, order);
+            example.robust = robust;
             example.metallic = bit(2).then_some(0.3);
             example.known_lights = bit(3);
             if bit(4) {
@@ -243,7 +273,7 @@ fn every_version_agrees_with_the_definition() {
                 );
             }
             let what = format!(
-                "{}: {channels} channels, order {order}, metallic {:?}, lights known {}, weights {:?}",
+                "{}: {robust:?}, {channels} channels, order {order}, metallic {:?}, lights known {}, weights {:?}",
                 instructions.name(),
                 example.metallic,
                 example.known_lights,
@@ -254,6 +284,66 @@ fn every_version_agrees_with_the_definition() {
     }
 }
 
+/// Scales at both ends of what is taken; pictures like the model's, and as bright as they may be.
+#[test]
+fn robust_losses_hold_at_extremes() {
+    for robust in [Robust::Huber, Robust::Cauchy] {
+        let mut example = Example::new(200, 3);
+        example.robust = Some(robust(1e15));
+        example.check(Instructions::best(), "all residuals far below the scale");
+        for (brightness, scale) in [(1.0, 1e-15), (1e15, 1e-15), (1e15, 1e15)] {
+            let mut example = Example::new(200, 3);
+            for value in &mut example.images {
+                *value *= brightness;
+            }
+            let robust = Some(robust(scale));
+            let x = example.x();
+            let mut gradient = vec![f64::NAN; x.len()];
+            let loss = example
+                .problem(1)
+                .value_and_grad(&x, robust, &mut gradient)
+                .unwrap();
+            let finite = loss.is_finite() && gradient.iter().all(|g| g.is_finite());
+            assert!(
+                finite && loss > 0.0,
+                "{robust:?}, pictures times {brightness:e}: loss {loss}"
+            );
+        }
+    }
+}
+
+#[test]
+fn residuals_are_those_of_the_loss() {
+    for bits in 0..8 {
+        let bit = |i: usize| bits >> i & 1 == 1;
+        let (channels, order) = (if bit(0) { 1 } else { 3 }, if bit(1) { 2 } else { 3 });
+        let mut example = Example::with(700, 5, channels, order);
+        example.known_lights = bit(2);
+        let (x, problem) = (example.x(), example.problem(2));
+        let all: Vec<usize> = (0..700).collect();
+        let of_all = problem.residuals(&x, &all).unwrap();
+        let squares: f64 = of_all.iter().map(|&e| f64::from(e).powi(2)).sum();
+        let (loss, _) = example.reference();
+        let mean = squares / of_all.len() as f64;
+        assert!((mean / loss - 1.0).abs() < 1e-6, "{mean} is not {loss}");
+
+        // More pixels than a piece of work has, in any order, some twice.
+        let some: Vec<usize> = (0..300).map(|i| (i * 389) % 700).chain([7, 7]).collect();
+        let of_some = problem.residuals(&x, &some).unwrap();
+        for i in 0..5 {
+            for (j, &p) in some.iter().enumerate() {
+                for c in 0..channels {
+                    assert_eq!(
+                        of_some[(i * some.len() + j) * channels + c],
+                        of_all[(i * 700 + p) * channels + c]
+                    );
+                }
+            }
+        }
+        assert!(problem.residuals(&x, &[]).unwrap().is_empty());
+    }
+}
+
 #[test]
 fn same_bits_at_any_thread_count() {
     let example = Example::new(20_000, 3);
@@ -261,9 +351,13 @@ fn same_bits_at_any_thread_count() {
     let evaluate = |threads: usize| {
         let problem = example.problem(threads);
         let mut gradient = vec![0.0; x.len()];
-        let loss = problem.value_and_grad(&x, &mut gradient).unwrap();
+        let loss = problem.value_and_grad(&x, None, &mut gradient).unwrap();
+        let mut tamed = vec![0.0; x.len()];
+        let robust = Some(Robust::Cauchy(0.5));
+        let tamed_loss = problem.value_and_grad(&x, robust, &mut tamed).unwrap();
         let equations = problem.light_equations(&x[..example.maps.len()]).unwrap();
-        (loss, gradient, equations)
+        let residuals = problem.residuals(&x, &[3, 19_999, 1_000]).unwrap();
+        (loss, gradient, tamed_loss, tamed, equations, residuals)
     };
     let one = evaluate(1);
     for threads in [2, 3, 8] {
@@ -489,11 +583,27 @@ fn refusals_name_the_array() {
     let x = example.x();
     let evaluate = |x: &[f64]| {
         problem
-            .value_and_grad(x, &mut vec![0.0; x.len()])
+            .value_and_grad(x, None, &mut vec![0.0; x.len()])
             .unwrap_err()
             .to_string()
     };
     assert!(evaluate(&x[1..]).starts_with("x: expected"));
+    for scale in [0.0, -1.0, f64::NAN, f64::INFINITY, 0.9e-15, 1.1e15] {
+        for robust in [Robust::Huber(scale), Robust::Cauchy(scale)] {
+            let message = problem
+                .value_and_grad(&x, Some(robust), &mut vec![0.0; x.len()])
+                .unwrap_err()
+                .to_string();
+            assert!(
+                message.starts_with("robust: expected a scale from 1e-15 to 1e15, found"),
+                "{message}"
+            );
+        }
+    }
+    assert_eq!(
+        problem.residuals(&x, &[0, 20]).unwrap_err().to_string(),
+        "pixels: expected indices below 20, found 20"
+    );
     for (i, value) in [(3 * 20, 1.0 + 1e-12), (0, f64::NAN), (99, -1e-300)] {
         let mut bad = x.clone();
         bad[i] = value;

@@ -1,7 +1,8 @@
-"""Ways to explain a scene that suites compare: our default, the paper's recipe, and guesses."""
+"""Ways to explain a scene that suites compare: ours, the paper's recipe, and guesses."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -10,19 +11,27 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.materials import Materials
 from pbrfit.objective import MEAN_RADIANCE
+from pbrfit.priors import Priors
 from pbrfit.result import Result
 from pbrfit.scene import Scene
 from pbrfit.solve import decompose
 
-Recipe = Literal["default", "paper", "constant", "start"]
+Recipe = Literal["plain", "default", "paper", "paper-priors", "constant", "start"]
 RECIPES: tuple[Recipe, ...] = get_args(Recipe)
 
 IN_WORDS: dict[Recipe, str] = {
+    "plain": "ours without priors",
     "default": "our default",
     "paper": "paper's recipe",
+    "paper-priors": "paper's recipe, its priors",
     "constant": "constant guess",
     "start": "our start",
 }
+
+PAPER_PRIORS = Priors(material=0.0, cohesion=0.1, smoothness=0.03, sparsity=1e-5, monochrome=1e-4)
+"""The four priors of the paper, which gives no weights. Each alone, these lowered the errors of
+noisy rooms of seeds 2000 and 2001 with true segments; ten times the sparsity raises that of albedo.
+"""
 
 
 def explain(
@@ -35,26 +44,29 @@ def explain(
     scene
         With ground truth for `"constant"`.
     recipe
-        `"default"`: `pbrfit.decompose` as it is. `"paper"`: one run of L-BFGS-B from
-        `paper_start`. `"constant"`: `constant_guess` with the lights that fit it best. `"start"`:
+        `"default"`: `pbrfit.decompose` as it is. `"plain"`: the same without priors. `"paper"`: one
+        run of L-BFGS-B from `paper_start`, without priors. `"paper-priors"`: the same with
+        `PAPER_PRIORS`. `"constant"`: `constant_guess` with the lights that fit it best. `"start"`:
         where the default starts, lights fitted.
     iterations
-        Of `"default"` and `"paper"`.
+        Of all but the last two.
     sh_order, threads
         As for `pbrfit.decompose`.
     """
-    if recipe == "default":
-        return decompose(scene, iterations=iterations, sh_order=sh_order, threads=threads)
-    if recipe == "paper":
-        return decompose(
-            scene,
-            start=paper_start(scene),
-            iterations=iterations,
-            sh_order=sh_order,
-            threads=threads,
-        )
-    start = constant_guess(scene) if recipe == "constant" else None
-    return decompose(scene, start=start, iterations=0, sh_order=sh_order, threads=threads)
+    fixed = partial(decompose, scene, sh_order=sh_order, threads=threads)
+    match recipe:
+        case "default":
+            return fixed(iterations=iterations)
+        case "plain":
+            return fixed(iterations=iterations, priors=None)
+        case "paper":
+            return fixed(iterations=iterations, start=paper_start(scene), priors=None)
+        case "paper-priors":
+            return fixed(iterations=iterations, start=paper_start(scene), priors=PAPER_PRIORS)
+        case "constant":
+            return fixed(iterations=0, start=constant_guess(scene), priors=None)
+        case "start":
+            return fixed(iterations=0, priors=None)
 
 
 def paper_start(scene: Scene) -> Materials:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 Ids = NDArray[np.integer[Any]]
 
-CaseName = Literal["constant", "varying", "shifted", "merged", "none"]
+CaseName = Literal["constant", "varying", "shifted", "merged", "none", "grey", "shadowed"]
 CASES: tuple[CaseName, ...] = get_args(CaseName)
 
 TITLES: dict[CaseName, str] = {
@@ -31,8 +31,13 @@ TITLES: dict[CaseName, str] = {
     "shifted": "segments shifted by a pixel",
     "merged": "a third of the segments merged",
     "none": "no segments",
+    "grey": "constant, grey lights",
+    "shadowed": "constant, shadows the model does not know",
 }
 """What tables and plots say."""
+
+VARIED_IN: tuple[CaseName, ...] = ("constant", "varying", "shifted", "merged", "none")
+"""Cases in which the weights of priors are varied: those that differ in segments and materials."""
 
 PICTURES = 16
 """For training; as many are held out."""
@@ -52,6 +57,10 @@ or a tile could hold all of it."""
 MERGED = 1 / 3
 """Share of the segments that take another's id."""
 
+SHADOW_DIAMETER, SHADOW_LIGHT = 0.25, 0.3
+"""Each picture has a disc so wide, in widths, where so much of the light is left: up to 5 % of its
+area."""
+
 
 def case(
     name: CaseName,
@@ -63,12 +72,13 @@ def case(
 ) -> Scene:
     """Make a scene of a case, with its truth and held-out lights.
 
-    All but "varying" have the same pictures for the same seed: those of `make_scene`, with
-    roughness and metallic the median of their segment wherever the kind lets them vary ("room"
-    does not). In "varying" a pattern is added to that roughness, `SPREAD` strong, and the pictures
-    are rendered anew under the same lights. The segments are the true ones, but for "shifted" by
-    one pixel to the right and one down; "merged", where `MERGED` of them take the id of another,
-    in turn of a neighbour and of any other; and "none".
+    All but the last two and "varying" have the same pictures for the same seed: those of
+    `make_scene`, with roughness and metallic the median of their segment wherever the kind lets
+    them vary ("room" does not). In "varying" a pattern is added to that roughness, `SPREAD` strong,
+    and the pictures are rendered anew under the same lights; in "grey" they are rendered under
+    lights without colour; in "shadowed" each has a dark disc. The segments are the true ones, but
+    for "shifted" by one pixel to the right and one down; "merged", where `MERGED` of them take the
+    id of another, in turn of a neighbour and of any other; and "none".
 
     Parameters
     ----------
@@ -97,8 +107,8 @@ def case(
     assert scene.truth is not None
     assert scene.segments is not None
     # The first four are make_scene's own, and the fourth is its noise.
-    streams = np.random.SeedSequence(seed).spawn(6)
-    noise_rng, pattern_rng, merging_rng = map(np.random.default_rng, streams[3:])
+    streams = np.random.SeedSequence(seed).spawn(7)
+    noise_rng, pattern_rng, merging_rng, shadow_rng = map(np.random.default_rng, streams[3:])
 
     materials = constant(scene.truth.materials, scene.segments)
     if name == "varying":
@@ -111,7 +121,12 @@ def case(
         segments = merged(scene.segments, merging_rng)
     elif name == "none":
         segments = None
-    return replace(_rendered(scene, materials, noise, noise_rng), segments=segments)
+    if name == "grey":
+        scene = _under_grey_lights(scene)
+    made = replace(_rendered(scene, materials, noise, noise_rng), segments=segments)
+    if name == "shadowed":
+        made = replace(made, images=shadowed(made.images, shadow_rng))
+    return made
 
 
 def constant(materials: Materials, segments: Ids) -> Materials:
@@ -178,6 +193,36 @@ def merged(segments: Ids, rng: Generator) -> Ids:
         near = np.intersect1d(givers, _neighbours(segments, i))
         found[segments == i] = rng.choice(near if order % 2 == 0 and len(near) else givers)
     return found
+
+
+def shadowed(images: Floats, rng: Generator) -> Array:
+    """Darken a disc of `SHADOW_DIAMETER` in each of the pictures (N, H, W, 3), somewhere."""
+    height, width = images.shape[1:3]
+    y, x = (np.mgrid[:height, :width] + 0.5) / width
+    light = np.ones(images.shape[:3])
+    for of_picture in light:
+        middle = rng.uniform((0, 0), (1, height / width))
+        inside = np.hypot(x - middle[0], y - middle[1]) <= SHADOW_DIAMETER / 2
+        of_picture[inside] = SHADOW_LIGHT
+    return np.asarray(light[..., None] * images)
+
+
+def _under_grey_lights(scene: Scene) -> Scene:
+    """The scene whose lights, held-out ones too, are their mean over channels; not rendered."""
+    truth = scene.truth
+    assert truth is not None
+    assert truth.lighting is not None
+    assert truth.relight_lighting is not None
+    lights = replace(
+        truth,
+        lighting=_grey(truth.lighting),
+        relight_lighting=_grey(truth.relight_lighting),
+    )
+    return replace(scene, truth=lights)
+
+
+def _grey(lighting: Array) -> Array:
+    return np.repeat(lighting.mean(axis=-1, keepdims=True), 3, axis=-1)
 
 
 def _maker(order: int) -> Callable[[Generator, float], Pattern]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pbrfit.arguments import Subcommands
-from pbrfit.evaluation.commands import convergence, gap, real, stability, table1
+from pbrfit.evaluation.commands import ablation, convergence, gap, real, stability, table1
 
-SUITES = (table1, convergence, gap, real, stability)
+SUITES = (table1, ablation, convergence, gap, real, stability)
 
 
 def add_suites(suites: Subcommands) -> None:

@@ -1,4 +1,7 @@
-"""Every way to fit a scene that the suite compares. A new solver is one more entry in `SOLVERS`."""
+"""Every way to fit a scene that the suite compares. A new solver is one more entry in `SOLVERS`.
+
+All minimise the same objective, that without priors: otherwise a lower loss would say nothing.
+"""
 
 from __future__ import annotations
 
@@ -103,6 +106,7 @@ def fit_with_ours(
         time_limit=budget.seconds,
         start=None if start is None else start(scene),
         threads=threads,
+        priors=None,
         progress=visit,
     )
     iterations = int(result.history["iteration"][-1])
@@ -129,14 +133,15 @@ def default_start(scene: Scene) -> Start:
 SOLVERS: tuple[Solver, ...] = (
     Solver(
         "lbfgsb",
-        "L-BFGS-B, staged (default)",
-        "pbrfit.decompose as it is: scipy's L-BFGS-B in three stages that keep off roughness 0.",
+        "L-BFGS-B, staged",
+        "pbrfit.decompose without priors: scipy's L-BFGS-B in three stages that keep off "
+        "roughness 0.",
         fit_with_ours,
     ),
     Solver(
         "lbfgsb-long",
         "L-BFGS-B, staged, 4 × iterations",
-        "The default with four times as many iterations. Its stages are as much longer.",
+        "The same with four times as many iterations. Its stages are as much longer.",
         partial(fit_with_ours, times_iterations=4),
     ),
     Solver(
@@ -171,9 +176,9 @@ SOLVERS: tuple[Solver, ...] = (
     Solver(
         "lbfgsb-known-lights",
         "L-BFGS-B, lights known",
-        "The default given the true lights, so that only materials are fitted: what is slow or "
-        "caught here is so for each pixel by itself. No solver of the whole problem, and no bound "
-        "on those: they can end lower.",
+        "L-BFGS-B, staged, given the true lights, so that only materials are fitted: what is slow "
+        "or caught here is so for each pixel by itself. No solver of the whole problem, and no "
+        "bound on those: they can end lower.",
         partial(fit_with_ours, known_lights=True),
     ),
 )

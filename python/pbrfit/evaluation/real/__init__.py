@@ -27,7 +27,7 @@ from pbrfit.evaluation.real.held_out import (
     split,
 )
 from pbrfit.evaluation.real.pictures import draw_sheet
-from pbrfit.evaluation.real.sources import Source, load
+from pbrfit.evaluation.real.sources import Source, check_names, load
 
 __all__ = [
     "EXPLANATIONS",
@@ -94,12 +94,7 @@ def plan(sources: Sequence[Source], effort: Effort) -> list[RealTask]:
     InputError
         If two sources have one name.
     """
-    names = [source.name for source in sources]
-    for source in sources:
-        if names.count(source.name) > 1:
-            raise InputError(
-                f"{source.folder}: expected different names, found {source.name} twice"
-            )
+    check_names(sources)
     return [
         RealTask(source, effort, fold, digest)
         for source in sources

@@ -22,11 +22,12 @@ from pbrfit.materials import Materials
 from pbrfit.model import render
 from pbrfit.scene import Scene
 
-Explanation = Literal["default", "paper", "lambertian", "start", "constant", "combination"]
+Explanation = Literal["default", "plain", "paper", "lambertian", "start", "constant", "combination"]
 EXPLANATIONS: tuple[Explanation, ...] = get_args(Explanation)
 
 IN_WORDS: dict[Explanation, str] = {
     "default": "our default",
+    "plain": "ours without priors",
     "paper": "paper's recipe",
     "lambertian": "default's albedo, r = 1, m = 0",
     "start": "our start",
@@ -157,6 +158,7 @@ def part(scene: Scene, pictures: tuple[int, ...]) -> Scene:
         normals=scene.normals,
         fov=scene.fov,
         mask=scene.mask,
+        segments=scene.segments,
         weights=None if scene.weights is None else scene.weights[of],
         names=tuple(scene.names[i] for i in of),
     )
@@ -181,10 +183,12 @@ def explain_held_out(
     kept = part(scene, which.kept)
     found = []
     fitted = explain(kept, "default", iterations=iterations, threads=threads)
+    plain = explain(kept, "plain", iterations=iterations, threads=threads)
     of_paper = explain(kept, "paper", iterations=iterations, threads=threads)
     start = explain(kept, "start", threads=threads).materials
     candidates: tuple[tuple[Explanation, Materials, float], ...] = (
         ("default", fitted.materials, fitted.seconds),
+        ("plain", plain.materials, plain.seconds),
         ("paper", of_paper.materials, of_paper.seconds),
         ("lambertian", _same(fitted.materials, roughness=1.0), 0.0),
         ("start", start, 0.0),
@@ -196,8 +200,8 @@ def explain_held_out(
         found.append(
             Explained(
                 name,
-                _scores(scene, which.held_out, rendered),
-                relative_error(_scores(scene, which.kept, of_kept, looks=False)),
+                picture_scores(scene, which.held_out, rendered),
+                relative_error(picture_scores(scene, which.kept, of_kept, looks=False)),
                 seconds,
                 materials,
                 rendered,
@@ -209,7 +213,7 @@ def explain_held_out(
             for i in which.held_out
         ]
     )
-    scores = _scores(scene, which.held_out, combined)
+    scores = picture_scores(scene, which.held_out, combined)
     found.append(Explained("combination", scores, None, 0.0, None, combined))
     return tuple(found)
 
@@ -224,13 +228,17 @@ def explained_by(
     return render(materials, scene.normals, lights, scene.fov, threads)
 
 
-def _scores(
+def picture_scores(
     scene: Scene,
     pictures: tuple[int, ...],
     rendered: NDArray[np.float64],
     *,
     looks: bool = True,
 ) -> tuple[PictureScore, ...]:
+    """Errors of some pictures of a scene as explained, (M, H, W, 3).
+
+    Without `looks`, PSNR and SSIM are NaN.
+    """
     scores = []
     for i, found in zip(pictures, rendered, strict=True):
         weights = _weights(scene, i)

@@ -23,6 +23,7 @@ ERROR_SPAN = 0.2
 
 CAPTIONS: dict[Explanation, str] = {
     "default": "by our default",
+    "plain": "by ours without priors",
     "paper": "by the paper's recipe",
     "lambertian": "by albedo alone (r = 1)",
     "start": "by our start",
@@ -37,12 +38,11 @@ def draw_sheet(scene: Scene, which: Split, explained: Sequence[Explained]) -> by
     maps = by_name["default"].materials
     assert maps is not None
     kept, held_out = which.kept[0], which.held_out[0]
-    true = _masked(scene, held_out)
+    true = masked(scene, held_out)
     white = metrics.white_of(true)
-    of_kept = _masked(scene, kept)
+    of_kept = masked(scene, kept)
     shown: list[Explanation] = [name for name in EXPLANATIONS if name != "start"]
-    rows, columns = (np.flatnonzero(scene.valid.any(axis=axis)) for axis in (1, 0))
-    used = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    used = used_part(scene)
 
     def panel(caption: str, pixels: NDArray[np.floating[Any]]) -> Panel:
         return Panel(caption, pixels[used])
@@ -64,7 +64,13 @@ def draw_sheet(scene: Scene, which: Split, explained: Sequence[Explained]) -> by
     return as_png(sheet([first, second, third]))
 
 
-def _masked(scene: Scene, picture: int) -> NDArray[np.float64]:
+def used_part(scene: Scene) -> tuple[slice, slice]:
+    """Rows and columns of the smallest rectangle that holds all valid pixels."""
+    rows, columns = (np.flatnonzero(scene.valid.any(axis=axis)) for axis in (1, 0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+def masked(scene: Scene, picture: int) -> NDArray[np.float64]:
     """A picture, NaN where it is not used."""
     used = scene.valid.copy()
     if scene.weights is not None:

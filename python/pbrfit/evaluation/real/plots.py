@@ -6,12 +6,23 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pbrfit.evaluation.drawing import AMBER, BLACK, BLUE, GREEN, PURPLE, SKY, as_png, new_figure
+from pbrfit.evaluation.drawing import (
+    AMBER,
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    PURPLE,
+    SKY,
+    as_png,
+    new_figure,
+)
 from pbrfit.evaluation.real.held_out import IN_WORDS, Explanation
 
 # Markers are for those who see no colours.
 LOOKS: dict[Explanation, tuple[str, str]] = {
     "default": (BLACK, "o"),
+    "plain": (GREY, "P"),
     "paper": (BLUE, "s"),
     "lambertian": (GREEN, "^"),
     "start": (AMBER, "D"),

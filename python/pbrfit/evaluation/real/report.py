@@ -68,7 +68,7 @@ def _rows(measured: Sequence[Measured], absent: Sequence[PublicSet]) -> Iterator
                 "seconds": found.seconds,
                 "folds": float(len(one.folds)),
             }
-            solver = "lbfgsb" if name in ("default", "paper") else None
+            solver = "lbfgsb" if name in ("default", "plain", "paper") else None
             yield summary.Row(
                 f"{one.source.name}, {name}", 1, solver, metrics, status=one.error or "ok"
             )

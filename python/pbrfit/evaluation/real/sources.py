@@ -12,15 +12,21 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pbrfit import images, scene_folder
+from pbrfit import scene_folder
 from pbrfit._core import InputError
 from pbrfit.evaluation.real.public_sets import SETS, PublicSet, Source, room_source
 from pbrfit.scene import Scene
 
-__all__ = ["SETS", "PublicSet", "Source", "absent", "find_sources", "load", "write_scene"]
+__all__ = [
+    "SETS",
+    "PublicSet",
+    "Source",
+    "absent",
+    "check_names",
+    "find_sources",
+    "load",
+    "write_scene",
+]
 
 
 def find_sources(path: Path) -> list[Source]:
@@ -46,6 +52,22 @@ def find_sources(path: Path) -> list[Source]:
     return found
 
 
+def check_names(sources: Sequence[Source]) -> None:
+    """Records are kept by name.
+
+    Raises
+    ------
+    InputError
+        If two sources have one name.
+    """
+    names = [source.name for source in sources]
+    for source in sources:
+        if names.count(source.name) > 1:
+            raise InputError(
+                f"{source.folder}: expected different names, found {source.name} twice"
+            )
+
+
 def absent(path: Path, found: Sequence[Source]) -> list[PublicSet]:
     """Public sets that a folder of public sets lacks; none for a folder of another kind."""
     kinds = {source.kind for source in found if path in source.folder.parents}
@@ -69,6 +91,10 @@ def write_scene(source: Source, folder: Path) -> None:
     SETS[source.kind].write(source, folder)
 
 
+CODE_RANGE = (0, 254)
+"""Only what is surely clipped is left out: what counts here is how well the rest is explained."""
+
+
 def load(source: Source, max_size: int | None = None) -> Scene:
     """Read a source. Samples that an integer file holds at its maximum get weight 0.
 
@@ -76,36 +102,18 @@ def load(source: Source, max_size: int | None = None) -> Scene:
     are averaged down to one, one of them is enough.
     """
     with scene_folder_of(source) as folder:
-        scene = Scene.load(folder, max_size=max_size)
-        weights = np.ones(scene.images.shape[:3], dtype=np.float32)
-        for i, path in enumerate(scene_folder.find_pictures(folder)):
-            clipped = images.read_picture(path).clipped
-            if clipped.any():
-                weights[i][_touched(clipped, weights.shape[1:])] = 0.0
+        scene = Scene.load(folder, max_size=max_size, code_range=CODE_RANGE)
     return Scene(
         images=scene.images,
         normals=scene.normals,
+        segments=scene.segments,
         fov=scene.fov,
         mask=scene.mask,
-        weights=None if weights.all() else weights,
+        weights=scene.weights,
         names=scene.names,
         assumed=scene.assumed,
         inputs=scene.inputs,
     )
-
-
-def _touched(pixels: NDArray[np.bool_], size: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which pixels of a picture averaged down to `size` have a part in any of `pixels`."""
-    touched = np.zeros(size, dtype=bool)
-    rows, columns = np.nonzero(pixels)
-    lows, highs = [], []
-    for at, full, small in zip((rows, columns), pixels.shape, size, strict=True):
-        lows.append(at * small // full)
-        highs.append(np.minimum(((at + 1) * small - 1) // full, small - 1))
-    for row in (lows[0], highs[0]):
-        for column in (lows[1], highs[1]):
-            touched[row, column] = True
-    return touched
 
 
 def _sources_at(path: Path) -> list[Source]:

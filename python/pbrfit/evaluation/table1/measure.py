@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.evaluation.recipes import RECIPES, explain
+from pbrfit.evaluation.recipes import explain
 from pbrfit.evaluation.scores import METAL, score
 from pbrfit.evaluation.table1.normals import angles, disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, Row
@@ -73,12 +73,12 @@ class Task:
 
 
 def work(task: Task, threads: int) -> dict[str, Any]:
-    """Scores of all recipes, facts about the scene, and perhaps a preview."""
+    """Scores of the row's recipes, facts about the scene, and perhaps a preview."""
     row = BY_KEY[task.row]
     truth = _scene(task, row, threads)
     scene, facts = _as_given(truth, task, row)
     found: dict[str, Any] = {"facts": facts, "recipes": {}}
-    for recipe in RECIPES:
+    for recipe in row.recipes:
         result = explain(
             scene, recipe, iterations=task.iterations, sh_order=row.sh_order, threads=threads
         )

@@ -5,8 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from pbrfit.evaluation.drawing import BLACK, BLUE, GREY, ORANGE, SKY, as_png, new_figure
-from pbrfit.evaluation.recipes import IN_WORDS, RECIPES, Recipe
+from pbrfit.evaluation.drawing import (
+    AMBER,
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    SKY,
+    as_png,
+    new_figure,
+)
+from pbrfit.evaluation.recipes import IN_WORDS, Recipe
 from pbrfit.evaluation.table1.rows import COLUMNS
 from pbrfit.evaluation.tables import Mean
 
@@ -15,8 +25,10 @@ if TYPE_CHECKING:
 
 # Shapes are for those who see no colours.
 _LOOKS: dict[Recipe, tuple[str, str]] = {
-    "default": (BLUE, "o"),
+    "plain": (BLUE, "o"),
+    "default": (GREEN, "D"),
     "paper": (ORANGE, "s"),
+    "paper-priors": (AMBER, "P"),
     "constant": (GREY, "^"),
     "start": (SKY, "v"),
 }
@@ -28,16 +40,16 @@ def draw(found: Sequence[Outcome], mean: Callable[[Outcome, Recipe, str], Mean])
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     shown = [outcome for outcome in found if outcome.finished]
-    figure = new_figure(13, 1.6 + 0.62 * len(shown))
+    figure = new_figure(13, 1.6 + 0.7 * len(shown))
     panels = figure.subplots(1, len(COLUMNS), sharey=True)
     for axes, metric in zip(panels, COLUMNS, strict=True):
         for place, outcome in enumerate(shown):
-            for step, recipe in enumerate(RECIPES):
+            for step, recipe in enumerate(outcome.row.recipes):
                 m = mean(outcome, recipe, metric)
                 if not m.count:
                     continue
                 color, marker = _LOOKS[recipe]
-                y = place + 0.16 * (step - 1.5)
+                y = place + 0.16 * (step - (len(outcome.row.recipes) - 1) / 2)
                 if m.count > 1:
                     axes.plot([m.low, m.high], [y, y], color=color, linewidth=1.5)
                 axes.plot(m.mean, y, marker, color=color, markersize=5)

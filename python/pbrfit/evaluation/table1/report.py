@@ -13,7 +13,7 @@ from pathlib import Path
 from pbrfit.evaluation import page, summary
 from pbrfit.evaluation.jobs import Record
 from pbrfit.evaluation.page import Cell, Figure, Section, Table
-from pbrfit.evaluation.recipes import IN_WORDS, RECIPES, Recipe
+from pbrfit.evaluation.recipes import IN_WORDS, Recipe
 from pbrfit.evaluation.scores import PROTOCOL, Scores
 from pbrfit.evaluation.table1 import plot
 from pbrfit.evaluation.table1.measure import FIRST_SEED, Task
@@ -47,11 +47,17 @@ NAMES = {
 """Of the columns."""
 
 SOLVERS: dict[Recipe, str | None] = {
+    "plain": "lbfgsb, no priors",
     "default": "lbfgsb, default",
     "paper": "lbfgsb, paper's recipe",
+    "paper-priors": "lbfgsb, paper's recipe and priors",
     "constant": "constant guess",
     "start": "start, not optimised",
 }
+
+
+GUESSES: tuple[Recipe, ...] = ("constant", "start")
+"""What is not fitted."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +133,7 @@ def write(folder: Path, found: Sequence[Outcome], setup: Sequence[str]) -> None:
         (
             (outcome.row.key, recipe, metric, m.mean, m.low, m.high, m.count)
             for outcome in found
-            for recipe in RECIPES
+            for recipe in outcome.row.recipes
             for metric in METRICS
             if (m := measured(outcome, recipe, metric)).count
         ),
@@ -140,7 +146,7 @@ def write(folder: Path, found: Sequence[Outcome], setup: Sequence[str]) -> None:
             for outcome in found
             for record in outcome.finished
             if record.values is not None
-            for recipe in RECIPES
+            for recipe in outcome.row.recipes
         ),
     )
     summary.write_summary(folder, PROTOCOL, [row for o in found for row in _rows(o, measured)])
@@ -165,7 +171,7 @@ def _rows(outcome: Outcome, mean: _Measured) -> list[summary.Row]:
     if not outcome.finished:
         return [summary.Row(row.name, 0, None, {}, row.paper or None, outcome.status)]
     rows = []
-    for recipe in RECIPES:
+    for recipe in row.recipes:
         metrics: dict[str, float | None] = {}
         for metric in METRICS:
             m = mean(outcome, recipe, metric)
@@ -194,10 +200,11 @@ def _opening(setup: Sequence[str]) -> list[str]:
         "own numbers, which are of other scenes: context, no comparison.",
         f"“{IN_WORDS['paper'].capitalize()}”, as we read it: one run of scipy's L-BFGS-B on "
         "albedo, roughness and metallic within [0, 1] and all lights, from the mean picture, "
-        "roughness 0.5 and metallic 0.1. The constant guess has roughness 0.5, metallic 0 and the "
-        "mean of the true albedo, with the lights that then fit best: it knows nothing of the "
-        "pixels. Our start is where our default begins, with the lights that fit it. Seeds from "
-        f"{FIRST_SEED} on; none served to tune anything.",
+        "roughness 0.5 and metallic 0.1. The paper's rows have no priors but for one; “our "
+        "default” has its priors and is given the true segments. The constant guess has "
+        "roughness 0.5, metallic 0 and the mean of the true albedo, with the lights that then fit "
+        "best: it knows nothing of the pixels. Our start is where our default begins, with the "
+        f"lights that fit it. Seeds from {FIRST_SEED} on; none served to tune anything.",
         f"pbrfit {version('pbrfit')}; {on['processor']}, {on['cores']} cores, {on['system']}, "
         f"Python {on['python']}, numpy {on['numpy']}. Seconds are of one fit while as many others "
         "ran as there were jobs.",
@@ -209,7 +216,7 @@ def _sections(measured: _Measured) -> list[Section]:
     sections = [
         Section(
             "The paper's columns",
-            ["RMSE, linear. The better of the two fits is bold."],
+            ["RMSE, linear. The best of the fits is bold."],
             [_table(measured, COLUMNS, with_paper=True)],
             [Figure("table1", plot.draw(found, measured), "The same as a plot, with intervals.")]
             if any(outcome.finished for outcome in found)
@@ -263,8 +270,8 @@ def _table(measured: _Measured, metrics: Sequence[str], *, with_paper: bool = Fa
             rows.append([Cell(name), Cell(""), Cell(outcome.status, "note"), *gaps])
             name = ""
         else:
-            for recipe in RECIPES:
-                scenes = str(len(outcome.finished)) if recipe == RECIPES[0] else ""
+            for recipe in row.recipes:
+                scenes = str(len(outcome.finished)) if recipe == row.recipes[0] else ""
                 rows.append(
                     [
                         Cell(name),
@@ -292,7 +299,7 @@ def _papers(value: float | None) -> Cell:
 
 def _figure(measured: _Measured, outcome: Outcome, recipe: Recipe, metric: str) -> Cell:
     mean = measured(outcome, recipe, metric)
-    fits: tuple[Recipe, ...] = ("default", "paper")
+    fits = [name for name in outcome.row.recipes if name not in GUESSES]
     sign = -1 if metric.endswith(("psnr", "ssim")) else 1
     best = min(fits, key=lambda fit: _order(measured(outcome, fit, metric).mean * sign))
     is_best = recipe == best and metric not in EFFORT and mean.count
@@ -349,20 +356,20 @@ def lines(found: Sequence[Outcome]) -> list[str]:
     """The paper's columns for a terminal."""
     width = max(len(outcome.row.name) for outcome in found)
     head = "".join(f"{name:>11}" for name in COLUMNS)
-    texts = [f"{'':<{width}}  {'':<21}{head}"]
+    texts = [f"{'':<{width}}  {'':<27}{head}"]
     for outcome in found:
         name = outcome.row.name
         if not outcome.finished:
             texts.append(f"{name:<{width}}  {outcome.status}")
             continue
-        for recipe in RECIPES:
+        for recipe in outcome.row.recipes:
             means = [outcome.mean(recipe, metric) for metric in COLUMNS]
             figures = "".join(f"{_three_digits(m.mean) if m.count else '–':>11}" for m in means)
-            texts.append(f"{name:<{width}}  {IN_WORDS[recipe]:<21}{figures}")
+            texts.append(f"{name:<{width}}  {IN_WORDS[recipe]:<27}{figures}")
             name = ""
         if outcome.row.paper:
             figures = "".join(f"{_papers(outcome.row.paper.get(c)).text:>11}" for c in COLUMNS)
-            texts.append(f"{'':<{width}}  {'paper, other scenes':<21}{figures}")
+            texts.append(f"{'':<{width}}  {'paper, other scenes':<27}{figures}")
     counts = Counter(outcome.status for outcome in found if outcome.records)
     for status, count in counts.items():
         if status != "ok":

@@ -1,0 +1,239 @@
+"""Joint Gauss-Newton steps for lights and the materials of some pixels, pulled to given values.
+
+L-BFGS hardly moves along the valleys that the problem has: when a channel's albedo is scaled and its
+lights undo it, little but the highlights of dielectrics changes, and many pixels have to change
+roughness a little as well. Gauss-Newton sees these valleys. What it minimises over albedo,
+roughness and metallic of a set of pixels, the lights, and an offset δ for each cluster of pixels, is
+
+    Σ ω (I − T)² + Σ_pf a_pf (v_pf − c_pf − δ_g(p)f)² + s Σ_gf (Σ_{p in g} a_pf) δ_gf²
+
+with v = roughness and metallic (f), pulled with precision a towards c. The offsets let a cluster
+move as a whole; without them each step of many pixels would have to be won against their pulls.
+
+Pixels are solved for first, which leaves a dense system in lights and offsets (Schur complement, as
+in `normal_equations`). After each step albedo is put to its best value for the new lights, roughness
+and metallic, which needs no iteration (`Problem.best_albedo`): given these, each channel of a pixel
+is a polynomial in its albedo. Without this, steps overshoot, since albedo times light is not linear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.layout import Layout
+from pbrfit.normal_equations import Eliminated, chunks, eliminate
+from pbrfit.objective import Objective
+
+Array = NDArray[np.float64]
+
+OFFSET_PULL = 1e-3
+"""s: offsets are pulled to 0 by this share of the pull that their pixels feel."""
+
+FIRST_DAMPING = 1e-3
+"""Of the diagonal of each pixel's matrix, as in Marquardt's method."""
+
+LIGHT_DAMPING = 1e-3
+"""Damping of the lights, as a share of that of pixels: their system is what we are here for."""
+
+SMALLEST_DAMPING = 1e-6
+
+FAILURES = 4
+"""Steps that may fail, each followed by ten times the damping."""
+
+ENOUGH = 1e-5
+"""A step that lowers the sum by less than this share of it is the last."""
+
+RIDGE = 1e-13
+"""Of the largest diagonal entry: the lights may have directions that no pixel sees."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """Where pixels are pulled, with F = 2 for roughness and metallic, or 1 where the latter is known.
+
+    Attributes
+    ----------
+    centre, precision
+        (P, F): c, and a in units of squared residuals.
+    cluster
+        (P,): which offset a pixel has.
+    clusters
+        Number of clusters.
+    """
+
+    centre: Array
+    precision: Array
+    cluster: NDArray[np.intp]
+    clusters: int
+
+    def offset_precision(self) -> Array:
+        """Σ a over the pixels of a cluster, (clusters, F)."""
+        return self.sums(self.precision)
+
+    def sums(self, values: Array) -> Array:
+        """Of (P, F) over the pixels of each cluster, (clusters, F)."""
+        columns = [
+            np.bincount(self.cluster, weights=column, minlength=self.clusters)
+            for column in values.T
+        ]
+        return np.stack(columns, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """x, the offsets (clusters, F), and the sum that is minimised."""
+
+    x: Array
+    offsets: Array
+    total: float
+
+
+def minimize(
+    objective: Objective, x: Array, pixels: NDArray[np.uint64], pull: Pull, steps: int
+) -> tuple[Array, int]:
+    """Steps from x that lower the sum; returns x and how many they were.
+
+    Parameters
+    ----------
+    objective
+        The problem, with unknown lights; its penalties take no part.
+    x
+        Where to start. Other pixels' materials stay.
+    pixels
+        (Q,) indices of the pixels that take part.
+    pull
+        Of these pixels.
+    steps
+        At most so many.
+    """
+    state = _with_best_albedo(
+        objective, x, pixels, pull, np.zeros((pull.clusters, pull.centre.shape[1]))
+    )
+    damping, done, failed = FIRST_DAMPING, 0, 0
+    while done < steps and failed < FAILURES:
+        try:
+            moved = _step(objective, state, pixels, pull, damping)
+        except np.linalg.LinAlgError:
+            moved = None
+        if moved is None or not moved.total < state.total:
+            damping, failed = 10 * damping, failed + 1
+            continue
+        gain = state.total - moved.total
+        state, done = moved, done + 1
+        damping = max(damping / 5, SMALLEST_DAMPING)
+        if gain < ENOUGH * state.total:
+            break
+    return state.x, done
+
+
+def _with_best_albedo(
+    objective: Objective, x: Array, pixels: NDArray[np.uint64], pull: Pull, offsets: Array
+) -> _State:
+    layout = objective.layout
+    albedo, squares = objective.problem.best_albedo(objective.for_core(x), pixels)
+    x = x.copy()
+    x[layout.albedo].reshape(layout.channels, -1)[:, pixels] = albedo.T
+    values = np.stack([x[block][pixels] for block in layout.finish], axis=-1)
+    off = values - pull.centre - offsets[pull.cluster]
+    pulled = float((pull.precision * off**2).sum())
+    held = OFFSET_PULL * float((pull.offset_precision() * offsets**2).sum())
+    return _State(x, offsets, float(squares.sum()) + pulled + held)
+
+
+def _step(
+    objective: Objective, state: _State, pixels: NDArray[np.uint64], pull: Pull, damping: float
+) -> _State:
+    """One damped step. Half the sum's derivatives are used throughout."""
+    from scipy.linalg import cho_factor, cho_solve
+
+    layout, x = objective.layout, state.x
+    for_core = objective.for_core(x)
+    values = x[layout.maps].reshape(-1, layout.pixels)[:, pixels].T  # (Q, D)
+    finish = slice(layout.channels, None)
+    off = values[:, finish] - pull.centre - state.offsets[pull.cluster]
+    precision = np.zeros_like(values)
+    precision[:, finish] = pull.precision
+    residuals = objective.problem.residuals(for_core, pixels).transpose(1, 0, 2)
+
+    # Pixels: those on a bound that would leave it are held.
+    matrices, by_materials, _ = objective.problem.normal_equations(for_core, pixels)
+    by_materials[:, finish] += pull.precision * off
+    held = ((values <= 0) & (by_materials > 0)) | ((values >= 1) & (by_materials < 0))
+    part = eliminate(
+        objective.problem, for_core, layout, pixels, held, precision=precision, damping=damping
+    )
+    whitened = np.einsum("pij,pj->pi", part.whiten, by_materials)
+
+    # Lights and offsets: matrix and gradient with the pixels solved for.
+    system = _System.of(part, pull, layout)
+    left = part.weights * residuals - np.einsum("pdnc,pd->pnc", part.rows, whitened)
+    by_lights = np.einsum("pnc,pck->nck", left, part.by_light)
+    if layout.light_channels < layout.channels:
+        by_lights = by_lights.sum(axis=1, keepdims=True)
+    tied = np.einsum("pfg,pf->pg", system.by_offsets, whitened[:, finish])
+    by_offsets = OFFSET_PULL * pull.offset_precision() * state.offsets
+    by_offsets -= pull.sums(pull.precision * off + tied)
+    gradient = np.concatenate([by_lights.ravel(), by_offsets.ravel()])
+
+    matrix = system.matrix
+    diagonal = np.einsum("ii->i", matrix)
+    diagonal += LIGHT_DAMPING * damping * np.abs(diagonal) + RIDGE * diagonal.max()
+    moves = -cho_solve(cho_factor(matrix), gradient)
+    lights = moves[: by_lights.size].reshape(by_lights.shape)
+    offsets = moves[by_lights.size :].reshape(state.offsets.shape)
+
+    # Back to the pixels.
+    of_samples = np.einsum(
+        "nck,pck->pnc",
+        np.broadcast_to(lights, (len(lights), *part.by_light.shape[1:])),
+        part.by_light,
+    )
+    whitened += np.einsum("pdnc,pnc->pd", part.rows, of_samples)
+    whitened[:, finish] += np.einsum("pfg,pg->pf", system.by_offsets, offsets[pull.cluster])
+    values = np.clip(values - np.einsum("pij,pi->pj", part.whiten, whitened), 0, 1)
+    x = x.copy()
+    x[layout.maps].reshape(-1, layout.pixels)[:, pixels] = values.T
+    x[layout.lighting] += lights.transpose(0, 2, 1).ravel()
+    return _with_best_albedo(objective, x, pixels, pull, state.offsets + offsets)
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Lights and offsets when the pixels are solved for.
+
+    Attributes
+    ----------
+    matrix
+        Of (N, light channels, K) and (clusters, F), one after the other.
+    by_offsets
+        (Q, F, F): U ∂²/∂v∂δ, rows and columns of roughness and metallic.
+    """
+
+    matrix: Array
+    by_offsets: Array
+
+    @classmethod
+    def of(cls, part: Eliminated, pull: Pull, layout: Layout) -> _System:
+        finish = slice(layout.channels, None)
+        by_offsets = -part.whiten[:, finish, finish] * pull.precision[:, None, :]
+        of_lights = part.information(layout)
+        f = pull.precision.shape[1]
+        size, count = len(of_lights), pull.clusters * f
+        matrix = np.zeros((size + count, size + count))
+        matrix[:size, :size] = of_lights
+        total = (1 + OFFSET_PULL) * pull.offset_precision().ravel()
+        matrix[size:, size:] = np.diag(total)
+        for chunk in chunks(len(by_offsets), 8 * f * (size + count)):
+            of_chunk = by_offsets[chunk]
+            columns = np.zeros((len(of_chunk), f, pull.clusters, f))
+            columns[np.arange(len(of_chunk)), :, pull.cluster[chunk]] = of_chunk
+            columns = columns.reshape(-1, count)
+            rows = part.light_rows(chunk, layout)
+            crossed = rows.T @ columns
+            matrix[:size, size:] -= crossed
+            matrix[size:, :size] -= crossed.T
+            matrix[size:, size:] -= columns.T @ columns
+        return cls(matrix, by_offsets)

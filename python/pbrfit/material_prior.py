@@ -1,0 +1,325 @@
+"""The learnt material prior: which roughness and metallic a segment is made of, found by EM.
+
+Pictures with noise leave roughness of a single pixel uncertain by 0.1, and all pixels of an object
+together know it to 0.01. A penalty on differences helps only where segments are right and of one
+material. Here each pixel keeps its whole likelihood over a grid of roughness and metallic, and each
+segment (the whole picture if there are none) has a discrete distribution on that grid, learnt from
+its pixels: one node if it is one material, two if two were merged, many if roughness varies. Pixels
+are then pulled to their posterior mean, the harder the surer the posterior is. This is nonparametric
+empirical Bayes (H. Robbins, "An empirical Bayes approach to statistics", 1956; EM for the discrete
+mixture as in N. Laird, J. Am. Stat. Assoc. 73, 1978).
+
+With noise s², lights known and nodes k,
+
+    l_ik = min over albedo of Σ ω (I − T)² / 2s²          A_ik = exp(−η_i (l_ik − min_k l_ik))
+    p_k ← p_k mean_i [A_ik / Σ_j A_ij p_j]                 posterior_ik ∝ A_ik p_k
+    pull of pixel i: s² a_i (v_i − c_i − δ)²              a_i = 1 / (floor² + V_i)
+
+with c and V mean and variance of the posterior. η = σ²/(σ² + spacing²) widens likelihoods that are
+too sharp for the grid. The offset δ is common to the pixels of a segment that fell to the same group
+of neighbouring nodes, and free: so the pull gathers pixels without holding on to where they were
+gathered while lights were still wrong.
+
+Lights and prior depend on each other. They are found together on a few pixels, in rounds of EM and
+joint Gauss-Newton steps (`gauss_newton`), and then applied to all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import gauss_newton
+from pbrfit.gauss_newton import OFFSET_PULL, Pull
+from pbrfit.objective import Objective
+from pbrfit.sampling import spread_over
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.intp]
+
+ROUGHNESS_NODES = np.linspace(0.03, 1.0, 33)
+METALLIC_NODES = np.linspace(0.0, 1.0, 7)
+NODE_DISTANCE = float(ROUGHNESS_NODES[1] - ROUGHNESS_NODES[0])
+
+SPACING = 0.03
+"""Of the roughness nodes; likelihoods are widened to it."""
+
+FLOORS = (0.05, 0.02, 0.01, 0.01)
+"""Smallest standard deviation of the pull, by round: wide at first, while lights are wrong."""
+
+STEPS = 3
+"""Gauss-Newton steps a round."""
+
+LEARNING_PIXELS = 1024
+"""Pixels that find lights and prior together. The dense system makes each step cost the square of
+the lights' number for each of them."""
+
+LEARNING_PIXELS_GIVEN_LIGHTS = 16384
+"""Pixels that the final distributions are learnt from."""
+
+EM_STEPS = 100
+
+OWN_PIXELS = 16
+"""A segment with fewer has the distribution of the whole picture."""
+
+PICTURE_PIXELS = 10.0
+"""How many pixels the distribution of the whole picture counts for in that of a segment."""
+
+SAME_GROUP = 0.02
+"""Of the largest probability: neighbouring nodes above this are one group."""
+
+FEWEST_DEGREES = 0.1
+"""Of the samples: the noise is not estimated from fewer degrees of freedom."""
+
+FLATTEST = 1e-6
+"""Curvature between nodes at least; a likelihood may be flat."""
+
+LEAST_VARIANCE = 1e-20
+"""Of the noise: pictures may be explained perfectly."""
+
+APPLIED_AT_ONCE = 8192
+"""Pixels whose likelihoods are held at a time."""
+
+
+class MaterialPull:
+    """The learnt prior as a penalty; the best offsets are inserted, so x alone decides.
+
+    With tot = Σ a over a cluster and d = v − c, the best offset is δ = Σ a d / ((1 + s) tot), and
+    the derivative by it vanishes there, so that ∂/∂v = 2 a (d − δ).
+    """
+
+    name = "material"
+
+    def __init__(self, pull: Pull, blocks: tuple[slice, ...], factor: float) -> None:
+        self._pull = pull
+        self._blocks = blocks
+        self._factor = factor
+        self._totals = pull.offset_precision()
+
+    def value_and_grad(self, x: Array, gradient: Array) -> float:
+        """See `Penalty`."""
+        pull, total = self._pull, 0.0
+        for f, block in enumerate(self._blocks):
+            precision, totals = pull.precision[:, f], self._totals[:, f]
+            off = x[block] - pull.centre[:, f]
+            sums = np.bincount(pull.cluster, weights=precision * off, minlength=pull.clusters)
+            offsets = sums / ((1 + OFFSET_PULL) * totals)
+            off -= offsets[pull.cluster]
+            total += float((precision * off**2).sum())
+            total += OFFSET_PULL * float((totals * offsets**2).sum())
+            gradient[block] += 2 * self._factor * precision * off
+        return self._factor * total
+
+
+def learn(
+    objective: Objective,
+    x: Array,
+    strength: float,
+    out_of_time: Callable[[], bool] = lambda: False,
+) -> tuple[Array, MaterialPull]:
+    """Learn the prior around x; returns x for all pixels with the lights found, and the penalty.
+
+    Parameters
+    ----------
+    objective
+        The problem.
+    x
+        A fit of the data.
+    strength
+        `Priors.material`: 1 is Bayes' rule.
+    out_of_time
+        Asked between rounds.
+    """
+    # One BLAS thread: sums split over threads would round differently on a machine with another
+    # number of processors.
+    from threadpoolctl import threadpool_limits
+
+    layout = objective.layout
+    labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
+    few = spread_over(labels, LEARNING_PIXELS)
+    with threadpool_limits(1, user_api="blas"):
+        for floor in FLOORS if layout.lighting is not None else ():
+            grid = _Grid(objective, x, few)
+            likelihood = grid.likelihood(few)
+            posterior = _Learnt.of(likelihood, labels[few], grid).posterior(likelihood, labels[few])
+            pull = _pull(posterior, floor, strength * grid.variance, len(layout.finish))
+            x = _put(objective, x, few, pull.centre)
+            x, _ = gauss_newton.minimize(objective, x, few, pull, STEPS)
+            if out_of_time():
+                break
+
+        grid = _Grid(objective, x, few)
+        many = spread_over(labels, LEARNING_PIXELS_GIVEN_LIGHTS)
+        learnt = _Learnt.of(grid.likelihood(many), labels[many], grid)
+        everything = np.arange(layout.pixels, dtype=np.uint64)
+        parts = [
+            learnt.posterior(grid.likelihood(everything[chunk]), labels[chunk])
+            for chunk in _pieces(layout.pixels)
+        ]
+        posterior = _Posterior.joined(parts)
+        pull = _pull(posterior, FLOORS[-1], strength * grid.variance, len(layout.finish))
+        x = _put(objective, x, everything, pull.centre)
+        albedo, _ = objective.problem.best_albedo(objective.for_core(x), everything)
+        x[layout.albedo] = albedo.T.ravel()
+    return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight)
+
+
+def _pieces(count: int) -> list[slice]:
+    return [slice(first, first + APPLIED_AT_ONCE) for first in range(0, count, APPLIED_AT_ONCE)]
+
+
+def _put(objective: Objective, x: Array, pixels: NDArray[np.uint64], values: Array) -> Array:
+    """X with these roughness and metallic (Q, F) at some pixels."""
+    x = x.copy()
+    for block, of_block in zip(objective.layout.finish, values.T, strict=True):
+        x[block][pixels] = of_block
+    return x
+
+
+class _Grid:
+    """Likelihoods over the grid of nodes, (roughness, metallic) row by row, with the lights of x.
+
+    Attributes
+    ----------
+    variance
+        s², of samples of weight 1, in units of x. From the residuals that are left at `pixels` and
+        their degrees of freedom.
+    roughness, metallic
+        Of the nodes, (nodes,).
+    """
+
+    def __init__(self, objective: Objective, x: Array, pixels: NDArray[np.uint64]) -> None:
+        layout = objective.layout
+        self._problem = objective.problem
+        self._x = objective.for_core(x)
+        known = objective.known_metallic
+        self._metallic = METALLIC_NODES if known is None else np.array([known])
+        roughness, metallic = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
+        self.roughness, self.metallic = roughness.ravel(), metallic.ravel()
+        _, squares = self._problem.best_albedo(self._x, pixels)
+        samples = objective.samples * len(pixels) / layout.pixels
+        lights = 0 if layout.lighting is None else layout.lighting.stop - layout.lighting.start
+        unknowns = len(pixels) * layout.maps.stop / layout.pixels + lights
+        degrees = max(samples - unknowns, FEWEST_DEGREES * samples)
+        self.variance = max(float(squares.sum()) / degrees, LEAST_VARIANCE)
+
+    def likelihood(self, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
+        """A, (Q, nodes); 1 at the best node of each pixel."""
+        parts = [self._of_piece(pixels[chunk]) for chunk in _pieces(len(pixels))]
+        return np.concatenate(parts)
+
+    def _of_piece(self, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
+        squares = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
+        squares -= squares.min(axis=(1, 2), keepdims=True)
+        squares /= np.float32(2 * self.variance)
+        # σ of roughness, from the curvature of its profile at the best node.
+        profile = squares.min(axis=2)
+        best = np.clip(profile.argmin(axis=1), 1, len(ROUGHNESS_NODES) - 2)[:, None]
+        below, at, above = (np.take_along_axis(profile, best + i, axis=1) for i in (-1, 0, 1))
+        curvature = np.maximum(below - 2 * at + above, FLATTEST) / NODE_DISTANCE**2
+        share = 1 / (1 + SPACING**2 * curvature)  # η
+        return np.exp(-share * squares.reshape(len(pixels), -1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Posterior:
+    """Mean and variance of roughness and metallic, (Q, 2), and the cluster, (Q,)."""
+
+    mean: Array
+    variance: Array
+    cluster: Labels
+
+    @classmethod
+    def joined(cls, parts: list[_Posterior]) -> _Posterior:
+        return cls(
+            np.concatenate([part.mean for part in parts]),
+            np.concatenate([part.variance for part in parts]),
+            np.concatenate([part.cluster for part in parts]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Learnt:
+    """Distributions over the nodes: row 0 of the whole picture, the others of large segments.
+
+    Attributes
+    ----------
+    probabilities
+        (rows, nodes), float32.
+    groups
+        (rows, nodes): which group of neighbouring nodes each belongs to, 0 = none.
+    row
+        By label: the row that a segment has.
+    nodes
+        (nodes, 2): their roughness and metallic.
+    """
+
+    probabilities: NDArray[np.float32]
+    groups: Labels
+    row: Labels
+    nodes: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, likelihood: NDArray[np.float32], labels: Labels, grid: _Grid) -> _Learnt:
+        """From pixels of these labels; unclassified ones, of label 0, have the picture's."""
+        from scipy.ndimage import label
+
+        whole = _mixture(likelihood)
+        rows = [whole]
+        row = np.zeros(labels.max() + 1, np.intp)
+        order = np.argsort(labels, kind="stable")
+        found, starts = np.unique(labels[order], return_index=True)
+        for segment, of_segment in zip(found, np.split(order, starts[1:]), strict=True):
+            if segment and len(of_segment) >= OWN_PIXELS:
+                row[segment] = len(rows)
+                rows.append(_mixture(likelihood[of_segment], whole))
+        probabilities = np.stack(rows)
+        shape = (len(ROUGHNESS_NODES), -1)
+        high = probabilities > SAME_GROUP * probabilities.max(axis=1, keepdims=True)
+        groups = np.stack([label(of_row.reshape(shape))[0].ravel() for of_row in high])
+        nodes = np.stack([grid.roughness, grid.metallic], axis=-1).astype(np.float32)
+        return cls(probabilities, groups.astype(np.intp), row, nodes)
+
+    def posterior(self, likelihood: NDArray[np.float32], labels: Labels) -> _Posterior:
+        """Of pixels with these likelihoods, (Q, nodes), and labels."""
+        rows = self.row[np.minimum(labels, len(self.row) - 1)]
+        posterior = likelihood * self.probabilities[rows]
+        posterior /= posterior.sum(axis=1, keepdims=True)
+        mean = posterior @ self.nodes
+        variance = np.maximum(posterior @ self.nodes**2 - mean**2, 0)
+        # The group that most of the posterior is in.
+        group = np.zeros(len(posterior), np.intp)
+        count = self.groups.max() + 1
+        for of_row in np.unique(rows):
+            of_groups = np.equal.outer(self.groups[of_row], np.arange(1, count))
+            here = rows == of_row
+            group[here] = (posterior[here] @ of_groups.astype(np.float32)).argmax(axis=1)
+        cluster = labels * count + group
+        return _Posterior(np.clip(mean, 0, 1), variance, cluster)
+
+
+def _mixture(
+    likelihood: NDArray[np.float32], whole: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """Probabilities of the nodes by EM; `whole` counts as some pixels more."""
+    nodes = likelihood.shape[1]
+    probabilities = np.full(nodes, 1 / nodes, np.float32) if whole is None else whole
+    for _ in range(EM_STEPS):
+        of_pixels = likelihood @ probabilities
+        probabilities = probabilities * ((1 / of_pixels) @ likelihood)
+        if whole is not None:
+            probabilities += np.float32(PICTURE_PIXELS) * whole
+        probabilities /= probabilities.sum()
+    return probabilities
+
+
+def _pull(posterior: _Posterior, floor: float, variance: float, planes: int) -> Pull:
+    """Towards the first of roughness and metallic, or both; `variance` is s² times the strength."""
+    used = slice(planes)
+    clusters, cluster = np.unique(posterior.cluster, return_inverse=True)
+    precision = variance / (floor**2 + posterior.variance[:, used].astype(np.float64))
+    centre = posterior.mean[:, used].astype(np.float64)
+    return Pull(centre, precision, cluster, len(clusters))

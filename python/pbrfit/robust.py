@@ -1,0 +1,124 @@
+"""Robust losses: their scale from residuals, and the pixels that it is estimated at.
+
+A robust loss φ(e) is e² for residuals e that noise explains and grows slower beyond, so that
+shadows, interreflections and highlights outside the model pull less (the formulas are in
+`rust/robust.rs`). Where it bends is its scale δ, a multiple of the noise's standard deviation σ,
+which is not known and is taken from the residuals themselves.
+
+Notes
+-----
+Half of Gaussian noise is below 0.6745 σ in size, the third quartile of the normal distribution, and
+outliers hardly move a median. So σ = median |e| / 0.6745 (F. R. Hampel, "The influence curve and
+its role in robust estimation", J. Am. Stat. Assoc. 69, 1974).
+
+A fit takes up some of the noise: of n samples with p unknowns the residuals' variance is
+(n − p) / n of the noise's. So σ is larger by √(n / (n − p)).
+
+δ is 1.345 σ for Huber's loss and 2.385 σ for Cauchy's. On purely Gaussian noise estimates then have
+95 % of the efficiency of least squares: σ² E[φ'']² / E[φ'²] = 0.95, where E is the mean over
+e ~ N(0, σ²) and φ = e² gives 1 (P. J. Huber, "Robust estimation of a location
+parameter", Ann. Math. Stat. 35, 1964; P. W. Holland and R. E. Welsch, "Robust regression using
+iteratively reweighted least-squares", Commun. Stat. A6, 1977).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pbrfit._core import InputError
+
+SCALES = {"huber": 1.345, "cauchy": 2.385}
+"""δ/σ by loss, for an efficiency of 95 % on Gaussian noise."""
+
+MEDIAN_TO_SIGMA = 1.482602218505602
+"""1 / 0.6745: σ over the median of |e| where e is Gaussian."""
+
+MOST_PIXELS = 20_000
+"""Enough for σ to 1 %, and quick to find residuals of."""
+
+_GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+def loss_scale(loss: str, sigma: float) -> float:
+    """Scale δ of a loss for noise of standard deviation `sigma`.
+
+    Parameters
+    ----------
+    loss
+        "huber" or "cauchy".
+    sigma
+        In the unit of the residuals, above 0.
+
+    Raises
+    ------
+    InputError
+        If the loss is another, or sigma is not a positive number.
+    """
+    if loss not in SCALES:
+        raise InputError(f"robust: expected {' or '.join(SCALES)}, found {loss}")
+    if not 0 < sigma < np.inf:
+        raise InputError(f"sigma: expected a positive number, found {sigma:g}")
+    return SCALES[loss] * sigma
+
+
+def noise_sigma(
+    residuals: ArrayLike, weights: ArrayLike | None = None, *, unknowns: float = 0.0
+) -> float:
+    """Standard deviation of the noise, from residuals of which some may be outliers.
+
+    Parameters
+    ----------
+    residuals
+        (N, P, C): e of N pictures, P pixels, C channels.
+    weights
+        (N, P): how much each sample counts, 0 or more; None = all the same. Those of weight 0 are
+        no samples.
+    unknowns
+        p: how many unknowns were fitted to these residuals. Of a few pixels' residuals it is their
+        own unknowns and their share of the lights'.
+
+    Returns
+    -------
+    float
+        σ in the unit of the residuals; 0 if half of them are 0.
+
+    Raises
+    ------
+    InputError
+        If weights do not go with the residuals, or samples are not more than unknowns.
+    """
+    sizes = np.abs(np.asarray(residuals, dtype=np.float64))
+    if sizes.ndim != 3:
+        raise InputError(f"residuals: expected shape (N, P, C), found {sizes.shape}")
+    each = np.ones(sizes.shape[:2]) if weights is None else np.asarray(weights, dtype=np.float64)
+    if each.shape != sizes.shape[:2]:
+        raise InputError(f"weights: expected shape {sizes.shape[:2]}, found {each.shape}")
+    samples = sizes.shape[2] * int(np.count_nonzero(each))
+    if not samples > unknowns:
+        raise InputError(
+            f"residuals: expected more samples than the {unknowns:g} unknowns fitted to them, "
+            f"found {samples}"
+        )
+    median = weighted_median(sizes.ravel(), np.repeat(each.ravel(), sizes.shape[2]))
+    return float(MEDIAN_TO_SIGMA * median * np.sqrt(samples / (samples - unknowns)))
+
+
+def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Smallest of the values (M,) up to which half of the weight (M,) lies."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(below, below[-1] / 2)]])
+
+
+def sample_pixels(pixels: int, at_most: int = MOST_PIXELS) -> NDArray[np.uint64]:
+    """Indices below `pixels`, spread evenly and in order: all of them, or `at_most`.
+
+    The range is cut into equal pieces, and one pixel is taken from each, at fractions that follow
+    the golden ratio: no row length makes that a pattern of columns. It is the same every time.
+    """
+    count = min(pixels, at_most)
+    borders = np.arange(count + 1) * pixels // count
+    fraction = np.arange(count) * _GOLDEN_RATIO % 1.0
+    chosen = borders[:-1] + (fraction * np.diff(borders)).astype(np.int64)
+    return np.asarray(chosen, dtype=np.uint64)

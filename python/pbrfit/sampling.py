@@ -1,0 +1,40 @@
+"""Pixels that stand for all of a picture."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+def spread(count: int, at_most: int) -> NDArray[np.uint64]:
+    """Indices below `count`, spread evenly and in order: all of them, or `at_most`.
+
+    The range is cut into equal pieces, and one index is taken from each, at fractions that follow
+    the golden ratio: no row length makes that a pattern of columns. It is the same every time.
+    """
+    chosen = min(count, at_most)
+    borders = np.arange(chosen + 1) * count // chosen
+    fraction = np.arange(chosen) * _GOLDEN_RATIO % 1.0
+    return np.asarray(borders[:-1] + (fraction * np.diff(borders)).astype(np.int64), np.uint64)
+
+
+def spread_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uint64]:
+    """Indices into `labels` (P,), in order, at most so many: spread evenly in each label.
+
+    Half of them are shared out equally between labels, so that small ones are represented; what
+    labels are too small to use, and the other half, is spread over all the rest.
+    """
+    if len(labels) <= at_most:
+        return np.arange(len(labels), dtype=np.uint64)
+    order = np.argsort(labels, kind="stable")
+    starts = np.flatnonzero(np.diff(labels[order], prepend=labels[order[0]] - 1))
+    share = at_most // 2 // len(starts)
+    taken = np.zeros(len(labels), dtype=bool)
+    if share:
+        for of_label in np.split(order, starts[1:]):
+            taken[of_label[spread(len(of_label), share)]] = True
+    rest = order[~taken[order]]
+    taken[rest[spread(len(rest), at_most - int(np.count_nonzero(taken)))]] = True
+    return np.flatnonzero(taken).astype(np.uint64)

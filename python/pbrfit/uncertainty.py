@@ -1,0 +1,428 @@
+"""Uncertainty: how far the numbers of a fit can be trusted, from its Gauss–Newton normal matrix.
+
+docs/uncertainty.md derives the formulas and says when not to believe them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.layout import Layout
+from pbrfit.materials import Materials
+from pbrfit.normal_equations import (
+    LightInformation,
+    chunks,
+    held_at_bounds,
+    inverse,
+    light_information,
+)
+from pbrfit.objective import Objective
+
+Array = NDArray[np.float64]
+
+PARAMETERS = ("albedo", "roughness", "metallic")
+"""In the order of the flags."""
+
+UNDETERMINED = 1 / math.sqrt(12)
+"""Deviation of a number about which nothing is known but that it lies in [0, 1]. From here on the
+pictures say nothing about it."""
+
+LARGEST = 1.0
+"""Deviations are cut off here, the width of the range."""
+
+LIGHT_PIXELS = 4096
+"""At most so many pixels, evenly spread, tell what the lights know when materials are fitted too."""
+
+OMITTED = 1e-3
+"""Modes of the lights are left out while all of them together raise the pixels' variances by less
+than this share in the mean."""
+
+DARK = 1e-12
+"""Of the largest eigenvalue: directions of the light that no pixel sees any more than this move no
+material, and are left out."""
+
+FREE = 1e-10
+"""Share of its information that a direction of the light keeps when materials are fitted too. Below
+this it is rounding: materials can make up for it completely."""
+
+FREE_MOVE = 0.01
+"""An unknown that moves by more than this when the light changes by as much as it is itself, in a
+direction that materials can make up for, is not determined."""
+
+CHECKED = 512
+"""Pixels in which the modes that were used are compared with all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Standard deviations of the materials of a fit, as far as noise in the pictures explains them.
+
+    Two kinds: *conditional*, if the lights were known to be those of the fit, from a pixel's own
+    samples; and *marginal*, with the lights and the scale between them and albedo as uncertain as
+    they are. They are equal where the lights are known. Neither knows of errors in the model or the
+    normals, nor of priors.
+
+    Attributes
+    ----------
+    conditional, marginal
+        Standard deviations in place of values, at most 1; 0 for what is held (`on_bound`, or a known
+        metallic); NaN outside the mask.
+    undetermined
+        (H, W, 3) bool: albedo (in any channel), roughness, metallic: the pictures do not tell it,
+        because its marginal deviation is above 1/√12 or the equations are singular.
+    on_bound
+        (H, W, 3) bool, likewise: at 0 or 1, held there, and without a deviation of its own.
+    noise
+        Standard deviation of a sample of the largest weight, in picture units, from the residual
+        and its degrees of freedom; None where there are no more samples than unknowns, and then
+        nothing is determined.
+    albedo_scale
+        Relative standard deviation, by channel, of the scale of the lights, which albedo
+        undoes; 0 where they are known.
+    priors
+        Whether the fit had priors. The deviations are those of the data alone, so they are too
+        large then where priors help.
+    light_pixels, light_modes
+        How many pixels the lights' covariance is from, and how many of its modes were used; 0 where
+        they are known.
+    omitted
+        Largest share of a marginal deviation that the modes left out would add, as found in some of
+        these pixels.
+    """
+
+    conditional: Materials
+    marginal: Materials
+    undetermined: NDArray[np.bool_]
+    on_bound: NDArray[np.bool_]
+    noise: float | None
+    albedo_scale: tuple[float, float, float]
+    priors: bool
+    light_pixels: int
+    light_modes: int
+    omitted: float
+
+    def summary(self) -> dict[str, Any]:
+        """What is no map, and the maps in a few numbers, for result.json."""
+        valid = np.isfinite(self.marginal.roughness)
+
+        def shares(flags: NDArray[np.bool_]) -> dict[str, float]:
+            return dict(zip(PARAMETERS, flags[valid].mean(axis=0).tolist(), strict=True))
+
+        def medians(deviations: Materials) -> dict[str, float]:
+            return {name: float(np.median(getattr(deviations, name)[valid])) for name in PARAMETERS}
+
+        return {
+            "noise": self.noise,
+            "albedo_scale": list(self.albedo_scale),
+            "median_conditional": medians(self.conditional),
+            "median_marginal": medians(self.marginal),
+            "undetermined": shares(self.undetermined),
+            "on_bound": shares(self.on_bound),
+            "priors": self.priors,
+            "light_pixels": self.light_pixels,
+            "light_modes": self.light_modes,
+            "omitted": self.omitted,
+        }
+
+    def layers(self) -> dict[str, Array]:
+        """Maps (H, W) by channel name in `materials.exr`."""
+        layers = {}
+        for kind in ("marginal", "conditional"):
+            deviations = getattr(self, kind)
+            for c, name in enumerate("RGB"):
+                layers[f"uncertainty.{kind}.albedo.{name}"] = deviations.albedo[..., c]
+            for parameter in PARAMETERS[1:]:
+                layers[f"uncertainty.{kind}.{parameter}.Y"] = getattr(deviations, parameter)
+        for kind in ("undetermined", "on_bound"):
+            for i, parameter in enumerate(PARAMETERS):
+                layers[f"uncertainty.{kind}.{parameter}.Y"] = getattr(self, kind)[..., i]
+        return layers
+
+    @classmethod
+    def of(
+        cls, layers: Mapping[str, NDArray[Any]], mask: NDArray[np.bool_], summary: Mapping[str, Any]
+    ) -> Uncertainty:
+        """From what `layers` and `summary` gave; KeyError names what is missing."""
+
+        def deviations(kind: str) -> Materials:
+            albedo = [layers[f"uncertainty.{kind}.albedo.{name}"] for name in "RGB"]
+            rest = [layers[f"uncertainty.{kind}.{name}.Y"] for name in PARAMETERS[1:]]
+            albedo, roughness, metallic = np.stack(albedo, axis=-1), *rest
+            return Materials(
+                np.where(mask[..., None], albedo, np.nan),
+                np.where(mask, roughness, np.nan),
+                np.where(mask, metallic, np.nan),
+            )
+
+        def flags(kind: str) -> NDArray[np.bool_]:
+            named = [layers[f"uncertainty.{kind}.{name}.Y"] for name in PARAMETERS]
+            return (np.stack(named, axis=-1) > 0.5) & mask[..., None]
+
+        red, green, blue = map(float, summary["albedo_scale"])
+        return cls(
+            conditional=deviations("conditional"),
+            marginal=deviations("marginal"),
+            undetermined=flags("undetermined"),
+            on_bound=flags("on_bound"),
+            noise=None if summary["noise"] is None else float(summary["noise"]),
+            albedo_scale=(red, green, blue),
+            priors=bool(summary["priors"]),
+            light_pixels=int(summary["light_pixels"]),
+            light_modes=int(summary["light_modes"]),
+            omitted=float(summary["omitted"]),
+        )
+
+
+def estimate(
+    objective: Objective, x: Array, *, priors: bool = False, light_pixels: int = LIGHT_PIXELS
+) -> Uncertainty:
+    """Uncertainty of a fit.
+
+    Parameters
+    ----------
+    objective
+        What was minimised.
+    x
+        Where its minimum was found.
+    priors
+        Whether priors took part in the fit; only told on.
+    light_pixels
+        The lights' covariance is taken from at most so many pixels.
+
+    Returns
+    -------
+    Uncertainty
+        The same to the last bit at any number of threads.
+    """
+    # Here and not above: only a fit needs it. One BLAS thread: sums split over threads would round
+    # differently on a machine with another number of processors.
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):
+        return _estimate(objective, x, priors, light_pixels)
+
+
+def _estimate(objective: Objective, x: Array, priors: bool, light_pixels: int) -> Uncertainty:
+    problem, layout = objective.problem, objective.layout
+    held = held_at_bounds(x, layout)
+    for_core = objective.for_core(x)
+    lights = None
+    if layout.lighting is not None:
+        lights = _light_modes(objective, x, held, light_pixels)
+
+    conditional = np.empty(held.shape)
+    marginal = np.empty(held.shape)
+    singular = np.empty(held.shape, dtype=bool)
+    squares = 0.0
+    for chunk in chunks(layout.pixels, 8 * 4 * held.shape[1] ** 2):
+        pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
+        matrices, _, of_pixels = problem.normal_equations(for_core, pixels)
+        squares += float(of_pixels.sum())
+        found = inverse(matrices, held[chunk])
+        conditional[chunk] = np.einsum("pii->pi", found.matrices)
+        marginal[chunk] = conditional[chunk]
+        singular[chunk] = found.singular
+        if lights is not None:
+            args = for_core, pixels, found.matrices
+            marginal[chunk] += problem.moves_with_lights(*args, lights.modes)
+            if len(lights.free):
+                moves = problem.moves_with_lights(*args, lights.free)
+                singular[chunk] |= moves > FREE_MOVE**2
+
+    unknowns = np.count_nonzero(~held) + layout.size - layout.maps.stop
+    degrees = objective.samples - unknowns
+    noise = math.sqrt(squares / degrees) if degrees > 0 else None
+
+    def deviations(variances: Array) -> Array:
+        unknown = singular | (not degrees > 0) & ~held
+        found = np.sqrt(variances) * (noise or 0.0)
+        return np.minimum(np.where(unknown, LARGEST, found), LARGEST)
+
+    conditional, marginal = deviations(conditional), deviations(marginal)
+    albedo_scale = np.zeros(3)
+    if lights is not None:
+        albedo_scale[:] = (
+            np.minimum(lights.scale * noise, LARGEST) if noise is not None else LARGEST
+        )
+    red, green, blue = albedo_scale.tolist()
+    return Uncertainty(
+        conditional=_materials(conditional, layout),
+        marginal=_materials(marginal, layout),
+        undetermined=_flags(marginal > UNDETERMINED, layout),
+        on_bound=_flags(held, layout),
+        noise=None if noise is None else noise * objective.scale,
+        albedo_scale=(red, green, blue),
+        priors=priors,
+        light_pixels=0 if lights is None else lights.pixels,
+        light_modes=0 if lights is None else len(lights.modes),
+        omitted=0.0 if lights is None else lights.omitted,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _LightModes:
+    """Covariance of the lights, of noise 1, as independent modes of deviation 1.
+
+    Attributes
+    ----------
+    modes
+        (R, N, K, C): those that matter to materials.
+    free
+        (F, N, K, C), as strong as the lights themselves: those that materials can make up for.
+    scale
+        (C,) or (1,): relative deviation of the scale of a channel's lights.
+    pixels
+        How many they are from.
+    omitted
+        As in `Uncertainty`.
+    """
+
+    modes: Array
+    free: Array
+    scale: Array
+    pixels: int
+    omitted: float
+
+
+def _light_modes(
+    objective: Objective, x: Array, held: NDArray[np.bool_], light_pixels: int
+) -> _LightModes:
+    """From the Schur complement of the lights over some of the pixels.
+
+    Directions of the light are scaled to the same effect on the pictures, √(vᵀ G v) with G the
+    information if materials were known. In these units the Schur complement has eigenvalues λ in
+    [0, 1], the share of information that is left when materials are fitted too, and the mode of λ
+    adds (1 − λ)/λ to the sum over pixels of their variances in units of A⁻¹. That ranks the modes
+    and bounds what those left out would add.
+    """
+    layout, for_core = objective.layout, objective.for_core(x)
+    pixels = _evenly_spread(layout.pixels, light_pixels)
+    own_held = held[pixels]
+    known = light_information(objective.problem, for_core, layout, pixels, own_held)
+    to_units, from_units = _units(known)
+    lit, k = layout.light_channels, layout.coefficients
+    blocks = layout.pictures * lit
+
+    # Scaled block by block: `to_units` has blocks of one light.
+    shared = known.shared.reshape(blocks, k, blocks, k)
+    scaled = np.einsum("aki,akbl,blj->aibj", from_units, shared, from_units, optimize=True)
+    scaled = scaled.reshape(blocks * k, blocks * k)
+    unseen = ~from_units.any(axis=1).ravel()
+    scaled[unseen, unseen] = 1
+    left, vectors = np.linalg.eigh(scaled)
+
+    def in_x(of_units: Array) -> Array:
+        """(modes, N, K, C) from modes in the columns."""
+        modes = np.einsum("aki,aim->mak", from_units, of_units.reshape(blocks, k, -1))
+        modes = modes.reshape(-1, layout.pictures, lit, k).transpose(0, 1, 3, 2)
+        return np.ascontiguousarray(np.repeat(modes, layout.channels // lit, axis=-1))
+
+    # What the other pixels know of the lights is taken to be like what these know.
+    more = layout.pixels / len(pixels)
+    is_free = left < FREE
+    left = np.maximum(left, FREE)
+    deviation = 1 / np.sqrt(more * left)
+    adds = (1 - left) / left / (more * max(1, known.unknowns))
+    remaining = np.cumsum(adds[::-1])[::-1]  # λ rises, so the last modes matter least
+    used = int(np.count_nonzero(~is_free & (remaining > OMITTED)))
+    modes = in_x((vectors * deviation)[:, ~is_free])
+    lights = for_core[layout.maps.stop :].reshape(layout.pictures, k, -1)[..., :lit]
+    in_units = np.einsum("aik,ak->ai", to_units, lights.transpose(0, 2, 1).reshape(blocks, k))
+    return _LightModes(
+        modes=modes[:used],
+        free=in_x(vectors[:, is_free] * np.linalg.norm(in_units)),
+        scale=_scale_deviation(in_units.reshape(layout.pictures, lit, k), vectors, deviation),
+        pixels=len(pixels),
+        omitted=_omitted(objective, for_core, pixels, own_held, modes, used),
+    )
+
+
+def _evenly_spread(count: int, most: int) -> NDArray[np.uint64]:
+    """Up to `most` of `count` pixels: one from anywhere in each of as many equal runs.
+
+    Not at equal steps, which would take the same columns of every row.
+    """
+    if count <= most:
+        return np.arange(count, dtype=np.uint64)
+    ends = np.arange(most + 1) * count // most
+    return np.random.default_rng(0).integers(ends[:-1], ends[1:]).astype(np.uint64)
+
+
+def _units(known: LightInformation) -> tuple[Array, Array]:
+    """Blocks T⁻¹ and T (lights, K, K) with Tᵀ G T = 1; T is 0 where G is."""
+    k = known.alone.shape[-1]
+    sizes, directions = np.linalg.eigh(known.alone.reshape(-1, k, k))
+    seen = sizes > DARK * sizes.max()
+    roots = np.sqrt(np.where(seen, sizes, 0))
+    inverses = np.zeros_like(roots)
+    np.divide(1, roots, where=seen, out=inverses)
+    return roots[:, :, None] * directions.transpose(0, 2, 1), directions * inverses[:, None, :]
+
+
+def _scale_deviation(in_units: Array, vectors: Array, deviation: Array) -> Array:
+    """(light channels,): relative deviation of the lights' size in each channel.
+
+    A change d of the lights l changes their size by the share lᵀd / lᵀl.
+    """
+    found = []
+    for channel in range(in_units.shape[1]):
+        lights = np.zeros_like(in_units)
+        lights[:, channel] = in_units[:, channel]
+        lights /= max(float(np.linalg.norm(lights)) ** 2, np.finfo(np.float64).tiny)
+        found.append(np.linalg.norm((lights.ravel() @ vectors) * deviation))
+    return np.array(found)
+
+
+def _omitted(
+    objective: Objective,
+    for_core: Array,
+    pixels: NDArray[np.uint64],
+    held: NDArray[np.bool_],
+    modes: Array,
+    used: int,
+) -> float:
+    """Largest share of a deviation that the modes from `used` on would add, over some pixels."""
+    some = slice(None, None, -(-len(pixels) // CHECKED))
+    matrices, _, _ = objective.problem.normal_equations(for_core, pixels[some])
+    found = inverse(matrices, held[some])
+    args = for_core, pixels[some], found.matrices
+    kept = np.einsum("pii->pi", found.matrices) + objective.problem.moves_with_lights(
+        *args, modes[:used]
+    )
+    rest = objective.problem.moves_with_lights(*args, modes[used:])
+    known = (kept > 0) & ~found.singular
+    return float(1 - np.sqrt((kept[known] / (kept + rest)[known]).min(initial=1.0)))
+
+
+def _materials(values: Array, layout: Layout) -> Materials:
+    """Maps of (P, D); what is known has 0."""
+    c = layout.channels
+    metallic = np.zeros(layout.pixels) if layout.metallic_known else values[:, c + 1]
+    return Materials(
+        _map(np.broadcast_to(values[:, :c], (layout.pixels, 3)), layout),
+        _map(values[:, c], layout),
+        _map(metallic, layout),
+    )
+
+
+def _flags(values: NDArray[np.bool_], layout: Layout) -> NDArray[np.bool_]:
+    """(H, W, 3) of (P, D), False outside the mask."""
+    c = layout.channels
+    flags = np.zeros((*layout.valid.shape, 3), dtype=bool)
+    of_pixels = np.zeros((layout.pixels, 3), dtype=bool)
+    of_pixels[:, 0] = values[:, :c].any(axis=1)
+    of_pixels[:, 1 : 1 + values.shape[1] - c] = values[:, c:]
+    flags[layout.valid] = of_pixels
+    return flags
+
+
+def _map(values: Array, layout: Layout) -> Array:
+    whole = np.full(layout.valid.shape + values.shape[1:], np.nan)
+    whole[layout.valid] = values
+    return whole
