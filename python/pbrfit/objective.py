@@ -131,7 +131,7 @@ class Objective:
         self.layout = layout
         self.pixels, self.channels = layout.pixels, layout.channels
         self.coefficients = layout.coefficients
-        weights = _weights(scene)
+        weights = _weights(scene) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
         )
@@ -153,7 +153,7 @@ class Objective:
             scene.views[layout.valid],
             threads,
             weights=weights,
-            sh_order=sh_order,
+            sh_order=layout.sh_order,
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
         )
@@ -217,9 +217,10 @@ class Objective:
         loss, gradient = self.problem.value_and_grad(self.for_core(x))
         if self.layout.light_channels < self.channels:
             # By the chain rule, derivatives by the light in each channel add up.
-            maps = self.layout.maps
-            by_light = gradient[maps.stop :].reshape(-1, self.channels).sum(axis=-1)
-            gradient = np.concatenate([gradient[maps], by_light])
+            end = self.layout.maps.stop
+            by_light = gradient[end:].reshape(-1, self.channels).sum(axis=-1)
+            gradient = gradient[: self.size]
+            gradient[end:] = by_light
         return loss, gradient
 
     def add_penalties(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
@@ -351,15 +352,11 @@ def _real_numbers(x: ArrayLike) -> NDArray[np.float64]:
         raise InputError(f"x: expected real numbers, found {error}") from None
 
 
-def _weights(scene: Scene) -> NDArray[np.float32] | None:
-    """(N, P) weights of the samples, at most 1; None where all are the same."""
-    if scene.weights is None:
-        return None
+def _weights(scene: Scene) -> NDArray[np.float32]:
+    """(N, P) weights of the samples, at most 1: only their ratios matter."""
+    assert scene.weights is not None
     weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
-    largest = weights.max()
-    if weights.min() == largest:
-        return None
-    weights /= largest  # only ratios matter; this way float32 neither overflows nor loses digits
+    weights /= weights.max()  # so that float32 neither overflows nor loses digits
     return weights
 
 
