@@ -132,11 +132,8 @@ def minimize(
 def _with_best_albedo(
     objective: Objective, x: Array, pixels: NDArray[np.uint64], pull: Pull, offsets: Array
 ) -> _State:
-    layout = objective.layout
-    albedo, squares = objective.problem.best_albedo(objective.for_core(x), pixels)
-    x = x.copy()
-    x[layout.albedo].reshape(layout.channels, -1)[:, pixels] = albedo.T
-    values = np.stack([x[block][pixels] for block in layout.finish], axis=-1)
+    x, squares = objective.with_best_albedo(x, pixels)
+    values = np.stack([x[block][pixels] for block in objective.layout.finish], axis=-1)
     off = values - pull.centre - offsets[pull.cluster]
     pulled = float((pull.precision * off**2).sum())
     held = OFFSET_PULL * float((pull.offset_precision() * offsets**2).sum())

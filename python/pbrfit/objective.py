@@ -200,6 +200,20 @@ class Objective:
             lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
         return np.concatenate([maps, lights.ravel()])
 
+    def with_best_albedo(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """X with the albedo at some pixels (indices below P) that fits best to the rest of x, and
+        the weighted sum of squared residuals that each of them is left with.
+
+        Given its other unknowns, a pixel's loss is a polynomial of degree 4 in the albedo of each
+        channel. Penalties take no part.
+        """
+        albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
+        x = x.copy()
+        x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
+        return x, squares
+
     def value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         """Loss at x and its gradient: (float, (size,) float64). x is not changed.
 

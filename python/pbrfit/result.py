@@ -45,6 +45,10 @@ class Options:
         As given.
     metallic
         The number that all pixels have; None = free.
+    mono_light
+        Whether lights are the same in all channels.
+    priors
+        Weights by name.
     """
 
     solver: str
@@ -52,6 +56,8 @@ class Options:
     time_limit: float | None
     sh_order: int = 3
     metallic: float | None = None
+    mono_light: bool = False
+    priors: Mapping[str, float | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
