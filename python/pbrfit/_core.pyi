@@ -112,6 +112,18 @@ class Problem:
         `maps` is x without its lighting. One Gram matrix for all pictures, or one for each where
         samples have weights.
         """
+    def material_grid(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        roughness: NDArray[np.float64],
+        metallic: NDArray[np.float64],
+    ) -> NDArray[np.float32]:
+        """Least Σω(I−T)² over albedo (P', roughness, metallic) with the lights of x."""
+    def best_albedo(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Albedo (P', C) that fits best to the rest of x, and Σω(I−T)² (P',) with it."""
     def normal_equations(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

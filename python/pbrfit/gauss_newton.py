@@ -1,8 +1,8 @@
 """Joint Gauss-Newton steps for lights and the materials of some pixels, pulled to given values.
 
-L-BFGS hardly moves along the valleys that the problem has: when a channel's albedo is scaled and its
-lights undo it, little but the highlights of dielectrics changes, and many pixels have to change
-roughness a little as well. Gauss-Newton sees these valleys. What it minimises over albedo,
+L-BFGS hardly moves along the valleys that the problem has: when a channel's albedo is scaled and
+its lights undo it, little but the highlights of dielectrics changes, and many pixels have to
+change roughness a little as well. Gauss-Newton sees these valleys. What it minimises over albedo,
 roughness and metallic of a set of pixels, the lights, and an offset δ for each cluster of pixels, is
 
     Σ ω (I − T)² + Σ_pf a_pf (v_pf − c_pf − δ_g(p)f)² + s Σ_gf (Σ_{p in g} a_pf) δ_gf²
@@ -10,10 +10,11 @@ roughness and metallic of a set of pixels, the lights, and an offset δ for each
 with v = roughness and metallic (f), pulled with precision a towards c. The offsets let a cluster
 move as a whole; without them each step of many pixels would have to be won against their pulls.
 
-Pixels are solved for first, which leaves a dense system in lights and offsets (Schur complement, as
-in `normal_equations`). After each step albedo is put to its best value for the new lights, roughness
-and metallic, which needs no iteration (`Problem.best_albedo`): given these, each channel of a pixel
-is a polynomial in its albedo. Without this, steps overshoot, since albedo times light is not linear.
+Pixels are solved for first, which leaves a dense system in lights and offsets (Schur complement,
+as in `normal_equations`). After each step albedo is put to its best value for the new lights,
+roughness and metallic, which needs no iteration (`Objective.with_best_albedo`): given these, each
+channel of a pixel is a polynomial in its albedo. Without this, steps overshoot, since albedo times
+light is not linear.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ RIDGE = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Where pixels are pulled, with F = 2 for roughness and metallic, or 1 where the latter is known.
+    """Where pixels are pulled; F = 2 for roughness and metallic, or 1 where the latter is known.
 
     Attributes
     ----------
@@ -156,7 +157,7 @@ def _step(
     residuals = objective.problem.residuals(for_core, pixels).transpose(1, 0, 2)
 
     # Pixels: those on a bound that would leave it are held.
-    matrices, by_materials, _ = objective.problem.normal_equations(for_core, pixels)
+    _, by_materials, _ = objective.problem.normal_equations(for_core, pixels)
     by_materials[:, finish] += pull.precision * off
     held = ((values <= 0) & (by_materials > 0)) | ((values >= 1) & (by_materials < 0))
     part = eliminate(

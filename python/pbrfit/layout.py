@@ -114,7 +114,7 @@ class Layout:
 
     @property
     def finish(self) -> tuple[slice, ...]:
-        """The planes that tell one finish from another: roughness, and metallic where it is free."""
+        """The planes that tell one finish from another: roughness, and metallic if it is free."""
         return (self.roughness,) if self.metallic is None else (self.roughness, self.metallic)
 
     @property

@@ -5,7 +5,7 @@ together know it to 0.01. A penalty on differences helps only where segments are
 material. Here each pixel keeps its whole likelihood over a grid of roughness and metallic, and each
 segment (the whole picture if there are none) has a discrete distribution on that grid, learnt from
 its pixels: one node if it is one material, two if two were merged, many if roughness varies. Pixels
-are then pulled to their posterior mean, the harder the surer the posterior is. This is nonparametric
+are then pulled to their posterior mean, the harder the surer it is. This is nonparametric
 empirical Bayes (H. Robbins, "An empirical Bayes approach to statistics", 1956; EM for the discrete
 mixture as in N. Laird, J. Am. Stat. Assoc. 73, 1978).
 
@@ -16,9 +16,9 @@ With noise s², lights known and nodes k,
     pull of pixel i: s² a_i (v_i − c_i − δ)²              a_i = 1 / (floor² + V_i)
 
 with c and V mean and variance of the posterior. η = σ²/(σ² + spacing²) widens likelihoods that are
-too sharp for the grid. The offset δ is common to the pixels of a segment that fell to the same group
-of neighbouring nodes, and free: so the pull gathers pixels without holding on to where they were
-gathered while lights were still wrong.
+too sharp for the grid. The offset δ is common to the pixels of a segment that fell to the same
+group of neighbouring nodes, and free: so the pull gathers pixels without holding on to where they
+were gathered while lights were still wrong.
 
 Lights and prior depend on each other. They are found together on a few pixels, in rounds of EM and
 joint Gauss-Newton steps (`gauss_newton`), and then applied to all.
@@ -26,6 +26,7 @@ joint Gauss-Newton steps (`gauss_newton`), and then applied to all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -83,6 +84,10 @@ MUCH_LESS = 0.5
 
 NOISE_SHARED = 0.1
 """Correlation of neighbours' residuals up to which they are noise."""
+
+NOT_MORE = 1.05
+"""Of the squares, where all that is left is noise: lights from few pixels have more noise of their
+own than lights from all, which the fit that follows will take out."""
 
 FEWEST_DEGREES = 0.1
 """Of the samples: the noise is not estimated from fewer degrees of freedom."""
@@ -206,10 +211,10 @@ def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
     pairs = tied_neighbours(objective.layout)
     if not pairs.size:
         return False
-    pairs = pairs[:, spread(pairs.shape[1], JUDGING_PAIRS).astype(np.intp)].astype(np.uint64)
-    pixels = np.unique(pairs)
+    pairs = pairs[:, spread(pairs.shape[1], JUDGING_PAIRS)].astype(np.uint64)
+    pixels = np.unique(pairs).astype(np.uint64)
     first, second = np.searchsorted(pixels, pairs)
-    squares, residuals = [], np.empty(0)
+    squares = []
     for x in (before, after):
         best = _put(objective, x, pixels, _Grid(objective, x, pixels).best(pixels))
         best, of_pixels = objective.with_best_albedo(best, pixels)
@@ -219,8 +224,8 @@ def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
         return True
     one, other = residuals[:, first], residuals[:, second]
     shared = float((one * other).sum(dtype=np.float64))
-    alone = float((one**2).sum(dtype=np.float64) * (other**2).sum(dtype=np.float64)) ** 0.5
-    return squares[1] <= squares[0] and shared <= NOISE_SHARED * alone
+    alone = math.sqrt((one**2).sum(dtype=np.float64) * (other**2).sum(dtype=np.float64))
+    return squares[1] <= NOT_MORE * squares[0] and shared <= NOISE_SHARED * alone
 
 
 def _pieces(count: int) -> list[slice]:
@@ -276,8 +281,8 @@ class _Grid:
 
     def _squares(self, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
         """Least Σ ω (I − T)² of each node, (Q, nodes)."""
-        found = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
-        return found.reshape(len(pixels), -1)
+        squares = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
+        return squares.reshape(len(pixels), -1)
 
     def _of_piece(self, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
         excess = self._squares(pixels)
@@ -297,8 +302,8 @@ class _Grid:
 class _Posterior:
     """Mean and variance of roughness and metallic, (Q, 2), and the cluster, (Q,)."""
 
-    mean: Array
-    variance: Array
+    mean: NDArray[np.float32]
+    variance: NDArray[np.float32]
     cluster: Labels
 
     @classmethod

@@ -203,11 +203,11 @@ class Objective:
     def with_best_albedo(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """X with the albedo at some pixels (indices below P) that fits best to the rest of x, and
-        the weighted sum of squared residuals that each of them is left with.
+        """X with the albedo of some pixels put to what fits best to the rest of x.
 
-        Given its other unknowns, a pixel's loss is a polynomial of degree 4 in the albedo of each
-        channel. Penalties take no part.
+        Returned with the weighted sum of squared residuals that each of these pixels, given by
+        indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
+        degree 4 in the albedo of each channel. Penalties take no part.
         """
         albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
         x = x.copy()

@@ -45,8 +45,8 @@ that ended at the bound start again from the middle."""
 
 
 FIRST_SHARE = 0.5
-"""Of the iterations: the fit of the data that the material prior is learnt around. The rest is spent
-with the prior."""
+"""Of the iterations: the fit of the data that the material prior is learnt around. The rest is
+spent with the prior."""
 
 DEFAULT_PRIORS = Priors()
 
