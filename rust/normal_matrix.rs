@@ -231,7 +231,7 @@ fn moves_with_lights<const C: usize>(
         covariances.len(),
     )?;
     check::moderate("modes", modes, check::LARGEST_F64)?;
-    if modes.len() % of_mode != 0 {
+    if !modes.len().is_multiple_of(of_mode) {
         let expected = format!("{of_mode} numbers a mode");
         return Err(Error::argument("modes", expected, modes.len()));
     }

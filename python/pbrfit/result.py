@@ -44,6 +44,10 @@ class Options:
         As given.
     metallic
         The number that all pixels have; None = free.
+    robust
+        Loss of the residuals, "none" for their squares.
+    equal_exposures
+        Whether pictures are divided by their exposures; None = where these are far apart.
     """
 
     solver: str
@@ -51,6 +55,8 @@ class Options:
     time_limit: float | None
     sh_order: int = 3
     metallic: float | None = None
+    robust: str = "none"
+    equal_exposures: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)

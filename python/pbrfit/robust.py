@@ -27,6 +27,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
+from pbrfit.material_prior import FEWEST_DEGREES
+from pbrfit.objective import MEAN_RADIANCE, Objective
+
+LOSSES = ("none", "huber", "cauchy")
+"""By name; "none" is the square."""
 
 SCALES = {"huber": 1.345, "cauchy": 2.385}
 """δ/σ by loss, for an efficiency of 95 % on Gaussian noise."""
@@ -37,7 +42,33 @@ MEDIAN_TO_SIGMA = 1.482602218505602
 MOST_PIXELS = 20_000
 """Enough for σ to 1 %, and quick to find residuals of."""
 
+LEAST_SIGMA = 1e-4 * MEAN_RADIANCE
+"""Of the pictures as the solver has them: they may be explained perfectly."""
+
 _GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+def loss_around(
+    name: str, objective: Objective, x: NDArray[np.float64]
+) -> tuple[str, float] | None:
+    """`Objective.robust` for a loss of this name, with the scale that the residuals at x tell."""
+    if name == "none":
+        return None
+    pixels = sample_pixels(objective.pixels)
+    sigma = noise_sigma(
+        objective.problem.residuals(objective.for_core(x), pixels),
+        None if objective.weights is None else objective.weights[:, pixels],
+        unknowns=objective.size * len(pixels) / objective.pixels,
+    )
+    return name, loss_scale(name, max(sigma, LEAST_SIGMA))
+
+
+def check_loss(name: str) -> None:
+    """Raise InputError where no loss has this name."""
+    if name not in LOSSES:
+        raise InputError(
+            f"robust: expected {', '.join(LOSSES[:-1])} or {LOSSES[-1]}, found {name!r}"
+        )
 
 
 def loss_scale(loss: str, sigma: float) -> float:
@@ -76,7 +107,7 @@ def noise_sigma(
         no samples.
     unknowns
         p: how many unknowns were fitted to these residuals. Of a few pixels' residuals it is their
-        own unknowns and their share of the lights'.
+        own unknowns and their share of the lights'. More than 90 % of the samples count as 90 %.
 
     Returns
     -------
@@ -86,7 +117,7 @@ def noise_sigma(
     Raises
     ------
     InputError
-        If weights do not go with the residuals, or samples are not more than unknowns.
+        If weights do not go with the residuals, or no sample has weight.
     """
     sizes = np.abs(np.asarray(residuals, dtype=np.float64))
     if sizes.ndim != 3:
@@ -95,13 +126,11 @@ def noise_sigma(
     if each.shape != sizes.shape[:2]:
         raise InputError(f"weights: expected shape {sizes.shape[:2]}, found {each.shape}")
     samples = sizes.shape[2] * int(np.count_nonzero(each))
-    if not samples > unknowns:
-        raise InputError(
-            f"residuals: expected more samples than the {unknowns:g} unknowns fitted to them, "
-            f"found {samples}"
-        )
+    if not samples:
+        raise InputError("residuals: expected samples of some weight, found none")
     median = weighted_median(sizes.ravel(), np.repeat(each.ravel(), sizes.shape[2]))
-    return float(MEDIAN_TO_SIGMA * median * np.sqrt(samples / (samples - unknowns)))
+    degrees = max(samples - unknowns, FEWEST_DEGREES * samples)
+    return float(MEDIAN_TO_SIGMA * median * np.sqrt(samples / degrees))
 
 
 def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import metrics
+from pbrfit import exposure, metrics
 from pbrfit._core import InputError
 from pbrfit.history import History, HistoryRow
 from pbrfit.materials import Materials
@@ -22,11 +22,13 @@ from pbrfit.model import render, whole_number
 from pbrfit.objective import START_ROUGHNESS, Objective
 from pbrfit.priors import Priors
 from pbrfit.result import Options, Result, Status
+from pbrfit.robust import check_loss, loss_around
 from pbrfit.scene import Scene
 
 log = logging.getLogger("pbrfit")
 
 Solver = Literal["lbfgsb"]
+Loss = Literal["none", "huber", "cauchy"]
 
 CORRECTIONS = 10
 """Pairs of steps and gradients that L-BFGS-B remembers."""
@@ -41,10 +43,14 @@ STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 """(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
 that ended at the bound start again from the middle."""
 
+STAGES_GIVEN_START = ((0.0, 1.0),)
+ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
+"""A robust loss needs a fit by squares first, which tells its scale."""
+
 
 FIRST_SHARE = 0.5
-"""Of the iterations: the fit of the data that the material prior is learnt around. The rest is spent
-with the prior."""
+"""Of the iterations: the fit of the data that the material prior is learnt around. The rest is
+spent with the prior."""
 
 DEFAULT_PRIORS = Priors()
 
@@ -87,6 +93,8 @@ def decompose(
     metallic: float | None = None,
     mono_light: bool = False,
     priors: Priors | None = DEFAULT_PRIORS,
+    robust: Loss = "none",
+    equal_exposures: bool | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Result:
     """Recover materials and lights from the pictures of one view.
@@ -115,6 +123,13 @@ def decompose(
         Whether lights are the same in all channels.
     priors
         Weights of what is thought likely beforehand (docs/priors.md); None = none.
+    robust
+        `"huber"` or `"cauchy"`: a loss that shadows and other outliers pull less at, its scale
+        estimated from the residuals after the first stage and again before each later one;
+        `"none"`: squares (docs/solver.md).
+    equal_exposures
+        Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
+        dark ones; None = where the brightest has more than 4 times that of the darkest.
     progress
         Called at the start and after each iteration.
 
@@ -130,6 +145,7 @@ def decompose(
     """
     if solver != "lbfgsb":
         raise InputError(f"solver: expected lbfgsb, found {solver!r}")
+    check_loss(robust)
     iterations = whole_number("iterations", iterations)
     if time_limit is not None:
         time_limit = float(time_limit)
@@ -148,9 +164,10 @@ def decompose(
         metallic=metallic,
         mono_light=mono_light,
         priors=priors,
+        equal_exposures=equal_exposures,
     )
     x = _start(objective, start)
-    run = _Run(scene, objective, priors, iterations, time_limit, progress, began)
+    run = _Run(scene, objective, priors, robust, iterations, time_limit, progress, began)
     x, status, stop_reason = run.lbfgsb(x, start_given=start is not None)
 
     materials, lighting = objective.unpack(x)
@@ -167,15 +184,17 @@ def decompose(
         history=History(tuple(run.rows)),
         evaluations=run.evaluations,
         seconds=seconds,
-        metrics=_metrics(scene, materials, lighting, threads),
+        metrics=_metrics(scene, materials, lighting, threads, objective.exposures),
         options=Options(
             solver=solver,
             iterations=iterations,
             time_limit=time_limit,
             sh_order=int(sh_order),
             metallic=None if metallic is None else float(metallic),
+            robust=robust,
+            equal_exposures=equal_exposures,
         ),
-        assumed=dict(scene.assumed),
+        assumed=_assumed(scene, objective),
         left_out=_left_out(scene, objective),
         inputs=dict(scene.inputs),
     )
@@ -201,6 +220,7 @@ class _Run:
         scene: Scene,
         objective: Objective,
         priors: Priors,
+        robust: Loss,
         iterations: int,
         time_limit: float | None,
         progress: Callable[[Progress], None] | None,
@@ -209,6 +229,7 @@ class _Run:
         self.truth = None if scene.truth is None else scene.truth.materials
         self.objective = objective
         self.priors = priors
+        self.robust = robust
         self.iterations = iterations
         self.time_limit = time_limit
         self.progress = progress
@@ -230,13 +251,17 @@ class _Run:
         last = FIRST_SHARE if learns else 1.0
         kept = ""
         best = loss, x
-        for lowest_roughness, share in ((0.0, 1.0),) if start_given else STAGES:
+        trapped = False
+        for lowest_roughness, share in self._stages(start_given):
             iterations = round(last * share * self.iterations) - self.iteration
             if iterations <= 0 or self._out_of_time():
                 continue
             if self.iteration > 0:
+                best = self._robust_around(best)
+            if trapped:
                 x = self._restarted(x)
             loss, x = self._minimize(x, lowest_roughness, iterations)
+            trapped = lowest_roughness > 0
             # A restart raises the loss at first, and time may run out before it pays.
             best = min(best, (loss, x), key=lambda pair: pair[0])
         if best[0] < loss:
@@ -253,6 +278,21 @@ class _Run:
         # With zero tolerances scipy stops early only where rounding hides any further descent.
         return x, Status.CONVERGED, "no step lowers the loss further"
 
+    def _stages(self, start_given: bool) -> tuple[tuple[float, float], ...]:
+        if not start_given:
+            return STAGES
+        return STAGES_GIVEN_START if self.robust == "none" else ROBUST_STAGES_GIVEN_START
+
+    def _robust_around(
+        self, best: tuple[float, NDArray[np.float64]]
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Make the loss robust, if it is to be, with the scale at this state; returns it anew."""
+        if self.robust == "none":
+            return best
+        _, x = best
+        self.objective.robust = loss_around(self.robust, self.objective, x)
+        return self._evaluate(x)[0], x
+
     def _learnt(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """X with the material prior learnt, which is a penalty from here on."""
         from pbrfit import material_prior
@@ -261,6 +301,7 @@ class _Run:
             self.objective, x, self.priors.material, out_of_time=self._out_of_time
         )
         self.objective.penalties.append(pull)
+        self.objective.robust = loss_around(self.robust, self.objective, x)
         loss, _ = self._evaluate(x)
         self._record(x, loss)
         return x
@@ -359,7 +400,11 @@ def _material_errors(found: Materials, true: Materials) -> dict[str, float]:
 
 
 def _metrics(
-    scene: Scene, materials: Materials, lighting: NDArray[np.float64], threads: int
+    scene: Scene,
+    materials: Materials,
+    lighting: NDArray[np.float64],
+    threads: int,
+    exposures: NDArray[np.float64] | None = None,
 ) -> dict[str, float]:
     """Final errors, computed in float64."""
     weights = (
@@ -371,6 +416,8 @@ def _metrics(
         metrics.rmse(render(materials, scene.normals, light, scene.fov, threads), image, w)
         for image, light, w in zip(scene.images, lighting, weights, strict=True)
     ]
+    if exposures is not None:
+        of_pictures = list(map(operator.truediv, of_pictures, exposures.tolist()))
     shares = [math.sqrt(total / math.fsum(totals)) for total in totals]
     found = {"recon_rmse": math.hypot(*map(operator.mul, shares, of_pictures))}
     truth = scene.truth
@@ -383,6 +430,13 @@ def _metrics(
         rendered = render(materials, scene.normals, truth.relight_lighting, scene.fov, threads)
         found["relight_rmse"] = metrics.rmse(rendered, truth.relight_images)
     return found
+
+
+def _assumed(scene: Scene, objective: Objective) -> dict[str, str]:
+    assumed = dict(scene.assumed)
+    if objective.exposures is not None:
+        assumed["exposures"] = exposure.in_words(objective.exposures)
+    return assumed
 
 
 def _left_out(scene: Scene, objective: Objective) -> tuple[str, ...]:
