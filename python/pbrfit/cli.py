@@ -435,9 +435,8 @@ def _normals(options: argparse.Namespace) -> int:
 
 
 def _check_gradients(options: argparse.Namespace) -> int:
-    from pbrfit.gradient_check import TOLERANCE, check_gradients
+    from pbrfit.gradient_check import check_gradients
     from pbrfit.objective import Objective
-    from pbrfit.robust import loss_around
 
     scene = _load(options.scene, options)
     objective = Objective(
@@ -448,7 +447,7 @@ def _check_gradients(options: argparse.Namespace) -> int:
         priors=given_priors(options),
         equal_exposures=EXPOSURES[options.exposures],
     )
-    objective.robust = loss_around(options.robust, objective, objective.start())
+    objective.robust = objective.robust_around(objective.start(), options.robust)
     checks = check_gradients(objective, seed=options.seed)
     print(f"{'function':<12}{'unknowns':<12}{'analytic':>16}{'numeric':>16}{'relative error':>16}")
     for check in checks:
@@ -458,7 +457,7 @@ def _check_gradients(options: argparse.Namespace) -> int:
             f"{check.relative_error:>16.1e}{verdict}"
         )
     failed = sum(not check.passed for check in checks)
-    print(f"{len(checks) - failed} of {len(checks)} within {TOLERANCE:g}")
+    print(f"{len(checks) - failed} of {len(checks)} within {checks[0].tolerance:g}")
     return SOME_FAILED if failed else DONE
 
 

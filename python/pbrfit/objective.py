@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from pbrfit.layout import Layout
 from pbrfit.materials import Materials
 from pbrfit.model import whole_number
 from pbrfit.priors import Priors, penalties
+from pbrfit.robust import loss_scale, noise_sigma, pull, sample_pixels
 from pbrfit.scene import Scene, equal_channels
 
 MEAN_RADIANCE = 0.4
@@ -35,6 +37,9 @@ of residuals."""
 
 LIGHT_RIDGE = 1e-6
 """Of the mean eigenvalue: keeps the lights finite where the normals show only part of a sphere."""
+
+LEAST_SIGMA = 1e-4 * MEAN_RADIANCE
+"""Of the noise that a robust loss allows for: pictures may be explained perfectly."""
 
 SH_ORDERS = (2, 3)
 """Highest bands that the lights may have."""
@@ -133,7 +138,6 @@ class Objective:
         if sh_order not in SH_ORDERS:
             raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
         self.known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
-        self._known_lighting = scene.lighting
         layout = Layout.of(
             scene,
             sh_order=sh_order,
@@ -158,21 +162,10 @@ class Objective:
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
 
-        images = np.empty((layout.pictures, self.pixels, self.channels), dtype=np.float32)
-        for i, scaled in enumerate(images):
-            samples = scene.samples(i)[:, : self.channels]
-            scaled[:] = samples.astype(np.float64) / self._units[i]
+        self._scene, self._threads, self._sh_order = scene, threads, sh_order
+        images = self._images()
         self._mean_image = _mean_image(images, weights)
-        self.problem = _core.Problem(
-            images,
-            scene.normals[layout.valid].astype(np.float64),
-            scene.views[layout.valid],
-            threads,
-            weights=weights,
-            sh_order=sh_order,
-            metallic=self.known_metallic,
-            lighting=None if scene.lighting is None else self._reduced(scene.lighting),
-        )
+        self.problem = self._problem(images, weights)
 
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.lighting = layout.metallic, layout.lighting
@@ -252,6 +245,43 @@ class Objective:
         end = self.layout.maps.stop
         return np.concatenate([x[:end], np.repeat(x[end:], self.channels)])
 
+    def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
+        """What `robust` may be at x: a loss of this name with the scale that the residuals tell.
+
+        Parameters
+        ----------
+        x
+            A fit.
+        name
+            "huber" or "cauchy"; "none" gives None.
+        """
+        if name == "none":
+            return None
+        pixels = sample_pixels(self.pixels)
+        sigma = noise_sigma(
+            self.problem.residuals(self.for_core(x), pixels),
+            None if self.weights is None else self.weights[:, pixels],
+            unknowns=self.size * len(pixels) / self.pixels,
+        )
+        return name, loss_scale(name, max(sigma, LEAST_SIGMA))
+
+    def reweighted(self, x: NDArray[np.float64]) -> Objective:
+        """Squares instead of the robust loss, with the weights that they have in it at x.
+
+        The objective of one step of iteratively reweighted least squares: its data term has the
+        gradient of the robust loss at x. Without a robust loss it is this one.
+        """
+        if self.robust is None:
+            return self
+        pixels = np.arange(self.pixels, dtype=np.uint64)
+        factors = pull(self.robust, self.problem.residuals(self.for_core(x), pixels))
+        if self.weights is not None:
+            factors *= self.weights[..., None]
+        found = copy.copy(self)
+        found.robust = None
+        found.problem = self._problem(self._images(), factors)
+        return found
+
     def residual_rmse(self, loss: float) -> float:
         """Root of a loss without penalties, in picture units.
 
@@ -313,13 +343,36 @@ class Objective:
             self._map(x[self.roughness]),
             self._map(np.broadcast_to(np.asarray(metallic), self.pixels)),
         )
-        if self._known_lighting is not None:
-            return materials, self._known_lighting.copy()
+        if self._scene.lighting is not None:
+            return materials, self._scene.lighting.copy()
         lighting = np.zeros((self.layout.pictures, 16, 3))
         lighting[:, : self.coefficients] = self._by_picture * x[self.lighting].reshape(
             -1, self.coefficients, self.layout.light_channels
         )
         return materials, lighting
+
+    def _images(self) -> NDArray[np.float32]:
+        """(N, P, C): the pictures in the unit of x."""
+        images = np.empty((self.layout.pictures, self.pixels, self.channels), dtype=np.float32)
+        for i, scaled in enumerate(images):
+            samples = self._scene.samples(i)[:, : self.channels]
+            scaled[:] = samples.astype(np.float64) / self._units[i]
+        return images
+
+    def _problem(
+        self, images: NDArray[np.float32], weights: NDArray[np.float32] | None
+    ) -> _core.Problem:
+        scene, valid = self._scene, self.layout.valid
+        return _core.Problem(
+            images,
+            scene.normals[valid].astype(np.float64),
+            scene.views[valid],
+            self._threads,
+            weights=weights,
+            sh_order=self._sh_order,
+            metallic=self.known_metallic,
+            lighting=None if scene.lighting is None else self._reduced(scene.lighting),
+        )
 
     @property
     def _by_picture(self) -> NDArray[np.float64]:

@@ -27,8 +27,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.material_prior import FEWEST_DEGREES
-from pbrfit.objective import MEAN_RADIANCE, Objective
 
 LOSSES = ("none", "huber", "cauchy")
 """By name; "none" is the square."""
@@ -42,25 +40,13 @@ MEDIAN_TO_SIGMA = 1.482602218505602
 MOST_PIXELS = 20_000
 """Enough for σ to 1 %, and quick to find residuals of."""
 
-LEAST_SIGMA = 1e-4 * MEAN_RADIANCE
-"""Of the pictures as the solver has them: they may be explained perfectly."""
+LARGEST_RATIO = np.float32(1e19)
+"""Of residuals to the scale: larger ones, whose squares float32 cannot hold, count as this."""
+
+FEWEST_DEGREES = 0.1
+"""Of the samples: the noise is not estimated from fewer degrees of freedom."""
 
 _GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
-
-
-def loss_around(
-    name: str, objective: Objective, x: NDArray[np.float64]
-) -> tuple[str, float] | None:
-    """`Objective.robust` for a loss of this name, with the scale that the residuals at x tell."""
-    if name == "none":
-        return None
-    pixels = sample_pixels(objective.pixels)
-    sigma = noise_sigma(
-        objective.problem.residuals(objective.for_core(x), pixels),
-        None if objective.weights is None else objective.weights[:, pixels],
-        unknowns=objective.size * len(pixels) / objective.pixels,
-    )
-    return name, loss_scale(name, max(sigma, LEAST_SIGMA))
 
 
 def check_loss(name: str) -> None:
@@ -91,6 +77,25 @@ def loss_scale(loss: str, sigma: float) -> float:
     if not 0 < sigma < np.inf:
         raise InputError(f"sigma: expected a positive number, found {sigma:g}")
     return SCALES[loss] * sigma
+
+
+def pull(loss: tuple[str, float], residuals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """φ'(e)/2e: how much a residual pulls beside its square, 1 for small ones.
+
+    Squares with these weights have the slopes that the loss has.
+
+    Parameters
+    ----------
+    loss
+        "huber" or "cauchy", and its scale δ.
+    residuals
+        e, any shape.
+    """
+    name, scale = loss
+    sizes = np.minimum(np.abs(residuals), LARGEST_RATIO * np.float32(scale)) / np.float32(scale)
+    if name == "huber":
+        return np.asarray(1 / np.maximum(sizes, 1))
+    return np.asarray(1 / (1 + np.square(sizes)))
 
 
 def noise_sigma(

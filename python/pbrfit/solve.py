@@ -22,7 +22,7 @@ from pbrfit.model import render, whole_number
 from pbrfit.objective import START_ROUGHNESS, Objective
 from pbrfit.priors import Priors
 from pbrfit.result import Options, Result, Status
-from pbrfit.robust import check_loss, loss_around
+from pbrfit.robust import check_loss
 from pbrfit.scene import Scene
 
 log = logging.getLogger("pbrfit")
@@ -290,7 +290,7 @@ class _Run:
         if self.robust == "none":
             return best
         _, x = best
-        self.objective.robust = loss_around(self.robust, self.objective, x)
+        self.objective.robust = self.objective.robust_around(x, self.robust)
         return self._evaluate(x)[0], x
 
     def _learnt(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -298,10 +298,10 @@ class _Run:
         from pbrfit import material_prior
 
         x, pull = material_prior.learn(
-            self.objective, x, self.priors.material, out_of_time=self._out_of_time
+            self.objective.reweighted(x), x, self.priors.material, out_of_time=self._out_of_time
         )
         self.objective.penalties.append(pull)
-        self.objective.robust = loss_around(self.robust, self.objective, x)
+        self.objective.robust = self.objective.robust_around(x, self.robust)
         loss, _ = self._evaluate(x)
         self._record(x, loss)
         return x
