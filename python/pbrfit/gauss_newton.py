@@ -2,8 +2,8 @@
 
 L-BFGS hardly moves along the valleys that the problem has: when a channel's albedo is scaled and
 its lights undo it, little but the highlights of dielectrics changes, and many pixels have to
-change roughness a little as well. Gauss-Newton sees these valleys. What it minimises over albedo,
-roughness and metallic of a set of pixels, the lights, and an offset δ for each cluster of pixels, is
+change roughness a little as well. Gauss-Newton sees these valleys. What it minimises, over albedo,
+roughness and metallic of some pixels, the lights, and an offset δ for each cluster of pixels, is
 
     Σ ω (I − T)² + Σ_pf a_pf (v_pf − c_pf − δ_g(p)f)² + s Σ_gf (Σ_{p in g} a_pf) δ_gf²
 
@@ -228,10 +228,9 @@ class _System:
             of_chunk = by_offsets[chunk]
             columns = np.zeros((len(of_chunk), f, pull.clusters, f))
             columns[np.arange(len(of_chunk)), :, pull.cluster[chunk]] = of_chunk
-            columns = columns.reshape(-1, count)
-            rows = part.light_rows(chunk, layout)
-            crossed = rows.T @ columns
+            by_offset = columns.reshape(-1, count)
+            crossed = part.light_rows(chunk, layout).T @ by_offset
             matrix[:size, size:] -= crossed
             matrix[size:, :size] -= crossed.T
-            matrix[size:, size:] -= columns.T @ columns
+            matrix[size:, size:] -= by_offset.T @ by_offset
         return cls(matrix, by_offsets)

@@ -383,7 +383,7 @@ def _mixture(
     probabilities = np.full(nodes, 1 / nodes, np.float32) if whole is None else whole
     for _ in range(EM_STEPS):
         of_pixels = likelihood @ probabilities
-        probabilities = probabilities * ((1 / of_pixels) @ likelihood)
+        probabilities = probabilities * (np.reciprocal(of_pixels) @ likelihood)
         if whole is not None:
             probabilities += np.float32(PICTURE_PIXELS) * whole
         probabilities /= probabilities.sum()

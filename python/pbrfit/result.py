@@ -49,6 +49,10 @@ class Options:
         Whether lights are the same in all channels.
     priors
         Weights by name.
+    robust
+        Loss of the residuals, "none" for their squares.
+    equal_exposures
+        Whether pictures are divided by their exposures; None = where these are far apart.
     """
 
     solver: str
@@ -58,6 +62,8 @@ class Options:
     metallic: float | None = None
     mono_light: bool = False
     priors: Mapping[str, float | None] = field(default_factory=dict)
+    robust: str = "none"
+    equal_exposures: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import metrics
+from pbrfit import exposure, metrics
 from pbrfit._core import InputError
 from pbrfit.history import History, HistoryRow
 from pbrfit.materials import Materials
@@ -23,12 +23,14 @@ from pbrfit.needs import Needs
 from pbrfit.objective import START_ROUGHNESS, Objective
 from pbrfit.priors import Priors, penalties
 from pbrfit.result import Options, Result, Status
+from pbrfit.robust import check_loss
 from pbrfit.scene import Scene
 from pbrfit.uncertainty import estimate
 
 log = logging.getLogger("pbrfit")
 
 Solver = Literal["lbfgsb"]
+Loss = Literal["none", "huber", "cauchy"]
 
 CORRECTIONS = 10
 """Pairs of steps and gradients that L-BFGS-B remembers."""
@@ -42,6 +44,10 @@ hardly change, so little is lost by waiting."""
 STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 """(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
 that ended at the bound start again from the middle."""
+
+STAGES_GIVEN_START = ((0.0, 1.0),)
+ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
+"""A robust loss needs a fit by squares first, which tells its scale."""
 
 
 FIRST_SHARE = 0.5
@@ -90,6 +96,8 @@ def decompose(
     mono_light: bool = False,
     priors: Priors | None = DEFAULT_PRIORS,
     uncertainty: bool = True,
+    robust: Loss = "none",
+    equal_exposures: bool | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Result:
     """Recover materials and lights from the pictures of one view.
@@ -120,6 +128,13 @@ def decompose(
         Weights of what is thought likely beforehand (docs/priors.md); None = none.
     uncertainty
         Whether to estimate standard deviations of the maps (docs/uncertainty.md).
+    robust
+        `"huber"` or `"cauchy"`: a loss that shadows and other outliers pull less at, its scale
+        estimated from the residuals after the first stage and again before each later one;
+        `"none"`: squares (docs/solver.md).
+    equal_exposures
+        Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
+        dark ones; None = where the brightest has more than 4 times that of the darkest.
     progress
         Called at the start and after each iteration.
 
@@ -135,6 +150,7 @@ def decompose(
     """
     if solver != "lbfgsb":
         raise InputError(f"solver: expected lbfgsb, found {solver!r}")
+    check_loss(robust)
     iterations = whole_number("iterations", iterations)
     if time_limit is not None:
         time_limit = float(time_limit)
@@ -153,9 +169,10 @@ def decompose(
         metallic=metallic,
         mono_light=mono_light,
         priors=priors,
+        equal_exposures=equal_exposures,
     )
     x = _start(objective, start)
-    run = _Run(scene, objective, priors, iterations, time_limit, progress, began)
+    run = _Run(scene, objective, priors, robust, iterations, time_limit, progress, began)
     x, status, stop_reason = run.lbfgsb(x, start_given=start is not None)
 
     materials, lighting = objective.unpack(x)
@@ -163,6 +180,7 @@ def decompose(
         scene,
         objective.layout,
         priors=priors,
+        robust=robust,
         uncertainty=uncertainty,
         lighting=run.measured_lighting,
     )
@@ -179,7 +197,7 @@ def decompose(
         history=History(tuple(run.rows)),
         evaluations=run.evaluations,
         seconds=seconds,
-        metrics=_metrics(scene, materials, lighting, threads),
+        metrics=_metrics(scene, materials, lighting, threads, objective.exposures),
         options=Options(
             solver=solver,
             iterations=iterations,
@@ -188,8 +206,10 @@ def decompose(
             metallic=None if metallic is None else float(metallic),
             mono_light=mono_light,
             priors=asdict(priors),
+            robust=robust,
+            equal_exposures=equal_exposures,
         ),
-        assumed=dict(scene.assumed),
+        assumed=_assumed(scene, objective),
         left_out=needs.left_out,
         inputs=dict(scene.inputs),
         uncertainty=estimate(objective, x, priors=priors != Priors.none()) if uncertainty else None,
@@ -216,6 +236,7 @@ class _Run:
         scene: Scene,
         objective: Objective,
         priors: Priors,
+        robust: Loss,
         iterations: int,
         time_limit: float | None,
         progress: Callable[[Progress], None] | None,
@@ -227,6 +248,7 @@ class _Run:
         self.truth = None if scene.truth is None else scene.truth.materials
         self.objective = objective
         self.priors = priors
+        self.robust = robust
         self.iterations = iterations
         self.time_limit = time_limit
         self.progress = progress
@@ -248,13 +270,17 @@ class _Run:
         last = FIRST_SHARE if learns else 1.0
         kept = ""
         best = loss, x
-        for lowest_roughness, share in ((0.0, 1.0),) if start_given else STAGES:
+        trapped = False
+        for lowest_roughness, share in self._stages(start_given):
             iterations = round(last * share * self.iterations) - self.iteration
             if iterations <= 0 or self._out_of_time():
                 continue
             if self.iteration > 0:
+                best = self._robust_around(best)
+            if trapped:
                 x = self._restarted(x)
             loss, x = self._minimize(x, lowest_roughness, iterations)
+            trapped = lowest_roughness > 0
             # A restart raises the loss at first, and time may run out before it pays.
             best = min(best, (loss, x), key=lambda pair: pair[0])
         if best[0] < loss:
@@ -271,12 +297,27 @@ class _Run:
         # With zero tolerances scipy stops early only where rounding hides any further descent.
         return x, Status.CONVERGED, "no step lowers the loss further"
 
+    def _stages(self, start_given: bool) -> tuple[tuple[float, float], ...]:
+        if not start_given:
+            return STAGES
+        return STAGES_GIVEN_START if self.robust == "none" else ROBUST_STAGES_GIVEN_START
+
+    def _robust_around(
+        self, best: tuple[float, NDArray[np.float64]]
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Make the loss robust, if it is to be, with the scale at this state; returns it anew."""
+        if self.robust == "none":
+            return best
+        _, x = best
+        self.objective.robust = self.objective.robust_around(x, self.robust)
+        return self._evaluate(x)[0], x
+
     def _learnt(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """X with the material prior learnt, which is a penalty from here on; one iteration."""
         from pbrfit import material_prior
 
         x, pull = material_prior.learn(
-            self.objective, x, self.priors.material, out_of_time=self._out_of_time
+            self.objective.reweighted(x), x, self.priors.material, out_of_time=self._out_of_time
         )
         _, self.measured_lighting = self.objective.unpack(x)
         needs = Needs.of(
@@ -286,6 +327,7 @@ class _Run:
             lighting=self.measured_lighting,
         )
         self.objective.penalties = [*penalties(self.objective.layout, needs.priors), pull]
+        self.objective.robust = self.objective.robust_around(x, self.robust)
         loss, _ = self._evaluate(x)
         self.iteration += 1
         self._record(x, loss)
@@ -385,7 +427,11 @@ def _material_errors(found: Materials, true: Materials) -> dict[str, float]:
 
 
 def _metrics(
-    scene: Scene, materials: Materials, lighting: NDArray[np.float64], threads: int
+    scene: Scene,
+    materials: Materials,
+    lighting: NDArray[np.float64],
+    threads: int,
+    exposures: NDArray[np.float64] | None = None,
 ) -> dict[str, float]:
     """Final errors, computed in float64."""
     weights = (
@@ -397,6 +443,8 @@ def _metrics(
         metrics.rmse(render(materials, scene.normals, light, scene.fov, threads), image, w)
         for image, light, w in zip(scene.images, lighting, weights, strict=True)
     ]
+    if exposures is not None:
+        of_pictures = list(map(operator.truediv, of_pictures, exposures.tolist()))
     shares = [math.sqrt(total / math.fsum(totals)) for total in totals]
     found = {"recon_rmse": math.hypot(*map(operator.mul, shares, of_pictures))}
     truth = scene.truth
@@ -409,3 +457,10 @@ def _metrics(
         rendered = render(materials, scene.normals, truth.relight_lighting, scene.fov, threads)
         found["relight_rmse"] = metrics.rmse(rendered, truth.relight_images)
     return found
+
+
+def _assumed(scene: Scene, objective: Objective) -> dict[str, str]:
+    assumed = dict(scene.assumed)
+    if objective.exposures is not None:
+        assumed["exposures"] = exposure.in_words(objective.exposures)
+    return assumed

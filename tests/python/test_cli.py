@@ -94,6 +94,24 @@ def test_decompose_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFi
     assert outcome(out)["fov"] == 40
 
 
+def test_robust_loss_and_exposures(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run("decompose", folder, "--out", out, *FEW) == 0
+    facts = outcome(out)
+    assert (facts["options"]["robust"], facts["options"]["equal_exposures"]) == ("none", None)
+    assert "exposures" not in facts["assumed"]
+    arguments = ("--robust", "cauchy", "--exposures", "equal", "--overwrite")
+    assert run("decompose", folder, "--out", out, *FEW, *arguments) == 0
+    facts = outcome(out)
+    assert (facts["options"]["robust"], facts["options"]["equal_exposures"]) == ("cauchy", True)
+    assert "each picture counts relative to its own" in facts["assumed"]["exposures"]
+    assert run("decompose", folder, "--out", out, *FEW, "--exposures", "as-is", "--overwrite") == 0
+    assert outcome(out)["options"]["equal_exposures"] is False
+    demo = ("--size", 8, "--lights", 2, "--robust", "huber", "--exposures", "equal")
+    assert run("demo", tmp_path / "demo", *demo, *FEW, "--quiet") == 0
+    assert outcome(tmp_path / "demo" / "result")["options"]["robust"] == "huber"
+
+
 def test_known_lights_stay_as_they_are(tmp_path: Path) -> None:
     made = make_scene("room", size=SIZE, lights=LIGHTS, held_out=1)
     assert made.truth is not None
@@ -396,6 +414,17 @@ def test_check_gradients_of_what_is_fitted(
     assert "metallic" not in output
 
 
+@pytest.mark.parametrize(("loss", "tolerance"), [("huber", "0.001"), ("cauchy", "0.0001")])
+def test_check_gradients_of_robust_losses(
+    folder: Path, capsys: pytest.CaptureFixture[str], loss: str, tolerance: str
+) -> None:
+    assert run("check-gradients", folder, "--robust", loss, "--exposures", "equal") == 0
+    of_loss = capsys.readouterr().out
+    assert f"12 of 12 within {tolerance}\n" in of_loss
+    assert run("check-gradients", folder, "--exposures", "equal") == 0
+    assert capsys.readouterr().out != of_loss
+
+
 def test_check_gradients_of_priors(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     priors = ("--prior", "smoothness=0.1", "--prior", "monochrome=1", "--prior", "sparsity=1e-3")
     assert run("check-gradients", folder, *priors) == 0
@@ -568,6 +597,8 @@ def test_help_names_defaults_once(command: str, capsys: pytest.CaptureFixture[st
     assert "(default: None)" not in text
     for option in ("--iterations K at most so many (default: 500)", "--threads T"):
         assert (option in text) == (command in ("decompose", "demo"))
+    for option in ("--robust {none,huber,cauchy}", "--exposures {auto,as-is,equal}"):
+        assert (option in text) == (command in ("decompose", "demo", "check-gradients"))
     if not command:
         assert all(name in text for name in COMMANDS)
 

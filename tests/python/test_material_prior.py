@@ -27,6 +27,7 @@ def room() -> Scene:
 
 def variants(room: Scene) -> dict[str, tuple[Scene, dict[str, Any]]]:
     """Scenes and options of every kind of problem."""
+    assert room.truth is not None
     rng = np.random.default_rng(0)
     weights = rng.uniform(0.2, 1, room.images.shape[:3])
     weights[:, ::3] *= rng.integers(0, 2, weights[:, ::3].shape)
@@ -87,7 +88,7 @@ def squares_of(
     if scene.weights is not None:
         all_weights = scene.weights[:, valid]
         omega = all_weights[:, p] / all_weights.max()
-    return (omega[None, :, None] * (radiance - targets) ** 2).sum(axis=1)
+    return np.asarray((omega[None, :, None] * (radiance - targets) ** 2).sum(axis=1))
 
 
 @pytest.mark.parametrize("kind", KINDS)
