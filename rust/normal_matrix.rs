@@ -127,24 +127,21 @@ fn normal_equations<const C: usize>(
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 let mut sums = Sums::default();
-                for c in 0..C {
-                    for (picture, light) in block.lights(&lights, c).enumerate() {
-                        block.take_sample(c, picture, light);
-                        block.isa.run(AddSample {
-                            sample: &block.sample,
-                            unknowns: unknowns_of_channel::<C>(c),
-                            sums: &mut sums,
-                        });
-                    }
-                }
+                block.each_sample(&lights, |c, _, sample| {
+                    problem.instructions().run(AddSample {
+                        sample,
+                        unknowns: unknowns_of_channel::<C>(c),
+                        sums: &mut sums,
+                    });
+                });
                 for x in 0..pixels.len() {
                     let p = i * BLOCK + x;
-                    for row in 0..unknowns {
-                        gradient[p * unknowns + row] = sums.gradient[row].0[x];
-                        for column in 0..unknowns {
-                            let lower = &sums.matrix[row.max(column)][row.min(column)];
-                            matrices[(p * unknowns + row) * unknowns + column] = lower.0[x];
-                        }
+                    sums.store_matrix(x, &mut matrices[p * unknowns * unknowns..], unknowns);
+                    for (to, from) in gradient[p * unknowns..][..unknowns]
+                        .iter_mut()
+                        .zip(&sums.gradient)
+                    {
+                        *to = from.0[x];
                     }
                     squares[p] = sums.squares.0[x];
                 }
@@ -183,28 +180,21 @@ fn derivatives<const C: usize>(
             let mut block = Block::<C>::new(problem);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
-                for c in 0..C {
-                    for x in 0..pixels.len() {
-                        let p = i * BLOCK + x;
-                        for (to, from) in by_light[(p * C + c) * k..][..k]
-                            .iter_mut()
-                            .zip(&block.weights[c])
-                        {
-                            *to = from.0[x];
-                        }
-                    }
-                    for (picture, light) in block.lights(&lights, c).enumerate() {
-                        block.take_sample(c, picture, light);
-                        for x in 0..pixels.len() {
-                            let sample = (i * BLOCK + x) * samples + picture * C + c;
-                            weights[sample] = block.sample.weight.0[x];
-                            for j in 0..DERIVATIVES {
-                                by_material[sample * DERIVATIVES + j] =
-                                    block.sample.derivatives[j].0[x];
-                            }
-                        }
+                let of_block = by_light[i * BLOCK * C * k..].chunks_mut(k).enumerate();
+                for (row, of_row) in of_block.take(pixels.len() * C) {
+                    for (to, from) in of_row.iter_mut().zip(&block.weights[row % C]) {
+                        *to = from.0[row / C];
                     }
                 }
+                block.each_sample(&lights, |c, picture, sample| {
+                    for x in 0..pixels.len() {
+                        let s = (i * BLOCK + x) * samples + picture * C + c;
+                        weights[s] = sample.weight.0[x];
+                        for j in 0..DERIVATIVES {
+                            by_material[s * DERIVATIVES + j] = sample.derivatives[j].0[x];
+                        }
+                    }
+                });
             }
         },
     );
@@ -256,18 +246,14 @@ fn moves_with_lights<const C: usize>(
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 // ω J of every sample, in the order of the lights.
-                let mut samples = weighted.iter_mut();
-                for c in 0..C {
-                    for (picture, light) in block.lights(&lights, c).enumerate() {
-                        block.take_sample(c, picture, light);
-                        let to = samples.next().expect("a place for every sample");
-                        for (to, from) in to.iter_mut().zip(&block.sample.derivatives) {
-                            for x in 0..BLOCK {
-                                to.0[x] = block.sample.weight.0[x] * from.0[x];
-                            }
+                block.each_sample(&lights, |c, picture, sample| {
+                    let to = &mut weighted[c * problem.pictures() + picture];
+                    for (to, from) in to.iter_mut().zip(&sample.derivatives) {
+                        for x in 0..BLOCK {
+                            to.0[x] = sample.weight.0[x] * from.0[x];
                         }
                     }
-                }
+                });
                 for mode in &modes {
                     // B v
                     let mut product = [Doubles::default(); MAX_UNKNOWNS];
@@ -411,14 +397,18 @@ impl<'a, const C: usize> Block<'a, C> {
         }
     }
 
-    /// The lights of one channel, picture by picture.
-    fn lights<'l>(
-        &self,
-        lights: &'l [[f64; COEFFICIENTS]],
-        channel: usize,
-    ) -> impl Iterator<Item = &'l [f64; COEFFICIENTS]> + use<'l, C> {
-        let pictures = self.problem.pictures();
-        lights[channel * pictures..][..pictures].iter()
+    /// Calls `f` with channel, picture and sample, channel by channel. Lights are (channel, picture).
+    fn each_sample(
+        &mut self,
+        lights: &[[f64; COEFFICIENTS]],
+        mut f: impl FnMut(usize, usize, &Sample),
+    ) {
+        for (c, of_channel) in lights.chunks(self.problem.pictures()).enumerate() {
+            for (picture, light) in of_channel.iter().enumerate() {
+                self.take_sample(c, picture, light);
+                f(c, picture, &self.sample);
+            }
+        }
     }
 
     /// Works out one channel of one picture.
@@ -544,6 +534,18 @@ struct Sums {
     matrix: [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
     gradient: [Doubles; MAX_UNKNOWNS],
     squares: Doubles,
+}
+
+impl Sums {
+    /// Puts the matrix of one pixel, both halves of it, at the beginning of `matrix`.
+    fn store_matrix(&self, pixel: usize, matrix: &mut [f64], unknowns: usize) {
+        for row in 0..unknowns {
+            for column in 0..unknowns {
+                let lower = &self.matrix[row.max(column)][row.min(column)];
+                matrix[row * unknowns + column] = lower.0[pixel];
+            }
+        }
+    }
 }
 
 /// Adds a sample to the normal equations.

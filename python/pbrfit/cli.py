@@ -125,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_input_options(added)
     _add_solver_options(added)
     _add_model_options(added, "of the lights; 2 leaves out band 3")
+    add_priors(added)
     add_quiet(added)
 
     added = command("inspect", _inspect, "show what a scene folder holds and what is assumed")
@@ -160,7 +161,6 @@ def _parser() -> argparse.ArgumentParser:
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     _add_input_options(added)
     _add_model_options(added, "of the lights; 2 leaves out band 3")
-    _add_mono_light(added)
     add_priors(added)
     added.add_argument(
         "--seed", type=whole_number, default=0, help="of the random point and directions"
@@ -178,6 +178,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_synth_options(added)
     _add_solver_options(added)
     _add_model_options(added, "of the lights, true and fitted")
+    add_priors(added)
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
     add_quiet(added)
     return parser
@@ -247,8 +248,6 @@ def _add_model_options(parser: argparse.ArgumentParser, what_order: str) -> None
         "of another",
     )
 
-
-def _add_mono_light(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mono-light",
         action="store_true",
@@ -380,6 +379,8 @@ def _fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
             threads=options.threads,
             sh_order=options.sh_order,
             metallic=_metallic(options),
+            mono_light=options.mono_light,
+            priors=given_priors(options),
             robust=options.robust,
             equal_exposures=EXPOSURES[options.exposures],
             progress=show,
@@ -502,6 +503,8 @@ def _print_result(result: Result, scene: Scene, output: Path) -> None:
                 f"{result.history[key][0]:>10.4f}" if key in result.history.columns else f"{'':>10}"
             )
             print(f"{name:<22}{at_start}{result.metrics[key]:>10.4f}")
+    if result.left_out:
+        print(f"\nleft out: {'; '.join(result.left_out)}")
 
 
 @contextmanager

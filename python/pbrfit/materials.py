@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,9 +34,15 @@ class Materials:
 
 
 def write_materials(
-    path: Path, materials: Materials, normals: NDArray[Any], mask: NDArray[np.bool_]
+    path: Path,
+    materials: Materials,
+    normals: NDArray[Any],
+    mask: NDArray[np.bool_],
+    more: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
     """Write `materials.exr`: linear float32 layers albedo, roughness, metallic, normal and mask.
+
+    `more` are further maps (H, W) by channel name.
 
     Pixels outside the mask take the values of the nearest pixel inside, so that no file holds NaN
     and filters at the border do no harm; `mask.Y` says which are real.
@@ -50,6 +57,7 @@ def write_materials(
         "roughness.Y": materials.roughness,
         "metallic.Y": materials.metallic,
         **{f"normal.{name}": normals[..., c] for c, name in enumerate("XYZ")},
+        **(more or {}),
     }
     channels = {name: layer[nearest].astype(np.float32) for name, layer in layers.items()}
     channels["mask.Y"] = mask.astype(np.float32)

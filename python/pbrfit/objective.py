@@ -147,7 +147,7 @@ class Objective:
         self.layout = layout
         self.pixels, self.channels = layout.pixels, layout.channels
         self.coefficients = layout.coefficients
-        self.weights = weights = _weights(scene)
+        self.weights = weights = _weights(scene) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
         )
@@ -162,7 +162,7 @@ class Objective:
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
 
-        self._scene, self._threads, self._sh_order = scene, threads, sh_order
+        self._scene, self._threads = scene, threads
         images = self._images()
         self._mean_image = _mean_image(images, weights)
         self.problem = self._problem(images, weights)
@@ -209,6 +209,20 @@ class Objective:
             lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
         return np.concatenate([maps, lights.ravel()])
 
+    def with_best_albedo(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """X with the albedo of some pixels put to what fits best to the rest of x.
+
+        Returned with the weighted sum of squared residuals that each of these pixels, given by
+        indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
+        degree 4 in the albedo of each channel. Penalties take no part.
+        """
+        albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
+        x = x.copy()
+        x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
+        return x, squares
+
     def value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         """Loss at x and its gradient: (float, (size,) float64). x is not changed.
 
@@ -226,9 +240,10 @@ class Objective:
         loss, gradient = self.problem.value_and_grad(self.for_core(x), self.robust)
         if self.layout.light_channels < self.channels:
             # By the chain rule, derivatives by the light in each channel add up.
-            maps = self.layout.maps
-            by_light = gradient[maps.stop :].reshape(-1, self.channels).sum(axis=-1)
-            gradient = np.concatenate([gradient[maps], by_light])
+            end = self.layout.maps.stop
+            by_light = gradient[end:].reshape(-1, self.channels).sum(axis=-1)
+            gradient = gradient[: self.size]
+            gradient[end:] = by_light
         return loss, gradient
 
     def add_penalties(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
@@ -369,7 +384,7 @@ class Objective:
             scene.views[valid],
             self._threads,
             weights=weights,
-            sh_order=self._sh_order,
+            sh_order=self.layout.sh_order,
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
         )
@@ -431,15 +446,11 @@ def _real_numbers(x: ArrayLike) -> NDArray[np.float64]:
         raise InputError(f"x: expected real numbers, found {error}") from None
 
 
-def _weights(scene: Scene) -> NDArray[np.float32] | None:
-    """(N, P) weights of the samples, at most 1; None where all are the same."""
-    if scene.weights is None:
-        return None
+def _weights(scene: Scene) -> NDArray[np.float32]:
+    """(N, P) weights of the samples, at most 1: only their ratios matter."""
+    assert scene.weights is not None
     weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
-    largest = weights.max()
-    if weights.min() == largest:
-        return None
-    weights /= largest  # only ratios matter; this way float32 neither overflows nor loses digits
+    weights /= weights.max()  # so that float32 neither overflows nor loses digits
     return weights
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +14,14 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pbrfit import metrics
+from pbrfit.colormap import blue_to_yellow
 from pbrfit.materials import Materials
 from pbrfit.model import render
 
 if TYPE_CHECKING:
     from pbrfit.result import Result
     from pbrfit.scene import Scene
+    from pbrfit.uncertainty import Uncertainty
 
 PANEL_SIDE = (192, 384)
 """Smallest and largest longer side of a panel in pixels."""
@@ -32,6 +36,17 @@ OUTSIDE = 0.85
 ERROR_SPAN = 0.2
 """Difference from the truth that is drawn white in the error panels."""
 
+DEVIATIONS = (0.001, 0.3)
+"""Standard deviations at the ends of their logarithmic scale."""
+
+DEVIATION_TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+HELD = (1.0, 1.0, 1.0)
+UNDETERMINED = (0.84, 0.37, 0.0)
+"""Vermillion, told apart from the scale and from grey by all common colour vision."""
+
+BAR = 20
+"""Width of a bar of colours, in pixels."""
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -41,15 +56,38 @@ class Panel:
     pixels: NDArray[np.floating[Any]]
 
 
-Row = list[Panel | None]
-"""Panels side by side; None leaves a gap."""
+@dataclass(frozen=True)
+class Key:
+    """What colours mean: a bar from the bottom up, ticks at shares of its height, and patches.
+
+    Attributes
+    ----------
+    caption
+        What the bar measures.
+    bar
+        (M, 3) colours, the lowest value first, as they go to the screen.
+    ticks
+        Labels by share of the bar's height.
+    patches
+        Colours by label, for what is not on the bar.
+    """
+
+    caption: str
+    bar: NDArray[np.floating[Any]]
+    ticks: Mapping[float, str]
+    patches: Mapping[str, tuple[float, float, float]]
+
+
+Row = list[Panel | Key | None]
+"""Side by side; None leaves a gap."""
 
 
 def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
-    The first row shows a picture (with `scene`), its reconstruction, and the maps; with ground
-    truth a second row shows the truth and a third the absolute errors.
+    The first row shows a picture (with `scene`), its reconstruction, and the maps; where the result
+    has an uncertainty, a row shows the marginal deviations; with ground truth a row shows the truth
+    and one the absolute errors.
     """
     light = result.lighting[0]
     reconstruction = render(result.materials, result.normals, light, result.fov)
@@ -61,10 +99,13 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     row += _maps(result.materials, "")
     row.append(Panel("normals", outside_grey(0.5 + 0.5 * result.normals)))
     rows = [row]
+    gap: Row = [None] * (1 if scene is None else 2)
+    if result.uncertainty is not None:
+        rows.append([*gap, *_deviations(result.uncertainty)])
     if scene is not None and scene.truth is not None:
         true = scene.truth.materials
-        rows.append([None, None, *_maps(true, "true ")])
-        rows.append([None, None, *_errors(result.materials, true)])
+        rows.append([*gap, *_maps(true, "true ")])
+        rows.append([*gap, *_errors(result.materials, true)])
     return sheet(rows)
 
 
@@ -87,7 +128,7 @@ def normals_preview(scene: Scene) -> NDArray[np.uint8]:
 
 def sheet(rows: list[Row]) -> NDArray[np.uint8]:
     """Panels in a grid, captions above: (H, W, 3) uint8."""
-    first = next(panel for row in rows for panel in row if panel is not None)
+    first = next(panel for row in rows for panel in row if isinstance(panel, Panel))
     height, width = first.pixels.shape[:2]
     longer = max(height, width)
     low, high = PANEL_SIDE
@@ -107,6 +148,9 @@ def sheet(rows: list[Row]) -> NDArray[np.uint8]:
                 continue
             x, y = MARGIN + j * step[0], MARGIN + i * step[1]
             draw.text((x, y), panel.caption, fill=INK, font=font)
+            if isinstance(panel, Key):
+                _draw_key(draw, panel, (x, y + CAPTION), size[1], font)
+                continue
             pixels = (255 * np.clip(panel.pixels, 0, 1) + 0.5).astype(np.uint8)
             # Whole factors repeat pixels; smaller ones average them.
             scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
@@ -182,6 +226,64 @@ def _errors(found: Materials, true: Materials) -> Row:
         )
         for name in ("albedo", "roughness", "metallic")
     ]
+
+
+def _deviations(uncertainty: Uncertainty) -> Row:
+    """Marginal standard deviations, and the key to their colours."""
+    deviations = uncertainty.marginal
+    maps = {
+        "albedo": np.sqrt(np.mean(np.square(deviations.albedo), axis=-1)),
+        "roughness": deviations.roughness,
+        "metallic": deviations.metallic,
+    }
+    low, high = np.log(DEVIATIONS)
+    row: Row = []
+    for i, (name, values) in enumerate(maps.items()):
+        on_scale = (np.log(np.maximum(values, DEVIATIONS[0])) - low) / (high - low)
+        colors = blue_to_yellow(on_scale)
+        colors[values == 0] = HELD
+        colors[uncertainty.undetermined[..., i]] = UNDETERMINED
+        colors[np.isnan(values)] = OUTSIDE
+        row.append(Panel(f"{name}, std. deviation", colors))
+    row.append(
+        Key(
+            "from the data alone" if uncertainty.priors else "with uncertain lights",
+            blue_to_yellow(np.linspace(0, 1, 256)),
+            {(math.log(t) - low) / (high - low): f"{t:g}" for t in DEVIATION_TICKS},
+            {"at a bound or known": HELD, "not determined": UNDETERMINED},
+        )
+    )
+    return row
+
+
+def _draw_key(
+    draw: ImageDraw.ImageDraw,
+    key: Key,
+    corner: tuple[int, int],
+    height: int,
+    font: ImageFont.FreeTypeFont | ImageFont.ImageFont,
+) -> None:
+    """Bar, ticks and patches, from the corner at the upper left down over `height`."""
+    left, top = corner[0], corner[1] + CAPTION // 3  # half a tick's label stands above the bar
+    patch_top = corner[1] + height - len(key.patches) * CAPTION
+    bar_height = patch_top - CAPTION - top
+    for i in range(bar_height):
+        color = key.bar[round((1 - i / max(1, bar_height - 1)) * (len(key.bar) - 1))]
+        draw.line([(left, top + i), (left + BAR - 1, top + i)], fill=_ink(color))
+    for share, label in key.ticks.items():
+        y = top + round((1 - share) * (bar_height - 1))
+        draw.line([(left + BAR, y), (left + BAR + 4, y)], fill=INK)
+        draw.text((left + BAR + 8, y), label, fill=INK, font=font, anchor="lm")
+    for i, (label, patch) in enumerate(key.patches.items()):
+        y = patch_top + i * CAPTION
+        box = (left, y, left + BAR - 1, y + BAR - 1)
+        draw.rectangle(box, fill=_ink(patch), outline=INK)
+        draw.text((left + BAR + 8, y + BAR // 2), label, fill=INK, font=font, anchor="lm")
+
+
+def _ink(color: NDArray[np.floating[Any]] | tuple[float, float, float]) -> tuple[int, int, int]:
+    red, green, blue = (int(255 * float(part) + 0.5) for part in color)
+    return red, green, blue
 
 
 def displayed(linear: NDArray[np.floating[Any]], white: float = 1.0) -> NDArray[np.floating[Any]]:

@@ -21,6 +21,7 @@ from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.metrics import PROTOCOL
 from pbrfit.output import new_folder
 from pbrfit.scene import Scene
+from pbrfit.uncertainty import Uncertainty, layer_names
 
 CONTAINS = ("result.json", "materials.exr")
 """Files by which a folder is known for a result."""
@@ -44,6 +45,10 @@ class Options:
         As given.
     metallic
         The number that all pixels have; None = free.
+    mono_light
+        Whether lights are the same in all channels.
+    priors
+        Weights by name.
     robust
         Loss of the residuals, "none" for their squares.
     equal_exposures
@@ -55,6 +60,8 @@ class Options:
     time_limit: float | None
     sh_order: int = 3
     metallic: float | None = None
+    mono_light: bool = False
+    priors: Mapping[str, float | None] = field(default_factory=dict)
     robust: str = "none"
     equal_exposures: bool | None = None
 
@@ -87,6 +94,8 @@ class Result:
         Time of the fit, reading and writing of files apart.
     metrics
         Final errors; `metrics.PROTOCOL` says how they are taken. Against the truth where known.
+    uncertainty
+        Standard deviations of the maps; None where they were not asked for.
     options, assumed, left_out, inputs
         How the result came about: options, decisions about the input, work that the scene did not
         need, sha256 of the files.
@@ -108,6 +117,7 @@ class Result:
     assumed: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
+    uncertainty: Uncertainty | None = None
 
     @property
     def albedo(self) -> NDArray[np.floating[Any]]:
@@ -150,7 +160,14 @@ class Result:
         """Write the files of a result into an existing folder."""
         from pbrfit import report
 
-        write_materials(folder / "materials.exr", self.materials, self.normals, self.mask)
+        uncertainty = self.uncertainty
+        write_materials(
+            folder / "materials.exr",
+            self.materials,
+            self.normals,
+            self.mask,
+            None if uncertainty is None else uncertainty.layers(),
+        )
         Lighting(self.pictures, self.lighting).save(folder / "lighting.json")
         self.history.save(folder / "history.csv")
         content = {
@@ -163,6 +180,7 @@ class Result:
             "seconds": self.seconds,
             "protocol": PROTOCOL,
             "metrics": dict(self.metrics),
+            "uncertainty": None if uncertainty is None else uncertainty.summary(),
             "options": asdict(self.options),
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
@@ -187,6 +205,7 @@ class Result:
         file = folder / "result.json"
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
+            summary = content.get("uncertainty")
             return cls(
                 materials=materials,
                 lighting=lighting.coefficients,
@@ -204,10 +223,23 @@ class Result:
                 assumed=content["assumed"],
                 left_out=tuple(content["left_out"]),
                 inputs=content["inputs"],
+                uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
             )
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(
                 f"{file}: expected what pbrfit writes, found {type(error).__name__}: {error}"
             ) from None
+
+
+def _uncertainty(folder: Path, mask: NDArray[np.bool_], summary: Mapping[str, Any]) -> Uncertainty:
+    file = folder / "materials.exr"
+    channels = images.read_channels(file)
+    missing = [name for name in layer_names() if name not in channels]
+    if missing:
+        raise InputError(
+            f"{file}: expected channel {missing[0]}, because result.json tells of an uncertainty, "
+            f"found {', '.join(sorted(channels))}"
+        )
+    return Uncertainty.of(channels, mask, summary)

@@ -8,7 +8,7 @@ import math
 import operator
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -19,11 +19,13 @@ from pbrfit._core import InputError
 from pbrfit.history import History, HistoryRow
 from pbrfit.materials import Materials
 from pbrfit.model import render, whole_number
+from pbrfit.needs import Needs
 from pbrfit.objective import START_ROUGHNESS, Objective
-from pbrfit.priors import Priors
+from pbrfit.priors import Priors, penalties
 from pbrfit.result import Options, Result, Status
 from pbrfit.robust import check_loss
 from pbrfit.scene import Scene
+from pbrfit.uncertainty import estimate
 
 log = logging.getLogger("pbrfit")
 
@@ -93,6 +95,7 @@ def decompose(
     metallic: float | None = None,
     mono_light: bool = False,
     priors: Priors | None = DEFAULT_PRIORS,
+    uncertainty: bool = True,
     robust: Loss = "none",
     equal_exposures: bool | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -123,6 +126,8 @@ def decompose(
         Whether lights are the same in all channels.
     priors
         Weights of what is thought likely beforehand (docs/priors.md); None = none.
+    uncertainty
+        Whether to estimate standard deviations of the maps (docs/uncertainty.md).
     robust
         `"huber"` or `"cauchy"`: a loss that shadows and other outliers pull less at, its scale
         estimated from the residuals after the first stage and again before each later one;
@@ -171,6 +176,14 @@ def decompose(
     x, status, stop_reason = run.lbfgsb(x, start_given=start is not None)
 
     materials, lighting = objective.unpack(x)
+    needs = Needs.of(
+        scene,
+        objective.layout,
+        priors=priors,
+        robust=robust,
+        uncertainty=uncertainty,
+        lighting=run.measured_lighting,
+    )
     seconds = time.perf_counter() - began - run.unmeasured
     result = Result(
         materials=materials,
@@ -191,12 +204,15 @@ def decompose(
             time_limit=time_limit,
             sh_order=int(sh_order),
             metallic=None if metallic is None else float(metallic),
+            mono_light=mono_light,
+            priors=asdict(priors),
             robust=robust,
             equal_exposures=equal_exposures,
         ),
         assumed=_assumed(scene, objective),
-        left_out=_left_out(scene, objective),
+        left_out=needs.left_out,
         inputs=dict(scene.inputs),
+        uncertainty=estimate(objective, x, priors=priors != Priors.none()) if uncertainty else None,
     )
     log.info("%s after %d iterations, %.1f s: %s", status, run.iteration, seconds, stop_reason)
     return result
@@ -226,6 +242,9 @@ class _Run:
         progress: Callable[[Progress], None] | None,
         began: float,
     ) -> None:
+        self.scene = scene
+        # When the material prior was learnt; by these the monochrome weight is chosen.
+        self.measured_lighting: NDArray[np.float64] | None = None
         self.truth = None if scene.truth is None else scene.truth.materials
         self.objective = objective
         self.priors = priors
@@ -294,15 +313,23 @@ class _Run:
         return self._evaluate(x)[0], x
 
     def _learnt(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """X with the material prior learnt, which is a penalty from here on."""
+        """X with the material prior learnt, which is a penalty from here on; one iteration."""
         from pbrfit import material_prior
 
         x, pull = material_prior.learn(
             self.objective.reweighted(x), x, self.priors.material, out_of_time=self._out_of_time
         )
-        self.objective.penalties.append(pull)
+        _, self.measured_lighting = self.objective.unpack(x)
+        needs = Needs.of(
+            self.scene,
+            self.objective.layout,
+            priors=self.priors,
+            lighting=self.measured_lighting,
+        )
+        self.objective.penalties = [*penalties(self.objective.layout, needs.priors), pull]
         self.objective.robust = self.objective.robust_around(x, self.robust)
         loss, _ = self._evaluate(x)
+        self.iteration += 1
         self._record(x, loss)
         return x
 
@@ -437,27 +464,3 @@ def _assumed(scene: Scene, objective: Objective) -> dict[str, str]:
     if objective.exposures is not None:
         assumed["exposures"] = exposure.in_words(objective.exposures)
     return assumed
-
-
-def _left_out(scene: Scene, objective: Objective) -> tuple[str, ...]:
-    """Work that the scene did not need or the options ruled out, in words."""
-    left_out = []
-    masked = 0 if scene.mask is None else int(np.count_nonzero(~scene.mask))
-    if masked:
-        left_out.append(f"{masked} pixels outside the mask")
-    if scene.weights is not None:
-        without = scene.valid.size - masked - objective.pixels
-        if without:
-            left_out.append(f"{without} pixels of weight 0 in all pictures")
-        single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
-        if single:
-            left_out.append(f"{single} samples of weight 0 at other pixels")
-    if objective.channels == 1:
-        left_out.append("second and third colour channel: equal to the first")
-    if objective.coefficients < 16:
-        left_out.append("band 3 of the lights: order 2 was asked for")
-    if objective.metallic is None:
-        left_out.append("metallic: given, so it was not fitted")
-    if objective.lighting is None:
-        left_out.append("lights and their gradient: known, so only materials were fitted")
-    return tuple(left_out)

@@ -23,6 +23,7 @@ from pbrfit.normal_equations import (
     light_information,
 )
 from pbrfit.objective import Objective
+from pbrfit.sampling import spread
 
 Array = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ LARGEST = 1.0
 """Deviations are cut off here, the width of the range."""
 
 LIGHT_PIXELS = 4096
-"""At most so many pixels, evenly spread, tell what the lights know when materials are fitted too."""
+"""At most so many pixels, evenly spread, tell how uncertain the lights are."""
 
 OMITTED = 1e-3
 """Modes of the lights are left out while all of them together raise the pixels' variances by less
@@ -71,8 +72,8 @@ class Uncertainty:
     Attributes
     ----------
     conditional, marginal
-        Standard deviations in place of values, at most 1; 0 for what is held (`on_bound`, or a known
-        metallic); NaN outside the mask.
+        Standard deviations in place of values, at most 1; 0 for what is held (on a bound, or a
+        known metallic); NaN outside the mask.
     undetermined
         (H, W, 3) bool: albedo (in any channel), roughness, metallic: the pictures do not tell it,
         because its marginal deviation is above 1/√12 or the equations are singular.
@@ -130,46 +131,36 @@ class Uncertainty:
             "omitted": self.omitted,
         }
 
-    def layers(self) -> dict[str, Array]:
-        """Maps (H, W) by channel name in `materials.exr`."""
-        layers = {}
-        for kind in ("marginal", "conditional"):
-            deviations = getattr(self, kind)
-            for c, name in enumerate("RGB"):
-                layers[f"uncertainty.{kind}.albedo.{name}"] = deviations.albedo[..., c]
-            for parameter in PARAMETERS[1:]:
-                layers[f"uncertainty.{kind}.{parameter}.Y"] = getattr(deviations, parameter)
-        for kind in ("undetermined", "on_bound"):
-            for i, parameter in enumerate(PARAMETERS):
-                layers[f"uncertainty.{kind}.{parameter}.Y"] = getattr(self, kind)[..., i]
-        return layers
+    def layers(self) -> dict[str, NDArray[Any]]:
+        """Maps (H, W) by channel name in `materials.exr`, in the order of `layer_names`."""
+        maps: list[NDArray[Any]] = []
+        for deviations in (self.marginal, self.conditional):
+            maps += [*np.moveaxis(deviations.albedo, -1, 0)]
+            maps += [deviations.roughness, deviations.metallic]
+        for flags in (self.undetermined, self.on_bound):
+            maps += [*np.moveaxis(flags, -1, 0)]
+        return dict(zip(layer_names(), maps, strict=True))
 
     @classmethod
     def of(
         cls, layers: Mapping[str, NDArray[Any]], mask: NDArray[np.bool_], summary: Mapping[str, Any]
     ) -> Uncertainty:
-        """From what `layers` and `summary` gave; KeyError names what is missing."""
+        """From all that `layers` and `summary` gave, values outside the mask replaced by NaN."""
+        maps = np.stack([layers[name] for name in layer_names()], axis=-1).astype(np.float64)
 
-        def deviations(kind: str) -> Materials:
-            albedo = [layers[f"uncertainty.{kind}.albedo.{name}"] for name in "RGB"]
-            rest = [layers[f"uncertainty.{kind}.{name}.Y"] for name in PARAMETERS[1:]]
-            albedo, roughness, metallic = np.stack(albedo, axis=-1), *rest
-            return Materials(
-                np.where(mask[..., None], albedo, np.nan),
-                np.where(mask, roughness, np.nan),
-                np.where(mask, metallic, np.nan),
-            )
+        def deviations(first: int) -> Materials:
+            inside = np.where(mask[..., None], maps[..., first : first + 5], np.nan)
+            return Materials(inside[..., :3], inside[..., 3], inside[..., 4])
 
-        def flags(kind: str) -> NDArray[np.bool_]:
-            named = [layers[f"uncertainty.{kind}.{name}.Y"] for name in PARAMETERS]
-            return (np.stack(named, axis=-1) > 0.5) & mask[..., None]
+        def flags(first: int) -> NDArray[np.bool_]:
+            return (maps[..., first : first + 3] > 0.5) & mask[..., None]
 
         red, green, blue = map(float, summary["albedo_scale"])
         return cls(
-            conditional=deviations("conditional"),
-            marginal=deviations("marginal"),
-            undetermined=flags("undetermined"),
-            on_bound=flags("on_bound"),
+            marginal=deviations(0),
+            conditional=deviations(5),
+            undetermined=flags(10),
+            on_bound=flags(13),
             noise=None if summary["noise"] is None else float(summary["noise"]),
             albedo_scale=(red, green, blue),
             priors=bool(summary["priors"]),
@@ -177,6 +168,15 @@ class Uncertainty:
             light_modes=int(summary["light_modes"]),
             omitted=float(summary["omitted"]),
         )
+
+
+def layer_names() -> list[str]:
+    """Channels of `materials.exr` that hold an uncertainty."""
+    parts = [*(f"albedo.{channel}" for channel in "RGB"), "roughness.Y", "metallic.Y"]
+    names = [f"uncertainty.{kind}.{part}" for kind in ("marginal", "conditional") for part in parts]
+    for flag in ("undetermined", "on_bound"):
+        names += [f"uncertainty.{flag}.{parameter}.Y" for parameter in PARAMETERS]
+    return names
 
 
 def estimate(
@@ -302,7 +302,7 @@ def _light_modes(
     and bounds what those left out would add.
     """
     layout, for_core = objective.layout, objective.for_core(x)
-    pixels = _evenly_spread(layout.pixels, light_pixels)
+    pixels = spread(layout.pixels, light_pixels)
     own_held = held[pixels]
     known = light_information(objective.problem, for_core, layout, pixels, own_held)
     to_units, from_units = _units(known)
@@ -343,17 +343,6 @@ def _light_modes(
     )
 
 
-def _evenly_spread(count: int, most: int) -> NDArray[np.uint64]:
-    """Up to `most` of `count` pixels: one from anywhere in each of as many equal runs.
-
-    Not at equal steps, which would take the same columns of every row.
-    """
-    if count <= most:
-        return np.arange(count, dtype=np.uint64)
-    ends = np.arange(most + 1) * count // most
-    return np.random.default_rng(0).integers(ends[:-1], ends[1:]).astype(np.uint64)
-
-
 def _units(known: LightInformation) -> tuple[Array, Array]:
     """Blocks T⁻¹ and T (lights, K, K) with Tᵀ G T = 1; T is 0 where G is."""
     k = known.alone.shape[-1]
@@ -388,7 +377,7 @@ def _omitted(
     used: int,
 ) -> float:
     """Largest share of a deviation that the modes from `used` on would add, over some pixels."""
-    some = slice(None, None, -(-len(pixels) // CHECKED))
+    some = spread(len(pixels), CHECKED)
     matrices, _, _ = objective.problem.normal_equations(for_core, pixels[some])
     found = inverse(matrices, held[some])
     args = for_core, pixels[some], found.matrices

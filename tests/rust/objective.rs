@@ -620,3 +620,56 @@ fn refusals_name_the_array() {
     bad[100] = 1e17;
     assert!(evaluate(&bad).starts_with("x (lighting): expected numbers up to 1e16 in size"));
 }
+
+/// Matrices, gradients and moves of every second pixel, one after the other.
+fn normal_equations(example: &Example, problem: &Problem) -> Vec<f64> {
+    let (x, n) = (example.x(), example.pixels());
+    let pixels: Vec<usize> = (0..n).step_by(2).collect();
+    let unknowns = example.free_maps() / n;
+    let covariances: Vec<f64> = (0..pixels.len() * unknowns * unknowns)
+        .map(|i| wave(i, 0.9))
+        .collect();
+    let modes: Vec<f64> = (0..2 * example.lighting.len())
+        .map(|i| wave(i, 1.3))
+        .collect();
+    let equations = problem.normal_equations(&x, &pixels).unwrap();
+    let moves = problem.moves_with_lights(&x, &pixels, &covariances, &modes);
+    let derivatives = problem.derivatives(&x, &pixels).unwrap();
+    [
+        equations.matrices,
+        equations.gradient,
+        equations.squares,
+        derivatives.by_material,
+        derivatives.by_light,
+        moves.unwrap(),
+    ]
+    .concat()
+}
+
+#[test]
+fn normal_equations_have_the_same_bits_at_any_thread_count() {
+    let example = Example::new(2_000, 3);
+    let one = normal_equations(&example, &example.problem(1));
+    for threads in [2, 3, 8] {
+        let many = normal_equations(&example, &example.problem(threads));
+        assert!(one == many, "{threads} threads differ from one");
+    }
+}
+
+#[test]
+fn normal_equations_agree_in_every_instruction_set() {
+    for (channels, sh_order) in [(1, 3), (3, 2)] {
+        let example = Example::with(300, 3, channels, sh_order);
+        let best = normal_equations(&example, &example.problem(1));
+        let size = norm(best.iter().copied());
+        for instructions in Instructions::all() {
+            let other = normal_equations(&example, &example.problem_for(1, instructions));
+            let off = norm(best.iter().zip(&other).map(|(a, b)| a - b));
+            assert!(
+                off <= 1e-12 * size,
+                "{}: off by {off:e} of {size:e}",
+                instructions.name()
+            );
+        }
+    }
+}
