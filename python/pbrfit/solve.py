@@ -289,7 +289,8 @@ class _Run:
         if learns and not self._out_of_time():
             kept = ""
             x = self._learnt(x)
-            loss, x = self._minimize(x, 0.0, self.iterations - self.iteration)
+            if self.iteration < self.iterations:  # scipy takes a step even where none is left
+                loss, x = self._minimize(x, 0.0, self.iterations - self.iteration)
         if self._out_of_time():
             return x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached{kept}"
         if self.iteration >= self.iterations:
