@@ -116,7 +116,9 @@ class Uncertainty:
             return dict(zip(PARAMETERS, flags[valid].mean(axis=0).tolist(), strict=True))
 
         def medians(deviations: Materials) -> dict[str, float]:
-            return {name: float(np.median(getattr(deviations, name)[valid])) for name in PARAMETERS}
+            # In float32, as in files: a result that is read and written again stays the same.
+            of_maps = {name: getattr(deviations, name).astype(np.float32) for name in PARAMETERS}
+            return {name: float(np.median(values[valid])) for name, values in of_maps.items()}
 
         return {
             "noise": self.noise,

@@ -22,6 +22,16 @@ FILES = ["history.csv", "lighting.json", "materials.exr", "preview.png", "result
 LAYERS = {
     *("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y"),
     *("normal.X", "normal.Y", "normal.Z", "mask.Y"),
+    *(
+        f"uncertainty.{kind}.{channel}"
+        for kind in ("marginal", "conditional")
+        for channel in ("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y")
+    ),
+    *(
+        f"uncertainty.{kind}.{parameter}.Y"
+        for kind in ("undetermined", "on_bound")
+        for parameter in ("albedo", "roughness", "metallic")
+    ),
 }
 KEYS = [
     *("version", "status", "stop_reason", "fov", "iterations", "evaluations", "seconds"),
@@ -100,7 +110,9 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "equal_exposures": None,
     }
     assert content["assumed"] == {"fov": "60 degrees, asked for"}
-    assert content["left_out"] == [f"{SIZE + 12} pixels outside the mask"]
+    masked, monochrome = content["left_out"]
+    assert masked == f"{SIZE + 12} pixels outside the mask"
+    assert monochrome.startswith("prior monochrome: lights are 0.")
     assert content["inputs"] == {"images/a.exr": "0" * 64}
 
     light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))
