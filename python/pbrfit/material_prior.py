@@ -37,6 +37,7 @@ from pbrfit import gauss_newton
 from pbrfit.gauss_newton import OFFSET_PULL, Pull
 from pbrfit.objective import Objective
 from pbrfit.priors import tied_neighbours
+from pbrfit.robust import FEWEST_DEGREES
 from pbrfit.sampling import spread, spread_over
 
 Array = NDArray[np.float64]
@@ -88,9 +89,6 @@ NOISE_SHARED = 0.1
 NOT_MORE = 1.05
 """Of the squares, where all that is left is noise: lights from few pixels have more noise of their
 own than lights from all, which the fit that follows will take out."""
-
-FEWEST_DEGREES = 0.1
-"""Of the samples: the noise is not estimated from fewer degrees of freedom."""
 
 FLATTEST = 1e-6
 """Curvature between nodes at least; a likelihood may be flat."""

@@ -15,7 +15,8 @@ from pbrfit.layout import Layout
 from pbrfit.materials import Materials
 from pbrfit.model import whole_number
 from pbrfit.priors import Priors, penalties
-from pbrfit.robust import loss_scale, noise_sigma, pull, sample_pixels
+from pbrfit.robust import MOST_PIXELS, loss_scale, noise_sigma, pull
+from pbrfit.sampling import spread
 from pbrfit.scene import Scene, equal_channels
 
 MEAN_RADIANCE = 0.4
@@ -272,7 +273,7 @@ class Objective:
         """
         if name == "none":
             return None
-        pixels = sample_pixels(self.pixels)
+        pixels = spread(self.pixels, MOST_PIXELS)
         sigma = noise_sigma(
             self.problem.residuals(self.for_core(x), pixels),
             None if self.weights is None else self.weights[:, pixels],

@@ -46,8 +46,6 @@ LARGEST_RATIO = np.float32(1e19)
 FEWEST_DEGREES = 0.1
 """Of the samples: the noise is not estimated from fewer degrees of freedom."""
 
-_GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
-
 
 def check_loss(name: str) -> None:
     """Raise InputError where no loss has this name."""
@@ -143,16 +141,3 @@ def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(below, below[-1] / 2)]])
-
-
-def sample_pixels(pixels: int, at_most: int = MOST_PIXELS) -> NDArray[np.uint64]:
-    """Indices below `pixels`, spread evenly and in order: all of them, or `at_most`.
-
-    The range is cut into equal pieces, and one pixel is taken from each, at fractions that follow
-    the golden ratio: no row length makes that a pattern of columns. It is the same every time.
-    """
-    count = min(pixels, at_most)
-    borders = np.arange(count + 1) * pixels // count
-    fraction = np.arange(count) * _GOLDEN_RATIO % 1.0
-    chosen = borders[:-1] + (fraction * np.diff(borders)).astype(np.int64)
-    return np.asarray(chosen, dtype=np.uint64)

@@ -13,13 +13,8 @@ from numpy.typing import NDArray
 import reference
 from finite_differences import ridders
 from pbrfit import InputError, _core
-from pbrfit.robust import (
-    SCALES,
-    loss_scale,
-    noise_sigma,
-    sample_pixels,
-    weighted_median,
-)
+from pbrfit.robust import MOST_PIXELS, SCALES, loss_scale, noise_sigma, weighted_median
+from pbrfit.sampling import spread
 
 PIXELS, PICTURES = 40, 5
 LOSSES: dict[str, Callable[[float], reference.Loss]] = {
@@ -263,8 +258,8 @@ def test_loss_scale_refuses() -> None:
 
 
 @pytest.mark.parametrize("pixels", [1, 7, 19_999, 20_000, 20_001, 23_456, 1 << 20])
-def test_sample_pixels_are_distinct_and_spread(pixels: int) -> None:
-    chosen = sample_pixels(pixels)
+def test_spread_pixels_are_distinct_and_spread(pixels: int) -> None:
+    chosen = spread(pixels, MOST_PIXELS)
     assert chosen.dtype == np.uint64
     assert len(chosen) == min(pixels, 20_000)
     assert (np.diff(chosen.astype(np.int64)) > 0).all()
@@ -274,7 +269,7 @@ def test_sample_pixels_are_distinct_and_spread(pixels: int) -> None:
     assert gaps.max() <= 2 * -(-pixels // len(chosen))
 
 
-def test_sample_pixels_favour_no_column() -> None:
-    columns = np.bincount(sample_pixels(1 << 20).astype(np.int64) % 1024, minlength=1024)
+def test_spread_pixels_favour_no_column() -> None:
+    columns = np.bincount(spread(1 << 20, MOST_PIXELS).astype(np.int64) % 1024, minlength=1024)
     assert columns.min() >= 10  # 19.5 on average
     assert columns.max() <= 30
