@@ -1,4 +1,5 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
+# make bench-needs: what leaving out parts of a fit saves
 # make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
@@ -15,7 +16,7 @@ DEMO ?= out/demo
 THREADS ?= 2
 PEERS_OPTIONS ?=
 
-.PHONY: demo test lint bench bench-peers cycles-env wheel clean
+.PHONY: demo test lint bench bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -35,6 +36,9 @@ lint: $(VENV)/tools
 
 bench:
 	cargo bench
+
+bench-needs: $(VENV)/installed
+	$(BIN)/python benches/needs.py --out docs/benchmarks/needs.md
 
 bench-peers: $(PEERS)/installed
 	mkdir -p out

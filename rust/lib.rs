@@ -19,6 +19,7 @@
 //! | [`robust`] | losses that outliers pull less at |
 //! | [`problem`] | all pixels: loss and gradient |
 //! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
+//! | [`penalties`] | penalties on a map: neighbours alike, groups of pixels alike |
 //! | [`normal_matrix`] | pixels: Gauss–Newton normal matrices, and how they are tied to the lights |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`image_file`] | picture files |
@@ -32,6 +33,7 @@ pub mod ggx;
 pub mod image_file;
 pub mod material_grid;
 pub mod normal_matrix;
+pub mod penalties;
 mod pool;
 pub mod problem;
 #[cfg(feature = "python")]

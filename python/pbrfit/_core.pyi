@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Groups",
     "InputError",
+    "Neighbours",
     "Problem",
     "Raster",
     "decode_exr",
@@ -110,6 +112,18 @@ class Problem:
         `maps` is x without its lighting. One Gram matrix for all pictures, or one for each where
         samples have weights.
         """
+    def material_grid(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        roughness: NDArray[np.float64],
+        metallic: NDArray[np.float64],
+    ) -> NDArray[np.float32]:
+        """Least Σω(I−T)² over albedo (P', roughness, metallic) with the lights of x."""
+    def best_albedo(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Albedo (P', C) that fits best to the rest of x, and Σω(I−T)² (P',) with it."""
     def normal_equations(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -136,6 +150,28 @@ class Problem:
 
         covariances (P', D, D), the inverse of JᵀΩJ; modes (M, N, K, C) of the lights.
         """
+
+@final
+class Neighbours:
+    """Pairs (first, second) of pixels, int64, for the penalty w Σ (v_second − v_first)²."""
+
+    def __new__(
+        cls, pixels: int, first: NDArray[np.int64], second: NDArray[np.int64]
+    ) -> Neighbours: ...
+    def add_penalty(
+        self, values: NDArray[np.float64], weight: float, gradient: NDArray[np.float64]
+    ) -> float:
+        """Return the penalty of values (P,); its gradient is added to `gradient` (P,)."""
+
+@final
+class Groups:
+    """Labels (P,) int64 of pixels, 0 = in no group, for the penalty w Σ (v − mean of group)²."""
+
+    def __new__(cls, labels: NDArray[np.int64]) -> Groups: ...
+    def add_penalty(
+        self, values: NDArray[np.float64], weight: float, gradient: NDArray[np.float64]
+    ) -> float:
+        """As that of `Neighbours`."""
 
 @final
 class Raster:

@@ -35,10 +35,14 @@ from pbrfit.arguments import (
 from pbrfit.color import ColorSpace
 from pbrfit.evaluation.commands import add_suites
 from pbrfit.images import CODE_RANGE
+from pbrfit.robust import LOSSES
 
 if TYPE_CHECKING:
     from pbrfit.result import Result
     from pbrfit.scene import Scene
+
+EXPOSURES = {"auto": None, "as-is": False, "equal": True}
+"""`equal_exposures` by what it is called here."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -121,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_input_options(added)
     _add_solver_options(added)
     _add_model_options(added, "of the lights; 2 leaves out band 3")
+    add_priors(added)
     add_quiet(added)
 
     added = command("inspect", _inspect, "show what a scene folder holds and what is assumed")
@@ -156,7 +161,6 @@ def _parser() -> argparse.ArgumentParser:
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     _add_input_options(added)
     _add_model_options(added, "of the lights; 2 leaves out band 3")
-    _add_mono_light(added)
     add_priors(added)
     added.add_argument(
         "--seed", type=whole_number, default=0, help="of the random point and directions"
@@ -174,6 +178,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_synth_options(added)
     _add_solver_options(added)
     _add_model_options(added, "of the lights, true and fitted")
+    add_priors(added)
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
     add_quiet(added)
     return parser
@@ -228,9 +233,21 @@ def _add_model_options(parser: argparse.ArgumentParser, what_order: str) -> None
         default="free",
         help="0: no pixel is a metal, and metallic is not fitted",
     )
+    parser.add_argument(
+        "--robust",
+        choices=LOSSES,
+        default="none",
+        help="loss that shadows and other outliers pull less at than at squares",
+    )
+    parser.add_argument(
+        "--exposures",
+        choices=EXPOSURES,
+        default="auto",
+        help="equal: pictures are divided by their mean radiance, so that bright ones do not "
+        "outweigh dark ones; as-is: they are not; auto: where one has more than 4 times the mean "
+        "of another",
+    )
 
-
-def _add_mono_light(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mono-light",
         action="store_true",
@@ -362,6 +379,10 @@ def _fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
             threads=options.threads,
             sh_order=options.sh_order,
             metallic=_metallic(options),
+            mono_light=options.mono_light,
+            priors=given_priors(options),
+            robust=options.robust,
+            equal_exposures=EXPOSURES[options.exposures],
             progress=show,
         )
 
@@ -415,7 +436,7 @@ def _normals(options: argparse.Namespace) -> int:
 
 
 def _check_gradients(options: argparse.Namespace) -> int:
-    from pbrfit.gradient_check import TOLERANCE, check_gradients
+    from pbrfit.gradient_check import check_gradients
     from pbrfit.objective import Objective
 
     scene = _load(options.scene, options)
@@ -425,7 +446,9 @@ def _check_gradients(options: argparse.Namespace) -> int:
         metallic=_metallic(options),
         mono_light=options.mono_light,
         priors=given_priors(options),
+        equal_exposures=EXPOSURES[options.exposures],
     )
+    objective.robust = objective.robust_around(objective.start(), options.robust)
     checks = check_gradients(objective, seed=options.seed)
     print(f"{'function':<12}{'unknowns':<12}{'analytic':>16}{'numeric':>16}{'relative error':>16}")
     for check in checks:
@@ -435,7 +458,7 @@ def _check_gradients(options: argparse.Namespace) -> int:
             f"{check.relative_error:>16.1e}{verdict}"
         )
     failed = sum(not check.passed for check in checks)
-    print(f"{len(checks) - failed} of {len(checks)} within {TOLERANCE:g}")
+    print(f"{len(checks) - failed} of {len(checks)} within {checks[0].tolerance:g}")
     return SOME_FAILED if failed else DONE
 
 
@@ -480,6 +503,8 @@ def _print_result(result: Result, scene: Scene, output: Path) -> None:
                 f"{result.history[key][0]:>10.4f}" if key in result.history.columns else f"{'':>10}"
             )
             print(f"{name:<22}{at_start}{result.metrics[key]:>10.4f}")
+    if result.left_out:
+        print(f"\nleft out: {'; '.join(result.left_out)}")
 
 
 @contextmanager

@@ -1,19 +1,20 @@
 """Joint Gauss-Newton steps for lights and the materials of some pixels, pulled to given values.
 
-L-BFGS hardly moves along the valleys that the problem has: when a channel's albedo is scaled and its
-lights undo it, little but the highlights of dielectrics changes, and many pixels have to change
-roughness a little as well. Gauss-Newton sees these valleys. What it minimises over albedo,
-roughness and metallic of a set of pixels, the lights, and an offset δ for each cluster of pixels, is
+L-BFGS hardly moves along the valleys that the problem has: when a channel's albedo is scaled and
+its lights undo it, little but the highlights of dielectrics changes, and many pixels have to
+change roughness a little as well. Gauss-Newton sees these valleys. What it minimises, over albedo,
+roughness and metallic of some pixels, the lights, and an offset δ for each cluster of pixels, is
 
     Σ ω (I − T)² + Σ_pf a_pf (v_pf − c_pf − δ_g(p)f)² + s Σ_gf (Σ_{p in g} a_pf) δ_gf²
 
 with v = roughness and metallic (f), pulled with precision a towards c. The offsets let a cluster
 move as a whole; without them each step of many pixels would have to be won against their pulls.
 
-Pixels are solved for first, which leaves a dense system in lights and offsets (Schur complement, as
-in `normal_equations`). After each step albedo is put to its best value for the new lights, roughness
-and metallic, which needs no iteration (`Problem.best_albedo`): given these, each channel of a pixel
-is a polynomial in its albedo. Without this, steps overshoot, since albedo times light is not linear.
+Pixels are solved for first, which leaves a dense system in lights and offsets (Schur complement,
+as in `normal_equations`). After each step albedo is put to its best value for the new lights,
+roughness and metallic, which needs no iteration (`Objective.with_best_albedo`): given these, each
+channel of a pixel is a polynomial in its albedo. Without this, steps overshoot, since albedo times
+light is not linear.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ LIGHT_DAMPING = 1e-3
 SMALLEST_DAMPING = 1e-6
 
 FAILURES = 4
-"""Steps that may fail, each followed by ten times the damping."""
+"""Steps in a row that may fail, each followed by ten times the damping."""
 
 ENOUGH = 1e-5
 """A step that lowers the sum by less than this share of it is the last."""
@@ -52,7 +53,7 @@ RIDGE = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Where pixels are pulled, with F = 2 for roughness and metallic, or 1 where the latter is known.
+    """Where pixels are pulled; F = 2 for roughness and metallic, or 1 where the latter is known.
 
     Attributes
     ----------
@@ -122,7 +123,7 @@ def minimize(
             damping, failed = 10 * damping, failed + 1
             continue
         gain = state.total - moved.total
-        state, done = moved, done + 1
+        state, done, failed = moved, done + 1, 0
         damping = max(damping / 5, SMALLEST_DAMPING)
         if gain < ENOUGH * state.total:
             break
@@ -132,11 +133,8 @@ def minimize(
 def _with_best_albedo(
     objective: Objective, x: Array, pixels: NDArray[np.uint64], pull: Pull, offsets: Array
 ) -> _State:
-    layout = objective.layout
-    albedo, squares = objective.problem.best_albedo(objective.for_core(x), pixels)
-    x = x.copy()
-    x[layout.albedo].reshape(layout.channels, -1)[:, pixels] = albedo.T
-    values = np.stack([x[block][pixels] for block in layout.finish], axis=-1)
+    x, squares = objective.with_best_albedo(x, pixels)
+    values = np.stack([x[block][pixels] for block in objective.layout.finish], axis=-1)
     off = values - pull.centre - offsets[pull.cluster]
     pulled = float((pull.precision * off**2).sum())
     held = OFFSET_PULL * float((pull.offset_precision() * offsets**2).sum())
@@ -159,7 +157,7 @@ def _step(
     residuals = objective.problem.residuals(for_core, pixels).transpose(1, 0, 2)
 
     # Pixels: those on a bound that would leave it are held.
-    matrices, by_materials, _ = objective.problem.normal_equations(for_core, pixels)
+    _, by_materials, _ = objective.problem.normal_equations(for_core, pixels)
     by_materials[:, finish] += pull.precision * off
     held = ((values <= 0) & (by_materials > 0)) | ((values >= 1) & (by_materials < 0))
     part = eliminate(
@@ -230,10 +228,9 @@ class _System:
             of_chunk = by_offsets[chunk]
             columns = np.zeros((len(of_chunk), f, pull.clusters, f))
             columns[np.arange(len(of_chunk)), :, pull.cluster[chunk]] = of_chunk
-            columns = columns.reshape(-1, count)
-            rows = part.light_rows(chunk, layout)
-            crossed = rows.T @ columns
+            by_offset = columns.reshape(-1, count)
+            crossed = part.light_rows(chunk, layout).T @ by_offset
             matrix[:size, size:] -= crossed
             matrix[size:, :size] -= crossed.T
-            matrix[size:, size:] -= columns.T @ columns
+            matrix[size:, size:] -= by_offset.T @ by_offset
         return cls(matrix, by_offsets)

@@ -6,6 +6,8 @@ import numpy as np
 
 from pbrfit import geometry
 from pbrfit.layout import Layout
+from pbrfit.needs import Needs
+from pbrfit.priors import Priors
 from pbrfit.scene import Scene
 
 BYTES_PER_UNKNOWN = 480
@@ -62,7 +64,10 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]
     found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]
+    needs = Needs.of(scene, layout, priors=Priors())
     found += [
+        ("fit by default", "; ".join(needs.used)),
+        ("left out", "; ".join(needs.left_out) or "nothing"),
         ("unknowns", f"{layout.size}"),
         ("memory needed", f"about {fit_memory(scene, layout) / 2**20:.0f} MiB for solver lbfgsb"),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from pbrfit.scene import Scene
 from pbrfit.segments import consecutive_labels
+
+ORDER_2 = 9
+"""Coefficients of a light of order 2; those from here on are band 3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,8 @@ class Layout:
         C, or 1 where the lights are the same in all channels.
     metallic_known, lighting_known
         Whether these are no unknowns.
+    weighted
+        Whether samples of valid pixels have different weights.
     """
 
     valid: NDArray[np.bool_]
@@ -45,6 +51,7 @@ class Layout:
     light_channels: int
     metallic_known: bool
     lighting_known: bool
+    weighted: bool = False
 
     @classmethod
     def of(
@@ -55,8 +62,14 @@ class Layout:
         metallic_known: bool = False,
         mono_light: bool = False,
     ) -> Layout:
-        """Of the fit of `scene` with these options; see `Objective`."""
+        """Of the fit of `scene` with these options; see `Objective`.
+
+        Grey pictures have one channel, and known lights without band 3 are of order 2: neither
+        changes the fit.
+        """
         channels = 1 if scene.grey else 3
+        if scene.lighting is not None and not scene.lighting[:, ORDER_2:].any():
+            sh_order = 2
         segments, count = None, 0
         if scene.segments is not None:
             segments, count = consecutive_labels(scene.segments[scene.valid])
@@ -70,12 +83,18 @@ class Layout:
             light_channels=1 if mono_light else channels,
             metallic_known=metallic_known,
             lighting_known=scene.lighting is not None,
+            weighted=_different(scene.weights, scene.valid),
         )
 
     @cached_property
     def pixels(self) -> int:
         """P, the number of valid pixels."""
         return int(np.count_nonzero(self.valid))
+
+    @property
+    def sh_order(self) -> int:
+        """Highest band of the lights."""
+        return math.isqrt(self.coefficients) - 1
 
     @property
     def albedo(self) -> slice:
@@ -95,7 +114,7 @@ class Layout:
 
     @property
     def finish(self) -> tuple[slice, ...]:
-        """The planes that tell one finish from another: roughness, and metallic where it is free."""
+        """The planes that tell one finish from another: roughness, and metallic if it is free."""
         return (self.roughness,) if self.metallic is None else (self.roughness, self.metallic)
 
     @property
@@ -113,3 +132,10 @@ class Layout:
     def size(self) -> int:
         """Length of x."""
         return int((self.lighting or self.maps).stop)
+
+
+def _different(weights: NDArray[np.float32] | None, valid: NDArray[np.bool_]) -> bool:
+    if weights is None:
+        return False
+    first = weights[0][valid][0]
+    return any((of_picture[valid] != first).any() for of_picture in weights)

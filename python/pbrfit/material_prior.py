@@ -5,7 +5,7 @@ together know it to 0.01. A penalty on differences helps only where segments are
 material. Here each pixel keeps its whole likelihood over a grid of roughness and metallic, and each
 segment (the whole picture if there are none) has a discrete distribution on that grid, learnt from
 its pixels: one node if it is one material, two if two were merged, many if roughness varies. Pixels
-are then pulled to their posterior mean, the harder the surer the posterior is. This is nonparametric
+are then pulled to their posterior mean, the harder the surer it is. This is nonparametric
 empirical Bayes (H. Robbins, "An empirical Bayes approach to statistics", 1956; EM for the discrete
 mixture as in N. Laird, J. Am. Stat. Assoc. 73, 1978).
 
@@ -16,9 +16,9 @@ With noise s², lights known and nodes k,
     pull of pixel i: s² a_i (v_i − c_i − δ)²              a_i = 1 / (floor² + V_i)
 
 with c and V mean and variance of the posterior. η = σ²/(σ² + spacing²) widens likelihoods that are
-too sharp for the grid. The offset δ is common to the pixels of a segment that fell to the same group
-of neighbouring nodes, and free: so the pull gathers pixels without holding on to where they were
-gathered while lights were still wrong.
+too sharp for the grid. The offset δ is common to the pixels of a segment that fell to the same
+group of neighbouring nodes, and free: so the pull gathers pixels without holding on to where they
+were gathered while lights were still wrong.
 
 Lights and prior depend on each other. They are found together on a few pixels, in rounds of EM and
 joint Gauss-Newton steps (`gauss_newton`), and then applied to all.
@@ -26,6 +26,7 @@ joint Gauss-Newton steps (`gauss_newton`), and then applied to all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -35,7 +36,8 @@ from numpy.typing import NDArray
 from pbrfit import gauss_newton
 from pbrfit.gauss_newton import OFFSET_PULL, Pull
 from pbrfit.objective import Objective
-from pbrfit.sampling import spread_over
+from pbrfit.priors import tied_neighbours
+from pbrfit.sampling import spread, spread_over
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
@@ -70,6 +72,22 @@ PICTURE_PIXELS = 10.0
 
 SAME_GROUP = 0.02
 """Of the largest probability: neighbouring nodes above this are one group."""
+
+JUDGING_PAIRS = 1024
+"""Neighbouring pixels by which lights are judged. On twelve synthetic rooms the two bounds that
+follow separate noise and slow convergence (0.004 to 0.92 of the squares; with 0.37 and more the
+correlation is at most 0.005) from wrong normals, field of view and SH order (0.8 to 1.02 of the
+squares, correlation 0.33 and more)."""
+
+MUCH_LESS = 0.5
+"""Of the squares: better lights, whatever is left."""
+
+NOISE_SHARED = 0.1
+"""Correlation of neighbours' residuals up to which they are noise."""
+
+NOT_MORE = 1.05
+"""Of the squares, where all that is left is noise: lights from few pixels have more noise of their
+own than lights from all, which the fit that follows will take out."""
 
 FEWEST_DEGREES = 0.1
 """Of the samples: the noise is not estimated from fewer degrees of freedom."""
@@ -141,15 +159,10 @@ def learn(
     labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
     few = spread_over(labels, LEARNING_PIXELS)
     with threadpool_limits(1, user_api="blas"):
-        for floor in FLOORS if layout.lighting is not None else ():
-            grid = _Grid(objective, x, few)
-            likelihood = grid.likelihood(few)
-            posterior = _Learnt.of(likelihood, labels[few], grid).posterior(likelihood, labels[few])
-            pull = _pull(posterior, floor, strength * grid.variance, len(layout.finish))
-            x = _put(objective, x, few, pull.centre)
-            x, _ = gauss_newton.minimize(objective, x, few, pull, STEPS)
-            if out_of_time():
-                break
+        if layout.lighting is not None:
+            moved = _with_lights(objective, x, few, labels[few], strength, out_of_time)
+            if _explains_more(objective, x, moved):
+                x = moved
 
         grid = _Grid(objective, x, few)
         many = spread_over(labels, LEARNING_PIXELS_GIVEN_LIGHTS)
@@ -162,9 +175,57 @@ def learn(
         posterior = _Posterior.joined(parts)
         pull = _pull(posterior, FLOORS[-1], strength * grid.variance, len(layout.finish))
         x = _put(objective, x, everything, pull.centre)
-        albedo, _ = objective.problem.best_albedo(objective.for_core(x), everything)
-        x[layout.albedo] = albedo.T.ravel()
+        x, _ = objective.with_best_albedo(x, everything)
     return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight)
+
+
+def _with_lights(
+    objective: Objective,
+    x: Array,
+    pixels: NDArray[np.uint64],
+    labels: Labels,
+    strength: float,
+    out_of_time: Callable[[], bool],
+) -> Array:
+    """X with the lights, and materials of some pixels, that were found with their prior."""
+    for floor in FLOORS:
+        grid = _Grid(objective, x, pixels)
+        likelihood = grid.likelihood(pixels)
+        posterior = _Learnt.of(likelihood, labels, grid).posterior(likelihood, labels)
+        pull = _pull(posterior, floor, strength * grid.variance, len(objective.layout.finish))
+        x = _put(objective, x, pixels, pull.centre)
+        x, _ = gauss_newton.minimize(objective, x, pixels, pull, STEPS)
+        if out_of_time():
+            break
+    return x
+
+
+def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
+    """Whether the lights of `after` are to be preferred, judged by pixels and their neighbours.
+
+    Where the model is right, better lights leave only noise, which neighbours do not share, or
+    much less than before. Where it is wrong (normals, shadows, field of view) residuals stay, and
+    neighbours share them; lights that lower such residuals by a little bend the materials to the
+    error, and are worse ones.
+    """
+    pairs = tied_neighbours(objective.layout)
+    if not pairs.size:
+        return False
+    pairs = pairs[:, spread(pairs.shape[1], JUDGING_PAIRS)].astype(np.uint64)
+    pixels = np.unique(pairs).astype(np.uint64)
+    first, second = np.searchsorted(pixels, pairs)
+    squares = []
+    for x in (before, after):
+        best = _put(objective, x, pixels, _Grid(objective, x, pixels).best(pixels))
+        best, of_pixels = objective.with_best_albedo(best, pixels)
+        squares.append(float(of_pixels.sum()))
+        residuals = objective.problem.residuals(objective.for_core(best), pixels)
+    if squares[1] <= MUCH_LESS * squares[0]:
+        return True
+    one, other = residuals[:, first], residuals[:, second]
+    shared = float((one * other).sum(dtype=np.float64))
+    alone = math.sqrt((one**2).sum(dtype=np.float64) * (other**2).sum(dtype=np.float64))
+    return squares[1] <= NOT_MORE * squares[0] and shared <= NOISE_SHARED * alone
 
 
 def _pieces(count: int) -> list[slice]:
@@ -193,13 +254,14 @@ class _Grid:
 
     def __init__(self, objective: Objective, x: Array, pixels: NDArray[np.uint64]) -> None:
         layout = objective.layout
+        self._planes = len(layout.finish)
         self._problem = objective.problem
         self._x = objective.for_core(x)
         known = objective.known_metallic
         self._metallic = METALLIC_NODES if known is None else np.array([known])
         roughness, metallic = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
         self.roughness, self.metallic = roughness.ravel(), metallic.ravel()
-        _, squares = self._problem.best_albedo(self._x, pixels)
+        _, squares = objective.with_best_albedo(x, pixels)
         samples = objective.samples * len(pixels) / layout.pixels
         lights = 0 if layout.lighting is None else layout.lighting.stop - layout.lighting.start
         unknowns = len(pixels) * layout.maps.stop / layout.pixels + lights
@@ -211,25 +273,37 @@ class _Grid:
         parts = [self._of_piece(pixels[chunk]) for chunk in _pieces(len(pixels))]
         return np.concatenate(parts)
 
-    def _of_piece(self, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
+    def best(self, pixels: NDArray[np.uint64]) -> Array:
+        """Roughness and metallic, if it is free, of each pixel's best node: (Q, F)."""
+        nodes = np.stack([self.roughness, self.metallic], axis=-1)[:, : self._planes]
+        chunks = [pixels[chunk] for chunk in _pieces(len(pixels))]
+        return np.concatenate([nodes[self._squares(c).argmin(axis=1)] for c in chunks])
+
+    def _squares(self, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
+        """Least Σ ω (I − T)² of each node, (Q, nodes)."""
         squares = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
-        squares -= squares.min(axis=(1, 2), keepdims=True)
-        squares /= np.float32(2 * self.variance)
+        return squares.reshape(len(pixels), -1)
+
+    def _of_piece(self, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
+        excess = self._squares(pixels)
+        excess -= excess.min(axis=1, keepdims=True)
+        excess /= np.float32(2 * self.variance)
         # σ of roughness, from the curvature of its profile at the best node.
-        profile = squares.min(axis=2)
+        profile = excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1).min(axis=2)
         best = np.clip(profile.argmin(axis=1), 1, len(ROUGHNESS_NODES) - 2)[:, None]
         below, at, above = (np.take_along_axis(profile, best + i, axis=1) for i in (-1, 0, 1))
         curvature = np.maximum(below - 2 * at + above, FLATTEST) / NODE_DISTANCE**2
         share = 1 / (1 + SPACING**2 * curvature)  # η
-        return np.exp(-share * squares.reshape(len(pixels), -1))
+        likelihood: NDArray[np.float32] = np.exp(-share * excess)
+        return likelihood
 
 
 @dataclass(frozen=True, eq=False)
 class _Posterior:
     """Mean and variance of roughness and metallic, (Q, 2), and the cluster, (Q,)."""
 
-    mean: Array
-    variance: Array
+    mean: NDArray[np.float32]
+    variance: NDArray[np.float32]
     cluster: Labels
 
     @classmethod
@@ -309,7 +383,7 @@ def _mixture(
     probabilities = np.full(nodes, 1 / nodes, np.float32) if whole is None else whole
     for _ in range(EM_STEPS):
         of_pixels = likelihood @ probabilities
-        probabilities = probabilities * ((1 / of_pixels) @ likelihood)
+        probabilities = probabilities * (np.reciprocal(of_pixels) @ likelihood)
         if whole is not None:
             probabilities += np.float32(PICTURE_PIXELS) * whole
         probabilities /= probabilities.sum()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.exposure import relative_exposures
 from pbrfit.layout import Layout
 from pbrfit.materials import Materials
 from pbrfit.model import whole_number
 from pbrfit.priors import Priors, penalties
+from pbrfit.robust import loss_scale, noise_sigma, pull, sample_pixels
 from pbrfit.scene import Scene, equal_channels
 
 MEAN_RADIANCE = 0.4
@@ -35,6 +38,9 @@ of residuals."""
 LIGHT_RIDGE = 1e-6
 """Of the mean eigenvalue: keeps the lights finite where the normals show only part of a sphere."""
 
+LEAST_SIGMA = 1e-4 * MEAN_RADIANCE
+"""Of the noise that a robust loss allows for: pictures may be explained perfectly."""
+
 SH_ORDERS = (2, 3)
 """Highest bands that the lights may have."""
 
@@ -47,8 +53,9 @@ class Objective:
     a scene does not need is not computed: grey pictures have C = 1, lights of order 2 have K = 9
     coefficients instead of 16, lights that are the same in all channels are there once, (N, K).
     Samples count as much as `scene.weights` says. Inside, pictures are divided by one scene scale
-    that makes their mean valid radiance 0.4; `pack` and `unpack` convert between x and maps and
-    lights of three channels in the scene's own units.
+    that makes their mean valid radiance 0.4, and where exposures are far apart each by its own
+    (`pbrfit.exposure`); `pack` and `unpack` convert between x and maps and lights of three channels
+    in the scene's own units.
 
     Parameters
     ----------
@@ -65,6 +72,8 @@ class Objective:
     priors
         Weights of the penalties; None = no penalties. The prior learnt while a fit runs
         (`Priors.material`) is left to the solver, and `Priors.monochrome` is 0 if not given.
+    equal_exposures
+        Whether pictures are divided by their exposures; None = where these are far apart.
 
     Attributes
     ----------
@@ -77,8 +86,13 @@ class Objective:
     total_weight
         Sum of their weights, of which the largest is 1. The data term is the weighted sum of
         squares divided by this.
+    weights
+        (N, P) float32 weights of the samples, at most 1; None where all are the same.
     known_metallic
         `metallic`.
+    robust
+        Loss that takes the place of the squares, "huber" or "cauchy", and its scale in units of the
+        divided pictures; None = squares. A solver may change it between evaluations.
     penalties
         List of the terms beside the data. A solver may change it between evaluations.
     size
@@ -98,6 +112,8 @@ class Objective:
         (size, 2): [0, 1] for materials, infinite for lights.
     scale
         The scene scale, in picture units.
+    exposures
+        (N,): what pictures are divided by beside the scene scale; None = nothing.
 
     Raises
     ------
@@ -115,13 +131,13 @@ class Objective:
         metallic: float | None = None,
         mono_light: bool = False,
         priors: Priors | None = None,
+        equal_exposures: bool | None = None,
     ) -> None:
         threads = whole_number("threads", threads)
         sh_order = whole_number("sh_order", sh_order)
         if sh_order not in SH_ORDERS:
             raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
         self.known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
-        self._known_lighting = scene.lighting
         layout = Layout.of(
             scene,
             sh_order=sh_order,
@@ -131,7 +147,7 @@ class Objective:
         self.layout = layout
         self.pixels, self.channels = layout.pixels, layout.channels
         self.coefficients = layout.coefficients
-        weights = _weights(scene)
+        self.weights = weights = _weights(scene) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
         )
@@ -140,23 +156,16 @@ class Objective:
             if weights is None
             else self.channels * float(weights.sum(dtype=np.float64))
         )
-        self.scale = _scene_scale(scene, weights)
+        self.exposures = relative_exposures(scene, equal_exposures)
+        exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
+        self.scale = _scene_scale(scene, weights, exposures)
+        self._units = self.scale * exposures  # picture units of radiance 1, by picture
+        self.robust: tuple[str, float] | None = None
 
-        images = np.empty((layout.pictures, self.pixels, self.channels), dtype=np.float32)
-        for i, scaled in enumerate(images):
-            samples = scene.samples(i)[:, : self.channels]
-            scaled[:] = samples.astype(np.float64) / self.scale
+        self._scene, self._threads = scene, threads
+        images = self._images()
         self._mean_image = _mean_image(images, weights)
-        self.problem = _core.Problem(
-            images,
-            scene.normals[layout.valid].astype(np.float64),
-            scene.views[layout.valid],
-            threads,
-            weights=weights,
-            sh_order=sh_order,
-            metallic=self.known_metallic,
-            lighting=None if scene.lighting is None else self._reduced(scene.lighting),
-        )
+        self.problem = self._problem(images, weights)
 
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.lighting = layout.metallic, layout.lighting
@@ -200,6 +209,20 @@ class Objective:
             lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
         return np.concatenate([maps, lights.ravel()])
 
+    def with_best_albedo(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """X with the albedo of some pixels put to what fits best to the rest of x.
+
+        Returned with the weighted sum of squared residuals that each of these pixels, given by
+        indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
+        degree 4 in the albedo of each channel. Penalties take no part.
+        """
+        albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
+        x = x.copy()
+        x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
+        return x, squares
+
     def value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         """Loss at x and its gradient: (float, (size,) float64). x is not changed.
 
@@ -214,12 +237,13 @@ class Objective:
 
     def data_value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         """As `value_and_grad`, without the penalties."""
-        loss, gradient = self.problem.value_and_grad(self.for_core(x))
+        loss, gradient = self.problem.value_and_grad(self.for_core(x), self.robust)
         if self.layout.light_channels < self.channels:
             # By the chain rule, derivatives by the light in each channel add up.
-            maps = self.layout.maps
-            by_light = gradient[maps.stop :].reshape(-1, self.channels).sum(axis=-1)
-            gradient = np.concatenate([gradient[maps], by_light])
+            end = self.layout.maps.stop
+            by_light = gradient[end:].reshape(-1, self.channels).sum(axis=-1)
+            gradient = gradient[: self.size]
+            gradient[end:] = by_light
         return loss, gradient
 
     def add_penalties(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
@@ -236,8 +260,49 @@ class Objective:
         end = self.layout.maps.stop
         return np.concatenate([x[:end], np.repeat(x[end:], self.channels)])
 
+    def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
+        """What `robust` may be at x: a loss of this name with the scale that the residuals tell.
+
+        Parameters
+        ----------
+        x
+            A fit.
+        name
+            "huber" or "cauchy"; "none" gives None.
+        """
+        if name == "none":
+            return None
+        pixels = sample_pixels(self.pixels)
+        sigma = noise_sigma(
+            self.problem.residuals(self.for_core(x), pixels),
+            None if self.weights is None else self.weights[:, pixels],
+            unknowns=self.size * len(pixels) / self.pixels,
+        )
+        return name, loss_scale(name, max(sigma, LEAST_SIGMA))
+
+    def reweighted(self, x: NDArray[np.float64]) -> Objective:
+        """Squares instead of the robust loss, with the weights that they have in it at x.
+
+        The objective of one step of iteratively reweighted least squares: its data term has the
+        gradient of the robust loss at x. Without a robust loss it is this one.
+        """
+        if self.robust is None:
+            return self
+        pixels = np.arange(self.pixels, dtype=np.uint64)
+        factors = pull(self.robust, self.problem.residuals(self.for_core(x), pixels))
+        if self.weights is not None:
+            factors *= self.weights[..., None]
+        found = copy.copy(self)
+        found.robust = None
+        found.problem = self._problem(self._images(), factors)
+        return found
+
     def residual_rmse(self, loss: float) -> float:
-        """Root mean square residual in picture units of a loss without penalties."""
+        """Root of a loss without penalties, in picture units.
+
+        Of squares that is the root mean square residual, where each picture's are divided by its
+        exposure if `exposures` are; a robust loss makes less of large residuals.
+        """
         return float(np.sqrt(loss) * self.scale)
 
     def pack(
@@ -275,7 +340,7 @@ class Objective:
         if lighting.shape != expected:
             raise InputError(f"lighting: expected shape {expected}, found {lighting.shape}")
         lighting = _channels(lighting[:, : self.coefficients], self.layout.light_channels)
-        return np.concatenate([x, (lighting / self.scale).ravel()])
+        return np.concatenate([x, (lighting / self._by_picture).ravel()])
 
     def unpack(self, x: NDArray[np.float64]) -> tuple[Materials, NDArray[np.float64]]:
         """Maps (NaN outside the mask) and lights (N, 16, 3) in picture units.
@@ -293,13 +358,41 @@ class Objective:
             self._map(x[self.roughness]),
             self._map(np.broadcast_to(np.asarray(metallic), self.pixels)),
         )
-        if self._known_lighting is not None:
-            return materials, self._known_lighting.copy()
+        if self._scene.lighting is not None:
+            return materials, self._scene.lighting.copy()
         lighting = np.zeros((self.layout.pictures, 16, 3))
-        lighting[:, : self.coefficients] = self.scale * x[self.lighting].reshape(
+        lighting[:, : self.coefficients] = self._by_picture * x[self.lighting].reshape(
             -1, self.coefficients, self.layout.light_channels
         )
         return materials, lighting
+
+    def _images(self) -> NDArray[np.float32]:
+        """(N, P, C): the pictures in the unit of x."""
+        images = np.empty((self.layout.pictures, self.pixels, self.channels), dtype=np.float32)
+        for i, scaled in enumerate(images):
+            samples = self._scene.samples(i)[:, : self.channels]
+            scaled[:] = samples.astype(np.float64) / self._units[i]
+        return images
+
+    def _problem(
+        self, images: NDArray[np.float32], weights: NDArray[np.float32] | None
+    ) -> _core.Problem:
+        scene, valid = self._scene, self.layout.valid
+        return _core.Problem(
+            images,
+            scene.normals[valid].astype(np.float64),
+            scene.views[valid],
+            self._threads,
+            weights=weights,
+            sh_order=self.layout.sh_order,
+            metallic=self.known_metallic,
+            lighting=None if scene.lighting is None else self._reduced(scene.lighting),
+        )
+
+    @property
+    def _by_picture(self) -> NDArray[np.float64]:
+        """Units of the pictures, beside lights (N, K, C)."""
+        return self._units[:, None, None]
 
     def _map(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         whole = np.full(self.layout.valid.shape + values.shape[1:], np.nan)
@@ -308,11 +401,13 @@ class Objective:
 
     def _reduced(self, known: NDArray[np.float64]) -> NDArray[np.float64]:
         """Known lights as the core takes them: in units of x, with its bands and channels."""
-        largest = np.abs(known).max()
-        if largest > LARGEST_LIGHT * self.scale:
+        largest = np.abs(known).max(axis=(1, 2))
+        beyond = largest > LARGEST_LIGHT * self._units
+        if beyond.any():
+            first = int(beyond.argmax())
             raise InputError(
                 f"lighting: expected coefficients like the pictures' radiance (mean "
-                f"{self.scale * MEAN_RADIANCE:g}), found {largest:g}"
+                f"{self._units[first] * MEAN_RADIANCE:g}), found {largest[first]:g}"
             )
         left_out = np.abs(known[:, self.coefficients :]).max(initial=0.0)
         if left_out > 0:
@@ -324,7 +419,7 @@ class Objective:
             raise InputError(
                 "lighting: expected known lights with equal channels for mono_light, found colour"
             )
-        return known[:, : self.coefficients, : self.channels] / self.scale
+        return known[:, : self.coefficients, : self.channels] / self._by_picture
 
 
 def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]:
@@ -351,26 +446,24 @@ def _real_numbers(x: ArrayLike) -> NDArray[np.float64]:
         raise InputError(f"x: expected real numbers, found {error}") from None
 
 
-def _weights(scene: Scene) -> NDArray[np.float32] | None:
-    """(N, P) weights of the samples, at most 1; None where all are the same."""
-    if scene.weights is None:
-        return None
+def _weights(scene: Scene) -> NDArray[np.float32]:
+    """(N, P) weights of the samples, at most 1: only their ratios matter."""
+    assert scene.weights is not None
     weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
-    largest = weights.max()
-    if weights.min() == largest:
-        return None
-    weights /= largest  # only ratios matter; this way float32 neither overflows nor loses digits
+    weights /= weights.max()  # so that float32 neither overflows nor loses digits
     return weights
 
 
-def _scene_scale(scene: Scene, weights: NDArray[np.float32] | None) -> float:
+def _scene_scale(
+    scene: Scene, weights: NDArray[np.float32] | None, exposures: NDArray[np.float64]
+) -> float:
     total = count = 0.0
     for i in range(len(scene.images)):
         samples = scene.samples(i).mean(axis=-1, dtype=np.float64)
         if weights is not None:
             # No dot product: BLAS rounds differently on a machine with another processor count.
             samples *= weights[i]
-        total += float(samples.sum())
+        total += float(samples.sum()) / exposures[i]
         count += samples.size if weights is None else float(weights[i].sum(dtype=np.float64))
     mean = total / count
     if not 0 < mean < np.inf:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.layout import Layout
 
@@ -98,8 +99,8 @@ def penalties(layout: Layout, priors: Priors) -> list[Penalty]:
     found: list[Penalty] = []
     if priors.cohesion and layout.segment_count:
         found.append(Cohesion(layout, priors.cohesion))
-    if priors.smoothness and any(first.size for first, _ in tied_neighbours(layout)):
-        found.append(Smoothness(layout, priors.smoothness))
+    if priors.smoothness and (pairs := tied_neighbours(layout)).size:
+        found.append(Smoothness(layout, pairs, priors.smoothness))
     if priors.sparsity and layout.metallic is not None:
         found.append(Sparsity(layout, priors.sparsity))
     if priors.monochrome and layout.lighting is not None and layout.light_channels > 1:
@@ -127,22 +128,11 @@ class Cohesion:
         assert layout.segments is not None
         self._factor = weight / layout.pixels
         self._blocks = layout.finish
-        self._labels = layout.segments
-        self._unclassified = layout.segments == 0
-        # At least 1: there may be no unclassified pixel.
-        self._counts = np.maximum(np.bincount(layout.segments), 1)
+        self._groups = _core.Groups(layout.segments.astype(np.int64))
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         """See `Penalty`."""
-        total = 0.0
-        for block in self._blocks:
-            values = x[block]
-            means = np.bincount(self._labels, weights=values) / self._counts
-            deviations = values - means[self._labels]
-            deviations[self._unclassified] = 0.0
-            total += float(np.square(deviations).sum())
-            gradient[block] += 2 * self._factor * deviations
-        return self._factor * total
+        return _on_maps(self._groups, self._blocks, x, self._factor, gradient)
 
 
 class Smoothness:
@@ -167,23 +157,14 @@ class Smoothness:
 
     name = "smoothness"
 
-    def __init__(self, layout: Layout, weight: float) -> None:
+    def __init__(self, layout: Layout, pairs: NDArray[np.int64], weight: float) -> None:
         self._factor = weight * SMOOTHNESS_STEP**2
         self._blocks = layout.finish
-        self._edges = tied_neighbours(layout)
+        self._neighbours = _core.Neighbours(layout.pixels, *pairs)
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         """See `Penalty`."""
-        total = 0.0
-        for block in self._blocks:
-            values, of_values = x[block], gradient[block]
-            for first, second in self._edges:
-                changes = values[second] - values[first]
-                total += float(np.square(changes).sum())
-                changes *= 2 * self._factor
-                of_values[second] += changes
-                of_values[first] -= changes
-        return self._factor * total
+        return _on_maps(self._neighbours, self._blocks, x, self._factor, gradient)
 
 
 class Sparsity:
@@ -225,20 +206,30 @@ class Monochrome:
         return float(self._factor * np.square(deviations).sum())
 
 
-def tied_neighbours(layout: Layout) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Pairs of valid pixels by their index in a plane of x: below one another, side by side.
+def tied_neighbours(layout: Layout) -> NDArray[np.int64]:
+    """(2, E) pairs of valid pixels, below one another or side by side, by their index in a plane.
 
-    Both pixels are in the same segment, or one of them is unclassified. Within either set, no pixel
-    is first in two pairs, nor second.
+    Both pixels are in the same segment, or one of them is unclassified.
     """
-    index = np.full(layout.valid.shape, -1)
+    index = np.zeros(layout.valid.shape, dtype=np.int64)
     index[layout.valid] = np.arange(layout.pixels)
-    labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
+    labels = np.zeros(layout.valid.shape, dtype=np.int64)
+    if layout.segments is not None:
+        labels[layout.valid] = layout.segments
     found = []
-    for first, second in ((index[:-1], index[1:]), (index[:, :-1], index[:, 1:])):
-        both = (first >= 0) & (second >= 0)
-        first, second = first[both], second[both]
+    for first, second in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
         a, b = labels[first], labels[second]
-        tied = (a == b) | (a == 0) | (b == 0)
-        found.append((first[tied], second[tied]))
-    return found
+        tied = layout.valid[first] & layout.valid[second] & ((a == b) | (a == 0) | (b == 0))
+        found.append(np.stack([index[first][tied], index[second][tied]]))
+    return np.concatenate(found, axis=1)
+
+
+def _on_maps(
+    penalty: _core.Neighbours | _core.Groups,
+    blocks: tuple[slice, ...],
+    x: NDArray[np.float64],
+    weight: float,
+    gradient: NDArray[np.float64],
+) -> float:
+    """Sum of a penalty over maps, each a block of x; see `Penalty`."""
+    return sum(penalty.add_penalty(x[block], weight, gradient[block]) for block in blocks)

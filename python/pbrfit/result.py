@@ -45,6 +45,14 @@ class Options:
         As given.
     metallic
         The number that all pixels have; None = free.
+    mono_light
+        Whether lights are the same in all channels.
+    priors
+        Weights by name.
+    robust
+        Loss of the residuals, "none" for their squares.
+    equal_exposures
+        Whether pictures are divided by their exposures; None = where these are far apart.
     """
 
     solver: str
@@ -52,6 +60,10 @@ class Options:
     time_limit: float | None
     sh_order: int = 3
     metallic: float | None = None
+    mono_light: bool = False
+    priors: Mapping[str, float | None] = field(default_factory=dict)
+    robust: str = "none"
+    equal_exposures: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)

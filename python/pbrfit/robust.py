@@ -28,6 +28,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 
+LOSSES = ("none", "huber", "cauchy")
+"""By name; "none" is the square."""
+
 SCALES = {"huber": 1.345, "cauchy": 2.385}
 """δ/σ by loss, for an efficiency of 95 % on Gaussian noise."""
 
@@ -37,7 +40,21 @@ MEDIAN_TO_SIGMA = 1.482602218505602
 MOST_PIXELS = 20_000
 """Enough for σ to 1 %, and quick to find residuals of."""
 
+LARGEST_RATIO = np.float32(1e19)
+"""Of residuals to the scale: larger ones, whose squares float32 cannot hold, count as this."""
+
+FEWEST_DEGREES = 0.1
+"""Of the samples: the noise is not estimated from fewer degrees of freedom."""
+
 _GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+def check_loss(name: str) -> None:
+    """Raise InputError where no loss has this name."""
+    if name not in LOSSES:
+        raise InputError(
+            f"robust: expected {', '.join(LOSSES[:-1])} or {LOSSES[-1]}, found {name!r}"
+        )
 
 
 def loss_scale(loss: str, sigma: float) -> float:
@@ -62,6 +79,25 @@ def loss_scale(loss: str, sigma: float) -> float:
     return SCALES[loss] * sigma
 
 
+def pull(loss: tuple[str, float], residuals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """φ'(e)/2e: how much a residual pulls beside its square, 1 for small ones.
+
+    Squares with these weights have the slopes that the loss has.
+
+    Parameters
+    ----------
+    loss
+        "huber" or "cauchy", and its scale δ.
+    residuals
+        e, any shape.
+    """
+    name, scale = loss
+    sizes = np.minimum(np.abs(residuals), LARGEST_RATIO * np.float32(scale)) / np.float32(scale)
+    if name == "huber":
+        return np.asarray(1 / np.maximum(sizes, 1))
+    return np.asarray(1 / (1 + np.square(sizes)))
+
+
 def noise_sigma(
     residuals: ArrayLike, weights: ArrayLike | None = None, *, unknowns: float = 0.0
 ) -> float:
@@ -76,7 +112,7 @@ def noise_sigma(
         no samples.
     unknowns
         p: how many unknowns were fitted to these residuals. Of a few pixels' residuals it is their
-        own unknowns and their share of the lights'.
+        own unknowns and their share of the lights'. More than 90 % of the samples count as 90 %.
 
     Returns
     -------
@@ -86,7 +122,7 @@ def noise_sigma(
     Raises
     ------
     InputError
-        If weights do not go with the residuals, or samples are not more than unknowns.
+        If weights do not go with the residuals, or no sample has weight.
     """
     sizes = np.abs(np.asarray(residuals, dtype=np.float64))
     if sizes.ndim != 3:
@@ -95,13 +131,11 @@ def noise_sigma(
     if each.shape != sizes.shape[:2]:
         raise InputError(f"weights: expected shape {sizes.shape[:2]}, found {each.shape}")
     samples = sizes.shape[2] * int(np.count_nonzero(each))
-    if not samples > unknowns:
-        raise InputError(
-            f"residuals: expected more samples than the {unknowns:g} unknowns fitted to them, "
-            f"found {samples}"
-        )
+    if not samples:
+        raise InputError("residuals: expected samples of some weight, found none")
     median = weighted_median(sizes.ravel(), np.repeat(each.ravel(), sizes.shape[2]))
-    return float(MEDIAN_TO_SIGMA * median * np.sqrt(samples / (samples - unknowns)))
+    degrees = max(samples - unknowns, FEWEST_DEGREES * samples)
+    return float(MEDIAN_TO_SIGMA * median * np.sqrt(samples / degrees))
 
 
 def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:

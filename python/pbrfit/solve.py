@@ -8,25 +8,29 @@ import math
 import operator
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import metrics
+from pbrfit import exposure, metrics
 from pbrfit._core import InputError
 from pbrfit.history import History, HistoryRow
 from pbrfit.materials import Materials
 from pbrfit.model import render, whole_number
+from pbrfit.needs import Needs
 from pbrfit.objective import START_ROUGHNESS, Objective
-from pbrfit.priors import Priors
+from pbrfit.priors import Priors, penalties
 from pbrfit.result import Options, Result, Status
+from pbrfit.robust import check_loss
 from pbrfit.scene import Scene
+from pbrfit.uncertainty import estimate
 
 log = logging.getLogger("pbrfit")
 
 Solver = Literal["lbfgsb"]
+Loss = Literal["none", "huber", "cauchy"]
 
 CORRECTIONS = 10
 """Pairs of steps and gradients that L-BFGS-B remembers."""
@@ -41,10 +45,14 @@ STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 """(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
 that ended at the bound start again from the middle."""
 
+STAGES_GIVEN_START = ((0.0, 1.0),)
+ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
+"""A robust loss needs a fit by squares first, which tells its scale."""
+
 
 FIRST_SHARE = 0.5
-"""Of the iterations: the fit of the data that the material prior is learnt around. The rest is spent
-with the prior."""
+"""Of the iterations: the fit of the data that the material prior is learnt around. The rest is
+spent with the prior."""
 
 DEFAULT_PRIORS = Priors()
 
@@ -87,6 +95,9 @@ def decompose(
     metallic: float | None = None,
     mono_light: bool = False,
     priors: Priors | None = DEFAULT_PRIORS,
+    uncertainty: bool = True,
+    robust: Loss = "none",
+    equal_exposures: bool | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Result:
     """Recover materials and lights from the pictures of one view.
@@ -115,6 +126,15 @@ def decompose(
         Whether lights are the same in all channels.
     priors
         Weights of what is thought likely beforehand (docs/priors.md); None = none.
+    uncertainty
+        Whether to estimate standard deviations of the maps (docs/uncertainty.md).
+    robust
+        `"huber"` or `"cauchy"`: a loss that shadows and other outliers pull less at, its scale
+        estimated from the residuals after the first stage and again before each later one;
+        `"none"`: squares (docs/solver.md).
+    equal_exposures
+        Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
+        dark ones; None = where the brightest has more than 4 times that of the darkest.
     progress
         Called at the start and after each iteration.
 
@@ -130,6 +150,7 @@ def decompose(
     """
     if solver != "lbfgsb":
         raise InputError(f"solver: expected lbfgsb, found {solver!r}")
+    check_loss(robust)
     iterations = whole_number("iterations", iterations)
     if time_limit is not None:
         time_limit = float(time_limit)
@@ -148,12 +169,21 @@ def decompose(
         metallic=metallic,
         mono_light=mono_light,
         priors=priors,
+        equal_exposures=equal_exposures,
     )
     x = _start(objective, start)
-    run = _Run(scene, objective, priors, iterations, time_limit, progress, began)
+    run = _Run(scene, objective, priors, robust, iterations, time_limit, progress, began)
     x, status, stop_reason = run.lbfgsb(x, start_given=start is not None)
 
     materials, lighting = objective.unpack(x)
+    needs = Needs.of(
+        scene,
+        objective.layout,
+        priors=priors,
+        robust=robust,
+        uncertainty=uncertainty,
+        lighting=run.measured_lighting,
+    )
     seconds = time.perf_counter() - began - run.unmeasured
     result = Result(
         materials=materials,
@@ -167,17 +197,22 @@ def decompose(
         history=History(tuple(run.rows)),
         evaluations=run.evaluations,
         seconds=seconds,
-        metrics=_metrics(scene, materials, lighting, threads),
+        metrics=_metrics(scene, materials, lighting, threads, objective.exposures),
         options=Options(
             solver=solver,
             iterations=iterations,
             time_limit=time_limit,
             sh_order=int(sh_order),
             metallic=None if metallic is None else float(metallic),
+            mono_light=mono_light,
+            priors=asdict(priors),
+            robust=robust,
+            equal_exposures=equal_exposures,
         ),
-        assumed=dict(scene.assumed),
-        left_out=_left_out(scene, objective),
+        assumed=_assumed(scene, objective),
+        left_out=needs.left_out,
         inputs=dict(scene.inputs),
+        uncertainty=estimate(objective, x, priors=priors != Priors.none()) if uncertainty else None,
     )
     log.info("%s after %d iterations, %.1f s: %s", status, run.iteration, seconds, stop_reason)
     return result
@@ -201,14 +236,19 @@ class _Run:
         scene: Scene,
         objective: Objective,
         priors: Priors,
+        robust: Loss,
         iterations: int,
         time_limit: float | None,
         progress: Callable[[Progress], None] | None,
         began: float,
     ) -> None:
+        self.scene = scene
+        # When the material prior was learnt; by these the monochrome weight is chosen.
+        self.measured_lighting: NDArray[np.float64] | None = None
         self.truth = None if scene.truth is None else scene.truth.materials
         self.objective = objective
         self.priors = priors
+        self.robust = robust
         self.iterations = iterations
         self.time_limit = time_limit
         self.progress = progress
@@ -230,13 +270,17 @@ class _Run:
         last = FIRST_SHARE if learns else 1.0
         kept = ""
         best = loss, x
-        for lowest_roughness, share in ((0.0, 1.0),) if start_given else STAGES:
+        trapped = False
+        for lowest_roughness, share in self._stages(start_given):
             iterations = round(last * share * self.iterations) - self.iteration
             if iterations <= 0 or self._out_of_time():
                 continue
             if self.iteration > 0:
+                best = self._robust_around(best)
+            if trapped:
                 x = self._restarted(x)
             loss, x = self._minimize(x, lowest_roughness, iterations)
+            trapped = lowest_roughness > 0
             # A restart raises the loss at first, and time may run out before it pays.
             best = min(best, (loss, x), key=lambda pair: pair[0])
         if best[0] < loss:
@@ -245,7 +289,8 @@ class _Run:
         if learns and not self._out_of_time():
             kept = ""
             x = self._learnt(x)
-            loss, x = self._minimize(x, 0.0, self.iterations - self.iteration)
+            if self.iteration < self.iterations:  # scipy takes a step even where none is left
+                loss, x = self._minimize(x, 0.0, self.iterations - self.iteration)
         if self._out_of_time():
             return x, Status.TIME_LIMIT, f"time limit of {self.time_limit:g} s reached{kept}"
         if self.iteration >= self.iterations:
@@ -253,15 +298,39 @@ class _Run:
         # With zero tolerances scipy stops early only where rounding hides any further descent.
         return x, Status.CONVERGED, "no step lowers the loss further"
 
+    def _stages(self, start_given: bool) -> tuple[tuple[float, float], ...]:
+        if not start_given:
+            return STAGES
+        return STAGES_GIVEN_START if self.robust == "none" else ROBUST_STAGES_GIVEN_START
+
+    def _robust_around(
+        self, best: tuple[float, NDArray[np.float64]]
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Make the loss robust, if it is to be, with the scale at this state; returns it anew."""
+        if self.robust == "none":
+            return best
+        _, x = best
+        self.objective.robust = self.objective.robust_around(x, self.robust)
+        return self._evaluate(x)[0], x
+
     def _learnt(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """X with the material prior learnt, which is a penalty from here on."""
+        """X with the material prior learnt, which is a penalty from here on; one iteration."""
         from pbrfit import material_prior
 
         x, pull = material_prior.learn(
-            self.objective, x, self.priors.material, out_of_time=self._out_of_time
+            self.objective.reweighted(x), x, self.priors.material, out_of_time=self._out_of_time
         )
-        self.objective.penalties.append(pull)
+        _, self.measured_lighting = self.objective.unpack(x)
+        needs = Needs.of(
+            self.scene,
+            self.objective.layout,
+            priors=self.priors,
+            lighting=self.measured_lighting,
+        )
+        self.objective.penalties = [*penalties(self.objective.layout, needs.priors), pull]
+        self.objective.robust = self.objective.robust_around(x, self.robust)
         loss, _ = self._evaluate(x)
+        self.iteration += 1
         self._record(x, loss)
         return x
 
@@ -359,7 +428,11 @@ def _material_errors(found: Materials, true: Materials) -> dict[str, float]:
 
 
 def _metrics(
-    scene: Scene, materials: Materials, lighting: NDArray[np.float64], threads: int
+    scene: Scene,
+    materials: Materials,
+    lighting: NDArray[np.float64],
+    threads: int,
+    exposures: NDArray[np.float64] | None = None,
 ) -> dict[str, float]:
     """Final errors, computed in float64."""
     weights = (
@@ -371,6 +444,8 @@ def _metrics(
         metrics.rmse(render(materials, scene.normals, light, scene.fov, threads), image, w)
         for image, light, w in zip(scene.images, lighting, weights, strict=True)
     ]
+    if exposures is not None:
+        of_pictures = list(map(operator.truediv, of_pictures, exposures.tolist()))
     shares = [math.sqrt(total / math.fsum(totals)) for total in totals]
     found = {"recon_rmse": math.hypot(*map(operator.mul, shares, of_pictures))}
     truth = scene.truth
@@ -385,25 +460,8 @@ def _metrics(
     return found
 
 
-def _left_out(scene: Scene, objective: Objective) -> tuple[str, ...]:
-    """Work that the scene did not need or the options ruled out, in words."""
-    left_out = []
-    masked = 0 if scene.mask is None else int(np.count_nonzero(~scene.mask))
-    if masked:
-        left_out.append(f"{masked} pixels outside the mask")
-    if scene.weights is not None:
-        without = scene.valid.size - masked - objective.pixels
-        if without:
-            left_out.append(f"{without} pixels of weight 0 in all pictures")
-        single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
-        if single:
-            left_out.append(f"{single} samples of weight 0 at other pixels")
-    if objective.channels == 1:
-        left_out.append("second and third colour channel: equal to the first")
-    if objective.coefficients < 16:
-        left_out.append("band 3 of the lights: order 2 was asked for")
-    if objective.metallic is None:
-        left_out.append("metallic: given, so it was not fitted")
-    if objective.lighting is None:
-        left_out.append("lights and their gradient: known, so only materials were fitted")
-    return tuple(left_out)
+def _assumed(scene: Scene, objective: Objective) -> dict[str, str]:
+    assumed = dict(scene.assumed)
+    if objective.exposures is not None:
+        assumed["exposures"] = exposure.in_words(objective.exposures)
+    return assumed

@@ -7,6 +7,7 @@
 mod arrays;
 mod image_file;
 mod model;
+mod penalties;
 mod problem;
 
 use std::sync::LazyLock;
@@ -55,5 +56,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("InputError", module.py().get_type::<InputError>())?;
     model::register(module)?;
     problem::register(module)?;
+    penalties::register(module)?;
     image_file::register(module)
 }

@@ -37,6 +37,11 @@ def outcome(out: Path) -> Any:
     return json.loads((out / "result.json").read_text("utf-8"))
 
 
+def without_priors(left_out: list[str]) -> list[str]:
+    """Beside priors, which depend on the lights that were found."""
+    return [entry for entry in left_out if not entry.startswith("prior")]
+
+
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -89,6 +94,24 @@ def test_decompose_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFi
     assert outcome(out)["fov"] == 40
 
 
+def test_robust_loss_and_exposures(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run("decompose", folder, "--out", out, *FEW) == 0
+    facts = outcome(out)
+    assert (facts["options"]["robust"], facts["options"]["equal_exposures"]) == ("none", None)
+    assert "exposures" not in facts["assumed"]
+    arguments = ("--robust", "cauchy", "--exposures", "equal", "--overwrite")
+    assert run("decompose", folder, "--out", out, *FEW, *arguments) == 0
+    facts = outcome(out)
+    assert (facts["options"]["robust"], facts["options"]["equal_exposures"]) == ("cauchy", True)
+    assert "each picture counts relative to its own" in facts["assumed"]["exposures"]
+    assert run("decompose", folder, "--out", out, *FEW, "--exposures", "as-is", "--overwrite") == 0
+    assert outcome(out)["options"]["equal_exposures"] is False
+    demo = ("--size", 8, "--lights", 2, "--robust", "huber", "--exposures", "equal")
+    assert run("demo", tmp_path / "demo", *demo, *FEW, "--quiet") == 0
+    assert outcome(tmp_path / "demo" / "result")["options"]["robust"] == "huber"
+
+
 def test_known_lights_stay_as_they_are(tmp_path: Path) -> None:
     made = make_scene("room", size=SIZE, lights=LIGHTS, held_out=1)
     assert made.truth is not None
@@ -100,7 +123,9 @@ def test_known_lights_stay_as_they_are(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run("decompose", tmp_path / "scene", "--out", out, *FEW) == 0
     facts = outcome(out)
-    assert facts["left_out"] == ["lights and their gradient: known, so only materials were fitted"]
+    assert without_priors(facts["left_out"]) == [
+        "lights and their gradient: known, so only materials were fitted"
+    ]
     assert facts["assumed"]["lighting"] == "known, from lighting.json"
     light = Lighting.load(out / "lighting.json")
     assert light.pictures == ("light_00",)
@@ -389,6 +414,17 @@ def test_check_gradients_of_what_is_fitted(
     assert "metallic" not in output
 
 
+@pytest.mark.parametrize(("loss", "tolerance"), [("huber", "0.001"), ("cauchy", "0.0001")])
+def test_check_gradients_of_robust_losses(
+    folder: Path, capsys: pytest.CaptureFixture[str], loss: str, tolerance: str
+) -> None:
+    assert run("check-gradients", folder, "--robust", loss, "--exposures", "equal") == 0
+    of_loss = capsys.readouterr().out
+    assert f"12 of 12 within {tolerance}\n" in of_loss
+    assert run("check-gradients", folder, "--exposures", "equal") == 0
+    assert capsys.readouterr().out != of_loss
+
+
 def test_check_gradients_of_priors(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     priors = ("--prior", "smoothness=0.1", "--prior", "monochrome=1", "--prior", "sparsity=1e-3")
     assert run("check-gradients", folder, *priors) == 0
@@ -443,7 +479,7 @@ def test_parts_of_the_model_can_be_left_out(folder: Path, tmp_path: Path) -> Non
     facts = outcome(out)
     assert facts["options"]["sh_order"] == 2
     assert facts["options"]["metallic"] == 0.0
-    assert facts["left_out"] == [
+    assert without_priors(facts["left_out"]) == [
         "band 3 of the lights: order 2 was asked for",
         "metallic: given, so it was not fitted",
     ]
@@ -459,7 +495,47 @@ def test_nothing_is_left_out_unasked(folder: Path, tmp_path: Path) -> None:
         facts = outcome(out)
         assert facts["options"]["sh_order"] == 3
         assert facts["options"]["metallic"] is None
-        assert facts["left_out"] == []
+        assert without_priors(facts["left_out"]) == []
+
+
+def test_what_was_left_out_is_printed(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = (*FEW, "--overwrite", "--no-priors", "--mono-light")
+    arguments = ("decompose", folder, "--out", tmp_path / "out", *options)
+    assert run(*arguments) == 0
+    left_out = outcome(tmp_path / "out")["left_out"]
+    assert "colour of the lights: one light for all channels was asked for" in left_out
+    assert "priors: none asked for" in left_out
+    assert f"\nleft out: {'; '.join(left_out)}\n" in capsys.readouterr().out
+    lights = Result.load(tmp_path / "out").lighting
+    np.testing.assert_array_equal(lights[..., 0], lights[..., 2])
+    assert run(*arguments, "--quiet") == 0
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("command", ["decompose", "demo"])
+def test_priors_change_a_fit(command: str, folder: Path, tmp_path: Path) -> None:
+    found = []
+    for weight in (0, 1000):
+        out = tmp_path / f"out{weight}"
+        to = ("--out", out) if command == "decompose" else ("--size", 8, "--lights", 3)
+        first = folder if command == "decompose" else out
+        options = ("--no-priors", "--prior", f"smoothness={weight}", "--quiet", *FEW)
+        assert run(command, first, *to, *options) == 0
+        result = Result.load(out if command == "decompose" else out / "result")
+        found.append(np.nanstd(np.diff(result.roughness, axis=0)))
+    assert found[1] < 0.95 * found[0]
+
+
+def test_inspect_says_what_a_fit_would_have(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("inspect", folder) == 0
+    text = capsys.readouterr().out
+    assert f"\nfit by default    {SIZE**2} pixels of 3 pictures; albedo in three channels; " in text
+    assert "; prior monochrome, if the fitted lights are near grey; " in text
+    assert "\nleft out          nothing\n" in text
 
 
 def test_grey_pictures_are_fitted_in_one_channel(
@@ -473,7 +549,9 @@ def test_grey_pictures_are_fitted_in_one_channel(
     assert "colour            grey: one channel will be fitted\n" in text
     assert f"unknowns          {3 * SIZE**2 + 16 * LIGHTS}\n" in text
     assert run("decompose", folder, "--out", out, *FEW) == 0
-    assert outcome(out)["left_out"] == ["second and third colour channel: equal to the first"]
+    assert without_priors(outcome(out)["left_out"]) == [
+        "second and third colour channel: equal to the first"
+    ]
     albedo = Result.load(out).albedo
     np.testing.assert_array_equal(albedo[..., 0], albedo[..., 2])
 
@@ -519,6 +597,8 @@ def test_help_names_defaults_once(command: str, capsys: pytest.CaptureFixture[st
     assert "(default: None)" not in text
     for option in ("--iterations K at most so many (default: 500)", "--threads T"):
         assert (option in text) == (command in ("decompose", "demo"))
+    for option in ("--robust {none,huber,cauchy}", "--exposures {auto,as-is,equal}"):
+        assert (option in text) == (command in ("decompose", "demo", "check-gradients"))
     if not command:
         assert all(name in text for name in COMMANDS)
 
@@ -532,7 +612,8 @@ def test_help_names_defaults_once(command: str, capsys: pytest.CaptureFixture[st
         ("decompose s --out o --solver adam", "--solver: invalid choice: 'adam'"),
         ("decompose s --out o --iterations many", "--iterations: invalid int value: 'many'"),
         ("decompose s --out o --iter 3", "unrecognized arguments: --iter 3"),
-        ("decompose s --out o --robust huber", "unrecognized arguments: --robust huber"),
+        ("decompose s --out o --robust l1", "--robust: invalid choice: 'l1'"),
+        ("decompose s --out o --exposures no", "--exposures: invalid choice: 'no'"),
         ("decompose s --out o --sh-order 1", "--sh-order: invalid choice: 1"),
         ("decompose s --out o --metallic 0.5", "--metallic: invalid choice: '0.5'"),
         ("decompose s --out o --code-range 250", "--code-range: expected LOW,HIGH, found 250"),

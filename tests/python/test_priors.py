@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
-from pbrfit import InputError
+from pbrfit import InputError, _core
 from pbrfit.gradient_check import check_gradients
 from pbrfit.layout import Layout
 from pbrfit.objective import Objective
@@ -69,6 +70,10 @@ LAYOUTS = {
     "known lights": layout(MASK, IDS, lighting_known=True),
 }
 every_layout = pytest.mark.parametrize("name", LAYOUTS)
+
+
+def ints(*values: int) -> NDArray[np.int64]:
+    return np.array(values, dtype=np.int64)
 
 
 def random_x(of: Layout, seed: int = 0) -> Array:
@@ -164,6 +169,26 @@ def test_only_what_has_something_to_act_on_is_there(name: str) -> None:
     assert [penalty.name for penalty in penalties(of, ALL)] == expected
 
 
+def test_long_runs_are_cut_and_overlap() -> None:
+    """Runs of pairs are handled by 512: one row of 1500 has three, and each overlaps itself."""
+    for shape in ((1, 1500), (1500, 1), (40, 40)):
+        of = layout(np.ones(shape))
+        x = random_x(of)
+        gradient, expected = np.zeros(of.size), np.zeros(of.size)
+        (penalty,) = penalties(of, dataclasses.replace(Priors.none(), smoothness=1.0))
+        value = penalty.value_and_grad(x, gradient)
+        total = 0.0
+        for block in (of.roughness, of.metallic):
+            assert block is not None
+            first, second = tied_neighbours(of)
+            changes = x[block][second] - x[block][first]
+            total += 1e-4 * float(np.square(changes).sum())
+            np.add.at(expected[block], second, 2e-4 * changes)
+            np.add.at(expected[block], first, -2e-4 * changes)
+        assert value == pytest.approx(total, rel=1e-12)
+        np.testing.assert_allclose(gradient, expected, rtol=1e-12, atol=1e-17)
+
+
 def test_a_weight_of_zero_is_not_evaluated() -> None:
     of = LAYOUTS["all"]
     assert penalties(of, Priors.none()) == []
@@ -181,12 +206,9 @@ def test_a_segment_of_one_pixel_is_its_own_mean() -> None:
 
 
 def test_neighbours_are_tied_unless_in_two_segments() -> None:
-    below, beside = tied_neighbours(layout([[1, 1, 1], [0, 1, 1]], [[1, 2, 0], [1, 2, 2]]))
-    pairs = [
-        list(zip(*(ends.tolist() for ends in edges), strict=True)) for edges in (below, beside)
-    ]
-    # In row order: 0 1 2 / (masked) 3 4.
-    assert pairs == [[(1, 3), (2, 4)], [(1, 2), (3, 4)]]
+    pairs = tied_neighbours(layout([[1, 1, 1], [0, 1, 1]], [[1, 2, 0], [1, 2, 2]]))
+    # In row order: 0 1 2 / (masked) 3 4. First below one another, then side by side.
+    assert pairs.T.tolist() == [[1, 3], [2, 4], [1, 2], [3, 4]]
 
 
 # --- Weights mean the same for every scene ---
@@ -485,3 +507,44 @@ def test_an_x_of_another_length_is_refused(shift: int) -> None:
     objective = Objective(scene_of(), mono_light=True)
     with pytest.raises(InputError, match=r"^x: expected shape"):
         objective.value_and_grad(np.full(objective.size + shift, 0.5))
+
+
+# --- The border to Rust ---
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: _core.Neighbours(3, ints(0, 1), ints(1, 3)), "neighbours: expected indices below"),
+        (lambda: _core.Neighbours(3, ints(0, 1), ints(1)), "second: expected shape"),
+        (lambda: _core.Neighbours(3, ints(-1), ints(1)), "first: expected numbers of 0 or more"),
+        (lambda: _core.Groups(ints(0, 4, 1)), "labels: expected labels up to the number of pixels"),
+        (lambda: _core.Groups(ints(0, -1)), "labels: expected numbers of 0 or more"),
+        (lambda: _core.Groups(ints(2**40)), "labels: expected 32-bit labels"),
+        (lambda: _core.Groups(np.zeros(3)), "labels: expected an array of int64"),  # type: ignore[arg-type]
+    ],
+)
+def test_unusable_pairs_and_labels_are_named(make: Callable[[], object], complaint: str) -> None:
+    with pytest.raises(InputError, match=f"^{complaint}"):
+        make()
+
+
+@pytest.mark.parametrize(
+    "penalty",
+    [_core.Neighbours(3, np.array([0, 1]), np.array([1, 2])), _core.Groups(np.ones(3, int))],
+)
+def test_arrays_that_cannot_be_used_are_named(penalty: _core.Neighbours | _core.Groups) -> None:
+    values, gradient = np.array([0.0, 1.0, 3.0]), np.zeros(3)
+    fixed = np.zeros(3)
+    fixed.flags.writeable = False
+    for bad in (fixed, np.zeros(6)[::2], np.zeros(3, np.float32), values):
+        with pytest.raises(InputError, match=r"^gradient: expected a writable contiguous array"):
+            penalty.add_penalty(values, 1.0, bad)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^gradient: expected 3 numbers, found 4"):
+        penalty.add_penalty(values, 1.0, np.zeros(4))
+    with pytest.raises(InputError, match=r"^values: expected 3 numbers, found 2"):
+        penalty.add_penalty(values[:2], 1.0, gradient)
+    assert not gradient.any()
+    expected = penalty.add_penalty(values, 1.0, gradient)
+    # Values may have gaps: they are copied then.
+    assert penalty.add_penalty(np.repeat(values, 2)[::2], 1.0, gradient) == expected > 0

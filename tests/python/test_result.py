@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from PIL import Image
 
 from pbrfit import InputError, Result, Scene, Status, decompose
+from pbrfit.priors import Priors
 from pbrfit.synthetic import make_scene
 
 SIZE = 12
@@ -92,6 +94,10 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "time_limit": None,
         "sh_order": 3,
         "metallic": None,
+        "mono_light": False,
+        "priors": dataclasses.asdict(Priors()),
+        "robust": "none",
+        "equal_exposures": None,
     }
     assert content["assumed"] == {"fov": "60 degrees, asked for"}
     assert content["left_out"] == [f"{SIZE + 12} pixels outside the mask"]

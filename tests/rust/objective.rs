@@ -673,3 +673,59 @@ fn normal_equations_agree_in_every_instruction_set() {
         }
     }
 }
+
+/// Radiance of the example's own materials as pictures.
+fn explained(mut example: Example) -> Example {
+    let problem = example.problem(1);
+    let every: Vec<usize> = (0..problem.pixels()).collect();
+    let residuals = problem.residuals(&example.x(), &every).unwrap();
+    for (image, residual) in example.images.iter_mut().zip(residuals) {
+        *image += residual;
+    }
+    example
+}
+
+#[test]
+fn the_true_material_is_the_best_of_the_grid() {
+    for (channels, sh_order) in [(1, 3), (3, 2), (3, 3)] {
+        let mut example = Example::with(300, 9, channels, sh_order);
+        let maps = example.maps.len();
+        let (roughness, metallic) = ([0.2, 0.45, 0.7], [0.0, 0.5, 1.0]);
+        for p in 0..300 {
+            example.maps[channels * 300 + p] = roughness[p % 3];
+            example.maps[maps - 300 + p] = metallic[p / 3 % 3];
+        }
+        let example = explained(example);
+        let problem = example.problem(2);
+        let every: Vec<usize> = (0..300).rev().collect();
+        let grid = problem
+            .material_grid(&example.x(), &every, &roughness, &metallic)
+            .unwrap();
+        for (squares, &p) in grid.as_chunks::<9>().0.iter().zip(&every) {
+            let own = squares[p % 3 * 3 + p / 3 % 3];
+            assert!(own < 1e-10, "{p}: {own}");
+            assert!(squares.iter().all(|&other| other >= own), "{p}");
+        }
+    }
+}
+
+#[test]
+fn the_best_albedo_is_the_true_one() {
+    let example = explained(Example::with(300, 9, 3, 3));
+    let problem = example.problem(2);
+    let every: Vec<usize> = (0..300).collect();
+    let best = problem.best_albedo(&example.x(), &every).unwrap();
+    for p in 0..300 {
+        assert!(best.squares[p] < 1e-9, "{p}: {}", best.squares[p]);
+        for c in 0..3 {
+            let (found, own) = (best.albedo[p * 3 + c], example.maps[c * 300 + p]);
+            // Of a rough dielectric at grazing light, albedo may be hardly seen.
+            assert!((found - own).abs() < 2e-2, "{p}: {found} for {own}");
+        }
+    }
+    let one = example
+        .problem(1)
+        .best_albedo(&example.x(), &every)
+        .unwrap();
+    assert_eq!(one.albedo, best.albedo);
+}

@@ -95,9 +95,9 @@ FULL = Effort(
     rooms=5,
     iterations=500,
     configurations=CONFIGURATIONS,
-    weights=(0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0),
+    weights=(0.01, 0.1, 1.0, 10.0),
     main=(NONE, DEFAULT, PAPER, HUBER, CAUCHY),
-    real_size=256,
+    real_size=128,
     cost_size=128,
 )
 QUICK = Effort(

@@ -36,7 +36,7 @@ TITLES: dict[CaseName, str] = {
 }
 """What tables and plots say."""
 
-VARIED_IN: tuple[CaseName, ...] = ("constant", "varying", "shifted", "merged", "none")
+VARIED_IN: tuple[CaseName, ...] = ("constant", "varying", "merged")
 """Cases in which the weights of priors are varied: those that differ in segments and materials."""
 
 PICTURES = 16

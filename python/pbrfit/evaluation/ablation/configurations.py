@@ -80,8 +80,7 @@ WEIGHTS = replace(PAPER_PRIORS, material=Priors().material)
 CONFIGURATIONS: tuple[Configuration, ...] = (
     NONE,
     DEFAULT,
-    *each_off(DEFAULT),
-    *(alone(name, getattr(WEIGHTS, name)) for name in prior_names()),
+    alone("material", WEIGHTS.material),
     PAPER,
     *each_off(PAPER),
     HUBER,
