@@ -310,7 +310,7 @@ def _light_modes(
     deviation = 1 / np.sqrt(more * left)
     adds = (1 - left) / left
     remaining = np.cumsum(adds[::-1])[::-1] + known.rest / left[-1]  # λ rises
-    remaining /= more * max(1, np.count_nonzero(~own_held))
+    remaining /= more * max(1, int(np.count_nonzero(~own_held)))
     used = int(np.count_nonzero(~is_free & (remaining > OMITTED)))
     modes = in_x((vectors * deviation)[:, ~is_free])
     lights = for_core[layout.maps.stop :].reshape(layout.pictures, k, -1)[..., :lit]

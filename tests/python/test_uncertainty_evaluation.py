@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from threadpoolctl import threadpool_limits
 
 from pbrfit.evaluation import uncertainty as suite
@@ -41,7 +41,7 @@ def lowered(objective: Objective, x: Array) -> float:
         x,
         jac=True,
         method="L-BFGS-B",
-        bounds=objective.bounds,
+        bounds=Bounds(*objective.bounds.T),
         options={"maxiter": 100, "ftol": 0, "gtol": 0},
     )
     return float(answer.fun) * objective.total_weight

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from pbrfit.normal_equations import eliminate
+from pbrfit.normal_equations import eliminate, inverse
 from pbrfit.objective import Objective
 
 Array = NDArray[np.float64]
@@ -109,14 +109,11 @@ def _pushed_out(values: Array, gradient: Array) -> Flags:
 
 def _steps(matrices: Array, gradient: Array, held: Flags, damping: Array) -> tuple[Array, Array]:
     """Damped steps (Q, D), and g̃ᵀ A⁻¹ g̃ (Q,) without damping; held unknowns stay."""
-    free = ~held
-    matrices = matrices * free[:, :, None] * free[:, None, :]
-    diagonal = np.einsum("pii->pi", matrices)
-    diagonal[held | (diagonal <= 0)] = 1
-    right = np.where(held, 0, gradient)[..., None]
-    decrement: Array = (right * np.linalg.solve(matrices, right)).sum(axis=(1, 2))
-    diagonal *= 1 + damping[:, None]
-    return np.asarray(-np.linalg.solve(matrices, right)[..., 0], np.float64), decrement
+    downhill = np.where(held, 0, -gradient)
+    decrement = np.einsum("pi,pij,pj->p", downhill, inverse(matrices, held).matrices, downhill)
+    damped = matrices.copy()
+    np.einsum("pii->pi", damped)[:] *= 1 + damping[:, None]
+    return np.einsum("pij,pj->pi", inverse(damped, held).matrices, downhill), decrement
 
 
 def _joint_step(

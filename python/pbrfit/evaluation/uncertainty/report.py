@@ -55,7 +55,8 @@ class Group:
     @property
     def ratios_by_fit(self) -> Array:
         """(Q, 5): found by predicted from one fit."""
-        return np.concatenate([scene.found / scene.predicted_by_fit for scene in self.scenes])
+        with np.errstate(divide="ignore"):  # that fit may have ended on a bound, and predict 0
+            return np.concatenate([scene.found / scene.predicted_by_fit for scene in self.scenes])
 
     @property
     def holds(self) -> bool:
