@@ -69,54 +69,16 @@ def held_at_bounds(x: Array, layout: Layout) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True, eq=False)
-class LightInformation:
-    """What a set of pixels says about the lights. The M unknowns are (N, light channels, K).
-
-    Attributes
-    ----------
-    alone
-        (N, light channels, K, K): if the materials were known. Blocks of one light each, in one
-        channel; all others are 0.
-    shared
-        (M, M): if they are fitted too, the Schur complement alone − Σ_p Bᵀ A⁻¹ B.
-    unknowns
-        Number of unknown materials that were solved for.
-    """
-
-    alone: Array
-    shared: Array
-    unknowns: int
-
-
-def light_information(
-    problem: _core.Problem,
-    x: Array,
-    layout: Layout,
-    pixels: NDArray[np.uint64],
-    held: NDArray[np.bool_],
-) -> LightInformation:
-    """Sum over pixels, in their order; `held` (P', D) are unknowns that are no unknowns.
+class Eliminated:
+    """Some pixels whose materials are solved for, and what that leaves for the lights.
 
     With J the derivatives of a pixel's radiance by its D unknowns, ω the weights of its samples and
     w_ck the derivatives by the light,
 
         A = Σ_ic ω_ic J_ic J_icᵀ      B[θ, ick] = ω_ic J_icθ w_ck
 
-    Each pixel's share is positive semidefinite: pixels are not scaled apart, so the sum is too.
-    """
-    size = layout.pictures * layout.light_channels * layout.coefficients
-    shared = np.zeros((size, size))
-    alone: Array = np.zeros(())
-    for chunk in chunks(len(pixels), 8 * held.shape[1] * size):
-        part = eliminate(problem, x, layout, pixels[chunk], held[chunk])
-        alone = alone + part.information_alone(layout)
-        shared += part.information(layout)
-    return LightInformation(alone, shared, int(np.count_nonzero(~held)))
-
-
-@dataclass(frozen=True, eq=False)
-class Eliminated:
-    """Some pixels whose materials are solved for, and what that leaves for the lights.
+    The M unknowns of the lights are (N, light channels, K). Each pixel's share of what is left is
+    positive semidefinite: pixels are not scaled apart, so the sum is too.
 
     Attributes
     ----------
@@ -161,6 +123,25 @@ class Eliminated:
         lights = np.arange(n * lit)
         by_light = found.reshape(n * lit, k, n * lit, k)
         by_light[lights, :, lights, :] += self.information_alone(layout).reshape(-1, k, k)
+        return found
+
+    def imitated(self, lights: Array, layout: Layout) -> Array:
+        """Σ_p Bᵀ A⁻¹ B v, the part of v that materials imitate, for `lights` (N, ·, K, R) = v."""
+        n, lit, k, count = lights.shape
+        channels = layout.channels
+        found = np.zeros_like(lights)
+        by_coefficient = lights.transpose(1, 2, 0, 3).reshape(lit, k, n * count)
+        for chunk in chunks(len(self.rows), 8 * n * channels * count):
+            w = self.by_light[chunk]
+            rows = self.rows[chunk].transpose(0, 1, 3, 2).reshape(len(w), -1, channels * n)
+            radiance = np.empty((len(w), channels, n * count))
+            for c in range(channels):
+                np.matmul(w[:, c], by_coefficient[c % lit], out=radiance[:, c])
+            moved = rows.transpose(0, 2, 1) @ (rows @ radiance.reshape(len(w), -1, count))
+            moved = moved.reshape(len(w), channels, n * count)
+            for c in range(channels):
+                by_light = (w[:, c].T @ moved[:, c]).reshape(k, n, count)
+                found[:, c % lit] += by_light.transpose(1, 0, 2)
         return found
 
     def light_rows(self, chunk: slice, layout: Layout) -> Array:

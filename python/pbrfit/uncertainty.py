@@ -14,14 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.layout import Layout
+from pbrfit.light_spectrum import spectrum
 from pbrfit.materials import Materials
-from pbrfit.normal_equations import (
-    LightInformation,
-    chunks,
-    held_at_bounds,
-    inverse,
-    light_information,
-)
+from pbrfit.normal_equations import chunks, held_at_bounds, inverse
 from pbrfit.objective import Objective
 from pbrfit.sampling import spread
 
@@ -43,10 +38,6 @@ LIGHT_PIXELS = 4096
 OMITTED = 1e-3
 """Modes of the lights are left out while all of them together raise the pixels' variances by less
 than this share in the mean."""
-
-DARK = 1e-12
-"""Of the largest eigenvalue: directions of the light that no pixel sees any more than this move no
-material, and are left out."""
 
 FREE = 1e-10
 """Share of its information that a direction of the light keeps when materials are fitted too. Below
@@ -295,33 +286,22 @@ class _LightModes:
 def _light_modes(
     objective: Objective, x: Array, held: NDArray[np.bool_], light_pixels: int
 ) -> _LightModes:
-    """From the Schur complement of the lights over some of the pixels.
+    """From the spectrum of the lights over some of the pixels.
 
-    Directions of the light are scaled to the same effect on the pictures, √(vᵀ G v) with G the
-    information if materials were known. In these units the Schur complement has eigenvalues λ in
-    [0, 1], the share of information that is left when materials are fitted too, and the mode of λ
-    adds (1 − λ)/λ to the sum over pixels of their variances in units of A⁻¹. That ranks the modes
-    and bounds what those left out would add.
+    The mode of λ adds (1 − λ)/λ to the sum over pixels of their variances in units of A⁻¹. That
+    ranks the modes and bounds what those left out would add.
     """
     layout, for_core = objective.layout, objective.for_core(x)
     pixels = spread(layout.pixels, light_pixels)
     own_held = held[pixels]
-    known = light_information(objective.problem, for_core, layout, pixels, own_held)
-    to_units, from_units = _units(known)
+    known = spectrum(objective.problem, for_core, layout, pixels, own_held)
+    left, vectors = known.left, known.vectors
     lit, k = layout.light_channels, layout.coefficients
     blocks = layout.pictures * lit
 
-    # Scaled block by block: `to_units` has blocks of one light.
-    shared = known.shared.reshape(blocks, k, blocks, k)
-    scaled = np.einsum("aki,akbl,blj->aibj", from_units, shared, from_units, optimize=True)
-    scaled = scaled.reshape(blocks * k, blocks * k)
-    unseen = ~from_units.any(axis=1).ravel()
-    scaled[unseen, unseen] = 1
-    left, vectors = np.linalg.eigh(scaled)
-
     def in_x(of_units: Array) -> Array:
         """(modes, N, K, C) from modes in the columns."""
-        modes = np.einsum("aki,aim->mak", from_units, of_units.reshape(blocks, k, -1))
+        modes = np.einsum("aki,aim->mak", known.from_units, of_units.reshape(blocks, k, -1))
         modes = modes.reshape(-1, layout.pictures, lit, k).transpose(0, 1, 3, 2)
         return np.ascontiguousarray(np.repeat(modes, layout.channels // lit, axis=-1))
 
@@ -330,43 +310,36 @@ def _light_modes(
     is_free = left < FREE
     left = np.maximum(left, FREE)
     deviation = 1 / np.sqrt(more * left)
-    adds = (1 - left) / left / (more * max(1, known.unknowns))
-    remaining = np.cumsum(adds[::-1])[::-1]  # λ rises, so the last modes matter least
+    adds = (1 - left) / left
+    remaining = np.cumsum(adds[::-1])[::-1] + known.rest / left[-1]  # λ rises
+    remaining /= more * max(1, int(np.count_nonzero(~own_held)))
     used = int(np.count_nonzero(~is_free & (remaining > OMITTED)))
     modes = in_x((vectors * deviation)[:, ~is_free])
     lights = for_core[layout.maps.stop :].reshape(layout.pictures, k, -1)[..., :lit]
-    in_units = np.einsum("aik,ak->ai", to_units, lights.transpose(0, 2, 1).reshape(blocks, k))
+    in_units = np.einsum("aik,ak->ai", known.to_units, lights.transpose(0, 2, 1).reshape(blocks, k))
     return _LightModes(
         modes=modes[:used],
         free=in_x(vectors[:, is_free] * np.linalg.norm(in_units)),
-        scale=_scale_deviation(in_units.reshape(layout.pictures, lit, k), vectors, deviation),
+        scale=_scale_deviation(in_units.reshape(layout.pictures, lit, k), vectors, deviation, more),
         pixels=len(pixels),
         omitted=_omitted(objective, for_core, pixels, own_held, modes, used),
     )
 
 
-def _units(known: LightInformation) -> tuple[Array, Array]:
-    """Blocks T⁻¹ and T (lights, K, K) with Tᵀ G T = 1; T is 0 where G is."""
-    k = known.alone.shape[-1]
-    sizes, directions = np.linalg.eigh(known.alone.reshape(-1, k, k))
-    seen = sizes > DARK * sizes.max()
-    roots = np.sqrt(np.where(seen, sizes, 0))
-    inverses = np.zeros_like(roots)
-    np.divide(1, roots, where=seen, out=inverses)
-    return roots[:, :, None] * directions.transpose(0, 2, 1), directions * inverses[:, None, :]
-
-
-def _scale_deviation(in_units: Array, vectors: Array, deviation: Array) -> Array:
+def _scale_deviation(in_units: Array, vectors: Array, deviation: Array, more: float) -> Array:
     """(light channels,): relative deviation of the lights' size in each channel.
 
-    A change d of the lights l changes their size by the share lᵀd / lᵀl.
+    A change d of the lights l changes their size by the share lᵀd / lᵀl. In directions that were
+    not computed λ is 1.
     """
     found = []
     for channel in range(in_units.shape[1]):
         lights = np.zeros_like(in_units)
         lights[:, channel] = in_units[:, channel]
-        lights /= max(float(np.linalg.norm(lights)) ** 2, np.finfo(np.float64).tiny)
-        found.append(np.linalg.norm((lights.ravel() @ vectors) * deviation))
+        size = max(float(np.linalg.norm(lights)), np.finfo(np.float64).tiny)
+        along = lights.ravel() @ vectors / size
+        others = max(0.0, 1 - float(np.square(along).sum()))
+        found.append(np.sqrt(np.square(along * deviation).sum() + others / more) / size)
     return np.array(found)
 
 

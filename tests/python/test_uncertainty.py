@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 import pbrfit
 import reference
-from pbrfit import _core, normal_equations, uncertainty
+from pbrfit import _core, light_spectrum, normal_equations, uncertainty
 from pbrfit.images import read_channels, write_exr
 from pbrfit.objective import Objective
 from pbrfit.synthetic import make_scene
@@ -274,6 +274,35 @@ def test_few_modes_say_what_they_leave_out(monkeypatch: pytest.MonkeyPatch) -> N
     assert float((1 - a / b).max()) == pytest.approx(few.omitted, rel=1e-3)
     assert few.omitted < 0.1
     assert all_modes.omitted == 0
+
+
+def test_many_lights_need_few_of_their_modes(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, objective, x = scene_and_x()
+    monkeypatch.setattr(uncertainty, "OMITTED", 0.0)
+    whole = uncertainty.estimate(objective, x)
+    monkeypatch.setattr(light_spectrum, "MOST_WHOLE", 6 * 16 * 3 - 1)
+    few = uncertainty.estimate(objective, x)
+    assert few.light_modes == light_spectrum.LEADING < whole.light_modes
+    np.testing.assert_allclose(
+        stacked(few.marginal, objective), stacked(whole.marginal, objective), rtol=0.01
+    )
+    np.testing.assert_allclose(few.albedo_scale, whole.albedo_scale, rtol=1e-3)
+
+
+@pytest.mark.parametrize("options", [{}, {"grey": True}, {"mono_light": True}], ids=str)
+def test_what_materials_imitate_is_what_they_take_away(options: dict[str, Any]) -> None:
+    _, objective, x = scene_and_x(**options)
+    layout = objective.layout
+    pixels = np.arange(layout.pixels, dtype=np.uint64)
+    held = normal_equations.held_at_bounds(x, layout)
+    part = normal_equations.eliminate(
+        objective.problem, objective.for_core(x), layout, pixels, held
+    )
+    n, lit, k = layout.pictures, layout.light_channels, layout.coefficients
+    lights = np.random.default_rng(6).normal(size=(n, lit, k, 3))
+    alone = np.einsum("nlkj,nljr->nlkr", part.information_alone(layout), lights)
+    left = (part.information(layout) @ lights.reshape(n * lit * k, 3)).reshape(lights.shape)
+    assert relative(part.imitated(lights, layout), alone - left) < 1e-10
 
 
 def test_a_subsample_gives_nearly_the_same() -> None:

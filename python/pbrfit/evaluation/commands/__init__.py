@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from pbrfit.arguments import Subcommands
-from pbrfit.evaluation.commands import ablation, convergence, gap, real, stability, table1
+from pbrfit.evaluation.commands import (
+    ablation,
+    convergence,
+    gap,
+    real,
+    stability,
+    table1,
+    uncertainty,
+)
 
-SUITES = (table1, ablation, convergence, gap, real, stability)
+SUITES = (table1, ablation, convergence, gap, real, stability, uncertainty)
 
 
 def add_suites(suites: Subcommands) -> None:
