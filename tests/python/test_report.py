@@ -36,7 +36,7 @@ def part(height: int, width: int, *, truth: bool = False) -> Scene:
 @pytest.mark.parametrize(("height", "width"), SIZES)
 def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     scene = part(height, width)
-    result = decompose(scene, iterations=1)
+    result = decompose(scene, iterations=1, uncertainty=False)
     step = PANEL_SIDE[0] + MARGIN
     row = CAPTION + MARGIN + max(1, round(PANEL_SIDE[0] * height / max(height, width)))
     assert preview(result, scene).shape == (row + MARGIN, 6 * step + MARGIN, 3)
@@ -46,8 +46,14 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
 
 def test_truth_and_errors_add_rows() -> None:
     scene = part(24, 24, truth=True)
-    result = decompose(scene, iterations=1)
+    result = decompose(scene, iterations=1, uncertainty=False)
     assert preview(result, scene).shape[0] == 3 * (192 + CAPTION + MARGIN) + MARGIN
+
+
+def test_uncertainty_adds_a_row() -> None:
+    scene = part(24, 24)
+    result = decompose(scene, iterations=1)
+    assert preview(result, scene).shape[0] == 2 * (192 + CAPTION + MARGIN) + MARGIN
 
 
 def test_panels_lie_where_they_should_and_large_ones_are_averaged() -> None:
