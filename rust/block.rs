@@ -266,6 +266,27 @@ impl<T: Real, const K: usize> Kernel for FillBasis<'_, T, K> {
     }
 }
 
+/// Numbers of a light that a pixel sees: the diffuse one, then one for each band.
+pub const SEEN: usize = 5;
+
+/// What the pixels see of a light: Σ_k A_l Y_k(n) L_k, and for each band Σ_{k in l} Y_k(mirror) L_k.
+#[inline(always)]
+pub fn seen(basis: &Basis<f64>, light: &[f64; COEFFICIENTS]) -> [Plane<f64>; SEEN] {
+    let mut seen: [Plane<f64>; SEEN] = Default::default();
+    for k in 0..COEFFICIENTS {
+        if k < DIFFUSE {
+            for x in 0..BLOCK {
+                seen[0].0[x] += light[k] * basis.diffuse[k].0[x];
+            }
+        }
+        let band = &mut seen[1 + BAND_OF[k]];
+        for x in 0..BLOCK {
+            band.0[x] += light[k] * basis.mirror[k].0[x];
+        }
+    }
+    seen
+}
+
 /// Fills in bands and factors of the first `pixels` pixels; the others' factors become zero, and
 /// with them their weights, residuals and derivatives.
 pub struct FillFactors<'a, T: Real, const C: usize> {

@@ -16,10 +16,10 @@
 
 use std::f64::consts::FRAC_1_PI;
 
-use crate::block::{BLOCK, Basis, DIFFUSE, Directions, FillBasis, Plane};
+use crate::block::{BLOCK, Basis, FillBasis, Plane, seen};
 use crate::ggx::{self, DIELECTRIC_F0};
 use crate::problem::Problem;
-use crate::sh::{BAND_OF, COEFFICIENTS};
+use crate::sh::COEFFICIENTS;
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::{Error, Result, check, pool};
 
@@ -172,10 +172,8 @@ impl<'a> Block<'a> {
     /// Takes up pixels and sums their products over pictures.
     fn load(&mut self, lights: &[[f64; COEFFICIENTS]], pixels: &[usize]) {
         let problem = self.problem;
-        let mut directions = Directions::<f64>::default();
-        for (x, &p) in pixels.iter().enumerate() {
-            let of_block = problem.directions(p / BLOCK);
-            directions.take(x, of_block, p % BLOCK);
+        let directions = problem.picked_directions(pixels);
+        for x in 0..BLOCK {
             self.cosine.0[x] = directions.cosine(x);
             self.schlick.0[x] = ggx::schlick(self.cosine.0[x]);
         }
@@ -187,15 +185,7 @@ impl<'a> Block<'a> {
         for (c, products) in self.products.iter_mut().enumerate() {
             *products = Products::default();
             for (i, light) in lights[c * pictures..][..pictures].iter().enumerate() {
-                let mut target = Doubles::default();
-                let mut weight = Plane([1.0; BLOCK]);
-                for (x, &p) in pixels.iter().enumerate() {
-                    let (block, x_there) = (p / BLOCK, p % BLOCK);
-                    target.0[x] = problem.targets(block, c)[i].0[x_there].into();
-                    if let Some(plane) = problem.weights(block, c).get(i) {
-                        weight.0[x] = plane.0[x_there].into();
-                    }
-                }
+                let [target, weight] = problem.picked_samples(c, i, pixels);
                 self.isa.run(AddPicture {
                     basis: &self.basis,
                     light,
@@ -296,19 +286,7 @@ impl Kernel for AddPicture<'_> {
             weight,
             products,
         } = self;
-        let mut diffuse = Doubles::default();
-        let mut bands: [Doubles; 4] = Default::default();
-        for k in 0..COEFFICIENTS {
-            let band = &mut bands[BAND_OF[k]];
-            for x in 0..BLOCK {
-                band.0[x] += light[k] * basis.mirror[k].0[x];
-            }
-            if k < DIFFUSE {
-                for x in 0..BLOCK {
-                    diffuse.0[x] += light[k] * basis.diffuse[k].0[x];
-                }
-            }
-        }
+        let [diffuse, bands @ ..] = seen(basis, light);
         for x in 0..BLOCK {
             let (d, t) = (weight.0[x] * diffuse.0[x], weight.0[x] * target.0[x]);
             products.target_target.0[x] += t * target.0[x];

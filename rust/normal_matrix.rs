@@ -22,18 +22,16 @@
 //! inverted afterwards.
 
 use crate::block::{
-    BLOCK, Basis, BlockBands, ChannelFactors, DIFFUSE, Directions, FillBasis, FillFactors,
-    FillWeights, Materials, Plane, Radiance,
+    BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBasis, FillFactors, FillWeights,
+    Materials, Plane, Radiance, SEEN, seen,
 };
 use crate::ggx::Bands;
 use crate::problem::Problem;
-use crate::sh::{BAND_OF, COEFFICIENTS};
+use crate::sh::COEFFICIENTS;
 use crate::shade::{Factors, Material};
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::{Error, Result, check, pool};
 
-/// Numbers of a light that a pixel sees: the diffuse one, then one for each band.
-const SEEN: usize = 5;
 /// By what radiance is derived in one channel: its albedo, roughness, metallic.
 pub const DERIVATIVES: usize = 3;
 /// Unknowns of a pixel at most.
@@ -362,11 +360,9 @@ impl<'a, const C: usize> Block<'a, C> {
     fn load(&mut self, maps: &[f64], pixels: &[usize]) {
         self.places.clear();
         self.places.extend(pixels);
-        self.directions = Directions::default();
+        self.directions = self.problem.picked_directions(pixels);
         self.materials = Materials::default();
         for (x, &p) in pixels.iter().enumerate() {
-            let of_block = self.problem.directions(p / BLOCK);
-            self.directions.take(x, of_block, p % BLOCK);
             self.materials.set(x, &self.problem.material(maps, p));
         }
         self.isa.run(FillBasis::<f64, COEFFICIENTS> {
@@ -413,14 +409,8 @@ impl<'a, const C: usize> Block<'a, C> {
 
     /// Works out one channel of one picture.
     fn take_sample(&mut self, channel: usize, picture: usize, light: &[f64; COEFFICIENTS]) {
-        let mut target = Doubles::default();
-        self.sample.weight = Doubles::default();
-        for (x, &p) in self.places.iter().enumerate() {
-            let (block, there) = (p / BLOCK, p % BLOCK);
-            target.0[x] = self.problem.targets(block, channel)[picture].0[there].into();
-            let weights = self.problem.weights(block, channel);
-            self.sample.weight.0[x] = weights.get(picture).map_or(1.0, |w| w.0[there].into());
-        }
+        let [target, weight] = self.problem.picked_samples(channel, picture, &self.places);
+        self.sample.weight = weight;
         self.isa.run(TakeSample {
             basis: &self.basis,
             light,
@@ -499,18 +489,7 @@ impl Kernel for TakeSample<'_> {
             responses,
             sample,
         } = self;
-        let mut seen: [Doubles; SEEN] = Default::default();
-        for k in 0..COEFFICIENTS {
-            if k < DIFFUSE {
-                for x in 0..BLOCK {
-                    seen[0].0[x] += light[k] * basis.diffuse[k].0[x];
-                }
-            }
-            let band = &mut seen[1 + BAND_OF[k]];
-            for x in 0..BLOCK {
-                band.0[x] += light[k] * basis.mirror[k].0[x];
-            }
-        }
+        let seen = seen(basis, light);
         for x in 0..BLOCK {
             sample.residual.0[x] = -target.0[x];
         }

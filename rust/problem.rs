@@ -517,6 +517,32 @@ impl Problem {
         &self.targets[(block * self.channels + channel) * self.pictures..][..self.pictures]
     }
 
+    /// Where some pixels look, at most [`BLOCK`] of them, from anywhere.
+    pub(crate) fn picked_directions(&self, pixels: &[usize]) -> Directions<f64> {
+        let mut picked = Directions::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            picked.take(x, self.directions(p / BLOCK), p % BLOCK);
+        }
+        picked
+    }
+
+    /// Targets and weights of some pixels in one channel of one picture; 0 where no pixel is.
+    pub(crate) fn picked_samples(
+        &self,
+        channel: usize,
+        picture: usize,
+        pixels: &[usize],
+    ) -> [Plane<f64>; 2] {
+        let [mut target, mut weight] = <[Plane<f64>; 2]>::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            let (block, there) = (p / BLOCK, p % BLOCK);
+            target.0[x] = self.targets(block, channel)[picture].0[there].into();
+            let weights = self.weights(block, channel);
+            weight.0[x] = weights.get(picture).map_or(1.0, |w| w.0[there].into());
+        }
+        [target, weight]
+    }
+
     /// A plane for each picture, or none where all samples weigh the same.
     pub(crate) fn weights(&self, block: usize, channel: usize) -> &[Plane] {
         if self.weights.is_empty() {

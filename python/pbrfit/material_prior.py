@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,9 +244,6 @@ class _Grid:
 
     Attributes
     ----------
-    variance
-        s², of samples of weight 1, in units of x. From the residuals that are left at `pixels` and
-        their degrees of freedom.
     roughness, metallic
         Of the nodes, (nodes,).
     """
@@ -254,17 +252,27 @@ class _Grid:
         layout = objective.layout
         self._planes = len(layout.finish)
         self._problem = objective.problem
-        self._x = objective.for_core(x)
+        self._given, self._x = x, objective.for_core(x)
         known = objective.known_metallic
         self._metallic = METALLIC_NODES if known is None else np.array([known])
         roughness, metallic = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
         self.roughness, self.metallic = roughness.ravel(), metallic.ravel()
-        _, squares = objective.with_best_albedo(x, pixels)
+        self._objective, self._noise_pixels = objective, pixels
+
+    @cached_property
+    def variance(self) -> float:
+        """s², of samples of weight 1, in units of x.
+
+        From the residuals that are left at the given pixels and their degrees of freedom.
+        """
+        objective, layout, pixels = self._objective, self._objective.layout, self._noise_pixels
+        _, squares = objective.with_best_albedo(self._given, pixels)
         samples = objective.samples * len(pixels) / layout.pixels
         lights = 0 if layout.lighting is None else layout.lighting.stop - layout.lighting.start
         unknowns = len(pixels) * layout.maps.stop / layout.pixels + lights
         degrees = max(samples - unknowns, FEWEST_DEGREES * samples)
-        self.variance = max(float(squares.sum()) / degrees, LEAST_VARIANCE)
+        variance: float = max(float(squares.sum()) / degrees, LEAST_VARIANCE)
+        return variance
 
     def likelihood(self, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
         """A, (Q, nodes); 1 at the best node of each pixel."""
