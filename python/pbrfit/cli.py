@@ -392,13 +392,13 @@ def _metallic(options: argparse.Namespace) -> float | None:
 
 
 def _inspect(options: argparse.Namespace) -> int:
-    from pbrfit import images, inspection, report
+    from pbrfit import images, inspection, preview
 
     scene = _load(options.scene, options)
     for topic, fact in inspection.facts(scene):
         print(f"{topic:<18}{fact}")
     if options.preview is not None:
-        images.write_png(options.preview, report.normals_preview(scene), srgb=True)
+        images.write_png(options.preview, preview.normals_preview(scene), srgb=True)
         print(f"{'preview':<18}{options.preview}")
     return DONE
 
@@ -463,7 +463,7 @@ def _check_gradients(options: argparse.Namespace) -> int:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from pbrfit import report
+    from pbrfit import preview
     from pbrfit.output import new_folder
     from pbrfit.scene import Scene
 
@@ -473,7 +473,7 @@ def _demo(options: argparse.Namespace) -> int:
         scene = Scene.load(folder / "scene")
         result = _fit(scene, options.kind, options)
         result.save(folder / "result", scene=scene)
-        report.plot_history(result, folder / "history.png")
+        preview.plot_history(result, folder / "history.png")
     if not options.quiet:
         _print_result(result, scene, options.out / "result")
         print(

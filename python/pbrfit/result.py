@@ -158,7 +158,7 @@ class Result:
 
     def write(self, folder: Path, scene: Scene | None = None) -> None:
         """Write the files of a result into an existing folder."""
-        from pbrfit import report
+        from pbrfit.preview import preview
 
         uncertainty = self.uncertainty
         write_materials(
@@ -188,7 +188,7 @@ class Result:
         }
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
-        images.write_png(folder / "preview.png", report.preview(self, scene), srgb=True)
+        images.write_png(folder / "preview.png", preview(self, scene), srgb=True)
 
     @classmethod
     def load(cls, path: str | Path) -> Result:

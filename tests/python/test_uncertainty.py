@@ -479,11 +479,11 @@ def test_a_lost_layer_is_named(tmp_path: Path) -> None:
 
 
 def test_the_preview_has_a_row_for_it() -> None:
-    from pbrfit import report
+    from pbrfit.preview import preview
 
     result = with_uncertainty()
-    without = report.preview(dataclasses.replace(result, uncertainty=None))
-    sheet = report.preview(result)
+    without = preview(dataclasses.replace(result, uncertainty=None))
+    sheet = preview(result)
     assert sheet.shape[0] > 1.5 * without.shape[0]
     # The panels of the new row hold the colours of the scale.
     below = sheet[without.shape[0] :].reshape(-1, 3).astype(int)

@@ -13,9 +13,9 @@ from pbrfit.evaluation.real.held_out import Split
 from pbrfit.evaluation.real.pictures import masked, used_part
 from pbrfit.materials import Materials
 from pbrfit.model import render
-from pbrfit.report import Panel, Row, as_png, displayed, outside_grey, sheet
 from pbrfit.result import Result
 from pbrfit.scene import Scene
+from pbrfit.sheet import Panel, Row, as_png, displayed, outside_grey, sheet
 
 
 def room_sheet(scene: Scene, fitted: Mapping[str, Result]) -> bytes:

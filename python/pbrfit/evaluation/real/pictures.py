@@ -15,8 +15,8 @@ from pbrfit.evaluation.real.held_out import (
     Explanation,
     Split,
 )
-from pbrfit.report import Panel, Row, as_png, displayed, outside_grey, sheet
 from pbrfit.scene import Scene
+from pbrfit.sheet import Panel, Row, as_png, displayed, outside_grey, sheet
 
 ERROR_SPAN = 0.2
 """Error, as a share of white, that is drawn white."""

@@ -164,6 +164,7 @@ def _predicted(scene: Scene, task: Task) -> NDArray[np.float64]:
 
 
 def _preview(result: Any, scene: Scene) -> str:
-    from pbrfit.report import as_png, preview
+    from pbrfit.preview import preview
+    from pbrfit.sheet import as_png
 
     return base64.b64encode(as_png(preview(result, scene))).decode("ascii")

@@ -9,16 +9,8 @@ import pytest
 from PIL import Image
 
 from pbrfit import Scene, decompose
-from pbrfit.report import (
-    CAPTION,
-    MARGIN,
-    PANEL_SIDE,
-    Panel,
-    normals_preview,
-    plot_history,
-    preview,
-    sheet,
-)
+from pbrfit.preview import normals_preview, plot_history, preview
+from pbrfit.sheet import CAPTION, MARGIN, PANEL_SIDE, Panel, sheet
 from pbrfit.synthetic import make_scene
 
 SIZES = [(1, 1), (1, 24), (24, 1), (7, 24), (24, 24)]
