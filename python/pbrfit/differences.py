@@ -22,7 +22,8 @@ Map = NDArray[np.floating[Any]]
 SCALE = (0.001, 1.0)
 """Ends of the scale; what lies beyond takes the ends' colours."""
 
-TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+TICKS = {0.001: "0.001", 0.003: "", 0.01: "0.01", 0.03: "", 0.1: "0.1", 0.3: "", 1.0: "1"}
+"""Labels by value."""
 
 STEPS = 251
 """Colours on the scale."""

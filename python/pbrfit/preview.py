@@ -58,12 +58,12 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
                 f"{name} {what}".replace(" ,", ",").strip() for name, what in on_scale.items()
             ),
             PALETTE[: differences.STEPS],
-            {float(differences.on_scale(tick)): f"{tick:g}" for tick in differences.TICKS},
+            {float(differences.on_scale(t)): label for t, label in differences.TICKS.items()},
             marks,
         )
     height, width = result.mask.shape
     title = (
-        f"{len(result.pictures)} pictures of {width} × {height}, "
+        f"{len(result.pictures)} pictures of {width} x {height}, "
         f"{len(result.history) - 1} iterations in {result.seconds:.1f} s"
     )
     return sheet(rows, title=title, labels=labels, key=key)

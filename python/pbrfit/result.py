@@ -248,7 +248,6 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
         return None
     return {
         "path": path,
-        "fov": None if source.fov is None else float(source.fov),
         "color_space": source.color_space,
         "max_size": None if source.max_size is None else int(source.max_size),
         "code_range": [int(code) for code in source.code_range],
@@ -257,10 +256,9 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
 
 def _source(content: Mapping[str, Any], folder: Path) -> Source:
     low, high = content["code_range"]
-    fov, max_size = content["fov"], content["max_size"]
+    max_size = content["max_size"]
     return Source(
         path=(folder / content["path"]).resolve(),
-        fov=None if fov is None else float(fov),
         color_space=content["color_space"],
         max_size=None if max_size is None else int(max_size),
         code_range=(int(low), int(high)),

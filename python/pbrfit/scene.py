@@ -52,18 +52,17 @@ class Truth:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a scene was read from, and how: what `Scene.load` was asked for.
+    """Where a scene was read from, and how its pictures were to be read.
 
     Attributes
     ----------
     path
         The scene folder, absolute.
-    fov, color_space, max_size, code_range
+    color_space, max_size, code_range
         As given to `Scene.load`.
     """
 
     path: Path
-    fov: float | None = None
     color_space: ColorSpace | None = None
     max_size: int | None = None
     code_range: tuple[int, int] = CODE_RANGE

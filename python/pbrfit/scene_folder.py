@@ -81,7 +81,7 @@ def load(
     code_range: tuple[int, int] = images.CODE_RANGE,
 ) -> Scene:
     """Read a scene folder; see `Scene.load`."""
-    source = Source(folder.resolve(), fov, color_space, max_size, code_range)
+    source = Source(folder.resolve(), color_space, max_size, code_range)
     if max_size is not None and max_size < 1:
         raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
     paths = find_pictures(folder)

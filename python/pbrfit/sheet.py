@@ -160,7 +160,7 @@ def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], lett
         draw.line([(x, top + height), (x, top + height + 4)], fill=INK)
         # The first label starts with the bar, so that it does not stick out.
         anchor = "la" if share == 0 else "ma"
-        draw.text((x, top + height + 6), label, fill=INK, font=font, anchor=anchor)
+        draw.text((x, top + height + 5), label, fill=INK, font=font, anchor=anchor)
     x = left + width + 3 * MARGIN
     for label, patch in key.patches.items():
         draw.rectangle((x, top, x + height, top + height - 1), fill=_ink(patch), outline=INK)

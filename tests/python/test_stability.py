@@ -21,7 +21,7 @@ import pbrfit
 import reference
 from pbrfit import images
 from pbrfit.evaluation import page, stability, summary
-from pbrfit.evaluation.notation import scientific
+from pbrfit.notation import scientific
 from pbrfit.evaluation.stability import (
     FULL,
     QUICK,
