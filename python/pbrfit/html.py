@@ -38,13 +38,13 @@ figcaption { max-width: 46rem; color: #555; font-size: .875rem; }
 """
 
 
-Look = Literal["", "name", "number", "best", "pass", "fail", "note", "why"]
+Look = Literal["", "name", "number", "best", "pass", "fail", "note", "why", "hash"]
 """How a cell looks: a name on one line, a figure that is aligned right, a verdict, a remark."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Text in a table; a line break in it stays one. `value` is the number in full, for programs."""
+    """Text in a table; a line break in it stays one. `value`: the number in full, for programs."""
 
     text: str
     look: Look = ""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation import notation
+from pbrfit import notation
 from pbrfit.evaluation.stability.checks import (
     BAND_BOUND,
     BRANCH,
