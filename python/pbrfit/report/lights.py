@@ -93,8 +93,9 @@ def balls_and_panorama(
     white = metrics.white_of(radiance)
     shown = metrics.display(radiance, white)
     rows, columns = np.indices(radiance.shape[:2])
-    dark: NDArray[np.bool_] = np.less(radiance @ LUMINANCE, 0)
-    shown[dark] = np.where(((rows + columns) % HATCH < 2)[dark][:, None], 0.6, 0.1)
+    hatching = np.where((rows + columns) % HATCH < 2, 0.6, 0.1)
+    dark = radiance @ LUMINANCE < 0
+    shown = np.where(dark[..., None], hatching[..., None], shown)
     _ring(shown, light)
     return _balls(coefficients, white), shown
 

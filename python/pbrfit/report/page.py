@@ -65,16 +65,19 @@ def page(result: Result, originals: Originals) -> str:
         budget.MAPS_SHARE * (budget.LIMIT - view.bytes),
     )
 
+    fixed = {
+        "relight": view.made,
+        "maps": _size_remark("Maps", shown_maps.side, result) + shown_maps.made,
+        "history": _history(result),
+        "origin": _origin(result),
+    }
+
     def whole(chosen: _Chosen) -> str:
-        pages = {
-            "relight": view.made,
-            "maps": _size_remark("Maps", shown_maps.side, result) + shown_maps.made,
+        of_chosen = {
             "pictures": _pictures(originals, pictures, chosen),
             "lights": _lights(pictures, chosen),
-            "history": _history(result),
-            "origin": _origin(result),
         }
-        return _document(result, pictures, pages)
+        return _document(result, pictures, fixed | of_chosen)
 
     # What is left of the limit, once all else is known to the letter, is for the pictures.
     size = raster.reduced_size(result.mask.shape, sides[0])
@@ -97,8 +100,8 @@ def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str
         f'<div class="numbers">{tables}</div>',
         *(
             f'<section id="{key}" aria-labelledby="{key}-title">'
-            f'<h2 id="{key}-title">{escape(TITLES[key])}</h2>{content}</section>'
-            for key, content in sections.items()
+            f'<h2 id="{key}-title">{escape(title)}</h2>{sections[key]}</section>'
+            for key, title in TITLES.items()
         ),
         "</main>",
     ]
