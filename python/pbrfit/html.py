@@ -96,7 +96,7 @@ def png_address(png: bytes) -> str:
 def _cell(tag: str, cell: Cell) -> str:
     text = escape(cell.text).replace("\n", "<br>")
     if cell.value is not None:
-        text = f'<data value="{cell.value!r}">{text}</data>'
+        text = f'<data value="{float(cell.value)!r}">{text}</data>'
     if cell.look in ("pass", "fail", "note"):
         return f'<{tag}><span class="{cell.look}">{text}</span></{tag}>'
     if cell.look == "best":
