@@ -1,0 +1,1 @@
+"""Reports: a page that shows a result."""
