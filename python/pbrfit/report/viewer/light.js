@@ -107,25 +107,35 @@ function neutral(radiance) {
   return color.map((c) => ((c * lowered) / peak) * (1 - grey) + lowered * grey);
 }
 
-/** Draw the light as a mirror ball shows it that an orthographic camera sees. */
-function drawBall(canvas, light, gain, toneMap) {
-  const size = canvas.width;
-  const context = canvas.getContext("2d");
-  const picture = context.createImageData(size, size);
-  for (let i = 0; i < size; i++) {
-    for (let j = 0; j < size; j++) {
-      const x = ((2 * j + 1) / size - 1) * 1.03;
-      const y = (1 - (2 * i + 1) / size) * 1.03;
-      const rest = 1 - x * x - y * y;
-      if (rest < -0.03) continue;
-      const z = Math.sqrt(Math.max(0, rest));
-      // Mirror of (0, 0, 1) at the normal (x, y, z).
-      const mirror = [2 * z * x, 2 * z * y, 2 * z * z - 1];
-      const color = displayed(radianceFrom(light, basis(mirror)), gain, toneMap);
-      // The border fades over the last pixels instead of ending in steps.
-      const alpha = 255 * Math.min(1, Math.max(0, 0.5 * size * (1.0 - Math.hypot(x, y)) + 1));
-      picture.data.set([...color, alpha], 4 * (i * size + j));
+/** The light as a mirror ball shows it that an orthographic camera sees. */
+class Ball {
+  constructor(canvas) {
+    this.context = canvas.getContext("2d");
+    this.picture = this.context.createImageData(canvas.width, canvas.height);
+    this.pixels = []; // where, how opaque, and the basis of the direction that is seen
+    const size = canvas.width;
+    const margin = 1 + 2 / size;
+    for (let i = 0; i < size; i++) {
+      for (let j = 0; j < size; j++) {
+        const x = ((2 * j + 1) / size - 1) * margin;
+        const y = (1 - (2 * i + 1) / size) * margin;
+        // The border fades over a pixel instead of ending in steps.
+        const opaque = Math.min(1, 0.5 * size * (1 - Math.hypot(x, y)) + 0.5);
+        if (opaque <= 0) continue;
+        const z = Math.sqrt(Math.max(0, 1 - x * x - y * y));
+        const mirror = [2 * z * x, 2 * z * y, 2 * z * z - 1]; // of (0, 0, 1) at (x, y, z)
+        this.pixels.push([4 * (i * size + j), 255 * opaque, Float64Array.from(basis(mirror))]);
+      }
     }
   }
-  context.putImageData(picture, 0, 0);
+
+  draw(light, gain, toneMap) {
+    const { data } = this.picture;
+    for (const [place, opaque, terms] of this.pixels) {
+      const color = displayed(radianceFrom(light, terms), gain, toneMap);
+      for (let c = 0; c < 3; c++) data[place + c] = color[c];
+      data[place + 3] = opaque;
+    }
+    this.context.putImageData(this.picture, 0, 0);
+  }
 }

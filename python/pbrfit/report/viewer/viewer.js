@@ -4,7 +4,8 @@
 const DEGREES_ACROSS = 180; // a drag over the whole width
 const KEY_DEGREES = 5;
 const ADDRESS_DELAY = 300; // ms; browsers limit how often an address may change
-const RANGES = { rotate: [-180, 180], tilt: [-90, 90], exposure: [-10, 10], roughness: [-1, 1],
+const STOPS = 6; // to either side of exposure 0 and of the one at the start
+const RANGES = { rotate: [-180, 180], tilt: [-90, 90], exposure: [-40, 40], roughness: [-1, 1],
   metallic: [-1, 1] };
 const CHOICES = { tone: TONE_MAPS, view: SHOWN };
 const TEXTS = {
@@ -34,6 +35,10 @@ class View {
     this.state = { ...this.start };
     this.canvas = root.querySelector(".relight-canvas");
     this.form = root.querySelector(".relight-controls");
+    this.ball = new Ball(root.querySelector(".relight-ball"));
+    const { exposure } = this.form.elements;
+    exposure.min = Math.min(0, data.exposure) - STOPS;
+    exposure.max = Math.max(0, data.exposure) + STOPS;
     this.listMenu();
     this.listenToControls();
     this.listenToCanvas();
@@ -44,14 +49,12 @@ class View {
   }
 
   light() {
-    const { name } = { name: this.state.light };
-    if (this.opened && this.opened.name === name) return this.opened.coefficients;
-    return this.lights.find((light) => light.name === name).coefficients;
+    return this.find(this.state.light).coefficients;
   }
 
-  knows(name) {
-    return this.lights.some((light) => light.name === name)
-      || (this.opened !== null && this.opened.name === name);
+  find(name) {
+    const lights = this.opened ? [...this.lights, this.opened] : this.lights;
+    return lights.find((light) => light.name === name);
   }
 
   /** New values of the state; drawn soon, and written into the address if a person made them. */
@@ -74,7 +77,7 @@ class View {
     const { state } = this;
     const light = turned(this.light(), state.rotate, state.tilt);
     this.picture.draw(light, state);
-    drawBall(this.root.querySelector(".relight-ball"), light, 2 ** state.exposure, state.tone);
+    this.ball.draw(light, 2 ** state.exposure, state.tone);
     const { elements } = this.form;
     elements.light.value = state.light;
     elements.tone.value = state.tone;
@@ -225,13 +228,15 @@ class View {
   // Address: #light=NAME&rotate=30&exposure=0.5, only what differs from the start
 
   readAddress() {
-    const given = new URLSearchParams(window.location.hash.slice(1));
+    const { hash } = window.location;
+    if (!hash.includes("=")) return; // for another part of the page
+    const given = new URLSearchParams(hash.slice(1));
     const values = {};
     const wrong = [];
     for (const [name, text] of given) {
       const number = Number(text);
       if (name === "light") {
-        if (this.knows(text)) values.light = text;
+        if (this.find(text)) values.light = text;
         else wrong.push(`light ${text} is not in this page; a panorama has to be opened again`);
       } else if (name in RANGES) {
         if (text.trim() !== "" && Number.isFinite(number)) values[name] = number;
@@ -242,18 +247,18 @@ class View {
       }
     }
     if (wrong.length) this.say(`Address of the page: ${wrong.join("; ")}.`, true);
-    // An address without any of our names is for other parts of the page.
     if (Object.keys(values).length) this.change({ ...this.start, ...values }, false);
   }
 
   writeAddress() {
-    const changed = new URLSearchParams();
+    const values = new URLSearchParams();
     for (const [name, value] of Object.entries(this.state)) {
       if (value === this.start[name]) continue;
-      changed.set(name, typeof value === "number" ? String(+value.toFixed(4)) : value);
+      values.set(name, typeof value === "number" ? String(+value.toFixed(4)) : value);
     }
     const address = window.location.pathname + window.location.search;
-    window.history.replaceState(null, "", changed.size ? `${address}#${changed}` : address);
+    const text = values.toString();
+    window.history.replaceState(null, "", text ? `${address}#${text}` : address);
   }
 }
 
