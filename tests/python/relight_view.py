@@ -22,7 +22,7 @@ from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.lights import random_lights
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Locator, Page
 
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
@@ -146,6 +146,10 @@ class View:
         with Image.open(io.BytesIO(Path(download.value.path()).read_bytes())) as picture:
             assert picture.mode == "RGBA"
             return np.asarray(picture)
+
+    def control(self, name: str) -> Locator:
+        """A slider or menu."""
+        return self.page.locator(f"input[type=range][name={name}], select[name={name}]")
 
     def state(self) -> dict[str, Any]:
         return dict(self.page.evaluate("document.querySelector('.relight-view').view.state"))

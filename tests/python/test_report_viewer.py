@@ -148,7 +148,7 @@ def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
         "normals": 0.5 + 0.5 * result.normals,
     }
     with opened(browser, result, tmp_path) as view:
-        view.page.get_by_label("Roughness").fill("0.25")
+        view.control("roughness").fill("0.25")
         for name, pixels in shown.items():
             view.page.get_by_role("radio", name=name).check()
             assert difference(view.saved(), coded(pixels, BAND_MASK))[0] <= 1, name
@@ -170,16 +170,16 @@ def test_a_panorama_from_a_file_lights_as_the_package_has_it(
         )
         np.testing.assert_allclose(view.light(), light, atol=1e-6 * np.abs(light).max())
         assert view.state()["light"] == f"{name}.hdr"
-        view.page.get_by_label("Exposure").fill("0")
+        view.control("exposure").fill("0")
         true = expected(furnished, light)
         assert difference(view.saved(), true)[0] <= AT_MOST
-        view.page.get_by_label("Rotate").fill("-60")
+        view.control("rotate").fill("-60")
         true = expected(furnished, panorama.project(pixels, rotate=-60))
         assert difference(view.saved(), true)[0] <= AT_MOST
         # Its name stays in the menu beside the recovered lights.
-        view.page.get_by_label("Light", exact=True).select_option(furnished.pictures[2])
+        view.control("light").select_option(furnished.pictures[2])
         np.testing.assert_array_equal(view.light(), furnished.lighting[2])
-        view.page.get_by_label("Light", exact=True).select_option(f"{name}.hdr")
+        view.control("light").select_option(f"{name}.hdr")
         np.testing.assert_allclose(view.light(), light, atol=1e-6 * np.abs(light).max())
 
 
@@ -337,7 +337,7 @@ def test_keys_turn_the_light_and_home_turns_it_back(
             view.page.keyboard.press(key)
         assert (view.state()["rotate"], view.state()["tilt"]) == (9, 4)
         view.page.wait_for_function("document.querySelector('[name=rotate]').value === '9'")
-        assert view.page.get_by_label("Rotate").get_attribute("aria-valuetext") == "+9°"
+        assert view.control("rotate").get_attribute("aria-valuetext") == "+9°"
         view.page.keyboard.press("Home")
         assert (view.state()["rotate"], view.state()["tilt"]) == (0, 0)
         for _ in range(37):
@@ -389,9 +389,9 @@ def test_the_address_says_what_is_shown_and_brings_it_back(
         option = view.page.locator("select[name=light] option").first
         assert option.inner_text() == name
         assert "#" not in view.page.url
-        view.page.get_by_label("Light", exact=True).select_option(result.pictures[1])
-        view.page.get_by_label("Rotate").fill("30")
-        view.page.get_by_label("Tone map").select_option("neutral")
+        view.control("light").select_option(result.pictures[1])
+        view.control("rotate").fill("30")
+        view.control("tone").select_option("neutral")
         view.page.wait_for_function("location.hash.includes('tone')")
         address = view.page.url.partition("#")[2]
         assert address == f"light={result.pictures[1]}&rotate=30&tone=neutral"
@@ -458,24 +458,37 @@ def test_a_lost_context_comes_back_with_the_same_picture(
         )
         view.page.wait_for_function("document.querySelector('.relight-message').textContent !== ''")
         assert "waiting for it" in view.message()
-        view.page.get_by_label("Rotate").fill("30")  # a change meanwhile does no harm
+        view.control("rotate").fill("30")  # a change meanwhile does no harm
         view.page.evaluate("window.extension.restoreContext()")
         view.page.wait_for_function("document.querySelector('.relight-message').textContent === ''")
-        view.page.get_by_label("Rotate").fill("0")
+        view.control("rotate").fill("0")
         np.testing.assert_array_equal(view.saved(), before)
 
 
-def test_without_webgl_there_are_a_message_and_one_picture(
-    furnished: Result, tmp_path: Path
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        (
+            "HTMLCanvasElement.prototype.getContext = () => null",
+            "this browser, or its graphics settings, has no WebGL 2",
+        ),
+        (
+            "delete window.DecompressionStream",
+            "this browser is from before 2023 and cannot unpack the maps",
+        ),
+    ],
+)
+def test_where_the_view_cannot_run_there_are_a_message_and_one_picture(
+    browser: Browser, furnished: Result, tmp_path: Path, missing: str, said: str
 ) -> None:
     file = tmp_path / "page.html"
-    file.write_text(PAGE.format(fragment(furnished)), encoding="utf-8")
-    with launched("--disable-3d-apis") as browser, visit(browser, file) as visited:
+    head = f"<script>{missing}</script>"
+    file.write_text(PAGE.format(head + fragment(furnished)), encoding="utf-8")
+    with visit(browser, file) as visited:
         page = visited.page
         page.wait_for_selector('.relight-view[data-state="static"]')
         assert page.locator(".relight-message").first.inner_text() == (
-            "No interactive view: this browser, or its graphics settings, has no WebGL 2. "
-            "This is one picture of it."
+            f"No interactive view: {said}. This is one picture of it."
         )
         picture = page.locator(".relight-static")
         assert picture.is_visible()
@@ -491,7 +504,7 @@ def test_the_first_exposure_shows_the_first_light_well(
     with opened(browser, dark, tmp_path) as view:
         exposure = view.state()["exposure"]
         assert 8 < exposure < 12
-        assert float(view.page.get_by_label("Exposure").input_value()) == exposure
+        assert float(view.control("exposure").input_value()) == exposure
         found = view.saved()
         assert 100 < np.mean(found[..., :3]) < 220
         assert difference(found, expected(dark, dark.lighting[0], exposure=exposure))[0] <= AT_MOST

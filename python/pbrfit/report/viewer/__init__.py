@@ -47,7 +47,7 @@ def fragment(result: Result, max_side: int = 1024) -> str:
         Whose materials and lights are shown.
     max_side
         Larger maps are averaged down to this many pixels on the longer side. It decides about the
-        size: 3 to 9 bytes for a pixel, times 4/3 as text.
+        size: 2 to 9 bytes for a pixel, times 4/3 as text.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def fragment(result: Result, max_side: int = 1024) -> str:
         "height": height,
         "tangent": math.tan(math.radians(result.fov) / 2),
         "exposure": exposure,
-        "codes": maps.CODES,
+        "units": maps.UNITS,
         "lights": [
             {"name": name, "coefficients": light.ravel().tolist()}
             for name, light in zip(result.pictures, result.lighting, strict=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
 from pbrfit.result import Result
 
@@ -17,11 +18,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Maps:
-    """Materials (H, W), normals (H, W, 3) of unit length and mask (H, W); NaN outside the mask."""
+    """Maps of (H, W) pixels, NaN outside the mask.
+
+    Attributes
+    ----------
+    materials, normals, mask, fov
+        As of a result.
+    """
 
     materials: Materials
     normals: Array
     mask: NDArray[np.bool_]
+    fov: float
 
 
 def of_result(result: Result, max_side: int) -> Maps:
@@ -66,6 +74,7 @@ def of_result(result: Result, max_side: int) -> Maps:
         ),
         normals,
         mask,
+        result.fov,
     )
 
 
@@ -82,11 +91,10 @@ def _averaged(plane: Array, height: int, width: int) -> Array:
     return plane
 
 
-CODES = {
-    "normal_u": 65534,  # even, so that 0, and with it the normal (0, 0, 1), is met exactly
-    "normal_v": 65534,
-    "roughness": 16383,
-    "mask": 1,
+LARGEST = {
+    "normal_u": 16382,  # even, so that 0, and with it the normal (0, 0, 1), is met exactly
+    "normal_v": 16382,
+    "roughness": 8191,
     "green": 4095,
     "red": 4095,
     "blue": 4095,
@@ -98,22 +106,38 @@ Normals are octahedral. Albedo is stored as its square root, which spends codes 
 the eye does, and is undone exactly by any graphics chip. Red and blue are stored as differences
 from green: where colours are weak, and in grey pictures, these are small."""
 
+FACING = "facing"
+"""Last plane: 0 outside the mask; inside, MIDDLE plus what n·v of the stored normal lacks.
+
+Seen at a grazing angle, G1 of a smooth surface falls from 1 to 0 within n·v of r⁴: there the error
+of a stored normal, up to 3e-4, would show as one of 30 in 255."""
+
+FACING_UNIT = 1e-7
+GRAZING = 0.1
+"""Where n·v is above this the correction is left out, which makes the plane small."""
+
+MIDDLE = 1 << 15
+
+UNITS = {**{name: 1 / largest for name, largest in LARGEST.items()}, FACING: FACING_UNIT}
+"""What one code of each plane is worth, in the order of packing."""
+
 
 def packed(maps: Maps) -> bytes:
-    """All planes of `CODES`, each as its prediction errors, as one zlib stream.
+    """All planes of `UNITS`, each as its prediction errors, as one zlib stream.
 
     A code is predicted from its left (a), upper (b) and upper left (c) neighbours as the median of
     a, b and a + b − c (Weinberger et al., "LOCO-I", 1996). Errors e, modulo 2^16 and in -2^15 ...
     2^15 − 1, are stored as 2e or −2e − 1, all high bytes of a plane before all low bytes.
     """
-    codes = _codes(maps)
+    planes = codes(maps)
     # Errors have no repeating strings to look for, only runs: Z_RLE is 40 times as fast as the best
     # search, and 1 to 4 % smaller.
     deflate = zlib.compressobj(6, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_RLE)
-    return b"".join(deflate.compress(_errors(codes[name])) for name in CODES) + deflate.flush()
+    return b"".join(deflate.compress(_errors(planes[name])) for name in UNITS) + deflate.flush()
 
 
-def _codes(maps: Maps) -> dict[str, NDArray[np.uint16]]:
+def codes(maps: Maps) -> dict[str, NDArray[np.uint16]]:
+    """Whole numbers (H, W) by the names of `UNITS`."""
     normals = np.where(maps.mask[..., None], maps.normals, (0.0, 0.0, 1.0))
     flat = normals[..., :2] / np.sum(np.abs(normals), axis=-1, keepdims=True)
     # The lower half of the octahedron is folded outwards.
@@ -124,19 +148,32 @@ def _codes(maps: Maps) -> dict[str, NDArray[np.uint16]]:
         "normal_u": 0.5 + 0.5 * folded[..., 0],
         "normal_v": 0.5 + 0.5 * folded[..., 1],
         "roughness": maps.materials.roughness,
-        "mask": maps.mask.astype(np.float64),
         "green": root[..., 1],
         "red": root[..., 0],
         "blue": root[..., 2],
         "metallic": maps.materials.metallic,
     }
-    codes = {
-        name: np.rint(np.where(maps.mask, share, 0.0) * CODES[name]).astype(np.uint16)
+    found = {
+        name: np.rint(np.where(maps.mask, share, 0.0) * LARGEST[name]).astype(np.uint16)
         for name, share in shares.items()
     }
+    views = view_directions(*maps.mask.shape, maps.fov)
+    facing = np.sum(normals * views, axis=-1)
+    lacking = facing - np.sum(_unfolded(found) * views, axis=-1)
+    correction = np.rint(np.where(np.abs(facing) < GRAZING, lacking, 0.0) / FACING_UNIT)
+    found[FACING] = np.where(maps.mask, MIDDLE + correction, 0).astype(np.uint16)
     for name in ("red", "blue"):
-        codes[name] = codes[name] - codes["green"] + np.uint16(1 << 15)
-    return codes
+        found[name] = found[name] - found["green"] + np.uint16(MIDDLE)
+    return found
+
+
+def _unfolded(found: dict[str, NDArray[np.uint16]]) -> Array:
+    """Normals (H, W, 3) as the shader finds them in the codes."""
+    flat = np.stack([2 * UNITS[name] * found[name] - 1 for name in ("normal_u", "normal_v")], -1)
+    up = 1 - np.sum(np.abs(flat), axis=-1, keepdims=True)
+    flat = flat - np.where(flat >= 0, 1.0, -1.0) * np.maximum(-up, 0)
+    normals = np.concatenate([flat, up], axis=-1)
+    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
 
 def _errors(plane: NDArray[np.uint16]) -> bytes:

@@ -8,7 +8,7 @@ class Picture {
   constructor(canvas, data, planes, shaders) {
     Object.assign(this, { canvas, data, shaders });
     this.textures = {
-      geometry: interleaved([planes.normal_u, planes.normal_v, planes.roughness, planes.mask]),
+      geometry: interleaved([planes.normal_u, planes.normal_v, planes.roughness, planes.facing]),
       surface: interleaved([planes.red, planes.green, planes.blue, planes.metallic]),
     };
     canvas.width = data.width;
@@ -46,8 +46,8 @@ class Picture {
     const bands = Float32Array.from(data.bands);
     this.texture(2, "bands", bands.length / 4, 1, [gl.RGBA32F, gl.RGBA, gl.FLOAT], bands);
 
-    const unit = (...names) => names.map((name) => 1 / data.codes[name]);
-    gl.uniform4fv(this.at("geometryUnit"), unit("normal_u", "normal_v", "roughness", "mask"));
+    const unit = (...names) => names.map((name) => data.units[name]);
+    gl.uniform4fv(this.at("geometryUnit"), unit("normal_u", "normal_v", "roughness", "facing"));
     gl.uniform4fv(this.at("surfaceUnit"), unit("red", "green", "blue", "metallic"));
     gl.uniform1f(this.at("tangent"), data.tangent);
   }

@@ -1,12 +1,12 @@
 // Maps of pbrfit.report.viewer.maps.packed: planes of whole numbers, 0 to 65535.
 
-/** Planes by name, in the order of `codes`, from the base64 text of one zlib stream. */
-async function unpacked(text, codes, width, height) {
+/** Planes by name, in the order of `units`, from the base64 text of one zlib stream. */
+async function unpacked(text, units, width, height) {
   const stream = new Blob([fromBase64(text)]).stream()
     .pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
   const count = width * height;
-  const names = Object.keys(codes);
+  const names = Object.keys(units);
   if (bytes.length !== 2 * count * names.length) throw new Error("the maps in this page are damaged");
   const planes = {};
   names.forEach((name, i) => {

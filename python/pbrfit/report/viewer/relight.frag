@@ -7,7 +7,7 @@ precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
 
-uniform usampler2D geometry;  // octahedral normal (2), roughness, mask
+uniform usampler2D geometry;  // octahedral normal (2), roughness, correction of n·v
 uniform usampler2D surface;   // square root of albedo (3), metallic
 uniform vec4 geometryUnit;    // size of one code of each
 uniform vec4 surfaceUnit;
@@ -56,8 +56,7 @@ vec3 unfolded(vec2 p) {
   return normalize(d);
 }
 
-vec3 radiance(vec3 normal, vec3 view, vec3 albedo, float roughness, float metallic) {
-  float facing = dot(normal, view);
+vec3 radiance(vec3 normal, vec3 view, float facing, vec3 albedo, float roughness, float metallic) {
   float cosine = max(facing, 1e-4);  // not in the mirror direction
   float grazing = 1.0 - cosine;
   float schlick = grazing * grazing * grazing * grazing * grazing;
@@ -92,10 +91,11 @@ void main() {
   ivec2 size = textureSize(geometry, 0);
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   ivec2 texel = ivec2(pixel.x, size.y - 1 - pixel.y);  // row 0 of the maps is the top
-  vec4 g = vec4(texelFetch(geometry, texel, 0)) * geometryUnit;
+  uvec4 codes = texelFetch(geometry, texel, 0);
+  vec4 g = vec4(codes.rgb, float(codes.a) - 32768.0) * geometryUnit;
   vec4 s = vec4(texelFetch(surface, texel, 0)) * surfaceUnit;
-  if (g.a < 0.5) {
-    color = vec4(0.0);
+  if (codes.a == 0u) {
+    color = vec4(0.0);  // outside the mask
     return;
   }
   vec3 normal = unfolded(2.0 * g.xy - 1.0);
@@ -115,7 +115,8 @@ void main() {
   } else {
     vec2 centre = (2.0 * vec2(pixel) + 1.0 - vec2(size)) / float(size.x);
     vec3 view = normalize(vec3(-centre * tangent, 1.0));
-    vec3 exposed = max(gain * radiance(normal, view, albedo, roughness, metallic), 0.0);
+    float facing = dot(normal, view) + g.a;
+    vec3 exposed = max(gain * radiance(normal, view, facing, albedo, roughness, metallic), 0.0);
     code = srgb(toneMap == 1 ? neutral(exposed) : exposed);
   }
   color = vec4(code, 1.0);

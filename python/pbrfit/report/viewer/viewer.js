@@ -270,7 +270,7 @@ async function start(root) {
     }
     const data = JSON.parse(root.querySelector(".relight-data").textContent);
     const maps = root.querySelector(".relight-maps");
-    const planes = await unpacked(maps.textContent, data.codes, data.width, data.height);
+    const planes = await unpacked(maps.textContent, data.units, data.width, data.height);
     maps.remove(); // megabytes of text
     const picture = new Picture(canvas, data, planes, SHADERS);
     root.view = new View(root, data, picture);
