@@ -282,6 +282,9 @@ def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
     assert Result.load(tmp_path / "out").source is None
     file.write_text(json.dumps(content), encoding="utf-8")
     assert Result.load(tmp_path / "out").source is None
-    file.write_text(json.dumps(content | {"scene": {"path": 3}}), encoding="utf-8")
-    with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
-        Result.load(tmp_path / "out")
+    whole = {"path": "x", "color_space": None, "max_size": None, "code_range": [1, 250]}
+    for wrong in ({"path": 3}, {"color_space": "film"}, {"code_range": [1]}, {"max_size": "all"}):
+        scene = whole | wrong
+        file.write_text(json.dumps(content | {"scene": scene}), encoding="utf-8")
+        with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
+            Result.load(tmp_path / "out")
