@@ -7,9 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
+from pbrfit.model import sh_basis
+
+BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
+"""(16,): band l of coefficient k."""
 
 BASIS = "real SH, no Condon-Shortley phase, index l(l+1)+m"
 ORDER = 3
@@ -84,3 +88,32 @@ class Lighting:
                 + (f" and {len(missing) - 1} more" if len(missing) > 1 else "")
             )
         return self.coefficients[[self.pictures.index(name) for name in pictures]]
+
+
+def rotated(coefficients: ArrayLike, degrees: float) -> NDArray[np.float64]:
+    """SH lights (..., 16, 3) turned about +Y, from +Z towards +X.
+
+    Radiance from R d is then what it was from d. A light is known where its radiance is known in
+    some 16 directions or more, so with Y of directions d, and of those turned back,
+
+        Y(d) L' = Y(R⁻¹ d) L   ⇒   L' = Y(d)⁺ Y(R⁻¹ d) L.
+    """
+    light = np.asarray(coefficients, dtype=np.float64)
+    angle = np.radians(degrees)
+    back = np.array(
+        [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
+    )
+    rotation = np.linalg.pinv(sh_basis(_SPREAD)) @ sh_basis(_SPREAD @ back.T)
+    return np.asarray(rotation @ light)
+
+
+def _spread_directions(count: int) -> NDArray[np.float64]:
+    """Directions that are spread evenly over the sphere, on a spiral: (count, 3)."""
+    index = np.arange(count)
+    z = 1 - (2 * index + 1) / count
+    around = index * np.pi * (3 - np.sqrt(5))
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(around), radius * np.sin(around), z], axis=-1)
+
+
+_SPREAD = _spread_directions(64)
