@@ -17,6 +17,8 @@ from pbrfit._core import InputError
 from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
 
+Array = NDArray[np.float64]
+
 
 def sh_basis(directions: ArrayLike) -> NDArray[np.float64]:
     """Real spherical harmonics up to l = 3, without Condon-Shortley phase.
@@ -242,7 +244,7 @@ class _View:
 
     height: int
     width: int
-    pixels: tuple[NDArray[np.float64], ...]
+    pixels: tuple[Array, Array, Array, Array, Array]
     of: slice | NDArray[np.bool_]
 
     @classmethod
@@ -259,10 +261,12 @@ class _View:
         if not all(np.isfinite(given).all() for given in (albedo, roughness, metallic, n)):
             used = np.isfinite(albedo).all(-1) & np.isfinite(n).all(-1)
             of = (used & np.isfinite(roughness) & np.isfinite(metallic)).reshape(-1)
-        rows = (n, view_directions(height, width, fov), albedo)
-        pixels = [array.reshape(-1, 3)[of] for array in rows]
-        pixels += [array.reshape(-1)[of] for array in (roughness, metallic)]
-        return cls(height, width, tuple(pixels), of)
+        n, v, rho = (
+            vectors.reshape(-1, 3)[of]
+            for vectors in (n, view_directions(height, width, fov), albedo)
+        )
+        r, m = (numbers.reshape(-1)[of] for numbers in (roughness, metallic))
+        return cls(height, width, (n, v, rho, r, m), of)
 
     def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""

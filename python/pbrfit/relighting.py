@@ -62,9 +62,7 @@ class DirectionalLight:
             math.radians(math.remainder(angle, 360)) for angle in (self.azimuth, self.elevation)
         )
         level = math.cos(elevation)
-        return np.array(
-            [math.sin(azimuth) * level, math.sin(elevation), math.cos(azimuth) * level]
-        )
+        return np.array([math.sin(azimuth) * level, math.sin(elevation), math.cos(azimuth) * level])
 
     def turned(self, degrees: float) -> DirectionalLight:
         """The light turned about +Y: so much is added to its azimuth."""
