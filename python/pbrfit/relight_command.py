@@ -35,7 +35,7 @@ FPS = 12.0
 MANY = 0.98
 """Share of pixels that are nearly black or clipped from which on another exposure is suggested."""
 
-NAMES_SHOWN = 8
+NAMES_SHOWN = 32
 
 
 @dataclass(frozen=True)

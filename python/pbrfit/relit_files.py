@@ -17,8 +17,8 @@ from pbrfit.display import ToneMap
 Radiance = NDArray[np.float64]
 """(H, W, 3) linear Rec.709; NaN outside the mask."""
 
-NEARLY_BLACK = 8 / 255
-"""Shown values up to this are hard to tell from black."""
+NEARLY_BLACK = 8
+"""Codes up to this are hard to tell from black."""
 
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
 """Pillow's names of animated formats."""
@@ -63,7 +63,9 @@ def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], 
     if kind == ".gif":
         pictures = (_with_palette(picture) for picture in pictures)
     first = next(pictures)
-    first.save(path, format=ANIMATIONS[kind], save_all=True, append_images=pictures, **options)
+    # Pillow goes through the frames of a PNG twice.
+    others = list(pictures) if kind == ".png" else pictures
+    first.save(path, format=ANIMATIONS[kind], save_all=True, append_images=others, **options)
 
 
 def _with_palette(picture: Image.Image) -> Image.Image:
@@ -92,7 +94,7 @@ class Screen:
     exposure, tone_map
         As for `display.encoded`.
     clipped, black, pixels
-        Pixels so far with a channel at its maximum, nearly black ones, and all.
+        Pixels so far with a channel at 255, with none above `NEARLY_BLACK`, and all.
     """
 
     exposure: float = 0.0
@@ -107,11 +109,11 @@ class Screen:
         values = display.encoded(
             np.where(inside[..., None], radiance, 0.0), self.exposure, self.tone_map
         )
-        largest = values.max(axis=-1)[inside]
-        self.pixels += largest.size
-        self.clipped += int(np.sum(largest >= 1))
-        self.black += int(np.sum(largest <= NEARLY_BLACK))
         codes = np.rint(255 * values).astype(np.uint8)
+        largest = codes.max(axis=-1)[inside]
+        self.pixels += largest.size
+        self.clipped += int(np.sum(largest == 255))
+        self.black += int(np.sum(largest <= NEARLY_BLACK))
         if inside.all():
             return codes
         codes[~inside] = 0
