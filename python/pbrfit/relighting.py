@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -104,6 +104,10 @@ def relight(
     return render(result.materials, result.normals, light, result.fov, threads)
 
 
+@overload
+def turned(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]: ...
+@overload
+def turned(light: DirectionalLight, degrees: float) -> DirectionalLight: ...
 def turned(
     light: NDArray[np.float64] | DirectionalLight, degrees: float
 ) -> NDArray[np.float64] | DirectionalLight:

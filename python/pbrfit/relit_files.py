@@ -54,7 +54,7 @@ def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], 
     if kind == ".gif":
         options.update(duration=10 * round(100 / fps), disposal=2)
     elif kind == ".webp":
-        options.update(lossless=True, method=4, exact=True)
+        options.update(lossless=True)
     else:
         tags = PngImagePlugin.PngInfo()
         tags.add(b"sRGB", b"\0")  # perceptual, as the other PNG files say
@@ -65,7 +65,9 @@ def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], 
     first = next(pictures)
     # Pillow goes through the frames of a PNG twice.
     others = list(pictures) if kind == ".png" else pictures
-    first.save(path, format=ANIMATIONS[kind], save_all=True, append_images=others, **options)
+    # Opened here: Pillow leaves a file that it opened itself open when a frame fails.
+    with path.open("w+b") as file:
+        first.save(file, ANIMATIONS[kind], save_all=True, append_images=others, **options)
 
 
 def _with_palette(picture: Image.Image) -> Image.Image:
