@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -292,18 +293,18 @@ def _projected(options: argparse.Namespace, degrees: float, turn: str) -> Chosen
         ),
     ]
     least = panorama.darkest(light)
-    mean = float(light[0].mean() / 2 / 3.141592653589793**0.5)
-    if least < -1e-6 * abs(mean):
+    mean = float(light[0].mean()) / math.sqrt(4 * math.pi)
+    if window != "none":
+        facts.append(("window", f"{window}, which blurs the light: its least radiance {least:.3g}"))
+    if least < -1e-6 * mean:
+        cures = "nonnegative ends" if window == "lanczos" else "lanczos lessens, nonnegative ends"
         facts.append(
             (
                 "ringing",
-                f"where the projected light is darkest its radiance is {least:.3g}, its mean is "
-                f"{mean:.3g}; --window nonnegative avoids that"
-                + (", --window lanczos lessens it" if window == "none" else ""),
+                f"the projected light falls to {least:.3g}, its mean is {mean:.3g}: shiny surfaces "
+                f"may get black spots, which --window {cures}",
             )
         )
-    if window != "none":
-        facts.append(("window", f"{window}: radiance is now {least:.3g} or more"))
     return ChosenLight(light, tuple(facts))
 
 

@@ -128,13 +128,13 @@ def test_what_a_projection_loses_is_said(
     assert facts["projection"].startswith(f"loses {lost:.1f} % of the light's energy")
     assert "highlights do" in facts["projection"]
     assert "--light" in facts["projection"]
-    assert f"its radiance is {panorama.darkest(projected):.3g}" in facts["ringing"]
-    assert "--window nonnegative" in facts["ringing"]
+    assert f"the projected light falls to {panorama.darkest(projected):.3g}," in facts["ringing"]
+    assert "--window lanczos lessens, nonnegative ends" in facts["ringing"]
     arguments = ("--window", "nonnegative", "--overwrite")
     assert run("relight", room, "--env", pano, "--out", out, *arguments) == 0
     facts = said(capsys.readouterr().out)
     assert "ringing" not in facts
-    assert facts["window"].startswith("nonnegative: radiance is now ")
+    assert facts["window"].startswith("nonnegative, which blurs the light: its least radiance ")
     write_exr(tmp_path / "even.exr", np.ones((8, 16, 3)))
     assert run("relight", room, "--env", tmp_path / "even.exr", "--out", out, "--overwrite") == 0
     facts = said(capsys.readouterr().out)
