@@ -37,6 +37,7 @@ MANY = 0.98
 """Share of pixels that are nearly black or clipped from which on another exposure is suggested."""
 
 NAMES_SHOWN = 32
+MOST_STOPS = 100.0
 
 
 @dataclass(frozen=True)
@@ -233,6 +234,11 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
                 f"{' (--format png)' if folder else ''}, found EXR: it holds linear radiance, and "
                 "what it is shown with is left to who shows it"
             )
+    if given["exposure"] and not abs(options.exposure) <= MOST_STOPS:
+        raise InputError(
+            f"--exposure: expected -{MOST_STOPS:g} to {MOST_STOPS:g} stops, found "
+            f"{options.exposure:g}"
+        )
     if given["fps"] and not 1 <= options.fps <= 50:
         raise InputError(f"--fps: expected 1 to 50, found {options.fps:g}")
 
@@ -402,4 +408,5 @@ def _facts_of_output(
         if exposure is None:
             yield "hint", "no light reaches the surfaces that the camera sees"
         else:
+            exposure = min(max(exposure, -MOST_STOPS), MOST_STOPS)
             yield "hint", f"little can be seen; try --exposure {exposure:g}"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
 from pbrfit import DirectionalLight, Result, display, images, panorama, relight
+from pbrfit.arguments import with_signed_values
 from pbrfit.lighting import Lighting, rotated
 from relit import ball, fitted, side_lit
 from scene_files import run, write_exr, write_folder, write_hdr
@@ -250,6 +251,19 @@ def test_float32_holds_no_infinity(room: Path, tmp_path: Path) -> None:
     assert exr(out).max() == np.finfo(np.float32).max
 
 
+def test_values_with_a_minus_sign_are_tied_to_their_options() -> None:
+    tied = with_signed_values(["relight", "-1", "--light", "-40,30", "--quiet", "-2", "--rotate"])
+    assert tied == ["relight", "-1", "--light=-40,30", "--quiet", "-2", "--rotate"]
+    # What is no number, is tied already, or comes after -- stays as it is.
+    for untouched in (
+        ["--light", "-x"],
+        ["--light=-1,2", "-3"],
+        ["--light", "--rotate", "5"],
+        ["--", "--light", "-1,2"],
+    ):
+        assert with_signed_values(untouched) == untouched
+
+
 # Turntables
 
 
@@ -476,6 +490,8 @@ def test_a_light_is_not_overwritten_by_its_picture(
         ("out.png", ("--color", "1,-1,1"), "color: expected three finite numbers, 0 or more"),
         ("out.png", ("--color", "-1,1,1"), "color: expected three finite numbers, 0 or more"),
         ("out.png", ("--exposure", "nan"), "expected a finite number, found 'nan'"),
+        ("out.png", ("--exposure", 101), "--exposure: expected -100 to 100 stops, found 101"),
+        ("out.png", ("--exposure", "-2e3"), "--exposure: expected -100 to 100 stops, found -2000"),
         ("out.png", ("--sh", "x.json"), "not allowed with argument --light"),
     ],
 )
