@@ -56,6 +56,16 @@ def render(
     lighting: NDArray[np.float64],
     threads: int,
 ) -> NDArray[np.float64]: ...
+def render_directional(
+    normals: NDArray[np.float64],
+    views: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    colors: NDArray[np.float64],
+    threads: int,
+) -> NDArray[np.float64]: ...
 
 @final
 class Problem:

@@ -31,10 +31,12 @@ from pbrfit.arguments import (
     progress_bar,
     unread_is_no_failure,
     whole_number,
+    with_signed_values,
 )
 from pbrfit.color import ColorSpace
 from pbrfit.evaluation.commands import add_suites
 from pbrfit.images import CODE_RANGE
+from pbrfit.relight_command import add_relight
 from pbrfit.robust import LOSSES
 
 if TYPE_CHECKING:
@@ -49,7 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 unusable input."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that lacks a sign: no reason
-    options = _parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(with_signed_values(given))
     try:
         with _logging_to_stderr(quiet=getattr(options, "quiet", False)), _ending_when_told():
             command: Callable[[argparse.Namespace], int] = options.command
@@ -143,6 +146,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_synth_options(added)
     _add_sh_order(added, "of the lights")
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+
+    add_relight(commands)
 
     added = command("normals", _normals, "give normals to a folder of pictures")
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
