@@ -131,6 +131,20 @@ def _parser() -> argparse.ArgumentParser:
     add_priors(added)
     add_quiet(added)
 
+    added = command("report", _report, "write a page about a result, to be looked at in a browser")
+    added.add_argument("result", metavar="RESULT", type=Path, help="result folder")
+    added.add_argument(
+        "--out", metavar="FILE", type=Path, required=True, help="page to write, FILE.html"
+    )
+    added.add_argument(
+        "--scene",
+        metavar="SCENE",
+        type=Path,
+        help="scene folder that the result was made from (default: where it was then)",
+    )
+    added.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    add_quiet(added)
+
     added = command("inspect", _inspect, "show what a scene folder holds and what is assumed")
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     added.add_argument(
@@ -394,6 +408,18 @@ def _fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
 
 def _metallic(options: argparse.Namespace) -> float | None:
     return None if options.metallic == "free" else float(options.metallic)
+
+
+def _report(options: argparse.Namespace) -> int:
+    from pbrfit.report import write_report
+    from pbrfit.result import Result
+
+    result = Result.load(options.result)
+    write_report(result, options.out, options.scene, options.overwrite)
+    if not options.quiet:
+        size = options.out.stat().st_size / 1e6
+        print(f"{options.out}: {size:.1f} MB, open it in a browser")
+    return DONE
 
 
 def _inspect(options: argparse.Namespace) -> int:
