@@ -398,7 +398,7 @@ def _inspect(options: argparse.Namespace) -> int:
     for topic, fact in inspection.facts(scene):
         print(f"{topic:<18}{fact}")
     if options.preview is not None:
-        images.write_png(options.preview, preview.normals_preview(scene), srgb=True)
+        images.write_png(options.preview, preview.normals_preview(scene), tag="srgb")
         print(f"{'preview':<18}{options.preview}")
     return DONE
 

@@ -311,7 +311,7 @@ def write_exr(
     _core.write_exr(path, planes, half)
 
 
-def write_png(path: str | os.PathLike[str], image: NDArray[Any], srgb: bool) -> None:
+def write_png(path: str | os.PathLike[str], image: NDArray[Any], tag: PngTag) -> None:
     """Write a PNG file.
 
     The file is there as a whole or not at all, and equal images give equal bytes.
@@ -322,8 +322,9 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any], srgb: bool) -> 
         File to write; an existing one is replaced.
     image
         (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
-    srgb
-        Whether to state in the file that it is sRGB.
+    tag
+        What the file is to say about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1:
+        data, or linear light) or None (nothing).
 
     Raises
     ------
@@ -332,7 +333,18 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any], srgb: bool) -> 
     OSError
         If the file cannot be written.
     """
-    _core.write_png(path, image, srgb)
+    _core.write_png(path, image, tag)
+
+
+def encode_png(image: NDArray[Any], tag: PngTag) -> bytes:
+    """Encode the PNG file that `write_png` writes.
+
+    Raises
+    ------
+    InputError
+        If the shape or type of `image` is another.
+    """
+    return _core.encode_png(image, tag)
 
 
 def _checked(code_range: tuple[int, int]) -> tuple[int, int]:
