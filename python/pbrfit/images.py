@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,9 @@ logger = logging.getLogger("pbrfit")
 
 PICTURE_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 """Suffixes, in lower case, of files that `read_picture` reads."""
+
+PngTag = Literal["srgb", "linear"] | None
+"""What a PNG file says about its encoding."""
 
 CODE_RANGE = (1, 250)
 """Codes of an 8-bit file that are data. 0 in all channels may be anything darker than the file can
