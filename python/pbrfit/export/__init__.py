@@ -112,13 +112,9 @@ def export_result(
     planned = plan(
         format=format, preset=preset, normals=normals, bits=bits, masked=not result.mask.all()
     )
-    maps = Maps.of(result, planned.normals)
+    job = _Job(result, planned, Maps.of(result))
     with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
-        files = [
-            file
-            for name in planned.formats
-            for file in _WRITERS[name](folder, result, maps, planned)
-        ]
+        files = [file for name in planned.formats for file in _WRITERS[name](folder, job)]
         (folder / "lights").mkdir()
         panoramas = write_lights(folder / "lights", Lighting(result.pictures, result.lighting))
         files += _light_files(folder, panoramas)
@@ -126,26 +122,29 @@ def export_result(
     return Exported(tuple(files), panoramas)
 
 
-def _write_gltf(folder: Path, result: Result, maps: Maps, planned: Plan) -> Iterator[ExportedFile]:
-    upwards = Maps.of(result)
-    (folder / "material.glb").write_bytes(glb(upwards, result.fov, planned.bits))
-    yield _file(
-        folder,
-        "material.glb",
-        "plane with base color, metallic-roughness and normal textures; camera",
-        "base color sRGB, all else linear",
-    )
+@dataclass(frozen=True)
+class _Job:
+    result: Result
+    plan: Plan
+    maps: Maps
 
 
-def _write_exr(folder: Path, result: Result, maps: Maps, planned: Plan) -> Iterator[ExportedFile]:
+def _write_gltf(folder: Path, job: _Job) -> Iterator[ExportedFile]:
+    path = "material.glb"
+    (folder / path).write_bytes(glb(job.maps, job.result.fov, job.plan.bits))
+    holds = "plane with base color, metallic-roughness and normal textures; camera"
+    yield _file(folder, path, holds, "base color sRGB, all else linear")
+
+
+def _write_exr(folder: Path, job: _Job) -> Iterator[ExportedFile]:
     (folder / "exr").mkdir()
+    result, path = job.result, "exr/materials.exr"
     more = None if result.uncertainty is None else result.uncertainty.layers()
-    path = "exr/materials.exr"
     write_materials(folder / path, result.materials, result.normals, result.mask, more)
     yield _file(folder, path, "all maps as layers; normals as vectors, Y up", _LINEAR)
-    for texture in planned.textures:
+    for texture in job.plan.textures:
         path = f"exr/{texture.name}.exr"
-        values = maps.floats(texture)
+        values = job.maps.floats(texture, job.plan.normals)
         letters = "Y" if values.shape[-1] == 1 else "RGBA"
         images.write_exr(
             folder / path, {letters[c]: values[..., c] for c in range(values.shape[-1])}
@@ -153,18 +152,18 @@ def _write_exr(folder: Path, result: Result, maps: Maps, planned: Plan) -> Itera
         yield _file(folder, path, "; ".join(texture.channels), _LINEAR)
 
 
-def _write_png(folder: Path, result: Result, maps: Maps, planned: Plan) -> Iterator[ExportedFile]:
+def _write_png(folder: Path, job: _Job) -> Iterator[ExportedFile]:
     (folder / "png").mkdir()
-    for texture in planned.textures:
-        bits = planned.bits_of(texture)
+    for texture in job.plan.textures:
+        bits = job.plan.bits_of(texture)
         path = f"png/{texture.name}.png"
-        values, tag = maps.png(texture, bits)
-        images.write_png(folder / path, values, tag)
+        values = job.maps.integers(texture, bits, job.plan.normals)
+        images.write_png(folder / path, values, "srgb" if texture.color else "linear")
         holds = "; ".join(texture.channels)
         yield _file(folder, path, holds, f"{texture.color_space}; {bits} bits")
 
 
-_WRITERS: dict[Format, Callable[[Path, Result, Maps, Plan], Iterator[ExportedFile]]] = {
+_WRITERS: dict[Format, Callable[[Path, _Job], Iterator[ExportedFile]]] = {
     "gltf": _write_gltf,
     "exr": _write_exr,
     "png": _write_png,

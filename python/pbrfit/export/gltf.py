@@ -44,17 +44,18 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None) -> bytes:
     Parameters
     ----------
     maps
-        With normals Y up, which glTF wants.
+        Of the result.
     fov
         Horizontal, degrees, 0 = orthographic.
     bits
         Of all textures; None: normals 16, the others 8.
     """
+    height, width = maps.mask.shape
     masked = not maps.mask.all()
     base_color = Texture("base_color", (*BASE_COLOR, *(["mask"] if masked else [])), True, 8)
     buffer = _Buffer()
     textures = (base_color, _METALLIC_ROUGHNESS, _NORMAL)
-    attributes, indices = _plane(buffer, maps.mask.shape[0] / maps.mask.shape[1])
+    attributes, indices = _plane(buffer, height / width)
     # Untagged: what a texture is used for says how it is encoded, and what PNG chunks say is to be
     # ignored (specification, 3.8.3).
     pictures = [
@@ -77,7 +78,7 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None) -> bytes:
     }
     if masked:
         material |= {"alphaMode": "MASK", "alphaCutoff": 0.5}
-    camera, distance = _camera(*maps.mask.shape, fov)
+    camera, distance = _camera(height, width, fov)
     document = {
         "asset": {
             "version": "2.0",
@@ -85,7 +86,7 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None) -> bytes:
             "extras": {
                 "color_space": "Rec.709 primaries, D65: base color sRGB-encoded, all else linear",
                 "fov": fov,
-                "picture": [maps.mask.shape[1], maps.mask.shape[0]],
+                "picture": [width, height],
                 "axes": "the plane's X, Y, Z are pbrfit's camera space: right, up, to the viewer",
             },
         },

@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.color import encode_srgb
 from pbrfit.materials import nearest_inside
@@ -62,8 +61,6 @@ class Maps:
         (H, W, 3), unit vectors in camera space, Y up.
     mask
         (H, W) bool.
-    green
-        1 where normal maps have green upwards (OpenGL), −1 where downwards (DirectX).
     """
 
     albedo: NDArray[np.float64]
@@ -71,10 +68,9 @@ class Maps:
     metallic: NDArray[np.float64]
     normals: NDArray[np.float64]
     mask: NDArray[np.bool_]
-    green: Literal[1, -1] = 1
 
     @classmethod
-    def of(cls, result: Result, normals: NormalConvention = "opengl") -> Maps:
+    def of(cls, result: Result) -> Maps:
         """Maps of a result.
 
         Raises
@@ -94,25 +90,28 @@ class Maps:
                 raise InputError(
                     f"{name}: expected finite values inside the mask, found NaN or infinity"
                 )
-        return cls(mask=result.mask, green=1 if normals == "opengl" else -1, **filled)
+        return cls(mask=result.mask, **filled)
 
-    def floats(self, texture: Texture) -> NDArray[np.float32]:
+    def floats(self, texture: Texture, normals: NormalConvention = "opengl") -> NDArray[np.float32]:
         """Channels of a texture, (H, W, C) float32; colours are linear."""
-        planes = [CHANNELS[name](self) for name in texture.channels]
-        return np.stack(planes, axis=-1).astype(np.float32)
+        return self._stacked(texture, normals).astype(np.float32)
 
-    def integers(self, texture: Texture, bits: Bits) -> NDArray[Any]:
+    def integers(
+        self, texture: Texture, bits: Bits, normals: NormalConvention = "opengl"
+    ) -> NDArray[Any]:
         """The same, (H, W, C) uint8 or uint16, 0 to 1 on all codes; colours are sRGB-encoded."""
-        values = np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
-        values = np.clip(values, 0.0, 1.0)
+        values = np.clip(self._stacked(texture, normals), 0.0, 1.0)
         if texture.color:
             values[..., :3] = encode_srgb(values[..., :3])
         largest = (1 << bits) - 1
         return np.floor(values * largest + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
 
-    def png(self, texture: Texture, bits: Bits) -> tuple[NDArray[Any], images.PngTag]:
-        """The same with what a PNG file is to say about it."""
-        return self.integers(texture, bits), "srgb" if texture.color else "linear"
+    def _stacked(self, texture: Texture, normals: NormalConvention) -> NDArray[np.float64]:
+        values = np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
+        if normals == "directx" and "normal Y" in texture.channels:
+            green = texture.channels.index("normal Y")
+            values[..., green] = 1 - values[..., green]
+        return values
 
 
 def _constant(value: float) -> Callable[[Maps], NDArray[np.float64]]:
@@ -127,14 +126,14 @@ CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
     "smoothness = 1 − roughness": lambda maps: 1 - maps.roughness,
     "metallic": lambda maps: maps.metallic,
     "normal X": lambda maps: 0.5 + 0.5 * maps.normals[..., 0],
-    "normal Y": lambda maps: 0.5 + 0.5 * maps.green * maps.normals[..., 1],
+    "normal Y": lambda maps: 0.5 + 0.5 * maps.normals[..., 1],
     "normal Z": lambda maps: 0.5 + 0.5 * maps.normals[..., 2],
     "mask": lambda maps: maps.mask.astype(np.float64),
     "occlusion, none": _constant(1.0),
     "detail mask, none": _constant(0.0),
     "unused": _constant(0.0),
 }
-"""What a channel of a texture may hold: (H, W) in [0, 1], of normals 0.5 + 0.5 n."""
+"""What a channel of a texture may hold: (H, W) in [0, 1], of normals 0.5 + 0.5 n, Y up."""
 
 BASE_COLOR = ("base color R", "base color G", "base color B")
 NORMAL = ("normal X", "normal Y", "normal Z")
