@@ -670,7 +670,12 @@ def test_pillow_reads_what_is_written(tmp_path: Path) -> None:
         assert "srgb" not in picture.info
     first = path.read_bytes()
     images.write_png(path, RGB16[..., 0], tag=None)
-    assert path.read_bytes() == first
+    assert path.read_bytes() == first == images.encode_png(RGB16[..., 0], tag=None)
+    images.write_png(path, RGB16[..., 0], tag="linear")
+    with Image.open(path) as picture:
+        np.testing.assert_array_equal(np.asarray(picture), RGB16[..., 0])
+        assert picture.info["gamma"] == 1.0
+        assert "srgb" not in picture.info
 
 
 def test_unwritable_arrays_are_refused_and_leave_no_file(tmp_path: Path) -> None:
@@ -686,6 +691,9 @@ def test_unwritable_arrays_are_refused_and_leave_no_file(tmp_path: Path) -> None
         images.write_png(tmp_path / "a.png", np.zeros((2, 2, 5), np.uint8), tag="srgb")
     with pytest.raises(InputError, match="image: expected"):
         images.write_png(tmp_path / "a.png", np.zeros(4, np.uint8), tag="srgb")
+    wrong: Any = "rgb"
+    with pytest.raises(InputError, match='tag: expected srgb, linear or None, found "rgb"'):
+        images.write_png(tmp_path / "a.png", RGB8, tag=wrong)
     with pytest.raises(FileNotFoundError):
         images.write_png(tmp_path / "none" / "a.png", RGB8, tag="srgb")
     assert not list(tmp_path.iterdir())
