@@ -193,7 +193,7 @@ class Result:
         }
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
-        images.write_png(folder / "preview.png", preview(self, scene), srgb=True)
+        images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
