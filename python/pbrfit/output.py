@@ -89,7 +89,8 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
         check_free_file(path, overwrite=overwrite)  # as above
         temporary.replace(target)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
         with suppress(OSError):
             for parent in new_parents:
                 parent.rmdir()

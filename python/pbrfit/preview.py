@@ -33,7 +33,7 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     labels = ["", "recovered"]
     # Names of the maps stand above the first row of them alone.
     rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, "normals")])
-    on_scale = {"residual": "of the picture's RMS"} if scene is not None else {}
+    on_scale = {"residual": ", as a share of the picture's RMS"} if scene is not None else {}
     white = ["not used"] if scene is not None and scene.weights is not None else []
     marks: dict[str, tuple[float, float, float]] = {}
     truth = None if scene is None else scene.truth

@@ -194,7 +194,7 @@ class Result:
         }
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
-        images.write_png(folder / "preview.png", preview(self, scene), srgb=True)
+        images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
@@ -203,9 +203,11 @@ class Result:
         Raises
         ------
         InputError, OSError
-            If a file is missing or not what `save` writes; the message names it.
+            If this is no result folder, or a file in it is missing or not what `save` writes; the
+            message names it.
         """
         folder = Path(path)
+        _check_is_result(folder)
         materials, normals, mask = read_materials(folder / "materials.exr")
         lighting = Lighting.load(folder / "lighting.json")
         file = folder / "result.json"
@@ -239,6 +241,30 @@ class Result:
             raise InputError(
                 f"{file}: expected what pbrfit writes, found {type(error).__name__}: {error}"
             ) from None
+
+
+def _check_is_result(folder: Path) -> None:
+    """Raise InputError that says what is there instead."""
+    from pbrfit.scene_folder import is_scene
+
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "nothing"
+    else:
+        missing = [name for name in (*CONTAINS, "lighting.json") if not (folder / name).exists()]
+        if not missing:
+            return
+        below = sorted(p.parent.name for p in folder.glob(f"*/{CONTAINS[0]}"))
+        if len(missing) < len(CONTAINS) + 1 and not is_scene(folder):
+            found = f"one without {missing[0]}"
+        elif is_scene(folder):
+            found = "a scene folder: run pbrfit decompose on it first"
+        elif below:
+            found = f"a folder of results: name one of them, such as {folder / below[0]}"
+        else:
+            found = f"a folder without {' and '.join(missing)}"
+    raise InputError(
+        f"{folder}: expected a result folder, as pbrfit decompose writes it, found {found}"
+    )
 
 
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:

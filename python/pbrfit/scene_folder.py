@@ -169,10 +169,10 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
         sound = scene.valid & np.isfinite(scene.images).all(axis=(0, -1))
         if not sound.all():
             images.write_png(
-                folder / "mask.png", np.where(sound, 255, 0).astype(np.uint8), srgb=False
+                folder / "mask.png", np.where(sound, 255, 0).astype(np.uint8), tag=None
             )
         if scene.segments is not None:
-            images.write_png(folder / "segments.png", _ids(scene.segments), srgb=False)
+            images.write_png(folder / "segments.png", _ids(scene.segments), tag=None)
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.truth is not None:
