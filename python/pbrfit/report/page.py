@@ -79,14 +79,21 @@ def page(result: Result, originals: Originals) -> str:
         }
         return _document(result, pictures, fixed | of_chosen)
 
-    # What is left of the limit, once all else is known to the letter, is for the pictures.
-    size = raster.reduced_size(result.mask.shape, sides[0])
-    without = len(whole(_Chosen([], 0, size)).encode())
-    card = 2_000  # letters of markup around a picture and its light, names of 255 letters included
-    limit = budget.LIMIT - without - card * len(pictures)
-    side, indices = budget.choose([one.sizes for one in pictures], limit)
-    size = raster.reduced_size(result.mask.shape, sides[side])
-    return whole(_Chosen([pictures[i] for i in indices], side, size))
+    # What is left of the limit, once all else is known to the letter, is for the pictures; markup
+    # around them is only known with them.
+    limit = float(budget.LIMIT)
+    made = whole(_Chosen([], 0, raster.reduced_size(result.mask.shape, sides[0])))
+    limit -= len(made.encode())
+    sizes = [one.sizes for one in pictures]
+    while limit > 0:
+        side, indices = budget.choose(sizes, limit)
+        size = raster.reduced_size(result.mask.shape, sides[side])
+        made = whole(_Chosen([pictures[i] for i in indices], side, size))
+        excess = len(made.encode()) - budget.LIMIT
+        if excess <= 0:
+            break
+        limit -= excess
+    return made
 
 
 def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str, str]) -> str:
