@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from browser import Visit, visit
 from numpy.typing import NDArray
 from PIL import Image
 
+from browser import Visit, visit
 from pbrfit import Result, decompose, render
 from pbrfit.display import ToneMap, encoded
 from pbrfit.materials import Materials

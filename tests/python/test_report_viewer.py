@@ -10,14 +10,14 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from browser import launched, visit
 from numpy.typing import NDArray
-from relight_view import PAGE, READY, coded, difference, expected, made, opened, room
 
+from browser import launched, visit
 from pbrfit import Result, panorama, sh_basis
 from pbrfit.display import ToneMap, encoded
 from pbrfit.lighting import rotated
 from pbrfit.report.viewer import fragment, maps
+from relight_view import PAGE, READY, coded, difference, expected, made, opened, room
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
