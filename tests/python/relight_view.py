@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from browser import Visit, visit
 from numpy.typing import NDArray
 from PIL import Image
 
+from browser import Visit, visit
 from pbrfit import Result, decompose, render
 from pbrfit.display import ToneMap, encoded
 from pbrfit.materials import Materials
@@ -109,7 +109,8 @@ def expected(
 def coded(display: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Values in [0, 1] as 8 bits, with alpha."""
     color = np.where(mask[..., None], display, 0.0)
-    return np.rint(255 * np.concatenate([color, mask[..., None]], axis=-1)).astype(np.uint8)
+    codes = np.rint(255 * np.concatenate([color, mask[..., None]], axis=-1))
+    return np.asarray(codes.astype(np.uint8))
 
 
 def difference(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> tuple[int, float]:
@@ -166,7 +167,8 @@ class View:
         before = self.message()
         self.page.locator('input[type="file"]').set_input_files(list(files))
         self.page.wait_for_function(
-            "before => document.querySelector('.relight-message').textContent !== before", arg=before
+            "before => document.querySelector('.relight-message').textContent !== before",
+            arg=before,
         )
         return self.message()
 

@@ -10,14 +10,14 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from browser import launched, visit
 from numpy.typing import NDArray
-from relight_view import PAGE, READY, coded, difference, expected, made, opened, room
 
+from browser import launched, visit
 from pbrfit import Result, panorama, sh_basis
 from pbrfit.display import ToneMap, encoded
 from pbrfit.lighting import rotated
 from pbrfit.report.viewer import fragment, maps
+from relight_view import PAGE, READY, coded, difference, expected, made, opened, room
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -45,8 +45,8 @@ def tilted(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]:
     turn = np.array([[1, 0, 0], [0, np.cos(b), np.sin(b)], [0, -np.sin(b), np.cos(b)]])
     d = panorama.directions(12, 24).reshape(-1, 3)
     # Light that came from d comes from turn · d now.
-    solved: NDArray[np.float64] = np.linalg.lstsq(sh_basis(d @ turn.T), sh_basis(d) @ light)[0]
-    return solved
+    solved = np.linalg.lstsq(sh_basis(d @ turn.T), sh_basis(d) @ light)[0]
+    return np.asarray(solved, np.float64)
 
 
 def test_every_recovered_light_gives_the_pixels_of_the_package(

@@ -108,9 +108,9 @@ def _base64(content: bytes) -> str:
 
 def _png(picture: NDArray[np.float64]) -> bytes:
     """Values for the screen (H, W, 3) as a PNG of at most `STATIC_SIDE`, transparent where NaN."""
-    known = np.isfinite(picture).all(axis=-1)
-    color = np.where(known[..., None], picture, 0.0)
-    pixels = np.rint(255 * np.concatenate([color, known[..., None]], axis=-1)).astype(np.uint8)
+    known = np.isfinite(picture).all(axis=-1, keepdims=True)
+    color = np.where(known, picture, 0.0)
+    pixels = np.rint(255 * np.concatenate([color, known], axis=-1)).astype(np.uint8)
     image = Image.fromarray(pixels)
     image.thumbnail((STATIC_SIDE, STATIC_SIDE), Image.Resampling.BOX)
     buffer = io.BytesIO()
