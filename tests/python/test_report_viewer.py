@@ -183,6 +183,27 @@ def test_a_panorama_from_a_file_lights_as_the_package_has_it(
         np.testing.assert_allclose(view.light(), light, atol=1e-6 * np.abs(light).max())
 
 
+@pytest.mark.parametrize("name", ["studio_small_03_1k", "kloppenheim_05_1k"])
+def test_windows_against_ringing_are_those_of_the_package(
+    browser: Browser, furnished: Result, tmp_path: Path, shared_data: Path, name: str
+) -> None:
+    file = shared_data / "hdri" / f"{name}.hdr"
+    light = panorama.project(panorama.read(file))
+    with opened(browser, furnished, tmp_path) as view:
+        assert not view.control("window").is_visible()
+        view.open(file)
+        for window in panorama.WINDOWS:
+            view.control("window").select_option(window)
+            true = panorama.windowed(light, window)
+            np.testing.assert_allclose(view.light(), true, atol=1e-6 * np.abs(light).max())
+            exposure = view.state()["exposure"]
+            assert difference(view.saved(), expected(furnished, true, exposure=exposure))[0] <= 2
+        # Recovered lights stay as they were found.
+        view.control("light").select_option(furnished.pictures[1])
+        np.testing.assert_array_equal(view.light(), furnished.lighting[1])
+        view.page.wait_for_function("document.querySelector('[name=window]').offsetParent === null")
+
+
 def hdr(rows: bytes, width: int = 8, height: int = 4, header: bytes = b"") -> bytes:
     return (
         b"#?RADIANCE\n# by hand\n" + header + b"FORMAT=32-bit_rle_rgbe\n\n"
