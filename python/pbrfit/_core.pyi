@@ -56,6 +56,16 @@ def render(
     lighting: NDArray[np.float64],
     threads: int,
 ) -> NDArray[np.float64]: ...
+def render_directional(
+    normals: NDArray[np.float64],
+    views: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    colors: NDArray[np.float64],
+    threads: int,
+) -> NDArray[np.float64]: ...
 
 @final
 class Problem:
@@ -199,4 +209,5 @@ def decode_icc(
 def write_exr(
     path: str | PathLike[str], channels: Sequence[tuple[str, NDArray[np.float32]]], half: bool
 ) -> None: ...
-def write_png(path: str | PathLike[str], image: NDArray[Any], srgb: bool) -> None: ...
+def write_png(path: str | PathLike[str], image: NDArray[Any], tag: str | None) -> None: ...
+def encode_png(image: NDArray[Any], tag: str | None) -> bytes: ...
