@@ -124,9 +124,11 @@ def test_normals_that_cancel_each_other_are_left_out() -> None:
     result = made(2, 2)
     normals = np.zeros((2, 2, 3))
     normals[..., 2] = [[1, -1], [-1, 1]]
-    small = maps.of_result(dataclasses.replace(result, normals=normals), 1)
+    cancelling = dataclasses.replace(result, normals=normals)
+    small = maps.of_result(cancelling, 1)
     assert not small.mask.any()
     assert np.isnan(small.materials.albedo).all()
+    assert '"exposure":0.0' in fragment(cancelling, 1)
 
 
 @pytest.mark.parametrize("max_side", [0, -5])

@@ -5,7 +5,7 @@ const DEGREES_ACROSS = 180; // a drag over the whole width
 const KEY_DEGREES = 5;
 const ADDRESS_DELAY = 300; // ms; browsers limit how often an address may change
 const STOPS = 6; // to either side of exposure 0 and of the one at the start
-const RANGES = { rotate: [-180, 180], tilt: [-90, 90], exposure: [-40, 40], roughness: [-1, 1],
+const RANGES = { rotate: [-180, 180], tilt: [-90, 90], exposure: [-100, 100], roughness: [-1, 1],
   metallic: [-1, 1] };
 const CHOICES = { window: Object.keys(WINDOWS), tone: TONE_MAPS, view: SHOWN };
 const TEXTS = {
@@ -253,7 +253,9 @@ class View {
       }
     }
     if (wrong.length) this.say(`Address of the page: ${wrong.join("; ")}.`, true);
-    if (Object.keys(values).length) this.change({ ...this.start, ...values }, false);
+    if (Object.keys(values).length === 0) return;
+    this.change({ ...this.start, ...values }, false);
+    this.root.scrollIntoView({ block: "nearest" });
   }
 
   writeAddress() {
@@ -264,7 +266,11 @@ class View {
     }
     const address = window.location.pathname + window.location.search;
     const text = values.toString();
-    window.history.replaceState(null, "", text ? `${address}#${text}` : address);
+    try {
+      window.history.replaceState(null, "", text ? `${address}#${text}` : address);
+    } catch {
+      // Pages inside of other pages may not have an address of their own.
+    }
   }
 }
 
