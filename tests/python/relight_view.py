@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from browser import Visit, visit
-from pbrfit import Result, decompose, render
+from pbrfit import Result, decompose, relight
 from pbrfit.display import ToneMap, encoded
 from pbrfit.materials import Materials
 from pbrfit.report.viewer import fragment, maps
@@ -101,15 +101,15 @@ def expected(
         np.clip(small.materials.roughness + roughness, 0, 1),
         np.clip(small.materials.metallic + metallic, 0, 1),
     )
-    return coded(
-        encoded(render(finish, small.normals, light, result.fov), exposure, tone_map), small.mask
-    )
+    shown = dataclasses.replace(result, materials=finish, normals=small.normals, mask=small.mask)
+    return coded(encoded(relight(shown, light), exposure, tone_map), small.mask)
 
 
 def coded(display: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Values in [0, 1] as 8 bits, with alpha."""
     color = np.where(mask[..., None], display, 0.0)
-    return np.rint(255 * np.concatenate([color, mask[..., None]], axis=-1)).astype(np.uint8)
+    codes = np.rint(255 * np.concatenate([color, mask[..., None]], axis=-1))
+    return np.asarray(codes.astype(np.uint8))
 
 
 def difference(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> tuple[int, float]:
