@@ -460,13 +460,18 @@ def test_an_output_that_exists(
     assert len(list(tmp_path.iterdir())) == 3
 
 
-def test_a_light_is_not_overwritten_by_its_picture(
+def test_what_is_read_is_not_overwritten(
     room: Path, pano: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = pano.read_bytes()
     assert run("relight", room, "--env", pano, "--out", pano, "--overwrite") == 2
-    assert "expected an output apart from the light's file" in refused(capsys)
+    assert "expected a file apart from the result's and the light's" in refused(capsys)
     assert pano.read_bytes() == before
+    materials = (room / "materials.exr").read_bytes()
+    out = ("--out", room / "materials.exr", "--overwrite")
+    assert run("relight", room, "--light", "0,0", *out) == 2
+    assert "expected a file apart from the result's and the light's" in refused(capsys)
+    assert (room / "materials.exr").read_bytes() == materials
 
 
 @pytest.mark.parametrize(
