@@ -19,7 +19,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use self::exr::{Exr, ExrChannel, decode_exr, read_exr, write_exr};
 pub use self::icc::{IccProfile, decode_icc};
-pub use self::raster::{PngSamples, Raster, Samples, decode_raster, read_raster, write_png};
+pub use self::raster::{
+    PngSamples, PngTag, Raster, Samples, decode_raster, encode_png, read_raster, write_png,
+};
 
 use crate::{Error, Result};
 

@@ -131,6 +131,20 @@ def _parser() -> argparse.ArgumentParser:
     add_priors(added)
     add_quiet(added)
 
+    added = command("report", _report, "write a page about a result, to be looked at in a browser")
+    added.add_argument("result", metavar="RESULT", type=Path, help="result folder")
+    added.add_argument(
+        "--out", metavar="FILE", type=Path, required=True, help="page to write, FILE.html"
+    )
+    added.add_argument(
+        "--scene",
+        metavar="SCENE",
+        type=Path,
+        help="scene folder that the result was made from (default: where it was then)",
+    )
+    added.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    add_quiet(added)
+
     added = command("inspect", _inspect, "show what a scene folder holds and what is assumed")
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     added.add_argument(
@@ -159,6 +173,9 @@ def _parser() -> argparse.ArgumentParser:
         help="flat: every surface faces the camera",
     )
     added.add_argument("--overwrite", action="store_true", help="replace existing normals")
+
+    added = command("export", _export, "write a result for Blender, Unreal, Unity and others")
+    _add_export_options(added)
 
     added = command(
         "check-gradients", _check_gradients, "compare the gradient with finite differences"
@@ -288,6 +305,36 @@ def _add_synth_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=whole_number, default=0, help="of scene, lights and noise")
 
 
+def _add_export_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("result", metavar="RESULT", type=Path, help="result folder")
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder to write")
+    parser.add_argument(
+        "--format",
+        choices=("gltf", "exr", "png"),
+        help="this one alone (default: those of the preset, else all)",
+    )
+    parser.add_argument(
+        "--preset",
+        choices=("blender", "unreal", "unity"),
+        help="textures with the names, channels and normals that a tool expects (default: a file "
+        "a map)",
+    )
+    parser.add_argument(
+        "--normals",
+        choices=("opengl", "directx"),
+        help="green of normal maps upwards or downwards (default: as the preset says, else opengl)",
+    )
+    parser.add_argument(
+        "--bits",
+        type=int,
+        choices=(8, 16),
+        help="of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
+        "glTF 16 for normals alone)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier export")
+    parser.add_argument("--quiet", action="store_true", help="no list of files, no warnings")
+
+
 def _decompose(options: argparse.Namespace) -> int:
     from pbrfit.output import check_free
     from pbrfit.result import CONTAINS
@@ -396,6 +443,18 @@ def _metallic(options: argparse.Namespace) -> float | None:
     return None if options.metallic == "free" else float(options.metallic)
 
 
+def _report(options: argparse.Namespace) -> int:
+    from pbrfit.report import write_report
+    from pbrfit.result import Result
+
+    result = Result.load(options.result)
+    write_report(result, options.out, options.scene, options.overwrite)
+    if not options.quiet:
+        size = options.out.stat().st_size / 1e6
+        print(f"{options.out}: {size:.1f} MB, open it in a browser")
+    return DONE
+
+
 def _inspect(options: argparse.Namespace) -> int:
     from pbrfit import images, inspection, preview
 
@@ -403,7 +462,7 @@ def _inspect(options: argparse.Namespace) -> int:
     for topic, fact in inspection.facts(scene):
         print(f"{topic:<18}{fact}")
     if options.preview is not None:
-        images.write_png(options.preview, preview.normals_preview(scene), srgb=True)
+        images.write_png(options.preview, preview.normals_preview(scene), tag="srgb")
         print(f"{'preview':<18}{options.preview}")
     return DONE
 
@@ -437,6 +496,31 @@ def _normals(options: argparse.Namespace) -> int:
 
     path = scene_folder.write_flat_normals(options.scene, overwrite=options.overwrite)
     print(f"{path}: every surface faces the camera")
+    return DONE
+
+
+def _export(options: argparse.Namespace) -> int:
+    from pbrfit.export import CONTAINS, export_result
+    from pbrfit.output import check_free
+    from pbrfit.result import Result
+
+    check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
+    exported = export_result(
+        Result.load(options.result),
+        options.out,
+        format=options.format,
+        preset=options.preset,
+        normals=options.normals,
+        bits=options.bits,
+        overwrite=options.overwrite,
+    )
+    if not options.quiet:
+        with unread_is_no_failure():
+            total = sum(file.size for file in exported.files)
+            print(f"{options.out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB")
+            width = max(len(file.path) for file in exported.files)
+            for file in exported.files:
+                print(f"{file.path:<{width}}{file.size / 1e3:>10.1f} kB  {file.holds}")
     return DONE
 
 

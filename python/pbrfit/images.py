@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,9 @@ logger = logging.getLogger("pbrfit")
 
 PICTURE_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 """Suffixes, in lower case, of files that `read_picture` reads."""
+
+PngTag = Literal["srgb", "linear"] | None
+"""What a PNG file says about its encoding."""
 
 CODE_RANGE = (1, 250)
 """Codes of an 8-bit file that are data. 0 in all channels may be anything darker than the file can
@@ -311,7 +314,7 @@ def write_exr(
     _core.write_exr(path, planes, half)
 
 
-def write_png(path: str | os.PathLike[str], image: NDArray[Any], srgb: bool) -> None:
+def write_png(path: str | os.PathLike[str], image: NDArray[Any], tag: PngTag) -> None:
     """Write a PNG file.
 
     The file is there as a whole or not at all, and equal images give equal bytes.
@@ -322,8 +325,9 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any], srgb: bool) -> 
         File to write; an existing one is replaced.
     image
         (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
-    srgb
-        Whether to state in the file that it is sRGB.
+    tag
+        What the file is to say about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1:
+        data, or linear light) or None (nothing).
 
     Raises
     ------
@@ -332,7 +336,18 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any], srgb: bool) -> 
     OSError
         If the file cannot be written.
     """
-    _core.write_png(path, image, srgb)
+    _core.write_png(path, image, tag)
+
+
+def encode_png(image: NDArray[Any], tag: PngTag) -> bytes:
+    """Encode the PNG file that `write_png` writes.
+
+    Raises
+    ------
+    InputError
+        If the shape or type of `image` is another.
+    """
+    return _core.encode_png(image, tag)
 
 
 def _checked(code_range: tuple[int, int]) -> tuple[int, int]:

@@ -47,11 +47,7 @@ def write_materials(
     Pixels outside the mask take the values of the nearest pixel inside, so that no file holds NaN
     and filters at the border do no harm; `mask.Y` says which are real.
     """
-    nearest: tuple[Any, ...] = (slice(None), slice(None))
-    if not mask.all():
-        from scipy.ndimage import distance_transform_edt
-
-        nearest = tuple(distance_transform_edt(~mask, return_distances=False, return_indices=True))
+    nearest = nearest_inside(mask)
     layers = {
         **{f"albedo.{name}": materials.albedo[..., c] for c, name in enumerate("RGB")},
         "roughness.Y": materials.roughness,
@@ -62,6 +58,18 @@ def write_materials(
     channels = {name: layer[nearest].astype(np.float32) for name, layer in layers.items()}
     channels["mask.Y"] = mask.astype(np.float32)
     images.write_exr(path, channels)
+
+
+def nearest_inside(mask: NDArray[np.bool_]) -> tuple[Any, ...]:
+    """Index of a map (H, W, ...) that gives pixels outside the mask what the nearest inside has.
+
+    With a mask of no pixel at all it leaves maps as they are.
+    """
+    if mask.all() or not mask.any():
+        return (slice(None), slice(None))
+    from scipy.ndimage import distance_transform_edt
+
+    return tuple(distance_transform_edt(~mask, return_distances=False, return_indices=True))
 
 
 def read_materials(

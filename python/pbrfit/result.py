@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
@@ -20,7 +21,7 @@ from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.metrics import PROTOCOL
 from pbrfit.output import new_folder
-from pbrfit.scene import Scene
+from pbrfit.scene import Scene, Source
 from pbrfit.uncertainty import Uncertainty, layer_names
 
 CONTAINS = ("result.json", "materials.exr")
@@ -99,6 +100,8 @@ class Result:
     options, assumed, left_out, inputs
         How the result came about: options, decisions about the input, work that the scene did not
         need, sha256 of the files.
+    source
+        Where the scene was read from and how; None where it was made of arrays.
     """
 
     materials: Materials
@@ -118,6 +121,7 @@ class Result:
     left_out: tuple[str, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
     uncertainty: Uncertainty | None = None
+    source: Source | None = None
 
     @property
     def albedo(self) -> NDArray[np.floating[Any]]:
@@ -157,7 +161,7 @@ class Result:
             self.write(folder, scene)
 
     def write(self, folder: Path, scene: Scene | None = None) -> None:
-        """Write the files of a result into an existing folder."""
+        """Write the files of a result into an existing folder, which may be renamed afterwards."""
         from pbrfit.preview import preview
 
         uncertainty = self.uncertainty
@@ -185,10 +189,11 @@ class Result:
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
             "inputs": dict(self.inputs),
+            "scene": None if self.source is None else _source_as_json(self.source, folder),
         }
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
-        images.write_png(folder / "preview.png", preview(self, scene), srgb=True)
+        images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
@@ -208,6 +213,7 @@ class Result:
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
             summary = content.get("uncertainty")
+            source = content.get("scene")  # which earlier versions did not write
             return cls(
                 materials=materials,
                 lighting=lighting.coefficients,
@@ -226,6 +232,7 @@ class Result:
                 left_out=tuple(content["left_out"]),
                 inputs=content["inputs"],
                 uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
+                source=None if source is None else _source(source, folder),
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, InputError):
@@ -256,6 +263,31 @@ def _check_is_result(folder: Path) -> None:
             found = f"a folder without {' and '.join(missing)}"
     raise InputError(
         f"{folder}: expected a result folder, as pbrfit decompose writes it, found {found}"
+    )
+
+
+def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
+    """How a scene was read; its place as seen from the result folder, so that both can move."""
+    try:
+        path = Path(os.path.relpath(source.path, folder.resolve())).as_posix()
+    except ValueError:  # on another drive, where no relative path leads
+        return None
+    return {
+        "path": path,
+        "color_space": source.color_space,
+        "max_size": None if source.max_size is None else int(source.max_size),
+        "code_range": [int(code) for code in source.code_range],
+    }
+
+
+def _source(content: Mapping[str, Any], folder: Path) -> Source:
+    low, high = content["code_range"]
+    max_size = content["max_size"]
+    return Source(
+        path=(folder / content["path"]).resolve(),
+        color_space=content["color_space"],
+        max_size=None if max_size is None else int(max_size),
+        code_range=(int(low), int(high)),
     )
 
 

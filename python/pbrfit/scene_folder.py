@@ -20,7 +20,7 @@ from pbrfit.color import ColorSpace
 from pbrfit.lighting import Lighting
 from pbrfit.materials import read_materials, write_materials
 from pbrfit.output import new_folder
-from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Truth, unit_normals
+from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Source, Truth, unit_normals
 from pbrfit.segments import consecutive_labels
 
 log = logging.getLogger("pbrfit")
@@ -81,6 +81,7 @@ def load(
     code_range: tuple[int, int] = images.CODE_RANGE,
 ) -> Scene:
     """Read a scene folder; see `Scene.load`."""
+    source = Source(folder.resolve(), color_space, max_size, code_range)
     if max_size is not None and max_size < 1:
         raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
     paths = find_pictures(folder)
@@ -148,6 +149,7 @@ def load(
             truth=truth,
             assumed=assumed,
             inputs=dict(sorted(inputs.items())),
+            source=source,
         )
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
@@ -167,10 +169,10 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
         sound = scene.valid & np.isfinite(scene.images).all(axis=(0, -1))
         if not sound.all():
             images.write_png(
-                folder / "mask.png", np.where(sound, 255, 0).astype(np.uint8), srgb=False
+                folder / "mask.png", np.where(sound, 255, 0).astype(np.uint8), tag=None
             )
         if scene.segments is not None:
-            images.write_png(folder / "segments.png", _ids(scene.segments), srgb=False)
+            images.write_png(folder / "segments.png", _ids(scene.segments), tag=None)
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.truth is not None:

@@ -374,20 +374,41 @@ pub enum PngSamples<'a> {
     U16(&'a [u16]),
 }
 
-/// Writes a PNG of 1 grey, 2 grey and alpha, 3 RGB or 4 RGBA channels, with
-/// the sRGB chunk if `srgb`. Equal input gives equal bytes.
-///
-/// The file is there as a whole or not at all.
+/// What a PNG says about the encoding of its samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PngTag {
+    /// sRGB: the sRGB chunk.
+    Srgb,
+    /// Proportional to what they measure: a gAMA chunk of 1.
+    Linear,
+    /// Nothing.
+    Untagged,
+}
+
+/// Writes what [`encode_png`] makes. The file is there as a whole or not at
+/// all.
 ///
 /// # Errors
-/// [`Error::Argument`] if the samples are not `height * width * channels`;
-/// [`Error::Io`] if the file cannot be written.
+/// As [`encode_png`]; [`Error::Io`] if the file cannot be written.
 pub fn write_png(
     path: &Path,
     samples: PngSamples<'_>,
-    [height, width, channels]: [usize; 3],
-    srgb: bool,
+    shape: [usize; 3],
+    tag: PngTag,
 ) -> Result<()> {
+    write_atomically(path, &encode_png(samples, shape, tag)?)
+}
+
+/// The bytes of a PNG of 1 grey, 2 grey and alpha, 3 RGB or 4 RGBA channels.
+/// Equal input gives equal bytes.
+///
+/// # Errors
+/// [`Error::Argument`] if the samples are not `height * width * channels`.
+pub fn encode_png(
+    samples: PngSamples<'_>,
+    [height, width, channels]: [usize; 3],
+    tag: PngTag,
+) -> Result<Vec<u8>> {
     let (count, depth) = match samples {
         PngSamples::U8(samples) => (samples.len(), BitDepth::Eight),
         PngSamples::U16(samples) => (samples.len(), BitDepth::Sixteen),
@@ -415,8 +436,10 @@ pub fn write_png(
     let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
     encoder.set_color(color);
     encoder.set_depth(depth);
-    if srgb {
-        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+    match tag {
+        PngTag::Srgb => encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual),
+        PngTag::Linear => encoder.set_source_gamma(png::ScaledFloat::new(1.0)),
+        PngTag::Untagged => {}
     }
     let encode = || -> std::result::Result<(), png::EncodingError> {
         let mut writer = encoder.write_header()?;
@@ -429,7 +452,6 @@ pub fn write_png(
         }
         writer.finish()
     };
-    encode()
-        .map_err(|error| content(path, format!("expected samples for a PNG, found: {error}")))?;
-    write_atomically(path, &bytes)
+    encode().map_err(|error| Error::argument("image", "samples for a PNG", error.to_string()))?;
+    Ok(bytes)
 }

@@ -11,7 +11,7 @@ use pyo3::types::{PyBytes, PyDict};
 
 use super::InputError;
 use super::arrays::copied;
-use crate::image_file::{self, ExrChannel, Format, PngSamples, Samples};
+use crate::image_file::{self, ExrChannel, Format, PngSamples, PngTag, Samples};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Raster>()?;
@@ -20,7 +20,8 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(decode_raster, module)?)?;
     module.add_function(wrap_pyfunction!(decode_icc, module)?)?;
     module.add_function(wrap_pyfunction!(write_exr, module)?)?;
-    module.add_function(wrap_pyfunction!(write_png, module)?)
+    module.add_function(wrap_pyfunction!(write_png, module)?)?;
+    module.add_function(wrap_pyfunction!(encode_png, module)?)
 }
 
 /// A decoded picture file: samples as stored, nothing converted.
@@ -135,22 +136,73 @@ fn write_exr(
 
 /// 8 or 16-bit samples, (H, W) or (H, W, C); all of the file or none of it.
 #[pyfunction]
-fn write_png(py: Python<'_>, path: PathBuf, image: Bound<'_, PyAny>, srgb: bool) -> PyResult<()> {
-    if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u8>>() {
-        let (shape, samples) = (png_shape(image.shape())?, copied(&image));
-        py.detach(|| image_file::write_png(&path, PngSamples::U8(&samples), shape, srgb))?;
-    } else if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u16>>() {
-        let (shape, samples) = (png_shape(image.shape())?, copied(&image));
-        py.detach(|| image_file::write_png(&path, PngSamples::U16(&samples), shape, srgb))?;
-    } else {
-        let kind = image
-            .getattr("dtype")
-            .map_or_else(|_| image.get_type().to_string(), |d| d.to_string());
-        return Err(InputError::new_err(format!(
-            "image: expected uint8 or uint16, found {kind}"
-        )));
-    }
+fn write_png(
+    py: Python<'_>,
+    path: PathBuf,
+    image: Bound<'_, PyAny>,
+    tag: Option<&str>,
+) -> PyResult<()> {
+    let (image, tag) = (Integers::of(&image)?, png_tag(tag)?);
+    py.detach(|| image_file::write_png(&path, image.samples(), image.shape, tag))?;
     Ok(())
+}
+
+/// The bytes that `write_png` would write.
+#[pyfunction]
+fn encode_png<'py>(
+    py: Python<'py>,
+    image: Bound<'_, PyAny>,
+    tag: Option<&str>,
+) -> PyResult<Bound<'py, PyBytes>> {
+    let (image, tag) = (Integers::of(&image)?, png_tag(tag)?);
+    let bytes = py.detach(|| image_file::encode_png(image.samples(), image.shape, tag))?;
+    Ok(PyBytes::new(py, &bytes))
+}
+
+/// A copy of an integer array, height, width and channels beside.
+struct Integers {
+    values: Samples,
+    shape: [usize; 3],
+}
+
+impl Integers {
+    fn of(image: &Bound<'_, PyAny>) -> PyResult<Self> {
+        if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u8>>() {
+            let shape = png_shape(image.shape())?;
+            let values = Samples::U8(copied(&image));
+            Ok(Self { values, shape })
+        } else if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u16>>() {
+            let shape = png_shape(image.shape())?;
+            let values = Samples::U16(copied(&image));
+            Ok(Self { values, shape })
+        } else {
+            let kind = image
+                .getattr("dtype")
+                .map_or_else(|_| image.get_type().to_string(), |d| d.to_string());
+            Err(InputError::new_err(format!(
+                "image: expected uint8 or uint16, found {kind}"
+            )))
+        }
+    }
+
+    fn samples(&self) -> PngSamples<'_> {
+        match &self.values {
+            Samples::U8(values) => PngSamples::U8(values),
+            Samples::U16(values) => PngSamples::U16(values),
+            Samples::F32(_) => unreachable!("only integers are taken"),
+        }
+    }
+}
+
+fn png_tag(name: Option<&str>) -> PyResult<PngTag> {
+    match name {
+        Some("srgb") => Ok(PngTag::Srgb),
+        Some("linear") => Ok(PngTag::Linear),
+        None => Ok(PngTag::Untagged),
+        Some(other) => Err(InputError::new_err(format!(
+            "tag: expected srgb, linear or None, found {other:?}"
+        ))),
+    }
 }
 
 fn png_shape(shape: &[usize]) -> PyResult<[usize; 3]> {

@@ -40,7 +40,7 @@ def write_exr(path: Path, image: NDArray[Any]) -> None:
 
 def write_integers(path: Path, image: NDArray[Any], kind: Any = np.uint8) -> None:
     levels = np.iinfo(kind).max
-    images.write_png(path, np.rint(encode_srgb(image) * levels).astype(kind), srgb=True)
+    images.write_png(path, np.rint(encode_srgb(image) * levels).astype(kind), tag="srgb")
 
 
 def write_jpeg(path: Path, image: NDArray[Any], exif: Image.Exif | None = None) -> None:

@@ -287,7 +287,7 @@ def test_inspect_tells_facts_and_writes_only_the_preview(
 ) -> None:
     mask = np.full((SIZE, SIZE), 255, np.uint8)
     mask[:4] = 0
-    images.write_png(folder / "mask.png", mask, srgb=False)
+    images.write_png(folder / "mask.png", mask, tag=None)
     preview = tmp_path / "preview.png"
     assert run("inspect", folder, "--preview", preview) == 0
     output = capsys.readouterr()
@@ -318,7 +318,7 @@ def test_synth_with_textures(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert f"{maps}: expected a folder of texture maps, found none" in one_line(capsys)
     maps.mkdir()
     for name in ("clay_albedo", "clay_roughness"):
-        images.write_png(maps / f"{name}.png", np.full((4, 4, 3), 120, dtype=np.uint8), srgb=False)
+        images.write_png(maps / f"{name}.png", np.full((4, 4, 3), 120, dtype=np.uint8), tag=None)
     assert run("synth", scene, *arguments) == 0
     assert f"{scene}: detailed, 2 pictures and ground truth" in capsys.readouterr().out
     made = make_scene("detailed", size=8, lights=2, textures=maps)

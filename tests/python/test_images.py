@@ -79,7 +79,7 @@ def test_8_bit_png_is_srgb(tmp_path: Path) -> None:
 
 
 def test_16_bit_files_keep_all_bits(tmp_path: Path) -> None:
-    images.write_png(tmp_path / "a.png", RGB16, srgb=True)
+    images.write_png(tmp_path / "a.png", RGB16, tag="srgb")
     tifffile.imwrite(tmp_path / "a.tif", RGB16, photometric="rgb", compression="deflate")
     tifffile.imwrite(tmp_path / "b.tif", RGB16, photometric="rgb", byteorder=">")
     for name in ("a.png", "a.tif", "b.tif"):
@@ -98,7 +98,7 @@ def test_codes_at_the_thresholds(tmp_path: Path, low: int, high: int) -> None:
         )
         first, second = np.meshgrid(codes, codes)
         rgb = np.stack([first, second, second], axis=-1).astype(dtype)
-        images.write_png(tmp_path / "a.png", rgb, srgb=True)
+        images.write_png(tmp_path / "a.png", rgb, tag="srgb")
         picture = images.read_picture(tmp_path / "a.png", code_range=(low, high))
         np.testing.assert_array_equal(picture.clipped, rgb.max(axis=-1) > high * unit)
         np.testing.assert_array_equal(picture.dark, rgb.max(axis=-1) < low * unit)
@@ -584,7 +584,7 @@ def test_data_is_never_decoded(tmp_path: Path) -> None:
     data = images.read_data(path)
     assert data.dtype == np.float64
     np.testing.assert_array_equal(data, RGB8 / 255)
-    images.write_png(path, RGB16, srgb=False)
+    images.write_png(path, RGB16, tag=None)
     np.testing.assert_array_equal(images.read_data(path), RGB16 / 65535)
     xyz = {c: FLOAT[..., k].copy() for k, c in enumerate("XYZ")}
     ap1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
@@ -660,17 +660,22 @@ def test_openexr_reads_what_is_written(tmp_path: Path) -> None:
 def test_pillow_reads_what_is_written(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     for samples in (RGB8, RGB8[..., 0], RGB8[::-1, ::2], np.dstack([RGB8, RGB8[..., 0]])):
-        images.write_png(path, samples, srgb=True)
+        images.write_png(path, samples, tag="srgb")
         with Image.open(path) as picture:
             np.testing.assert_array_equal(np.asarray(picture), samples)
             assert picture.info["srgb"] == 0
-    images.write_png(path, RGB16[..., 0], srgb=False)
+    images.write_png(path, RGB16[..., 0], tag=None)
     with Image.open(path) as picture:
         np.testing.assert_array_equal(np.asarray(picture), RGB16[..., 0])
         assert "srgb" not in picture.info
     first = path.read_bytes()
-    images.write_png(path, RGB16[..., 0], srgb=False)
-    assert path.read_bytes() == first
+    images.write_png(path, RGB16[..., 0], tag=None)
+    assert path.read_bytes() == first == images.encode_png(RGB16[..., 0], tag=None)
+    images.write_png(path, RGB16[..., 0], tag="linear")
+    with Image.open(path) as picture:
+        np.testing.assert_array_equal(np.asarray(picture), RGB16[..., 0])
+        assert picture.info["gamma"] == 1.0
+        assert "srgb" not in picture.info
 
 
 def test_unwritable_arrays_are_refused_and_leave_no_file(tmp_path: Path) -> None:
@@ -681,13 +686,16 @@ def test_unwritable_arrays_are_refused_and_leave_no_file(tmp_path: Path) -> None
     with pytest.raises(InputError, match="channels: expected at least one channel"):
         images.write_exr(tmp_path / "a.exr", {})
     with pytest.raises(InputError, match="image: expected uint8 or uint16, found float32"):
-        images.write_png(tmp_path / "a.png", FLOAT, srgb=True)
+        images.write_png(tmp_path / "a.png", FLOAT, tag="srgb")
     with pytest.raises(InputError, match="image: expected"):
-        images.write_png(tmp_path / "a.png", np.zeros((2, 2, 5), np.uint8), srgb=True)
+        images.write_png(tmp_path / "a.png", np.zeros((2, 2, 5), np.uint8), tag="srgb")
     with pytest.raises(InputError, match="image: expected"):
-        images.write_png(tmp_path / "a.png", np.zeros(4, np.uint8), srgb=True)
+        images.write_png(tmp_path / "a.png", np.zeros(4, np.uint8), tag="srgb")
+    wrong: Any = "rgb"
+    with pytest.raises(InputError, match='tag: expected srgb, linear or None, found "rgb"'):
+        images.write_png(tmp_path / "a.png", RGB8, tag=wrong)
     with pytest.raises(FileNotFoundError):
-        images.write_png(tmp_path / "none" / "a.png", RGB8, srgb=True)
+        images.write_png(tmp_path / "none" / "a.png", RGB8, tag="srgb")
     assert not list(tmp_path.iterdir())
 
 

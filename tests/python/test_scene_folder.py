@@ -38,7 +38,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def write_mask(path: Path, white: Any) -> None:
-    images.write_png(path, np.where(white, 255, 0).astype(np.uint8), srgb=False)
+    images.write_png(path, np.where(white, 255, 0).astype(np.uint8), tag=None)
 
 
 # What is read
@@ -159,7 +159,7 @@ def write_codes(folder: Path, codes: NDArray[np.uint8]) -> None:
     for path in (folder / "images").iterdir():
         path.unlink()
     for name, of_picture in zip(room().names, codes, strict=True):
-        images.write_png(folder / "images" / f"{name}.png", of_picture, srgb=True)
+        images.write_png(folder / "images" / f"{name}.png", of_picture, tag="srgb")
 
 
 def grey_codes() -> NDArray[np.uint8]:
@@ -253,7 +253,7 @@ def test_one_clipped_pixel_spoils_what_it_is_averaged_into(folder: Path) -> None
 
 def test_segments_keep_16_bits(folder: Path) -> None:
     ids = np.arange(SIZE * SIZE, dtype=np.uint16).reshape(SIZE, SIZE) * 255
-    images.write_png(folder / "segments.png", ids, srgb=False)
+    images.write_png(folder / "segments.png", ids, tag=None)
     np.testing.assert_array_equal(Scene.load(folder).segments, ids)
 
 
@@ -284,7 +284,7 @@ def test_normals_png_and_axes(folder: Path, axes: str, kind: Any, error: float) 
     stored = room().normals * ((1, -1, 1) if axes == "directx" else 1)
     levels = np.iinfo(kind).max
     encoded = np.rint((stored + 1) / 2 * levels).astype(kind)
-    images.write_png(folder / "normals.png", encoded, srgb=False)
+    images.write_png(folder / "normals.png", encoded, tag=None)
     (folder / "normals.exr").unlink()
     (folder / "scene.toml").write_text(f'fov = 60\nnormals = "{axes}"\n')
     scene = Scene.load(folder)
@@ -334,7 +334,7 @@ def test_max_size_averages_pictures_normals_and_takes_whole_pixels_only(folder: 
     hole[0, 0] = np.nan  # outside the mask, so it must not spread
     write_exr(folder / "images" / "light_01.exr", hole)
     ids = np.arange(SIZE * SIZE, dtype=np.uint16).reshape(SIZE, SIZE)
-    images.write_png(folder / "segments.png", ids, srgb=False)
+    images.write_png(folder / "segments.png", ids, tag=None)
     scene = Scene.load(folder, max_size=SIZE // 2)
 
     def blocks(array: Any) -> Any:

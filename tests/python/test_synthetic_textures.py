@@ -35,7 +35,7 @@ def save(path: Path, values: Any) -> None:
     image = np.asarray(values, dtype=float)
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=-1)
-    images.write_png(path, np.round(255 * image).astype(np.uint8), srgb=False)
+    images.write_png(path, np.round(255 * image).astype(np.uint8), tag=None)
 
 
 def noise(seed: int, side: int = 16, channels: int = 3) -> Array:

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use pbrfit::Error;
 use pbrfit::image_file::{
-    ExrChannel, Format, PngSamples, Samples, decode_exr, decode_icc, decode_raster, read_exr,
-    read_raster, write_exr, write_png,
+    ExrChannel, Format, PngSamples, PngTag, Samples, decode_exr, decode_icc, decode_raster,
+    read_exr, read_raster, write_exr, write_png,
 };
 
 fn channel(name: &str, values: &[f32]) -> ExrChannel {
@@ -69,14 +69,26 @@ fn png_survives_the_round_trip() {
         let eight: Vec<u8> = (0..3 * 5 * channels)
             .map(|i| (i * 37 % 256) as u8)
             .collect();
-        write_png(&path, PngSamples::U8(&eight), [3, 5, channels], true).unwrap();
+        write_png(
+            &path,
+            PngSamples::U8(&eight),
+            [3, 5, channels],
+            PngTag::Srgb,
+        )
+        .unwrap();
         let read = read_raster(&path, false).unwrap();
         assert_eq!((read.height, read.width, read.channels), (3, 5, channels));
         assert_eq!(read.samples, Samples::U8(eight));
         let sixteen: Vec<u16> = (0..3 * 5 * channels)
             .map(|i| (i * 9973 % 65536) as u16)
             .collect();
-        write_png(&path, PngSamples::U16(&sixteen), [3, 5, channels], false).unwrap();
+        write_png(
+            &path,
+            PngSamples::U16(&sixteen),
+            [3, 5, channels],
+            PngTag::Untagged,
+        )
+        .unwrap();
         assert_eq!(
             read_raster(&path, false).unwrap().samples,
             Samples::U16(sixteen)
@@ -114,7 +126,7 @@ fn wrong_shapes_are_arguments_and_leave_no_file() {
         [2, 3, 1],
         [usize::MAX, 2, 1],
     ] {
-        let error = write_png(&path, PngSamples::U8(&[0; 4]), shape, false).unwrap_err();
+        let error = write_png(&path, PngSamples::U8(&[0; 4]), shape, PngTag::Untagged).unwrap_err();
         assert!(
             matches!(error, Error::Argument { name: "image", .. }),
             "{error}"
@@ -133,7 +145,7 @@ fn a_file_that_cannot_be_written_leaves_nothing_behind() {
         matches!(&error, Error::Io { path: named, .. } if *named == path),
         "{error}"
     );
-    let error = write_png(&path, PngSamples::U8(&[1]), [1, 1, 1], false).unwrap_err();
+    let error = write_png(&path, PngSamples::U8(&[1]), [1, 1, 1], PngTag::Untagged).unwrap_err();
     assert!(matches!(error, Error::Io { .. }), "{error}");
     fs::remove_dir(&path).unwrap();
     assert!(is_empty(folder.path()));
@@ -159,7 +171,7 @@ fn cut_off_files_are_errors_that_name_them() {
         let error = decode_exr(&bytes[..length], &path).unwrap_err();
         assert!(error.to_string().contains("cut.file: expected"), "{error}");
     }
-    write_png(&path, PngSamples::U8(&[7; 300]), [10, 10, 3], true).unwrap();
+    write_png(&path, PngSamples::U8(&[7; 300]), [10, 10, 3], PngTag::Srgb).unwrap();
     let bytes = fs::read(&path).unwrap();
     for length in 0..bytes.len() {
         let error = decode_raster(&bytes[..length], &path, false).unwrap_err();

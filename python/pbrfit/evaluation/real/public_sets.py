@@ -206,7 +206,7 @@ def _copy(paths: list[Path], folder: Path) -> None:
 def _write_rest(folder: Path, normals: Array, valid: NDArray[np.bool_], settings: str) -> None:
     planes = {name: normals[..., i].astype(np.float32) for i, name in enumerate("XYZ")}
     images.write_exr(folder / "normals.exr", planes)
-    images.write_png(folder / "mask.png", np.where(valid, 255, 0).astype(np.uint8), srgb=False)
+    images.write_png(folder / "mask.png", np.where(valid, 255, 0).astype(np.uint8), tag=None)
     (folder / "scene.toml").write_text(settings, encoding="utf-8")
 
 

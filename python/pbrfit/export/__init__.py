@@ -1,0 +1,201 @@
+"""Results for other tools: glTF, EXR and PNG maps, lights as panoramas and coefficients.
+
+`export_result` writes a folder:
+
+    material.glb      glTF 2.0: the maps on a plane, and the camera that sees it as the pictures do
+    exr/              materials.exr with all layers; a file a texture
+    png/              a file a texture
+    lights/           a panorama a picture, and coefficients
+    export.json       what each file holds
+
+docs/export.md says how tools read them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from pbrfit import images
+from pbrfit.export.gltf import glb
+from pbrfit.export.lights import FILES as LIGHT_FILES
+from pbrfit.export.lights import LightPanorama, write_lights
+from pbrfit.export.maps import Bits, Maps, NormalConvention
+from pbrfit.export.presets import Format, Plan, PresetName, plan
+from pbrfit.lighting import Lighting
+from pbrfit.materials import write_materials
+from pbrfit.output import new_folder
+from pbrfit.result import Result
+
+__all__ = ["Exported", "ExportedFile", "LightPanorama", "export_result"]
+
+MANIFEST = "export.json"
+
+CONTAINS = (MANIFEST,)
+"""Files by which a folder is known for an export."""
+
+
+@dataclass(frozen=True)
+class ExportedFile:
+    """A file of an export.
+
+    Attributes
+    ----------
+    path
+        In the folder, with "/".
+    holds
+        What a channel each is, or all of it, in words.
+    color_space
+        How its values are encoded, in words.
+    size
+        Bytes.
+    """
+
+    path: str
+    holds: str
+    color_space: str
+    size: int
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written: files, and the panoramas among them with what they lost."""
+
+    files: tuple[ExportedFile, ...]
+    panoramas: tuple[LightPanorama, ...]
+
+
+def export_result(
+    result: Result,
+    path: str | Path,
+    *,
+    format: Format | None = None,  # noqa: A002
+    preset: PresetName | None = None,
+    normals: NormalConvention | None = None,
+    bits: Bits | None = None,
+    overwrite: bool = False,
+) -> Exported:
+    """Write a result for other tools: a new folder, whole or not at all.
+
+    Parameters
+    ----------
+    result
+        To be written. Pixels outside its mask are filled from the nearest inside.
+    path
+        The folder.
+    format
+        "gltf", "exr" or "png" alone. None: those of the preset; without one, all three.
+    preset
+        Textures as "blender", "unreal" or "unity" expects them: names, channels, normals. None: a
+        file a map.
+    normals
+        Green of normal maps upwards ("opengl") or downwards ("directx"). None: as the preset says,
+        else upwards. In `material.glb` always upwards, and `materials.exr` has vectors, Y up.
+    bits
+        8 or 16 of PNG files and of the textures in `material.glb`. None: as the preset says, else
+        16 in PNG files; in `material.glb` 16 for normals, 8 for the others.
+    overwrite
+        Replace an earlier export.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown or would have no effect, or the maps are not finite in the mask.
+    FileExistsError
+        If the folder exists and `overwrite` is False, or it is no export.
+    OSError
+        If it cannot be written.
+    """
+    planned = plan(
+        format=format, preset=preset, normals=normals, bits=bits, masked=not result.mask.all()
+    )
+    job = _Job(result, planned, Maps.of(result))
+    with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
+        files = [file for name in planned.formats for file in _WRITERS[name](folder, job)]
+        (folder / "lights").mkdir()
+        panoramas = write_lights(folder / "lights", Lighting(result.pictures, result.lighting))
+        files += _light_files(folder, panoramas)
+        _write_manifest(folder / MANIFEST, result, planned, files)
+    return Exported(tuple(files), panoramas)
+
+
+@dataclass(frozen=True)
+class _Job:
+    result: Result
+    plan: Plan
+    maps: Maps
+
+
+def _write_gltf(folder: Path, job: _Job) -> Iterator[ExportedFile]:
+    path = "material.glb"
+    (folder / path).write_bytes(glb(job.maps, job.result.fov, job.plan.bits))
+    holds = "plane with base color, metallic-roughness and normal textures; camera"
+    yield _file(folder, path, holds, "base color sRGB, all else linear")
+
+
+def _write_exr(folder: Path, job: _Job) -> Iterator[ExportedFile]:
+    (folder / "exr").mkdir()
+    result, path = job.result, "exr/materials.exr"
+    more = None if result.uncertainty is None else result.uncertainty.layers()
+    write_materials(folder / path, result.materials, result.normals, result.mask, more)
+    yield _file(folder, path, "all maps as layers; normals as vectors, Y up", _LINEAR)
+    for texture in job.plan.textures:
+        path = f"exr/{texture.name}.exr"
+        values = job.maps.floats(texture, job.plan.normals)
+        letters = "Y" if values.shape[-1] == 1 else "RGBA"
+        images.write_exr(
+            folder / path, {letters[c]: values[..., c] for c in range(values.shape[-1])}
+        )
+        yield _file(folder, path, "; ".join(texture.channels), _LINEAR)
+
+
+def _write_png(folder: Path, job: _Job) -> Iterator[ExportedFile]:
+    (folder / "png").mkdir()
+    for texture in job.plan.textures:
+        bits = job.plan.bits_of(texture)
+        path = f"png/{texture.name}.png"
+        values = job.maps.integers(texture, bits, job.plan.normals)
+        images.write_png(folder / path, values, "srgb" if texture.color else "linear")
+        holds = "; ".join(texture.channels)
+        yield _file(folder, path, holds, f"{texture.color_space}; {bits} bits")
+
+
+_WRITERS: dict[Format, Callable[[Path, _Job], Iterator[ExportedFile]]] = {
+    "gltf": _write_gltf,
+    "exr": _write_exr,
+    "png": _write_png,
+}
+
+_LINEAR = "linear, Rec.709 primaries, D65; float32"
+
+
+def _light_files(folder: Path, panoramas: tuple[LightPanorama, ...]) -> Iterator[ExportedFile]:
+    for name, holds in LIGHT_FILES.items():
+        yield _file(folder, f"lights/{name}", holds, "linear, Rec.709 primaries, D65")
+    for light in panoramas:
+        yield _file(
+            folder,
+            f"lights/{light.file}",
+            f"panorama of the light of {light.picture}; {light.clamped:.2%} was negative",
+            _LINEAR,
+        )
+
+
+def _file(folder: Path, path: str, holds: str, color_space: str) -> ExportedFile:
+    return ExportedFile(path, holds, color_space, (folder / path).stat().st_size)
+
+
+def _write_manifest(path: Path, result: Result, planned: Plan, files: list[ExportedFile]) -> None:
+    content = {
+        "version": version("pbrfit"),
+        "fov": result.fov,
+        "normal_maps": planned.normals,
+        "files": [
+            {"path": of.path, "holds": of.holds, "color_space": of.color_space} for of in files
+        ],
+    }
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")

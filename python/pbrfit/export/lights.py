@@ -1,0 +1,143 @@
+"""The lights of a result as files that other tools read: panoramas and coefficients."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import images, panorama
+from pbrfit.lighting import BAND_OF, Lighting
+
+HEIGHT = 64
+"""Rows of a panorama. Nothing in l ≤ 3 is finer than 20 of them; what linear interpolation between
+pixels takes from l = 3 is h²/8 · 9 = 0.3 % at most, h = π/64 being their distance."""
+
+FILES = {
+    "lighting.json": "the lights as pbrfit keeps them (formats.md)",
+    "coefficients.csv": "the same as a table: picture, k, l, m, r, g, b",
+    "three.json": "LightProbes for THREE.ObjectLoader, without l = 3",
+    "panoramas.csv": "which panorama is whose, and how much of it was negative",
+}
+
+
+@dataclass(frozen=True)
+class LightPanorama:
+    """The panorama of a light.
+
+    Attributes
+    ----------
+    picture
+        Whose light it is.
+    file
+        Its name in the folder of lights.
+    clamped
+        Share of the light that is negative and was left out: ∫ max(−E, 0) / ∫ |E| over all
+        directions and channels.
+    """
+
+    picture: str
+    file: str
+    clamped: float
+
+
+def write_lights(folder: Path, lighting: Lighting) -> tuple[LightPanorama, ...]:
+    """Write all of `FILES` and a panorama a light into an existing folder."""
+    lighting.save(folder / "lighting.json")
+    _write_coefficients(folder / "coefficients.csv", lighting)
+    _write_three(folder / "three.json", lighting)
+    panoramas = []
+    for picture, name, light in zip(
+        lighting.pictures, file_names(lighting.pictures), lighting.coefficients, strict=True
+    ):
+        radiance, clamped = nonnegative_radiance(light, HEIGHT)
+        file = f"{name}.exr"
+        images.write_exr(folder / file, {c: radiance[..., i] for i, c in enumerate("RGB")})
+        panoramas.append(LightPanorama(picture, file, clamped))
+    with (folder / "panoramas.csv").open("w", newline="", encoding="utf-8") as table:
+        writer = csv.writer(table)
+        writer.writerow(["picture", "file", "clamped_share"])
+        writer.writerows([of.picture, of.file, f"{of.clamped:.6f}"] for of in panoramas)
+    return tuple(panoramas)
+
+
+def nonnegative_radiance(
+    light: NDArray[np.float64], height: int
+) -> tuple[NDArray[np.float64], float]:
+    """An SH light (16, 3) as a panorama (height, 2 height, 3) without its negative part.
+
+    SH lights can be negative in places; other tools cannot use that. Returned beside the panorama
+    is the share that was left out, as in `LightPanorama`.
+    """
+    radiance = panorama.radiance(light, height)
+    weights = panorama.solid_angles(height, 2 * height)[:, None, None]
+    total = np.sum(np.abs(radiance) * weights)
+    negative = np.sum(np.maximum(-radiance, 0) * weights)
+    return np.maximum(radiance, 0), float(negative / total) if total > 0 else 0.0
+
+
+def file_names(pictures: Sequence[str]) -> tuple[str, ...]:
+    """Names of pictures as names of files, without suffix, which no file system confuses."""
+    names: list[str] = []
+    taken: set[str] = set()
+    for picture in pictures:
+        name = re.sub(r'[<>:"/\\|?*\x00-\x1f]', "_", picture).strip(". ") or "light"
+        unique, count = name, 2
+        while unique.casefold() in taken:
+            unique, count = f"{name}_{count}", count + 1
+        taken.add(unique.casefold())
+        names.append(unique)
+    return tuple(names)
+
+
+def _write_coefficients(path: Path, lighting: Lighting) -> None:
+    with path.open("w", newline="", encoding="utf-8") as table:
+        writer = csv.writer(table)
+        writer.writerow(["picture", "k", "l", "m", "r", "g", "b"])
+        for picture, light in zip(lighting.pictures, lighting.coefficients, strict=True):
+            for k, (band, values) in enumerate(zip(BAND_OF.tolist(), light.tolist(), strict=True)):
+                writer.writerow([picture, k, band, k - band * (band + 1), *values])
+
+
+def _write_three(path: Path, lighting: Lighting) -> None:
+    """A group of light probes in three.js' JSON object format 4.
+
+    Its `SphericalHarmonics3` holds radiance in the first nine functions of our basis, in our order
+    and with our signs, R, G, B of each in turn. The diffuse light of a surface needs no more.
+    """
+    probes: list[dict[str, Any]] = [
+        {
+            "uuid": _uuid(f"{i} {picture}"),
+            "type": "LightProbe",
+            "name": picture,
+            "intensity": 1,
+            "sh": light[:9].ravel().tolist(),
+        }
+        for i, (picture, light) in enumerate(
+            zip(lighting.pictures, lighting.coefficients, strict=True)
+        )
+    ]
+    content = {
+        "metadata": {
+            "version": 4.6,
+            "type": "Object",
+            "generator": f"pbrfit {version('pbrfit')}",
+        },
+        "object": {"uuid": _uuid("lights"), "type": "Group", "name": "lights", "children": probes},
+    }
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _uuid(name: str) -> str:
+    """Depends on the name alone: equal results give equal files."""
+    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"pbrfit:{name}"))

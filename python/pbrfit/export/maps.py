@@ -1,0 +1,139 @@
+"""The maps of a result as textures: finite everywhere, packed into channels, as integers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.color import encode_srgb
+from pbrfit.materials import nearest_inside
+from pbrfit.result import Result
+
+NormalConvention = Literal["opengl", "directx"]
+"""Which way the green channel of a normal map points: up, or down."""
+
+Bits = Literal[8, 16]
+
+
+@dataclass(frozen=True)
+class Texture:
+    """What a texture file holds.
+
+    Attributes
+    ----------
+    name
+        Of the file, without suffix.
+    channels
+        Keys of `CHANNELS`, one a channel of the file.
+    color
+        Whether it is a colour: integer files then hold it sRGB-encoded, but for alpha.
+    bits
+        Of integer files, unless asked otherwise.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    color: bool = False
+    bits: Bits = 16
+
+    @property
+    def color_space(self) -> str:
+        """How integer files hold it, in words."""
+        return "sRGB, Rec.709 primaries, D65" if self.color else "data, linear"
+
+
+@dataclass(frozen=True)
+class Maps:
+    """The maps of a result; outside the mask they hold the values of the nearest pixel inside.
+
+    Attributes
+    ----------
+    albedo
+        (H, W, 3), linear Rec.709.
+    roughness, metallic
+        (H, W).
+    normals
+        (H, W, 3), unit vectors in camera space, Y up.
+    mask
+        (H, W) bool.
+    """
+
+    albedo: NDArray[np.float64]
+    roughness: NDArray[np.float64]
+    metallic: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    mask: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, result: Result) -> Maps:
+        """Maps of a result.
+
+        Raises
+        ------
+        InputError
+            If no pixel is in the mask, or one in it is not finite.
+        """
+        if not result.mask.any():
+            raise InputError("mask: expected at least one pixel in it, found none")
+        nearest = nearest_inside(result.mask)
+        filled = {
+            name: np.asarray(getattr(result, name), dtype=np.float64)[nearest]
+            for name in ("albedo", "roughness", "metallic", "normals")
+        }
+        for name, values in filled.items():
+            if not np.isfinite(values).all():
+                raise InputError(
+                    f"{name}: expected finite values inside the mask, found NaN or infinity"
+                )
+        return cls(mask=result.mask, **filled)
+
+    def floats(self, texture: Texture, normals: NormalConvention = "opengl") -> NDArray[np.float32]:
+        """Channels of a texture, (H, W, C) float32; colours are linear."""
+        return self._stacked(texture, normals).astype(np.float32)
+
+    def integers(
+        self, texture: Texture, bits: Bits, normals: NormalConvention = "opengl"
+    ) -> NDArray[Any]:
+        """The same, (H, W, C) uint8 or uint16, 0 to 1 on all codes; colours are sRGB-encoded."""
+        values = np.clip(self._stacked(texture, normals), 0.0, 1.0)
+        if texture.color:
+            values[..., :3] = encode_srgb(values[..., :3])
+        largest = (1 << bits) - 1
+        return np.floor(values * largest + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+
+    def _stacked(self, texture: Texture, normals: NormalConvention) -> NDArray[np.float64]:
+        values = np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
+        if normals == "directx" and "normal Y" in texture.channels:
+            green = texture.channels.index("normal Y")
+            values[..., green] = 1 - values[..., green]
+        return values
+
+
+def _constant(value: float) -> Callable[[Maps], NDArray[np.float64]]:
+    return lambda maps: np.full(maps.mask.shape, value)
+
+
+CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
+    "base color R": lambda maps: maps.albedo[..., 0],
+    "base color G": lambda maps: maps.albedo[..., 1],
+    "base color B": lambda maps: maps.albedo[..., 2],
+    "roughness": lambda maps: maps.roughness,
+    "smoothness = 1 − roughness": lambda maps: 1 - maps.roughness,
+    "metallic": lambda maps: maps.metallic,
+    "normal X": lambda maps: 0.5 + 0.5 * maps.normals[..., 0],
+    "normal Y": lambda maps: 0.5 + 0.5 * maps.normals[..., 1],
+    "normal Z": lambda maps: 0.5 + 0.5 * maps.normals[..., 2],
+    "mask": lambda maps: maps.mask.astype(np.float64),
+    "occlusion, none": _constant(1.0),
+    "detail mask, none": _constant(0.0),
+    "unused": _constant(0.0),
+}
+"""What a channel of a texture may hold: (H, W) in [0, 1], of normals 0.5 + 0.5 n, Y up."""
+
+BASE_COLOR = ("base color R", "base color G", "base color B")
+NORMAL = ("normal X", "normal Y", "normal Z")

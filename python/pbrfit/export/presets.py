@@ -1,0 +1,149 @@
+"""Which textures a tool expects: their names, channels and normal convention."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from pbrfit._core import InputError
+from pbrfit.export.maps import BASE_COLOR, NORMAL, Bits, NormalConvention, Texture
+
+Format = Literal["gltf", "exr", "png"]
+PresetName = Literal["blender", "unreal", "unity"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What a tool expects.
+
+    Attributes
+    ----------
+    formats
+        Written unless one is asked for.
+    normals
+        Convention of normal maps unless one is asked for.
+    textures
+        Texture files. "{normals}" in a name becomes the convention.
+    opacity
+        What is added where the mask leaves pixels out: a texture, or the mask as alpha of the
+        first one.
+    """
+
+    formats: tuple[Format, ...]
+    normals: NormalConvention
+    textures: tuple[Texture, ...]
+    opacity: Texture | Literal["alpha"]
+
+
+_SEPARATE = (
+    Texture("base_color", BASE_COLOR, color=True),
+    Texture("roughness", ("roughness",)),
+    Texture("metallic", ("metallic",)),
+    Texture("normal_{normals}", NORMAL),
+)
+_MASK = Texture("mask", ("mask",), bits=8)
+
+PLAIN = Preset(("gltf", "exr", "png"), "opengl", _SEPARATE, _MASK)
+"""Without a preset: all formats, a map a file."""
+
+PRESETS: dict[PresetName, Preset] = {
+    "blender": Preset(("gltf", "png"), "opengl", _SEPARATE, _MASK),
+    # Engines compress textures on import; 16-bit sources only make projects large.
+    "unreal": Preset(
+        ("png",),
+        "directx",
+        (
+            Texture("T_BaseColor", BASE_COLOR, color=True, bits=8),
+            Texture("T_ORM", ("occlusion, none", "roughness", "metallic"), bits=8),
+            Texture("T_Normal", NORMAL, bits=8),
+        ),
+        Texture("T_OpacityMask", ("mask",), bits=8),
+    ),
+    "unity": Preset(
+        ("png",),
+        "opengl",
+        (
+            Texture("BaseMap", BASE_COLOR, color=True, bits=8),
+            Texture(
+                "MaskMap",
+                ("metallic", "occlusion, none", "detail mask, none", "smoothness = 1 − roughness"),
+                bits=8,
+            ),
+            Texture("NormalMap", NORMAL, bits=8),
+        ),
+        "alpha",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an export writes, lights apart.
+
+    Attributes
+    ----------
+    formats
+        One or more.
+    normals
+        Convention of normal maps; that of glTF is fixed.
+    textures
+        Files of PNG and EXR.
+    bits
+        Of all integer textures; None = each its own.
+    """
+
+    formats: tuple[Format, ...]
+    normals: NormalConvention
+    textures: tuple[Texture, ...]
+    bits: Bits | None
+
+    def bits_of(self, texture: Texture) -> Bits:
+        """Of an integer file of the texture."""
+        return self.bits or texture.bits
+
+
+def plan(
+    *,
+    format: Format | None = None,  # noqa: A002
+    preset: PresetName | None = None,
+    normals: NormalConvention | None = None,
+    bits: Bits | None = None,
+    masked: bool = False,
+) -> Plan:
+    """What to write, from what was asked for; `masked`: the mask leaves pixels out.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown, or would have no effect beside the others.
+    """
+    _check("format", format, get_args(Format))
+    _check("preset", preset, get_args(PresetName))
+    _check("normals", normals, get_args(NormalConvention))
+    _check("bits", bits, get_args(Bits))
+    if format == "gltf" and preset is not None:
+        raise InputError(
+            f"preset: expected none with format gltf, which packs textures in one way, "
+            f"found {preset}"
+        )
+    if format == "gltf" and normals == "directx":
+        raise InputError("normals: expected opengl, the convention of format gltf, found directx")
+    if format == "exr" and bits is not None:
+        raise InputError(f"bits: expected none with format exr, which is float32, found {bits}")
+    chosen = PLAIN if preset is None else PRESETS[preset]
+    convention = normals or chosen.normals
+    textures = [
+        Texture(t.name.format(normals=convention), t.channels, t.color, t.bits)
+        for t in chosen.textures
+    ]
+    if masked and chosen.opacity == "alpha":
+        first = textures[0]
+        textures[0] = Texture(first.name, (*first.channels, "mask"), first.color, first.bits)
+    elif masked and isinstance(chosen.opacity, Texture):
+        textures.append(chosen.opacity)
+    return Plan((format,) if format else chosen.formats, convention, tuple(textures), bits)
+
+
+def _check(name: str, value: object, known: tuple[object, ...]) -> None:
+    if value is not None and value not in known:
+        raise InputError(f"{name}: expected one of {', '.join(map(str, known))}, found {value!r}")
