@@ -16,6 +16,7 @@ from PIL import Image, ImageSequence
 from pbrfit import DirectionalLight, Result, display, images, panorama, relight
 from pbrfit.arguments import with_signed_values
 from pbrfit.lighting import Lighting, rotated
+from pbrfit.relit_files import ANIMATIONS, write_animation
 from relit import ball, fitted, side_lit
 from scene_files import run, write_exr, write_folder, write_hdr
 
@@ -241,6 +242,29 @@ def test_outside_the_mask_is_transparent(folders: Path, tmp_path: Path) -> None:
                 np.testing.assert_array_equal(rgba[..., 3], 255 * mask)
                 if name.endswith(".png"):
                     assert (rgba[~mask] == 0).all()
+
+
+@pytest.mark.parametrize("suffix", ANIMATIONS)
+@pytest.mark.parametrize("shape", ["rectangle", "two pixels", "all but one"])
+def test_animations_keep_masks_of_any_shape(tmp_path: Path, suffix: str, shape: str) -> None:
+    mask = np.full((12, 17), shape == "all but one")
+    if shape == "rectangle":
+        mask[3:9, 4:11] = True
+    elif shape == "two pixels":
+        mask[2, 3] = mask[9, 12] = True
+    else:
+        mask[5, 5] = False
+    frames = np.zeros((3, 12, 17, 4), np.uint8)
+    frames[..., :3] = np.arange(17)[:, None] * [14, 10, 3] + np.arange(3)[:, None, None, None]
+    frames[..., 3] = 255
+    frames[:, ~mask] = 0
+    write_animation(tmp_path / "out", suffix, iter(frames), 10)
+    with Image.open(tmp_path / "out") as picture:
+        for frame, expected in zip(ImageSequence.Iterator(picture), frames, strict=True):
+            found = np.asarray(frame.convert("RGBA"))
+            np.testing.assert_array_equal(found[..., 3], 255 * mask)
+            if suffix != ".gif":
+                np.testing.assert_array_equal(found[mask], expected[mask])
 
 
 def test_float32_holds_no_infinity(room: Path, tmp_path: Path) -> None:
