@@ -43,7 +43,7 @@ def main() -> None:
             rows, (name, "true materials"), (relit, expected), strict=True
         ):
             row.append(Panel(caption, _enlarged(display.encoded(picture))))
-    images.write_png(out, sheet(rows), tag="srgb")
+    images.write_png(out, sheet(rows), "srgb")
 
 
 def _enlarged(shown: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -37,7 +37,7 @@ def write_exr(path: Path, radiance: Radiance) -> None:
 
 def write_png(path: Path, shown: NDArray[np.uint8]) -> None:
     """Write what `Screen.shown` gives, tagged as sRGB."""
-    images.write_png(path, shown, tag="srgb")
+    images.write_png(path, shown, "srgb")
 
 
 def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:

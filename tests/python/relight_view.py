@@ -166,7 +166,8 @@ class View:
         before = self.message()
         self.page.locator('input[type="file"]').set_input_files(list(files))
         self.page.wait_for_function(
-            "before => document.querySelector('.relight-message').textContent !== before", arg=before
+            "before => document.querySelector('.relight-message').textContent !== before",
+            arg=before,
         )
         return self.message()
 
