@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from blender_card import InBlender, Rendering, in_blender, relief, to_camera_space
+from blender_card import TURN, InBlender, Rendering, in_blender, relief, to_camera_space
 from pbrfit import Result, render, sh_basis, view_directions
 from pbrfit.export import export_result
+from pbrfit.lighting import rotated
 from pbrfit.synthetic.cycles import why_not
 
 HEIGHT, WIDTH = 36, 48
@@ -59,6 +60,7 @@ def facets(result: Result, tmp_path_factory: pytest.TempPathFactory) -> InBlende
             Rendering("diffuse", light, diffuse=True),
             Rendering("default", light),
             Rendering("GGX", light, distribution="GGX"),
+            Rendering("rotated by 30", light, turn=TURN - 30, diffuse=True),
             Rendering("not turned", light, turn=0.0, diffuse=True, samples=64),
             Rendering("turned back", light, turn=90.0, diffuse=True, samples=64),
             Rendering("mirrored", light, scale=(-1, 1, 1), diffuse=True, samples=64),
@@ -67,11 +69,14 @@ def facets(result: Result, tmp_path_factory: pytest.TempPathFactory) -> InBlende
     )
 
 
-def diffuse(result: Result, normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A Diffuse BSDF under the first light: albedo/π Σ A_l Y(n) L."""
+def diffuse(
+    result: Result, normals: NDArray[np.float64], rotate: float = 0.0
+) -> NDArray[np.float64]:
+    """A Diffuse BSDF under the first light, turned: albedo/π Σ A_l Y(n) L."""
+    light = rotated(result.lighting[0], rotate)
     transfer = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4, 0.0], [1, 3, 5, 7])
     irradiance = np.full(normals.shape, np.nan)
-    irradiance[result.mask] = sh_basis(normals[result.mask]) * transfer @ result.lighting[0]
+    irradiance[result.mask] = sh_basis(normals[result.mask]) * transfer @ light
     return np.asarray(result.albedo / np.pi * irradiance)
 
 
@@ -128,6 +133,14 @@ def test_relief_agrees_but_for_light_from_behind_the_plane(
     on_facets = difference(facets.pictures["diffuse"], expected, result.mask)
     assert on_facets < 0.01
     assert 2 * on_facets < on_card < 0.03
+
+
+def test_rotating_the_light_is_turning_the_world_further(facets: InBlender, result: Result) -> None:
+    """`pbrfit relight --rotate 30` is −120° in the Mapping node."""
+    expected = diffuse(result, result.normals, rotate=30)
+    assert difference(facets.pictures["rotated by 30"], expected, result.mask) < 0.01
+    back = diffuse(result, result.normals, rotate=-30)
+    assert difference(facets.pictures["rotated by 30"], back, result.mask) > 0.1
 
 
 def test_facets_have_the_normals_of_the_result(facets: InBlender, result: Result) -> None:
