@@ -8,6 +8,7 @@ use criterion::{
 };
 use glam::DVec3;
 use pbrfit::band_table::TABLE;
+use pbrfit::directional::{DirectionalLight, render_directional};
 use pbrfit::ggx;
 use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::render::render;
@@ -146,12 +147,7 @@ fn forward(c: &mut Criterion) {
     for (side, pictures) in [(256, 1), (256, 16), (512, 16)] {
         let example = Example::new(side * side, pictures);
         let pixels = example.normals.len();
-        let material = |p: usize| Material {
-            albedo: [0, 1, 2].map(|c| example.x[c * pixels + p]),
-            roughness: example.x[3 * pixels + p],
-            metallic: example.x[4 * pixels + p],
-        };
-        let materials: Vec<Material> = (0..pixels).map(material).collect();
+        let materials = example.materials();
         let lighting = &example.x[5 * pixels..];
         group.throughput(Throughput::Elements((pixels * pictures * 3) as u64));
         for threads in [1, 2] {
@@ -169,6 +165,36 @@ fn forward(c: &mut Criterion) {
                         threads,
                     )
                     .unwrap()
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
+/// The full reflection model under light from single directions.
+fn directional(c: &mut Criterion) {
+    let mut group = c.benchmark_group("render_directional, 256²");
+    group.sample_size(20);
+    let example = Example::new(256 * 256, 1);
+    let materials = example.materials();
+    for lights in [1, 16] {
+        let lights: Vec<DirectionalLight> = (0..lights)
+            .map(|i| DirectionalLight {
+                direction: DVec3::new(wave(i, 0.7) - 0.5, wave(i, 1.3) - 0.5, 0.5).normalize(),
+                color: [1.0; 3],
+            })
+            .collect();
+        group.throughput(Throughput::Elements((256 * 256 * lights.len()) as u64));
+        for threads in [1, 2] {
+            let id = BenchmarkId::new(
+                format!("{threads} threads"),
+                format!("{} lights", lights.len()),
+            );
+            group.bench_function(id, |b| {
+                b.iter(|| {
+                    let Example { normals, views, .. } = &example;
+                    render_directional(normals, views, &materials, &lights, threads).unwrap()
                 });
             });
         }
@@ -213,6 +239,17 @@ impl Example {
         }
     }
 
+    /// Of three channels.
+    fn materials(&self) -> Vec<Material> {
+        let pixels = self.normals.len();
+        let material = |p: usize| Material {
+            albedo: [0, 1, 2].map(|c| self.x[c * pixels + p]),
+            roughness: self.x[3 * pixels + p],
+            metallic: self.x[4 * pixels + p],
+        };
+        (0..pixels).map(material).collect()
+    }
+
     fn bench(
         &self,
         group: &mut BenchmarkGroup<'_, WallTime>,
@@ -242,5 +279,14 @@ impl Example {
     }
 }
 
-criterion_group!(benches, bands, pixel, sizes, pictures, parts, forward);
+criterion_group!(
+    benches,
+    bands,
+    pixel,
+    sizes,
+    pictures,
+    parts,
+    forward,
+    directional
+);
 criterion_main!(benches);

@@ -22,11 +22,13 @@
 //! | [`penalties`] | penalties on a map: neighbours alike, groups of pixels alike |
 //! | [`normal_matrix`] | pixels: Gauss–Newton normal matrices, and how they are tied to the lights |
 //! | [`render`] | all pixels: radiance in float64 |
+//! | [`directional`] | the same under light from single directions, with the full reflection model |
 //! | [`image_file`] | picture files |
 
 pub mod band_table;
 pub mod block;
 mod check;
+pub mod directional;
 pub mod error;
 mod evaluate;
 pub mod ggx;

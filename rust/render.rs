@@ -43,7 +43,29 @@ pub fn render(
         .map(|light| [0, 1, 2].map(|c| std::array::from_fn(|k| light[k * 3 + c])))
         .collect();
 
-    let samples = lights.len() * pixels * 3;
+    pictures(
+        lights.len(),
+        pixels,
+        CHUNK * BLOCK,
+        threads,
+        |first, parts| {
+            render_chunk(normals, views, materials, &lights, first, parts);
+        },
+    )
+}
+
+/// Pictures of so many pixels, (light, pixel, channel), filled in pieces.
+///
+/// `fill` gets the index of a first pixel and, of every picture, the part of `piece` pixels (fewer
+/// at the end) that begins there, as zeros.
+pub(crate) fn pictures(
+    lights: usize,
+    pixels: usize,
+    piece: usize,
+    threads: usize,
+    fill: impl Fn(usize, &mut [&mut [f64]]) + Send + Sync,
+) -> Result<Vec<f64>> {
+    let samples = lights * pixels * 3;
     // Asked for twice: whether there is memory, and then as zeros, which the system hands out page
     // by page to the threads that write there.
     Vec::<f64>::new()
@@ -56,17 +78,17 @@ pub fn render(
     // Each piece of work writes its own part of every picture.
     let mut pictures: Vec<_> = images
         .chunks_mut(pixels * 3)
-        .map(|picture| picture.chunks_mut(CHUNK * BLOCK * 3))
+        .map(|picture| picture.chunks_mut(piece * 3))
         .collect();
-    let pieces = (0..pixels.div_ceil(CHUNK * BLOCK))
+    let pieces = (0..pixels.div_ceil(piece))
         .map(|i| {
             let parts = pictures.iter_mut().map(Iterator::next);
             let parts: Vec<_> = parts.map(|part| part.expect("equal pictures")).collect();
-            (i * CHUNK * BLOCK, parts)
+            (i * piece, parts)
         })
         .collect();
     pool::map(threads, pieces, |(first, mut parts): (usize, Vec<_>)| {
-        render_chunk(normals, views, materials, &lights, first, &mut parts);
+        fill(first, &mut parts);
     });
     Ok(images)
 }

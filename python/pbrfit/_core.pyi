@@ -16,9 +16,11 @@ __all__ = [
     "decode_exr",
     "decode_icc",
     "decode_raster",
+    "encode_png",
     "ggx_band_weights",
     "image_format",
     "render",
+    "render_directional",
     "sh_basis",
     "shade",
     "shade_vjp",
@@ -54,6 +56,16 @@ def render(
     roughness: NDArray[np.float64],
     metallic: NDArray[np.float64],
     lighting: NDArray[np.float64],
+    threads: int,
+) -> NDArray[np.float64]: ...
+def render_directional(
+    normals: NDArray[np.float64],
+    views: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    colors: NDArray[np.float64],
     threads: int,
 ) -> NDArray[np.float64]: ...
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import os
+import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -104,6 +106,53 @@ def code_range(text: str) -> tuple[int, int]:
     if len(parts) != 2:
         raise argparse.ArgumentTypeError(f"expected LOW,HIGH, found {text}")
     return whole_number(parts[0]), whole_number(parts[1])
+
+
+SIGNED = ("--light", "--rotate", "--exposure", "--color")
+"""Options whose value may begin with a minus sign."""
+
+
+def with_signed_values(arguments: Sequence[str]) -> list[str]:
+    """Tie values such as ``-40,30`` to their options: ``--light=-40,30``.
+
+    `argparse` takes an argument that begins with a minus sign for an option, unless it is a plain
+    number; a list of numbers is none.
+    """
+    tied: list[str] = []
+    for i, argument in enumerate(arguments):
+        if argument == "--":  # what follows is no option
+            return [*tied, *arguments[i:]]
+        if tied and tied[-1] in SIGNED and re.match(r"-\.?\d", argument):
+            tied[-1] += f"={argument}"
+        else:
+            tied.append(argument)
+    return tied
+
+
+def numbers(count: int, form: str) -> Callable[[str], tuple[float, ...]]:
+    """Reader for `argparse` of so many finite numbers with commas between them, such as `form`."""
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(math.isfinite(value) for value in values):
+            raise argparse.ArgumentTypeError(f"expected {form}, finite numbers, found {text!r}")
+        return values
+
+    return read
+
+
+def number(text: str) -> float:
+    """Read a finite number for `argparse`."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite number, found {text!r}")
+    return value
 
 
 def progress_bar(total: int, *, quiet: bool, unit: str = "it", name: str | None = None) -> Any:

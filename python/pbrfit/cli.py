@@ -31,10 +31,12 @@ from pbrfit.arguments import (
     progress_bar,
     unread_is_no_failure,
     whole_number,
+    with_signed_values,
 )
 from pbrfit.color import ColorSpace
 from pbrfit.evaluation.commands import add_suites
 from pbrfit.images import CODE_RANGE
+from pbrfit.relight_command import add_relight
 from pbrfit.robust import LOSSES
 
 if TYPE_CHECKING:
@@ -49,7 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 unusable input."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that lacks a sign: no reason
-    options = _parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(with_signed_values(given))
     try:
         with _logging_to_stderr(quiet=getattr(options, "quiet", False)), _ending_when_told():
             command: Callable[[argparse.Namespace], int] = options.command
@@ -128,6 +131,20 @@ def _parser() -> argparse.ArgumentParser:
     add_priors(added)
     add_quiet(added)
 
+    added = command("report", _report, "write a page about a result, to be looked at in a browser")
+    added.add_argument("result", metavar="RESULT", type=Path, help="result folder")
+    added.add_argument(
+        "--out", metavar="FILE", type=Path, required=True, help="page to write, FILE.html"
+    )
+    added.add_argument(
+        "--scene",
+        metavar="SCENE",
+        type=Path,
+        help="scene folder that the result was made from (default: where it was then)",
+    )
+    added.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    add_quiet(added)
+
     added = command("inspect", _inspect, "show what a scene folder holds and what is assumed")
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     added.add_argument(
@@ -143,6 +160,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_synth_options(added)
     _add_sh_order(added, "of the lights")
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+
+    add_relight(commands)
 
     added = command("normals", _normals, "give normals to a folder of pictures")
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
@@ -428,6 +447,18 @@ def _fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
 
 def _metallic(options: argparse.Namespace) -> float | None:
     return None if options.metallic == "free" else float(options.metallic)
+
+
+def _report(options: argparse.Namespace) -> int:
+    from pbrfit.report import write_report
+    from pbrfit.result import Result
+
+    result = Result.load(options.result)
+    write_report(result, options.out, options.scene, options.overwrite)
+    if not options.quiet:
+        size = options.out.stat().st_size / 1e6
+        print(f"{options.out}: {size:.1f} MB, open it in a browser")
+    return DONE
 
 
 def _inspect(options: argparse.Namespace) -> int:

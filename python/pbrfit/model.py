@@ -7,6 +7,7 @@ the formulas: the paper's equations 1-12; `rust/shade.rs` derives them.
 from __future__ import annotations
 
 import operator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,8 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
+
+Array = NDArray[np.float64]
 
 
 def sh_basis(directions: ArrayLike) -> NDArray[np.float64]:
@@ -160,36 +163,118 @@ def render(
     InputError
         If shapes do not fit together or a value is out of range.
     """
-    albedo = _array("albedo", materials.albedo, (3,))
-    if albedo.ndim != 3:
-        raise InputError(f"albedo: expected shape (H, W, 3), found {albedo.shape}")
-    height, width = albedo.shape[:2]
-    roughness = _array("roughness", materials.roughness, (height, width))
-    metallic = _array("metallic", materials.metallic, (height, width))
-    n = _array("normals", normals, (height, width, 3))
     light = _array("lighting", lighting, (16, 3))
     if light.ndim > 3:
         raise InputError(f"lighting: expected shape (16, 3) or (N, 16, 3), found {light.shape}")
-    of: slice | NDArray[np.bool_] = slice(None)
-    if not all(np.isfinite(given).all() for given in (albedo, roughness, metallic, n)):
-        used = np.isfinite(albedo).all(-1) & np.isfinite(n).all(-1)
-        of = (used & np.isfinite(roughness) & np.isfinite(metallic)).reshape(-1)
-    rendered = _core.render(
-        n.reshape(-1, 3)[of],
-        view_directions(height, width, fov).reshape(-1, 3)[of],
-        albedo.reshape(-1, 3)[of],
-        roughness.reshape(-1)[of],
-        metallic.reshape(-1)[of],
-        light.reshape(-1, 16, 3),
-        whole_number("threads", threads),
+    view = _View.of_maps(materials, normals, fov)
+    images = view.pictures(
+        _core.render(*view.pixels, light.reshape(-1, 16, 3), whole_number("threads", threads))
     )
-    if isinstance(of, slice):
-        images = rendered
-    else:
-        images = np.full((len(rendered), height * width, 3), np.nan)
-        images[:, of] = rendered
-    images = images.reshape(-1, height, width, 3)
     return images[0] if light.ndim == 2 else images
+
+
+def render_directional(
+    materials: Materials,
+    normals: ArrayLike,
+    directions: ArrayLike,
+    colors: ArrayLike,
+    fov: float,
+    threads: int = 0,
+) -> NDArray[np.float64]:
+    """Radiance of a view under light from single directions, with the full reflection model.
+
+    The paper's eqs. 1 and 3-5 without the approximations that SH light needs; a light of colour 1
+    gives a white diffuse surface that faces it radiance 1, less what its Fresnel term takes from
+    the diffuse part. Nothing casts a shadow. A mirror (roughness 0) does not show a light without
+    extent.
+
+    Parameters
+    ----------
+    materials
+        Maps of (H, W) pixels. Pixels that are NaN in any map stay NaN.
+    normals
+        (H, W, 3) unit vectors in camera space; NaN outside the mask.
+    directions
+        (3,) or (N, 3) unit vectors from the surface to the lights.
+    colors
+        (3,) or (N, 3), linear Rec.709.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    threads
+        0 = one for each processor; the result does not depend on it.
+
+    Returns
+    -------
+    (H, W, 3) or (N, H, W, 3) float64, linear Rec.709.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit together or a value is out of range.
+    """
+    to_lights = _array("directions", directions, (3,))
+    if to_lights.ndim > 2:
+        raise InputError(f"directions: expected shape (3,) or (N, 3), found {to_lights.shape}")
+    of_lights = _array("colors", colors, to_lights.shape)
+    if of_lights.ndim > to_lights.ndim:
+        raise InputError(f"colors: expected shape {to_lights.shape}, found {of_lights.shape}")
+    view = _View.of_maps(materials, normals, fov)
+    images = view.pictures(
+        _core.render_directional(
+            *view.pixels,
+            to_lights.reshape(-1, 3),
+            of_lights.reshape(-1, 3),
+            whole_number("threads", threads),
+        )
+    )
+    return images[0] if to_lights.ndim == 1 else images
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """The pixels of a view that are rendered, and their places in the picture.
+
+    Attributes
+    ----------
+    pixels
+        Normals, views, albedo, roughness and metallic of these pixels, in rows.
+    of
+        Which of the picture's pixels they are.
+    """
+
+    height: int
+    width: int
+    pixels: tuple[Array, Array, Array, Array, Array]
+    of: slice | NDArray[np.bool_]
+
+    @classmethod
+    def of_maps(cls, materials: Materials, normals: ArrayLike, fov: float) -> _View:
+        """Leave out the pixels that are NaN or infinite in any map."""
+        albedo = _array("albedo", materials.albedo, (3,))
+        if albedo.ndim != 3:
+            raise InputError(f"albedo: expected shape (H, W, 3), found {albedo.shape}")
+        height, width = albedo.shape[:2]
+        roughness = _array("roughness", materials.roughness, (height, width))
+        metallic = _array("metallic", materials.metallic, (height, width))
+        n = _array("normals", normals, (height, width, 3))
+        of: slice | NDArray[np.bool_] = slice(None)
+        if not all(np.isfinite(given).all() for given in (albedo, roughness, metallic, n)):
+            used = np.isfinite(albedo).all(-1) & np.isfinite(n).all(-1)
+            of = (used & np.isfinite(roughness) & np.isfinite(metallic)).reshape(-1)
+        n, v, rho = (
+            vectors.reshape(-1, 3)[of]
+            for vectors in (n, view_directions(height, width, fov), albedo)
+        )
+        r, m = (numbers.reshape(-1)[of] for numbers in (roughness, metallic))
+        return cls(height, width, (n, v, rho, r, m), of)
+
+    def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""
+        images = rendered
+        if not isinstance(self.of, slice):
+            images = np.full((len(rendered), self.height * self.width, 3), np.nan)
+            images[:, self.of] = rendered
+        return images.reshape(-1, self.height, self.width, 3)
 
 
 def whole_number(name: str, value: int) -> int:

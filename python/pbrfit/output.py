@@ -1,4 +1,4 @@
-"""Output folders that are whole or not there."""
+"""Output folders and files that are whole or not there."""
 
 from __future__ import annotations
 
@@ -57,6 +57,60 @@ def new_folder(
         with suppress(OSError):  # one that is not empty stays, and so do those above it
             for parent in new_parents:
                 parent.rmdir()
+
+
+@contextmanager
+def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a temporary path beside `path`, for a file that takes its name when the block ends well.
+
+    When the block raises, everything is as before.
+
+    Raises
+    ------
+    FileExistsError
+        See `check_free_file`.
+    OSError
+        If no file can be made there.
+    """
+    check_free_file(path, overwrite=overwrite)
+    target = path.resolve()
+    temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}{target.suffix}")
+    new_parents = [parent for parent in target.parents if not parent.exists()]
+    try:
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            temporary.touch()  # no right to write shows before the work, not after it
+        except OSError as error:
+            found = error.strerror or str(error)
+            raise type(error)(
+                f"{path}: expected a place where a file can be made, found: {found}"
+            ) from None
+        yield temporary
+        check_free_file(path, overwrite=overwrite)  # as above
+        temporary.replace(target)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            for parent in new_parents:
+                parent.rmdir()
+
+
+def check_free_file(path: Path, *, overwrite: bool) -> None:
+    """Check that a file may be written at `path`.
+
+    Raises
+    ------
+    FileExistsError
+        If something is there, unless it is a file and `overwrite` is True.
+    """
+    if path.is_dir():
+        raise FileExistsError(f"{path}: expected a file or nothing, found a folder")
+    if not overwrite and (path.exists() or path.is_symlink()):
+        raise FileExistsError(
+            f"{path}: expected a file that does not exist yet, found one; "
+            "--overwrite (overwrite=True) replaces it"
+        )
 
 
 def check_free(path: Path, *, overwrite: bool, contains: Collection[str] = ()) -> None:

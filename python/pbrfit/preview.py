@@ -2,61 +2,71 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import metrics
-from pbrfit.colormap import blue_to_yellow
+from pbrfit import differences, metrics
+from pbrfit.differences import PALETTE, Difference
 from pbrfit.materials import Materials
 from pbrfit.model import render
-from pbrfit.sheet import OUTSIDE, Key, Panel, Row, displayed, outside_grey, sheet
+from pbrfit.sheet import Key, Panel, Row, displayed, outside_grey, sheet
+from pbrfit.uncertainty import PARAMETERS
 
 if TYPE_CHECKING:
     from pbrfit.result import Result
     from pbrfit.scene import Scene
-    from pbrfit.uncertainty import Uncertainty
-
-ERROR_SPAN = 0.2
-"""Difference from the truth that is drawn white in the error panels."""
-
-DEVIATIONS = (0.001, 0.3)
-"""Standard deviations at the ends of their logarithmic scale."""
-
-DEVIATION_TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
-HELD = (1.0, 1.0, 1.0)
-UNDETERMINED = (0.84, 0.37, 0.0)
-"""Vermillion, told apart from the scale and from grey by all common colour vision."""
 
 
 def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
-    The first row shows a picture (with `scene`), its reconstruction, and the maps; where the result
-    has an uncertainty, a row shows the marginal deviations; with ground truth a row shows the truth
-    and one the absolute errors.
+    The first row shows a picture (with `scene`), its reconstruction and what is between them, the
+    second the maps; with ground truth there is a row of the truth and one of the errors; where the
+    result has an uncertainty, a row of the marginal deviations. Residuals, errors and deviations
+    share one scale.
     """
-    light = result.lighting[0]
-    reconstruction = render(result.materials, result.normals, light, result.fov)
-    white = metrics.white_of(reconstruction)
-    name = result.pictures[0]
-    row: Row = [Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
-    if scene is not None:
-        row.insert(0, Panel(f"picture {name}", displayed(scene.images[0], white)))
-    row += _maps(result.materials, "")
-    row.append(Panel("normals", outside_grey(0.5 + 0.5 * result.normals)))
-    rows = [row]
-    gap: Row = [None] * (1 if scene is None else 2)
+    rows: list[Row] = [_pictures(result, scene)]
+    labels = ["", "recovered"]
+    # Names of the maps stand above the first row of them alone.
+    rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, "normals")])
+    on_scale = {"residual": "of the picture's RMS"} if scene is not None else {}
+    white = ["not used"] if scene is not None and scene.weights is not None else []
+    marks: dict[str, tuple[float, float, float]] = {}
+    truth = None if scene is None else scene.truth
+    if truth is not None:
+        rows.append(_maps(truth.materials))
+        rows.append(_differences(differences.errors(result.materials, truth.materials)))
+        labels += ["truth", "error"]
+        on_scale["error"] = ""
     if result.uncertainty is not None:
-        rows.append([*gap, *_deviations(result.uncertainty)])
-    if scene is not None and scene.truth is not None:
-        true = scene.truth.materials
-        rows.append([*gap, *_maps(true, "true ")])
-        rows.append([*gap, *_errors(result.materials, true)])
-    return sheet(rows)
+        rows.append(_differences(differences.deviations(result.uncertainty)))
+        labels.append("deviation")
+        data = ", of the data alone" if result.uncertainty.priors else ""
+        on_scale["standard deviation"] = data
+        white.insert(0, "at a bound or known")
+        marks["not determined"] = _color(differences.VERMILLION)
+    if white:
+        marks = {" or ".join(white): _color(differences.WHITE)} | marks
+    key = None
+    if on_scale:
+        key = Key(
+            "; ".join(
+                f"{name} {what}".replace(" ,", ",").strip() for name, what in on_scale.items()
+            ),
+            PALETTE[: differences.STEPS],
+            {float(differences.on_scale(t)): label for t, label in differences.TICKS.items()},
+            marks,
+        )
+    height, width = result.mask.shape
+    title = (
+        f"{len(result.pictures)} pictures of {width} x {height}, "
+        f"{len(result.history) - 1} iterations in {result.seconds:.1f} s"
+    )
+    return sheet(rows, title=title, labels=labels, key=key)
 
 
 def normals_preview(scene: Scene) -> NDArray[np.uint8]:
@@ -78,90 +88,56 @@ def normals_preview(scene: Scene) -> NDArray[np.uint8]:
 
 def plot_history(result: Result, path: Path) -> None:
     """Errors against run time and iterations, logarithmic, as PNG."""
-    # Imported here: matplotlib is slow to start and needed by nobody else.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from pbrfit import drawing
+    from pbrfit.history_plot import draw_history
 
-    # Okabe and Ito's colours, with marker shapes for those who see none.
-    series = {
-        "recon_rmse": ("reconstruction", "#000000", "o"),
-        "albedo_rmse": ("albedo", "#D55E00", "s"),
-        "roughness_rmse": ("roughness", "#0072B2", "^"),
-        "metallic_rmse": ("metallic", "#009E73", "D"),
-    }
-    figure = Figure(figsize=(8, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2, sharey=True)
-    history = result.history
-    for axes, column, label in (
-        (left, "elapsed_s", "run time [s]"),
-        (right, "iteration", "iteration"),
-    ):
-        for name, (legend, color, marker) in series.items():
-            if name in history.columns:
-                axes.loglog(
-                    np.maximum(history[column], 1e-3 if column == "elapsed_s" else 0.5),
-                    history[name],
-                    color=color,
-                    marker=marker,
-                    markevery=0.1,
-                    markersize=4,
-                    label=legend,
-                )
-        axes.set_xlabel(label)
-        axes.grid(visible=True, which="major", alpha=0.3)
-    left.set_ylabel("RMSE")
-    left.legend()
-    figure.suptitle(f"Error against run time: {len(result.pictures)} pictures, {_size(result)}")
-    figure.savefig(path, dpi=120)
-
-
-def _size(result: Result) -> str:
     height, width = result.mask.shape
-    return f"{width} × {height} pixels, {result.options.solver}"
-
-
-def _maps(materials: Materials, prefix: str) -> Row:
-    return [
-        Panel(f"{prefix}albedo", displayed(materials.albedo)),
-        Panel(f"{prefix}roughness, white = 1", outside_grey(materials.roughness)),
-        Panel(f"{prefix}metallic, white = 1", outside_grey(materials.metallic)),
-    ]
-
-
-def _errors(found: Materials, true: Materials) -> Row:
-    return [
-        Panel(
-            f"{name} |error|, white = {ERROR_SPAN:g}",
-            outside_grey(np.abs(getattr(found, name) - getattr(true, name)) / ERROR_SPAN),
-        )
-        for name in ("albedo", "roughness", "metallic")
-    ]
-
-
-def _deviations(uncertainty: Uncertainty) -> Row:
-    """Marginal standard deviations, and the key to their colours."""
-    deviations = uncertainty.marginal
-    maps = {
-        "albedo": np.sqrt(np.mean(np.square(deviations.albedo), axis=-1)),
-        "roughness": deviations.roughness,
-        "metallic": deviations.metallic,
-    }
-    low, high = np.log(DEVIATIONS)
-    row: Row = []
-    for i, (name, values) in enumerate(maps.items()):
-        on_scale = (np.log(np.maximum(values, DEVIATIONS[0])) - low) / (high - low)
-        colors = blue_to_yellow(on_scale)
-        colors[values == 0] = HELD
-        colors[uncertainty.undetermined[..., i]] = UNDETERMINED
-        colors[np.isnan(values)] = OUTSIDE
-        row.append(Panel(f"{name}, std. deviation", colors))
-    row.append(
-        Key(
-            "from the data alone" if uncertainty.priors else "with uncertain lights",
-            blue_to_yellow(np.linspace(0, 1, 256)),
-            {(math.log(t) - low) / (high - low): f"{t:g}" for t in DEVIATION_TICKS},
-            {"at a bound or known": HELD, "not determined": UNDETERMINED},
-        )
+    title = (
+        f"Error against run time: {len(result.pictures)} pictures, {width} × {height} pixels, "
+        f"{result.options.solver}"
     )
-    return row
+    path.write_bytes(drawing.as_png(draw_history(result.history, title), 120))
+
+
+def _pictures(result: Result, scene: Scene | None) -> Row:
+    """The first picture, its reconstruction, and the residual, as far as there are pictures."""
+    reconstruction = render(result.materials, result.normals, result.lighting[0], result.fov)
+    name = result.pictures[0]
+    if scene is None:
+        white = metrics.white_of(reconstruction)
+        return [Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
+    picture = scene.images[0]
+    white = metrics.white_of(np.where(result.mask[..., None], picture, np.nan))
+    weights = None if scene.weights is None else scene.weights[0]
+    residual = differences.residual(reconstruction, picture, weights)
+    return [
+        Panel(f"picture {name}", displayed(picture, white)),
+        Panel("reconstruction", displayed(reconstruction, white)),
+        Panel("residual", _painted(residual)),
+    ]
+
+
+def _maps(materials: Materials, captions: Sequence[str] = ("", "", "")) -> Row:
+    albedo, roughness, metallic = captions
+    return [
+        Panel(albedo, displayed(materials.albedo)),
+        Panel(roughness and f"{roughness}, white = 1", outside_grey(materials.roughness)),
+        Panel(metallic and f"{metallic}, white = 1", outside_grey(materials.metallic)),
+    ]
+
+
+def _normals(normals: NDArray[np.float64], caption: str) -> Panel:
+    return Panel(caption, outside_grey(0.5 + 0.5 * normals))
+
+
+def _differences(maps: Mapping[str, Difference]) -> Row:
+    return [Panel("", _painted(maps[name])) for name in PARAMETERS]
+
+
+def _painted(difference: Difference) -> NDArray[np.float64]:
+    return PALETTE[difference.indices()]
+
+
+def _color(index: int) -> tuple[float, float, float]:
+    red, green, blue = PALETTE[index].tolist()
+    return red, green, blue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
@@ -20,7 +21,7 @@ from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.metrics import PROTOCOL
 from pbrfit.output import new_folder
-from pbrfit.scene import Scene
+from pbrfit.scene import Scene, Source
 from pbrfit.uncertainty import Uncertainty, layer_names
 
 CONTAINS = ("result.json", "materials.exr")
@@ -99,6 +100,8 @@ class Result:
     options, assumed, left_out, inputs
         How the result came about: options, decisions about the input, work that the scene did not
         need, sha256 of the files.
+    source
+        Where the scene was read from and how; None where it was made of arrays.
     """
 
     materials: Materials
@@ -118,6 +121,7 @@ class Result:
     left_out: tuple[str, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
     uncertainty: Uncertainty | None = None
+    source: Source | None = None
 
     @property
     def albedo(self) -> NDArray[np.floating[Any]]:
@@ -157,7 +161,7 @@ class Result:
             self.write(folder, scene)
 
     def write(self, folder: Path, scene: Scene | None = None) -> None:
-        """Write the files of a result into an existing folder."""
+        """Write the files of a result into an existing folder, which may be renamed afterwards."""
         from pbrfit.preview import preview
 
         uncertainty = self.uncertainty
@@ -185,6 +189,7 @@ class Result:
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
             "inputs": dict(self.inputs),
+            "scene": None if self.source is None else _source_as_json(self.source, folder),
         }
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
@@ -197,15 +202,18 @@ class Result:
         Raises
         ------
         InputError, OSError
-            If a file is missing or not what `save` writes; the message names it.
+            If this is no result folder, or a file in it is missing or not what `save` writes; the
+            message names it.
         """
         folder = Path(path)
+        _check_is_result(folder)
         materials, normals, mask = read_materials(folder / "materials.exr")
         lighting = Lighting.load(folder / "lighting.json")
         file = folder / "result.json"
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
             summary = content.get("uncertainty")
+            source = content.get("scene")  # which earlier versions did not write
             return cls(
                 materials=materials,
                 lighting=lighting.coefficients,
@@ -224,6 +232,7 @@ class Result:
                 left_out=tuple(content["left_out"]),
                 inputs=content["inputs"],
                 uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
+                source=None if source is None else _source(source, folder),
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, InputError):
@@ -231,6 +240,55 @@ class Result:
             raise InputError(
                 f"{file}: expected what pbrfit writes, found {type(error).__name__}: {error}"
             ) from None
+
+
+def _check_is_result(folder: Path) -> None:
+    """Raise InputError that says what is there instead."""
+    from pbrfit.scene_folder import is_scene
+
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "nothing"
+    else:
+        missing = [name for name in (*CONTAINS, "lighting.json") if not (folder / name).exists()]
+        if not missing:
+            return
+        below = sorted(p.parent.name for p in folder.glob(f"*/{CONTAINS[0]}"))
+        if len(missing) < len(CONTAINS) + 1 and not is_scene(folder):
+            found = f"one without {missing[0]}"
+        elif is_scene(folder):
+            found = "a scene folder: run pbrfit decompose on it first"
+        elif below:
+            found = f"a folder of results: name one of them, such as {folder / below[0]}"
+        else:
+            found = f"a folder without {' and '.join(missing)}"
+    raise InputError(
+        f"{folder}: expected a result folder, as pbrfit decompose writes it, found {found}"
+    )
+
+
+def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
+    """How a scene was read; its place as seen from the result folder, so that both can move."""
+    try:
+        path = Path(os.path.relpath(source.path, folder.resolve())).as_posix()
+    except ValueError:  # on another drive, where no relative path leads
+        return None
+    return {
+        "path": path,
+        "color_space": source.color_space,
+        "max_size": None if source.max_size is None else int(source.max_size),
+        "code_range": [int(code) for code in source.code_range],
+    }
+
+
+def _source(content: Mapping[str, Any], folder: Path) -> Source:
+    low, high = content["code_range"]
+    max_size = content["max_size"]
+    return Source(
+        path=(folder / content["path"]).resolve(),
+        color_space=content["color_space"],
+        max_size=None if max_size is None else int(max_size),
+        code_range=(int(low), int(high)),
+    )
 
 
 def _uncertainty(folder: Path, mask: NDArray[np.bool_], summary: Mapping[str, Any]) -> Uncertainty:

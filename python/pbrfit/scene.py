@@ -50,6 +50,24 @@ class Truth:
     relight_lighting: NDArray[np.float64] | None = None
 
 
+@dataclass(frozen=True)
+class Source:
+    """Where a scene was read from, and how its pictures were to be read.
+
+    Attributes
+    ----------
+    path
+        The scene folder, absolute.
+    color_space, max_size, code_range
+        As given to `Scene.load`.
+    """
+
+    path: Path
+    color_space: ColorSpace | None = None
+    max_size: int | None = None
+    code_range: tuple[int, int] = CODE_RANGE
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Pictures of one view under different lights, checked when made.
@@ -81,6 +99,8 @@ class Scene:
         What was decided about the input, by topic, in words.
     inputs
         sha256 of every file that was read, by path relative to the scene folder.
+    source
+        The scene folder and how it was read; None for scenes made of arrays.
 
     Raises
     ------
@@ -99,6 +119,7 @@ class Scene:
     truth: Truth | None = None
     assumed: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
+    source: Source | None = None
 
     def __post_init__(self) -> None:
         images = _array("images", self.images)

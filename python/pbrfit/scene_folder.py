@@ -20,7 +20,7 @@ from pbrfit.color import ColorSpace
 from pbrfit.lighting import Lighting
 from pbrfit.materials import read_materials, write_materials
 from pbrfit.output import new_folder
-from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Truth, unit_normals
+from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Source, Truth, unit_normals
 from pbrfit.segments import consecutive_labels
 
 log = logging.getLogger("pbrfit")
@@ -81,6 +81,7 @@ def load(
     code_range: tuple[int, int] = images.CODE_RANGE,
 ) -> Scene:
     """Read a scene folder; see `Scene.load`."""
+    source = Source(folder.resolve(), color_space, max_size, code_range)
     if max_size is not None and max_size < 1:
         raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
     paths = find_pictures(folder)
@@ -148,6 +149,7 @@ def load(
             truth=truth,
             assumed=assumed,
             inputs=dict(sorted(inputs.items())),
+            source=source,
         )
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None

@@ -1,10 +1,10 @@
-"""Sheets: labelled pictures in a grid, and the keys to their colours."""
+"""Sheets: labelled pictures in a grid, and the key to their colours."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,14 +17,18 @@ PANEL_SIDE = (192, 384)
 """Smallest and largest longer side of a panel in pixels."""
 
 MARGIN = 12
-CAPTION = 24
 PAPER = (255, 255, 255)
 INK = (30, 30, 30)
 OUTSIDE = 0.85
 """Grey of pixels outside the mask."""
 
-BAR = 20
-"""Width of a bar of colours, in pixels."""
+FONT = (15, 24)
+"""Smallest and largest size of the letters, which grow with the panels."""
+
+BAR = (320, 18)
+"""Width and height of a bar of colours in pixels, for the smallest letters."""
+
+Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Key:
-    """What colours mean: a bar from the bottom up, ticks at shares of its height, and patches.
+    """What colours mean: a bar from the left, ticks at shares of its width, and patches.
 
     Attributes
     ----------
@@ -46,7 +50,7 @@ class Key:
     bar
         (M, 3) colours, the lowest value first, as they go to the screen.
     ticks
-        Labels by share of the bar's height.
+        Labels by share of the bar's width.
     patches
         Colours by label, for what is not on the bar.
     """
@@ -54,43 +58,80 @@ class Key:
     caption: str
     bar: NDArray[np.floating[Any]]
     ticks: Mapping[float, str]
-    patches: Mapping[str, tuple[float, float, float]]
+    patches: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
 
-Row = list[Panel | Key | None]
+Row = list[Panel | None]
 """Side by side; None leaves a gap."""
 
 
-def sheet(rows: list[Row]) -> NDArray[np.uint8]:
-    """Panels in a grid, captions above: (H, W, 3) uint8."""
-    first = next(panel for row in rows for panel in row if isinstance(panel, Panel))
+def caption_height(width: int) -> int:
+    """Height of the line above panels of this width."""
+    return round(1.6 * _letters(width))
+
+
+def sheet(
+    rows: Sequence[Row], *, title: str = "", labels: Sequence[str] = (), key: Key | None = None
+) -> NDArray[np.uint8]:
+    """Panels in a grid, captions above: (H, W, 3) uint8.
+
+    Parameters
+    ----------
+    rows
+        Pictures of one size. A row without any caption has no room for one.
+    title
+        A line above all.
+    labels
+        What stands at the left of each row.
+    key
+        At the bottom.
+    """
+    first = next(panel for row in rows for panel in row if panel is not None)
     height, width = first.pixels.shape[:2]
     longer = max(height, width)
     low, high = PANEL_SIDE
     factor = -(-low // longer) if longer < low else min(1.0, high / longer)
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    step = (max(size[0], low) + MARGIN, size[1] + CAPTION + MARGIN)
-    columns = max(len(row) for row in rows)
-    canvas = Image.new(
-        "RGB", (columns * step[0] + MARGIN, len(rows) * step[1] + MARGIN), color=PAPER
-    )
-    draw = ImageDraw.Draw(canvas)
+    column = max(size[0], low)
     captions = [panel.caption for row in rows for panel in row if panel is not None]
-    font = _font(captions, step[0] - MARGIN)
+    letters = _letters(column)
+    font = _font(captions, column, letters)
+    label_font = _default(letters)
+    line = caption_height(column)
+    gutter = max((round(label_font.getlength(label)) + MARGIN for label in labels), default=0)
+    heights = [size[1] + MARGIN + (line if _has_captions(row) else 0) for row in rows]
+    columns = max(len(row) for row in rows)
+    top = MARGIN + (round(1.5 * line) if title else 0)
+    whole = gutter + columns * (column + MARGIN) + MARGIN
+    below = _key_height(letters) if key is not None else 0
+    canvas = Image.new("RGB", (whole, top + sum(heights) + below), color=PAPER)
+    draw = ImageDraw.Draw(canvas)
+    if title:
+        large = _font([title], whole - 2 * MARGIN, round(1.25 * letters))
+        draw.text((MARGIN, MARGIN), title, fill=INK, font=large)
+    y = top
     for i, row in enumerate(rows):
+        below_caption = y + (line if _has_captions(row) else 0)
+        if i < len(labels):
+            middle = below_caption + size[1] // 2
+            draw.text((MARGIN, middle), labels[i], fill=INK, font=label_font, anchor="lm")
         for j, panel in enumerate(row):
             if panel is None:
                 continue
-            x, y = MARGIN + j * step[0], MARGIN + i * step[1]
+            x = MARGIN + gutter + j * (column + MARGIN)
             draw.text((x, y), panel.caption, fill=INK, font=font)
-            if isinstance(panel, Key):
-                _draw_key(draw, panel, (x, y + CAPTION), size[1], font)
-                continue
             pixels = (255 * np.clip(panel.pixels, 0, 1) + 0.5).astype(np.uint8)
             # Whole factors repeat pixels; smaller ones average them.
             scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
-            canvas.paste(Image.fromarray(pixels).resize(size, scaling), (x, y + CAPTION))
+            canvas.paste(Image.fromarray(pixels).resize(size, scaling), (x, below_caption))
+        y += heights[i]
+    if key is not None:
+        _draw_key(draw, key, (MARGIN + gutter, y), letters)
     return np.asarray(canvas)
+
+
+def _has_captions(row: Row) -> bool:
+    return any(panel is not None and panel.caption for panel in row)
 
 
 def as_png(pixels: NDArray[np.uint8]) -> bytes:
@@ -100,29 +141,32 @@ def as_png(pixels: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def _draw_key(
-    draw: ImageDraw.ImageDraw,
-    key: Key,
-    corner: tuple[int, int],
-    height: int,
-    font: ImageFont.FreeTypeFont | ImageFont.ImageFont,
-) -> None:
-    """Bar, ticks and patches, from the corner at the upper left down over `height`."""
-    left, top = corner[0], corner[1] + CAPTION // 3  # half a tick's label stands above the bar
-    patch_top = corner[1] + height - len(key.patches) * CAPTION
-    bar_height = patch_top - CAPTION - top
-    for i in range(bar_height):
-        color = key.bar[round((1 - i / max(1, bar_height - 1)) * (len(key.bar) - 1))]
-        draw.line([(left, top + i), (left + BAR - 1, top + i)], fill=_ink(color))
+def _key_height(letters: int) -> int:
+    """Of caption, bar and ticks."""
+    return round(4.6 * letters) + MARGIN
+
+
+def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:
+    """Caption above a bar with ticks below it; patches to the right."""
+    font = _default(letters)
+    left, top = corner[0], corner[1] + round(1.5 * letters)
+    width, height = (side * letters // FONT[0] for side in BAR)
+    draw.text(corner, key.caption, fill=INK, font=font)
+    for i in range(width):
+        color = _ink(key.bar[round(i / (width - 1) * (len(key.bar) - 1))])
+        draw.line([(left + i, top), (left + i, top + height - 1)], fill=color)
     for share, label in key.ticks.items():
-        y = top + round((1 - share) * (bar_height - 1))
-        draw.line([(left + BAR, y), (left + BAR + 4, y)], fill=INK)
-        draw.text((left + BAR + 8, y), label, fill=INK, font=font, anchor="lm")
-    for i, (label, patch) in enumerate(key.patches.items()):
-        y = patch_top + i * CAPTION
-        box = (left, y, left + BAR - 1, y + BAR - 1)
-        draw.rectangle(box, fill=_ink(patch), outline=INK)
-        draw.text((left + BAR + 8, y + BAR // 2), label, fill=INK, font=font, anchor="lm")
+        x = left + round(share * (width - 1))
+        draw.line([(x, top + height), (x, top + height + 4)], fill=INK)
+        # The first label starts with the bar, so that it does not stick out.
+        anchor = "la" if share == 0 else "ma"
+        draw.text((x, top + height + 5), label, fill=INK, font=font, anchor=anchor)
+    x = left + width + 3 * MARGIN
+    for label, patch in key.patches.items():
+        draw.rectangle((x, top, x + height, top + height - 1), fill=_ink(patch), outline=INK)
+        x += height + 6
+        draw.text((x, top + height // 2), label, fill=INK, font=font, anchor="lm")
+        x += round(font.getlength(label)) + 2 * MARGIN
 
 
 def _ink(color: NDArray[np.floating[Any]] | tuple[float, float, float]) -> tuple[int, int, int]:
@@ -142,10 +186,19 @@ def outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]
     return np.where(np.isfinite(values), values, OUTSIDE)
 
 
-def _font(captions: list[str], width: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Find the largest built-in font, from 15 points down, in which all captions fit."""
-    for size in range(15, 8, -1):
-        font = ImageFont.load_default(size)
-        if all(font.getlength(caption) <= width for caption in captions):
+def _letters(width: int) -> int:
+    """Size of the letters beside panels of this width: they stay readable when a sheet shrinks."""
+    return min(max(width // 13, FONT[0]), FONT[1])
+
+
+def _default(size: int) -> Font:
+    return ImageFont.load_default(size)
+
+
+def _font(texts: Sequence[str], width: int, largest: int) -> Font:
+    """Find the largest built-in font, from `largest` down, in which all texts fit."""
+    for size in range(largest, 8, -1):
+        font = _default(size)
+        if all(font.getlength(text) <= width for text in texts):
             return font
-    return ImageFont.load_default(8)
+    return _default(8)

@@ -212,6 +212,7 @@ def decompose(
         assumed=_assumed(scene, objective),
         left_out=needs.left_out,
         inputs=dict(scene.inputs),
+        source=scene.source,
         uncertainty=estimate(objective, x, priors=priors != Priors.none()) if uncertainty else None,
     )
     log.info("%s after %d iterations, %.1f s: %s", status, run.iteration, seconds, stop_reason)

@@ -9,6 +9,7 @@ use numpy::{
 use pyo3::prelude::*;
 
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
+use crate::directional::{DirectionalLight, render_directional as render_directional_pixels};
 use crate::problem::MAX_SAMPLES;
 use crate::render::render as render_pixels;
 use crate::shade::{Frame, Material, shade as shade_pixel, shade_vjp as pull_back_pixel};
@@ -19,7 +20,8 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(ggx_band_weights, module)?)?;
     module.add_function(wrap_pyfunction!(shade, module)?)?;
     module.add_function(wrap_pyfunction!(shade_vjp, module)?)?;
-    module.add_function(wrap_pyfunction!(render, module)?)
+    module.add_function(wrap_pyfunction!(render, module)?)?;
+    module.add_function(wrap_pyfunction!(render_directional, module)?)
 }
 
 #[pyfunction]
@@ -154,11 +156,7 @@ fn render<'py>(
     let lighting = array::<f64, Ix3>("lighting", lighting)?;
     let lights = lighting.shape()[0];
     shape("lighting", &[lights, sh::COEFFICIENTS, 3], lighting.shape())?;
-    let samples = lights.saturating_mul(pixels.count());
-    if samples > MAX_SAMPLES {
-        let expected = format!("at most {MAX_SAMPLES} lights times pixels");
-        return Err(Error::argument("lighting", expected, samples).into());
-    }
+    not_too_many("lighting", lights, pixels.count())?;
     let lighting = try_copied("lighting", &lighting)?;
     let Pixels {
         normals,
@@ -168,6 +166,56 @@ fn render<'py>(
     } = &pixels;
     let images = py.detach(|| render_pixels(normals, views, materials, &lighting, threads))?;
     Ok(array3(images, [lights, pixels.count(), 3]).into_pyarray(py))
+}
+
+#[pyfunction]
+#[expect(clippy::too_many_arguments)]
+fn render_directional<'py>(
+    py: Python<'py>,
+    normals: &Bound<'py, PyAny>,
+    views: &Bound<'py, PyAny>,
+    albedo: &Bound<'py, PyAny>,
+    roughness: &Bound<'py, PyAny>,
+    metallic: &Bound<'py, PyAny>,
+    directions: &Bound<'py, PyAny>,
+    colors: &Bound<'py, PyAny>,
+    threads: usize,
+) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    let pixels = Pixels::new(
+        ("normals", normals),
+        ("views", views),
+        albedo,
+        roughness,
+        metallic,
+    )?;
+    let directions = vectors("directions", &array("directions", directions)?)?;
+    let colors = array::<f64, Ix2>("colors", colors)?;
+    shape("colors", &[directions.len(), 3], colors.shape())?;
+    not_too_many("directions", directions.len(), pixels.count())?;
+    let colors = try_copied("colors", &colors)?;
+    let lights = directions.iter().zip(colors.as_chunks::<3>().0);
+    let lights: Vec<DirectionalLight> = lights
+        .map(|(&direction, &color)| DirectionalLight { direction, color })
+        .collect();
+    let Pixels {
+        normals,
+        views,
+        materials,
+        ..
+    } = &pixels;
+    let images =
+        py.detach(|| render_directional_pixels(normals, views, materials, &lights, threads))?;
+    Ok(array3(images, [lights.len(), pixels.count(), 3]).into_pyarray(py))
+}
+
+/// Pictures of so many pixels under so many lights must be possible.
+fn not_too_many(name: &'static str, lights: usize, pixels: usize) -> Result<()> {
+    let samples = lights.saturating_mul(pixels);
+    if samples > MAX_SAMPLES {
+        let expected = format!("at most {MAX_SAMPLES} lights times pixels");
+        return Err(Error::argument(name, expected, samples));
+    }
+    Ok(())
 }
 
 /// Copies of what is given for each pixel.

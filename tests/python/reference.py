@@ -286,3 +286,24 @@ class Unknowns:
         if self.lighting is None:
             parts.append(lighting)
         return np.concatenate([np.ravel(part) for part in parts])
+
+
+def directional(
+    normal: Array, view: Array, albedo: Array, roughness: Array, metallic: Array, light: Array
+) -> Array:
+    """Eqs. 1 and 3-5 as printed, (..., 3): radiance under light of irradiance π from one direction.
+
+    As printed D loses digits where roughness is below 0.1.
+    """
+    half = unit(view + light)
+    n_v = np.maximum(np.sum(normal * view, axis=-1), CLAMP)
+    n_l, n_h, v_h = (np.sum(a * b, -1) for a, b in ((normal, light), (normal, half), (view, half)))
+    alpha = roughness**2
+    d = alpha**2 / (math.pi * (n_h**2 * (alpha**2 - 1) + 1) ** 2)
+    g = smith_g1(n_v, roughness) * smith_g1(np.abs(n_l), roughness)
+    rho, m = albedo, metallic[..., None]
+    f0 = 0.04 * (1 - m) + m * rho
+    fresnel = f0 + (1 - f0) * (1 - v_h[..., None]) ** 5
+    specular = fresnel * (d * g / (4 * n_v * np.abs(n_l)))[..., None]
+    brdf = (1 - fresnel) * (1 - m) * rho / math.pi + specular
+    return np.asarray(math.pi * brdf * np.maximum(n_l, 0)[..., None])

@@ -1,4 +1,4 @@
-"""Output folders are whole or not there, and what was there before stays."""
+"""Output folders and files are whole or not there, and what was there before stays."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pbrfit.output import new_folder
+from pbrfit.output import new_file, new_folder
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -134,3 +134,79 @@ def test_files_and_places_that_cannot_be_written_are_named(old: Path) -> None:
         with pytest.raises(OSError, match="expected a place where a folder can be made, found"):
             new_folder(path).__enter__()
     assert sorted(tree(old)) == ["dangling", "old.txt"]
+
+
+# Files
+
+
+def test_a_file_appears_when_done_with_new_parents(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "b" / "out.txt"
+    with new_file(path) as file:
+        assert file.parent == path.parent
+        assert file.name.startswith(".")
+        assert file.suffix == ".txt"
+        file.write_text("new")
+        assert not path.exists()
+    assert tree(tmp_path) == {"a": "", "a/b": "", "a/b/out.txt": "new"}
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("there", [True, False])
+def test_a_failure_leaves_files_as_they_were(
+    tmp_path: Path, error: type[BaseException], there: bool
+) -> None:
+    path = tmp_path / "a" / "out.txt"
+    if there:
+        path.parent.mkdir()
+        path.write_text("old")
+    before = tree(tmp_path)
+
+    def fail() -> None:
+        with new_file(path, overwrite=True) as file:
+            file.write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        fail()
+    assert tree(tmp_path) == before
+
+
+def test_an_existing_file_is_replaced_only_when_asked(old: Path) -> None:
+    path = old / "old.txt"
+    with pytest.raises(FileExistsError, match="expected a file that does not exist yet, found one"):
+        new_file(path).__enter__()
+    with pytest.raises(FileExistsError, match="expected a file or nothing, found a folder"):
+        new_file(old, overwrite=True).__enter__()
+    assert tree(old) == {"old.txt": "old"}
+    with new_file(path, overwrite=True) as file:
+        file.write_text("new")
+        assert path.read_text() == "old"
+    assert tree(old) == {"old.txt": "new"}
+
+
+def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "out.txt"
+
+    def late() -> None:
+        with new_file(path) as file:
+            file.write_text("ours")
+            path.write_text("theirs")
+
+    with pytest.raises(FileExistsError):
+        late()
+    assert tree(tmp_path) == {"out.txt": "theirs"}
+
+
+def test_a_link_to_a_file_stays_one(old: Path) -> None:
+    link = old.parent / "link.txt"
+    link.symlink_to(old / "old.txt")
+    with new_file(link, overwrite=True) as file:
+        file.write_text("new")
+    assert link.is_symlink()
+    assert tree(old) == {"old.txt": "new"}
+
+
+def test_a_place_where_no_file_can_be_made(old: Path) -> None:
+    with pytest.raises(OSError, match=r"expected a place where a file can be made, found: "):
+        new_file(old / "old.txt" / "out.txt").__enter__()
+    assert tree(old) == {"old.txt": "old"}

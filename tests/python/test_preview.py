@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit import Scene, decompose
 from pbrfit.preview import normals_preview, plot_history, preview
-from pbrfit.sheet import CAPTION, MARGIN, PANEL_SIDE, Panel, sheet
+from pbrfit.sheet import MARGIN, PANEL_SIDE, Key, Panel, Row, caption_height, sheet
 from pbrfit.synthetic import make_scene
 
+LINE = caption_height(PANEL_SIDE[0])
 SIZES = [(1, 1), (1, 24), (24, 1), (7, 24), (24, 24)]
 
 
@@ -25,43 +28,93 @@ def part(height: int, width: int, *, truth: bool = False) -> Scene:
     )
 
 
+def panel_height(height: int, width: int) -> int:
+    return max(1, round(PANEL_SIDE[0] * height / max(height, width)))
+
+
 @pytest.mark.parametrize(("height", "width"), SIZES)
 def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     scene = part(height, width)
     result = decompose(scene, iterations=1, uncertainty=False)
-    step = PANEL_SIDE[0] + MARGIN
-    row = CAPTION + MARGIN + max(1, round(PANEL_SIDE[0] * height / max(height, width)))
-    assert preview(result, scene).shape == (row + MARGIN, 6 * step + MARGIN, 3)
-    assert preview(result).shape == (row + MARGIN, 5 * step + MARGIN, 3)
-    assert normals_preview(scene).shape == (row + MARGIN, 3 * step + MARGIN, 3)
+    found, alone = preview(result, scene), preview(result)
+    # Four columns, and the names of the rows at the left.
+    assert found.shape[1] == alone.shape[1]
+    assert 0 < found.shape[1] - 4 * (PANEL_SIDE[0] + MARGIN) < 150
+    # Two rows with captions, a title, and with the pictures a residual, which needs a key.
+    rows = 2 * (panel_height(height, width) + LINE + MARGIN)
+    assert 0 < alone.shape[0] - rows < 3 * LINE
+    assert 2 * LINE < found.shape[0] - alone.shape[0] < 4 * LINE
+    row = LINE + MARGIN + panel_height(height, width)
+    assert normals_preview(scene).shape == (
+        row + MARGIN,
+        3 * (PANEL_SIDE[0] + MARGIN) + MARGIN,
+        3,
+    )
 
 
 def test_truth_and_errors_add_rows() -> None:
     scene = part(24, 24, truth=True)
     result = decompose(scene, iterations=1, uncertainty=False)
-    assert preview(result, scene).shape[0] == 3 * (192 + CAPTION + MARGIN) + MARGIN
+    without = preview(result, dataclasses.replace(scene, truth=None))
+    assert preview(result, scene).shape[0] == without.shape[0] + 2 * (PANEL_SIDE[0] + MARGIN)
 
 
 def test_uncertainty_adds_a_row() -> None:
     scene = part(24, 24)
     result = decompose(scene, iterations=1)
-    assert preview(result, scene).shape[0] == 2 * (192 + CAPTION + MARGIN) + MARGIN
+    without = preview(dataclasses.replace(result, uncertainty=None), scene)
+    assert preview(result, scene).shape[0] == without.shape[0] + PANEL_SIDE[0] + MARGIN
 
 
 def test_panels_lie_where_they_should_and_large_ones_are_averaged() -> None:
     red, blue = np.zeros((2, 24, 24, 3))
     red[..., 0] = blue[..., 2] = 1.0
-    made = sheet([[Panel("red", red), None], [None, Panel("blue", blue)]])
-    step, down = PANEL_SIDE[0] + MARGIN, PANEL_SIDE[0] + CAPTION + MARGIN
+    rows: list[Row] = [[Panel("red", red), None], [None, Panel("blue", blue)]]
+    made = sheet(rows)
+    step, down = PANEL_SIDE[0] + MARGIN, PANEL_SIDE[0] + LINE + MARGIN
     center = MARGIN + PANEL_SIDE[0] // 2
-    assert tuple(made[center + CAPTION, center]) == (255, 0, 0)
-    assert tuple(made[center + CAPTION + down, center + step]) == (0, 0, 255)
-    assert tuple(made[center + CAPTION, center + step]) == (255, 255, 255)
+    assert tuple(made[center + LINE, center]) == (255, 0, 0)
+    assert tuple(made[center + LINE + down, center + step]) == (0, 0, 255)
+    assert tuple(made[center + LINE, center + step]) == (255, 255, 255)
     stripes = np.zeros((1536, 1536, 3))
     stripes[::2] = 1.0
     made = sheet([[Panel("stripes", stripes)]])
     assert made.shape[1] == PANEL_SIDE[1] + 2 * MARGIN
     assert abs(int(made[200, 200, 0]) - 128) <= 1
+
+
+def test_a_title_moves_panels_down_and_labels_move_them_right() -> None:
+    red = np.zeros((24, 24, 3))
+    red[..., 0] = 1.0
+    rows: list[Row] = [[Panel("", red)], [Panel("", red)]]
+
+    def corner(made: NDArray[np.uint8]) -> tuple[int, int]:
+        found = np.argwhere((made == (255, 0, 0)).all(axis=-1))
+        return int(found[0][0]), int(found[0][1])
+
+    plain, named = sheet(rows), sheet(rows, title="Title", labels=["first", "second"])
+    assert corner(plain) == (MARGIN, MARGIN)  # no caption, no room for one
+    row, column = corner(named)
+    assert row > MARGIN + 10
+    assert column > MARGIN + 20
+    for top in (row, row + PANEL_SIDE[0] + MARGIN):
+        left = named[top : top + PANEL_SIDE[0], :column]
+        assert (left < 128).any()  # ink
+    assert (named[:row] < 128).any()
+
+
+def test_a_key_shows_its_bar_from_left_to_right_and_its_patches() -> None:
+    grey = np.full((24, 24, 3), 0.5)
+    bar = np.linspace((0.0, 0.0, 1.0), (1.0, 1.0, 0.0), 256)
+    key = Key("what", bar, {0.0: "0", 1.0: "1"}, {"other": (1.0, 0.0, 0.0)})
+    row: Row = [Panel("", grey)] * 4
+    below = sheet([row], key=key)[PANEL_SIDE[0] + MARGIN :]
+    blue, yellow, red = (
+        np.argwhere((below == color).all(axis=-1))[:, 1]
+        for color in ((0, 0, 255), (255, 255, 0), (255, 0, 0))
+    )
+    assert blue.min() == MARGIN
+    assert blue.max() < yellow.min() < red.min()
 
 
 def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:
@@ -72,7 +125,7 @@ def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:
     mask[:12] = False
     scene = Scene(images=np.ones((2, 24, 24, 3)), normals=normals, mask=mask, fov=0.0)
     made = normals_preview(scene)
-    facing = made[CAPTION + MARGIN :, MARGIN + 2 * (PANEL_SIDE[0] + MARGIN) :]
+    facing = made[LINE + MARGIN :, MARGIN + 2 * (PANEL_SIDE[0] + MARGIN) :]
     assert tuple(facing[150, 50]) == (255, 255, 255)
     assert tuple(facing[150, 150]) == (214, 94, 0)
     assert tuple(facing[50, 50]) == tuple(facing[50, 150]) == (217, 217, 217)

@@ -36,6 +36,7 @@ LAYERS = {
 KEYS = [
     *("version", "status", "stop_reason", "fov", "iterations", "evaluations", "seconds"),
     *("protocol", "metrics", "uncertainty", "options", "assumed", "left_out", "inputs"),
+    "scene",
 ]
 HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
 ERRORS = ["albedo_rmse", "roughness_rmse", "metallic_rmse"]

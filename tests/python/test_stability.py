@@ -21,7 +21,6 @@ import pbrfit
 import reference
 from pbrfit import images
 from pbrfit.evaluation import page, stability, summary
-from pbrfit.evaluation.notation import scientific
 from pbrfit.evaluation.stability import (
     FULL,
     QUICK,
@@ -47,6 +46,7 @@ from pbrfit.evaluation.stability.extreme_pixels import (
     random_targets,
     seen_at,
 )
+from pbrfit.notation import scientific
 from scene_files import run
 
 Array = NDArray[np.floating[Any]]

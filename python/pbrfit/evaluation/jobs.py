@@ -36,8 +36,11 @@ PART = ".part"
 _HEAD = b'{\n "digest": "'
 """What every record begins with."""
 
-WRITERS = ("drawing.py", "page.py", "plot.py", "plots.py", "report.py")
-"""Files that take no part in the results of a suite."""
+WRITERS = frozenset(
+    {"drawing.py", "history_plot.py", "html.py", "page.py", "plot.py", "plots.py", "report.py"}
+)
+WRITING_FOLDERS = frozenset({"commands", "report", "viewer"})
+"""Files, and folders of files, that take no part in the results of a suite."""
 
 Values = Mapping[str, Any]
 """What a task found: anything that JSON can hold."""
@@ -254,11 +257,8 @@ def _code() -> str:
     """
     digest = hashlib.sha256()
     package = Path(pbrfit.__file__).parent
-    evaluation = Path(__file__).parent
     for path in sorted(package.rglob("*")):
-        writes = path.is_relative_to(evaluation) and (
-            path.name in WRITERS or path.parent.name == "commands"
-        )
+        writes = path.name in WRITERS or path.parent.name in WRITING_FOLDERS
         if path.suffix in (".py", ".so", ".pyd") and not writes:
             digest.update(path.relative_to(package).as_posix().encode() + b"\0")
             digest.update(path.read_bytes())

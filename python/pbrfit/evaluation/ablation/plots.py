@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.ablation.cases import TITLES, CaseName
-from pbrfit.evaluation.drawing import (
+from pbrfit.drawing import (
     BLACK,
     BLUE,
     GREEN,
@@ -18,6 +17,7 @@ from pbrfit.evaluation.drawing import (
     as_png,
     new_figure,
 )
+from pbrfit.evaluation.ablation.cases import TITLES, CaseName
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbrfit.evaluation.convergence import SOLVERS, Case, Curve
-from pbrfit.evaluation.convergence.measure import Array, Quantity, on_grid
-from pbrfit.evaluation.drawing import (
+from pbrfit.drawing import (
     AMBER,
     BLACK,
     BLUE,
@@ -21,6 +19,8 @@ from pbrfit.evaluation.drawing import (
     as_png,
     new_figure,
 )
+from pbrfit.evaluation.convergence import SOLVERS, Case, Curve
+from pbrfit.evaluation.convergence.measure import Array, Quantity, on_grid
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 
 if TYPE_CHECKING:

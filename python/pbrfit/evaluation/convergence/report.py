@@ -21,9 +21,9 @@ from pbrfit.evaluation.convergence.measure import (
     first_reached,
     median_reached,
 )
-from pbrfit.evaluation.notation import scientific
 from pbrfit.evaluation.page import Cell, Figure, Section, Table
 from pbrfit.evaluation.tables import write_csv
+from pbrfit.notation import scientific
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 
 CURVES, TIMES = "curves.csv", "times.csv"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pbrfit.evaluation.drawing import AMBER, BLACK, BLUE, GREEN, as_png, new_figure
+from pbrfit.drawing import AMBER, BLACK, BLUE, GREEN, as_png, new_figure
 from pbrfit.evaluation.gap import Array, Gap
 
 if TYPE_CHECKING:

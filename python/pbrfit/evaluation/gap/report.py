@@ -9,9 +9,9 @@ import numpy as np
 
 from pbrfit.evaluation import page, summary
 from pbrfit.evaluation.gap import BANDS, Gap, plots
-from pbrfit.evaluation.notation import scientific
 from pbrfit.evaluation.page import Cell, Figure, Section, Table
 from pbrfit.evaluation.tables import write_csv
+from pbrfit.notation import scientific
 
 CONTAINS = (summary.FILE, page.FILE, "gap.csv")
 """Files by which an output folder is known for one of this suite."""

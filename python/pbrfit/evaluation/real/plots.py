@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pbrfit.evaluation.drawing import (
+from pbrfit.drawing import (
     AMBER,
     BLACK,
     BLUE,

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation import notation
-from pbrfit.evaluation.notation import scientific
+from pbrfit import notation
 from pbrfit.evaluation.stability.checks import (
     BAND_BOUND,
     BRANCH,
@@ -20,6 +19,7 @@ from pbrfit.evaluation.stability.checks import (
 from pbrfit.evaluation.stability.effort import Effort
 from pbrfit.evaluation.stability.exact_bands import ExactBands, exact_bands, paper_rule
 from pbrfit.model import ggx_band_weights
+from pbrfit.notation import scientific
 
 SLOPE_RELATIVE_BOUND = 1e-14
 

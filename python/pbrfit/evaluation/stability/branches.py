@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import Generator
 
-from pbrfit.evaluation.notation import scientific
 from pbrfit.evaluation.stability.checks import (
     BAND_BOUND,
     BRANCH,
@@ -29,6 +28,7 @@ from pbrfit.evaluation.stability.extreme_pixels import (
     random_targets,
 )
 from pbrfit.model import ggx_band_weights, shade_vjp
+from pbrfit.notation import scientific
 
 CLAMP = 1e-4
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pbrfit.evaluation.drawing import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, as_png, new_figure
+from pbrfit.drawing import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, as_png, new_figure
 from pbrfit.evaluation.stability.accumulation import EQUAL_TERMS_BOUND, Accumulation
 from pbrfit.evaluation.stability.bands import RULES, BandErrors
 from pbrfit.evaluation.stability.branches import BranchPoints

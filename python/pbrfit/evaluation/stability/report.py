@@ -7,10 +7,10 @@ from importlib.metadata import version
 from pathlib import Path
 
 from pbrfit.evaluation import page, summary
-from pbrfit.evaluation.notation import scientific
 from pbrfit.evaluation.page import Cell, Section, Table
 from pbrfit.evaluation.stability import SECTIONS, Check, Stability, plots
 from pbrfit.evaluation.stability.exact_bands import DIGITS
+from pbrfit.notation import scientific
 
 CONTAINS = (summary.FILE, page.FILE)
 """Files by which an output folder is known for one of this suite."""

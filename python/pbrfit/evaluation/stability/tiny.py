@@ -10,7 +10,6 @@ import numpy as np
 from numpy.random import Generator
 
 from pbrfit._core import InputError
-from pbrfit.evaluation.notation import scientific
 from pbrfit.evaluation.stability.checks import (
     ENTRY_BOUND,
     LOSS_BOUND,
@@ -26,6 +25,7 @@ from pbrfit.evaluation.stability.extreme_pixels import (
     random_pixels,
     random_targets,
 )
+from pbrfit.notation import scientific
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from pbrfit.evaluation.drawing import (
+from pbrfit.drawing import (
     AMBER,
     BLACK,
     BLUE,

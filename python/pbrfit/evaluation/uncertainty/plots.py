@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.drawing import AMBER, BLACK, BLUE, as_png, new_figure
+from pbrfit.drawing import AMBER, BLACK, BLUE, as_png, new_figure
 from pbrfit.evaluation.uncertainty import WITHIN
 
 Array = NDArray[np.float64]

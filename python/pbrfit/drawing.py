@@ -1,4 +1,4 @@
-"""What all plots share: colours, a figure, a PNG."""
+"""What all plots share: colours, a figure, a PNG or an SVG."""
 
 from __future__ import annotations
 
@@ -29,4 +29,15 @@ def as_png(figure: Figure, dpi: int) -> bytes:
     """Draw it."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
+def as_svg(figure: Figure) -> str:
+    """Draw it, with letters as outlines, so that it looks the same everywhere."""
+    import matplotlib as mpl
+
+    buffer = io.StringIO()
+    # Without a date and with names that do not vary, the same figure is the same text.
+    with mpl.rc_context({"svg.hashsalt": "pbrfit", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue()

@@ -21,6 +21,16 @@ def scientific(value: float) -> str:
     return power if digits == "1.0" else f"{digits.removesuffix('.0')}·{power}"
 
 
+def plain(value: float) -> str:
+    """Two digits without a power of ten, as long as that is readable: 0.00011; else scientific."""
+    return f"{value:.2g}" if 1e-4 <= abs(value) < 0.01 else scientific(value)
+
+
+def percent(share: float) -> str:
+    """Write a share: 0.0092 %, 3.4 %, 57 %."""
+    return f"{plain(100 * share)} %"
+
+
 def band(index: int) -> str:
     """Name a band weight: h₃."""
     return f"h{index}".translate(_SUBSCRIPT)

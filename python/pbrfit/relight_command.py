@@ -1,0 +1,412 @@
+"""`pbrfit relight`: a result under other light, as a picture, frames or an animation."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from pbrfit._core import InputError
+from pbrfit.arguments import (
+    DONE,
+    Subcommands,
+    add_quiet,
+    add_threads,
+    number,
+    numbers,
+    positive,
+    progress_bar,
+    unread_is_no_failure,
+)
+from pbrfit.display import ToneMap
+from pbrfit.panorama import Window
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pbrfit.relighting import DirectionalLight
+    from pbrfit.relit_files import Radiance, Range, Screen
+    from pbrfit.result import Result
+
+FPS = 12.0
+MANY = 0.98
+"""Share of pixels that are nearly black or clipped from which on another exposure is suggested."""
+
+NAMES_SHOWN = 32
+MOST_STOPS = 100.0
+
+
+@dataclass(frozen=True)
+class ChosenLight:
+    """A light, and what there is to say about it.
+
+    Attributes
+    ----------
+    light
+        (16, 3), or a `DirectionalLight`.
+    facts
+        Topic and sentence.
+    """
+
+    light: NDArray[np.float64] | DirectionalLight
+    facts: tuple[tuple[str, str], ...]
+
+
+def add_relight(commands: Subcommands) -> None:
+    """Add the command to `pbrfit`."""
+    added = commands.add_parser(
+        "relight",
+        help="show a result under other light",
+        description="Render a result under a panorama, a hard light from one direction, or SH "
+        "light. docs/relight.md says what each of them is good for.",
+    )
+    added.set_defaults(command=_run)
+    added.add_argument("result", metavar="RESULT", type=Path, help="result folder")
+    added.add_argument(
+        "--out",
+        metavar="FILE",
+        type=Path,
+        required=True,
+        help=".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or "
+        ".webp",
+    )
+    added.add_argument("--overwrite", action="store_true", help="replace an existing output")
+
+    lights = added.add_argument_group("light, one of")
+    one = lights.add_mutually_exclusive_group(required=True)
+    one.add_argument(
+        "--env",
+        metavar="PANORAMA",
+        type=Path,
+        help="equirectangular picture, .hdr or .exr: its centre looks along -Z, into the scene; "
+        "projected to SH light",
+    )
+    one.add_argument(
+        "--light",
+        metavar="AZIMUTH,ELEVATION",
+        type=numbers(2, "AZIMUTH,ELEVATION"),
+        help="hard light from far away, in degrees: 0,0 is the viewer's, 90,0 comes from the "
+        "right, 0,90 from above",
+    )
+    one.add_argument(
+        "--sh", metavar="FILE", type=Path, help="SH light of a lighting.json, such as RESULT's own"
+    )
+    lights.add_argument(
+        "--rotate",
+        metavar="DEG",
+        type=number,
+        help="with --env, --sh: turn the light about +Y, from the viewer to the right (default: 0)",
+    )
+    lights.add_argument(
+        "--window",
+        choices=get_args(Window),
+        help="with --env: damp what rings about lamps after the projection (default: none)",
+    )
+    lights.add_argument(
+        "--color",
+        metavar="R,G,B",
+        type=numbers(3, "R,G,B"),
+        help="with --light: radiance of a white matt surface that faces it (default: 1,1,1)",
+    )
+    lights.add_argument("--picture", metavar="NAME", help="with --sh: whose light of the file")
+
+    files = added.add_argument_group("output")
+    files.add_argument(
+        "--turntable",
+        metavar="N",
+        type=positive,
+        help="N frames while the light goes once around, from where it is to the right",
+    )
+    files.add_argument(
+        "--format",
+        choices=("exr", "png"),
+        help="with --turntable and a folder: of the frames (default: exr)",
+    )
+    files.add_argument(
+        "--fps",
+        metavar="F",
+        type=number,
+        help=f"with --turntable and an animation: frames a second, 1 to 50 (default: {FPS:g})",
+    )
+    files.add_argument(
+        "--exposure",
+        metavar="EV",
+        type=number,
+        help="of files for a screen, in stops: radiance times 2^EV (default: 0)",
+    )
+    files.add_argument(
+        "--tone-map",
+        choices=get_args(ToneMap),
+        help="of files for a screen: neutral compresses highlights that none clips (default: none)",
+    )
+    add_threads(added)
+    add_quiet(added)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from pbrfit.relit_files import Range, Screen
+    from pbrfit.result import Result
+
+    kind = _kind(options)
+    _check_belonging(options, kind)
+    _check_free(options, kind)
+    result = Result.load(options.result)
+    chosen = _choose_light(options)
+    screen = Screen(options.exposure or 0.0, options.tone_map or "none")
+    radiance = Range()
+    with progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
+
+        def frames() -> Iterator[Radiance]:
+            for frame in radiance.take(_frames(result, chosen.light, options)):
+                yield frame
+                bar.update()
+
+        _write(options, kind, frames(), screen)
+    if not options.quiet:
+        with unread_is_no_failure():
+            facts = [*chosen.facts, *_facts_of_output(options, kind, result, screen, radiance)]
+            for topic, fact in facts:
+                print(f"{topic:<12}{fact}")
+    return DONE
+
+
+def _kind(options: argparse.Namespace) -> str:
+    """What is written: a suffix, with a turntable also ``folder``."""
+    suffix: str = options.out.suffix.lower()
+    if options.turntable is None:
+        if suffix not in (".exr", ".png"):
+            hint = (
+                ""
+                if suffix not in (".gif", ".webp", "")
+                else f"; {suffix or 'a folder'} needs --turntable N"
+            )
+            raise InputError(
+                f"{options.out}: expected a file that ends in .exr (linear) or .png (for a "
+                f"screen), found {suffix or 'no suffix'}{hint}"
+            )
+        return suffix
+    if suffix not in ("", ".gif", ".webp", ".png"):
+        raise InputError(
+            f"{options.out}: expected, with --turntable, a folder (no suffix), .gif, .webp or .png "
+            f"(animated), found {suffix}"
+        )
+    return suffix or "folder"
+
+
+def _for_screen(options: argparse.Namespace, kind: str) -> bool:
+    return kind != ".exr" and not (kind == "folder" and options.format != "png")
+
+
+def _check_belonging(options: argparse.Namespace, kind: str) -> None:
+    """Refuse options that would do nothing."""
+    given = {
+        name: getattr(options, name.replace("-", "_")) is not None
+        for name in (
+            *("env", "light", "sh", "rotate", "window", "color", "picture"),
+            *("turntable", "format", "fps", "exposure", "tone-map"),
+        )
+    }
+    folder = kind == "folder"
+    animation = given["turntable"] and not folder
+    rules = (
+        (
+            "rotate",
+            given["env"] or given["sh"],
+            "goes with --env or --sh; give --light another azimuth instead",
+        ),
+        ("window", given["env"], "goes with --env"),
+        ("color", given["light"], "goes with --light"),
+        ("picture", given["sh"], "goes with --sh"),
+        ("format", folder, "goes with --turntable and a folder as --out"),
+        ("fps", animation, "goes with --turntable and .gif, .webp or .png as --out"),
+    )
+    for name, belongs, message in rules:
+        if given[name] and not belongs:
+            raise InputError(f"--{name}: {message}")
+    for name in ("exposure", "tone-map"):
+        if given[name] and not _for_screen(options, kind):
+            raise InputError(
+                f"--{name}: expected a file for a screen, such as .png"
+                f"{' (--format png)' if folder else ''}, found EXR: it holds linear radiance, and "
+                "what it is shown with is left to who shows it"
+            )
+    if given["exposure"] and not abs(options.exposure) <= MOST_STOPS:
+        raise InputError(
+            f"--exposure: expected -{MOST_STOPS:g} to {MOST_STOPS:g} stops, found "
+            f"{options.exposure:g}"
+        )
+    if given["fps"] and not 1 <= options.fps <= 50:
+        raise InputError(f"--fps: expected 1 to 50, found {options.fps:g}")
+
+
+def _check_free(options: argparse.Namespace, kind: str) -> None:
+    """Complain about the output before there is any work."""
+    from pbrfit.output import check_free, check_free_file
+
+    for used in (options.env, options.sh):
+        if used is not None and used.resolve() == options.out.resolve():
+            raise InputError(f"{options.out}: expected an output apart from the light's file")
+    if kind == "folder":
+        check_free(options.out, overwrite=options.overwrite, contains=_contains(options))
+    else:
+        check_free_file(options.out, overwrite=options.overwrite)
+
+
+def _choose_light(options: argparse.Namespace) -> ChosenLight:
+    from pbrfit.lighting import Lighting, rotated
+    from pbrfit.relighting import DirectionalLight
+
+    if options.light is not None:
+        azimuth, elevation = options.light
+        light = DirectionalLight(azimuth, elevation, options.color or (1.0, 1.0, 1.0))
+        color = ", ".join(f"{channel:g}" for channel in light.color)
+        return ChosenLight(
+            light,
+            (("light", f"hard, from azimuth {azimuth:g}, elevation {elevation:g}, color {color}"),),
+        )
+    degrees = options.rotate or 0.0
+    turn = f", turned by {degrees:g} degrees" if degrees else ""
+    if options.env is not None:
+        return _projected(options, degrees, turn)
+    lighting = Lighting.load(options.sh)
+    name = _whose(lighting.pictures, options)
+    coefficients = lighting.of((name,), options.sh)[0]
+    if degrees:
+        coefficients = rotated(coefficients, degrees)
+    return ChosenLight(coefficients, (("light", f"SH, of {name} in {options.sh}{turn}"),))
+
+
+def _projected(options: argparse.Namespace, degrees: float, turn: str) -> ChosenLight:
+    """SH light of a panorama."""
+    from pbrfit import panorama
+
+    pixels = panorama.read(options.env)
+    plain = panorama.project(pixels, degrees)
+    lost = panorama.lost_energy(pixels, plain)
+    window: Window = options.window or "none"
+    light = panorama.windowed(plain, window)
+    facts = [
+        ("light", f"{options.env}, projected to SH light up to l = 3{turn}"),
+        (
+            "projection",
+            f"loses {100 * lost:.1f} % of the light's energy, all that is sharper: matt surfaces "
+            "hardly miss it, highlights do"
+            + (" (for a sun or a lamp try --light)" if lost > 0.5 else ""),
+        ),
+    ]
+    least = panorama.darkest(light)
+    mean = float(light[0].mean()) / math.sqrt(4 * math.pi)
+    if window != "none":
+        facts.append(("window", f"{window}, which blurs the light: its least radiance {least:.3g}"))
+    if least < -1e-6 * mean:
+        cures = "nonnegative ends" if window == "lanczos" else "lanczos lessens, nonnegative ends"
+        facts.append(
+            (
+                "ringing",
+                f"the projected light falls to {least:.3g}, its mean is {mean:.3g}: shiny surfaces "
+                f"may get black spots, which --window {cures}",
+            )
+        )
+    return ChosenLight(light, tuple(facts))
+
+
+def _whose(pictures: tuple[str, ...], options: argparse.Namespace) -> str:
+    shown = ", ".join(pictures[:NAMES_SHOWN])
+    if len(pictures) > NAMES_SHOWN:
+        shown += f" and {len(pictures) - NAMES_SHOWN} more"
+    if options.picture is not None:
+        if options.picture not in pictures:
+            raise InputError(
+                f"{options.sh}: expected a light of {options.picture} (--picture), found {shown}"
+            )
+        return str(options.picture)
+    if len(pictures) != 1:
+        raise InputError(
+            f"{options.sh}: expected --picture NAME, because it holds {len(pictures)} lights: "
+            f"{shown}"
+        )
+    return pictures[0]
+
+
+def _frames(
+    result: Result, light: NDArray[np.float64] | DirectionalLight, options: argparse.Namespace
+) -> Iterator[Radiance]:
+    """The picture, or those of a turntable, one at a time."""
+    from pbrfit.relighting import relight, turned
+
+    yield relight(result, light, options.threads)
+    count = options.turntable or 1
+    for k in range(1, count):
+        yield relight(result, turned(light, 360 * k / count), options.threads)
+
+
+def _write(
+    options: argparse.Namespace, kind: str, frames: Iterator[Radiance], screen: Screen
+) -> None:
+    from pbrfit import relit_files
+    from pbrfit.output import new_file, new_folder
+
+    if kind == "folder":
+        with new_folder(
+            options.out, overwrite=options.overwrite, contains=_contains(options)
+        ) as folder:
+            for k, frame in enumerate(frames):
+                path = folder / _frame_name(k, options)
+                if path.suffix == ".exr":
+                    relit_files.write_exr(path, frame)
+                else:
+                    relit_files.write_png(path, screen.shown(frame))
+        return
+    with new_file(options.out, overwrite=options.overwrite) as path:
+        if options.turntable is not None:
+            shown = (screen.shown(frame) for frame in frames)
+            relit_files.write_animation(path, kind, shown, options.fps or FPS)
+        elif kind == ".exr":
+            relit_files.write_exr(path, next(frames))
+        else:
+            relit_files.write_png(path, screen.shown(next(frames)))
+
+
+def _frame_name(k: int, options: argparse.Namespace) -> str:
+    digits = max(4, len(str(options.turntable - 1)))
+    return f"frame_{k:0{digits}}.{options.format or 'exr'}"
+
+
+def _contains(options: argparse.Namespace) -> tuple[str, ...]:
+    """What an earlier output that may be replaced holds."""
+    return (_frame_name(0, options),)
+
+
+def _facts_of_output(
+    options: argparse.Namespace, kind: str, result: Result, screen: Screen, radiance: Range
+) -> Iterator[tuple[str, str]]:
+    height, width = result.mask.shape
+    what = f"{options.out}: {width} × {height}"
+    if options.turntable is not None:
+        what += f", {options.turntable} frames, {360 / options.turntable:g} degrees apart"
+        if kind != "folder":
+            what += f", {options.fps or FPS:g} a second, repeated"
+    alpha = "" if result.mask.all() else ", alpha from the mask"
+    if not _for_screen(options, kind):
+        yield "written", f"{what}, linear Rec.709, float32{alpha}"
+        yield "radiance", f"{radiance.least:.4g} to {radiance.greatest:.4g}"
+        return
+    colors = "256 colours a frame" if kind == ".gif" else "8 bits"
+    yield "written", f"{what}, sRGB, {colors}{alpha}"
+    clipped, black = screen.share(screen.clipped), screen.share(screen.black)
+    yield (
+        "shown",
+        f"exposure {screen.exposure:g} EV, tone map {screen.tone_map}; "
+        f"{100 * clipped:.1f} % of the pixels are clipped, {100 * black:.1f} % nearly black",
+    )
+    if clipped + black > MANY:
+        exposure = radiance.fitting_exposure()
+        if exposure is None:
+            yield "hint", "no light reaches the surfaces that the camera sees"
+        else:
+            exposure = min(max(exposure, -MOST_STOPS), MOST_STOPS)
+            yield "hint", f"little can be seen; try --exposure {exposure:g}"

@@ -1,0 +1,82 @@
+"""Figures of a page: a picture that can be enlarged, keys to colours, a grid of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from html import escape
+
+import numpy as np
+
+from pbrfit import differences
+from pbrfit.differences import PALETTE
+from pbrfit.html import png_address
+
+PIXELATED = 300
+"""Pictures with a shorter longer side are shown with square pixels, not blurred."""
+
+
+def picture(png: bytes, size: tuple[int, int], alt: str) -> str:
+    """`img` of (height, width) pixels inside a button that enlarges it."""
+    height, width = size
+    look = ' class="pixels"' if max(size) < PIXELATED else ""
+    text = escape(alt)
+    return (
+        f'<button type="button" class="zoom" aria-label="Enlarge: {text}">'
+        f'<img{look} src="{png_address(png)}" alt="{text}" width="{width}" height="{height}">'
+        "</button>"
+    )
+
+
+def figure(content: str, title: str, remark: str = "") -> str:
+    """Pictures (as HTML) with a title and a remark below; both are escaped here."""
+    below = f"<br><small>{escape(remark)}</small>" if remark else ""
+    return f"<figure>{content}<figcaption><b>{escape(title)}</b>{below}</figcaption></figure>"
+
+
+def grid(figures: Iterable[str], look: str) -> str:
+    """Figures (as HTML) side by side as room allows; `look` is a class of the style sheet."""
+    return f'<div class="grid {look}">{"".join(figures)}</div>'
+
+
+def difference_key(what: str, marks: Mapping[str, int]) -> str:
+    """Key to residuals, errors and deviations; `marks` are entries of the palette by label."""
+    stops = ", ".join(
+        _css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int)
+    )
+    ticks = {
+        float(differences.on_scale(value)): label for value, label in differences.TICKS.items()
+    }
+    patches = {label: _css(PALETTE[index]) for label, index in marks.items()}
+    return _key(what, stops, ticks, patches)
+
+
+def grey_key(what: str) -> str:
+    """Key to maps that are shown as grey."""
+    return _key(what, "#000, #fff", {0.0: "0", 0.25: "", 0.5: "0.5", 0.75: "", 1.0: "1"}, {})
+
+
+def outside_patch() -> str:
+    """What pixels outside the mask look like."""
+    return '<span class="patch outside"></span> outside the mask'
+
+
+def _key(what: str, stops: str, ticks: Mapping[float, str], patches: Mapping[str, str]) -> str:
+    places = {f"left:{100 * share:.4g}%": label for share, label in ticks.items()}
+    marks = "".join(f'<i style="{place}"></i>' for place in places) + "".join(
+        f'<span style="{place}">{escape(label)}</span>' for place, label in places.items() if label
+    )
+    beside = "".join(
+        f'<span class="mark"><span class="patch" style="background:{color}"></span> '
+        f"{escape(label)}</span>"
+        for label, color in patches.items()
+    )
+    return (
+        f'<div class="key"><div class="scale"><span class="what">{escape(what)}</span>'
+        f'<div class="bar" style="background:linear-gradient(90deg, {stops})"></div>'
+        f'<div class="ticks">{marks}</div></div>{beside}</div>'
+    )
+
+
+def _css(color: np.ndarray) -> str:
+    red, green, blue = np.rint(255 * color).astype(int).tolist()
+    return f"#{red:02x}{green:02x}{blue:02x}"

@@ -1,0 +1,141 @@
+"""The lights of a result: on two balls, as panoramas, and in numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import metrics, panorama
+from pbrfit.color import encode_srgb
+from pbrfit.materials import Materials
+from pbrfit.model import render
+from pbrfit.report import raster
+from pbrfit.report.maps import ball_normals
+
+BALL_SIDE = 96
+PANORAMA_HEIGHT = 96
+GAP = 8
+
+MIRROR_ROUGHNESS = 0.1
+"""Of the mirror ball: lights of l ≤ 3 hold nothing that a sharper mirror would show."""
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of linear Rec.709. Source: ITU-R BT.709-6."""
+
+HATCH = 8
+"""Pixels between the lines that mark negative radiance."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light in numbers.
+
+    Attributes
+    ----------
+    mean
+        Radiance averaged over all directions, as luminance, in picture units.
+    azimuth, elevation
+        Of the main direction, which is that of band 1, in degrees.
+    directed
+        0 for light from all around, 1 for light from one direction.
+    color
+        Mean radiance in the channels, the largest 1.
+    negative
+        Share of the positive light (as luminance) that negative radiance takes away again.
+    """
+
+    mean: float
+    azimuth: float
+    elevation: float
+    directed: float
+    color: tuple[float, float, float]
+    negative: float
+
+
+def measure(coefficients: NDArray[np.float64]) -> Light:
+    """Sum up a light (16, 3).
+
+    Light of luminance E from one direction d has L_k = E Y_k(d), so band 1 is E √(3/4π) d, and its
+    length is √3 |L₀|.
+    """
+    luminance = coefficients @ LUMINANCE
+    main = luminance[[3, 1, 2]]  # x, y, z
+    length = float(np.linalg.norm(main))
+    x, y, z = (main / length).tolist() if length > 0 else (0.0, 0.0, 1.0)
+    first = abs(float(luminance[0]))
+    radiance = panorama.radiance(coefficients, 32) @ LUMINANCE
+    weights = panorama.solid_angles(*radiance.shape)[:, None]
+    positive = float(np.sum(weights * np.maximum(radiance, 0)))
+    negative = float(np.sum(weights * np.maximum(-radiance, 0)))
+    mean = np.maximum(coefficients[0], 0) / (2 * math.sqrt(math.pi))
+    red, green, blue = (mean / (mean.max() or 1.0)).tolist()
+    return Light(
+        mean=float(luminance[0]) / (2 * math.sqrt(math.pi)),
+        azimuth=math.degrees(math.atan2(x, z)),
+        elevation=math.degrees(math.asin(max(-1.0, min(1.0, y)))),
+        directed=min(1.0, length / (math.sqrt(3) * first)) if first > 0 else 0.0,
+        color=(red, green, blue),
+        negative=negative / positive if positive > 0 else 0.0,
+    )
+
+
+def balls_and_panorama(
+    coefficients: NDArray[np.float64], light: Light
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pictures of a light as they go to the screen, NaN beside the balls.
+
+    Both have the same exposure: white is the 98th percentile of the panorama.
+    """
+    radiance = panorama.radiance(coefficients, PANORAMA_HEIGHT)
+    white = metrics.white_of(radiance)
+    shown = metrics.display(radiance, white)
+    rows, columns = np.indices(radiance.shape[:2])
+    hatching = np.where((rows + columns) % HATCH < 2, 0.6, 0.1)
+    dark = radiance @ LUMINANCE < 0
+    shown = np.where(dark[..., None], hatching[..., None], shown)
+    _ring(shown, light)
+    return _balls(coefficients, white), shown
+
+
+def _balls(coefficients: NDArray[np.float64], white: float) -> NDArray[np.float64]:
+    """A matt white ball beside a mirror."""
+    ball = ball_normals(BALL_SIDE)
+    gap = np.full((BALL_SIDE, GAP, 3), np.nan)
+    normals = np.concatenate([ball, gap, ball], axis=1)
+    shape = normals.shape[:2]
+    mirror = np.zeros(shape)
+    mirror[:, BALL_SIDE:] = 1.0
+    materials = Materials(np.ones((*shape, 3)), np.where(mirror > 0, MIRROR_ROUGHNESS, 1.0), mirror)
+    return metrics.display(render(materials, normals, coefficients, 0.0), white)
+
+
+def _ring(shown: NDArray[np.float64], light: Light) -> None:
+    """Draw a ring around the main direction: black in white, to be seen on any ground."""
+    height, width = shown.shape[:2]
+    # The inverse of the formulas in `panorama`: azimuth 0 is +Z, at the left and right edge.
+    column = ((180 - light.azimuth) / 360 + 0.5) % 1 * width
+    row = (90 - light.elevation) / 180 * height
+    rows, columns = np.indices((height, width)) + 0.5
+    across = np.abs(columns - column)
+    distance = np.hypot(rows - row, np.minimum(across, width - across))
+    shown[np.abs(distance - 6) < 2] = 1.0
+    shown[np.abs(distance - 6) < 0.8] = 0.0
+
+
+def pngs(coefficients: NDArray[np.float64], light: Light) -> tuple[bytes, bytes]:
+    """Balls and panorama as PNG."""
+    balls, radiance = balls_and_panorama(coefficients, light)
+    return raster.color_png(balls), raster.color_png(radiance)
+
+
+BALLS_SIZE = (BALL_SIDE, 2 * BALL_SIDE + GAP)
+PANORAMA_SIZE = (PANORAMA_HEIGHT, 2 * PANORAMA_HEIGHT)
+
+
+def swatch(light: Light) -> str:
+    """The light's colour at full brightness, for a style sheet."""
+    codes = np.rint(255 * encode_srgb(np.array(light.color))).astype(int).tolist()
+    return "#" + "".join(f"{code:02x}" for code in codes)

@@ -1,0 +1,208 @@
+"""The maps of a result, what is uncertain about them, and the truth where it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import differences
+from pbrfit.color import encode_srgb
+from pbrfit.differences import Difference
+from pbrfit.html import paragraph
+from pbrfit.materials import Materials
+from pbrfit.notation import percent, plain
+from pbrfit.report import budget, figures, raster
+from pbrfit.report.budget import Fitted
+from pbrfit.result import Result
+from pbrfit.uncertainty import PARAMETERS
+
+BALL_SIDE = 96
+
+Draw = Callable[[int], bytes]
+"""A picture as PNG with at most this longer side."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture of the section: what draws it, and its text."""
+
+    draw: Draw
+    title: str
+    remark: str
+    alt: str
+
+
+@dataclass(frozen=True)
+class Block:
+    """Pictures under one heading, with sentences and a key as HTML."""
+
+    title: str
+    text: str
+    key: str
+    pictures: tuple[Shown, ...]
+
+
+def blocks(result: Result, truth: Materials | None) -> list[Block]:
+    """Everything that is shown, in its order; `truth` where the result was compared with it."""
+    found = [_recovered(result)]
+    if truth is not None:
+        found += [_truth(truth), _errors(result, truth)]
+    if result.uncertainty is not None:
+        found.append(_deviations(result))
+    return found
+
+
+def section(blocks: list[Block], result: Result, limit: float) -> Fitted[str]:
+    """HTML of the blocks with the largest pictures that fit into `limit` bytes."""
+
+    def make(side: int) -> str:
+        size = raster.reduced_size(result.mask.shape, side)
+        return "".join(_block(block, side, size) for block in blocks)
+
+    sides = budget.sides_for(max(result.mask.shape), budget.MAP_SIDES)
+    return budget.largest_that_fits(make, len, sides, limit)
+
+
+def _block(block: Block, side: int, size: tuple[int, int]) -> str:
+    shown = (
+        figures.figure(figures.picture(one.draw(side), size, one.alt), one.title, one.remark)
+        for one in block.pictures
+    )
+    return f"<h3>{block.title}</h3>{block.text}{block.key}{figures.grid(shown, 'maps')}"
+
+
+def _recovered(result: Result) -> Block:
+    normals = result.normals
+    remarks = {name: f"median {_median(getattr(result, name))}" for name in PARAMETERS}
+    remarks["albedo"] += ", linear"
+    pictures = [
+        *_maps(result.materials, "recovered", remarks),
+        Shown(
+            lambda side: raster.color_png(0.5 + 0.5 * raster.reduced(normals, side)),
+            "normals",
+            "as given, in camera space",
+            "Normals as colours",
+        ),
+    ]
+    outside = ""
+    if not result.mask.all():
+        mask = result.mask.astype(np.float64)
+        pictures.append(
+            Shown(
+                lambda side: raster.grey_png(raster.reduced(mask, side)),
+                "mask",
+                f"white = fitted, {100 * mask.mean():.3g} % of the pixels",
+                "Mask of the pixels that were fitted",
+            )
+        )
+        outside = f'<span class="mark">{figures.outside_patch()}</span>'
+    ball = figures.picture(*_ball(), "Key to the normals: a ball")
+    key = (
+        f'<div class="keys">{figures.grey_key("roughness and metallic")}'
+        f'<div class="key ball">{ball}<span>normals on a ball: '
+        f"red to the right, green up, blue towards the viewer</span></div>{outside}</div>"
+    )
+    text = paragraph(
+        "Albedo is base colour, drawn through the sRGB curve; roughness is perceptual "
+        "(α = roughness²); metallic is 0 for dielectrics and 1 for metals. "
+        "materials.exr holds all of them as linear numbers."
+    )
+    return Block("Recovered", text, key, tuple(pictures))
+
+
+def _truth(truth: Materials) -> Block:
+    return Block("Truth", "", "", tuple(_maps(truth, "true", dict.fromkeys(PARAMETERS, ""))))
+
+
+def _errors(result: Result, truth: Materials) -> Block:
+    of_maps = differences.errors(result.materials, truth)
+    remarks = {name: f"RMSE {plain(result.metrics[f'{name}_rmse'])}" for name in PARAMETERS}
+    return Block(
+        "Error",
+        paragraph("Distance from the truth; of albedo the root mean square over its channels."),
+        figures.difference_key("absolute error", {}),
+        tuple(_differences(of_maps, "Absolute error of", remarks)),
+    )
+
+
+def _deviations(result: Result) -> Block:
+    uncertainty = result.uncertainty
+    assert uncertainty is not None
+    summary = uncertainty.summary()
+    remarks = {
+        name: (
+            f"median {plain(summary['median_marginal'][name])}; "
+            f"not determined {percent(summary['undetermined'][name])}, "
+            f"at a bound {percent(summary['on_bound'][name])}"
+        )
+        for name in PARAMETERS
+    }
+    text = (
+        "Standard deviation that noise in the pictures gives each number, with the lights as "
+        "uncertain as they are. Errors of the model, the normals or the field of view are not in "
+        "it: look at the residuals for those."
+    )
+    if uncertainty.priors:
+        text += " It is that of the pictures alone; the priors may have done better."
+    marks = {
+        "at a bound or known": differences.WHITE,
+        "not determined by the pictures": differences.VERMILLION,
+    }
+    return Block(
+        "Uncertainty",
+        paragraph(text),
+        figures.difference_key("standard deviation", marks),
+        tuple(_differences(differences.deviations(uncertainty), "Standard deviation of", remarks)),
+    )
+
+
+def _maps(materials: Materials, which: str, remarks: Mapping[str, str]) -> Iterator[Shown]:
+    albedo = materials.albedo
+    yield Shown(
+        lambda side: raster.color_png(encode_srgb(np.clip(raster.reduced(albedo, side), 0, 1))),
+        "albedo",
+        remarks["albedo"],
+        f"Map of the {which} albedo",
+    )
+    for name in PARAMETERS[1:]:
+        yield Shown(
+            _grey(getattr(materials, name)), name, remarks[name], f"Map of the {which} {name}"
+        )
+
+
+def _grey(values: NDArray[np.float64]) -> Draw:
+    return lambda side: raster.grey_png(raster.reduced(values, side))
+
+
+def _differences(
+    of_maps: Mapping[str, Difference], what: str, remarks: Mapping[str, str]
+) -> Iterator[Shown]:
+    for name in PARAMETERS:
+        yield Shown(_difference(of_maps[name]), name, remarks[name], f"{what} {name}")
+
+
+def _difference(difference: Difference) -> Draw:
+    return lambda side: raster.difference_png(raster.reduced_difference(difference, side))
+
+
+def _ball() -> tuple[bytes, tuple[int, int]]:
+    """Normals of a ball as PNG, and its size."""
+    normals = ball_normals(BALL_SIDE)
+    return raster.color_png(0.5 + 0.5 * normals), normals.shape[:2]
+
+
+def ball_normals(side: int) -> NDArray[np.float64]:
+    """(side, side, 3) normals of a ball seen from afar; NaN beside it."""
+    along = (2 * np.arange(side) + 1 - side) / side
+    x, y = np.meshgrid(along, -along)
+    square = 1 - x * x - y * y
+    z = np.sqrt(np.where(square > 0, square, np.nan))
+    return np.where(np.isnan(z)[..., None], np.nan, np.stack([x, y, z], axis=-1))
+
+
+def _median(values: NDArray[np.float64]) -> str:
+    inside = values[np.isfinite(values)].reshape(-1, *values.shape[2:])
+    return ", ".join(f"{v:.2f}" for v in np.atleast_1d(np.median(inside, axis=0)))

@@ -1,0 +1,98 @@
+"""The pictures that a result was made from: found again, and known to be the same."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pbrfit._core import InputError
+from pbrfit.result import Result
+from pbrfit.scene import Scene, Source
+
+log = logging.getLogger("pbrfit")
+
+AND_SO = "So this page shows what the result says the pictures look like, but not the pictures."
+
+
+@dataclass(frozen=True, eq=False)
+class Originals:
+    """A scene, or in words why there is none."""
+
+    scene: Scene | None
+    remark: str = ""
+
+
+def find(result: Result, given: Scene | str | Path | None = None) -> Originals:
+    """Find the scene that a result was made from.
+
+    Parameters
+    ----------
+    result
+        The result.
+    given
+        The scene or its folder; None = where the result says that it was.
+
+    Raises
+    ------
+    InputError, OSError
+        If what was given is not that scene, or cannot be read. A scene that the result itself
+        names and that is gone or has changed is a remark, and a warning.
+    """
+    if isinstance(given, Scene):
+        _check(result, given, "scene")
+        return Originals(given)
+    if given is not None:
+        return Originals(_read(result, Path(given)))
+    if result.source is None:
+        return Originals(None, f"The result does not say where its pictures are. {AND_SO}")
+    path = result.source.path
+    try:
+        return Originals(_read(result, path))
+    except (InputError, OSError) as error:
+        log.warning("%s; the page has no pictures of the scene", " ".join(str(error).split()))
+        gone = not path.is_dir()
+        found = "is no longer where it was" if gone else "has changed since, or cannot be read"
+        return Originals(None, f"The scene folder {path.name} {found}. {AND_SO}")
+
+
+def _read(result: Result, path: Path) -> Scene:
+    how = result.source or Source(path)
+    scene = Scene.load(
+        path,
+        fov=result.fov,
+        color_space=how.color_space,
+        max_size=how.max_size,
+        code_range=how.code_range,
+    )
+    _check(result, scene, str(path))
+    return scene
+
+
+def _check(result: Result, scene: Scene, name: str) -> None:
+    found = _what_differs(result, scene)
+    if found:
+        raise InputError(f"{name}: expected the scene that the result was made from, found {found}")
+
+
+def _what_differs(result: Result, scene: Scene) -> str:
+    """The first difference in words; nothing where the result may be of this scene."""
+    if result.inputs and scene.inputs:
+        for file, digest in result.inputs.items():
+            if file not in scene.inputs:
+                return f"no {file}"
+            if scene.inputs[file] != digest:
+                return f"another {file}"
+        more = [file for file in scene.inputs if file not in result.inputs]
+        if more:
+            return f"{more[0]} besides"
+    if scene.names != result.pictures:
+        return f"pictures {', '.join(scene.names)}"
+    if scene.valid.shape != result.mask.shape:
+        height, width = result.mask.shape
+        return f"{scene.width} × {scene.height} pixels instead of {width} × {height}"
+    if not np.array_equal(scene.valid, result.mask):
+        return "that other pixels are valid"
+    return ""

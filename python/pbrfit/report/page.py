@@ -1,0 +1,320 @@
+"""The page of a result: its sections put together, small enough to be sent."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from importlib.metadata import version
+from pathlib import Path
+
+from pbrfit import differences
+from pbrfit.drawing import as_svg
+from pbrfit.history_plot import draw_history
+from pbrfit.html import Cell, Table, document, paragraph, table
+from pbrfit.metrics import PROTOCOL
+from pbrfit.notation import percent, plain
+from pbrfit.report import budget, figures, maps, raster, verdict, viewer
+from pbrfit.report import lights as of_lights
+from pbrfit.report import pictures as of_pictures
+from pbrfit.report.originals import Originals
+from pbrfit.report.pictures import Picture
+from pbrfit.result import Result
+
+OPEN_TABLE = 24
+"""Tables with more rows are folded away."""
+
+TITLES = {
+    "relight": "Relight",
+    "maps": "Maps",
+    "pictures": "Pictures",
+    "lights": "Lights",
+    "history": "Error against run time",
+    "origin": "How it came about",
+}
+"""Headings by anchor, in their order."""
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """Pictures that are shown, and at which of their sides."""
+
+    pictures: list[Picture]
+    side: int
+    size: tuple[int, int]
+
+
+def page(result: Result, originals: Originals) -> str:
+    """HTML of a result, at most `budget.LIMIT` bytes."""
+    longer = max(result.mask.shape)
+    sides = budget.sides_for(longer, budget.PICTURE_SIDES)
+    pictures = of_pictures.examine(result, originals.scene, sides)
+    view = budget.largest_that_fits(
+        lambda side: viewer.fragment(result, max_side=side),
+        lambda html: len(html.encode()),
+        budget.sides_for(longer, budget.MAP_SIDES),
+        budget.VIEW_SHARE * budget.LIMIT,
+    )
+    truth = originals.scene.truth if originals.scene is not None else None
+    known = truth is not None and "albedo_rmse" in result.metrics
+    shown_maps = maps.section(
+        maps.blocks(result, truth.materials if truth is not None and known else None),
+        result,
+        budget.MAPS_SHARE * (budget.LIMIT - view.bytes),
+    )
+
+    fixed = {
+        "relight": view.made,
+        "maps": _size_remark("Maps", shown_maps.side, result) + shown_maps.made,
+        "history": _history(result),
+        "origin": _origin(result),
+    }
+
+    def whole(chosen: _Chosen) -> str:
+        of_chosen = {
+            "pictures": _pictures(originals, pictures, chosen),
+            "lights": _lights(pictures, chosen),
+        }
+        return _document(result, pictures, fixed | of_chosen)
+
+    # What is left of the limit, once all else is known to the letter, is for the pictures.
+    size = raster.reduced_size(result.mask.shape, sides[0])
+    without = len(whole(_Chosen([], 0, size)).encode())
+    card = 2_000  # letters of markup around a picture and its light, names of 255 letters included
+    limit = budget.LIMIT - without - card * len(pictures)
+    side, indices = budget.choose([one.sizes for one in pictures], limit)
+    size = raster.reduced_size(result.mask.shape, sides[side])
+    return whole(_Chosen([pictures[i] for i in indices], side, size))
+
+
+def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str, str]) -> str:
+    title = _title(result)
+    links = "".join(f'<a href="#{key}">{escape(text)}</a>' for key, text in TITLES.items())
+    tables = "".join(table(content) for content in verdict.key_numbers(result, pictures))
+    body = [
+        f'<header><h1>{escape(title)}</h1><nav aria-label="Sections">{links}</nav></header>',
+        "<main>",
+        *(paragraph(text, "verdict") for text in verdict.sentences(result, pictures)),
+        f'<div class="numbers">{tables}</div>',
+        *(
+            f'<section id="{key}" aria-labelledby="{key}-title">'
+            f'<h2 id="{key}-title">{escape(title)}</h2>{sections[key]}</section>'
+            for key, title in TITLES.items()
+        ),
+        "</main>",
+    ]
+    here = Path(__file__).parent
+    style = (here / "style.css").read_text(encoding="utf-8")
+    script = (here / "enlarge.js").read_text(encoding="utf-8")
+    return document(title, "\n".join(body), style=style, script=script)
+
+
+def _title(result: Result) -> str:
+    count = len(result.pictures)
+    of = f"{count} pictures" if count > 1 else "one picture"
+    name = result.source.path.name if result.source is not None else ""
+    return f"{name}: materials from {of}" if name else f"Materials from {of}"
+
+
+def _size_remark(what: str, side: int, result: Result) -> str:
+    height, width = raster.reduced_size(result.mask.shape, side)
+    if (height, width) == result.mask.shape:
+        return paragraph(f"{what} are shown as they are, {width} × {height} pixels.", "note")
+    full = f"{result.mask.shape[1]} × {result.mask.shape[0]}"
+    return paragraph(f"{what} are averaged down from {full} to {width} × {height} pixels.", "note")
+
+
+def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen) -> str:
+    parts = [_how_many(pictures, chosen)]
+    scene = originals.scene
+    if scene is None:
+        parts.append(paragraph(originals.remark))
+        parts.append(paragraph("White is the 98th percentile of each reconstruction.", "note"))
+    else:
+        parts.append(paragraph(_how_to_read(pictures)))
+        marks = (
+            {}
+            if scene.weights is None
+            else {"left out: clipped, dark or of weight 0": differences.WHITE}
+        )
+        parts.append(figures.difference_key("residual, as a share of the picture's RMS", marks))
+    cards = (_card(one, chosen) for one in chosen.pictures)
+    parts.append(figures.grid(cards, "pictures" if scene is not None else "maps"))
+    if scene is not None:
+        fold = "" if len(pictures) > OPEN_TABLE else " open"
+        parts.append(
+            f"<details{fold}><summary>Residuals of all {len(pictures)} pictures</summary>"
+            f"{table(of_pictures.table(pictures))}</details>"
+        )
+    return "".join(parts)
+
+
+def _how_many(pictures: Sequence[Picture], chosen: _Chosen) -> str:
+    height, width = chosen.size
+    shown, count = len(chosen.pictures), len(pictures)
+    text = f"{width} × {height} pixels each."
+    if shown < count:
+        text = (
+            f"{shown} of {count} pictures are shown, evenly spread, and {count - shown} left out, "
+            f"to keep the page small. {text}"
+        )
+    return paragraph(text, "note")
+
+
+def _how_to_read(pictures: Sequence[Picture]) -> str:
+    text = (
+        "The picture, its reconstruction from the maps and its light, and how far they are apart. "
+        "Both have the same exposure: white is the 98th percentile of the picture. The colours of "
+        "the residual mean the same in all pictures, and on all pages."
+    )
+    names = [
+        f"{one.name} ({percent(one.fit.share)})" for one in of_pictures.worst(pictures) if one.fit
+    ]
+    if len(pictures) > len(names):
+        text += f" Explained worst: {', '.join(names)}."
+    return text
+
+
+def _card(one: Picture, chosen: _Chosen) -> str:
+    pngs = one.pngs[chosen.side]
+    if one.fit is None:
+        [png] = pngs
+        content = figures.picture(png, chosen.size, f"Reconstruction of {one.name}")
+        return figures.figure(content, one.name, "reconstruction")
+    alts = (f"Picture {one.name}", f"Reconstruction of {one.name}", f"Residual of {one.name}")
+    content = "".join(
+        figures.picture(png, chosen.size, alt) for png, alt in zip(pngs, alts, strict=True)
+    )
+    remark = f"RMSE {plain(one.fit.rmse)}, {percent(one.fit.share)} of its RMS"
+    if one.fit.left_out > 0:
+        remark += f"; {percent(one.fit.left_out)} of the samples left out"
+    return figures.figure(f'<div class="three">{content}</div>', one.name, remark)
+
+
+def _lights(pictures: Sequence[Picture], chosen: _Chosen) -> str:
+    text = (
+        "Each light on a matt white ball, on a mirror, and as a panorama of all directions: the "
+        "centre is into the picture, away from the viewer, right is right, up is up; light that "
+        "comes from the viewer is at the left and right edge. The ring marks the main direction, "
+        "hatching where radiance is negative, which only the sum of spherical harmonics can be. "
+        "Each light has its own exposure: white is the 98th percentile of its panorama."
+    )
+    parts = [paragraph(text)]
+    if len(chosen.pictures) < len(pictures):
+        parts.append(paragraph("Lights of the pictures that are shown above.", "note"))
+    parts.append(figures.grid(map(_light, chosen.pictures), "lights"))
+    fold = "" if len(pictures) > OPEN_TABLE else " open"
+    parts.append(
+        f"<details{fold}><summary>All {len(pictures)} lights in numbers</summary>"
+        f"{table(_light_table(pictures))}</details>"
+    )
+    return "".join(parts)
+
+
+def _light(one: Picture) -> str:
+    balls, radiance = one.light_pngs
+    content = figures.picture(
+        balls, of_lights.BALLS_SIZE, f"Light of {one.name} on a white and a mirror ball"
+    ) + figures.picture(radiance, of_lights.PANORAMA_SIZE, f"Panorama of the light of {one.name}")
+    light = one.light
+    remark = (
+        f"from azimuth {_degrees(light.azimuth)}, elevation {_degrees(light.elevation)}; "
+        f"negative {percent(light.negative)}"
+    )
+    color = f'<span class="patch" style="background:{of_lights.swatch(light)}"></span>'
+    return figures.figure(f'<div class="light">{content}{color}</div>', one.name, remark)
+
+
+def _degrees(angle: float) -> str:
+    return f"{round(angle)}°".replace("-", "−")
+
+
+def _light_table(pictures: Sequence[Picture]) -> Table:
+    columns = [
+        Cell("picture", "name"),
+        Cell("mean radiance", "number"),
+        Cell("azimuth", "number"),
+        Cell("elevation", "number"),
+        Cell("directed", "number"),
+        Cell("colour R, G, B", "number"),
+        Cell("negative", "number"),
+    ]
+    rows = []
+    for one in pictures:
+        light = one.light
+        rows.append(
+            [
+                Cell(one.name),
+                Cell(plain(light.mean), "number", light.mean),
+                Cell(_degrees(light.azimuth), "number", light.azimuth),
+                Cell(_degrees(light.elevation), "number", light.elevation),
+                Cell(percent(light.directed), "number", light.directed),
+                Cell(", ".join(f"{part:.2f}" for part in light.color), "number"),
+                Cell(percent(light.negative), "number", light.negative),
+            ]
+        )
+    caption = (
+        "Mean radiance over all directions, in the pictures' unit. Azimuth 0 is the viewer, "
+        "positive to the right; elevation is up. Directed: 0 % from all around, 100 % from one "
+        "direction. Negative: what negative radiance takes away from the positive."
+    )
+    return Table(columns, rows, caption)
+
+
+def _history(result: Result) -> str:
+    svg = as_svg(draw_history(result.history)).encode()
+    address = f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
+    what = "Root mean square errors against run time and against iterations, logarithmic"
+    text = "Residual of the pictures" + (
+        " and errors of the maps against the truth"
+        if "albedo_rmse" in result.history.columns
+        else ""
+    )
+    return (
+        paragraph(f"{text}, while the fit ran. history.csv has the numbers.")
+        + f'<figure class="plot"><img src="{address}" alt="{what}"></figure>'
+    )
+
+
+def _origin(result: Result) -> str:
+    parts = [_list("What was assumed", result.assumed)]
+    if result.left_out:
+        items = "".join(f"<li>{escape(line)}</li>" for line in result.left_out)
+        parts.append(f"<h3>What was left out</h3><ul>{items}</ul>")
+    options = {name: json.dumps(value) for name, value in asdict(result.options).items()}
+    parts.append(_folded("Options", _list("", options)))
+    if result.inputs:
+        rows = [(Cell(name), Cell(digest, "hash")) for name, digest in result.inputs.items()]
+        files = table(Table((Cell("file"), Cell("SHA-256")), rows))
+        parts.append(_folded(f"Input files ({len(result.inputs)})", files))
+    parts.append("<h3>Conventions</h3>")
+    parts.append(
+        paragraph(
+            "Camera space has X to the right, Y up, Z towards the viewer. Colours are linear "
+            "Rec.709 with white D65, except as pictures on this page, which have the sRGB curve."
+        )
+    )
+    parts.append(
+        paragraph(
+            "Lights are real spherical harmonics without Condon–Shortley phase up to l = 3, index "
+            "l(l+1)+m, and point from the surface to where light comes from."
+        )
+    )
+    parts.append(
+        paragraph(f"Errors: {PROTOCOL}. Page written by pbrfit {version('pbrfit')}.", "note")
+    )
+    return "".join(parts)
+
+
+def _list(title: str, entries: Mapping[str, str]) -> str:
+    if not entries:
+        return ""
+    heading = f"<h3>{escape(title)}</h3>" if title else ""
+    rows = [(Cell(name, "name"), Cell(text)) for name, text in entries.items()]
+    return heading + table(Table((), rows))
+
+
+def _folded(title: str, content: str) -> str:
+    return f"<details><summary>{escape(title)}</summary>{content}</details>"

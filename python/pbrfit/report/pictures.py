@@ -1,0 +1,161 @@
+"""The pictures of a scene beside their reconstructions, and what is between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pbrfit import differences, metrics
+from pbrfit.html import Cell, Table
+from pbrfit.model import render
+from pbrfit.notation import percent, plain
+from pbrfit.report import budget, lights, raster
+from pbrfit.report.lights import Light
+from pbrfit.result import Result
+from pbrfit.scene import Scene
+
+HIGH = 95
+"""Percentile of the residuals that is told beside their root mean square."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well a picture is explained.
+
+    Attributes
+    ----------
+    rms, rmse
+        Root mean square of the picture and of (rendered − picture), in the picture's unit, with
+        the weights of the samples.
+    high
+        So many pixels of 100 (`HIGH`) are off by less, as a share of `rms`.
+    left_out
+        Share of its samples that took no part in the fit.
+    """
+
+    rms: float
+    rmse: float
+    high: float
+    left_out: float
+
+    @property
+    def share(self) -> float:
+        """RMSE as a share of the picture's RMS."""
+        return self.rmse / self.rms if self.rms > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture as the page shows it.
+
+    Attributes
+    ----------
+    name
+        Of the picture.
+    fit
+        None without the scene.
+    pngs
+        By side, the largest first: the picture, its reconstruction and the residual, or the
+        reconstruction alone.
+    light, light_pngs
+        Its light: in numbers; on balls, as a panorama.
+    """
+
+    name: str
+    fit: Fit | None
+    pngs: tuple[tuple[bytes, ...], ...]
+    light: Light
+    light_pngs: tuple[bytes, bytes]
+
+    @property
+    def sizes(self) -> list[int]:
+        """Bytes in the page, by side."""
+        always = sum(budget.of_base64(len(png)) for png in self.light_pngs)
+        return [always + sum(budget.of_base64(len(png)) for png in pngs) for pngs in self.pngs]
+
+
+def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[Picture]:
+    """Render and measure all pictures, one at a time."""
+    found = []
+    for i, name in enumerate(result.pictures):
+        coefficients = result.lighting[i]
+        light = lights.measure(coefficients)
+        fit, pngs = _one(result, scene, i, sides)
+        found.append(Picture(name, fit, pngs, light, lights.pngs(coefficients, light)))
+    return found
+
+
+def _one(
+    result: Result, scene: Scene | None, i: int, sides: Sequence[int]
+) -> tuple[Fit | None, tuple[tuple[bytes, ...], ...]]:
+    rendered = render(result.materials, result.normals, result.lighting[i], result.fov)
+    if scene is None:
+        white = metrics.white_of(rendered)
+        return None, tuple(
+            (raster.color_png(metrics.display(raster.reduced(rendered, side), white)),)
+            for side in sides
+        )
+    image = scene.images[i]
+    weights = None if scene.weights is None else scene.weights[i]
+    weight = None if weights is None else weights[..., None]
+    counted = result.mask if weights is None else result.mask & (weights > 0)
+    residual = differences.residual(rendered, image, weights)
+    fit = Fit(
+        rms=metrics.rmse(np.where(np.isnan(rendered), np.nan, 0.0), image, weight),
+        rmse=metrics.rmse(rendered, image, weight),
+        high=float(np.percentile(residual.values[counted], HIGH)),
+        left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
+    )
+    white = metrics.white_of(np.where(counted[..., None], image, np.nan))
+    image = np.where(np.isfinite(image).all(axis=-1, keepdims=True), image, np.nan)
+    return fit, tuple(
+        (
+            raster.color_png(metrics.display(raster.reduced(image, side), white)),
+            raster.color_png(metrics.display(raster.reduced(rendered, side), white)),
+            raster.difference_png(raster.reduced_difference(residual, side)),
+        )
+        for side in sides
+    )
+
+
+def table(pictures: Sequence[Picture]) -> Table:
+    """How well each picture is explained, in the scene's order; they all have a `fit`."""
+    with_left_out = any(one.fit is not None and one.fit.left_out > 0 for one in pictures)
+    columns = [
+        Cell("picture", "name"),
+        Cell("RMS", "number"),
+        Cell("RMSE", "number"),
+        Cell("of its RMS", "number"),
+        Cell(f"{HIGH} % of pixels below", "number"),
+    ]
+    if with_left_out:
+        columns.append(Cell("samples left out", "number"))
+    rows = []
+    for one in pictures:
+        fit = one.fit
+        assert fit is not None
+        row = [
+            Cell(one.name),
+            Cell(plain(fit.rms), "number", fit.rms),
+            Cell(plain(fit.rmse), "number", fit.rmse),
+            Cell(percent(fit.share), "number", fit.share),
+            Cell(percent(fit.high), "number", fit.high),
+        ]
+        if with_left_out:
+            row.append(Cell(percent(fit.left_out), "number", fit.left_out))
+        rows.append(row)
+    return Table(columns, rows)
+
+
+def worst(pictures: Sequence[Picture], count: int = 3) -> list[Picture]:
+    """Those that are explained worst, by the share of their RMS."""
+    with_fit = [one for one in pictures if one.fit is not None]
+    return sorted(with_fit, key=lambda one: -one.fit.share if one.fit else 0.0)[:count]
+
+
+def median_share(pictures: Sequence[Picture]) -> float | None:
+    """Share of their RMS that pictures are off by, of the one in the middle."""
+    shares = [one.fit.share for one in pictures if one.fit is not None]
+    return float(np.median(shares)) if shares else None

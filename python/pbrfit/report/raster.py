@@ -1,0 +1,111 @@
+"""Pictures inside a page: reduced to a size, and encoded as small PNG."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit.differences import OUTSIDE, PALETTE, Difference
+
+Values = NDArray[np.floating[Any]]
+
+SMALL = 1 << 16
+"""Pixels up to which the slowest and strongest compression is worth its time."""
+
+
+def reduced_size(shape: tuple[int, ...], side: int) -> tuple[int, int]:
+    """(height, width) with a longer side of at most `side`, in the same proportion."""
+    height, width = shape[:2]
+    factor = min(1.0, side / max(height, width))
+    return max(1, round(height * factor)), max(1, round(width * factor))
+
+
+def reduced(values: Values, side: int) -> NDArray[np.float64]:
+    """Average (H, W) or (H, W, C) down; NaN where most of what is averaged is NaN."""
+    size = reduced_size(values.shape, side)
+    if size == values.shape[:2]:
+        return np.asarray(values, dtype=np.float64)
+    planes = values.reshape(*values.shape[:2], -1)
+    inside = np.isfinite(planes[..., 0])
+    share = _averaged(inside, size)
+    averaged = [
+        _averaged(np.where(inside, planes[..., c], 0.0), size) for c in range(planes.shape[-1])
+    ]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.stack(averaged, axis=-1) / share[..., None]
+    found[share < 0.5] = np.nan
+    return found.reshape(*size, *values.shape[2:])
+
+
+def reduced_difference(difference: Difference, side: int) -> Difference:
+    """Average a map of differences down; a mark stays where most pixels have it."""
+    size = reduced_size(difference.values.shape, side)
+    if size == difference.values.shape:
+        return difference
+    marks = [difference.white, difference.vermillion]
+    values = np.array(difference.values, dtype=np.float64)
+    marked = np.zeros(values.shape, bool)
+    small: list[NDArray[np.bool_] | None] = []
+    for mark in marks:
+        small.append(None if mark is None else _averaged(mark, size) >= 0.5)
+        marked |= False if mark is None else mark
+    outside = _averaged(np.isnan(values), size) > 0.5
+    # What is marked has a colour of its own and is no number to be averaged with others.
+    free = np.isfinite(values) & ~marked
+    share = _averaged(free, size)
+    total = _averaged(np.where(free, values, 0.0), size)
+    found = np.divide(total, share, out=np.zeros(size), where=share > 0)
+    found[outside] = np.nan
+    return Difference(found, *small)
+
+
+def _averaged(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
+    image = Image.fromarray(np.ascontiguousarray(plane, dtype=np.float32))
+    return np.asarray(image.resize(size[::-1], Image.Resampling.BOX), dtype=np.float64)
+
+
+def color_png(encoded: Values) -> bytes:
+    """(H, W, 3) as it goes to the screen; transparent where it is NaN."""
+    outside = np.isnan(encoded).any(axis=-1)
+    codes = _codes(encoded)
+    if not outside.any():
+        return _png(Image.fromarray(codes))
+    alpha = np.where(outside, 0, 255).astype(np.uint8)
+    return _png(Image.fromarray(np.dstack([codes, alpha])))
+
+
+def grey_png(encoded: Values) -> bytes:
+    """(H, W) as it goes to the screen; transparent where it is NaN."""
+    outside = np.isnan(encoded)
+    codes = _codes(encoded)
+    if not outside.any():
+        return _png(Image.fromarray(codes))
+    alpha = np.where(outside, 0, 255).astype(np.uint8)
+    return _png(Image.fromarray(np.dstack([codes, alpha])))
+
+
+def difference_png(difference: Difference) -> bytes:
+    """Encode a map of differences with its palette, transparent outside the mask."""
+    image = Image.fromarray(difference.indices(), mode="P")
+    image.putpalette(np.rint(255 * PALETTE).astype(np.uint8).tobytes())
+    if np.isnan(difference.values).any():
+        image.info["transparency"] = OUTSIDE
+    return _png(image)
+
+
+def _codes(encoded: Values) -> NDArray[np.uint8]:
+    clean = np.where(np.isnan(encoded), 0.0, np.clip(encoded, 0.0, 1.0))
+    return np.asarray(np.rint(255 * clean), dtype=np.uint8)
+
+
+def _png(image: Image.Image) -> bytes:
+    buffer = io.BytesIO()
+    if image.width * image.height <= SMALL:
+        image.save(buffer, "PNG", optimize=True)
+    else:
+        image.save(buffer, "PNG")
+    return buffer.getvalue()

@@ -1,0 +1,162 @@
+"""What a result is worth, in a few plain sentences, and its key numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pbrfit.html import Cell, Table
+from pbrfit.notation import percent, plain
+from pbrfit.report.pictures import Picture, median_share, worst
+from pbrfit.result import Result, Status
+from pbrfit.uncertainty import PARAMETERS
+
+EXPLAINED = (
+    (0.01, "explain the pictures almost exactly"),
+    (0.05, "explain the pictures closely"),
+    (0.15, "explain the pictures in the main, but not in detail"),
+    (float("inf"), "do not explain the pictures well"),
+)
+"""Words for a median residual below a share of the pictures' RMS."""
+
+NOT_TOLD = 0.005
+"""Share of pixels from which it is worth a sentence that a number is not determined."""
+
+SCALE_UNKNOWN = 0.1
+"""Relative deviation of the scale between albedo and light that is worth a sentence."""
+
+METRICS = {
+    "recon_rmse": "residual of the pictures (RMSE)",
+    "albedo_rmse": "albedo, error (RMSE)",
+    "albedo_scaled_rmse": "albedo, error at the best scale (RMSE)",
+    "roughness_rmse": "roughness, error (RMSE)",
+    "metallic_rmse": "metallic, error (RMSE)",
+    "relight_rmse": "relit under true lights, error (RMSE)",
+}
+
+
+def sentences(result: Result, pictures: Sequence[Picture]) -> list[str]:
+    """How the fit ended, how well it explains the pictures, what is uncertain."""
+    return [
+        f"{_ended(result)} {_explained(result, pictures)}",
+        *(line for line in (_truth(result), _uncertain(result), _doubts(result)) if line),
+    ]
+
+
+def _ended(result: Result) -> str:
+    how = "converged" if result.status is Status.CONVERGED else "stopped"
+    return (
+        f"The fit {how} after {len(result.history) - 1} iterations and {result.seconds:.1f} s "
+        f"({result.stop_reason})."
+    )
+
+
+def _explained(result: Result, pictures: Sequence[Picture]) -> str:
+    share = median_share(pictures)
+    if share is None:
+        return (
+            "Materials and lights were off from the pictures by "
+            f"{plain(result.metrics['recon_rmse'])} (RMSE, in the pictures' unit)."
+        )
+    words = next(words for limit, words in EXPLAINED if share < limit)
+    text = (
+        f"Materials and lights {words}: the typical picture is off by {percent(share)} of its RMS"
+    )
+    if len(pictures) > 1:
+        [last] = worst(pictures, 1)
+        assert last.fit is not None
+        text += f", the worst, {last.name}, by {percent(last.fit.share)}"
+    return text + "."
+
+
+def _truth(result: Result) -> str:
+    if "albedo_rmse" not in result.metrics:
+        return ""
+    of_maps = ", ".join(f"{name} by {plain(result.metrics[f'{name}_rmse'])}" for name in PARAMETERS)
+    return f"Against the truth the maps are off: {of_maps} (RMSE of values between 0 and 1)."
+
+
+def _uncertain(result: Result) -> str:
+    uncertainty = result.uncertainty
+    if uncertainty is None:
+        return "How uncertain the maps are was not asked for."
+    summary = uncertainty.summary()
+    if uncertainty.noise is None:
+        return (
+            "There are no more samples than unknowns, so nothing tells how uncertain the maps are."
+        )
+    medians = ", ".join(
+        f"{name} by {plain(summary['median_marginal'][name])}" for name in PARAMETERS
+    )
+    text = f"Noise alone makes a typical pixel uncertain: {medians} (standard deviation)."
+    lost = [
+        f"{name} in {percent(share)}"
+        for name, share in summary["undetermined"].items()
+        if share >= NOT_TOLD
+    ]
+    if lost:
+        text += f" The pictures do not determine {', '.join(lost)} of the pixels."
+    if max(uncertainty.albedo_scale) > SCALE_UNKNOWN:
+        text += (
+            " They hardly tell how bright the lights are, so all albedos may be wrong by one "
+            f"common factor (deviation {percent(max(uncertainty.albedo_scale))})."
+        )
+    return text
+
+
+def _doubts(result: Result) -> str:
+    """What was assumed that may spoil the maps without a trace in the residual."""
+    doubts = []
+    fov = result.assumed.get("fov", "")
+    if "neither" in fov:
+        doubts.append(f"the field of view is a guess ({result.fov:g} degrees)")
+    if (result.normals[result.mask] == (0.0, 0.0, 1.0)).all():
+        doubts.append("all normals face the camera, so shape is taken for material and light")
+    return f"Beware: {'; '.join(doubts)}." if doubts else ""
+
+
+def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
+    """Two compact tables: how it was done, and how well."""
+    height, width = result.mask.shape
+    valid = int(np.count_nonzero(result.mask))
+    done: list[tuple[str, str, float | None]] = [
+        ("pictures", str(len(result.pictures)), len(result.pictures)),
+        ("size", f"{width} × {height} pixels", None),
+        ("pixels fitted", f"{valid:,} of {width * height:,}", valid),
+        ("field of view", _fov(result.fov), result.fov),
+        ("status", str(result.status), None),
+        ("iterations", f"{len(result.history) - 1:,}", len(result.history) - 1),
+        ("evaluations", f"{result.evaluations:,}", result.evaluations),
+        ("run time", f"{result.seconds:.1f} s", result.seconds),
+    ]
+    well: list[tuple[str, str, float | None]] = [
+        (label, plain(result.metrics[key]), result.metrics[key])
+        for key, label in METRICS.items()
+        if key in result.metrics
+    ]
+    share = median_share(pictures)
+    if share is not None:
+        well.insert(1, ("residual of the typical picture", f"{percent(share)} of its RMS", share))
+    if result.uncertainty is not None:
+        well += _of_uncertainty(result.uncertainty.summary())
+    return [_two_columns(done), _two_columns(well)]
+
+
+def _of_uncertainty(summary: dict[str, object]) -> list[tuple[str, str, float | None]]:
+    noise = summary["noise"]
+    rows: list[tuple[str, str, float | None]] = []
+    if isinstance(noise, float):
+        rows.append(("noise of a sample (standard deviation)", plain(noise), noise))
+    medians = summary["median_marginal"]
+    assert isinstance(medians, dict)
+    rows += [(f"{name}, median deviation", plain(value), value) for name, value in medians.items()]
+    return rows
+
+
+def _two_columns(rows: Sequence[tuple[str, str, float | None]]) -> Table:
+    return Table((), [(Cell(label), Cell(text, "number", value)) for label, text, value in rows])
+
+
+def _fov(fov: float) -> str:
+    return f"{fov:.4g}° across" if fov else "orthographic"

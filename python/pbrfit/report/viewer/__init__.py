@@ -1,0 +1,118 @@
+"""The interactive relight view of a report: the model in a fragment shader, under lights to turn.
+
+`view.html` and `viewer.css` are the markup, `relight.vert` and `relight.frag` the shaders.
+`viewer.js` is the view; `planes.js` unpacks the maps, `picture.js` draws them, `light.js` turns
+lights and `panorama.js` reads them. No part needs a server, a network or a build step.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import math
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit import metrics
+from pbrfit.display import encoded
+from pbrfit.model import ggx_band_weights, render
+from pbrfit.report.viewer import maps
+from pbrfit.result import Result
+
+STATIC_SIDE = 512
+"""Longer side of the picture that stands in where the view cannot run."""
+
+BAND_NODES = 1025
+"""Roughnesses at which the shader knows h_l. Between them it interpolates, off by up to 5e-6."""
+
+TINY_SIDE = 96
+"""Maps smaller than this are enlarged pixel by pixel, as their pixels are what one looks at."""
+
+SCRIPTS = ("light.js", "panorama.js", "planes.js", "picture.js", "viewer.js")
+
+
+def fragment(result: Result, max_side: int = 1024) -> str:
+    """HTML of the relight view of a result: style, markup, maps and script in one.
+
+    Parameters
+    ----------
+    result
+        Whose materials and lights are shown.
+    max_side
+        Larger maps are averaged down to this many pixels on the longer side. It decides about the
+        size: 2 to 9 bytes for a pixel, times 4/3 as text.
+
+    Returns
+    -------
+    A fragment for the body of a page in UTF-8; it refers to nothing outside.
+
+    Raises
+    ------
+    InputError
+        If `max_side` is below 1.
+    """
+    small = maps.of_result(result, max_side)
+    height, width = small.mask.shape
+    first = render(small.materials, small.normals, result.lighting[0], result.fov)
+    white = metrics.white_of(first)
+    exposure = round(-math.log2(white), 1)
+    bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
+    data = {
+        "width": width,
+        "height": height,
+        "tangent": math.tan(math.radians(result.fov) / 2),
+        "exposure": exposure,
+        "units": maps.UNITS,
+        "lights": [
+            {"name": name, "coefficients": light.ravel().tolist()}
+            for name, light in zip(result.pictures, result.lighting, strict=True)
+        ],
+        "bands": [float(f"{value:.8g}") for value in bands.ravel()],
+    }
+    markup = Template(_text("view.html")).substitute(
+        first=escape(result.pictures[0]),
+        picture=_base64(_png(encoded(first, exposure))),
+        data=_json(data),
+        maps=_base64(maps.packed(small)),
+    )
+    tiny = " data-tiny" if max(height, width) < TINY_SIDE else ""
+    aspect = f' style="--relight-aspect: {width / height:.6g}"'
+    markup = markup.replace('data-state="loading"', f'data-state="loading"{tiny}{aspect}', 1)
+    shaders = _json({"vertex": _text("relight.vert"), "fragment": _text("relight.frag")})
+    script = "\n".join(
+        ["(() => {", '"use strict";', f"const SHADERS = {shaders};", *map(_text, SCRIPTS), "})();"]
+    )
+    return f"<style>\n{_text('viewer.css')}</style>\n{markup}<script>\n{script}\n</script>\n"
+
+
+def _text(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _json(content: Any) -> str:
+    """JSON that cannot end the script element it stands in."""
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c")
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode("ascii")
+
+
+def _png(picture: NDArray[np.float64]) -> bytes:
+    """Values for the screen (H, W, 3) as a PNG of at most `STATIC_SIDE`, transparent where NaN."""
+    known = np.isfinite(picture).all(axis=-1)
+    color = np.where(known[..., None], picture, 0.0)
+    pixels = np.rint(255 * np.concatenate([color, known[..., None]], axis=-1)).astype(np.uint8)
+    image = Image.fromarray(pixels)
+    image.thumbnail((STATIC_SIDE, STATIC_SIDE), Image.Resampling.BOX)
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()

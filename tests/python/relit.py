@@ -1,0 +1,50 @@
+"""Results with known surfaces, for the tests of relighting."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import Materials, Result, decompose
+from scene_files import room
+
+SIDE = 32
+
+
+def fitted() -> Result:
+    """The tiny room after two iterations."""
+    return decompose(room(), iterations=2)
+
+
+def ball(like: Result, albedo: float = 0.8, roughness: float = 0.6) -> Result:
+    """A dielectric sphere that fills the picture, seen straight on; outside it there is no mask."""
+    at = (2 * np.arange(SIDE) + 1 - SIDE) / SIDE
+    x, y = np.meshgrid(at, -at)
+    inside = x**2 + y**2 < 0.95
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    normals = np.where(inside[..., None], np.stack([x, y, z], axis=-1), np.nan)
+
+    def even(value: float) -> NDArray[Any]:
+        return np.where(inside, value, np.nan)
+
+    materials = Materials(
+        np.repeat(even(albedo)[..., None], 3, axis=-1), even(roughness), even(0.0)
+    )
+    return dataclasses.replace(
+        like, materials=materials, normals=normals, mask=inside, fov=0.0, uncertainty=None
+    )
+
+
+def side_lit(picture: NDArray[np.floating[Any]]) -> str:
+    """Where a ball is brightest: right, left, up, down or front."""
+    bright = np.nan_to_num(picture[..., 1])
+    at = (2 * np.arange(SIDE) + 1 - SIDE) / SIDE
+    x, y = (float(np.sum(bright * a) / np.sum(bright)) for a in (at, -at[:, None]))
+    if max(abs(x), abs(y)) < 0.03:
+        return "front"
+    if abs(x) > abs(y):
+        return "right" if x > 0 else "left"
+    return "up" if y > 0 else "down"
