@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from pbrfit._core import InputError
 from pbrfit.arguments import (
     DONE,
     Subcommands,
+    add_command,
     add_quiet,
+    add_result,
     add_threads,
     number,
     positive,
     progress_bar,
     unread_is_no_failure,
 )
+from pbrfit.commands.light_options import add_light, choose_light
 from pbrfit.display import ToneMap
-from pbrfit.light_options import add_light, choose_light
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,26 +37,21 @@ MANY = 0.98
 MOST_STOPS = 100.0
 
 
-def add_relight(commands: Subcommands) -> None:
+def add(commands: Subcommands) -> None:
     """Add the command to `pbrfit`."""
-    added = commands.add_parser(
+    added = add_command(
+        commands,
         "relight",
-        help="show a result under other light",
-        description="Render a result under a panorama, a hard light from one direction, or SH "
-        "light. docs/relight.md says what each of them is good for.",
+        _run,
+        "show a result under other light",
+        "Render a result under a panorama, a hard light from one direction, or SH light. "
+        "docs/relight.md says what each of them is good for.",
     )
-    added.set_defaults(command=_run)
-    added.add_argument("result", metavar="RESULT", type=Path, help="result folder")
-    added.add_argument(
-        "--out",
-        metavar="FILE",
-        type=Path,
-        required=True,
-        help=".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or "
-        ".webp",
+    add_result(
+        added,
+        "FILE",
+        ".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or .webp",
     )
-    added.add_argument("--overwrite", action="store_true", help="replace an existing output")
-
     add_light(added)
 
     files = added.add_argument_group("output")
