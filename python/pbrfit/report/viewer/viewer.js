@@ -134,17 +134,19 @@ class View {
     form.elements.save.addEventListener("click", () => this.save());
   }
 
-  save() {
+  /** The picture as it is shown now, a PNG of the maps' size. */
+  png() {
     this.draw(); // a canvas keeps its picture until the end of this task only
+    return new Promise((done) => this.canvas.toBlob(done, "image/png"));
+  }
+
+  async save() {
     const { view, light, rotate } = this.state;
-    const name = view === "relit" ? `relit-${light}-${rotate.toFixed(0)}` : view;
-    this.canvas.toBlob((blob) => {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob);
-      link.download = `${name}.png`;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-    }, "image/png");
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(await this.png());
+    link.download = `${view === "relit" ? `relit-${light}-${rotate.toFixed(0)}` : view}.png`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
   }
 
   // Drag and keys
@@ -255,7 +257,7 @@ class View {
     if (wrong.length) this.say(`Address of the page: ${wrong.join("; ")}.`, true);
     if (Object.keys(values).length === 0) return;
     this.change({ ...this.start, ...values }, false);
-    this.root.scrollIntoView({ block: "nearest" });
+    this.root.scrollIntoView(); // its top, below the margin that the style gives
   }
 
   writeAddress() {
