@@ -331,6 +331,12 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
         help="of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
         "glTF 16 for normals alone)",
     )
+    parser.add_argument(
+        "--geometry",
+        choices=("card", "facets"),
+        help="of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
+        "for path tracers (default: card)",
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier export")
     parser.add_argument("--quiet", action="store_true", help="no list of files, no warnings")
 
@@ -512,6 +518,7 @@ def _export(options: argparse.Namespace) -> int:
         preset=options.preset,
         normals=options.normals,
         bits=options.bits,
+        geometry=options.geometry,
         overwrite=options.overwrite,
     )
     if not options.quiet:

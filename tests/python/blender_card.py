@@ -45,8 +45,6 @@ class Rendering:
         Normals as if the texture had the other convention.
     flat
         Without the normal texture.
-    facets
-        Not the card but a quad a pixel, turned to its normal, without the normal texture.
     samples
         A pixel.
     """
@@ -59,7 +57,6 @@ class Rendering:
     diffuse: bool = False
     flip_green: bool = False
     flat: bool = False
-    facets: bool = False
     samples: int = 256
 
 
@@ -77,20 +74,20 @@ def in_blender(
     glb: Path,
     size: tuple[int, int],
     renderings: Sequence[Rendering],
-    facets: NDArray[np.float64] | None = None,
+    *,
+    camera_only: bool = False,
     timeout: float = 300,
 ) -> InBlender:
     """Import `glb` and render it at `size` (width, height); `folder` is for the files exchanged.
 
-    `facets` are for the renderings that ask for them.
+    With `camera_only` no rays but the camera's meet it, as docs/export.md wants for facets.
     """
     folder.mkdir()
-    if facets is not None:
-        np.save(folder / "facets.npy", facets)
     job = {
         "glb": str(glb),
         "size": size,
         "threads": 2,
+        "camera_only": camera_only,
         "renders": [asdict(of) | {"panorama": str(of.panorama)} for of in renderings],
     }
     (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
@@ -152,34 +149,3 @@ def lopsided_lights() -> NDArray[np.float64]:
     lights = random.normal(size=(3, 16, 3))
     lights[:, 0] = 2.0
     return np.stack([panorama.windowed(light, "nonnegative") for light in lights])
-
-
-def facets_of(result: Result) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The view card of a result cut into a quad a pixel: position and texture coordinates.
-
-    Each keeps its centre and what it covers of the picture, and takes the normal n: its corners lie
-    where the plane through the centre p meets the rays c to the pixel's corners, c (n·p)/(n·c).
-
-    Returns
-    -------
-    (M, 4, 5), corners counter-clockwise in the axes and units of `material.glb`, and which pixels
-    they are, (H, W): those that a corner of would come twice as near or far as the centre, seen
-    from the side, are left out.
-    """
-    height, width = result.mask.shape
-    distance = 0.5 / np.tan(np.radians(result.fov) / 2)
-    i, j = np.mgrid[:height, :width]
-
-    def ray(down: float, right: float) -> NDArray[np.float64]:
-        x, y = (j + right) / width - 0.5, (0.5 * height - i - down) / width
-        return np.stack([x, y, np.full(x.shape, -distance)], axis=-1)
-
-    corners = np.stack([ray(1, 0), ray(1, 1), ray(0, 1), ray(0, 0)], axis=2)
-    ahead = np.einsum("ijc,ijc->ij", result.normals, ray(0.5, 0.5))[..., None]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        factor = ahead / np.einsum("ijc,ijkc->ijk", result.normals, corners)
-        kept = np.all((factor > 0.5) & (factor < 2) & (ahead < 0), axis=-1)
-    position = corners * factor[..., None] + [0, 0, distance]
-    texture = np.stack([(j + 0.5) / width, (i + 0.5) / height], axis=-1)
-    texture = np.broadcast_to(texture[:, :, None], (height, width, 4, 2))
-    return np.concatenate([position, texture], axis=-1)[kept], kept

@@ -32,13 +32,12 @@ def main(folder: Path) -> None:
     tree = material.node_tree
     [principled] = [node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
     (folder / "facts.json").write_text(json.dumps(facts(principled, camera.data)), encoding="utf-8")
+    if job["camera_only"]:
+        card.visible_diffuse = card.visible_glossy = card.visible_shadow = False
     set_up(scene, job)
     np.savez(folder / "seen.npz", allow_pickle=False, **seen(scene, folder, tree, principled))
-    pieces = facets(scene, folder, card) if any(of["facets"] for of in job["renders"]) else card
     for of in job["renders"]:
         light(scene.world, of)
-        pieces.hide_render = not of["facets"]
-        card.hide_render = of["facets"]
         undo = change(tree, principled, of)
         scene.cycles.samples = of["samples"]
         channels = render(scene, folder)
@@ -119,37 +118,12 @@ def light(world: Any, of: dict[str, Any]) -> None:
         tree.links.new(source, target)
 
 
-def facets(scene: Any, folder: Path, card: Any) -> Any:
-    """The card in pieces: a quad a pixel, each turned to its own normal.
-
-    `facets.npy` (N, 4, 5) has position and texture coordinates of the corners, in glTF's axes.
-    Nothing but the camera sees the pieces, so none shadows another.
-    """
-    corners = np.load(folder / "facets.npy").reshape(-1, 5)
-    data = bpy.data.meshes.new("facets")
-    data.vertices.add(len(corners))
-    positions = np.stack([corners[:, 0], -corners[:, 2], corners[:, 1]], axis=-1)
-    data.vertices.foreach_set("co", positions.astype(np.float32).reshape(-1))
-    data.loops.add(len(corners))
-    data.loops.foreach_set("vertex_index", np.arange(len(corners), dtype=np.int32))
-    data.polygons.add(len(corners) // 4)
-    data.polygons.foreach_set("loop_start", np.arange(0, len(corners), 4, dtype=np.int32))
-    texture = np.stack([corners[:, 3], 1 - corners[:, 4]], axis=-1).astype(np.float32)
-    data.update(calc_edges=True)
-    data.uv_layers.new(name=card.data.uv_layers[0].name).data.foreach_set("uv", texture.reshape(-1))
-    data.materials.append(card.data.materials[0])
-    pieces = bpy.data.objects.new("facets", data)
-    pieces.visible_diffuse = pieces.visible_glossy = pieces.visible_shadow = False
-    scene.collection.objects.link(pieces)
-    return pieces
-
-
 def change(tree: Any, principled: Any, of: dict[str, Any]) -> Any:
     """Make the change that a render asks for; returns what undoes it."""
     links, added, before = tree.links, [], principled.distribution
     ends = [(link.from_socket, link.to_socket) for link in links]
     principled.distribution = of["distribution"]
-    if (of["facets"] or of["flat"]) and principled.inputs["Normal"].is_linked:
+    if of["flat"] and principled.inputs["Normal"].is_linked:
         links.remove(principled.inputs["Normal"].links[0])
     if of["diffuse"]:
         diffuse = tree.nodes.new("ShaderNodeBsdfDiffuse")

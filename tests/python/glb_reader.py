@@ -10,7 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-COMPONENTS: dict[int, np.dtype[Any]] = {5123: np.dtype("<u2"), 5126: np.dtype("<f4")}
+COMPONENTS: dict[int, np.dtype[Any]] = {
+    5123: np.dtype("<u2"),
+    5125: np.dtype("<u4"),
+    5126: np.dtype("<f4"),
+}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 VERTICES, INDICES = 34962, 34963
 
@@ -116,10 +120,11 @@ def _check_references(document: dict[str, Any]) -> None:
         of["index"]
         for material in document["materials"]
         for of in (
-            material["normalTexture"],
+            material.get("normalTexture"),
             material["pbrMetallicRoughness"]["baseColorTexture"],
             material["pbrMetallicRoughness"]["metallicRoughnessTexture"],
         )
+        if of is not None
     }
     for kind, indices in used.items():
         assert indices == set(range(len(document[kind]))), kind
@@ -130,18 +135,23 @@ def _check_primitive(
 ) -> None:
     attributes = primitive["attributes"]
     kinds = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC4", "TEXCOORD_0": "VEC2"}
-    assert set(attributes) == set(kinds)
+    optional = set() if "normalTexture" in document["materials"][0] else {"TANGENT"}
+    assert set(kinds) - optional <= set(attributes) <= set(kinds)
     for name, index in attributes.items():
         accessor = document["accessors"][index]
         assert (accessor["type"], accessor["componentType"]) == (kinds[name], 5126)
         assert document["bufferViews"][accessor["bufferView"]]["target"] == VERTICES
         assert len(arrays[index]) == len(arrays[attributes["POSITION"]])
-    for name in ("NORMAL", "TANGENT"):
+    for name in {"NORMAL", "TANGENT"} & set(attributes):
         vectors = arrays[attributes[name]][:, :3]
         np.testing.assert_allclose(np.linalg.norm(vectors, axis=-1), 1, rtol=1e-6)
-    assert set(np.abs(arrays[attributes["TANGENT"]][:, 3])) == {1.0}
+    if "TANGENT" in attributes:
+        assert set(np.abs(arrays[attributes["TANGENT"]][:, 3])) == {1.0}
     accessor = document["accessors"][primitive["indices"]]
-    assert (accessor["type"], accessor["componentType"]) == ("SCALAR", 5123)
+    assert accessor["type"] == "SCALAR"
+    assert accessor["componentType"] in (5123, 5125)
+    if accessor["componentType"] == 5123:
+        assert accessor["max"][0] < 65535, "65535 restarts primitives"
     assert document["bufferViews"][accessor["bufferView"]]["target"] == INDICES
     indices = arrays[primitive["indices"]]
     assert len(indices) % 3 == 0

@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from pbrfit.export import export_result
 from pbrfit.export.gltf import glb
 from pbrfit.export.lights import file_names, nonnegative_radiance
 from pbrfit.export.maps import Maps
+from pbrfit.export.view_mesh import Geometry, camera, facets
 from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials
 from pbrfit.priors import Priors
@@ -35,6 +37,7 @@ from scene_files import run
 
 HEIGHT, WIDTH = 10, 12
 MAPS = ["base_color", "mask", "metallic", "normal_opengl", "roughness"]
+GEOMETRIES: tuple[Geometry, ...] = ("card", "facets")
 LIGHTS = ["coefficients.csv", "lighting.json", "panoramas.csv", "three.json"]
 
 
@@ -318,8 +321,9 @@ def test_nothing_is_nan_and_outside_holds_the_nearest(result: Result, tmp_path: 
 
 
 def test_the_glb_keeps_to_the_specification(result: Result, tmp_path: Path) -> None:
-    for i, of in enumerate((result, whole(result), small((1, 1), 0, result))):
-        export_result(of, tmp_path / str(i), format="gltf")
+    one = small((1, 1), 0, result)
+    for i, (of, geometry) in enumerate(product((result, whole(result), one), GEOMETRIES)):
+        export_result(of, tmp_path / str(i), format="gltf", geometry=geometry)
         read = glb_reader.read((tmp_path / str(i) / "material.glb").read_bytes())
         assert read.document["asset"]["generator"] == f"pbrfit {version('pbrfit')}"
         assert "sRGB" in read.document["asset"]["extras"]["color_space"]
@@ -432,6 +436,52 @@ def test_tangent_space_is_camera_space_and_the_front_faces_the_camera(result: Re
     assert affine[1] @ bitangent[0] < 0
     for a, b, c in position[read.arrays[primitive["indices"]].reshape(-1, 3)]:
         assert np.cross(b - a, c - a)[2] > 0  # counter-clockwise: specification, 3.7.2.1
+
+
+@pytest.mark.parametrize(("fov", "shape"), [(60.0, (10, 12)), (0.0, (10, 12)), (100.0, (6, 3))])
+def test_facets_cover_their_pixels_and_have_their_normals(
+    fov: float, shape: tuple[int, int]
+) -> None:
+    height, width = shape
+    random = np.random.default_rng(3)
+    normals = view_directions(height, width, fov) + 0.5 * random.normal(size=(*shape, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    mask = random.uniform(size=shape) < 0.8
+    mesh = facets(normals, mask, fov)
+    assert len(mesh.triangles) == 2 * mask.sum()
+    corners = mesh.attributes["POSITION"].astype(float).reshape(-1, 4, 3)
+    eye = np.array([0, 0, camera(height, width, fov)[1]])
+    scale = 1.0 if fov == 0 else eye[2] / (eye[2] - corners[..., 2])
+    i, j = np.nonzero(mask)
+    across = (corners[..., 0] * scale + 0.5) * width
+    np.testing.assert_allclose(across, j[:, None] + [0, 1, 1, 0], atol=1e-4)
+    down = height / 2 - corners[..., 1] * scale * width
+    np.testing.assert_allclose(down, i[:, None] + [1, 1, 0, 0], atol=1e-4)
+    texels = mesh.attributes["TEXCOORD_0"].reshape(-1, 4, 2)
+    centres = np.stack([(j + 0.5) / width, (i + 0.5) / height], axis=-1)
+    np.testing.assert_allclose(texels, np.repeat(centres[:, None], 4, axis=1), atol=1e-6)
+    n = normals[mask]
+    vectors = mesh.attributes["NORMAL"].reshape(-1, 4, 3)
+    np.testing.assert_allclose(vectors, np.repeat(n[:, None], 4, axis=1), atol=1e-6)
+    # The face itself, where it is not limited: seen nearly from the side it would be endless.
+    free = np.abs(corners[..., 2]).max(axis=-1) < 0.45 * eye[2]
+    free &= (n * view_directions(height, width, fov)[mask]).sum(axis=-1) > 0.1
+    assert free.sum() > 0.5 * len(n)
+    for a, b, c in ((0, 1, 2), (0, 2, 3)):
+        face = np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a])
+        face /= np.linalg.norm(face, axis=-1, keepdims=True)
+        np.testing.assert_allclose(face[free], n[free], atol=2e-4)
+
+
+def test_facets_are_a_sound_glb_with_any_number_of_pixels(result: Result) -> None:
+    read = glb_reader.read(glb(Maps.of(result), result.fov, geometry="facets"))
+    assert "normalTexture" not in read.document["materials"][0]
+    assert "alphaMode" not in read.document["materials"][0]
+    assert len(read.arrays[-1]) == 6 * result.mask.sum()
+    large = small((128, 129), 60.0, result)  # more than 65535 corners
+    read = glb_reader.read(glb(Maps.of(large), large.fov, geometry="facets"))
+    assert read.arrays[-1].dtype == np.uint32
+    assert read.arrays[-1].max() == 4 * 128 * 129 - 1
 
 
 def test_8_bit_normals_lean_where_16_bit_ones_do_not() -> None:
@@ -622,6 +672,7 @@ def test_export_prints_what_it_wrote(
         (("--format", "gltf", "--preset", "unreal"), "preset: expected none with format gltf"),
         (("--format", "gltf", "--normals", "directx"), "normals: expected opengl, the convention"),
         (("--format", "exr", "--bits", 8), "bits: expected none with format exr"),
+        (("--preset", "unity", "--geometry", "facets"), "geometry: expected none where no glTF"),
     ],
 )
 def test_options_without_effect_are_refused(
@@ -639,7 +690,7 @@ def test_options_without_effect_are_refused(
     assert list(tmp_path.iterdir()) == [folder]
 
 
-@pytest.mark.parametrize("option", ["format", "preset", "normals", "bits"])
+@pytest.mark.parametrize("option", ["format", "preset", "normals", "bits", "geometry"])
 def test_unknown_options_are_named(result: Result, tmp_path: Path, option: str) -> None:
     wrong: Any = {option: "tiff"}
     with pytest.raises(InputError, match=f"{option}: expected one of .*, found 'tiff'"):

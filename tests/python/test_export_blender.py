@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from blender_card import InBlender, Rendering, facets_of, in_blender, relief, to_camera_space
+from blender_card import TURN, InBlender, Rendering, in_blender, relief, to_camera_space
 from pbrfit import Result, render, sh_basis, view_directions
 from pbrfit.export import export_result
+from pbrfit.lighting import rotated
 from pbrfit.synthetic.cycles import why_not
 
 HEIGHT, WIDTH = 36, 48
@@ -28,12 +29,10 @@ def result() -> Result:
 @pytest.fixture(scope="module")
 def blender(result: Result, tmp_path_factory: pytest.TempPathFactory) -> InBlender:
     """The whole way: the exported card under the exported light."""
-    folder = tmp_path_factory.mktemp("blender")
+    folder = tmp_path_factory.mktemp("card")
     exported = export_result(result, folder / "out", format="gltf")
     assert [light.clamped for light in exported.panoramas] == [0, 0, 0]
     light = folder / "out" / "lights" / exported.panoramas[0].file
-    facets, kept = facets_of(result)
-    np.testing.assert_array_equal(kept, result.mask)
     return in_blender(
         folder / "job",
         folder / "out" / "material.glb",
@@ -41,23 +40,43 @@ def blender(result: Result, tmp_path_factory: pytest.TempPathFactory) -> InBlend
         [
             Rendering("flat", light, diffuse=True, flat=True, samples=512),
             Rendering("diffuse", light, diffuse=True),
-            Rendering("facets", light, diffuse=True, facets=True),
             Rendering("default", light),
-            Rendering("single scattering", light, distribution="GGX", facets=True),
-            Rendering("not turned", light, turn=0.0, facets=True, diffuse=True, samples=64),
-            Rendering("turned back", light, turn=90.0, facets=True, diffuse=True, samples=64),
-            Rendering("mirrored", light, scale=(-1, 1, 1), facets=True, diffuse=True, samples=64),
             Rendering("green flipped", light, flip_green=True, diffuse=True, samples=64),
         ],
-        facets,
     )
 
 
-def diffuse(result: Result, normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A Diffuse BSDF under the first light: albedo/π Σ A_l Y(n) L."""
+@pytest.fixture(scope="module")
+def facets(result: Result, tmp_path_factory: pytest.TempPathFactory) -> InBlender:
+    """The same with a rectangle for each pixel."""
+    folder = tmp_path_factory.mktemp("facets")
+    exported = export_result(result, folder / "out", format="gltf", geometry="facets")
+    light = folder / "out" / "lights" / exported.panoramas[0].file
+    return in_blender(
+        folder / "job",
+        folder / "out" / "material.glb",
+        (WIDTH, HEIGHT),
+        [
+            Rendering("diffuse", light, diffuse=True),
+            Rendering("default", light),
+            Rendering("GGX", light, distribution="GGX"),
+            Rendering("rotated by 30", light, turn=TURN - 30, diffuse=True),
+            Rendering("not turned", light, turn=0.0, diffuse=True, samples=64),
+            Rendering("turned back", light, turn=90.0, diffuse=True, samples=64),
+            Rendering("mirrored", light, scale=(-1, 1, 1), diffuse=True, samples=64),
+        ],
+        camera_only=True,
+    )
+
+
+def diffuse(
+    result: Result, normals: NDArray[np.float64], rotate: float = 0.0
+) -> NDArray[np.float64]:
+    """A Diffuse BSDF under the first light, turned: albedo/π Σ A_l Y(n) L."""
+    light = rotated(result.lighting[0], rotate)
     transfer = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4, 0.0], [1, 3, 5, 7])
     irradiance = np.full(normals.shape, np.nan)
-    irradiance[result.mask] = sh_basis(normals[result.mask]) * transfer @ result.lighting[0]
+    irradiance[result.mask] = sh_basis(normals[result.mask]) * transfer @ light
     return np.asarray(result.albedo / np.pi * irradiance)
 
 
@@ -106,34 +125,53 @@ def test_a_flat_diffuse_card_agrees_within_one_percent(blender: InBlender, resul
 
 
 def test_relief_agrees_but_for_light_from_behind_the_plane(
-    blender: InBlender, result: Result
+    blender: InBlender, facets: InBlender, result: Result
 ) -> None:
-    """Cycles lights no normal by what lies behind the plane; with a quad a normal it does."""
+    """Cycles lights a card by nothing that lies behind its plane; facets have none."""
     expected = diffuse(result, result.normals)
-    card = difference(blender.pictures["diffuse"], expected, result.mask)
-    facets = difference(blender.pictures["facets"], expected, result.mask)
-    assert facets < 0.01
-    assert 2 * facets < card < 0.03
+    on_card = difference(blender.pictures["diffuse"], expected, result.mask)
+    on_facets = difference(facets.pictures["diffuse"], expected, result.mask)
+    assert on_facets < 0.01
+    assert 2 * on_facets < on_card < 0.03
+
+
+def test_rotating_the_light_is_turning_the_world_further(facets: InBlender, result: Result) -> None:
+    """`pbrfit relight --rotate 30` is −120° in the Mapping node."""
+    expected = diffuse(result, result.normals, rotate=30)
+    assert difference(facets.pictures["rotated by 30"], expected, result.mask) < 0.01
+    back = diffuse(result, result.normals, rotate=-30)
+    assert difference(facets.pictures["rotated by 30"], back, result.mask) > 0.1
+
+
+def test_facets_have_the_normals_of_the_result(facets: InBlender, result: Result) -> None:
+    normals = to_camera_space(facets.seen["normal"])
+    np.testing.assert_allclose(normals[result.mask], result.normals[result.mask], atol=2e-3)
+    np.testing.assert_array_equal(facets.seen["alpha"] > 0.5, result.mask)
+    assert facets.facts["inputs"]["Normal"] == []
 
 
 def test_whole_materials_agree_within_the_gap_of_the_model(
-    blender: InBlender, result: Result
+    blender: InBlender, facets: InBlender, result: Result
 ) -> None:
     """docs/export.md and docs/model.md say what is left: the lobe of rough metals."""
     expected = render(result.materials, result.normals, result.lighting[0], result.fov)
     metal = result.mask & (result.metallic > 0.5)
     dielectric = result.mask & (result.metallic <= 0.5)
-    for name, matt, shiny in (("single scattering", 0.02, 0.14), ("default", 0.03, 0.11)):
-        assert difference(blender.pictures[name], expected, dielectric) < matt, name
-        assert difference(blender.pictures[name], expected, metal) < shiny, name
+    for picture, matt, shiny in (
+        (blender.pictures["default"], 0.03, 0.11),
+        (facets.pictures["default"], 0.02, 0.11),
+        (facets.pictures["GGX"], 0.02, 0.14),
+    ):
+        assert difference(picture, expected, dielectric) < matt
+        assert difference(picture, expected, metal) < shiny
 
 
-def test_a_wrong_axis_is_far_off(blender: InBlender, result: Result) -> None:
+def test_a_wrong_axis_is_far_off(blender: InBlender, facets: InBlender, result: Result) -> None:
     expected = diffuse(result, result.normals)
 
-    def off(name: str) -> float:
-        return difference(blender.pictures[name], expected, result.mask)
+    def off(of: InBlender, name: str) -> float:
+        return difference(of.pictures[name], expected, result.mask)
 
     for wrong in ("not turned", "turned back", "mirrored"):
-        assert off(wrong) > 15 * off("facets"), wrong
-    assert off("green flipped") > 2.5 * off("diffuse")
+        assert off(facets, wrong) > 15 * off(facets, "diffuse"), wrong
+    assert off(blender, "green flipped") > 2.5 * off(blender, "diffuse")

@@ -2,7 +2,7 @@
 
 `export_result` writes a folder:
 
-    material.glb      glTF 2.0: the maps on a plane, and the camera that sees it as the pictures do
+    material.glb      glTF 2.0: the maps on a card, and the camera that sees it as the pictures do
     exr/              materials.exr with all layers; a file a texture
     png/              a file a texture
     lights/           a panorama a picture, and coefficients
@@ -25,6 +25,7 @@ from pbrfit.export.lights import FILES as LIGHT_FILES
 from pbrfit.export.lights import LightPanorama, write_lights
 from pbrfit.export.maps import Bits, Maps, NormalConvention
 from pbrfit.export.presets import Format, Plan, PresetName, plan
+from pbrfit.export.view_mesh import Geometry
 from pbrfit.lighting import Lighting
 from pbrfit.materials import write_materials
 from pbrfit.output import new_folder
@@ -76,6 +77,7 @@ def export_result(
     preset: PresetName | None = None,
     normals: NormalConvention | None = None,
     bits: Bits | None = None,
+    geometry: Geometry | None = None,
     overwrite: bool = False,
 ) -> Exported:
     """Write a result for other tools: a new folder, whole or not at all.
@@ -97,6 +99,9 @@ def export_result(
     bits
         8 or 16 of PNG files and of the textures in `material.glb`. None: as the preset says, else
         16 in PNG files; in `material.glb` 16 for normals, 8 for the others.
+    geometry
+        Of `material.glb`: "card" (None is the same), or "facets", a rectangle a pixel for path
+        tracers, which light no card by what lies behind its plane.
     overwrite
         Replace an earlier export.
 
@@ -110,7 +115,12 @@ def export_result(
         If it cannot be written.
     """
     planned = plan(
-        format=format, preset=preset, normals=normals, bits=bits, masked=not result.mask.all()
+        format=format,
+        preset=preset,
+        normals=normals,
+        bits=bits,
+        geometry=geometry,
+        masked=not result.mask.all(),
     )
     job = _Job(result, planned, Maps.of(result))
     with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
@@ -131,8 +141,9 @@ class _Job:
 
 def _write_gltf(folder: Path, job: _Job) -> Iterator[ExportedFile]:
     path = "material.glb"
-    (folder / path).write_bytes(glb(job.maps, job.result.fov, job.plan.bits))
-    holds = "plane with base color, metallic-roughness and normal textures; camera"
+    content = glb(job.maps, job.result.fov, job.plan.bits, job.plan.geometry)
+    (folder / path).write_bytes(content)
+    holds = f"{job.plan.geometry} with textures, and the camera of the pictures"
     yield _file(folder, path, holds, "base color sRGB, all else linear")
 
 

@@ -1,16 +1,4 @@
-"""A result as a binary glTF 2.0 file: a picture-shaped plane and the camera that sees it.
-
-The plane is 1 wide and H/W high, in z = 0, and faces +Z; +X is the right of the picture. So its
-tangent space is camera space, and the normals go into the normal texture as they are. With the
-camera at distance d on the Z axis, the point that pixel (i, j) shows is seen along
-
-    −v ∝ ( (2j + 1 − W)/(2W),  (H − 1 − 2i)/(2W),  −d )
-
-which is what `geometry.view_directions` has, times 1/(2 tan(fov/2)), if
-
-    d = 1 / (2 tan(fov/2)),      yfov = 2 atan(tan(fov/2) · H/W).
-
-A field of view of 0 becomes an orthographic camera.
+"""A result as a binary glTF 2.0 file.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -18,18 +6,17 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 from __future__ import annotations
 
 import json
-import math
 import struct
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import images
 from pbrfit.export.maps import BASE_COLOR, NORMAL, Bits, Maps, Texture
+from pbrfit.export.view_mesh import Geometry, ViewMesh, camera, card, facets
 
-_FLOAT, _UNSIGNED_SHORT = 5126, 5123
+_FLOAT, _UNSIGNED_SHORT, _UNSIGNED_INT = 5126, 5123, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 _LINEAR, _LINEAR_MIPMAP_LINEAR, _CLAMP_TO_EDGE = 9729, 9987, 33071
 
@@ -38,7 +25,7 @@ _NORMAL = Texture("normal", NORMAL, bits=16)
 """16 bits, because 8 have no code for 0: the flat normal (128, 128, 255) leans by 0.3 degrees."""
 
 
-def glb(maps: Maps, fov: float, bits: Bits | None = None) -> bytes:
+def glb(maps: Maps, fov: float, bits: Bits | None = None, geometry: Geometry = "card") -> bytes:
     """Encode a result as a `.glb` file.
 
     Parameters
@@ -49,13 +36,31 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None) -> bytes:
         Horizontal, degrees, 0 = orthographic.
     bits
         Of all textures; None: normals 16, the others 8.
+    geometry
+        "card": a rectangle; the normals are a texture, and pixels outside the mask cut out by
+        alpha. "facets": a rectangle for each pixel inside the mask, turned to its normal.
     """
     height, width = maps.mask.shape
-    masked = not maps.mask.all()
-    base_color = Texture("base_color", (*BASE_COLOR, *(["mask"] if masked else [])), True, 8)
+    cut = geometry == "card" and not maps.mask.all()
+    base_color = Texture("base_color", (*BASE_COLOR, *(["mask"] if cut else [])), True, 8)
+    textures = [base_color, _METALLIC_ROUGHNESS]
+    material: dict[str, Any] = {
+        "name": "pbrfit",
+        "pbrMetallicRoughness": {
+            "baseColorTexture": {"index": 0},
+            "metallicRoughnessTexture": {"index": 1},
+        },
+    }
+    if cut:
+        material |= {"alphaMode": "MASK", "alphaCutoff": 0.5}
+    if geometry == "card":
+        textures.append(_NORMAL)
+        material["normalTexture"] = {"index": 2}
+        mesh = card(height, width)
+    else:
+        mesh = facets(maps.normals, maps.mask, fov)
     buffer = _Buffer()
-    textures = (base_color, _METALLIC_ROUGHNESS, _NORMAL)
-    attributes, indices = _plane(buffer, height / width)
+    primitive = _primitive(buffer, mesh)
     # Untagged: what a texture is used for says how it is encoded, and what PNG chunks say is to be
     # ignored (specification, 3.8.3).
     pictures = [
@@ -68,17 +73,7 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None) -> bytes:
         }
         for texture in textures
     ]
-    material: dict[str, Any] = {
-        "name": "pbrfit",
-        "pbrMetallicRoughness": {
-            "baseColorTexture": {"index": 0},
-            "metallicRoughnessTexture": {"index": 1},
-        },
-        "normalTexture": {"index": 2},
-    }
-    if masked:
-        material |= {"alphaMode": "MASK", "alphaCutoff": 0.5}
-    camera, distance = _camera(height, width, fov)
+    view, distance = camera(height, width, fov)
     document = {
         "asset": {
             "version": "2.0",
@@ -96,13 +91,8 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None) -> bytes:
             {"name": "view card", "mesh": 0},
             {"name": "camera", "camera": 0, "translation": [0, 0, distance]},
         ],
-        "cameras": [camera],
-        "meshes": [
-            {
-                "name": "view card",
-                "primitives": [{"attributes": attributes, "indices": indices, "material": 0}],
-            }
-        ],
+        "cameras": [view],
+        "meshes": [{"name": "view card", "primitives": [primitive]}],
         "materials": [material],
         "textures": [{"sampler": 0, "source": i} for i in range(len(textures))],
         "images": pictures,
@@ -153,44 +143,20 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def _plane(buffer: _Buffer, aspect: float) -> tuple[dict[str, int], int]:
-    """Two triangles, counter-clockwise as seen from +Z. v of the texture grows downwards."""
-    corners = np.array([[0, 1], [1, 1], [1, 0], [0, 0]])  # u, v; from the lower left
-    position = np.zeros((4, 3))
-    position[:, 0] = corners[:, 0] - 0.5
-    position[:, 1] = (0.5 - corners[:, 1]) * aspect
-    normal = np.tile([0, 0, 1], (4, 1))
-    # X, and bitangent = cross(normal, tangent) · 1 = Y: up, as normal maps have it in glTF.
-    tangent = np.tile([1, 0, 0, 1], (4, 1))
+def _primitive(buffer: _Buffer, mesh: ViewMesh) -> dict[str, Any]:
     attributes = {
         name: buffer.accessor(values.astype("<f4"), f"VEC{values.shape[1]}", _FLOAT, _ARRAY_BUFFER)
-        for name, values in (
-            ("POSITION", position),
-            ("NORMAL", normal),
-            ("TANGENT", tangent),
-            ("TEXCOORD_0", corners),
-        )
+        for name, values in mesh.attributes.items()
     }
-    triangles = np.array([[0], [1], [2], [0], [2], [3]], dtype="<u2")
-    indices = buffer.accessor(triangles, "SCALAR", _UNSIGNED_SHORT, _ELEMENT_ARRAY_BUFFER)
-    return attributes, indices
-
-
-def _camera(height: int, width: int, fov: float) -> tuple[dict[str, Any], float]:
-    """The camera, and its distance from the plane."""
-    if fov == 0:
-        distance = 1.0
-        orthographic = {"xmag": 0.5, "ymag": 0.5 * height / width, "znear": 0.01, "zfar": 100.0}
-        return {"name": "view", "type": "orthographic", "orthographic": orthographic}, distance
-    half_width = math.tan(math.radians(fov) / 2)
-    distance = 0.5 / half_width
-    perspective = {
-        "aspectRatio": width / height,
-        "yfov": 2 * math.atan(half_width * height / width),
-        "znear": 0.01 * distance,
-        "zfar": 100 * distance,
-    }
-    return {"name": "view", "type": "perspective", "perspective": perspective}, distance
+    # The largest 16-bit index is reserved (specification, 3.7.2.1).
+    short = mesh.triangles.max() < 0xFFFF
+    indices = buffer.accessor(
+        mesh.triangles.reshape(-1, 1).astype("<u2" if short else "<u4"),
+        "SCALAR",
+        _UNSIGNED_SHORT if short else _UNSIGNED_INT,
+        _ELEMENT_ARRAY_BUFFER,
+    )
+    return {"attributes": attributes, "indices": indices, "material": 0}
 
 
 def _container(text: bytes, binary: bytes) -> bytes:

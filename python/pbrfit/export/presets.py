@@ -7,6 +7,7 @@ from typing import Literal, get_args
 
 from pbrfit._core import InputError
 from pbrfit.export.maps import BASE_COLOR, NORMAL, Bits, NormalConvention, Texture
+from pbrfit.export.view_mesh import Geometry
 
 Format = Literal["gltf", "exr", "png"]
 PresetName = Literal["blender", "unreal", "unity"]
@@ -90,12 +91,15 @@ class Plan:
         Files of PNG and EXR.
     bits
         Of all integer textures; None = each its own.
+    geometry
+        Of glTF.
     """
 
     formats: tuple[Format, ...]
     normals: NormalConvention
     textures: tuple[Texture, ...]
     bits: Bits | None
+    geometry: Geometry = "card"
 
     def bits_of(self, texture: Texture) -> Bits:
         """Of an integer file of the texture."""
@@ -108,6 +112,7 @@ def plan(
     preset: PresetName | None = None,
     normals: NormalConvention | None = None,
     bits: Bits | None = None,
+    geometry: Geometry | None = None,
     masked: bool = False,
 ) -> Plan:
     """What to write, from what was asked for; `masked`: the mask leaves pixels out.
@@ -121,6 +126,7 @@ def plan(
     _check("preset", preset, get_args(PresetName))
     _check("normals", normals, get_args(NormalConvention))
     _check("bits", bits, get_args(Bits))
+    _check("geometry", geometry, get_args(Geometry))
     if format == "gltf" and preset is not None:
         raise InputError(
             f"preset: expected none with format gltf, which packs textures in one way, "
@@ -131,6 +137,12 @@ def plan(
     if format == "exr" and bits is not None:
         raise InputError(f"bits: expected none with format exr, which is float32, found {bits}")
     chosen = PLAIN if preset is None else PRESETS[preset]
+    formats = (format,) if format else chosen.formats
+    if geometry is not None and "gltf" not in formats:
+        raise InputError(
+            f"geometry: expected none where no glTF is written but {' and '.join(formats)}, "
+            f"found {geometry}"
+        )
     convention = normals or chosen.normals
     textures = [
         Texture(t.name.format(normals=convention), t.channels, t.color, t.bits)
@@ -141,7 +153,7 @@ def plan(
         textures[0] = Texture(first.name, (*first.channels, "mask"), first.color, first.bits)
     elif masked and isinstance(chosen.opacity, Texture):
         textures.append(chosen.opacity)
-    return Plan((format,) if format else chosen.formats, convention, tuple(textures), bits)
+    return Plan(formats, convention, tuple(textures), bits, geometry or "card")
 
 
 def _check(name: str, value: object, known: tuple[object, ...]) -> None:

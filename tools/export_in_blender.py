@@ -1,0 +1,169 @@
+"""Print the table and draw the figure of docs/export.md: exports in Blender beside our renders.
+
+    python tools/export_in_blender.py [--samples 256]
+
+Needs the environment of `make cycles-env` and, for the row of a photographed panorama, the test
+data (PBRFIT_DATA). Writes docs/images/export-blender.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(REPOSITORY / "tests" / "python"))
+
+from blender_card import Rendering, in_blender, lopsided_lights, relief  # noqa: E402
+from pbrfit import Result, images, panorama, render  # noqa: E402
+from pbrfit.colormap import blue_to_yellow  # noqa: E402
+from pbrfit.export import export_result  # noqa: E402
+from pbrfit.export.view_mesh import Geometry  # noqa: E402
+from pbrfit.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
+from pbrfit.synthetic import make_scene  # noqa: E402
+from test_export_blender import difference, diffuse  # noqa: E402
+
+HDRI = "hdri/venice_sunset_1k.hdr"
+SPAN = 0.5
+"""Difference, relative to the mean radiance, at the end of the scale of colours."""
+
+CASES: dict[Geometry, dict[str, dict[str, Any]]] = {
+    "card": {
+        "diffuse, no normal texture": {"diffuse": True, "flat": True},
+        "diffuse": {"diffuse": True},
+        "as imported": {},
+    },
+    "facets": {
+        "diffuse": {"diffuse": True},
+        "as imported": {},
+        "distribution GGX": {"distribution": "GGX"},
+    },
+}
+
+Picture = NDArray[np.floating]
+
+
+def main() -> None:
+    """Render, print, draw."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--samples", type=int, default=256)
+    samples = parser.parse_args().samples
+    wall = relief(96, 96)
+    made = make_scene("room", size=96, lights=3, held_out=1)
+    assert made.truth is not None
+    room = replace(
+        wall,
+        materials=made.truth.materials,
+        normals=made.normals,
+        mask=made.valid,
+        fov=made.fov,
+        lighting=lopsided_lights(),
+    )
+    print(f"{'':<8}{'':<8}{'':<44}{'all':>8}{'dielectric':>12}{'metal':>8}")
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as name:
+        drawn: tuple[tuple[str, Result, Geometry], ...] = (
+            ("wall", wall, "card"),
+            ("wall", wall, "facets"),
+            ("room", room, "card"),
+            ("room", room, "facets"),
+        )
+        for title, result, geometry in drawn:
+            ours, found = compared(Path(name), title, result, geometry, samples)
+            if (title, geometry) != ("wall", "facets"):
+                rows.append(row(title, ours, found, f"Blender, {geometry} as imported"))
+        data = Path(os.environ.get("PBRFIT_DATA", REPOSITORY.parent / "shared" / "data"))
+        if (data / HDRI).is_file():
+            photographed(Path(name) / "hdri", wall, data / HDRI, samples)
+    rows[0].append(
+        Key(
+            "|difference| / mean",
+            blue_to_yellow(np.linspace(0, 1, 256)),
+            {share / SPAN: f"{share:g}" for share in (0, 0.1, 0.2, 0.3, 0.4, 0.5)},
+            {"outside": (OUTSIDE,) * 3},
+        )
+    )
+    path = REPOSITORY / "docs" / "images" / "export-blender.png"
+    images.write_png(path, sheet(rows), tag="srgb")
+    print(f"\nfigure: {path}")
+
+
+def compared(
+    folder: Path, title: str, result: Result, geometry: Geometry, samples: int
+) -> tuple[Picture, Picture]:
+    """Our picture under the first light, and Blender's as imported; prints differences."""
+    folder = folder / f"{title} {geometry}"
+    exported = export_result(result, folder / "out", format="gltf", geometry=geometry)
+    light = folder / "out" / "lights" / exported.panoramas[0].file
+    height, width = result.mask.shape
+    cases = CASES[geometry]
+    blender = in_blender(
+        folder / "job",
+        folder / "out" / "material.glb",
+        (width, height),
+        [Rendering(case, light, samples=samples, **of) for case, of in cases.items()],
+        camera_only=geometry == "facets",
+    )
+    ours = render(result.materials, result.normals, result.lighting[0], result.fov)
+    flat = np.broadcast_to([0.0, 0.0, 1.0], result.normals.shape)
+    for case, of in cases.items():
+        expected = diffuse(result, flat if "flat" in of else result.normals)
+        found = blender.pictures[case]
+        tell(title, geometry, case, found, expected if "diffuse" in of else ours, result)
+    return ours, blender.pictures["as imported"]
+
+
+def photographed(folder: Path, result: Result, file: Path, samples: int) -> None:
+    """The same for a photographed panorama: whole, and as the SH light that we make of it."""
+    pixels = panorama.read(file)
+    for name, window in (("its SH light", "nonnegative"), ("itself", "none")):
+        light = panorama.windowed(panorama.project(pixels), window)
+        of = replace(result, lighting=light[None], pictures=("hdri",))
+        exported = export_result(of, folder / name, format="gltf")
+        used = folder / name / "lights" / exported.panoramas[0].file if name != "itself" else file
+        height, width = of.mask.shape
+        blender = in_blender(
+            folder / f"{name} job",
+            folder / name / "material.glb",
+            (width, height),
+            [Rendering("as imported", used, samples=samples)],
+        )
+        ours = render(of.materials, of.normals, light, of.fov)
+        found = blender.pictures["as imported"]
+        tell("wall", "card", f"under {file.stem}, {name}", found, ours, of)
+
+
+def tell(
+    title: str, geometry: str, case: str, found: Picture, expected: Picture, result: Result
+) -> None:
+    """Print a line of differences."""
+    metal = result.metallic > 0.5
+    parts = [difference(found, expected, result.mask & of) for of in (True | metal, ~metal, metal)]
+    print(f"{title:<8}{geometry:<8}{case:<44}{parts[0]:>8.4f}{parts[1]:>12.4f}{parts[2]:>8.4f}")
+
+
+def row(title: str, ours: Picture, found: Picture, caption: str) -> Row:
+    """Ours, Blender's and the difference."""
+    valid = np.isfinite(ours).all(axis=-1)
+    theirs = np.where(valid[..., None], found[..., :3], np.nan)
+    white = float(np.nanpercentile(ours, 99))
+    size = np.abs(theirs - ours).mean(axis=-1) / np.nanmean(ours)
+    colors = blue_to_yellow(np.clip(np.nan_to_num(size) / SPAN, 0, 1))
+    colors[~valid] = OUTSIDE
+    return [
+        Panel(f"{title}: pbrfit", displayed(ours, white)),
+        Panel(caption, displayed(theirs, white)),
+        Panel("difference", colors),
+    ]
+
+
+if __name__ == "__main__":
+    main()
