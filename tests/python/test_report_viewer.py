@@ -388,6 +388,11 @@ def test_keys_turn_the_light_and_home_turns_it_back(
             view.page.keyboard.press("ArrowRight")
             view.page.keyboard.press("ArrowUp")
         assert (view.state()["rotate"], view.state()["tilt"]) == (-175, 90)
+        for end in (180, -180):
+            view.control("rotate").fill(str(end))
+            assert view.state()["rotate"] == end
+        view.go("rotate=725")
+        assert view.state()["rotate"] == 5
 
 
 def test_one_finger_turns_the_light_on_a_phone(

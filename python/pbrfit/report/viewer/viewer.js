@@ -30,8 +30,8 @@ class View {
     this.lights = data.lights.map(({ name, coefficients }) =>
       ({ name, coefficients: Float64Array.from(coefficients) }));
     this.opened = null; // a panorama from a file
-    this.start = { light: data.lights[0].name, window: "none", rotate: 0, tilt: 0, exposure: data.exposure,
-      tone: "none", roughness: 0, metallic: 0, view: "relit" };
+    this.start = { light: data.lights[0].name, window: "none", rotate: 0, tilt: 0,
+      exposure: data.exposure, tone: "none", roughness: 0, metallic: 0, view: "relit" };
     this.state = { ...this.start };
     this.canvas = root.querySelector(".relight-canvas");
     this.form = root.querySelector(".relight-controls");
@@ -64,7 +64,9 @@ class View {
   /** New values of the state; drawn soon, and written into the address if a person made them. */
   change(values, byHand = true) {
     Object.assign(this.state, values);
-    this.state.rotate = ((((this.state.rotate + 180) % 360) + 360) % 360) - 180;
+    const { rotate } = this.state;
+    // Both ends of the slider stay where they are, though they are the same light.
+    if (Math.abs(rotate) > 180) this.state.rotate = rotate - 360 * Math.round(rotate / 360);
     for (const [name, [low, high]] of Object.entries(RANGES)) {
       this.state[name] = Math.min(high, Math.max(low, this.state[name]));
     }
