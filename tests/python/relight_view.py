@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import io
 from collections.abc import Iterator
@@ -121,6 +122,13 @@ def difference(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> tuple[int, 
     return int(apart.max()), float(apart.mean())
 
 
+def pixels_of_png(content: bytes) -> NDArray[np.uint8]:
+    """(H, W, 4) uint8."""
+    with Image.open(io.BytesIO(content)) as picture:
+        assert (picture.format, picture.mode) == ("PNG", "RGBA")
+        return np.asarray(picture)
+
+
 @dataclasses.dataclass
 class View:
     """The view in an open page."""
@@ -140,12 +148,15 @@ class View:
         )
 
     def saved(self) -> NDArray[np.uint8]:
-        """The pixels of Save PNG, (H, W, 4)."""
-        with self.page.expect_download() as download:
-            self.page.get_by_role("button", name="Save PNG").click()
-        with Image.open(io.BytesIO(Path(download.value.path()).read_bytes())) as picture:
-            assert picture.mode == "RGBA"
-            return np.asarray(picture)
+        """The pixels that Save PNG writes, (H, W, 4)."""
+        code = self.page.evaluate(
+            """async () => {
+                const { view } = document.querySelector('.relight-view');
+                const bytes = new Uint8Array(await (await view.png()).arrayBuffer());
+                return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(''));
+            }"""
+        )
+        return pixels_of_png(base64.b64decode(code))
 
     def control(self, name: str) -> Locator:
         """A slider or menu."""

@@ -17,7 +17,17 @@ from pbrfit import Result, panorama, sh_basis
 from pbrfit.display import ToneMap, encoded
 from pbrfit.lighting import rotated
 from pbrfit.report.viewer import fragment, maps
-from relight_view import PAGE, READY, coded, difference, expected, made, opened, room
+from relight_view import (
+    PAGE,
+    READY,
+    coded,
+    difference,
+    expected,
+    made,
+    opened,
+    pixels_of_png,
+    room,
+)
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -152,6 +162,19 @@ def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
         for name, pixels in shown.items():
             view.page.get_by_role("radio", name=name).check()
             assert difference(view.saved(), coded(pixels, BAND_MASK))[0] <= 1, name
+
+
+def test_the_picture_can_be_saved(browser: Browser, furnished: Result, tmp_path: Path) -> None:
+    with opened(browser, furnished, tmp_path) as view:
+        view.control("rotate").fill("-20")
+        view.page.wait_for_function("location.hash === '#rotate=-20'")
+        with view.page.expect_download() as download:
+            view.page.get_by_role("button", name="Save PNG").click()
+        assert download.value.suggested_filename == f"relit-{furnished.pictures[0]}--20.png"
+        found = pixels_of_png(Path(download.value.path()).read_bytes())
+        light = rotated(furnished.lighting[0], -20)
+        true = expected(furnished, light, exposure=view.state()["exposure"])
+        assert difference(found, true)[0] <= AT_MOST
 
 
 @pytest.mark.parametrize("name", ["studio_small_03_1k", "kloppenheim_05_1k"])
@@ -365,6 +388,11 @@ def test_keys_turn_the_light_and_home_turns_it_back(
             view.page.keyboard.press("ArrowRight")
             view.page.keyboard.press("ArrowUp")
         assert (view.state()["rotate"], view.state()["tilt"]) == (-175, 90)
+        for end in (180, -180):
+            view.control("rotate").fill(str(end))
+            assert view.state()["rotate"] == end
+        view.go("rotate=725")
+        assert view.state()["rotate"] == 5
 
 
 def test_one_finger_turns_the_light_on_a_phone(

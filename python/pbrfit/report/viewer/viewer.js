@@ -30,8 +30,8 @@ class View {
     this.lights = data.lights.map(({ name, coefficients }) =>
       ({ name, coefficients: Float64Array.from(coefficients) }));
     this.opened = null; // a panorama from a file
-    this.start = { light: data.lights[0].name, window: "none", rotate: 0, tilt: 0, exposure: data.exposure,
-      tone: "none", roughness: 0, metallic: 0, view: "relit" };
+    this.start = { light: data.lights[0].name, window: "none", rotate: 0, tilt: 0,
+      exposure: data.exposure, tone: "none", roughness: 0, metallic: 0, view: "relit" };
     this.state = { ...this.start };
     this.canvas = root.querySelector(".relight-canvas");
     this.form = root.querySelector(".relight-controls");
@@ -64,7 +64,9 @@ class View {
   /** New values of the state; drawn soon, and written into the address if a person made them. */
   change(values, byHand = true) {
     Object.assign(this.state, values);
-    this.state.rotate = ((((this.state.rotate + 180) % 360) + 360) % 360) - 180;
+    const { rotate } = this.state;
+    // Both ends of the slider stay where they are, though they are the same light.
+    if (Math.abs(rotate) > 180) this.state.rotate = rotate - 360 * Math.round(rotate / 360);
     for (const [name, [low, high]] of Object.entries(RANGES)) {
       this.state[name] = Math.min(high, Math.max(low, this.state[name]));
     }
@@ -134,17 +136,19 @@ class View {
     form.elements.save.addEventListener("click", () => this.save());
   }
 
-  save() {
+  /** The picture as it is shown now, a PNG of the maps' size. */
+  png() {
     this.draw(); // a canvas keeps its picture until the end of this task only
+    return new Promise((done) => this.canvas.toBlob(done, "image/png"));
+  }
+
+  async save() {
     const { view, light, rotate } = this.state;
-    const name = view === "relit" ? `relit-${light}-${rotate.toFixed(0)}` : view;
-    this.canvas.toBlob((blob) => {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob);
-      link.download = `${name}.png`;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-    }, "image/png");
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(await this.png());
+    link.download = `${view === "relit" ? `relit-${light}-${rotate.toFixed(0)}` : view}.png`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
   }
 
   // Drag and keys
@@ -255,7 +259,7 @@ class View {
     if (wrong.length) this.say(`Address of the page: ${wrong.join("; ")}.`, true);
     if (Object.keys(values).length === 0) return;
     this.change({ ...this.start, ...values }, false);
-    this.root.scrollIntoView({ block: "nearest" });
+    this.root.scrollIntoView(); // its top, below the margin that the style gives
   }
 
   writeAddress() {
