@@ -716,7 +716,7 @@ def _a_channel_missing(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (_not_a_result, "materials.exr: No such file"),
+        (_not_a_result, "expected a result folder, as pbrfit decompose writes it"),
         (_no_lights, "lighting.json: expected JSON with basis"),
         (_a_channel_missing, "materials.exr: expected channel roughness.Y"),
     ],
