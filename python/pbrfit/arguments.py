@@ -22,6 +22,28 @@ DONE, SOME_FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 """Exit codes: done; some scenes failed; wrong usage or unusable input; Ctrl-C."""
 
 
+def add_command(
+    commands: Subcommands,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    summary: str,
+    description: str | None = None,
+) -> argparse.ArgumentParser:
+    """Add a command; `run` takes its options and returns the exit code."""
+    added: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=description or f"{summary[0].upper()}{summary[1:]}."
+    )
+    added.set_defaults(command=run)
+    return added
+
+
+def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
+    """Add a result folder, and `--out` and `--overwrite` for what is made of it."""
+    parser.add_argument("result", metavar="RESULT", type=Path, help="result folder")
+    parser.add_argument("--out", metavar=metavar, type=Path, required=True, help=what)
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier output")
+
+
 def add_out(parser: argparse.ArgumentParser, what: str) -> None:
     """Add `--out` and `--overwrite`."""
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help=what)
@@ -179,3 +201,10 @@ def unread_is_no_failure() -> Iterator[None]:
 def complain(message: str) -> None:
     """Say what is wrong, in one line on stderr."""
     print(f"pbrfit: {message}", file=sys.stderr)
+
+
+def message_of(error: Exception) -> str:
+    """One line that names the file."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())

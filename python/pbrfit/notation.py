@@ -27,8 +27,8 @@ def plain(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Write a share: 0.0092 %, 3.4 %, 57 %."""
-    return f"{plain(100 * share)} %"
+    """Write a share: 0.0092 %, 3.4 %, 57 %; on one line."""
+    return f"{plain(100 * share)}\N{NO-BREAK SPACE}%"
 
 
 def band(index: int) -> str:

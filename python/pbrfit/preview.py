@@ -33,7 +33,7 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     labels = ["", "recovered"]
     # Names of the maps stand above the first row of them alone.
     rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, "normals")])
-    on_scale = {"residual": "of the picture's RMS"} if scene is not None else {}
+    on_scale = ["residual, as a share of the picture's RMS"] if scene is not None else []
     white = ["not used"] if scene is not None and scene.weights is not None else []
     marks: dict[str, tuple[float, float, float]] = {}
     truth = None if scene is None else scene.truth
@@ -41,12 +41,12 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
         rows.append(_maps(truth.materials))
         rows.append(_differences(differences.errors(result.materials, truth.materials)))
         labels += ["truth", "error"]
-        on_scale["error"] = ""
+        on_scale.append("error")
     if result.uncertainty is not None:
         rows.append(_differences(differences.deviations(result.uncertainty)))
         labels.append("deviation")
-        data = ", of the data alone" if result.uncertainty.priors else ""
-        on_scale["standard deviation"] = data
+        alone = ", of the data alone" if result.uncertainty.priors else ""
+        on_scale.append(f"standard deviation{alone}")
         white.insert(0, "at a bound or known")
         marks["not determined"] = _color(differences.VERMILLION)
     if white:
@@ -54,9 +54,7 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     key = None
     if on_scale:
         key = Key(
-            "; ".join(
-                f"{name} {what}".replace(" ,", ",").strip() for name, what in on_scale.items()
-            ),
+            "; ".join(on_scale),
             PALETTE[: differences.STEPS],
             {float(differences.on_scale(t)): label for t, label in differences.TICKS.items()},
             marks,

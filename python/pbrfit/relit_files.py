@@ -50,19 +50,23 @@ def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], 
     fps
         Frames a second; GIF holds each frame for a whole number of hundredths of a second.
     """
+    pictures = (Image.fromarray(frame) for frame in frames)
+    if kind == ".gif":
+        pictures = (_with_palette(picture) for picture in pictures)
+    first = next(pictures)
     options: dict[str, Any] = {"duration": round(1000 / fps), "loop": 0}
     if kind == ".gif":
         options.update(duration=10 * round(100 / fps), disposal=2)
     elif kind == ".webp":
         options.update(lossless=True)
+        if first.mode == "RGBA":
+            # Every frame whole: cropped to a mask that is a rectangle, frames have no transparent
+            # pixel left, and the file then says that it has no alpha.
+            options.update(kmin=1, kmax=1)
     else:
         tags = PngImagePlugin.PngInfo()
         tags.add(b"sRGB", b"\0")  # perceptual, as the other PNG files say
         options.update(pnginfo=tags)
-    pictures = (Image.fromarray(frame) for frame in frames)
-    if kind == ".gif":
-        pictures = (_with_palette(picture) for picture in pictures)
-    first = next(pictures)
     # Pillow goes through the frames of a PNG twice.
     others = list(pictures) if kind == ".png" else pictures
     # Opened here: Pillow leaves a file that it opened itself open when a frame fails.

@@ -9,13 +9,14 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import images
 from pbrfit._core import InputError
+from pbrfit.color import ColorSpace
 from pbrfit.history import History
 from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
@@ -282,10 +283,12 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
 
 def _source(content: Mapping[str, Any], folder: Path) -> Source:
     low, high = content["code_range"]
-    max_size = content["max_size"]
+    max_size, color_space = content["max_size"], content["color_space"]
+    if color_space not in (None, *get_args(ColorSpace)):
+        raise ValueError(f"color_space {color_space!r}")
     return Source(
         path=(folder / content["path"]).resolve(),
-        color_space=content["color_space"],
+        color_space=color_space,
         max_size=None if max_size is None else int(max_size),
         code_range=(int(low), int(high)),
     )

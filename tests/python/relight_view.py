@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import io
 from collections.abc import Iterator
@@ -10,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from browser import Visit, visit
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit import Result, decompose, render
+from browser import Visit, visit
+from pbrfit import Result, decompose, relight
 from pbrfit.display import ToneMap, encoded
 from pbrfit.materials import Materials
 from pbrfit.report.viewer import fragment, maps
@@ -101,15 +102,15 @@ def expected(
         np.clip(small.materials.roughness + roughness, 0, 1),
         np.clip(small.materials.metallic + metallic, 0, 1),
     )
-    return coded(
-        encoded(render(finish, small.normals, light, result.fov), exposure, tone_map), small.mask
-    )
+    shown = dataclasses.replace(result, materials=finish, normals=small.normals, mask=small.mask)
+    return coded(encoded(relight(shown, light), exposure, tone_map), small.mask)
 
 
 def coded(display: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Values in [0, 1] as 8 bits, with alpha."""
     color = np.where(mask[..., None], display, 0.0)
-    return np.rint(255 * np.concatenate([color, mask[..., None]], axis=-1)).astype(np.uint8)
+    codes = np.rint(255 * np.concatenate([color, mask[..., None]], axis=-1))
+    return np.asarray(codes.astype(np.uint8))
 
 
 def difference(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> tuple[int, float]:
@@ -119,6 +120,13 @@ def difference(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> tuple[int, 
     inside = true[..., 3] > 0
     apart = np.abs(found[inside].astype(int) - true[inside].astype(int))
     return int(apart.max()), float(apart.mean())
+
+
+def pixels_of_png(content: bytes) -> NDArray[np.uint8]:
+    """(H, W, 4) uint8."""
+    with Image.open(io.BytesIO(content)) as picture:
+        assert (picture.format, picture.mode) == ("PNG", "RGBA")
+        return np.asarray(picture)
 
 
 @dataclasses.dataclass
@@ -140,12 +148,15 @@ class View:
         )
 
     def saved(self) -> NDArray[np.uint8]:
-        """The pixels of Save PNG, (H, W, 4)."""
-        with self.page.expect_download() as download:
-            self.page.get_by_role("button", name="Save PNG").click()
-        with Image.open(io.BytesIO(Path(download.value.path()).read_bytes())) as picture:
-            assert picture.mode == "RGBA"
-            return np.asarray(picture)
+        """The pixels that Save PNG writes, (H, W, 4)."""
+        code = self.page.evaluate(
+            """async () => {
+                const { view } = document.querySelector('.relight-view');
+                const bytes = new Uint8Array(await (await view.png()).arrayBuffer());
+                return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(''));
+            }"""
+        )
+        return pixels_of_png(base64.b64decode(code))
 
     def control(self, name: str) -> Locator:
         """A slider or menu."""

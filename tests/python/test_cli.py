@@ -560,7 +560,8 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "demo"
     assert run("demo", out, "--size", 8, "--lights", 3, *FEW) == 0
     assert "roughness" in capsys.readouterr().out
-    assert sorted(path.name for path in out.iterdir()) == ["history.png", "result", "scene"]
+    made = ["history.png", "relit.png", "relit.webp", "report.html", "result", "scene"]
+    assert sorted(path.name for path in out.iterdir()) == made
     assert sorted(path.name for path in (out / "result").iterdir()) == FILES
     assert Result.load(out / "result").metrics["relight_rmse"] > 0
     assert run("demo", out) == 2
@@ -586,7 +587,10 @@ def test_version_as_a_module() -> None:
     assert done.stderr == ""
 
 
-COMMANDS = ("decompose", "inspect", "synth", "normals", "check-gradients", "demo")
+COMMANDS = (
+    *("decompose", "relight", "report", "export", "inspect", "normals", "synth"),
+    *("check-gradients", "evaluate", "demo"),
+)
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])
@@ -595,8 +599,10 @@ def test_help_names_defaults_once(command: str, capsys: pytest.CaptureFixture[st
     text = " ".join(capsys.readouterr().out.split())
     assert "(default: False)" not in text
     assert "(default: None)" not in text
-    for option in ("--iterations K at most so many (default: 500)", "--threads T"):
-        assert (option in text) == (command in ("decompose", "demo"))
+    assert ("--iterations K at most so many (default: 500)" in text) == (
+        command in ("decompose", "demo")
+    )
+    assert ("--threads T" in text) == (command in ("decompose", "demo", "relight"))
     for option in ("--robust {none,huber,cauchy}", "--exposures {auto,as-is,equal}"):
         assert (option in text) == (command in ("decompose", "demo", "check-gradients"))
     if not command:

@@ -16,6 +16,7 @@ from PIL import Image, ImageSequence
 from pbrfit import DirectionalLight, Result, display, images, panorama, relight
 from pbrfit.arguments import with_signed_values
 from pbrfit.lighting import Lighting, rotated
+from pbrfit.relit_files import ANIMATIONS, write_animation
 from relit import ball, fitted, side_lit
 from scene_files import run, write_exr, write_folder, write_hdr
 
@@ -243,6 +244,29 @@ def test_outside_the_mask_is_transparent(folders: Path, tmp_path: Path) -> None:
                     assert (rgba[~mask] == 0).all()
 
 
+@pytest.mark.parametrize("suffix", ANIMATIONS)
+@pytest.mark.parametrize("shape", ["rectangle", "two pixels", "all but one"])
+def test_animations_keep_masks_of_any_shape(tmp_path: Path, suffix: str, shape: str) -> None:
+    mask = np.full((12, 17), shape == "all but one")
+    if shape == "rectangle":
+        mask[3:9, 4:11] = True
+    elif shape == "two pixels":
+        mask[2, 3] = mask[9, 12] = True
+    else:
+        mask[5, 5] = False
+    frames = np.zeros((3, 12, 17, 4), np.uint8)
+    frames[..., :3] = np.arange(17)[:, None] * [14, 10, 3] + np.arange(3)[:, None, None, None]
+    frames[..., 3] = 255
+    frames[:, ~mask] = 0
+    write_animation(tmp_path / "out", suffix, iter(frames), 10)
+    with Image.open(tmp_path / "out") as picture:
+        for frame, expected in zip(ImageSequence.Iterator(picture), frames, strict=True):
+            found = np.asarray(frame.convert("RGBA"))
+            np.testing.assert_array_equal(found[..., 3], 255 * mask)
+            if suffix != ".gif":
+                np.testing.assert_array_equal(found[mask], expected[mask])
+
+
 def test_float32_holds_no_infinity(room: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.exr"
     light = ("--light", "0,20", "--color", "1e200,1,1", "--quiet")
@@ -460,13 +484,18 @@ def test_an_output_that_exists(
     assert len(list(tmp_path.iterdir())) == 3
 
 
-def test_a_light_is_not_overwritten_by_its_picture(
+def test_what_is_read_is_not_overwritten(
     room: Path, pano: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = pano.read_bytes()
     assert run("relight", room, "--env", pano, "--out", pano, "--overwrite") == 2
-    assert "expected an output apart from the light's file" in refused(capsys)
+    assert "expected a file apart from the result's and the light's" in refused(capsys)
     assert pano.read_bytes() == before
+    materials = (room / "materials.exr").read_bytes()
+    out = ("--out", room / "materials.exr", "--overwrite")
+    assert run("relight", room, "--light", "0,0", *out) == 2
+    assert "expected a file apart from the result's and the light's" in refused(capsys)
+    assert (room / "materials.exr").read_bytes() == materials
 
 
 @pytest.mark.parametrize(

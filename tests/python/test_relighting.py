@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -165,3 +166,24 @@ def test_lights_of_another_shape_are_refused(sphere: Result) -> None:
         InputError, match=r"lighting: expected shape \(..., 16, 3\), found \(9, 3\)"
     ):
         relight(sphere, np.zeros((9, 3)))
+
+
+@pytest.mark.parametrize(
+    ("name", "lost", "least", "least_lanczos"),
+    [("forest_slope_1k", 75.3, -0.72, 0.01), ("kloppenheim_05_1k", 100.0, -2.57, -0.29)],
+)
+def test_what_sh_light_loses_is_as_documented(
+    shared_data: Path, name: str, lost: float, least: float, least_lanczos: float
+) -> None:
+    pixels = panorama.read(shared_data / "hdri" / f"{name}.hdr")
+    light = panorama.project(pixels)
+    mean = light[0].mean() / math.sqrt(4 * math.pi)
+    assert 100 * panorama.lost_energy(pixels, light) == pytest.approx(lost, abs=0.05)
+    leasts: dict[panorama.Window, float] = {
+        "none": least,
+        "lanczos": least_lanczos,
+        "nonnegative": 0.0,
+    }
+    for window, expected in leasts.items():
+        found = panorama.darkest(panorama.windowed(light, window)) / mean
+        assert found == pytest.approx(expected, abs=0.006)

@@ -85,7 +85,7 @@ def test_the_sections_are_there_with_links_to_them(page: Page) -> None:
     assert sections == ["relight", "maps", "pictures", "lights", "history", "origin"]
     links = [e.attributes["href"] for e in page.all("a")]
     assert links == [f"#{name}" for name in sections]
-    assert [h.text for h in page.all("h1")] == ["scene: materials from 3 pictures"]
+    assert [h.text for h in page.all("h1")] == ["Materials from 3 pictures"]
 
 
 def test_every_picture_says_what_it_is_and_how_large(page: Page) -> None:

@@ -10,14 +10,24 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from browser import launched, visit
 from numpy.typing import NDArray
-from relight_view import PAGE, READY, coded, difference, expected, made, opened, room
 
+from browser import launched, visit
 from pbrfit import Result, panorama, sh_basis
 from pbrfit.display import ToneMap, encoded
 from pbrfit.lighting import rotated
 from pbrfit.report.viewer import fragment, maps
+from relight_view import (
+    PAGE,
+    READY,
+    coded,
+    difference,
+    expected,
+    made,
+    opened,
+    pixels_of_png,
+    room,
+)
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -45,8 +55,8 @@ def tilted(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]:
     turn = np.array([[1, 0, 0], [0, np.cos(b), np.sin(b)], [0, -np.sin(b), np.cos(b)]])
     d = panorama.directions(12, 24).reshape(-1, 3)
     # Light that came from d comes from turn · d now.
-    solved: NDArray[np.float64] = np.linalg.lstsq(sh_basis(d @ turn.T), sh_basis(d) @ light)[0]
-    return solved
+    solved = np.linalg.lstsq(sh_basis(d @ turn.T), sh_basis(d) @ light)[0]
+    return np.asarray(solved, np.float64)
 
 
 def test_every_recovered_light_gives_the_pixels_of_the_package(
@@ -154,6 +164,19 @@ def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
             assert difference(view.saved(), coded(pixels, BAND_MASK))[0] <= 1, name
 
 
+def test_the_picture_can_be_saved(browser: Browser, furnished: Result, tmp_path: Path) -> None:
+    with opened(browser, furnished, tmp_path) as view:
+        view.control("rotate").fill("-20")
+        view.page.wait_for_function("location.hash === '#rotate=-20'")
+        with view.page.expect_download() as download:
+            view.page.get_by_role("button", name="Save PNG").click()
+        assert download.value.suggested_filename == f"relit-{furnished.pictures[0]}--20.png"
+        found = pixels_of_png(Path(download.value.path()).read_bytes())
+        light = rotated(furnished.lighting[0], -20)
+        true = expected(furnished, light, exposure=view.state()["exposure"])
+        assert difference(found, true)[0] <= AT_MOST
+
+
 @pytest.mark.parametrize("name", ["studio_small_03_1k", "kloppenheim_05_1k"])
 def test_a_panorama_from_a_file_lights_as_the_package_has_it(
     browser: Browser, furnished: Result, tmp_path: Path, shared_data: Path, name: str
@@ -181,6 +204,27 @@ def test_a_panorama_from_a_file_lights_as_the_package_has_it(
         np.testing.assert_array_equal(view.light(), furnished.lighting[2])
         view.control("light").select_option(f"{name}.hdr")
         np.testing.assert_allclose(view.light(), light, atol=1e-6 * np.abs(light).max())
+
+
+@pytest.mark.parametrize("name", ["studio_small_03_1k", "kloppenheim_05_1k"])
+def test_windows_against_ringing_are_those_of_the_package(
+    browser: Browser, furnished: Result, tmp_path: Path, shared_data: Path, name: str
+) -> None:
+    file = shared_data / "hdri" / f"{name}.hdr"
+    light = panorama.project(panorama.read(file))
+    with opened(browser, furnished, tmp_path) as view:
+        assert not view.control("window").is_visible()
+        view.open(file)
+        for window in panorama.WINDOWS:
+            view.control("window").select_option(window)
+            true = panorama.windowed(light, window)
+            np.testing.assert_allclose(view.light(), true, atol=1e-6 * np.abs(light).max())
+            exposure = view.state()["exposure"]
+            assert difference(view.saved(), expected(furnished, true, exposure=exposure))[0] <= 2
+        # Recovered lights stay as they were found.
+        view.control("light").select_option(furnished.pictures[1])
+        np.testing.assert_array_equal(view.light(), furnished.lighting[1])
+        view.page.wait_for_function("document.querySelector('[name=window]').offsetParent === null")
 
 
 def hdr(rows: bytes, width: int = 8, height: int = 4, header: bytes = b"") -> bytes:
@@ -344,6 +388,11 @@ def test_keys_turn_the_light_and_home_turns_it_back(
             view.page.keyboard.press("ArrowRight")
             view.page.keyboard.press("ArrowUp")
         assert (view.state()["rotate"], view.state()["tilt"]) == (-175, 90)
+        for end in (180, -180):
+            view.control("rotate").fill(str(end))
+            assert view.state()["rotate"] == end
+        view.go("rotate=725")
+        assert view.state()["rotate"] == 5
 
 
 def test_one_finger_turns_the_light_on_a_phone(

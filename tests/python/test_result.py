@@ -250,4 +250,41 @@ def test_preview_is_an_8_bit_srgb_png(result: Result, tmp_path: Path) -> None:
     with Image.open(tmp_path / "out" / "preview.png") as picture:
         assert picture.mode == "RGB"
         assert "srgb" in picture.info
-        assert picture.width > picture.height > 3 * 192  # picture, truth and error
+        assert picture.width > 4 * 192  # maps and normals
+        assert picture.height > 5 * 192  # pictures, maps, truth, error, deviation
+
+
+def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> None:
+    make_scene("room", size=8, lights=2).save(tmp_path / "scenes" / "ä room")
+    scene = Scene.load(tmp_path / "scenes" / "ä room", max_size=6, code_range=(0, 255))
+    decompose(scene, iterations=1).save(tmp_path / "out" / "result")
+    text = (tmp_path / "out" / "result" / "result.json").read_text("utf-8")
+    assert json.loads(text)["scene"] == {
+        "path": "../../scenes/ä room",
+        "color_space": None,
+        "max_size": 6,
+        "code_range": [0, 255],
+    }
+    assert str(tmp_path) not in text
+    assert Result.load(tmp_path / "out" / "result").source == scene.source
+
+    Result.load(tmp_path / "out" / "result").save(tmp_path / "copy")
+    assert Result.load(tmp_path / "copy").source == scene.source
+
+
+def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
+    result: Result, tmp_path: Path
+) -> None:
+    result.save(tmp_path / "out")
+    file = tmp_path / "out" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    assert content.pop("scene") is None
+    assert Result.load(tmp_path / "out").source is None
+    file.write_text(json.dumps(content), encoding="utf-8")
+    assert Result.load(tmp_path / "out").source is None
+    whole = {"path": "x", "color_space": None, "max_size": None, "code_range": [1, 250]}
+    for wrong in ({"path": 3}, {"color_space": "film"}, {"code_range": [1]}, {"max_size": "all"}):
+        scene = whole | wrong
+        file.write_text(json.dumps(content | {"scene": scene}), encoding="utf-8")
+        with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
+            Result.load(tmp_path / "out")

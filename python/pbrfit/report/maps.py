@@ -60,7 +60,9 @@ def section(blocks: list[Block], result: Result, limit: float) -> Fitted[str]:
 
     def make(side: int) -> str:
         size = raster.reduced_size(result.mask.shape, side)
-        return "".join(_block(block, side, size) for block in blocks)
+        made = "".join(_block(block, side, size) for block in blocks)
+        # The mask is a fifth column, and the other rows keep to the same columns.
+        return made if result.mask.all() else f'<div class="masked">{made}</div>'
 
     sides = budget.sides_for(max(result.mask.shape), budget.MAP_SIDES)
     return budget.largest_that_fits(make, len, sides, limit)

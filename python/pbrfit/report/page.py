@@ -66,7 +66,7 @@ def page(result: Result, originals: Originals) -> str:
     )
 
     fixed = {
-        "relight": view.made,
+        "relight": _size_remark("The view's maps", view.side, result) + view.made,
         "maps": _size_remark("Maps", shown_maps.side, result) + shown_maps.made,
         "history": _history(result),
         "origin": _origin(result),
@@ -79,14 +79,21 @@ def page(result: Result, originals: Originals) -> str:
         }
         return _document(result, pictures, fixed | of_chosen)
 
-    # What is left of the limit, once all else is known to the letter, is for the pictures.
-    size = raster.reduced_size(result.mask.shape, sides[0])
-    without = len(whole(_Chosen([], 0, size)).encode())
-    card = 2_000  # letters of markup around a picture and its light, names of 255 letters included
-    limit = budget.LIMIT - without - card * len(pictures)
-    side, indices = budget.choose([one.sizes for one in pictures], limit)
-    size = raster.reduced_size(result.mask.shape, sides[side])
-    return whole(_Chosen([pictures[i] for i in indices], side, size))
+    # What is left of the limit, once all else is known to the letter, is for the pictures; markup
+    # around them is only known with them.
+    limit = float(budget.LIMIT)
+    made = whole(_Chosen([], 0, raster.reduced_size(result.mask.shape, sides[0])))
+    limit -= len(made.encode())
+    sizes = [one.sizes for one in pictures]
+    while limit > 0:
+        side, indices = budget.choose(sizes, limit)
+        size = raster.reduced_size(result.mask.shape, sides[side])
+        made = whole(_Chosen([pictures[i] for i in indices], side, size))
+        excess = len(made.encode()) - budget.LIMIT
+        if excess <= 0:
+            break
+        limit -= excess
+    return made
 
 
 def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str, str]) -> str:
@@ -115,13 +122,14 @@ def _title(result: Result) -> str:
     count = len(result.pictures)
     of = f"{count} pictures" if count > 1 else "one picture"
     name = result.source.path.name if result.source is not None else ""
-    return f"{name}: materials from {of}" if name else f"Materials from {of}"
+    # A folder that is called scene has no name yet.
+    return f"{name}: materials from {of}" if name not in ("", "scene") else f"Materials from {of}"
 
 
 def _size_remark(what: str, side: int, result: Result) -> str:
     height, width = raster.reduced_size(result.mask.shape, side)
     if (height, width) == result.mask.shape:
-        return paragraph(f"{what} are shown as they are, {width} × {height} pixels.", "note")
+        return paragraph(f"{what} are as they were fitted, {width} × {height} pixels.", "note")
     full = f"{result.mask.shape[1]} × {result.mask.shape[0]}"
     return paragraph(f"{what} are averaged down from {full} to {width} × {height} pixels.", "note")
 
@@ -198,8 +206,9 @@ def _lights(pictures: Sequence[Picture], chosen: _Chosen) -> str:
         "Each light on a matt white ball, on a mirror, and as a panorama of all directions: the "
         "centre is into the picture, away from the viewer, right is right, up is up; light that "
         "comes from the viewer is at the left and right edge. The ring marks the main direction, "
-        "hatching where radiance is negative, which only the sum of spherical harmonics can be. "
-        "Each light has its own exposure: white is the 98th percentile of its panorama."
+        "hatching where radiance is negative, which only the sum of spherical harmonics can be; "
+        "the patch is its mean colour. Each light has its own exposure: white is the 98th "
+        "percentile of its panorama."
     )
     parts = [paragraph(text)]
     if len(chosen.pictures) < len(pictures):

@@ -13,7 +13,7 @@ from pbrfit.differences import OUTSIDE, PALETTE, Difference
 
 Values = NDArray[np.floating[Any]]
 
-SMALL = 1 << 16
+SMALL = 1 << 15
 """Pixels up to which the slowest and strongest compression is worth its time."""
 
 

@@ -20,6 +20,9 @@ EXPLAINED = (
 )
 """Words for a median residual below a share of the pictures' RMS."""
 
+MODEL_FAILS = 0.05
+"""Median residual, as a share of the pictures' RMS, from which it is hardly noise any more."""
+
 NOT_TOLD = 0.005
 """Share of pixels from which it is worth a sentence that a number is not determined."""
 
@@ -67,7 +70,14 @@ def _explained(result: Result, pictures: Sequence[Picture]) -> str:
         [last] = worst(pictures, 1)
         assert last.fit is not None
         text += f", the worst, {last.name}, by {percent(last.fit.share)}"
-    return text + "."
+    text += "."
+    if share >= MODEL_FAILS:
+        text += (
+            " If the pictures are not that noisy, shadows, light from nearby, light between "
+            "surfaces or wrong normals are at work, and the maps are not to be trusted where the "
+            "residuals are large."
+        )
+    return text
 
 
 def _truth(result: Result) -> str:

@@ -61,8 +61,8 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     small = maps.of_result(result, max_side)
     height, width = small.mask.shape
     first = render(small.materials, small.normals, result.lighting[0], result.fov)
-    white = metrics.white_of(first)
-    exposure = round(-math.log2(white), 1)
+    white = metrics.white_of(first) if small.mask.any() else 1.0
+    exposure = round(0.0 - math.log2(white), 1)
     bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
     data = {
         "width": width,
@@ -108,9 +108,9 @@ def _base64(content: bytes) -> str:
 
 def _png(picture: NDArray[np.float64]) -> bytes:
     """Values for the screen (H, W, 3) as a PNG of at most `STATIC_SIDE`, transparent where NaN."""
-    known = np.isfinite(picture).all(axis=-1)
-    color = np.where(known[..., None], picture, 0.0)
-    pixels = np.rint(255 * np.concatenate([color, known[..., None]], axis=-1)).astype(np.uint8)
+    known = np.isfinite(picture).all(axis=-1, keepdims=True)
+    color = np.where(known, picture, 0.0)
+    pixels = np.rint(255 * np.concatenate([color, known], axis=-1)).astype(np.uint8)
     image = Image.fromarray(pixels)
     image.thumbnail((STATIC_SIDE, STATIC_SIDE), Image.Resampling.BOX)
     buffer = io.BytesIO()

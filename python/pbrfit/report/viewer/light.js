@@ -86,6 +86,55 @@ function turned(light, rotate, tilt) {
   return result;
 }
 
+const BAND_OF = [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3];
+
+/** The light with each band times a factor. */
+function damped(light, factors) {
+  return light.map((value, i) => value * factors[BAND_OF[Math.floor(i / 3)]]);
+}
+
+const DARKEST_ROWS = 64; // of the panorama that negative light is looked for in
+
+/** Radiance from many directions, band by band: [l][direction and channel]. */
+function bandRadiance(light) {
+  const width = 2 * DARKEST_ROWS;
+  const bands = [0, 1, 2, 3].map(() => new Float64Array(3 * width * DARKEST_ROWS));
+  for (let i = 0; i < width * DARKEST_ROWS; i++) {
+    const u = ((i % width) + 0.5) / width;
+    const v = (Math.floor(i / width) + 0.5) / DARKEST_ROWS;
+    basis(panoramaDirection(u, v)).forEach((term, k) => {
+      for (let c = 0; c < 3; c++) bands[BAND_OF[k]][3 * i + c] += term * light[3 * k + c];
+    });
+  }
+  return bands;
+}
+
+/** Against ringing, as pbrfit.panorama.windowed; P.-P. Sloan, "Stupid SH Tricks", 2008. */
+const WINDOWS = {
+  none: (light) => light,
+  // Band l times sin(πl/4)/(πl/4).
+  lanczos: (light) => damped(light, [0, 1, 2, 3].map((l) =>
+    (l === 0 ? 1 : Math.sin((Math.PI * l) / 4) / ((Math.PI * l) / 4)))),
+  // Band l divided by 1 + λ l² (l+1)², with the smallest λ that leaves no light negative.
+  nonnegative: (light) => {
+    const bands = bandRadiance(light);
+    const factors = (strength) => [0, 1, 2, 3].map((l) => 1 / (1 + strength * (l * (l + 1)) ** 2));
+    const isNegative = (strength) => {
+      const [a, b, c, d] = factors(strength);
+      return bands[0].some((value, i) =>
+        a * value + b * bands[1][i] + c * bands[2][i] + d * bands[3][i] < 0);
+    };
+    if (!isNegative(0) || Math.max(light[0], light[1], light[2]) <= 0) return light;
+    let [low, high] = [-6, 12]; // powers of ten; at the upper end only the mean light is left
+    for (let step = 0; step < 40; step++) {
+      const middle = (low + high) / 2;
+      if (isNegative(10 ** middle)) low = middle;
+      else high = middle;
+    }
+    return damped(light, factors(10 ** high));
+  },
+};
+
 /** What a screen shows of radiance times `gain`, 0 to 255: as pbrfit.display.encoded. */
 function displayed(radiance, gain, toneMap) {
   let color = radiance.map((value) => Math.max(0, value * gain));

@@ -5,9 +5,9 @@ const DEGREES_ACROSS = 180; // a drag over the whole width
 const KEY_DEGREES = 5;
 const ADDRESS_DELAY = 300; // ms; browsers limit how often an address may change
 const STOPS = 6; // to either side of exposure 0 and of the one at the start
-const RANGES = { rotate: [-180, 180], tilt: [-90, 90], exposure: [-40, 40], roughness: [-1, 1],
+const RANGES = { rotate: [-180, 180], tilt: [-90, 90], exposure: [-100, 100], roughness: [-1, 1],
   metallic: [-1, 1] };
-const CHOICES = { tone: TONE_MAPS, view: SHOWN };
+const CHOICES = { window: Object.keys(WINDOWS), tone: TONE_MAPS, view: SHOWN };
 const TEXTS = {
   rotate: (value) => `${signed(value, 0)}°`,
   tilt: (value) => `${signed(value, 0)}°`,
@@ -30,8 +30,8 @@ class View {
     this.lights = data.lights.map(({ name, coefficients }) =>
       ({ name, coefficients: Float64Array.from(coefficients) }));
     this.opened = null; // a panorama from a file
-    this.start = { light: data.lights[0].name, rotate: 0, tilt: 0, exposure: data.exposure,
-      tone: "none", roughness: 0, metallic: 0, view: "relit" };
+    this.start = { light: data.lights[0].name, window: "none", rotate: 0, tilt: 0,
+      exposure: data.exposure, tone: "none", roughness: 0, metallic: 0, view: "relit" };
     this.state = { ...this.start };
     this.canvas = root.querySelector(".relight-canvas");
     this.form = root.querySelector(".relight-controls");
@@ -49,7 +49,11 @@ class View {
   }
 
   light() {
-    return this.find(this.state.light).coefficients;
+    const light = this.find(this.state.light);
+    if (light !== this.opened) return light.coefficients; // what was found is shown as it is
+    const kind = this.state.window;
+    light.windowed[kind] ??= WINDOWS[kind](light.coefficients);
+    return light.windowed[kind];
   }
 
   find(name) {
@@ -60,7 +64,9 @@ class View {
   /** New values of the state; drawn soon, and written into the address if a person made them. */
   change(values, byHand = true) {
     Object.assign(this.state, values);
-    this.state.rotate = ((((this.state.rotate + 180) % 360) + 360) % 360) - 180;
+    const { rotate } = this.state;
+    // Both ends of the slider stay where they are, though they are the same light.
+    if (Math.abs(rotate) > 180) this.state.rotate = rotate - 360 * Math.round(rotate / 360);
     for (const [name, [low, high]] of Object.entries(RANGES)) {
       this.state[name] = Math.min(high, Math.max(low, this.state[name]));
     }
@@ -80,6 +86,8 @@ class View {
     this.ball.draw(light, 2 ** state.exposure, state.tone);
     const { elements } = this.form;
     elements.light.value = state.light;
+    elements.window.value = state.window;
+    elements.window.parentElement.hidden = this.find(state.light) !== this.opened;
     elements.tone.value = state.tone;
     elements.view.value = state.view;
     for (const name of Object.keys(RANGES)) {
@@ -116,7 +124,7 @@ class View {
     form.addEventListener("submit", (event) => event.preventDefault());
     form.addEventListener("input", ({ target }) => {
       if (target.name in RANGES) this.change({ [target.name]: Number(target.value) });
-      else if (["light", "tone", "view"].includes(target.name)) {
+      else if (["light", "window", "tone", "view"].includes(target.name)) {
         this.change({ [target.name]: target.value });
         if (target.name === "light") this.say("");
       }
@@ -128,17 +136,19 @@ class View {
     form.elements.save.addEventListener("click", () => this.save());
   }
 
-  save() {
+  /** The picture as it is shown now, a PNG of the maps' size. */
+  png() {
     this.draw(); // a canvas keeps its picture until the end of this task only
+    return new Promise((done) => this.canvas.toBlob(done, "image/png"));
+  }
+
+  async save() {
     const { view, light, rotate } = this.state;
-    const name = view === "relit" ? `relit-${light}-${rotate.toFixed(0)}` : view;
-    this.canvas.toBlob((blob) => {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob);
-      link.download = `${name}.png`;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-    }, "image/png");
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(await this.png());
+    link.download = `${view === "relit" ? `relit-${light}-${rotate.toFixed(0)}` : view}.png`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
   }
 
   // Drag and keys
@@ -215,7 +225,7 @@ class View {
       const { light, lost, width, height } = readPanorama(new Uint8Array(await file.arrayBuffer()));
       const taken = this.lights.some(({ name }) => name === file.name);
       const name = taken ? `${file.name} (panorama)` : file.name;
-      this.opened = { name, coefficients: light };
+      this.opened = { name, coefficients: light, windowed: {} };
       this.listMenu();
       this.change({ light: name });
       this.say(`${file.name}: ${width} × ${height}. ${(100 * lost).toFixed(0)} % of its energy is `
@@ -247,7 +257,9 @@ class View {
       }
     }
     if (wrong.length) this.say(`Address of the page: ${wrong.join("; ")}.`, true);
-    if (Object.keys(values).length) this.change({ ...this.start, ...values }, false);
+    if (Object.keys(values).length === 0) return;
+    this.change({ ...this.start, ...values }, false);
+    this.root.scrollIntoView(); // its top, below the margin that the style gives
   }
 
   writeAddress() {
@@ -258,7 +270,11 @@ class View {
     }
     const address = window.location.pathname + window.location.search;
     const text = values.toString();
-    window.history.replaceState(null, "", text ? `${address}#${text}` : address);
+    try {
+      window.history.replaceState(null, "", text ? `${address}#${text}` : address);
+    } catch {
+      // Pages inside of other pages may not have an address of their own.
+    }
   }
 }
 

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from pbrfit._core import InputError
 from pbrfit.arguments import (
     DONE,
     Subcommands,
+    add_command,
     add_quiet,
+    add_result,
     add_threads,
     number,
-    numbers,
     positive,
     progress_bar,
     unread_is_no_failure,
 )
+from pbrfit.commands.light_options import add_light, choose_light
 from pbrfit.display import ToneMap
-from pbrfit.panorama import Window
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,83 +34,25 @@ FPS = 12.0
 MANY = 0.98
 """Share of pixels that are nearly black or clipped from which on another exposure is suggested."""
 
-NAMES_SHOWN = 32
 MOST_STOPS = 100.0
 
 
-@dataclass(frozen=True)
-class ChosenLight:
-    """A light, and what there is to say about it.
-
-    Attributes
-    ----------
-    light
-        (16, 3), or a `DirectionalLight`.
-    facts
-        Topic and sentence.
-    """
-
-    light: NDArray[np.float64] | DirectionalLight
-    facts: tuple[tuple[str, str], ...]
-
-
-def add_relight(commands: Subcommands) -> None:
+def add(commands: Subcommands) -> None:
     """Add the command to `pbrfit`."""
-    added = commands.add_parser(
+    added = add_command(
+        commands,
         "relight",
-        help="show a result under other light",
-        description="Render a result under a panorama, a hard light from one direction, or SH "
-        "light. docs/relight.md says what each of them is good for.",
+        _run,
+        "show a result under other light",
+        "Render a result under a panorama, a hard light from one direction, or SH light. "
+        "docs/relight.md says what each of them is good for.",
     )
-    added.set_defaults(command=_run)
-    added.add_argument("result", metavar="RESULT", type=Path, help="result folder")
-    added.add_argument(
-        "--out",
-        metavar="FILE",
-        type=Path,
-        required=True,
-        help=".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or "
-        ".webp",
+    add_result(
+        added,
+        "FILE",
+        ".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or .webp",
     )
-    added.add_argument("--overwrite", action="store_true", help="replace an existing output")
-
-    lights = added.add_argument_group("light, one of")
-    one = lights.add_mutually_exclusive_group(required=True)
-    one.add_argument(
-        "--env",
-        metavar="PANORAMA",
-        type=Path,
-        help="equirectangular picture, .hdr or .exr: its centre looks along -Z, into the scene; "
-        "projected to SH light",
-    )
-    one.add_argument(
-        "--light",
-        metavar="AZIMUTH,ELEVATION",
-        type=numbers(2, "AZIMUTH,ELEVATION"),
-        help="hard light from far away, in degrees: 0,0 is the viewer's, 90,0 comes from the "
-        "right, 0,90 from above",
-    )
-    one.add_argument(
-        "--sh", metavar="FILE", type=Path, help="SH light of a lighting.json, such as RESULT's own"
-    )
-    lights.add_argument(
-        "--rotate",
-        metavar="DEG",
-        type=number,
-        help="with --env, --sh: turn the light about +Y, from the viewer to the right (default: 0)",
-    )
-    lights.add_argument(
-        "--window",
-        choices=get_args(Window),
-        help="with --env: damp what rings about lamps after the projection (default: none)",
-    )
-    lights.add_argument(
-        "--color",
-        metavar="R,G,B",
-        type=numbers(3, "R,G,B"),
-        help="with --light: radiance of a white matt surface that faces it (default: 1,1,1)",
-    )
-    lights.add_argument("--picture", metavar="NAME", help="with --sh: whose light of the file")
+    add_light(added)
 
     files = added.add_argument_group("output")
     files.add_argument(
@@ -155,15 +95,15 @@ def _run(options: argparse.Namespace) -> int:
     _check_belonging(options, kind)
     _check_free(options, kind)
     result = Result.load(options.result)
-    chosen = _choose_light(options)
+    chosen = choose_light(options)
     screen = Screen(options.exposure or 0.0, options.tone_map or "none")
     radiance = Range()
     with progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
 
         def frames() -> Iterator[Radiance]:
             for frame in radiance.take(_frames(result, chosen.light, options)):
-                yield frame
                 bar.update()
+                yield frame
 
         _write(options, kind, frames(), screen)
     if not options.quiet:
@@ -247,89 +187,14 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
     """Complain about the output before there is any work."""
     from pbrfit.output import check_free, check_free_file
 
-    for used in (options.env, options.sh):
-        if used is not None and used.resolve() == options.out.resolve():
-            raise InputError(f"{options.out}: expected an output apart from the light's file")
+    used = [options.result / name for name in ("materials.exr", "preview.png")]
+    used += [path for path in (options.env, options.sh) if path is not None]
+    if options.out.resolve() in [path.resolve() for path in used]:
+        raise InputError(f"{options.out}: expected a file apart from the result's and the light's")
     if kind == "folder":
         check_free(options.out, overwrite=options.overwrite, contains=_contains(options))
     else:
         check_free_file(options.out, overwrite=options.overwrite)
-
-
-def _choose_light(options: argparse.Namespace) -> ChosenLight:
-    from pbrfit.lighting import Lighting, rotated
-    from pbrfit.relighting import DirectionalLight
-
-    if options.light is not None:
-        azimuth, elevation = options.light
-        light = DirectionalLight(azimuth, elevation, options.color or (1.0, 1.0, 1.0))
-        color = ", ".join(f"{channel:g}" for channel in light.color)
-        return ChosenLight(
-            light,
-            (("light", f"hard, from azimuth {azimuth:g}, elevation {elevation:g}, color {color}"),),
-        )
-    degrees = options.rotate or 0.0
-    turn = f", turned by {degrees:g} degrees" if degrees else ""
-    if options.env is not None:
-        return _projected(options, degrees, turn)
-    lighting = Lighting.load(options.sh)
-    name = _whose(lighting.pictures, options)
-    coefficients = lighting.of((name,), options.sh)[0]
-    if degrees:
-        coefficients = rotated(coefficients, degrees)
-    return ChosenLight(coefficients, (("light", f"SH, of {name} in {options.sh}{turn}"),))
-
-
-def _projected(options: argparse.Namespace, degrees: float, turn: str) -> ChosenLight:
-    """SH light of a panorama."""
-    from pbrfit import panorama
-
-    pixels = panorama.read(options.env)
-    plain = panorama.project(pixels, degrees)
-    lost = panorama.lost_energy(pixels, plain)
-    window: Window = options.window or "none"
-    light = panorama.windowed(plain, window)
-    facts = [
-        ("light", f"{options.env}, projected to SH light up to l = 3{turn}"),
-        (
-            "projection",
-            f"loses {100 * lost:.1f} % of the light's energy, all that is sharper: matt surfaces "
-            "hardly miss it, highlights do"
-            + (" (for a sun or a lamp try --light)" if lost > 0.5 else ""),
-        ),
-    ]
-    least = panorama.darkest(light)
-    mean = float(light[0].mean()) / math.sqrt(4 * math.pi)
-    if window != "none":
-        facts.append(("window", f"{window}, which blurs the light: its least radiance {least:.3g}"))
-    if least < -1e-6 * mean:
-        cures = "nonnegative ends" if window == "lanczos" else "lanczos lessens, nonnegative ends"
-        facts.append(
-            (
-                "ringing",
-                f"the projected light falls to {least:.3g}, its mean is {mean:.3g}: shiny surfaces "
-                f"may get black spots, which --window {cures}",
-            )
-        )
-    return ChosenLight(light, tuple(facts))
-
-
-def _whose(pictures: tuple[str, ...], options: argparse.Namespace) -> str:
-    shown = ", ".join(pictures[:NAMES_SHOWN])
-    if len(pictures) > NAMES_SHOWN:
-        shown += f" and {len(pictures) - NAMES_SHOWN} more"
-    if options.picture is not None:
-        if options.picture not in pictures:
-            raise InputError(
-                f"{options.sh}: expected a light of {options.picture} (--picture), found {shown}"
-            )
-        return str(options.picture)
-    if len(pictures) != 1:
-        raise InputError(
-            f"{options.sh}: expected --picture NAME, because it holds {len(pictures)} lights: "
-            f"{shown}"
-        )
-    return pictures[0]
 
 
 def _frames(

@@ -1,0 +1,36 @@
+"""The commands of `pbrfit`, a file each; what they work with is imported late."""
+
+from __future__ import annotations
+
+from pbrfit.arguments import Subcommands
+from pbrfit.commands import (
+    check_gradients,
+    decompose,
+    demo,
+    evaluate,
+    export,
+    inspect,
+    normals,
+    relight,
+    report,
+    synth,
+)
+
+COMMANDS = (
+    decompose,
+    relight,
+    report,
+    export,
+    inspect,
+    normals,
+    synth,
+    check_gradients,
+    evaluate,
+    demo,
+)
+
+
+def add_commands(commands: Subcommands) -> None:
+    """Add them all."""
+    for command in COMMANDS:
+        command.add(commands)

@@ -1,0 +1,71 @@
+"""`pbrfit demo`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pbrfit.arguments import DONE, Subcommands, add_command, add_priors, add_quiet
+from pbrfit.commands.fit_options import add_model, add_solver, fit, print_result
+from pbrfit.commands.synth import add_synthetic, make_scene
+
+if TYPE_CHECKING:
+    from pbrfit.result import Result
+
+
+def add(commands: Subcommands) -> None:
+    """Add the command to `pbrfit`."""
+    added = add_command(
+        commands, "demo", _run, "make a synthetic scene, decompose it, relight it, report"
+    )
+    added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
+    add_synthetic(added)
+    add_solver(added)
+    add_model(added, "of the lights, true and fitted")
+    add_priors(added)
+    added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+    add_quiet(added)
+
+
+LAMP = (-50.0, 35.0)
+"""Azimuth and elevation of the hard light that the result is relit with."""
+
+FRAMES = 48
+
+
+def _run(options: argparse.Namespace) -> int:
+    from pbrfit.output import new_folder
+    from pbrfit.preview import plot_history
+    from pbrfit.report import write_report
+    from pbrfit.scene import Scene
+
+    parts = ("scene", "result")
+    with new_folder(options.out, overwrite=options.overwrite, contains=parts) as folder:
+        make_scene(options).save(folder / "scene")
+        scene = Scene.load(folder / "scene")
+        result = fit(scene, options.kind, options)
+        result.save(folder / "result", scene=scene)
+        plot_history(result, folder / "history.png")
+        _relight(result, folder, options.threads)
+        write_report(result, folder / "report.html", scene)
+    if not options.quiet:
+        print_result(result, scene, options.out / "result")
+        print(
+            f"\n{options.out / 'report.html'}: all of it, to be opened in a browser\n"
+            f"{options.out / 'relit.png'}: under a lamp that is in none of the pictures; "
+            "relit.webp: the lamp goes around"
+        )
+    return DONE
+
+
+def _relight(result: Result, folder: Path, threads: int) -> None:
+    from pbrfit.relighting import DirectionalLight, relight
+    from pbrfit.relit_files import Screen, write_animation, write_png
+
+    lamp, screen = DirectionalLight(*LAMP), Screen()
+    frames = (
+        screen.shown(relight(result, lamp.turned(360 * k / FRAMES), threads)) for k in range(FRAMES)
+    )
+    write_png(folder / "relit.png", screen.shown(relight(result, lamp, threads)))
+    write_animation(folder / "relit.webp", ".webp", frames, fps=16)

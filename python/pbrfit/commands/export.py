@@ -1,0 +1,83 @@
+"""`pbrfit export`."""
+
+from __future__ import annotations
+
+import argparse
+
+from pbrfit._core import InputError
+from pbrfit.arguments import (
+    DONE,
+    Subcommands,
+    add_command,
+    add_quiet,
+    add_result,
+    unread_is_no_failure,
+)
+
+
+def add(commands: Subcommands) -> None:
+    """Add the command to `pbrfit`."""
+    added = add_command(
+        commands, "export", _run, "write a result for Blender, Unreal, Unity and others"
+    )
+    add_result(added, "DIR", "folder to write")
+    added.add_argument(
+        "--format",
+        choices=("gltf", "exr", "png"),
+        help="this one alone (default: those of the preset, else all)",
+    )
+    added.add_argument(
+        "--preset",
+        choices=("blender", "unreal", "unity"),
+        help="textures with the names, channels and normals that a tool expects (default: a file "
+        "a map)",
+    )
+    added.add_argument(
+        "--normals",
+        choices=("opengl", "directx"),
+        help="green of normal maps upwards or downwards (default: as the preset says, else opengl)",
+    )
+    added.add_argument(
+        "--bits",
+        type=int,
+        choices=(8, 16),
+        help="of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
+        "glTF 16 for normals alone)",
+    )
+    added.add_argument(
+        "--geometry",
+        choices=("card", "facets"),
+        help="of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
+        "for path tracers (default: card)",
+    )
+    add_quiet(added)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from pbrfit.export import CONTAINS, export_result
+    from pbrfit.output import check_free
+    from pbrfit.result import Result
+
+    if options.result.resolve().is_relative_to(options.out.resolve()):
+        raise InputError(
+            f"{options.out}: expected a folder apart from the result, found {options.result}"
+        )
+    check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
+    exported = export_result(
+        Result.load(options.result),
+        options.out,
+        format=options.format,
+        preset=options.preset,
+        normals=options.normals,
+        bits=options.bits,
+        geometry=options.geometry,
+        overwrite=options.overwrite,
+    )
+    if not options.quiet:
+        with unread_is_no_failure():
+            total = sum(file.size for file in exported.files)
+            print(f"{options.out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB")
+            width = max(len(file.path) for file in exported.files)
+            for file in exported.files:
+                print(f"{file.path:<{width}}{file.size / 1e3:>10.1f} kB  {file.holds}")
+    return DONE

@@ -1,0 +1,123 @@
+"""Options of a fit, and the fit that they ask for."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pbrfit.arguments import add_threads, given_priors, progress_bar
+from pbrfit.robust import LOSSES
+
+if TYPE_CHECKING:
+    from pbrfit.result import Result
+    from pbrfit.scene import Scene
+
+EXPOSURES = {"auto": None, "as-is": False, "equal": True}
+"""`equal_exposures` by what it is called here."""
+
+
+def add_solver(parser: argparse.ArgumentParser) -> None:
+    """Add what says how long is fitted."""
+    parser.add_argument("--solver", choices=("lbfgsb",), default="lbfgsb", help="optimiser")
+    parser.add_argument("--iterations", metavar="K", type=int, default=500, help="at most so many")
+    parser.add_argument(
+        "--time-limit",
+        metavar="S",
+        type=float,
+        help="stop the fit of a scene after so many seconds (default: none)",
+    )
+    add_threads(parser)
+
+
+def add_model(parser: argparse.ArgumentParser, what_order: str) -> None:
+    """Add what says what is fitted."""
+    add_sh_order(parser, what_order)
+    parser.add_argument(
+        "--metallic",
+        choices=("free", "0"),
+        default="free",
+        help="0: no pixel is a metal, and metallic is not fitted",
+    )
+    parser.add_argument(
+        "--robust",
+        choices=LOSSES,
+        default="none",
+        help="loss that shadows and other outliers pull less at than at squares",
+    )
+    parser.add_argument(
+        "--exposures",
+        choices=EXPOSURES,
+        default="auto",
+        help="equal: pictures are divided by their mean radiance, so that bright ones do not "
+        "outweigh dark ones; as-is: they are not; auto: where one has more than 4 times the mean "
+        "of another",
+    )
+
+    parser.add_argument(
+        "--mono-light",
+        action="store_true",
+        help="lights are grey: the same in all colour channels",
+    )
+
+
+def add_sh_order(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add `--sh-order`."""
+    parser.add_argument("--sh-order", type=int, choices=(2, 3), default=3, help=what)
+
+
+def metallic(options: argparse.Namespace) -> float | None:
+    """Metallic of all pixels that `--metallic` asks for."""
+    return None if options.metallic == "free" else float(options.metallic)
+
+
+def fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
+    """Fit a scene as the options say, with a progress bar of that name."""
+    from pbrfit.solve import Progress, decompose
+
+    with progress_bar(options.iterations, quiet=options.quiet, name=name) as bar:
+
+        def show(progress: Progress) -> None:
+            bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)
+            bar.update(progress.iteration - bar.n)
+
+        return decompose(
+            scene,
+            solver=options.solver,
+            iterations=options.iterations,
+            time_limit=options.time_limit,
+            threads=options.threads,
+            sh_order=options.sh_order,
+            metallic=metallic(options),
+            mono_light=options.mono_light,
+            priors=given_priors(options),
+            robust=options.robust,
+            equal_exposures=EXPOSURES[options.exposures],
+            progress=show,
+        )
+
+
+def print_result(result: Result, scene: Scene, output: Path) -> None:
+    """Tell how the fit went."""
+    iterations = len(result.history) - 1
+    print(
+        f"{output}: {len(scene.images)} pictures of {scene.width} × {scene.height}, "
+        f"{iterations} iterations in {result.seconds:.1f} s ({result.stop_reason})"
+    )
+    rows = [
+        ("reconstruction", "recon_rmse"),
+        ("albedo", "albedo_rmse"),
+        ("albedo, best scale", "albedo_scaled_rmse"),
+        ("roughness", "roughness_rmse"),
+        ("metallic", "metallic_rmse"),
+        ("relight", "relight_rmse"),
+    ]
+    print(f"\n{'RMSE':<22}{'start':>10}{'result':>10}")
+    for name, key in rows:
+        if key in result.metrics:
+            at_start = (
+                f"{result.history[key][0]:>10.4f}" if key in result.history.columns else f"{'':>10}"
+            )
+            print(f"{name:<22}{at_start}{result.metrics[key]:>10.4f}")
+    if result.left_out:
+        print(f"\nleft out: {'; '.join(result.left_out)}")

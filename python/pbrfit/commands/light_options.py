@@ -1,0 +1,161 @@
+"""Options that name a light: `--env`, `--light`, `--sh` and what goes with them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from pbrfit._core import InputError
+from pbrfit.arguments import number, numbers
+from pbrfit.panorama import Window
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pbrfit.relighting import DirectionalLight
+
+NAMES_SHOWN = 32
+
+
+@dataclass(frozen=True)
+class ChosenLight:
+    """A light, and what there is to say about it.
+
+    Attributes
+    ----------
+    light
+        (16, 3), or a `DirectionalLight`.
+    facts
+        Topic and sentence.
+    """
+
+    light: NDArray[np.float64] | DirectionalLight
+    facts: tuple[tuple[str, str], ...]
+
+
+def add_light(parser: argparse.ArgumentParser) -> None:
+    """Add the options, of which one light has to be given; `choose_light` reads them."""
+    lights = parser.add_argument_group("light, one of")
+    one = lights.add_mutually_exclusive_group(required=True)
+    one.add_argument(
+        "--env",
+        metavar="PANORAMA",
+        type=Path,
+        help="equirectangular picture, .hdr or .exr: its centre looks along -Z, into the scene; "
+        "projected to SH light",
+    )
+    one.add_argument(
+        "--light",
+        metavar="AZIMUTH,ELEVATION",
+        type=numbers(2, "AZIMUTH,ELEVATION"),
+        help="hard light from far away, in degrees: 0,0 is the viewer's, 90,0 comes from the "
+        "right, 0,90 from above",
+    )
+    one.add_argument(
+        "--sh", metavar="FILE", type=Path, help="SH light of a lighting.json, such as RESULT's own"
+    )
+    lights.add_argument(
+        "--rotate",
+        metavar="DEG",
+        type=number,
+        help="with --env, --sh: turn the light about +Y, from the viewer to the right (default: 0)",
+    )
+    lights.add_argument(
+        "--window",
+        choices=get_args(Window),
+        help="with --env: damp what rings about lamps after the projection (default: none)",
+    )
+    lights.add_argument(
+        "--color",
+        metavar="R,G,B",
+        type=numbers(3, "R,G,B"),
+        help="with --light: radiance of a white matt surface that faces it (default: 1,1,1)",
+    )
+    lights.add_argument("--picture", metavar="NAME", help="with --sh: whose light of the file")
+
+
+def choose_light(options: argparse.Namespace) -> ChosenLight:
+    """Read what the options name.
+
+    Raises
+    ------
+    InputError, OSError
+        If a file cannot be used.
+    """
+    from pbrfit.lighting import Lighting, rotated
+    from pbrfit.relighting import DirectionalLight
+
+    if options.light is not None:
+        azimuth, elevation = options.light
+        light = DirectionalLight(azimuth, elevation, options.color or (1.0, 1.0, 1.0))
+        color = ", ".join(f"{channel:g}" for channel in light.color)
+        return ChosenLight(
+            light,
+            (("light", f"hard, from azimuth {azimuth:g}, elevation {elevation:g}, color {color}"),),
+        )
+    degrees = options.rotate or 0.0
+    turn = f", turned by {degrees:g} degrees" if degrees else ""
+    if options.env is not None:
+        return _projected(options, degrees, turn)
+    lighting = Lighting.load(options.sh)
+    name = _whose(lighting.pictures, options)
+    coefficients = lighting.of((name,), options.sh)[0]
+    if degrees:
+        coefficients = rotated(coefficients, degrees)
+    return ChosenLight(coefficients, (("light", f"SH, of {name} in {options.sh}{turn}"),))
+
+
+def _projected(options: argparse.Namespace, degrees: float, turn: str) -> ChosenLight:
+    """SH light of a panorama."""
+    from pbrfit import panorama
+
+    pixels = panorama.read(options.env)
+    plain = panorama.project(pixels, degrees)
+    lost = panorama.lost_energy(pixels, plain)
+    window: Window = options.window or "none"
+    light = panorama.windowed(plain, window)
+    facts = [
+        ("light", f"{options.env}, projected to SH light up to l = 3{turn}"),
+        (
+            "projection",
+            f"loses {100 * lost:.1f} % of the light's energy, all that is sharper: matt surfaces "
+            "hardly miss it, highlights do"
+            + (" (for a sun or a lamp try --light)" if lost > 0.5 else ""),
+        ),
+    ]
+    least = panorama.darkest(light)
+    mean = float(light[0].mean()) / math.sqrt(4 * math.pi)
+    if window != "none":
+        facts.append(("window", f"{window}, which blurs the light: its least radiance {least:.3g}"))
+    if least < -1e-6 * mean:
+        cures = "nonnegative ends" if window == "lanczos" else "lanczos lessens, nonnegative ends"
+        facts.append(
+            (
+                "ringing",
+                f"the projected light falls to {least:.3g}, its mean is {mean:.3g}: shiny surfaces "
+                f"may get black spots, which --window {cures}",
+            )
+        )
+    return ChosenLight(light, tuple(facts))
+
+
+def _whose(pictures: tuple[str, ...], options: argparse.Namespace) -> str:
+    shown = ", ".join(pictures[:NAMES_SHOWN])
+    if len(pictures) > NAMES_SHOWN:
+        shown += f" and {len(pictures) - NAMES_SHOWN} more"
+    if options.picture is not None:
+        if options.picture not in pictures:
+            raise InputError(
+                f"{options.sh}: expected a light of {options.picture} (--picture), found {shown}"
+            )
+        return str(options.picture)
+    if len(pictures) != 1:
+        raise InputError(
+            f"{options.sh}: expected --picture NAME, because it holds {len(pictures)} lights: "
+            f"{shown}"
+        )
+    return pictures[0]

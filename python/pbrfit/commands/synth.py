@@ -1,0 +1,74 @@
+"""`pbrfit synth`, and the options of synthetic scenes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pbrfit.arguments import DONE, Subcommands, add_command, whole_number
+from pbrfit.commands.fit_options import add_sh_order
+
+if TYPE_CHECKING:
+    from pbrfit.scene import Scene
+
+
+def add(commands: Subcommands) -> None:
+    """Add the command to `pbrfit`."""
+    added = add_command(
+        commands, "synth", _run, "render a synthetic scene folder with ground truth"
+    )
+    added.add_argument("out", metavar="DIR", type=Path, help="scene folder to write")
+    add_synthetic(added)
+    add_sh_order(added, "of the lights")
+    added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+
+
+def add_synthetic(parser: argparse.ArgumentParser) -> None:
+    """Add what says which scene is made; `make_scene` reads it, and `--sh-order`."""
+    parser.add_argument(
+        "--scene",
+        dest="kind",
+        choices=("room", "spheres", "textured", "furnished", "detailed"),
+        default="room",
+        help="kind of scene: plain pieces; a grid of spheres; patterned pieces; a room with "
+        "furniture; that room with fine textures and relief",
+    )
+    parser.add_argument(
+        "--textures",
+        metavar="DIR",
+        type=Path,
+        help="with --scene detailed: maps NAME_albedo, NAME_roughness, NAME_metallic, NAME_normal "
+        "(default: procedural detail)",
+    )
+    parser.add_argument("--size", metavar="PIXELS", type=int, default=128, help="side of a picture")
+    parser.add_argument("--lights", metavar="N", type=int, default=16, help="number of pictures")
+    parser.add_argument(
+        "--noise", metavar="S", type=float, default=0.0, help="Gaussian; mean radiance is 0.4"
+    )
+    parser.add_argument("--seed", type=whole_number, default=0, help="of scene, lights and noise")
+
+
+def make_scene(options: argparse.Namespace) -> Scene:
+    """Make the scene."""
+    from pbrfit.synthetic import make_scene
+
+    return make_scene(
+        options.kind,
+        size=options.size,
+        lights=options.lights,
+        sh_order=options.sh_order,
+        noise=options.noise,
+        seed=options.seed,
+        textures=options.textures,
+    )
+
+
+def _run(options: argparse.Namespace) -> int:
+    from pbrfit.output import check_free
+    from pbrfit.scene_folder import CONTAINS
+
+    check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
+    make_scene(options).save(options.out, overwrite=options.overwrite)
+    print(f"{options.out}: {options.kind}, {options.lights} pictures and ground truth")
+    return DONE
