@@ -56,8 +56,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--samples", type=int, default=256)
     samples = parser.parse_args().samples
-    wall = relief(96, 96)
-    made = make_scene("room", size=96, lights=3, held_out=1)
+    wall = relief(128, 128)
+    made = make_scene("room", size=128, lights=3, held_out=1)
     assert made.truth is not None
     room = replace(
         wall,
@@ -79,20 +79,18 @@ def main() -> None:
         for title, result, geometry in drawn:
             ours, found = compared(Path(name), title, result, geometry, samples)
             if (title, geometry) != ("wall", "facets"):
-                rows.append(row(title, ours, found, f"Blender, {geometry} as imported"))
+                rows.append(row(title, ours, found, f"Blender: {geometry}"))
         data = Path(os.environ.get("PBRFIT_DATA", REPOSITORY.parent / "shared" / "data"))
         if (data / HDRI).is_file():
             photographed(Path(name) / "hdri", wall, data / HDRI, samples)
-    rows[0].append(
-        Key(
-            "|difference| / mean",
-            blue_to_yellow(np.linspace(0, 1, 256)),
-            {share / SPAN: f"{share:g}" for share in (0, 0.1, 0.2, 0.3, 0.4, 0.5)},
-            {"outside": (OUTSIDE,) * 3},
-        )
+    key = Key(
+        "|difference| / mean radiance",
+        blue_to_yellow(np.linspace(0, 1, 256)),
+        {share / SPAN: f"{share:g}" for share in (0, 0.1, 0.2, 0.3, 0.4, 0.5)},
+        {"outside the mask": (OUTSIDE,) * 3},
     )
     path = REPOSITORY / "docs" / "images" / "export-blender.png"
-    images.write_png(path, sheet(rows), tag="srgb")
+    images.write_png(path, sheet(rows, key=key), tag="srgb")
     print(f"\nfigure: {path}")
 
 

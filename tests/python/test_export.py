@@ -716,7 +716,7 @@ def _a_channel_missing(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (_not_a_result, "materials.exr: No such file"),
+        (_not_a_result, "expected a result folder, as pbrfit decompose writes it"),
         (_no_lights, "lighting.json: expected JSON with basis"),
         (_a_channel_missing, "materials.exr: expected channel roughness.Y"),
     ],
@@ -750,7 +750,12 @@ def test_what_is_there_stays(
     assert run("export", folder, "--out", out, "--overwrite") == 0
     assert (out / "material.glb").exists()
     capsys.readouterr()
-    assert run("export", folder, "--out", folder, "--overwrite") == 2
+    inside = saved(Result.load(folder), out / "result")
+    for place in (out, inside):
+        assert run("export", inside, "--out", place, "--overwrite") == 2
+        assert "expected a folder apart from the result" in capsys.readouterr().err
+    assert run("export", inside, "--out", folder, "--overwrite") == 2
     assert "expected an earlier output to replace" in capsys.readouterr().err
+    assert Result.load(inside).pictures == Result.load(folder).pictures
     assert run("export", folder, "--out", out / "export.json", "--overwrite") == 2
     assert "expected a folder or nothing, found a file" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from pbrfit._core import InputError
 from pbrfit.arguments import (
     DONE,
     Subcommands,
@@ -57,6 +58,10 @@ def _run(options: argparse.Namespace) -> int:
     from pbrfit.output import check_free
     from pbrfit.result import Result
 
+    if options.result.resolve().is_relative_to(options.out.resolve()):
+        raise InputError(
+            f"{options.out}: expected a folder apart from the result, found {options.result}"
+        )
     check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
     exported = export_result(
         Result.load(options.result),
