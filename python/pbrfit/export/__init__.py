@@ -155,12 +155,13 @@ def _write_exr(folder: Path, job: _Job) -> Iterator[ExportedFile]:
     yield _file(folder, path, "all maps as layers; normals as vectors, Y up", _LINEAR)
     for texture in job.plan.textures:
         path = f"exr/{texture.name}.exr"
-        values = job.maps.floats(texture, job.plan.normals)
+        values = job.maps.floats(texture)
         letters = "Y" if values.shape[-1] == 1 else "RGBA"
         images.write_exr(
             folder / path, {letters[c]: values[..., c] for c in range(values.shape[-1])}
         )
-        yield _file(folder, path, "; ".join(texture.channels), _LINEAR)
+        encoding = _LINEAR if texture.color else "data, linear; float32"
+        yield _file(folder, path, "; ".join(texture.channels), encoding)
 
 
 def _write_png(folder: Path, job: _Job) -> Iterator[ExportedFile]:
@@ -168,7 +169,7 @@ def _write_png(folder: Path, job: _Job) -> Iterator[ExportedFile]:
     for texture in job.plan.textures:
         bits = job.plan.bits_of(texture)
         path = f"png/{texture.name}.png"
-        values = job.maps.integers(texture, bits, job.plan.normals)
+        values = job.maps.integers(texture, bits)
         images.write_png(folder / path, values, "srgb" if texture.color else "linear")
         holds = "; ".join(texture.channels)
         yield _file(folder, path, holds, f"{texture.color_space}; {bits} bits")
