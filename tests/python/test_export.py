@@ -607,6 +607,24 @@ def test_three_js_light_probes_give_the_same_radiance_and_irradiance(
         np.testing.assert_allclose(basis @ sh, sh_basis(d)[:, :9] @ light[:9], atol=1e-5)
 
 
+def test_lights_that_panoramas_cannot_hold_are_warned_of(
+    result: Result,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    lights = np.zeros_like(result.lighting)
+    lights[:, 0], lights[0, 2] = 1.0, 1.0
+    dark = dataclasses.replace(result, lighting=lights)
+    share = export_result(dark, tmp_path / "a").panoramas[0].clamped
+    assert f"1 of 3 lights are negative by 5 % or more (a by {100 * share:.0f} %)" in caplog.text
+    for least, warned in ((share, 1), (np.nextafter(share, 1), 0)):
+        caplog.clear()
+        monkeypatch.setattr("pbrfit.export.CLAMPED_MUCH", least)
+        export_result(dark, tmp_path / f"{warned}")
+        assert len(caplog.messages) == warned
+
+
 def test_names_of_pictures_become_names_of_files() -> None:
     found = file_names(("a", "A", "dir/lamp: 1", "..", "", "ç", "a"))
     assert found == ("a", "A_2", "dir_lamp_ 1", "light", "light_2", "ç", "a_3")
@@ -668,7 +686,8 @@ def test_export_prints_what_it_wrote(
     out = tmp_path / "出力"
     assert run("export", folder, "--out", out) == 0
     captured = capsys.readouterr()
-    assert captured.err == ""
+    assert len(captured.err.splitlines()) == 1
+    assert "2 of 3 lights are negative by 5 % or more" in captured.err
     found = [name for name in names(out) if name != "export.json"]
     lines = captured.out.splitlines()
     total = sum((out / name).stat().st_size for name in found)

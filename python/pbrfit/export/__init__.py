@@ -14,6 +14,7 @@ docs/export.md says how tools read them.
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -34,6 +35,11 @@ from pbrfit.result import Result
 __all__ = ["Exported", "ExportedFile", "LightPanorama", "export_result"]
 
 MANIFEST = "export.json"
+
+CLAMPED_MUCH = 0.05
+"""Share of a light that was negative from which on its panorama is warned of."""
+
+log = logging.getLogger("pbrfit")
 
 CONTAINS = (MANIFEST,)
 """Files by which a folder is known for an export."""
@@ -129,6 +135,7 @@ def export_result(
         panoramas = write_lights(folder / "lights", Lighting(result.pictures, result.lighting))
         files += _light_files(folder, panoramas)
         _write_manifest(folder / MANIFEST, result, planned, files)
+    _warn_of_clamped(Path(path), panoramas)
     return Exported(tuple(files), panoramas)
 
 
@@ -193,6 +200,22 @@ def _light_files(folder: Path, panoramas: tuple[LightPanorama, ...]) -> Iterator
             f"lights/{light.file}",
             f"panorama of the light of {light.picture}; {light.clamped:.2%} was negative",
             _LINEAR,
+        )
+
+
+def _warn_of_clamped(path: Path, panoramas: tuple[LightPanorama, ...]) -> None:
+    much = [light for light in panoramas if light.clamped >= CLAMPED_MUCH]
+    if much:
+        worst = max(much, key=lambda light: light.clamped)
+        log.warning(
+            "%s: %d of %d lights are negative by %g %% or more (%s by %.0f %%), which panoramas "
+            "cannot hold: these light more brightly; lighting.json and the tables hold all",
+            path / "lights",
+            len(much),
+            len(panoramas),
+            100 * CLAMPED_MUCH,
+            worst.picture,
+            100 * worst.clamped,
         )
 
 
