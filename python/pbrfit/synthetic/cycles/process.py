@@ -81,11 +81,11 @@ def why_not() -> str | None:
 
 
 def run_worker(
-    python: Path, folder: Path, timeout: float, *arguments: str, worker: Path = WORKER
+    python: Path, folder: Path, timeout: float, *arguments: str, worker: Path | None = None
 ) -> None:
     """Render the job in `folder`; the results are there afterwards.
 
-    `worker` is the program, which gets the folder and the arguments.
+    `worker` is another program than `WORKER`; it gets the folder and the arguments.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def run_worker(
     with log.open("wb") as output:
         try:
             process = subprocess.run(
-                [python, worker, folder, *arguments],
+                [python, worker or WORKER, folder, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
