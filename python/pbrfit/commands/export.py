@@ -14,6 +14,9 @@ from pbrfit.arguments import (
     unread_is_no_failure,
 )
 
+if TYPE_CHECKING:
+    from pbrfit.export import Exported
+
 
 def add(commands: Subcommands) -> None:
     """Add the command to `pbrfit`."""
@@ -75,9 +78,27 @@ def _run(options: argparse.Namespace) -> int:
     )
     if not options.quiet:
         with unread_is_no_failure():
-            total = sum(file.size for file in exported.files)
-            print(f"{options.out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB")
-            width = max(len(file.path) for file in exported.files)
-            for file in exported.files:
-                print(f"{file.path:<{width}}{file.size / 1e3:>10.1f} kB  {file.holds}")
+            _tell(exported, options.out)
     return DONE
+
+
+def _tell(exported: Exported, out: Path) -> None:
+    """List the files; panoramas, of which there may be many, in one line."""
+    total = sum(file.size for file in exported.files)
+    print(f"{out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB")
+    of_lights = {f"lights/{light.file}" for light in exported.panoramas}
+    lines = [
+        (file.path, file.size, file.holds) for file in exported.files if file.path not in of_lights
+    ]
+    worst = max(exported.panoramas, key=lambda light: light.clamped)
+    lines.append(
+        (
+            f"lights/*.exr ({len(of_lights)})",
+            sum(file.size for file in exported.files if file.path in of_lights),
+            f"a panorama a light; at most {worst.clamped:.1%} was negative and left out "
+            f"({worst.picture})",
+        )
+    )
+    width = max(len(path) for path, _, _ in lines)
+    for path, size, holds in lines:
+        print(f"{path:<{width}}{size / 1e3:>10.1f} kB  {holds}")
