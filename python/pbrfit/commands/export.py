@@ -93,14 +93,13 @@ def _tell(exported: Exported, out: Path) -> None:
         (file.path, file.size, file.holds) for file in exported.files if file.path not in of_lights
     ]
     worst = max(exported.panoramas, key=lambda light: light.clamped)
-    lines.append(
-        (
-            f"lights/*.exr ({len(of_lights)})",
-            sum(file.size for file in exported.files if file.path in of_lights),
-            f"a panorama a light; at most {worst.clamped:.1%} was negative and left out "
-            f"({worst.picture})",
-        )
+    clamped = (
+        f"; negative light was left out, at most {worst.clamped:.1%} ({worst.picture})"
+        if worst.clamped > 0
+        else ""
     )
+    size = sum(file.size for file in exported.files if file.path in of_lights)
+    lines.append((f"lights/*.exr ({len(of_lights)})", size, f"a panorama a light{clamped}"))
     width = max(len(path) for path, _, _ in lines)
     for path, size, holds in lines:
         print(f"{path:<{width}}{size / 1e3:>10.1f} kB  {holds}")
