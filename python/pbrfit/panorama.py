@@ -37,9 +37,6 @@ FEWEST_ROWS = 7
 """Products of two functions with l = 3 have degree 6; with fewer rows, or columns, `solid_angles`
 does not integrate them exactly, and grey panoramas would light unevenly."""
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-"""Of linear Rec.709."""
-
 
 def directions(height: int, width: int) -> NDArray[np.float64]:
     """Where the light of each pixel comes from: (height, width, 3) unit vectors."""
@@ -85,12 +82,14 @@ def read(
     Raises
     ------
     InputError
-        If it cannot be read as a picture, or is no panorama (`check`).
+        If it cannot be read as a picture, is not twice as wide as high or too small, or holds NaN,
+        infinity or negative radiance. Colours that only other primaries than Rec.709 hold are
+        negative in Rec.709 and welcome.
     OSError
         If the file cannot be read.
     """
     picture = images.read_picture(path, color_space)
-    pixels = check(picture.pixels, str(path))
+    _check(picture, str(path))
     if picture.clipped.any():
         log.warning(
             "%s: %.2g %% of the pixels are clipped, so lamps, windows and skies are darker in it "
@@ -98,29 +97,23 @@ def read(
             path,
             100 * picture.clipped.mean(),
         )
-    return pixels
+    return picture.pixels
 
 
-def check(pixels: NDArray[np.float32], name: str) -> NDArray[np.float32]:
-    """Return pixels, (H, 2H, 3), if they are finite light, or raise InputError that names them.
-
-    A channel may be negative, of colours that other primaries hold and Rec.709 does not; luminance
-    may not.
-    """
-    height, width = pixels.shape[:2]
+def _check(picture: images.Picture, name: str) -> None:
+    height, width = picture.pixels.shape[:2]
     if width != 2 * height:
         raise InputError(
             f"{name}: expected a panorama twice as wide as high (equirectangular), "
             f"found {width} × {height}"
         )
-    _refuse_where(~np.isfinite(pixels).all(axis=-1), "NaN or infinity", name)
-    _refuse_where(pixels @ LUMINANCE < 0, "negative luminance", name)
+    _refuse_where(~np.isfinite(picture.pixels).all(axis=-1), "NaN or infinity", name)
+    _refuse_where(picture.negative, "negative radiance", name)
     if height < FEWEST_ROWS:
         raise InputError(
             f"{name}: expected a panorama of {2 * FEWEST_ROWS} × {FEWEST_ROWS} pixels or more, "
             f"found {width} × {height}"
         )
-    return pixels
 
 
 def _refuse_where(wrong: ArrayLike, what: str, name: str) -> None:

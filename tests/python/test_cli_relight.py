@@ -417,7 +417,7 @@ def test_unusable_sh_files(
     [
         (np.ones((8, 8, 3)), "expected a panorama twice as wide as high (equirectangular)"),
         (np.where(np.arange(128).reshape(8, 16, 1) == 19, np.nan, np.ones(3)), "found NaN"),
-        (np.where(np.arange(128).reshape(8, 16, 1) == 19, -1, np.ones(3)), "negative luminance"),
+        (np.where(np.arange(128).reshape(8, 16, 1) == 19, -1, np.ones(3)), "negative radiance"),
         (np.ones((1, 2, 3)), "expected a panorama of 14 × 7 pixels or more, found 2 × 1"),
     ],
 )

@@ -132,13 +132,23 @@ def test_an_unknown_window() -> None:
         panorama.windowed(light(), "hann")  # type: ignore[arg-type]
 
 
+def one_negative_channel() -> np.ndarray:
+    pixels = np.ones((8, 16, 3))
+    pixels[2, 5, 0] = -1e-3
+    return pixels
+
+
 @pytest.mark.parametrize(
     ("pixels", "message"),
     [
         (np.ones((8, 8, 3)), r"expected a panorama twice as wide as high .*, found 8 × 8"),
         (np.full((8, 16, 3), np.nan), "found NaN or infinity in 128 pixels, the first in column 0"),
         (np.full((8, 16, 3), np.inf), "found NaN or infinity in 128 pixels"),
-        (np.full((8, 16, 3), -1.0), "found negative luminance in 128 pixels"),
+        (np.full((8, 16, 3), -1.0), "found negative radiance in 128 pixels"),
+        (
+            one_negative_channel(),
+            "found negative radiance in 1 pixels, the first in column 5 of ro",
+        ),
         (np.ones((6, 12, 3)), "expected a panorama of 14 × 7 pixels or more, found 12 × 6"),
     ],
 )
