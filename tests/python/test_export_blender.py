@@ -31,7 +31,7 @@ def blender(result: Result, tmp_path_factory: pytest.TempPathFactory) -> InBlend
     """The whole way: the exported card under the exported light."""
     folder = tmp_path_factory.mktemp("card")
     exported = export_result(result, folder / "out", format="gltf")
-    assert [light.clamped for light in exported.panoramas] == [0, 0, 0]
+    assert [light.difference for light in exported.panoramas] == [0, 0, 0]
     light = folder / "out" / "lights" / exported.panoramas[0].file
     return in_blender(
         folder / "job",

@@ -92,14 +92,14 @@ def _tell(exported: Exported, out: Path) -> None:
     lines = [
         (file.path, file.size, file.holds) for file in exported.files if file.path not in of_lights
     ]
-    worst = max(exported.panoramas, key=lambda light: light.clamped)
-    clamped = (
-        f"; negative light was left out, at most {worst.clamped:.1%} ({worst.picture})"
-        if worst.clamped > 0
+    worst = max(exported.panoramas, key=lambda light: light.difference)
+    remark = (
+        f"; without negative light, at most {worst.difference:.1%} different ({worst.picture})"
+        if worst.difference > 0
         else ""
     )
     size = sum(file.size for file in exported.files if file.path in of_lights)
-    lines.append((f"lights/*.exr ({len(of_lights)})", size, f"a panorama a light{clamped}"))
+    lines.append((f"lights/*.exr ({len(of_lights)})", size, f"a panorama a light{remark}"))
     width = max(len(path) for path, _, _ in lines)
     for path, size, holds in lines:
         print(f"{path:<{width}}{size / 1e3:>10.1f} kB  {holds}")

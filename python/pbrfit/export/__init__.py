@@ -27,7 +27,6 @@ from pbrfit.export.lights import LightPanorama, write_lights
 from pbrfit.export.maps import Bits, Maps, NormalConvention
 from pbrfit.export.presets import Format, Plan, PresetName, plan
 from pbrfit.export.view_mesh import Geometry
-from pbrfit.lighting import Lighting
 from pbrfit.materials import write_materials
 from pbrfit.output import new_folder
 from pbrfit.result import Result
@@ -36,8 +35,8 @@ __all__ = ["Exported", "ExportedFile", "LightPanorama", "export_result"]
 
 MANIFEST = "export.json"
 
-CLAMPED_MUCH = 0.05
-"""Share of a light that was negative from which on its panorama is warned of."""
+DIFFERENT = 0.1
+"""Difference of what a panorama lights from which on it is warned of."""
 
 log = logging.getLogger("pbrfit")
 
@@ -132,10 +131,10 @@ def export_result(
     with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
         files = [file for name in planned.formats for file in _WRITERS[name](folder, job)]
         (folder / "lights").mkdir()
-        panoramas = write_lights(folder / "lights", Lighting(result.pictures, result.lighting))
+        panoramas = write_lights(folder / "lights", result)
         files += _light_files(folder, panoramas)
         _write_manifest(folder / MANIFEST, result, planned, files)
-    _warn_of_clamped(Path(path), panoramas)
+    _warn_of_negative(Path(path), panoramas)
     return Exported(tuple(files), panoramas)
 
 
@@ -198,24 +197,25 @@ def _light_files(folder: Path, panoramas: tuple[LightPanorama, ...]) -> Iterator
         yield _file(
             folder,
             f"lights/{light.file}",
-            f"panorama of the light of {light.picture}; {light.clamped:.2%} was negative",
+            f"panorama of the light of {light.picture}; lights differently by "
+            f"{light.difference:.2%}",
             _LINEAR,
         )
 
 
-def _warn_of_clamped(path: Path, panoramas: tuple[LightPanorama, ...]) -> None:
-    much = [light for light in panoramas if light.clamped >= CLAMPED_MUCH]
+def _warn_of_negative(path: Path, panoramas: tuple[LightPanorama, ...]) -> None:
+    much = [light for light in panoramas if light.difference >= DIFFERENT]
     if much:
-        worst = max(much, key=lambda light: light.clamped)
+        worst = max(much, key=lambda light: light.difference)
         log.warning(
-            "%s: %d of %d lights are negative by %g %% or more (%s by %.0f %%), which panoramas "
-            "cannot hold: these light more brightly; lighting.json and the tables hold all",
+            "%s: %d of %d lights are so negative in places that panoramas light by %g %% or more "
+            "differently (%s by %.0f %%); lighting.json and the tables hold them as they are",
             path / "lights",
             len(much),
             len(panoramas),
-            100 * CLAMPED_MUCH,
+            100 * DIFFERENT,
             worst.picture,
-            100 * worst.clamped,
+            100 * worst.difference,
         )
 
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pbrfit import images, panorama
+from pbrfit import images
+from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.lighting import BAND_OF, Lighting
+from pbrfit.result import Result
 
 HEIGHT = 64
 """Rows of a panorama. Nothing in l ≤ 3 is finer than 20 of them; what linear interpolation between
@@ -27,7 +28,7 @@ FILES = {
     "lighting.json": "the lights as pbrfit keeps them (formats.md)",
     "coefficients.csv": "the same as a table: picture, k, l, m, r, g, b",
     "three.json": "LightProbes for THREE.ObjectLoader, without l = 3",
-    "panoramas.csv": "which panorama is whose, and how much of it was negative",
+    "panoramas.csv": "which panorama is whose, and how much differently it lights",
 }
 
 
@@ -41,18 +42,20 @@ class LightPanorama:
         Whose light it is.
     file
         Its name in the folder of lights.
-    clamped
-        Share of the light that is negative and was left out: ∫ max(−E, 0) / ∫ |E| over all
-        directions and channels.
+    difference
+        By how much the surfaces look different under it than under the SH light, which may be
+        negative in places: RMS, relative; 0 where it is not.
     """
 
     picture: str
     file: str
-    clamped: float
+    difference: float
 
 
-def write_lights(folder: Path, lighting: Lighting) -> tuple[LightPanorama, ...]:
+def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     """Write all of `FILES` and a panorama a light into an existing folder."""
+    lighting = Lighting(result.pictures, result.lighting)
+    response = surface_response(result)
     lighting.save(folder / "lighting.json")
     _write_coefficients(folder / "coefficients.csv", lighting)
     _write_three(folder / "three.json", lighting)
@@ -60,31 +63,16 @@ def write_lights(folder: Path, lighting: Lighting) -> tuple[LightPanorama, ...]:
     for picture, name, light in zip(
         lighting.pictures, file_names(lighting.pictures), lighting.coefficients, strict=True
     ):
-        radiance, clamped = nonnegative_radiance(light, HEIGHT)
+        radiance, difference = nonnegative_radiance(light, response, HEIGHT)
         file = f"{name}.exr"
         radiance = np.minimum(radiance, np.finfo(np.float32).max)
         images.write_exr(folder / file, {c: radiance[..., i] for i, c in enumerate("RGB")})
-        panoramas.append(LightPanorama(picture, file, clamped))
+        panoramas.append(LightPanorama(picture, file, difference))
     with (folder / "panoramas.csv").open("w", newline="", encoding="utf-8") as table:
         writer = csv.writer(table)
-        writer.writerow(["picture", "file", "clamped_share"])
-        writer.writerows([of.picture, of.file, f"{of.clamped:.6f}"] for of in panoramas)
+        writer.writerow(["picture", "file", "relit_difference"])
+        writer.writerows([of.picture, of.file, f"{of.difference:.6f}"] for of in panoramas)
     return tuple(panoramas)
-
-
-def nonnegative_radiance(
-    light: NDArray[np.float64], height: int
-) -> tuple[NDArray[np.float64], float]:
-    """An SH light (16, 3) as a panorama (height, 2 height, 3) without its negative part.
-
-    SH lights can be negative in places; other tools cannot use that. Returned beside the panorama
-    is the share that was left out, as in `LightPanorama`.
-    """
-    radiance = panorama.radiance(light, height)
-    weights = panorama.solid_angles(height, 2 * height)[:, None, None]
-    total = np.sum(np.abs(radiance) * weights)
-    negative = np.sum(np.maximum(-radiance, 0) * weights)
-    return np.maximum(radiance, 0), float(negative / total) if total > 0 else 0.0
 
 
 def file_names(pictures: Sequence[str]) -> tuple[str, ...]:
