@@ -104,10 +104,9 @@ def _pictures(result: Result, scene: Scene | None) -> Row:
     if scene is None:
         white = metrics.white_of(reconstruction)
         return [Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
-    picture = scene.images[0]
-    white = metrics.white_of(np.where(result.mask[..., None], picture, np.nan))
     weights = None if scene.weights is None else scene.weights[0]
-    residual = differences.residual(reconstruction, picture, weights)
+    residual = differences.residual(reconstruction, scene.images[0], weights)
+    picture, white = metrics.showable(scene.images[0], result.mask, weights)
     return [
         Panel(f"picture {name}", displayed(picture, white)),
         Panel("reconstruction", displayed(reconstruction, white)),
