@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import errno
 import json
 import math
+import os
 import re
 import shutil
 import xml.etree.ElementTree as ET
@@ -242,6 +244,22 @@ def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
     assert line.startswith(f"pbrfit: {scene}: expected the scene that the result was made from")
     assert named in line
     assert not out.exists()
+
+
+def test_a_scene_that_may_not_be_looked_at_is_said(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, look = (folder / "scene").resolve(), Path.stat
+
+    def closed(path: Path, **options: bool) -> os.stat_result:
+        if path == scene:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return look(path, **options)
+
+    result = Result.load(folder / "result")
+    monkeypatch.setattr(Path, "stat", closed)
+    found = written(result, tmp_path / "page.html")
+    assert "The scene folder scene has changed since, or cannot be read." in found.text
 
 
 def test_a_scene_can_be_named(folder: Path, tmp_path: Path) -> None:
@@ -552,6 +570,39 @@ def test_a_browser_shows_the_page_without_complaint(
     assert visited.troubles == []
     assert inside <= width
     assert broken == 0
+
+
+def test_long_tables_are_folded_but_not_on_paper(
+    chromium: Browser, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pbrfit.report.page.OPEN_TABLE", 2)
+    write_report(Result.load(folder / "result"), tmp_path / "page.html")
+    with visit(chromium, tmp_path / "page.html") as opened:
+        tables = opened.page.locator("details.numbers-of-all table")
+        assert tables.count() == 2
+        assert not any(tables.nth(i).is_visible() for i in range(2))
+        opened.page.emulate_media(media="print")
+        assert all(tables.nth(i).is_visible() for i in range(2))
+
+
+@pytest.mark.parametrize(("height", "width"), [(600, 2), (2, 600)])
+def test_narrow_pictures_neither_stretch_the_page_nor_vanish(
+    chromium: Browser, tmp_path: Path, height: int, width: int
+) -> None:
+    rng = np.random.default_rng(0)
+    normals = np.zeros((height, width, 3))
+    normals[..., 2] = 1
+    images = rng.random((2, height, width, 3)).astype(np.float32)
+    result = decompose(Scene(images, normals, fov=0.0), iterations=1, uncertainty=False)
+    write_report(result, tmp_path / "page.html")
+    with visit(chromium, tmp_path / "page.html") as opened:
+        sizes = opened.page.evaluate(
+            "[...document.querySelectorAll('.zoom img')].map((e) => e.clientHeight)"
+        )
+        assert 0 < max(sizes) <= 768
+        stage = opened.page.locator(".relight-stage").bounding_box()
+        assert stage is not None
+        assert min(stage["width"], stage["height"]) > 50
 
 
 def test_pictures_are_enlarged_by_key_and_closed_again(
