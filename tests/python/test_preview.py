@@ -52,6 +52,13 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     )
 
 
+def test_the_run_time_does_not_show() -> None:
+    scene = part(24, 24)
+    result = decompose(scene, iterations=1, uncertainty=False)
+    slower = dataclasses.replace(result, seconds=result.seconds + 100)
+    np.testing.assert_array_equal(preview(slower, scene), preview(result, scene))
+
+
 def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() -> None:
     scene = part(24, 24)
     weights = np.ones((2, 24, 24))
