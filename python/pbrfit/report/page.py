@@ -260,7 +260,8 @@ def _light_table(pictures: Sequence[Picture]) -> Table:
     caption = (
         "Mean radiance over all directions, in the pictures' unit. Azimuth 0 is the viewer, "
         "positive to the right; elevation is up. Directed: 0 % from all around, 100 % from one "
-        "direction. Negative: what negative radiance takes away from the positive."
+        "direction. Negative: what negative radiance takes away from the positive, of luminance; "
+        "45 % for light from a single direction, cut at l = 3."
     )
     return Table(columns, rows, caption)
 
