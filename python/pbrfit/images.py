@@ -75,6 +75,9 @@ class Picture:
         amount of light more. All False for float files.
     dark
         (H, W), bool: all colour channels are below the code range. All False for float files.
+    negative
+        (H, W), bool: some colour channel is below 0 in the file's own primaries. Colours outside of
+        Rec.709 are negative in `pixels` without that.
     color
         One sentence on how the colour was decided.
     focal_length_35mm
@@ -89,6 +92,7 @@ class Picture:
     alpha: NDArray[np.float32] | None
     clipped: NDArray[np.bool_]
     dark: NDArray[np.bool_]
+    negative: NDArray[np.bool_]
     color: str
     focal_length_35mm: float | None
     sha256: str
@@ -160,6 +164,7 @@ def read_picture(
         colors, alpha = samples[..., :-1], samples[..., -1]
     clipped = np.zeros(samples.shape[:2], dtype=np.bool_)
     dark = np.zeros_like(clipped)
+    negative = np.zeros_like(clipped)
     bit_depth = 8 * samples.dtype.itemsize
     if samples.dtype.kind == "u":
         maximum = int(np.iinfo(samples.dtype).max)
@@ -168,8 +173,10 @@ def read_picture(
         np.all(colors < low * unit, axis=-1, out=dark)
         if alpha is not None:
             alpha = np.divide(alpha, np.float32(maximum), dtype=np.float32)
-    elif alpha is not None:
-        alpha = alpha.astype(np.float32)
+    else:
+        np.any(colors < 0, axis=-1, out=negative)
+        if alpha is not None:
+            alpha = alpha.astype(np.float32)
     convert = chosen or found
     pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
     return Picture(
@@ -177,6 +184,7 @@ def read_picture(
         alpha=alpha,
         clipped=clipped,
         dark=dark,
+        negative=negative,
         color=color,
         focal_length_35mm=focal_length,
         sha256=hashlib.sha256(data).hexdigest(),

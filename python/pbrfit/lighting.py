@@ -75,6 +75,9 @@ class Lighting:
                 f"{path}: expected coefficients of shape {expected}, one light for each name in "
                 f"pictures, found shape {coefficients.shape}"
             )
+        if len(set(pictures)) != len(pictures):
+            twice = next(name for name in pictures if pictures.count(name) > 1)
+            raise InputError(f"{path}: expected one light a name, found {twice} twice")
         if not np.isfinite(coefficients).all():
             raise InputError(f"{path}: expected finite coefficients, found NaN or infinity")
         return cls(pictures, coefficients)

@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+import errno
 import secrets
 import shutil
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+
+@contextmanager
+def _naming(path: Path, temporary: Path) -> Iterator[None]:
+    """Let failures name what was to be written: not the temporary beside it, and not nothing."""
+    try:
+        yield
+    except OSError as error:
+        unnamed = error.filename is None and error.errno in _NO_ROOM
+        if unnamed or str(error.filename).startswith(str(temporary)):
+            error.filename = str(path)
+        raise
+
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What writing to an open file fails with; the error then does not know the file's name."""
 
 
 @contextmanager
@@ -39,7 +56,8 @@ def new_folder(
             raise type(error)(
                 f"{path}: expected a place where a folder can be made, found: {found}"
             ) from None
-        yield temporary
+        with _naming(path, temporary):
+            yield temporary
         check_free(
             path, overwrite=overwrite, contains=contains
         )  # another process may have been here meanwhile
@@ -85,7 +103,8 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
             raise type(error)(
                 f"{path}: expected a place where a file can be made, found: {found}"
             ) from None
-        yield temporary
+        with _naming(path, temporary):
+            yield temporary
         check_free_file(path, overwrite=overwrite)  # as above
         temporary.replace(target)
     finally:

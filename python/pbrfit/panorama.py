@@ -11,6 +11,7 @@ where d points to where the light comes from.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from typing import Any, Literal
@@ -24,11 +25,17 @@ from pbrfit.color import ColorSpace
 from pbrfit.lighting import BAND_OF, rotated
 from pbrfit.model import sh_basis
 
+log = logging.getLogger("pbrfit")
+
 Window = Literal["none", "lanczos", "nonnegative"]
 """What is done against ringing; see `windowed`."""
 
 CHUNK = 1 << 18
 """Pixels whose basis is held at once: 32 MiB of it."""
+
+FEWEST_ROWS = 7
+"""Products of two functions with l = 3 have degree 6; with fewer rows, or columns, `solid_angles`
+does not integrate them exactly, and grey panoramas would light unevenly."""
 
 
 def directions(height: int, width: int) -> NDArray[np.float64]:
@@ -67,39 +74,55 @@ def read(
     Parameters
     ----------
     path
-        EXR or Radiance HDR file; other pictures are read too, but know no light above white.
+        EXR or Radiance HDR file; other pictures are read too, but know no light above white, which
+        is warned of where they reach it.
     color_space
         As for `images.read_picture`.
 
     Raises
     ------
     InputError
-        If it cannot be read as a picture, or is no panorama (`check`).
+        If it cannot be read as a picture, is not twice as wide as high or too small, or holds NaN,
+        infinity or negative radiance. Colours that only other primaries than Rec.709 hold are
+        negative in Rec.709 and welcome.
     OSError
         If the file cannot be read.
     """
-    return check(images.read_picture(path, color_space).pixels, str(path))
+    picture = images.read_picture(path, color_space)
+    _check(picture, str(path))
+    if picture.clipped.any():
+        log.warning(
+            "%s: %.2g %% of the pixels are clipped, so lamps, windows and skies are darker in it "
+            "than they were; .hdr and .exr hold them",
+            path,
+            100 * picture.clipped.mean(),
+        )
+    return picture.pixels
 
 
-def check(pixels: NDArray[np.float32], name: str) -> NDArray[np.float32]:
-    """Return pixels, (H, 2H, 3), finite and 0 or more, or raise InputError that names them."""
-    height, width = pixels.shape[:2]
+def _check(picture: images.Picture, name: str) -> None:
+    height, width = picture.pixels.shape[:2]
     if width != 2 * height:
         raise InputError(
             f"{name}: expected a panorama twice as wide as high (equirectangular), "
             f"found {width} × {height}"
         )
-    for wrong, what in (
-        (~np.isfinite(pixels), "NaN or infinity"),
-        (pixels < 0, "negative radiance"),
-    ):
-        if wrong.any():
-            i, j = np.argwhere(wrong)[0][:2]
-            raise InputError(
-                f"{name}: expected finite radiance of 0 or more, found {what} in "
-                f"{np.any(wrong, axis=-1).sum()} pixels, the first in column {j} of row {i}"
-            )
-    return pixels
+    _refuse_where(~np.isfinite(picture.pixels).all(axis=-1), "NaN or infinity", name)
+    _refuse_where(picture.negative, "negative radiance", name)
+    if height < FEWEST_ROWS:
+        raise InputError(
+            f"{name}: expected a panorama of {2 * FEWEST_ROWS} × {FEWEST_ROWS} pixels or more, "
+            f"found {width} × {height}"
+        )
+
+
+def _refuse_where(wrong: ArrayLike, what: str, name: str) -> None:
+    places = np.argwhere(wrong)
+    if len(places):
+        raise InputError(
+            f"{name}: expected finite radiance of 0 or more, found {what} in {len(places)} pixels, "
+            f"the first in column {places[0, 1]} of row {places[0, 0]}"
+        )
 
 
 def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[np.float64]:

@@ -92,6 +92,13 @@ def load(
     if fov is not None:
         geometry.check_fov(fov)
     names = tuple(path.stem for path in paths)
+    for path in paths:
+        try:
+            path.name.encode()
+        except UnicodeEncodeError:
+            raise InputError(
+                f"{path.parent}: expected file names in UTF-8, found {path.name!r}"
+            ) from None
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"{paths[0].parent}: expected one picture a name, found {twice} twice")

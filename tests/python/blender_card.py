@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbrfit import Materials, Result, decompose, panorama
 from pbrfit.synthetic import make_scene
-from pbrfit.synthetic.cycles.process import find_python
+from pbrfit.synthetic.cycles.process import find_python, run_worker
 
 WORKER = Path(__file__).with_name("blender_worker.py")
 
@@ -91,17 +89,7 @@ def in_blender(
         "renders": [asdict(of) | {"panorama": str(of.panorama)} for of in renderings],
     }
     (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
-    ours = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "PYTHONWARNINGS")
-    done = subprocess.run(
-        [find_python(), WORKER, folder],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        env={name: value for name, value in os.environ.items() if name not in ours},
-    )
-    if done.returncode != 0:
-        raise RuntimeError(f"Blender failed:\n{done.stderr[-2000:]}")
+    run_worker(find_python(), folder, timeout, worker=WORKER)
     with np.load(folder / "seen.npz") as seen:
         return InBlender(
             json.loads((folder / "facts.json").read_text(encoding="utf-8")),

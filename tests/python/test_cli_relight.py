@@ -418,6 +418,7 @@ def test_unusable_sh_files(
         (np.ones((8, 8, 3)), "expected a panorama twice as wide as high (equirectangular)"),
         (np.where(np.arange(128).reshape(8, 16, 1) == 19, np.nan, np.ones(3)), "found NaN"),
         (np.where(np.arange(128).reshape(8, 16, 1) == 19, -1, np.ones(3)), "negative radiance"),
+        (np.ones((1, 2, 3)), "expected a panorama of 14 × 7 pixels or more, found 2 × 1"),
     ],
 )
 def test_unusable_panoramas(
@@ -496,6 +497,13 @@ def test_what_is_read_is_not_overwritten(
     assert run("relight", room, "--light", "0,0", *out) == 2
     assert "expected a file apart from the result's and the light's" in refused(capsys)
     assert (room / "materials.exr").read_bytes() == materials
+    # Not as part of a folder of frames either.
+    frames = pano.parent
+    (frames / "frame_0000.exr").touch()
+    turn = ("--turntable", 2, "--out", frames, "--overwrite")
+    assert run("relight", room, "--env", pano, *turn) == 2
+    assert "expected a folder apart from the result's and the light's" in refused(capsys)
+    assert pano.read_bytes() == before
 
 
 @pytest.mark.parametrize(

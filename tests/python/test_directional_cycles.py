@@ -5,7 +5,6 @@ Needs a Python with bpy (`make cycles-env`, or PBRFIT_CYCLES_PYTHON) and skips w
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from pbrfit import DirectionalLight, Materials, images
 from pbrfit.model import render_directional
 from pbrfit.synthetic.cycles import why_not
-from pbrfit.synthetic.cycles.process import find_python
+from pbrfit.synthetic.cycles.process import find_python, run_worker
 
 SIDE = 48
 LIGHT = DirectionalLight(60, 30)
@@ -32,11 +31,8 @@ pytestmark = pytest.mark.skipif(why_not() is not None, reason=str(why_not()))
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> dict[str, NDArray[np.float32]]:
     folder = tmp_path_factory.mktemp("sun")
     worker = Path(__file__).with_name("blender_sun.py")
-    arguments = [str(x) for x in (folder, LIGHT.azimuth, LIGHT.elevation, SIDE, *BOUNDS)]
-    done = subprocess.run(
-        [find_python(), "-I", worker, *arguments], capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
+    arguments = [str(x) for x in (LIGHT.azimuth, LIGHT.elevation, SIDE, *BOUNDS)]
+    run_worker(find_python(), folder, 300, *arguments, worker=worker)
     return {name: images.read_picture(folder / f"{name}.exr").pixels for name in BOUNDS}
 
 

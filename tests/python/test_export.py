@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import io
 import json
+import re
 import struct
 import zlib
 from collections.abc import Callable
@@ -269,6 +270,11 @@ def test_normals_flip_green_alone(result: Result, tmp_path: Path) -> None:
     assert (up / "material.glb").read_bytes() == (down / "material.glb").read_bytes()
     vectors, texture = exr(down / "exr" / "materials.exr"), exr(down / "exr" / "normal_directx.exr")
     np.testing.assert_allclose(texture["G"], 0.5 - 0.5 * vectors["normal.Y"], atol=1e-6)
+    for folder, green in ((up, "0.5 + 0.5 normal Y"), (down, "0.5 − 0.5 normal Y")):
+        files = json.loads((folder / "export.json").read_text("utf-8"))["files"]
+        maps = [file for file in files if "/normal_" in file["path"]]
+        assert [file["holds"].split("; ")[1] for file in maps] == [green, green]
+        assert all(file["color_space"].startswith("data, linear") for file in maps)
 
 
 def test_exr_layers_and_textures_as_openexr_reads_them(result: Result, tmp_path: Path) -> None:
@@ -602,10 +608,32 @@ def test_three_js_light_probes_give_the_same_radiance_and_irradiance(
         np.testing.assert_allclose(basis @ sh, sh_basis(d)[:, :9] @ light[:9], atol=1e-5)
 
 
+def test_lights_that_panoramas_cannot_hold_are_warned_of(
+    result: Result,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    lights = np.zeros_like(result.lighting)
+    lights[:, 0], lights[0, 2] = 1.0, 1.0
+    dark = dataclasses.replace(result, lighting=lights)
+    share = export_result(dark, tmp_path / "a").panoramas[0].clamped
+    assert f"1 of 3 lights are negative by 5 % or more (a by {100 * share:.0f} %)" in caplog.text
+    for least, warned in ((share, 1), (np.nextafter(share, 1), 0)):
+        caplog.clear()
+        monkeypatch.setattr("pbrfit.export.CLAMPED_MUCH", least)
+        export_result(dark, tmp_path / f"{warned}")
+        assert len(caplog.messages) == warned
+
+
 def test_names_of_pictures_become_names_of_files() -> None:
     found = file_names(("a", "A", "dir/lamp: 1", "..", "", "ç", "a"))
     assert found == ("a", "A_2", "dir_lamp_ 1", "light", "light_2", "ç", "a_3")
     assert len({name.casefold() for name in found}) == len(found)
+    assert file_names(("\u00e4", "a\u0308")) == ("\u00e4", "a\u0308_2")
+    assert file_names(("CON", "lpt1.b", "console")) == ("_CON", "_lpt1.b", "console")
+    long = file_names(("x" * 300, "X" * 300, "\u00e4" * 150))
+    assert long == ("x" * 200, "X" * 200 + "_2", "\u00e4" * 100)
 
 
 # Small and odd results
@@ -623,6 +651,14 @@ def test_equal_results_give_equal_files(result: Result, tmp_path: Path) -> None:
         export_result(result, tmp_path / name)
     for file in names(tmp_path / "a"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_light_beyond_float32_is_its_largest_number(result: Result, tmp_path: Path) -> None:
+    bright = dataclasses.replace(result, lighting=1e39 * result.lighting)
+    exported = export_result(bright, tmp_path / "out", format="gltf")
+    for light in exported.panoramas:
+        found = exr(tmp_path / "out" / "lights" / light.file)
+        assert max(channel.max() for channel in found.values()) == np.finfo(np.float32).max
 
 
 def test_unusable_results_are_refused_and_leave_nothing(result: Result, tmp_path: Path) -> None:
@@ -651,16 +687,25 @@ def test_export_prints_what_it_wrote(
     out = tmp_path / "出力"
     assert run("export", folder, "--out", out) == 0
     captured = capsys.readouterr()
-    assert captured.err == ""
+    assert len(captured.err.splitlines()) == 1
+    assert "2 of 3 lights are negative by 5 % or more" in captured.err
     found = [name for name in names(out) if name != "export.json"]
     lines = captured.out.splitlines()
     total = sum((out / name).stat().st_size for name in found)
     assert lines[0] == f"{out}: {len(found) + 1} files, {total / 1e6:.2f} MB"
-    assert sorted(line.split(" ")[0] for line in lines[1:]) == found
-    for line in lines[1:]:
+    # Panoramas, a file a picture, share the last line.
+    panoramas = [name for name in found if re.fullmatch(r"lights/.*\.exr", name)]
+    others = [name for name in found if name not in panoramas]
+    assert len(panoramas) > 1
+    assert sorted(line.split(" ")[0] for line in lines[1:-1]) == others
+    for line in lines[1:-1]:
         name = line.split(" ")[0]
         assert f" {(out / name).stat().st_size / 1e3:.1f} kB  " in line
-    assert any("% was negative" in line for line in lines)
+    size = sum((out / name).stat().st_size for name in panoramas)
+    start = rf"lights/\*\.exr \({len(panoramas)}\) +{size / 1e3:.1f} kB  a panorama a light"
+    assert re.fullmatch(
+        rf"{start}; negative light was left out, at most \d+\.\d% \(.*\)", lines[-1]
+    )
     assert run("export", folder, "--out", out, "--quiet", "--overwrite") == 0
     assert capsys.readouterr().out == ""
     assert sorted(path.name for path in tmp_path.iterdir()) == ["résultat 1", "出力"]

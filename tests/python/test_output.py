@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -210,3 +214,30 @@ def test_a_place_where_no_file_can_be_made(old: Path) -> None:
     with pytest.raises(OSError, match=r"expected a place where a file can be made, found: "):
         new_file(old / "old.txt" / "out.txt").__enter__()
     assert tree(old) == {"old.txt": "old"}
+
+
+@pytest.mark.parametrize("new", [new_file, new_folder])
+@pytest.mark.parametrize("named", [False, True])
+def test_a_full_disk_is_told_by_the_name_of_the_output(
+    tmp_path: Path, new: Callable[[Path], AbstractContextManager[Path]], named: bool
+) -> None:
+    def write_to(temporary: Path) -> NoReturn:
+        names = (str(temporary / "part" if new is new_folder else temporary),) if named else ()
+        raise OSError(errno.ENOSPC, "No space left on device", *names)
+
+    with (
+        pytest.raises(OSError, match="No space left on device") as caught,
+        new(tmp_path / "out") as temporary,
+    ):
+        write_to(temporary)
+    assert caught.value.filename == str(tmp_path / "out")
+    assert tree(tmp_path) == {}
+
+
+def test_other_failures_keep_the_names_they_have(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="refused") as refused, new_folder(tmp_path / "out"):
+        raise ConnectionRefusedError(errno.ECONNREFUSED, "refused")
+    assert refused.value.filename is None
+    with pytest.raises(FileNotFoundError) as missing, new_folder(tmp_path / "out"):
+        (tmp_path / "nothing").read_text()
+    assert missing.value.filename == str(tmp_path / "nothing")

@@ -132,13 +132,24 @@ def test_an_unknown_window() -> None:
         panorama.windowed(light(), "hann")  # type: ignore[arg-type]
 
 
+def one_negative_channel() -> np.ndarray:
+    pixels = np.ones((8, 16, 3))
+    pixels[2, 5, 0] = -1e-3
+    return pixels
+
+
 @pytest.mark.parametrize(
     ("pixels", "message"),
     [
         (np.ones((8, 8, 3)), r"expected a panorama twice as wide as high .*, found 8 × 8"),
-        (np.full((4, 8, 3), np.nan), "found NaN or infinity in 32 pixels, the first in column 0"),
-        (np.full((4, 8, 3), np.inf), "found NaN or infinity in 32 pixels"),
-        (np.full((4, 8, 3), -1.0), "found negative radiance in 32 pixels"),
+        (np.full((8, 16, 3), np.nan), "found NaN or infinity in 128 pixels, the first in column 0"),
+        (np.full((8, 16, 3), np.inf), "found NaN or infinity in 128 pixels"),
+        (np.full((8, 16, 3), -1.0), "found negative radiance in 128 pixels"),
+        (
+            one_negative_channel(),
+            "found negative radiance in 1 pixels, the first in column 5 of ro",
+        ),
+        (np.ones((6, 12, 3)), "expected a panorama of 14 × 7 pixels or more, found 12 × 6"),
     ],
 )
 def test_what_is_no_panorama_is_refused(pixels: np.ndarray, message: str, tmp_path: Path) -> None:
@@ -147,3 +158,37 @@ def test_what_is_no_panorama_is_refused(pixels: np.ndarray, message: str, tmp_pa
     with pytest.raises(InputError, match=message) as caught:
         panorama.read(path)
     assert str(caught.value).startswith(str(path))
+
+
+def test_the_smallest_panorama_lights_evenly(tmp_path: Path) -> None:
+    path = tmp_path / "grey.exr"
+    images.write_exr(path, dict.fromkeys("RGB", np.ones((7, 14))))
+    expected = np.zeros((16, 3))
+    expected[0] = 2 * np.sqrt(np.pi)
+    np.testing.assert_allclose(panorama.project(panorama.read(path)), expected, atol=1e-12)
+
+
+def test_colours_beyond_rec_709_are_light_too(tmp_path: Path) -> None:
+    """Such as the green of ACEScg, whose red is negative in Rec.709."""
+    path = tmp_path / "green.exr"
+    green = {"R": np.zeros((8, 16)), "G": np.ones((8, 16)), "B": np.zeros((8, 16))}
+    images.write_exr(path, green)
+    read = panorama.read(path, "acescg")
+    assert (read[..., 0] < 0).all()
+    found = panorama.project(read)
+    np.testing.assert_allclose(found[0], 2 * np.sqrt(np.pi) * read[0, 0], rtol=1e-6)
+    assert panorama.lost_energy(read, found) < 1e-6
+
+
+def test_a_panorama_that_is_clipped_is_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    codes = np.full((8, 16, 3), 100, np.uint8)
+    path = tmp_path / "sky.png"
+    images.write_png(path, codes, "srgb")
+    panorama.read(path)
+    assert not caplog.messages
+    codes[0, :4] = 255
+    images.write_png(path, codes, "srgb")
+    panorama.read(path)
+    assert "3.1 % of the pixels are clipped" in caplog.text

@@ -6,7 +6,9 @@ import dataclasses
 import hashlib
 import json
 import logging
+import os
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -629,6 +631,10 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
         lambda f: spoil_light(f, light_json(names=["a"])),
         r"lighting.json: expected coefficients of shape \(1, 16, 3\).* found shape \(3, 16, 3\)",
     ),
+    "two lights of one name": (
+        lambda f: spoil_light(f, light_json(names=["light_00", "light_01", "light_00"])),
+        "lighting.json: expected one light a name, found light_00 twice",
+    ),
     "NaN lights": (
         lambda f: spoil_light(f, light_json(value=np.nan)),
         "lighting.json: expected finite coefficients, found NaN or infinity",
@@ -680,3 +686,11 @@ def test_published_multi_illumination_photographs(shared_data: Path, tmp_path: P
     assert "with a channel above code 250 of 255" in scene.assumed["exposure"]
     assert scene.weights is not None
     assert 0.06 < np.mean(scene.weights == 0) < 0.07
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere all file names are Unicode")
+def test_a_file_name_that_no_text_file_can_hold_is_refused(folder: Path) -> None:
+    picture = next((folder / "images").iterdir())
+    picture.rename(picture.with_name(os.fsdecode(b"caf\xe9.exr")))
+    with pytest.raises(InputError, match=r"images: expected file names in UTF-8, found 'caf.*exr'"):
+        Scene.load(folder)

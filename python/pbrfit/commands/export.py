@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pbrfit._core import InputError
 from pbrfit.arguments import (
@@ -13,6 +15,9 @@ from pbrfit.arguments import (
     add_result,
     unread_is_no_failure,
 )
+
+if TYPE_CHECKING:
+    from pbrfit.export import Exported
 
 
 def add(commands: Subcommands) -> None:
@@ -75,9 +80,26 @@ def _run(options: argparse.Namespace) -> int:
     )
     if not options.quiet:
         with unread_is_no_failure():
-            total = sum(file.size for file in exported.files)
-            print(f"{options.out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB")
-            width = max(len(file.path) for file in exported.files)
-            for file in exported.files:
-                print(f"{file.path:<{width}}{file.size / 1e3:>10.1f} kB  {file.holds}")
+            _tell(exported, options.out)
     return DONE
+
+
+def _tell(exported: Exported, out: Path) -> None:
+    """List the files; panoramas, of which there may be many, in one line."""
+    total = sum(file.size for file in exported.files)
+    print(f"{out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB")
+    of_lights = {f"lights/{light.file}" for light in exported.panoramas}
+    lines = [
+        (file.path, file.size, file.holds) for file in exported.files if file.path not in of_lights
+    ]
+    worst = max(exported.panoramas, key=lambda light: light.clamped)
+    clamped = (
+        f"; negative light was left out, at most {worst.clamped:.1%} ({worst.picture})"
+        if worst.clamped > 0
+        else ""
+    )
+    size = sum(file.size for file in exported.files if file.path in of_lights)
+    lines.append((f"lights/*.exr ({len(of_lights)})", size, f"a panorama a light{clamped}"))
+    width = max(len(path) for path, _, _ in lines)
+    for path, size, holds in lines:
+        print(f"{path:<{width}}{size / 1e3:>10.1f} kB  {holds}")

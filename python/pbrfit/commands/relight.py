@@ -189,8 +189,13 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
 
     used = [options.result / name for name in ("materials.exr", "preview.png")]
     used += [path for path in (options.env, options.sh) if path is not None]
-    if options.out.resolve() in [path.resolve() for path in used]:
-        raise InputError(f"{options.out}: expected a file apart from the result's and the light's")
+    out = options.out.resolve()
+    # Of a folder that is replaced, all that is in it goes.
+    if any(path.resolve().is_relative_to(out) for path in used):
+        raise InputError(
+            f"{options.out}: expected {'a folder' if kind == 'folder' else 'a file'} apart from "
+            "the result's and the light's"
+        )
     if kind == "folder":
         check_free(options.out, overwrite=options.overwrite, contains=_contains(options))
     else:
@@ -252,7 +257,8 @@ def _facts_of_output(
     height, width = result.mask.shape
     what = f"{options.out}: {width} × {height}"
     if options.turntable is not None:
-        what += f", {options.turntable} frames, {360 / options.turntable:g} degrees apart"
+        several = f"{options.turntable} frames, {360 / options.turntable:g} degrees apart"
+        what += f", {several if options.turntable > 1 else '1 frame'}"
         if kind != "folder":
             what += f", {options.fps or FPS:g} a second, repeated"
     alpha = "" if result.mask.all() else ", alpha from the mask"

@@ -14,6 +14,7 @@ docs/export.md says how tools read them.
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -34,6 +35,11 @@ from pbrfit.result import Result
 __all__ = ["Exported", "ExportedFile", "LightPanorama", "export_result"]
 
 MANIFEST = "export.json"
+
+CLAMPED_MUCH = 0.05
+"""Share of a light that was negative from which on its panorama is warned of."""
+
+log = logging.getLogger("pbrfit")
 
 CONTAINS = (MANIFEST,)
 """Files by which a folder is known for an export."""
@@ -129,6 +135,7 @@ def export_result(
         panoramas = write_lights(folder / "lights", Lighting(result.pictures, result.lighting))
         files += _light_files(folder, panoramas)
         _write_manifest(folder / MANIFEST, result, planned, files)
+    _warn_of_clamped(Path(path), panoramas)
     return Exported(tuple(files), panoramas)
 
 
@@ -155,12 +162,13 @@ def _write_exr(folder: Path, job: _Job) -> Iterator[ExportedFile]:
     yield _file(folder, path, "all maps as layers; normals as vectors, Y up", _LINEAR)
     for texture in job.plan.textures:
         path = f"exr/{texture.name}.exr"
-        values = job.maps.floats(texture, job.plan.normals)
+        values = job.maps.floats(texture)
         letters = "Y" if values.shape[-1] == 1 else "RGBA"
         images.write_exr(
             folder / path, {letters[c]: values[..., c] for c in range(values.shape[-1])}
         )
-        yield _file(folder, path, "; ".join(texture.channels), _LINEAR)
+        encoding = _LINEAR if texture.color else "data, linear; float32"
+        yield _file(folder, path, "; ".join(texture.channels), encoding)
 
 
 def _write_png(folder: Path, job: _Job) -> Iterator[ExportedFile]:
@@ -168,7 +176,7 @@ def _write_png(folder: Path, job: _Job) -> Iterator[ExportedFile]:
     for texture in job.plan.textures:
         bits = job.plan.bits_of(texture)
         path = f"png/{texture.name}.png"
-        values = job.maps.integers(texture, bits, job.plan.normals)
+        values = job.maps.integers(texture, bits)
         images.write_png(folder / path, values, "srgb" if texture.color else "linear")
         holds = "; ".join(texture.channels)
         yield _file(folder, path, holds, f"{texture.color_space}; {bits} bits")
@@ -192,6 +200,22 @@ def _light_files(folder: Path, panoramas: tuple[LightPanorama, ...]) -> Iterator
             f"lights/{light.file}",
             f"panorama of the light of {light.picture}; {light.clamped:.2%} was negative",
             _LINEAR,
+        )
+
+
+def _warn_of_clamped(path: Path, panoramas: tuple[LightPanorama, ...]) -> None:
+    much = [light for light in panoramas if light.clamped >= CLAMPED_MUCH]
+    if much:
+        worst = max(much, key=lambda light: light.clamped)
+        log.warning(
+            "%s: %d of %d lights are negative by %g %% or more (%s by %.0f %%), which panoramas "
+            "cannot hold: these light more brightly; lighting.json and the tables hold all",
+            path / "lights",
+            len(much),
+            len(panoramas),
+            100 * CLAMPED_MUCH,
+            worst.picture,
+            100 * worst.clamped,
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import unicodedata
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -61,6 +62,7 @@ def write_lights(folder: Path, lighting: Lighting) -> tuple[LightPanorama, ...]:
     ):
         radiance, clamped = nonnegative_radiance(light, HEIGHT)
         file = f"{name}.exr"
+        radiance = np.minimum(radiance, np.finfo(np.float32).max)
         images.write_exr(folder / file, {c: radiance[..., i] for i, c in enumerate("RGB")})
         panoramas.append(LightPanorama(picture, file, clamped))
     with (folder / "panoramas.csv").open("w", newline="", encoding="utf-8") as table:
@@ -86,17 +88,28 @@ def nonnegative_radiance(
 
 
 def file_names(pictures: Sequence[str]) -> tuple[str, ...]:
-    """Names of pictures as names of files, without suffix, which no file system confuses."""
+    """Names of pictures as names of files, without suffix, which no file system confuses.
+
+    Windows reserves some names, and file systems take 255 bytes, the suffix among them. Windows and
+    macOS tell neither cases nor ways to write an accent apart.
+    """
     names: list[str] = []
     taken: set[str] = set()
     for picture in pictures:
-        name = re.sub(r'[<>:"/\\|?*\x00-\x1f]', "_", picture).strip(". ") or "light"
+        name = re.sub(r'[<>:"/\\|?*\x00-\x1f]', "_", picture)
+        name = name.encode()[:200].decode(errors="ignore").strip(". ") or "light"
+        if re.fullmatch(r"(?i)con|prn|aux|nul|(com|lpt)\d", name.partition(".")[0].rstrip()):
+            name = f"_{name}"
         unique, count = name, 2
-        while unique.casefold() in taken:
+        while _folded(unique) in taken:
             unique, count = f"{name}_{count}", count + 1
-        taken.add(unique.casefold())
+        taken.add(_folded(unique))
         names.append(unique)
     return tuple(names)
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def _write_coefficients(path: Path, lighting: Lighting) -> None:

@@ -92,26 +92,20 @@ class Maps:
                 )
         return cls(mask=result.mask, **filled)
 
-    def floats(self, texture: Texture, normals: NormalConvention = "opengl") -> NDArray[np.float32]:
+    def floats(self, texture: Texture) -> NDArray[np.float32]:
         """Channels of a texture, (H, W, C) float32; colours are linear."""
-        return self._stacked(texture, normals).astype(np.float32)
+        return self._stacked(texture).astype(np.float32)
 
-    def integers(
-        self, texture: Texture, bits: Bits, normals: NormalConvention = "opengl"
-    ) -> NDArray[Any]:
+    def integers(self, texture: Texture, bits: Bits) -> NDArray[Any]:
         """The same, (H, W, C) uint8 or uint16, 0 to 1 on all codes; colours are sRGB-encoded."""
-        values = np.clip(self._stacked(texture, normals), 0.0, 1.0)
+        values = np.clip(self._stacked(texture), 0.0, 1.0)
         if texture.color:
             values[..., :3] = encode_srgb(values[..., :3])
         largest = (1 << bits) - 1
         return np.floor(values * largest + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
 
-    def _stacked(self, texture: Texture, normals: NormalConvention) -> NDArray[np.float64]:
-        values = np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
-        if normals == "directx" and "normal Y" in texture.channels:
-            green = texture.channels.index("normal Y")
-            values[..., green] = 1 - values[..., green]
-        return values
+    def _stacked(self, texture: Texture) -> NDArray[np.float64]:
+        return np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
 
 
 def _constant(value: float) -> Callable[[Maps], NDArray[np.float64]]:
@@ -125,15 +119,20 @@ CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
     "roughness": lambda maps: maps.roughness,
     "smoothness = 1 − roughness": lambda maps: 1 - maps.roughness,
     "metallic": lambda maps: maps.metallic,
-    "normal X": lambda maps: 0.5 + 0.5 * maps.normals[..., 0],
-    "normal Y": lambda maps: 0.5 + 0.5 * maps.normals[..., 1],
-    "normal Z": lambda maps: 0.5 + 0.5 * maps.normals[..., 2],
+    "0.5 + 0.5 normal X": lambda maps: 0.5 + 0.5 * maps.normals[..., 0],
+    "0.5 + 0.5 normal Y": lambda maps: 0.5 + 0.5 * maps.normals[..., 1],
+    "0.5 − 0.5 normal Y": lambda maps: 0.5 - 0.5 * maps.normals[..., 1],
+    "0.5 + 0.5 normal Z": lambda maps: 0.5 + 0.5 * maps.normals[..., 2],
     "mask": lambda maps: maps.mask.astype(np.float64),
     "occlusion, none": _constant(1.0),
     "detail mask, none": _constant(0.0),
     "unused": _constant(0.0),
 }
-"""What a channel of a texture may hold: (H, W) in [0, 1], of normals 0.5 + 0.5 n, Y up."""
+"""What a channel of a texture may hold: (H, W) in [0, 1]."""
 
 BASE_COLOR = ("base color R", "base color G", "base color B")
-NORMAL = ("normal X", "normal Y", "normal Z")
+GREEN: dict[NormalConvention, str] = {
+    "opengl": "0.5 + 0.5 normal Y",
+    "directx": "0.5 − 0.5 normal Y",
+}
+NORMAL = ("0.5 + 0.5 normal X", GREEN["opengl"], "0.5 + 0.5 normal Z")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from pbrfit._core import InputError
-from pbrfit.export.maps import BASE_COLOR, NORMAL, Bits, NormalConvention, Texture
+from pbrfit.export.maps import BASE_COLOR, GREEN, NORMAL, Bits, NormalConvention, Texture
 from pbrfit.export.view_mesh import Geometry
 
 Format = Literal["gltf", "exr", "png"]
@@ -24,7 +24,7 @@ class Preset:
     normals
         Convention of normal maps unless one is asked for.
     textures
-        Texture files. "{normals}" in a name becomes the convention.
+        Texture files. "{normals}" in a name becomes the convention, and green follows it.
     opacity
         What is added where the mask leaves pixels out: a texture, or the mask as alpha of the
         first one.
@@ -145,7 +145,12 @@ def plan(
         )
     convention = normals or chosen.normals
     textures = [
-        Texture(t.name.format(normals=convention), t.channels, t.color, t.bits)
+        Texture(
+            t.name.format(normals=convention),
+            tuple(GREEN[convention] if c == GREEN["opengl"] else c for c in t.channels),
+            t.color,
+            t.bits,
+        )
         for t in chosen.textures
     ]
     if masked and chosen.opacity == "alpha":

@@ -80,8 +80,12 @@ def why_not() -> str | None:
     return None
 
 
-def run_worker(python: Path, folder: Path, timeout: float) -> None:
+def run_worker(
+    python: Path, folder: Path, timeout: float, *arguments: str, worker: Path | None = None
+) -> None:
     """Render the job in `folder`; the results are there afterwards.
+
+    `worker` is another program than `WORKER`; it gets the folder and the arguments.
 
     Raises
     ------
@@ -92,7 +96,7 @@ def run_worker(python: Path, folder: Path, timeout: float) -> None:
     with log.open("wb") as output:
         try:
             process = subprocess.run(
-                [python, WORKER, folder],
+                [python, worker or WORKER, folder, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
