@@ -69,6 +69,7 @@ def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() ->
         images[0, :8] = value
         changed = dataclasses.replace(scene, images=images, weights=weights)
         previews.append(preview(decompose(changed, iterations=1, uncertainty=False), changed))
+        assert np.isfinite(normals_preview(changed)).all()  # and no warning
     for found in previews[1:]:
         rows, columns = np.nonzero((found != previews[0]).any(axis=-1))
         # Only the samples themselves, which are in the first panel, look different.
