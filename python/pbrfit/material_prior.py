@@ -72,6 +72,10 @@ OWN_PIXELS = 16
 PICTURE_PIXELS = 10.0
 """How many pixels the distribution of the whole picture counts for in that of a segment."""
 
+RAREST = 1e-30
+"""Probability of a node at least. Pixels that nothing was learnt from may have a likelihood of 0,
+to the last bit, wherever else something was found; their likelihood alone decides then."""
+
 SAME_GROUP = 0.02
 """Of the largest probability: neighbouring nodes above this are one group."""
 
@@ -356,7 +360,7 @@ class _Learnt:
             if segment and len(of_segment) >= OWN_PIXELS:
                 row[segment] = len(rows)
                 rows.append(_mixture(likelihood[of_segment], whole))
-        probabilities = np.stack(rows)
+        probabilities = np.maximum(np.stack(rows), np.float32(RAREST))
         shape = (len(ROUGHNESS_NODES), -1)
         high = probabilities > SAME_GROUP * probabilities.max(axis=1, keepdims=True)
         groups = np.stack([label(of_row.reshape(shape))[0].ravel() for of_row in high])

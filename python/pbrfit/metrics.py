@@ -87,6 +87,22 @@ def white_of(radiance: NDArray[np.floating[Any]]) -> float:
     return bright if bright > 0 else 1.0
 
 
+def showable(
+    picture: NDArray[np.floating[Any]],
+    mask: NDArray[np.bool_],
+    weights: NDArray[np.floating[Any]] | None = None,
+) -> tuple[NDArray[np.floating[Any]], float]:
+    """What can be shown of a picture (H, W, 3), and its white.
+
+    Samples that took no part in a fit, outside the mask or of weight 0, may be anything: they do
+    not decide about the exposure, and are NaN where they are not finite.
+    """
+    counted = mask if weights is None else mask & (weights > 0)
+    white = white_of(np.where(counted[..., None], picture, np.nan))
+    finite = np.isfinite(picture).all(axis=-1, keepdims=True)
+    return np.where(finite, picture, np.nan), white
+
+
 def psnr(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> float:
     """Peak signal-to-noise ratio in dB, 20 log10(1 / RMSE), of values with a range of 1.
 

@@ -73,11 +73,13 @@ def normals_preview(scene: Scene) -> NDArray[np.uint8]:
     cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
     facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
     facing[cosine <= 0] = (0.84, 0.37, 0.0)  # vermillion, told apart by all common colour vision
-    image = np.where(scene.valid[..., None], scene.images[0], np.nan)
+    weights = None if scene.weights is None else scene.weights[0]
+    image, white = metrics.showable(scene.images[0], scene.valid, weights)
+    image = np.where(scene.valid[..., None], image, np.nan)
     return sheet(
         [
             [
-                Panel(f"picture {scene.names[0]}", displayed(image, metrics.white_of(image))),
+                Panel(f"picture {scene.names[0]}", displayed(image, white)),
                 Panel("normals: R right, G up", outside_grey(0.5 + 0.5 * scene.normals)),
                 Panel("n·v, orange faces away", facing),
             ]
@@ -105,10 +107,9 @@ def _pictures(result: Result, scene: Scene | None) -> Row:
     if scene is None:
         white = metrics.white_of(reconstruction)
         return [Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
-    picture = scene.images[0]
-    white = metrics.white_of(np.where(result.mask[..., None], picture, np.nan))
     weights = None if scene.weights is None else scene.weights[0]
-    residual = differences.residual(reconstruction, picture, weights)
+    residual = differences.residual(reconstruction, scene.images[0], weights)
+    picture, white = metrics.showable(scene.images[0], result.mask, weights)
     return [
         Panel(f"picture {name}", displayed(picture, white)),
         Panel("reconstruction", displayed(reconstruction, white)),

@@ -369,6 +369,10 @@ def _check_names(names: tuple[Any, ...], pictures: int) -> None:
             raise InputError(
                 f"names: expected file names without slash or leading dot, found {name!r}"
             )
+        try:
+            name.encode()
+        except UnicodeEncodeError:  # a file name of bytes that are no text
+            raise InputError(f"names: expected names in UTF-8, found {name!a}") from None
 
 
 def _check_finite(

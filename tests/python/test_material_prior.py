@@ -304,6 +304,18 @@ def test_em_finds_a_planted_mixture() -> None:
     assert found[np.abs(nodes - 0.7) < 0.08].sum() > 0.55
 
 
+def test_a_pixel_unlike_all_learnt_ones_keeps_its_own_material(room: Scene) -> None:
+    # What is learnt from has all its likelihood at one node, what is asked for at another.
+    objective = Objective(room)
+    grid = material_prior._Grid(objective, objective.start(), np.arange(64, dtype=np.uint64))
+    nodes = np.eye(len(grid.roughness), dtype=np.float32)
+    learnt = material_prior._Learnt.of(nodes[[3] * 50], np.ones(50, np.intp), grid)
+    found = learnt.posterior(nodes[[200, 3]], np.ones(2, np.intp))
+    true = [[grid.roughness[i], grid.metallic[i]] for i in (200, 3)]
+    np.testing.assert_allclose(found.mean, true, rtol=1e-6)
+    assert np.isfinite(found.variance).all()
+
+
 def fitted(scene: Scene, **options: Any) -> Result:
     return pbrfit.decompose(scene, iterations=120, **options)
 

@@ -52,6 +52,32 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     )
 
 
+def test_the_run_time_does_not_show() -> None:
+    scene = part(24, 24)
+    result = decompose(scene, iterations=1, uncertainty=False)
+    slower = dataclasses.replace(result, seconds=result.seconds + 100)
+    np.testing.assert_array_equal(preview(slower, scene), preview(result, scene))
+
+
+def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() -> None:
+    scene = part(24, 24)
+    weights = np.ones((2, 24, 24))
+    weights[0, :8] = 0
+    previews = []
+    for value in (0.0, 1e6, np.inf, np.nan):
+        images = scene.images.copy()
+        images[0, :8] = value
+        changed = dataclasses.replace(scene, images=images, weights=weights)
+        previews.append(preview(decompose(changed, iterations=1, uncertainty=False), changed))
+        assert np.isfinite(normals_preview(changed)).all()  # and no warning
+    for found in previews[1:]:
+        rows, columns = np.nonzero((found != previews[0]).any(axis=-1))
+        # Only the samples themselves, which are in the first panel, look different.
+        assert len(rows) > 0
+        assert np.ptp(rows) < PANEL_SIDE[0] / 3
+        assert np.ptp(columns) < PANEL_SIDE[0]
+
+
 def test_truth_and_errors_add_rows() -> None:
     scene = part(24, 24, truth=True)
     result = decompose(scene, iterations=1, uncertainty=False)

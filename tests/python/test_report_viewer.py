@@ -544,6 +544,7 @@ def test_where_the_view_cannot_run_there_are_a_message_and_one_picture(
         assert picture.evaluate("image => [image.naturalWidth, image.naturalHeight]") == [24, 24]
         assert not page.locator(".relight-canvas").is_visible()
         assert page.locator("input[name=rotate]").is_disabled()
+        assert not page.locator(".relight-help").is_visible()
 
 
 def test_the_first_exposure_shows_the_first_light_well(

@@ -186,6 +186,14 @@ def test_names_that_are_no_file_names_are_refused(name: Any) -> None:
         dataclasses.replace(scene, names=("first", name))
 
 
+def test_names_that_are_no_text_are_refused() -> None:
+    scene = room(8, lights=2, held_out=1)
+    with pytest.raises(
+        pbrfit.InputError, match=r"^names: expected names in UTF-8, found 'a\\udcff'$"
+    ):
+        dataclasses.replace(scene, names=("a\udcff", "b"))
+
+
 def test_truth_of_no_valid_pixel_is_refused() -> None:
     scene = room(8, lights=2, held_out=1)
     known = truth(scene)

@@ -53,9 +53,18 @@ def find(result: Result, given: Scene | str | Path | None = None) -> Originals:
         return Originals(_read(result, path))
     except (InputError, OSError) as error:
         log.warning("%s; the page has no pictures of the scene", " ".join(str(error).split()))
-        gone = not path.is_dir()
-        found = "is no longer where it was" if gone else "has changed since, or cannot be read"
+        found = (
+            "has changed since, or cannot be read" if _may_be(path) else "is no longer where it was"
+        )
         return Originals(None, f"The scene folder {path.name} {found}. {AND_SO}")
+
+
+def _may_be(path: Path) -> bool:
+    """Whether there is a folder, as far as one may look."""
+    try:
+        return path.is_dir()
+    except OSError:  # a folder above it is closed to us
+        return True
 
 
 def _read(result: Result, path: Path) -> Scene:

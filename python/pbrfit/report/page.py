@@ -151,11 +151,8 @@ def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen
     cards = (_card(one, chosen) for one in chosen.pictures)
     parts.append(figures.grid(cards, "pictures" if scene is not None else "maps"))
     if scene is not None:
-        fold = "" if len(pictures) > OPEN_TABLE else " open"
-        parts.append(
-            f"<details{fold}><summary>Residuals of all {len(pictures)} pictures</summary>"
-            f"{table(of_pictures.table(pictures))}</details>"
-        )
+        title = f"Residuals of all {len(pictures)} pictures"
+        parts.append(_numbers(title, of_pictures.table(pictures)))
     return "".join(parts)
 
 
@@ -214,11 +211,7 @@ def _lights(pictures: Sequence[Picture], chosen: _Chosen) -> str:
     if len(chosen.pictures) < len(pictures):
         parts.append(paragraph("Lights of the pictures that are shown above.", "note"))
     parts.append(figures.grid(map(_light, chosen.pictures), "lights"))
-    fold = "" if len(pictures) > OPEN_TABLE else " open"
-    parts.append(
-        f"<details{fold}><summary>All {len(pictures)} lights in numbers</summary>"
-        f"{table(_light_table(pictures))}</details>"
-    )
+    parts.append(_numbers(f"All {len(pictures)} lights in numbers", _light_table(pictures)))
     return "".join(parts)
 
 
@@ -267,7 +260,8 @@ def _light_table(pictures: Sequence[Picture]) -> Table:
     caption = (
         "Mean radiance over all directions, in the pictures' unit. Azimuth 0 is the viewer, "
         "positive to the right; elevation is up. Directed: 0 % from all around, 100 % from one "
-        "direction. Negative: what negative radiance takes away from the positive."
+        "direction. Negative: what negative radiance takes away from the positive, of luminance; "
+        "45 % for light from a single direction, cut at l = 3."
     )
     return Table(columns, rows, caption)
 
@@ -323,6 +317,15 @@ def _list(title: str, entries: Mapping[str, str]) -> str:
     heading = f"<h3>{escape(title)}</h3>" if title else ""
     rows = [(Cell(name, "name"), Cell(text)) for name, text in entries.items()]
     return heading + table(Table((), rows))
+
+
+def _numbers(title: str, content: Table) -> str:
+    """A table that is folded where it is long, except on paper."""
+    opened = "" if len(content.rows) > OPEN_TABLE else " open"
+    return (
+        f'<details class="numbers-of-all"{opened}><summary>{escape(title)}</summary>'
+        f"{table(content)}</details>"
+    )
 
 
 def _folded(title: str, content: str) -> str:

@@ -108,8 +108,7 @@ def _one(
         high=float(np.percentile(residual.values[counted], HIGH)),
         left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
     )
-    white = metrics.white_of(np.where(counted[..., None], image, np.nan))
-    image = np.where(np.isfinite(image).all(axis=-1, keepdims=True), image, np.nan)
+    image, white = metrics.showable(image, result.mask, weights)
     return fit, tuple(
         (
             raster.color_png(metrics.display(raster.reduced(image, side), white)),

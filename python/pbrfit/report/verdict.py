@@ -148,7 +148,7 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
     share = median_share(pictures)
     if share is not None:
         well.insert(1, ("residual of the typical picture", f"{percent(share)} of its RMS", share))
-    if result.uncertainty is not None:
+    if result.uncertainty is not None and result.uncertainty.noise is not None:
         well += _of_uncertainty(result.uncertainty.summary())
     return [_two_columns(done), _two_columns(well)]
 

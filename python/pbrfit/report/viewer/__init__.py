@@ -35,6 +35,9 @@ BAND_NODES = 1025
 TINY_SIDE = 96
 """Maps smaller than this are enlarged pixel by pixel, as their pixels are what one looks at."""
 
+WIDEST = 8
+"""Ratio of the sides of the view, at most: a narrower picture has room around it to drag in."""
+
 SCRIPTS = ("light.js", "panorama.js", "planes.js", "picture.js", "viewer.js")
 
 
@@ -83,7 +86,8 @@ def fragment(result: Result, max_side: int = 1024) -> str:
         maps=_base64(maps.packed(small)),
     )
     tiny = " data-tiny" if max(height, width) < TINY_SIDE else ""
-    aspect = f' style="--relight-aspect: {width / height:.6g}"'
+    stage = min(max(width / height, 1 / WIDEST), WIDEST)
+    aspect = f' style="--relight-aspect: {stage:.6g}"'
     markup = markup.replace('data-state="loading"', f'data-state="loading"{tiny}{aspect}', 1)
     shaders = _json({"vertex": _text("relight.vert"), "fragment": _text("relight.frag")})
     script = "\n".join(
