@@ -392,6 +392,18 @@ def test_doubts_about_the_field_of_view_and_flat_normals_are_said(tmp_path: Path
     assert "Beware" not in written(in_memory()[1], tmp_path / "other.html").text
 
 
+def test_lights_that_are_mostly_negative_are_doubted(tmp_path: Path) -> None:
+    scene, result = in_memory()
+    lamp = np.zeros((16, 3))
+    lamp[[0, 2]] = [[1.0], [6.0]]  # 1 + 10.4 z, in units of its mean
+    doubted = dataclasses.replace(result, lighting=np.stack([lamp, lamp, result.lighting[2]]))
+    text = written(doubted, tmp_path / "page.html", scene).text
+    # ∫ max(±(1 + a z), 0) dz over [-1, 1] is (a ± 1)²/2a.
+    a = 6 * np.sqrt(3)
+    share = ((a - 1) / (a + 1)) ** 2
+    assert f"negative light takes away {100 * share:.0f} % of the positive" in text
+
+
 def test_an_existing_page_needs_overwrite(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

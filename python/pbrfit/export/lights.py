@@ -54,6 +54,9 @@ class LightPanorama:
 
 def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     """Write all of `FILES` and a panorama a light into an existing folder."""
+    # Imported here: it looks for libraries.
+    from threadpoolctl import threadpool_limits
+
     lighting = Lighting(result.pictures, result.lighting)
     response = surface_response(result)
     lighting.save(folder / "lighting.json")
@@ -63,7 +66,8 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     for picture, name, light in zip(
         lighting.pictures, file_names(lighting.pictures), lighting.coefficients, strict=True
     ):
-        radiance, difference = nonnegative_radiance(light, response, HEIGHT)
+        with threadpool_limits(1, user_api="blas"):  # the same bits whatever the processor count
+            radiance, difference = nonnegative_radiance(light, response, HEIGHT)
         file = f"{name}.exr"
         radiance = np.minimum(radiance, np.finfo(np.float32).max)
         images.write_exr(folder / file, {c: radiance[..., i] for i, c in enumerate("RGB")})

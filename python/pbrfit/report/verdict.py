@@ -29,6 +29,10 @@ NOT_TOLD = 0.005
 SCALE_UNKNOWN = 0.1
 """Relative deviation of the scale between albedo and light that is worth a sentence."""
 
+NEGATIVE_LIGHT = 0.5
+"""Share of the positive light that is worth a sentence if negative light takes it away. Light from
+a single direction, cut off at l = 3, has 0.445."""
+
 METRICS = {
     "recon_rmse": "residual of the pictures (RMSE)",
     "albedo_rmse": "albedo, error (RMSE)",
@@ -43,7 +47,7 @@ def sentences(result: Result, pictures: Sequence[Picture]) -> list[str]:
     """How the fit ended, how well it explains the pictures, what is uncertain."""
     return [
         f"{_ended(result)} {_explained(result, pictures)}",
-        *(line for line in (_truth(result), _uncertain(result), _doubts(result)) if line),
+        *(line for line in (_truth(result), _uncertain(result), _doubts(result, pictures)) if line),
     ]
 
 
@@ -115,7 +119,7 @@ def _uncertain(result: Result) -> str:
     return text
 
 
-def _doubts(result: Result) -> str:
+def _doubts(result: Result, pictures: Sequence[Picture]) -> str:
     """What was assumed that may spoil the maps without a trace in the residual."""
     doubts = []
     fov = result.assumed.get("fov", "")
@@ -123,6 +127,12 @@ def _doubts(result: Result) -> str:
         doubts.append(f"the field of view is a guess ({result.fov:g} degrees)")
     if (result.normals[result.mask] == (0.0, 0.0, 1.0)).all():
         doubts.append("all normals face the camera, so shape is taken for material and light")
+    negative = float(np.median([one.light.negative for one in pictures]))
+    if negative > NEGATIVE_LIGHT:
+        doubts.append(
+            f"in the typical picture negative light takes away {percent(negative)} of the "
+            "positive, which no lamp does, so it explains something else, such as shadows"
+        )
     return f"Beware: {'; '.join(doubts)}." if doubts else ""
 
 
