@@ -1,6 +1,8 @@
 // Radiance .hdr panoramas: read row by row and projected to an SH light. What is wrong with a file
 // is thrown as an Error whose message is for the user.
 
+const FEWEST_ROWS = 7; // as pbrfit.panorama; with fewer, `solidAngles` is not exact for l = 3
+
 /**
  * @param {Uint8Array} bytes content of the file
  * @returns {{light: Float64Array, lost: number, width: number, height: number}} lost: share of
@@ -12,6 +14,10 @@ function readPanorama(bytes) {
   if (width !== 2 * height) {
     throw new Error(
       `expected a panorama twice as wide as high (equirectangular), found ${width} × ${height}`);
+  }
+  if (height < FEWEST_ROWS) {
+    throw new Error(`expected a panorama of ${2 * FEWEST_ROWS} × ${FEWEST_ROWS} pixels or more, `
+      + `found ${width} × ${height}`);
   }
   const reader = new RowReader(bytes, header);
   const angles = solidAngles(height, width);
@@ -94,7 +100,7 @@ class RowReader {
 
   next() {
     const { bytes, position, width } = this;
-    const channels = width >= 8 && width < 32768 && bytes[position] === 2
+    const channels = width < 32768 && bytes[position] === 2
       && bytes[position + 1] === 2 && bytes[position + 2] < 128;
     if (channels) this.runsOfChannels();
     else this.runsOfPixels();
