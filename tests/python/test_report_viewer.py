@@ -308,7 +308,7 @@ BROKEN = {
         hdr(b"\2\2\0\x10" + b"\xff\x07" * 8, 16, 8),
         "expected 16 pixels a row, found more in row 0",
     ),
-    "a run of nothing": (hdr(b"\1\1\1\5", 4, 2), "found more in row 0"),
+    "a run of nothing": (hdr(b"\1\1\1\5", 16, 8), "found more in row 0"),
 }
 
 
