@@ -12,7 +12,6 @@ from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit import geometry, images
 from pbrfit._core import InputError
@@ -20,6 +19,7 @@ from pbrfit.color import ColorSpace
 from pbrfit.lighting import Lighting
 from pbrfit.materials import read_materials, write_materials
 from pbrfit.output import new_folder
+from pbrfit.resampling import averaged, reduced_size
 from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Source, Truth, unit_normals
 from pbrfit.segments import consecutive_labels
 
@@ -344,7 +344,7 @@ def _read_pictures(
         picture = images.read_picture(path, color_space, code_range=code_range)
         full_size = picture.pixels.shape[:2]
         if read is None:
-            size = _working_size(full_size, max_size)
+            size = full_size if max_size is None else reduced_size(full_size, max_size)
             samples = (len(paths), *size)
             read = _Pictures(
                 pixels=np.empty((*samples, 3), dtype=np.float32),
@@ -362,7 +362,7 @@ def _read_pictures(
             read.pixels[i] = picture.pixels
         else:
             for c in range(3):
-                read.pixels[i, ..., c] = _resized(picture.pixels[..., c], size)
+                read.pixels[i, ..., c] = averaged(picture.pixels[..., c], size)
         read.clipped[i] = _touched(picture.clipped, size)
         read.dark[i] = _touched(picture.dark, size)
         if picture.alpha is not None:
@@ -415,19 +415,6 @@ def _exposure_weights(
     return np.where(left_out, np.float32(0), np.float32(1))
 
 
-def _working_size(full_size: tuple[int, int], max_size: int | None) -> tuple[int, int]:
-    longer = max(full_size)
-    if max_size is None or longer <= max_size:
-        return full_size
-    return tuple(max(1, round(side * max_size / longer)) for side in full_size)  # type: ignore[return-value]
-
-
-def _resized(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float32]:
-    """Average of the area that falls on each new pixel."""
-    image = Image.fromarray(np.ascontiguousarray(plane, dtype=np.float32))
-    return np.asarray(image.resize(size[::-1], Image.Resampling.BOX))
-
-
 def _touched(marked: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
     """Which pixels of a picture averaged down to `size` have a part in any that is marked."""
     if marked.shape == size:
@@ -478,8 +465,8 @@ def _averaged(
     A pixel is used when all pixels that it averages are, so that nothing from outside the mask
     gets in; ids are not averaged but taken from the middle.
     """
-    small_mask = _resized(mask, size) > 1 - 1e-4
-    planes = [_resized(np.where(mask, normals[..., i], 0.0), size) for i in range(3)]
+    small_mask = averaged(mask, size) > 1 - 1e-4
+    planes = [averaged(np.where(mask, normals[..., i], 0.0), size) for i in range(3)]
     small_normals = np.stack(planes, axis=-1).astype(np.float64)
     # Opposite normals cancel.
     small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH

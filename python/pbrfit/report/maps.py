@@ -16,6 +16,7 @@ from pbrfit.materials import Materials
 from pbrfit.notation import percent, plain
 from pbrfit.report import budget, figures, raster
 from pbrfit.report.budget import Fitted
+from pbrfit.resampling import reduced_size
 from pbrfit.result import Result
 from pbrfit.uncertainty import PARAMETERS
 
@@ -59,7 +60,7 @@ def section(blocks: list[Block], result: Result, limit: float) -> Fitted[str]:
     """HTML of the blocks with the largest pictures that fit into `limit` bytes."""
 
     def make(side: int) -> str:
-        size = raster.reduced_size(result.mask.shape, side)
+        size = reduced_size(result.mask.shape, side)
         made = "".join(_block(block, side, size) for block in blocks)
         # The mask is a fifth column, and the other rows keep to the same columns.
         return made if result.mask.all() else f'<div class="masked">{made}</div>'

@@ -16,11 +16,12 @@ from pbrfit.history_plot import draw_history
 from pbrfit.html import Cell, Table, document, paragraph, table
 from pbrfit.metrics import PROTOCOL
 from pbrfit.notation import percent, plain
-from pbrfit.report import budget, figures, maps, raster, verdict, viewer
+from pbrfit.report import budget, figures, maps, verdict, viewer
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
 from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
+from pbrfit.resampling import reduced_size
 from pbrfit.result import Result
 
 OPEN_TABLE = 24
@@ -82,12 +83,12 @@ def page(result: Result, originals: Originals) -> str:
     # What is left of the limit, once all else is known to the letter, is for the pictures; markup
     # around them is only known with them.
     limit = float(budget.LIMIT)
-    made = whole(_Chosen([], 0, raster.reduced_size(result.mask.shape, sides[0])))
+    made = whole(_Chosen([], 0, reduced_size(result.mask.shape, sides[0])))
     limit -= len(made.encode())
     sizes = [one.sizes for one in pictures]
     while limit > 0:
         side, indices = budget.choose(sizes, limit)
-        size = raster.reduced_size(result.mask.shape, sides[side])
+        size = reduced_size(result.mask.shape, sides[side])
         made = whole(_Chosen([pictures[i] for i in indices], side, size))
         excess = len(made.encode()) - budget.LIMIT
         if excess <= 0:
@@ -127,7 +128,7 @@ def _title(result: Result) -> str:
 
 
 def _size_remark(what: str, side: int, result: Result) -> str:
-    height, width = raster.reduced_size(result.mask.shape, side)
+    height, width = reduced_size(result.mask.shape, side)
     if (height, width) == result.mask.shape:
         return paragraph(f"{what} are as they were fitted, {width} × {height} pixels.", "note")
     full = f"{result.mask.shape[1]} × {result.mask.shape[0]}"

@@ -10,18 +10,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.differences import OUTSIDE, PALETTE, Difference
+from pbrfit.resampling import averaged, reduced_size
 
 Values = NDArray[np.floating[Any]]
 
 SMALL = 1 << 15
 """Pixels up to which the slowest and strongest compression is worth its time."""
-
-
-def reduced_size(shape: tuple[int, ...], side: int) -> tuple[int, int]:
-    """(height, width) with a longer side of at most `side`, in the same proportion."""
-    height, width = shape[:2]
-    factor = min(1.0, side / max(height, width))
-    return max(1, round(height * factor)), max(1, round(width * factor))
 
 
 def reduced(values: Values, side: int) -> NDArray[np.float64]:
@@ -31,12 +25,10 @@ def reduced(values: Values, side: int) -> NDArray[np.float64]:
         return np.asarray(values, dtype=np.float64)
     planes = values.reshape(*values.shape[:2], -1)
     inside = np.isfinite(planes[..., 0])
-    share = _averaged(inside, size)
-    averaged = [
-        _averaged(np.where(inside, planes[..., c], 0.0), size) for c in range(planes.shape[-1])
-    ]
+    share = averaged(inside, size)
+    means = [averaged(np.where(inside, planes[..., c], 0.0), size) for c in range(planes.shape[-1])]
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.stack(averaged, axis=-1) / share[..., None]
+        found = np.stack(means, axis=-1, dtype=np.float64) / share[..., None]
     found[share < 0.5] = np.nan
     return found.reshape(*size, *values.shape[2:])
 
@@ -51,21 +43,16 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
     marked = np.zeros(values.shape, bool)
     small: list[NDArray[np.bool_] | None] = []
     for mark in marks:
-        small.append(None if mark is None else _averaged(mark, size) >= 0.5)
+        small.append(None if mark is None else averaged(mark, size) >= 0.5)
         marked |= False if mark is None else mark
-    outside = _averaged(np.isnan(values), size) > 0.5
+    outside = averaged(np.isnan(values), size) > 0.5
     # What is marked has a colour of its own and is no number to be averaged with others.
     free = np.isfinite(values) & ~marked
-    share = _averaged(free, size)
-    total = _averaged(np.where(free, values, 0.0), size)
+    share = averaged(free, size)
+    total = averaged(np.where(free, values, 0.0), size)
     found = np.divide(total, share, out=np.zeros(size), where=share > 0)
     found[outside] = np.nan
     return Difference(found, *small)
-
-
-def _averaged(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
-    image = Image.fromarray(np.ascontiguousarray(plane, dtype=np.float32))
-    return np.asarray(image.resize(size[::-1], Image.Resampling.BOX), dtype=np.float64)
 
 
 def color_png(encoded: Values) -> bytes:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from pbrfit import images
 from pbrfit._core import InputError
+from pbrfit.resampling import averaged
 
 Maps = NDArray[np.float32]
 
@@ -260,22 +261,6 @@ def _block_means(layer: NDArray[Any], factor: int) -> Maps:
 
 
 def _resized(layer: Maps, side: int) -> Maps:
-    """Average over the squares of a (side, side) grid: exact, texels are shared by area."""
-    for axis in (0, 1):
-        count = layer.shape[axis]
-        if count == side:
-            continue
-        # The integral of the row up to a border, linear between texel borders.
-        total = np.concatenate(
-            [
-                np.zeros_like(layer.take([0], axis), dtype=np.float64),
-                layer.cumsum(axis, np.float64),
-            ],
-            axis,
-        )
-        border = np.linspace(0, count, side + 1)
-        whole = np.minimum(border.astype(np.int64), count - 1)
-        part = (border - whole).reshape(-1, *[1] * (2 - axis))
-        upto = total.take(whole, axis) * (1 - part) + total.take(whole + 1, axis) * part
-        layer = (np.diff(upto, axis=axis) * (side / count)).astype(np.float32)
-    return layer
+    """Average over the squares of a (side, side) grid: texels are shared by area."""
+    planes = [averaged(layer[..., c], (side, side)) for c in range(layer.shape[-1])]
+    return np.stack(planes, axis=-1).astype(np.float32)

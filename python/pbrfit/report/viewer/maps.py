@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
+from pbrfit.report.raster import reduced
 from pbrfit.result import Result
 
 Array = NDArray[np.float64]
@@ -45,27 +46,14 @@ def of_result(result: Result, max_side: int) -> Maps:
     """
     if max_side < 1:
         raise InputError(f"max_side: expected at least 1 pixel, found {max_side}")
-    materials, mask = result.materials, result.mask
-    planes = [
-        *np.moveaxis(np.asarray(materials.albedo, np.float64), -1, 0),
-        np.asarray(materials.roughness, np.float64),
-        np.asarray(materials.metallic, np.float64),
-        *np.moveaxis(result.normals, -1, 0),
-    ]
-    longer = max(mask.shape)
-    if longer > max_side:
-        height, width = (max(1, round(side * max_side / longer)) for side in mask.shape)
-        share = _averaged(mask.astype(np.float64), height, width)
-        used = np.maximum(share, np.finfo(np.float64).tiny)
-        planes = [_averaged(np.where(mask, plane, 0.0), height, width) / used for plane in planes]
-        mask = share > 0.5 - 1e-9
-    planes = [np.where(mask, plane, np.nan) for plane in planes]
-    normals = np.stack(planes[5:], axis=-1)
+    albedo, roughness, metallic, normals = (
+        reduced(values, max_side)
+        for values in (result.albedo, result.roughness, result.metallic, result.normals)
+    )
     length = np.linalg.norm(normals, axis=-1)
     # Opposite normals may cancel: such a pixel has no direction, and is shown as outside.
-    mask = mask & (length > 1e-6)
+    mask = length > 1e-6
     normals = np.where(mask[..., None], normals / np.where(mask, length, 1.0)[..., None], np.nan)
-    albedo, roughness, metallic = np.stack(planes[:3], axis=-1), planes[3], planes[4]
     return Maps(
         Materials(
             np.where(mask[..., None], np.clip(albedo, 0, 1), np.nan),
@@ -76,19 +64,6 @@ def of_result(result: Result, max_side: int) -> Maps:
         mask,
         result.fov,
     )
-
-
-def _averaged(plane: Array, height: int, width: int) -> Array:
-    """Mean over the area of each new pixel; parts of old pixels count by their size."""
-    for axis, count in enumerate((height, width)):
-        plane = np.moveaxis(plane, axis, 0)
-        # The integral from the border to each edge, which may lie inside of an old pixel.
-        integral = np.concatenate([np.zeros_like(plane[:1]), np.cumsum(plane, axis=0)])
-        edges = np.linspace(0, len(plane), count + 1)
-        before = np.minimum(edges.astype(np.int64), len(plane) - 1)
-        upto = integral[before] + (edges - before)[:, None] * plane[before]
-        plane = np.moveaxis(np.diff(upto, axis=0) * (count / len(plane)), 0, axis)
-    return plane
 
 
 LARGEST = {

@@ -1,0 +1,41 @@
+"""Maps averaged down."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+def reduced_size(shape: tuple[int, ...], side: int) -> tuple[int, int]:
+    """(height, width) with a longer side of at most `side` pixels, in the same proportion."""
+    height, width = shape[:2]
+    longer = max(height, width)
+    if longer <= side:
+        return height, width
+    return max(1, round(height * side / longer)), max(1, round(width * side / longer))
+
+
+def averaged(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
+    """Average of a plane (H, W) over the area that falls on each pixel of (height, width).
+
+    Parts of old pixels count by their size. Where one is NaN or infinite, those new pixels that it
+    has a part in are, and no others.
+    """
+    down, across = (_shares(old, new) for old, new in zip(plane.shape, size, strict=True))
+    return np.asarray((across @ (down @ plane.astype(np.float64)).T).T)
+
+
+def _shares(old: int, new: int) -> csr_array[np.float64]:
+    """(new, old): which share of a new pixel each old one has, along one side."""
+    from scipy.sparse import csr_array
+
+    # Borders of both in units of 1/(old · new) of the side: whole numbers, no rounding.
+    borders = np.union1d(np.arange(new + 1) * old, np.arange(old + 1) * new)
+    pieces = borders[:-1]
+    shares = np.diff(borders) / old
+    return csr_array((shares, (pieces // old, pieces // new)), shape=(new, old))
