@@ -11,6 +11,18 @@ from pathlib import Path
 
 
 @contextmanager
+def _making(path: Path, what: str) -> Iterator[None]:
+    """Let a failure say that nothing can be made at `path`."""
+    try:
+        yield
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise type(error)(
+            f"{path}: expected a place where a {what} can be made, found: {found}"
+        ) from None
+
+
+@contextmanager
 def _naming(path: Path, temporary: Path) -> Iterator[None]:
     """Let failures name what was to be written: not the temporary beside it, and not nothing."""
     try:
@@ -48,14 +60,9 @@ def new_folder(
     old = temporary.with_name(f"{temporary.name}-old")
     new_parents = [parent for parent in target.parents if not parent.exists()]
     try:
-        try:
+        with _making(path, "folder"):
             target.parent.mkdir(parents=True, exist_ok=True)
             temporary.mkdir()
-        except OSError as error:
-            found = error.strerror or str(error)
-            raise type(error)(
-                f"{path}: expected a place where a folder can be made, found: {found}"
-            ) from None
         with _naming(path, temporary):
             yield temporary
         check_free(
@@ -95,14 +102,9 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}{target.suffix}")
     new_parents = [parent for parent in target.parents if not parent.exists()]
     try:
-        try:
+        with _making(path, "file"):
             target.parent.mkdir(parents=True, exist_ok=True)
             temporary.touch()  # no right to write shows before the work, not after it
-        except OSError as error:
-            found = error.strerror or str(error)
-            raise type(error)(
-                f"{path}: expected a place where a file can be made, found: {found}"
-            ) from None
         with _naming(path, temporary):
             yield temporary
         check_free_file(path, overwrite=overwrite)  # as above

@@ -128,7 +128,7 @@ def _ring(shown: NDArray[np.float64], light: Light) -> None:
 def pngs(coefficients: NDArray[np.float64], light: Light) -> tuple[bytes, bytes]:
     """Balls and panorama as PNG."""
     balls, radiance = balls_and_panorama(coefficients, light)
-    return raster.color_png(balls), raster.color_png(radiance)
+    return raster.picture_png(balls), raster.picture_png(radiance)
 
 
 BALLS_SIZE = (BALL_SIDE, 2 * BALL_SIDE + GAP)

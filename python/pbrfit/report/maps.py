@@ -84,7 +84,7 @@ def _recovered(result: Result) -> Block:
     pictures = [
         *_maps(result.materials, "recovered", remarks),
         Shown(
-            lambda side: raster.color_png(0.5 + 0.5 * raster.reduced(normals, side)),
+            lambda side: raster.picture_png(0.5 + 0.5 * raster.reduced(normals, side)),
             "normals",
             "as given, in camera space",
             "Normals as colours",
@@ -95,7 +95,7 @@ def _recovered(result: Result) -> Block:
         mask = result.mask.astype(np.float64)
         pictures.append(
             Shown(
-                lambda side: raster.grey_png(raster.reduced(mask, side)),
+                lambda side: raster.picture_png(raster.reduced(mask, side)),
                 "mask",
                 f"white = fitted, {100 * mask.mean():.3g} % of the pixels",
                 "Mask of the pixels that were fitted",
@@ -165,7 +165,7 @@ def _deviations(result: Result) -> Block:
 def _maps(materials: Materials, which: str, remarks: Mapping[str, str]) -> Iterator[Shown]:
     albedo = materials.albedo
     yield Shown(
-        lambda side: raster.color_png(encode_srgb(np.clip(raster.reduced(albedo, side), 0, 1))),
+        lambda side: raster.picture_png(encode_srgb(np.clip(raster.reduced(albedo, side), 0, 1))),
         "albedo",
         remarks["albedo"],
         f"Map of the {which} albedo",
@@ -177,7 +177,7 @@ def _maps(materials: Materials, which: str, remarks: Mapping[str, str]) -> Itera
 
 
 def _grey(values: NDArray[np.float64]) -> Draw:
-    return lambda side: raster.grey_png(raster.reduced(values, side))
+    return lambda side: raster.picture_png(raster.reduced(values, side))
 
 
 def _differences(
@@ -194,7 +194,7 @@ def _difference(difference: Difference) -> Draw:
 def _ball() -> tuple[bytes, tuple[int, int]]:
     """Normals of a ball as PNG, and its size."""
     normals = ball_normals(BALL_SIDE)
-    return raster.color_png(0.5 + 0.5 * normals), normals.shape[:2]
+    return raster.picture_png(0.5 + 0.5 * normals), normals.shape[:2]
 
 
 def ball_normals(side: int) -> NDArray[np.float64]:

@@ -94,7 +94,7 @@ def _one(
     if scene is None:
         white = metrics.white_of(rendered)
         return None, tuple(
-            (raster.color_png(metrics.display(raster.reduced(rendered, side), white)),)
+            (raster.picture_png(metrics.display(raster.reduced(rendered, side), white)),)
             for side in sides
         )
     image = scene.images[i]
@@ -111,8 +111,8 @@ def _one(
     image, white = metrics.showable(image, result.mask, weights)
     return fit, tuple(
         (
-            raster.color_png(metrics.display(raster.reduced(image, side), white)),
-            raster.color_png(metrics.display(raster.reduced(rendered, side), white)),
+            raster.picture_png(metrics.display(raster.reduced(image, side), white)),
+            raster.picture_png(metrics.display(raster.reduced(rendered, side), white)),
             raster.difference_png(raster.reduced_difference(residual, side)),
         )
         for side in sides

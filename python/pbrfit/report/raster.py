@@ -55,19 +55,9 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
     return Difference(found, *small)
 
 
-def color_png(encoded: Values) -> bytes:
-    """(H, W, 3) as it goes to the screen; transparent where it is NaN."""
-    outside = np.isnan(encoded).any(axis=-1)
-    codes = _codes(encoded)
-    if not outside.any():
-        return _png(Image.fromarray(codes))
-    alpha = np.where(outside, 0, 255).astype(np.uint8)
-    return _png(Image.fromarray(np.dstack([codes, alpha])))
-
-
-def grey_png(encoded: Values) -> bytes:
-    """(H, W) as it goes to the screen; transparent where it is NaN."""
-    outside = np.isnan(encoded)
+def picture_png(encoded: Values) -> bytes:
+    """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
+    outside = np.isnan(encoded) if encoded.ndim == 2 else np.isnan(encoded).any(axis=-1)
     codes = _codes(encoded)
     if not outside.any():
         return _png(Image.fromarray(codes))

@@ -8,7 +8,6 @@ lights and `panorama.js` reads them. No part needs a server, a network or a buil
 from __future__ import annotations
 
 import base64
-import io
 import json
 import math
 from html import escape
@@ -17,12 +16,11 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit import metrics
 from pbrfit.display import encoded
 from pbrfit.model import ggx_band_weights, render
+from pbrfit.report.raster import picture_png, reduced
 from pbrfit.report.viewer import maps
 from pbrfit.result import Result
 
@@ -81,7 +79,7 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     }
     markup = Template(_text("view.html")).substitute(
         first=escape(result.pictures[0]),
-        picture=_base64(_png(encoded(first, exposure))),
+        picture=_base64(picture_png(reduced(encoded(first, exposure), STATIC_SIDE))),
         data=_json(data),
         maps=_base64(maps.packed(small)),
     )
@@ -108,15 +106,3 @@ def _json(content: Any) -> str:
 
 def _base64(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
-
-
-def _png(picture: NDArray[np.float64]) -> bytes:
-    """Values for the screen (H, W, 3) as a PNG of at most `STATIC_SIDE`, transparent where NaN."""
-    known = np.isfinite(picture).all(axis=-1, keepdims=True)
-    color = np.where(known, picture, 0.0)
-    pixels = np.rint(255 * np.concatenate([color, known], axis=-1)).astype(np.uint8)
-    image = Image.fromarray(pixels)
-    image.thumbnail((STATIC_SIDE, STATIC_SIDE), Image.Resampling.BOX)
-    buffer = io.BytesIO()
-    image.save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
