@@ -21,6 +21,7 @@
 //! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
 //! | [`penalties`] | penalties on a map: neighbours alike, groups of pixels alike |
 //! | [`normal_matrix`] | pixels: Gauss–Newton normal matrices, and how they are tied to the lights |
+//! | [`reduced`] | lights with the pixels solved for: the Schur complement, as a matrix or applied |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`directional`] | the same under light from single directions, with the full reflection model |
 //! | [`image_file`] | picture files |
@@ -40,6 +41,7 @@ mod pool;
 pub mod problem;
 #[cfg(feature = "python")]
 mod python;
+pub mod reduced;
 pub mod render;
 pub mod robust;
 pub mod sh;

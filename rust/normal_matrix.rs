@@ -35,7 +35,7 @@ use crate::{Error, Result, check, pool};
 /// By what radiance is derived in one channel: its albedo, roughness, metallic.
 pub const DERIVATIVES: usize = 3;
 /// Unknowns of a pixel at most.
-const MAX_UNKNOWNS: usize = 5;
+pub(crate) const MAX_UNKNOWNS: usize = 5;
 /// Blocks of pixels in a piece of work.
 const CHUNK: usize = 2;
 
@@ -291,11 +291,11 @@ fn moves_with_lights<const C: usize>(
 
 /// Where the three derivatives of a channel belong among the unknowns of a pixel. Metallic is the
 /// last: where it is known, its row is left out of what is handed out.
-fn unknowns_of_channel<const C: usize>(channel: usize) -> [usize; DERIVATIVES] {
+pub(crate) fn unknowns_of_channel<const C: usize>(channel: usize) -> [usize; DERIVATIVES] {
     [channel, C, C + 1]
 }
 
-fn zeros(count: usize) -> Result<Vec<f64>> {
+pub(crate) fn zeros(count: usize) -> Result<Vec<f64>> {
     let mut numbers = Vec::new();
     numbers
         .try_reserve_exact(count)
@@ -305,18 +305,18 @@ fn zeros(count: usize) -> Result<Vec<f64>> {
 }
 
 /// Up to [`BLOCK`] pixels, picked from anywhere, and one of their samples at a time.
-struct Block<'a, const C: usize> {
+pub(crate) struct Block<'a, const C: usize> {
     problem: &'a Problem,
     isa: Instructions,
     /// Where the pixels come from.
     places: Vec<usize>,
     directions: Directions<f64>,
-    materials: Materials<C>,
+    pub materials: Materials<C>,
     basis: Basis<f64>,
     bands: BlockBands,
     factors: [ChannelFactors<f64>; C],
     /// w_ck
-    weights: Vec<[Doubles; COEFFICIENTS]>,
+    pub weights: Vec<[Doubles; COEFFICIENTS]>,
     responses: Vec<Responses>,
     sample: Sample,
 }
@@ -330,17 +330,17 @@ struct Responses {
 
 /// One channel of one picture.
 #[derive(Clone, Debug, Default)]
-struct Sample {
+pub(crate) struct Sample {
     /// I − T
-    residual: Doubles,
+    pub residual: Doubles,
     /// ω; 0 where no pixel is.
-    weight: Doubles,
+    pub weight: Doubles,
     /// ∂I/∂(albedo, roughness, metallic)
-    derivatives: [Doubles; DERIVATIVES],
+    pub derivatives: [Doubles; DERIVATIVES],
 }
 
 impl<'a, const C: usize> Block<'a, C> {
-    fn new(problem: &'a Problem) -> Self {
+    pub fn new(problem: &'a Problem) -> Self {
         Self {
             problem,
             isa: problem.instructions(),
@@ -357,7 +357,7 @@ impl<'a, const C: usize> Block<'a, C> {
     }
 
     /// Takes up pixels and works out all that no picture changes.
-    fn load(&mut self, maps: &[f64], pixels: &[usize]) {
+    pub fn load(&mut self, maps: &[f64], pixels: &[usize]) {
         self.places.clear();
         self.places.extend(pixels);
         self.directions = self.problem.picked_directions(pixels);
@@ -394,7 +394,7 @@ impl<'a, const C: usize> Block<'a, C> {
     }
 
     /// Calls `f` with channel, picture and sample, channel by channel. Lights are (channel, picture).
-    fn each_sample(
+    pub fn each_sample(
         &mut self,
         lights: &[[f64; COEFFICIENTS]],
         mut f: impl FnMut(usize, usize, &Sample),
@@ -509,10 +509,10 @@ impl Kernel for TakeSample<'_> {
 
 /// The normal equations of a block; of the matrix, the lower triangle.
 #[derive(Clone, Debug, Default)]
-struct Sums {
-    matrix: [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
-    gradient: [Doubles; MAX_UNKNOWNS],
-    squares: Doubles,
+pub(crate) struct Sums {
+    pub matrix: [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    pub gradient: [Doubles; MAX_UNKNOWNS],
+    pub squares: Doubles,
 }
 
 impl Sums {
@@ -528,10 +528,10 @@ impl Sums {
 }
 
 /// Adds a sample to the normal equations.
-struct AddSample<'a> {
-    sample: &'a Sample,
-    unknowns: [usize; DERIVATIVES],
-    sums: &'a mut Sums,
+pub(crate) struct AddSample<'a> {
+    pub sample: &'a Sample,
+    pub unknowns: [usize; DERIVATIVES],
+    pub sums: &'a mut Sums,
 }
 
 impl Kernel for AddSample<'_> {
