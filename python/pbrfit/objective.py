@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -145,9 +146,8 @@ class Objective:
             metallic_known=metallic is not None,
             mono_light=mono_light,
         )
-        self.layout = layout
-        self.pixels, self.channels = layout.pixels, layout.channels
-        self.coefficients = layout.coefficients
+        self.channels, self.coefficients = layout.channels, layout.coefficients
+        self._lay_out(layout)
         self.weights = weights = _weights(scene) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
@@ -164,17 +164,20 @@ class Objective:
         self.robust: tuple[str, float] | None = None
 
         self._scene, self._threads = scene, threads
+        # Which of the scene's valid pixels take part.
+        self._chosen: slice | NDArray[np.uint64] = slice(None)
         images = self._images()
         self._mean_image = _mean_image(images, weights)
         self.problem = self._problem(images, weights)
+        self.penalties = [] if priors is None else penalties(layout, priors)
 
+    def _lay_out(self, layout: Layout) -> None:
+        self.layout, self.pixels, self.size = layout, layout.pixels, layout.size
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.lighting = layout.metallic, layout.lighting
-        self.size = layout.size
         self.bounds = np.empty((self.size, 2))
         self.bounds[layout.maps] = (0.0, 1.0)
         self.bounds[layout.maps.stop :] = (-np.inf, np.inf)
-        self.penalties = [] if priors is None else penalties(layout, priors)
 
     def start(self) -> NDArray[np.float64]:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
@@ -298,6 +301,35 @@ class Objective:
         found.problem = self._problem(self._images(), factors)
         return found
 
+    def restricted(self, pixels: NDArray[np.uint64]) -> Objective:
+        """The objective of some pixels alone, in the same units; squares, without penalties.
+
+        Its x has the materials of these pixels in their order, and all lights: what `part_of` takes
+        from an x of this objective. `pack` and `unpack` are not for it, for it has no picture.
+        """
+        found = copy.copy(self)
+        segments = self.layout.segments
+        found._lay_out(
+            replace(
+                self.layout,
+                valid=np.ones((1, len(pixels)), dtype=bool),
+                segments=None if segments is None else segments[pixels],
+            )
+        )
+        found.penalties, found.robust = [], None
+        share = len(pixels) / self.pixels
+        found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
+        found.weights = None if self.weights is None else self.weights[:, pixels]
+        found._chosen = pixels
+        found._mean_image = self._mean_image[pixels]
+        found.problem = found._problem(found._images(), found.weights)
+        return found
+
+    def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
+        """X of `restricted(pixels)` from an x of this objective."""
+        maps = x[self.layout.maps].reshape(-1, self.pixels)[:, pixels]
+        return np.concatenate([maps.ravel(), x[self.layout.maps.stop :]])
+
     def residual_rmse(self, loss: float) -> float:
         """Root of a loss without penalties, in picture units.
 
@@ -371,18 +403,18 @@ class Objective:
         """(N, P, C): the pictures in the unit of x."""
         images = np.empty((self.layout.pictures, self.pixels, self.channels), dtype=np.float32)
         for i, scaled in enumerate(images):
-            samples = self._scene.samples(i)[:, : self.channels]
+            samples = self._scene.samples(i)[self._chosen, : self.channels]
             scaled[:] = samples.astype(np.float64) / self._units[i]
         return images
 
     def _problem(
         self, images: NDArray[np.float32], weights: NDArray[np.float32] | None
     ) -> _core.Problem:
-        scene, valid = self._scene, self.layout.valid
+        scene, valid = self._scene, self._scene.valid
         return _core.Problem(
             images,
-            scene.normals[valid].astype(np.float64),
-            scene.views[valid],
+            scene.normals[valid][self._chosen].astype(np.float64),
+            scene.views[valid][self._chosen],
             self._threads,
             weights=weights,
             sh_order=self.layout.sh_order,

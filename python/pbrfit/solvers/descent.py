@@ -1,0 +1,119 @@
+"""Bounded L-BFGS on all unknowns: the paper's recipe, in stages that keep off roughness 0."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.objective import START_ROUGHNESS
+from pbrfit.solvers.run import Run
+
+Array = NDArray[np.float64]
+
+CORRECTIONS = 10
+"""Pairs of steps and gradients that L-BFGS-B remembers."""
+
+TRAP_ROUGHNESS = 0.1
+"""The first stages keep roughness above this. Band weights and G1 depend on r⁴, so their slope is
+r³ and roughness 0 is a stationary point of every pixel: one that overshoots to the bound stays
+there, far from its minimum, and pulls at the lights. Between 0 and 0.1 pictures under SH light
+hardly change, so little is lost by waiting."""
+
+STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
+"""(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
+that ended at the bound start again from the middle."""
+
+STAGES_GIVEN_START = ((0.0, 1.0),)
+ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
+"""A robust loss needs a fit by squares first, which tells its scale."""
+
+
+def staged(
+    run: Run, x: Array, loss: float, iterations: float, *, start_given: bool
+) -> tuple[Array, float, str]:
+    """X, its loss, and which state that is, after so many iterations at most.
+
+    The last is empty unless the state is one from before the last restart.
+    """
+    best = loss, x
+    trapped = False
+    before = run.iteration
+    for lowest_roughness, share in _stages(run, start_given):
+        left = round(share * iterations) - (run.iteration - before)
+        if left <= 0 or run.out_of_time():
+            continue
+        if run.iteration > before:
+            best = robust_around(run, best)
+        if trapped:
+            x = _restarted(run, x)
+        loss, x = scipys(run, x, left, lowest_roughness)
+        trapped = lowest_roughness > 0
+        # A restart raises the loss at first, and time may run out before it pays.
+        best = min(best, (loss, x), key=lambda pair: pair[0])
+    kept = "; kept the better state before the last restart" if best[0] < loss else ""
+    loss, x = best
+    return x, loss, kept
+
+
+def _stages(run: Run, start_given: bool) -> tuple[tuple[float, float], ...]:
+    if not start_given:
+        return STAGES
+    return STAGES_GIVEN_START if run.robust == "none" else ROBUST_STAGES_GIVEN_START
+
+
+def robust_around(run: Run, best: tuple[float, Array]) -> tuple[float, Array]:
+    """Make the loss robust, if it is to be, with the scale at this state; returns it anew."""
+    if run.robust == "none":
+        return best
+    _, x = best
+    run.objective.robust = run.objective.robust_around(x, run.robust)
+    return run.evaluate(x)[0], x
+
+
+def _restarted(run: Run, x: Array) -> Array:
+    """X with the pixels that are trapped at the roughness bound put back to the middle."""
+    x = x.copy()
+    roughness = x[run.objective.roughness]
+    roughness[roughness <= TRAP_ROUGHNESS + 0.005] = START_ROUGHNESS
+    return x
+
+
+def scipys(
+    run: Run, x: Array, iterations: int, lowest_roughness: float = 0.0
+) -> tuple[float, Array]:
+    """Loss and x after scipy's L-BFGS-B, whose rows go into the history."""
+    from scipy.optimize import Bounds, minimize
+    from threadpoolctl import threadpool_limits
+
+    lower, upper = run.objective.bounds.T.copy()
+    lower[run.objective.roughness] = lowest_roughness
+
+    def after_iteration(intermediate_result: Any) -> None:
+        run.iteration += 1
+        run.record(intermediate_result.x, float(intermediate_result.fun))
+        if run.out_of_time():
+            raise StopIteration
+
+    # One BLAS thread: dot products split over threads would round differently on a machine with
+    # another number of processors.
+    with threadpool_limits(1, user_api="blas"):
+        found = minimize(
+            run.evaluate,
+            x,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=Bounds(lower, upper),
+            callback=after_iteration,
+            options={
+                "maxiter": iterations,
+                "maxfun": 10**9,  # iterations and time are the limits
+                "maxcor": CORRECTIONS,
+                # The loss is a mean, so its gradient entries are tiny: scipy's absolute
+                # tolerances would stop at once. Run on until no step lowers the loss.
+                "ftol": 0.0,
+                "gtol": 0.0,
+            },
+        )
+    return float(found.fun), found.x
