@@ -164,9 +164,9 @@ class Objective:
         self.robust: tuple[str, float] | None = None
 
         self._scene, self._threads = scene, threads
-        images = self._images()
+        images, remainders = self._images()
         self._mean_image = _mean_image(images, weights)
-        self.problem = self._problem(images, weights)
+        self.problem = self._problem(images, remainders, weights)
 
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.lighting = layout.metallic, layout.lighting
@@ -295,7 +295,7 @@ class Objective:
             factors *= self.weights[..., None]
         found = copy.copy(self)
         found.robust = None
-        found.problem = self._problem(self._images(), factors)
+        found.problem = self._problem(*self._images(), factors)
         return found
 
     def residual_rmse(self, loss: float) -> float:
@@ -367,16 +367,36 @@ class Objective:
         )
         return materials, lighting
 
-    def _images(self) -> NDArray[np.float32]:
-        """(N, P, C): the pictures in the unit of x."""
-        images = np.empty((self.layout.pictures, self.pixels, self.channels), dtype=np.float32)
+    def _images(self) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """(N, P, C): the pictures in the unit of x, and what float32 leaves of them.
+
+        The latter only of pictures that came in float64 with more digits than float32 holds. Of
+        pictures in float32 the division leaves something too, but it is no more than what was
+        rounded away before they came, and keeping it would double the memory.
+        """
+        shape = (self.layout.pictures, self.pixels, self.channels)
+        images = np.empty(shape, dtype=np.float32)
+        remainders = np.empty(shape, dtype=np.float32) if self._has_more_digits() else None
         for i, scaled in enumerate(images):
-            samples = self._scene.samples(i)[:, : self.channels]
-            scaled[:] = samples.astype(np.float64) / self._units[i]
-        return images
+            samples = self._scene.samples(i)[:, : self.channels].astype(np.float64)
+            samples /= self._units[i]
+            scaled[:] = samples
+            if remainders is not None:
+                remainders[i] = samples - scaled
+        return images, remainders
+
+    def _has_more_digits(self) -> bool:
+        if self._scene.images.dtype == np.float32:
+            return False
+        pictures = (self._scene.samples(i) for i in range(self.layout.pictures))
+        with np.errstate(over="ignore"):  # beyond float32: infinite, so not the same
+            return any((samples != samples.astype(np.float32)).any() for samples in pictures)
 
     def _problem(
-        self, images: NDArray[np.float32], weights: NDArray[np.float32] | None
+        self,
+        images: NDArray[np.float32],
+        remainders: NDArray[np.float32] | None,
+        weights: NDArray[np.float32] | None,
     ) -> _core.Problem:
         scene, valid = self._scene, self.layout.valid
         return _core.Problem(
@@ -388,6 +408,7 @@ class Objective:
             sh_order=self.layout.sh_order,
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
+            remainders=remainders,
         )
 
     @property
