@@ -259,6 +259,7 @@ impl Example {
     ) {
         let given = Pictures {
             images: &self.images,
+            remainders: None,
             pictures: self.pictures,
             channels: self.channels,
             weights: self.weights.as_deref(),

@@ -148,7 +148,11 @@ impl<'a, const C: usize> Lights<'a, C> {
     ) -> Result<Self> {
         let (maps, lights) = problem.at(x, pixels)?;
         if !(0.0..f64::INFINITY).contains(&how.damping) {
-            return Err(Error::argument("damping", "a share, 0 or more", how.damping));
+            return Err(Error::argument(
+                "damping",
+                "a share, 0 or more",
+                how.damping,
+            ));
         }
         if let Some(pull) = how.pull {
             let expected = pixels.len() * (problem.unknowns_of_pixel() - C);
@@ -199,7 +203,8 @@ impl<'a, const C: usize> Lights<'a, C> {
         let pixels = &self.pixels[first..self.pixels.len().min(first + BLOCK)];
         let finish = self.problem.unknowns_of_pixel() - C;
         let pull = self.how.pull.map(|pull| {
-            [pull.precision, pull.off].map(|of_all| &of_all[first * finish..][..pixels.len() * finish])
+            [pull.precision, pull.off]
+                .map(|of_all| &of_all[first * finish..][..pixels.len() * finish])
         });
         solved.take(self.maps, &self.lights, pixels, pull, self.how.damping);
     }
@@ -313,7 +318,10 @@ impl<'a, const C: usize> Lights<'a, C> {
         let mut collected = vec![0.0; self.size()];
         for (i, lanes) in sums.iter().enumerate() {
             let first = i % (self.channels * self.pictures) * self.coefficients;
-            for (to, lanes) in collected[first..][..self.coefficients].iter_mut().zip(&lanes.0) {
+            for (to, lanes) in collected[first..][..self.coefficients]
+                .iter_mut()
+                .zip(&lanes.0)
+            {
                 *to += lanes.iter().sum::<f64>();
             }
         }
@@ -528,7 +536,11 @@ impl<'a, const C: usize> Solved<'a, C> {
     /// Works out U, which is 0 for unknowns that are held, and U g.
     fn whiten(&mut self, damping: f64) {
         let mut scale: [Doubles; MAX_UNKNOWNS] = Default::default();
-        for (unknown, scale) in scale.iter_mut().enumerate().take(self.problem.unknowns_of_pixel()) {
+        for (unknown, scale) in scale
+            .iter_mut()
+            .enumerate()
+            .take(self.problem.unknowns_of_pixel())
+        {
             let values = self.values(unknown);
             let gradient = &self.sums.gradient[unknown];
             let diagonal = &self.sums.matrix[unknown][unknown];
@@ -647,7 +659,11 @@ impl<'a, const C: usize> Solved<'a, C> {
     /// Σ ω w_ck w_cl over the pixels: (channel, 1 or picture, K, K).
     fn grams(&self) -> Vec<f64> {
         let (n, k) = (self.problem.pictures(), self.problem.coefficients());
-        let each = if self.problem.weights(0, 0).is_empty() { 1 } else { n };
+        let each = if self.problem.weights(0, 0).is_empty() {
+            1
+        } else {
+            n
+        };
         let mut grams = vec![0.0; C * each * k * k];
         for (i, gram) in grams.chunks_mut(k * k).enumerate() {
             let (c, picture) = (i / each, i % each);

@@ -75,7 +75,8 @@ class Problem:
 
     images (N, P, C) float32 with C = 1 or 3; normals, views (P, 3) float64 unit vectors; weights
     (N, P) or (N, P, C) float32; lighting (N, K, C) float64, known; metallic a number, known;
-    threads 0 = all. K = (sh_order + 1)², sh_order 2 or 3.
+    threads 0 = all. K = (sh_order + 1)², sh_order 2 or 3. remainders (N, P, C) float32: what images
+    lack, for targets of 48 bits; all methods but value_and_grad take notice of it.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | lighting (N, K, C)], without
     those that are known. The loss is the (weighted) mean of the squared residuals, or of a robust
     loss of them.
@@ -92,6 +93,7 @@ class Problem:
         sh_order: int = 3,
         metallic: float | None = None,
         lighting: NDArray[np.float64] | None = None,
+        remainders: NDArray[np.float32] | None = None,
     ) -> Problem: ...
     @property
     def size(self) -> int: ...
@@ -132,6 +134,29 @@ class Problem:
         metallic: NDArray[np.float64],
     ) -> NDArray[np.float32]:
         """Least Σω(I−T)² over albedo (P', roughness, metallic) with the lights of x."""
+    def fit_materials(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        roughness: NDArray[np.float64],
+        metallic: NDArray[np.float64],
+        *,
+        starts: int = 1,
+        steps: int = 10,
+        exact_steps: int = 1,
+        centre: NDArray[np.float64] | None = None,
+        precision: NDArray[np.float64] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Materials (P', D) that fit best with the lights of x, and Σω(I−T)² (P',) with them.
+
+        Of each pixel alone: the lowest of what is reached from its material in x and from the
+        `starts` lowest local minima of the grid roughness × metallic (no grid if one is empty;
+        metallic is not read where it is known), by `steps` Levenberg-Marquardt steps on products
+        over pictures. Then `exact_steps` on residuals; without, squares have half of the digits.
+        Never worse than in x. `centre` and `precision` (P', 1 or 2) of roughness and metallic add
+        Σ precision (v − centre)² to what is minimised, not to the squares that are returned.
+        The D unknowns of a pixel: albedo by channel, roughness and, unless it is known, metallic.
+        """
     def best_albedo(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

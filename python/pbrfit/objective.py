@@ -166,9 +166,9 @@ class Objective:
         self._scene, self._threads = scene, threads
         # Which of the scene's valid pixels take part.
         self._chosen: slice | NDArray[np.uint64] = slice(None)
-        images = self._images()
+        images, remainders = self._images()
         self._mean_image = _mean_image(images, weights)
-        self.problem = self._problem(images, weights)
+        self.problem = self._problem(images, remainders, weights)
         self.penalties = [] if priors is None else penalties(layout, priors)
 
     def _lay_out(self, layout: Layout) -> None:
@@ -298,7 +298,7 @@ class Objective:
             factors *= self.weights[..., None]
         found = copy.copy(self)
         found.robust = None
-        found.problem = self._problem(self._images(), factors)
+        found.problem = self._problem(*self._images(), factors)
         return found
 
     def restricted(self, pixels: NDArray[np.uint64]) -> Objective:
@@ -322,7 +322,7 @@ class Objective:
         found.weights = None if self.weights is None else self.weights[:, pixels]
         found._chosen = pixels
         found._mean_image = self._mean_image[pixels]
-        found.problem = found._problem(found._images(), found.weights)
+        found.problem = found._problem(*found._images(), found.weights)
         return found
 
     def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
@@ -399,16 +399,36 @@ class Objective:
         )
         return materials, lighting
 
-    def _images(self) -> NDArray[np.float32]:
-        """(N, P, C): the pictures in the unit of x."""
-        images = np.empty((self.layout.pictures, self.pixels, self.channels), dtype=np.float32)
+    def _images(self) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """(N, P, C): the pictures in the unit of x, and what float32 leaves of them.
+
+        The latter only of pictures that came in float64 with more digits than float32 holds. Of
+        pictures in float32 the division leaves something too, but it is no more than what was
+        rounded away before they came, and keeping it would double the memory.
+        """
+        shape = (self.layout.pictures, self.pixels, self.channels)
+        images = np.empty(shape, dtype=np.float32)
+        remainders = np.empty(shape, dtype=np.float32) if self._has_more_digits() else None
         for i, scaled in enumerate(images):
-            samples = self._scene.samples(i)[self._chosen, : self.channels]
-            scaled[:] = samples.astype(np.float64) / self._units[i]
-        return images
+            samples = self._scene.samples(i)[self._chosen, : self.channels].astype(np.float64)
+            samples /= self._units[i]
+            scaled[:] = samples
+            if remainders is not None:
+                remainders[i] = samples - scaled
+        return images, remainders
+
+    def _has_more_digits(self) -> bool:
+        if self._scene.images.dtype == np.float32:
+            return False
+        pictures = (self._scene.samples(i) for i in range(self.layout.pictures))
+        with np.errstate(over="ignore"):  # beyond float32: infinite, so not the same
+            return any((samples != samples.astype(np.float32)).any() for samples in pictures)
 
     def _problem(
-        self, images: NDArray[np.float32], weights: NDArray[np.float32] | None
+        self,
+        images: NDArray[np.float32],
+        remainders: NDArray[np.float32] | None,
+        weights: NDArray[np.float32] | None,
     ) -> _core.Problem:
         scene, valid = self._scene, self._scene.valid
         return _core.Problem(
@@ -420,6 +440,7 @@ class Objective:
             sh_order=self.layout.sh_order,
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
+            remainders=remainders,
         )
 
     @property
