@@ -393,7 +393,7 @@ impl<'a, const C: usize> Block<'a, C> {
     }
 
     /// Works out the derivatives by the lights.
-    fn fill_weights(&mut self) {
+    pub(crate) fn fill_weights(&mut self) {
         self.isa.run(FillFactors {
             directions: &self.directions,
             materials: &self.materials,

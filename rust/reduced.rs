@@ -479,6 +479,7 @@ impl<'a, const C: usize> Solved<'a, C> {
         let n = self.problem.pictures();
         self.count = pixels.len();
         self.block.load(maps, pixels);
+        self.block.fill_weights();
         self.sums = Sums::default();
         let (weighted, slopes, omega) = (&mut self.weighted, &mut self.slopes, &mut self.omega);
         let sums = &mut self.sums;
