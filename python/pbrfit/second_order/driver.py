@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
 from pbrfit.second_order import subsample
-from pbrfit.second_order.pixels import fitted, put, taken
+from pbrfit.second_order.pixels import STEPS, descended, fitted, put, retried, taken
 from pbrfit.second_order.polish import polished
 
 Array = NDArray[np.float64]
 
-SUBSAMPLE = 256
-"""Pixels that find the lights of 16 pictures. On twelve rooms of 128² without noise 256 found all,
-128 ten, and joint steps cost half as much as with 512."""
+SUBSAMPLES = (256, 512, 1024)
+"""Pixels that find the lights of 16 pictures, in turns: others take over with the lights found so far
+where something is left that is no noise. On twelve rooms of 128² without noise 256 found all but one,
+and joint steps cost half as much as with 512."""
 
 LIGHT_SHARE = 3
 """Unknowns of the lights that there are at most for each pixel of the subsample. A pixel of N pictures
 and three channels knows 3N − 5 numbers about them."""
+
+MUCH_LESS = 0.5
+"""Of the squares of the pixels that judge: from others' lights something better is to be expected."""
+
+ROUNDS = 4
+"""Of a polish and a search for pixels that are still caught, at most."""
+
+FREED = 1e-3
+"""Share of the squares by which the search has to lower them to be worth another polish."""
 
 
 class Watch(Protocol):
@@ -65,10 +77,18 @@ def minimize(objective: Objective, x: Array, watch: Watch, seed: int) -> Fit | N
         found = fitted(objective, x, starts=1, stop=watch.stop)
         if found is None:
             return None
-        x, squares = found
+        x, squares = retried(objective, *found)
         stop = watch.visit(x, squares)
-        if objective.lighting is not None and not stop:
-            x, squares = polished(objective, x, squares, watch.visit, watch.stop)
+        if objective.lighting is not None:
+            for _ in range(ROUNDS):
+                if stop:
+                    break
+                x, squares = polished(objective, x, squares, watch.visit, watch.stop)
+                before = float(squares.sum())
+                x, squares = retried(objective, x, squares)
+                if float(squares.sum()) >= (1 - FREED) * before:
+                    break
+                stop = watch.visit(x, squares)
     return Fit(x, squares, note)
 
 
@@ -76,21 +96,43 @@ def _lit(objective: Objective, x: Array, watch: Watch, seed: int) -> tuple[Array
     """X with lights found on a few pixels, and with their materials."""
     layout = objective.layout
     lights = layout.light_channels * layout.pictures * layout.coefficients
-    count = min(objective.pixels, max(SUBSAMPLE, lights // LIGHT_SHARE))
-    chosen = np.sort(np.random.default_rng(seed).permutation(objective.pixels)[:count])
-    chosen = chosen.astype(np.uint64)
+    drawn = np.random.default_rng(seed).permutation(objective.pixels).astype(np.uint64)
+    judge = Neighbours(objective)
+    left, used = math.inf, []
+    for size in SUBSAMPLES:
+        count = min(objective.pixels, max(size, lights // LIGHT_SHARE))
+        chosen, drawn = np.sort(drawn[:count]), np.roll(drawn, -count)
+        found, stop = _lit_by(objective, x, chosen, watch)
+        used.append(count)
+        materials, squares = descended(objective, found, judge.pixels, steps=STEPS, starts=2)
+        found = put(objective, found, judge.pixels, materials)
+        before, left = left, float(squares.sum())
+        if left < before:
+            x = found
+        if stop or left > MUCH_LESS * before or judge.shared(x) <= NOISE_SHARED:
+            break
+    return x, f"lights from {' and '.join(map(str, used))} pixels"
+
+
+def _lit_by(
+    objective: Objective, x: Array, chosen: NDArray[np.uint64], watch: Watch
+) -> tuple[Array, bool]:
+    """X with the lights that these pixels find from it, and their materials; whether to stop."""
     few = objective.restricted(chosen)
     everything = slice(None)
+    stopped = False
 
     def visit(of_few: Array, total: float) -> bool:
-        return watch.visit_few(
+        nonlocal stopped
+        stopped = watch.visit_few(
             chosen,
             taken(few, of_few, everything),
             of_few[few.layout.lighting],
             total / few.total_weight,
         )
+        return stopped
 
     of_few, _ = subsample.minimize(few, objective.part_of(x, chosen), visit)
     x = put(objective, x, chosen, taken(few, of_few, everything))
-    x[layout.lighting] = of_few[few.layout.lighting]
-    return x, f"lights from {count} pixels"
+    x[objective.layout.lighting] = of_few[few.layout.lighting]
+    return x, stopped

@@ -26,6 +26,13 @@ OUTLYING = 5.0
 """Times the median of the pixels' squares: from here on a pixel is tried again from more starts. Of
 pure noise in 16 pictures of three channels one in 10⁹ is."""
 
+NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+SPREADS = 8
+"""Rounds in which outlying pixels take over materials from beside them, at most."""
+
+CLEARLY = 0.5
+"""Of its squares: a pixel that is left with less has gained by what it took over."""
+
 STEPS = 12
 """Of a descent from a node."""
 
@@ -121,10 +128,7 @@ def fitted(
     towards: Towards | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[Array, Array] | None:
-    """X with all pixels' best materials for its lights, and their squares (P,); None if stopped.
-
-    Pixels whose residuals stand out are tried again from more starts, unless `starts` is 0.
-    """
+    """X with all pixels' best materials for its lights, and their squares (P,); None if stopped."""
     x = x.copy()
     squares = np.empty(objective.pixels)
     maps = x[objective.layout.maps].reshape(-1, objective.pixels)
@@ -136,22 +140,57 @@ def fitted(
             objective, x, chunk, steps=steps, starts=starts, towards=rows
         )
         maps[:, chunk] = found.T
-    if starts == 0:
-        return x, squares
-    outlying = np.flatnonzero(squares > OUTLYING * np.median(squares)).astype(np.uint64)
-    for first in range(0, len(outlying), AT_ONCE):
-        if stop():
-            break
-        chunk = outlying[first : first + AT_ONCE]
-        rows = None if towards is None else towards.of(chunk)
-        found, squares[chunk] = descended(
-            objective,
-            x,
-            chunk,
-            steps=2 * STEPS,
-            starts=FINE_STARTS,
-            nodes=(FINE_ROUGHNESS, FINE_METALLIC),
-            towards=rows,
-        )
-        maps[:, chunk] = found.T
     return x, squares
+
+
+def retried(objective: Objective, x: Array, squares: Array) -> tuple[Array, Array]:
+    """X and squares after pixels whose squares stand out were tried again.
+
+    From more nodes, and from the materials of the pixels around them: an object is seldom of a
+    single pixel, and where its neighbours have found their way, so can it.
+    """
+    outlying = np.flatnonzero(squares > OUTLYING * np.median(squares)).astype(np.uint64)
+    if not outlying.size:
+        return x, squares
+    x, squares = x.copy(), squares.copy()
+    maps = x[objective.layout.maps].reshape(-1, objective.pixels)
+    fine = {"steps": 2 * STEPS, "starts": FINE_STARTS, "nodes": (FINE_ROUGHNESS, FINE_METALLIC)}
+    for first in range(0, len(outlying), AT_ONCE):
+        chunk = outlying[first : first + AT_ONCE]
+        found, squares[chunk] = descended(objective, x, chunk, **fine)
+        maps[:, chunk] = found.T
+    for _ in range(SPREADS):
+        gained = False
+        for offset in NEIGHBOURS:
+            chunk, other = _beside(objective, outlying, offset)
+            if not chunk.size:
+                continue
+            trial = x.copy()
+            trial[objective.layout.maps].reshape(-1, objective.pixels)[:, chunk] = maps[:, other]
+            found, left = descended(objective, trial, chunk, steps=STEPS)
+            better = left < squares[chunk]
+            maps[:, chunk[better]] = found[better].T
+            squares[chunk[better]] = left[better]
+            gained |= bool((left < CLEARLY * squares[chunk]).any())
+        if not gained:
+            break
+    return x, squares
+
+
+def _beside(objective: Objective, pixels: Pixels, offset: tuple[int, int]) -> tuple[Pixels, Pixels]:
+    """Those of `pixels` that have a valid pixel at this offset (rows, columns), and that pixel."""
+    valid = objective.layout.valid
+    index = np.full(valid.shape, -1)
+    index[valid] = np.arange(objective.pixels)
+    rows, columns = np.nonzero(valid)
+    there = rows[pixels] + offset[0], columns[pixels] + offset[1]
+    inside = (
+        (there[0] >= 0)
+        & (there[0] < valid.shape[0])
+        & (there[1] >= 0)
+        & (there[1] < valid.shape[1])
+    )
+    other = np.full(len(pixels), -1)
+    other[inside] = index[there[0][inside], there[1][inside]]
+    found = other >= 0
+    return pixels[found], other[found].astype(np.uint64)

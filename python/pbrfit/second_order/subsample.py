@@ -35,6 +35,9 @@ LIGHT_DAMPING = 1e-3
 FAILURES = 4
 """Steps in a row that may fail, each followed by ten times the damping."""
 
+SHARES = (1.0, 0.4, 0.1)
+"""Of a step that are tried before more damping is."""
+
 STALLED = 1e-4
 """A step, or a round, that lowers the sum of squares by less than this share of it is the last."""
 
@@ -79,7 +82,6 @@ def _joint(
     few: Objective, x: Array, total: float, damping: float, visit: Visit
 ) -> tuple[Array, float, float, bool]:
     """Joint steps; x, its squares, the damping, and whether to stop altogether."""
-    layout = few.layout
     pixels = np.arange(few.pixels, dtype=np.uint64)
     done = failed = 0
     while done < STEPS and failed <= FAILURES:
@@ -90,20 +92,25 @@ def _joint(
         except np.linalg.LinAlgError:
             damping, failed = 10 * damping, failed + 1
             continue
-        followed = few.problem.follow_lights(few.for_core(x), pixels, moves, **how)
-        trial = put(few, x, pixels, followed)
-        trial[layout.lighting] += as_in_x(moves, layout)
-        found, squares = descended(few, trial, pixels, steps=DESCENT)
+        if -float(gradient @ moves) < STALLED * total:
+            break
+        before = total
+        for share in SHARES:
+            followed = few.problem.follow_lights(few.for_core(x), pixels, share * moves, **how)
+            trial = put(few, x, pixels, followed)
+            trial[few.layout.lighting] += share * as_in_x(moves, few.layout)
+            found, squares = descended(few, trial, pixels, steps=DESCENT)
+            if squares.sum() < total:
+                x, total = put(few, trial, pixels, found), float(squares.sum())
+                break
         done += 1
-        gain = 1 - float(squares.sum()) / total if total > 0 else 0.0
-        if gain > 0:
-            x, total = put(few, trial, pixels, found), float(squares.sum())
+        if total < before:
             damping, failed = max(damping / 5, LEAST_DAMPING), 0
         else:
             damping, failed = 10 * damping, failed + 1
         if visit(x, total):
             return x, total, damping, True
-        if 0 <= gain < STALLED:
+        if 0 < before - total < STALLED * before:
             break
     return x, total, min(max(damping, 1e-6), FIRST_DAMPING), False
 
