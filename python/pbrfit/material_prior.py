@@ -79,10 +79,9 @@ SAME_GROUP = 0.02
 """Of the largest probability: neighbouring nodes above this are one group."""
 
 MUCH_LESS = 0.5
-"""Of the squares: better lights, whatever is left. On twelve synthetic rooms this and `NOISE_SHARED`
-separate noise and slow convergence (0.004 to 0.92 of the squares; with 0.37 and more the
-correlation is at most 0.005) from wrong normals, field of view and SH order (0.8 to 1.02 of the
-squares, correlation 0.33 and more)."""
+"""Of the squares: better lights, whatever is left. On twelve synthetic rooms noise and slow
+convergence left 0.004 to 0.92 of the squares, wrong normals, field of view and SH order 0.8 to
+1.02."""
 
 NOT_MORE = 1.05
 """Of the squares, where all that is left is noise: lights from few pixels have more noise of their

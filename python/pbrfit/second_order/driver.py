@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -53,65 +54,90 @@ class Watch(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """x, the pixels' weighted squares (P,) there, and what was done, in words."""
+class Lit:
+    """x with lights, and with the materials of the pixels that found and judged them.
+
+    Attributes
+    ----------
+    x
+        All other pixels are as they were.
+    fits
+        Whether only noise is left of the pixels that judge.
+    judges, squares
+        These pixels, and the sum of their squares.
+    note
+        What was done, in words.
+    """
 
     x: Array
-    squares: Array
+    fits: bool
+    judges: NDArray[np.uint64]
+    squares: float
     note: str
 
 
-def minimize(objective: Objective, x: Array, watch: Watch, seed: int) -> Fit | None:
-    """Squares of the data, as low as they get from x; penalties take no part.
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """x, and the pixels' weighted squares (P,) there."""
 
-    Returns None where time ran out before all pixels had been given lights.
-    """
-    # One BLAS thread: sums split over threads would round differently on a machine with another
-    # number of processors.
-    from threadpoolctl import threadpool_limits
+    x: Array
+    squares: Array
 
-    with threadpool_limits(1, user_api="blas"):
-        note = "lights known"
-        if objective.lighting is not None:
-            x, note = _lit(objective, x, watch, seed)
+
+def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> Lit:
+    """Lights that explain some pixels, from those of x; where they are known, they are left."""
+    judge = Neighbours(objective)
+    if objective.lighting is None:
+        return Lit(x, fits=True, judges=judge.pixels, squares=0.0, note="lights known")
+    layout = objective.layout
+    lights = layout.light_channels * layout.pictures * layout.coefficients
+    drawn = np.random.default_rng(seed).permutation(objective.pixels).astype(np.uint64)
+    fits, left, used = False, math.inf, []
+    with _one_blas_thread():
+        for size in SUBSAMPLES:
+            count = min(objective.pixels, max(size, lights // LIGHT_SHARE))
+            chosen, drawn = np.sort(drawn[:count]), np.roll(drawn, -count)
+            found, stop = _lit_by(objective, x, chosen, watch)
+            used.append(count)
+            materials, squares = descended(objective, found, judge.pixels, steps=STEPS, starts=2)
+            found = put(objective, found, judge.pixels, materials)
+            before, left = left, float(squares.sum())
+            if left < before:
+                x = found
+            fits = not judge.pixels.size or judge.shared(x) <= NOISE_SHARED
+            if stop or fits or left > MUCH_LESS * before:
+                break
+    note = f"lights from {' and '.join(map(str, used))} pixels"
+    return Lit(x, fits, judge.pixels, min(left, before), note)
+
+
+def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
+    """All pixels' materials for the lights of x, then both together; None if time ran out."""
+    with _one_blas_thread():
         found = fitted(objective, x, starts=1, stop=watch.stop)
         if found is None:
             return None
         x, squares = retried(objective, *found)
         stop = watch.visit(x, squares)
-        if objective.lighting is not None:
-            for _ in range(ROUNDS):
-                if stop:
-                    break
-                x, squares = polished(objective, x, squares, watch.visit, watch.stop)
-                before = float(squares.sum())
-                x, squares = retried(objective, x, squares)
-                if float(squares.sum()) >= (1 - FREED) * before:
-                    break
-                stop = watch.visit(x, squares)
-    return Fit(x, squares, note)
+        if objective.lighting is None:
+            return Fit(x, squares)
+        for _ in range(ROUNDS):
+            if stop:
+                break
+            x, squares = polished(objective, x, squares, watch.visit, watch.stop)
+            before = float(squares.sum())
+            x, squares = retried(objective, x, squares)
+            if float(squares.sum()) >= (1 - FREED) * before:
+                break
+            stop = watch.visit(x, squares)
+    return Fit(x, squares)
 
 
-def _lit(objective: Objective, x: Array, watch: Watch, seed: int) -> tuple[Array, str]:
-    """X with lights found on a few pixels, and with their materials."""
-    layout = objective.layout
-    lights = layout.light_channels * layout.pictures * layout.coefficients
-    drawn = np.random.default_rng(seed).permutation(objective.pixels).astype(np.uint64)
-    judge = Neighbours(objective)
-    left, used = math.inf, []
-    for size in SUBSAMPLES:
-        count = min(objective.pixels, max(size, lights // LIGHT_SHARE))
-        chosen, drawn = np.sort(drawn[:count]), np.roll(drawn, -count)
-        found, stop = _lit_by(objective, x, chosen, watch)
-        used.append(count)
-        materials, squares = descended(objective, found, judge.pixels, steps=STEPS, starts=2)
-        found = put(objective, found, judge.pixels, materials)
-        before, left = left, float(squares.sum())
-        if left < before:
-            x = found
-        if stop or left > MUCH_LESS * before or judge.shared(x) <= NOISE_SHARED:
-            break
-    return x, f"lights from {' and '.join(map(str, used))} pixels"
+def _one_blas_thread() -> AbstractContextManager[object]:
+    """Sums split over threads would round differently on a machine with more processors."""
+    from threadpoolctl import threadpool_limits
+
+    return threadpool_limits(1, user_api="blas")
 
 
 def _lit_by(

@@ -29,8 +29,12 @@ PRODUCTS = 12
 LEFT = 0.1
 """Of the error, in the norm of the preconditioner, a step may leave to the next."""
 
-WORTH = 1e-6
+WORTH = 1e-5
 """Share of the sum by which a step has to lower it, as predicted, to be taken."""
+
+LAST = 1e-3
+"""A step that lowers the sum by less than this share of it is the last: a hundredth is left of what
+it gained."""
 
 HALVINGS = 3
 DESCENT = 4
@@ -61,7 +65,7 @@ def polished(
             break
         x, squares, lower = taken_step
         gain, total = 1 - lower / total, lower
-        if visit(x, squares) or gain < WORTH:
+        if visit(x, squares) or gain < LAST:
             break
     return x, squares
 

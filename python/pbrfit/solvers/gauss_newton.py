@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pbrfit import second_order
 from pbrfit.result import Status
-from pbrfit.second_order import Fit
+from pbrfit.second_order import Lit
 from pbrfit.second_order.pixels import put
 from pbrfit.solvers.run import Run
 
@@ -46,17 +46,24 @@ class _Watch:
         return run.left <= 0 or run.out_of_time()
 
 
-def fit_data(run: Run, x: Array) -> Fit | None:
-    """The fit of the squares from x; None where time ran out before it was one."""
-    with run.stage("Gauss-Newton") as notes:
-        found = second_order.minimize(run.objective, x, _Watch(run, x), run.seed)
-        notes.append("stopped before all pixels had lights" if found is None else found.note)
-    return found
+def find_lights(run: Run, x: Array) -> Lit:
+    """Lights that explain some pixels, from x."""
+    with run.stage("lights by Gauss-Newton") as notes:
+        lit = second_order.find_lights(run.objective, x, _Watch(run, x), run.seed)
+        notes.append(lit.note)
+    return lit
+
+
+def fit_materials(run: Run, lit: Lit) -> Array | None:
+    """X with the squares of all pixels as low as they get; None if time ran out before."""
+    with run.stage("all pixels by Gauss-Newton") as notes:
+        fit = second_order.fit_materials(run.objective, lit.x, _Watch(run, lit.x))
+        if fit is None:
+            notes.append("stopped before all pixels had lights")
+    return None if fit is None else fit.x
 
 
 def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
-    found = fit_data(run, x)
-    if found is not None:
-        x = found.x
-    return x, *run.ended("no joint step lowers the squares further")
+    found = fit_materials(run, find_lights(run, x))
+    return x if found is None else found, *run.ended("no joint step lowers the squares further")
