@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.layout import Layout
 from pbrfit.objective import Objective
-from pbrfit.second_order.pixels import Pixels, Towards, chunks, taken
+from pbrfit.second_order.pixels import Pixels, Towards, taken
 
 Array = NDArray[np.float64]
 
@@ -24,6 +26,11 @@ def as_in_x(moves: Array, layout: Layout) -> Array:
 class Cholesky:
     """Solves with the matrix of some pixels, damped by a share of its diagonal.
 
+    Attributes
+    ----------
+    diagonal
+        Of the matrix without damping.
+
     Raises
     ------
     LinAlgError
@@ -34,6 +41,7 @@ class Cholesky:
         from scipy.linalg import cho_factor
 
         diagonal = np.einsum("ii->i", matrix)
+        self.diagonal = diagonal.copy()
         diagonal += damping * np.abs(diagonal) + RIDGE * diagonal.max() + np.finfo(float).tiny
         self._factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
 
@@ -44,10 +52,10 @@ class Cholesky:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
 
 
-def options(objective: Objective, x: Array, pixels: Pixels, towards: Towards | None) -> dict:
+def options(objective: Objective, x: Array, pixels: Pixels, towards: Towards | None) -> dict[str, Any]:
     """What the core has to know of mono lights and pulls, beside x and pixels."""
     layout = objective.layout
-    found: dict = {"mono": layout.light_channels < layout.channels}
+    found: dict[str, Any] = {"mono": layout.light_channels < layout.channels}
     if towards is not None:
         finish = taken(objective, x, pixels)[:, layout.channels :]
         found |= {
@@ -55,16 +63,3 @@ def options(objective: Objective, x: Array, pixels: Pixels, towards: Towards | N
             "off": finish - towards.centre,
         }
     return found
-
-
-def product(
-    objective: Objective, x: Array, v: Array, towards: Towards | None = None
-) -> tuple[Array, Array]:
-    """S v and s of all pixels, in order, so that the sums are always the same."""
-    totals = np.zeros((2, len(v)))
-    for chunk in chunks(objective.pixels):
-        rows = None if towards is None else towards.of(chunk)
-        totals += objective.problem.reduced_product(
-            objective.for_core(x), chunk, v, **options(objective, x, chunk, rows)
-        )
-    return totals[0], totals[1]

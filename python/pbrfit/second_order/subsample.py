@@ -116,19 +116,20 @@ def _joint(
 
 
 def _scaled(few: Objective, x: Array, total: float) -> tuple[Array, float, bool]:
-    """X with the lights of channels scaled, if that lowers the squares, and whether it did."""
+    """X with the lights of all channels or of one scaled, if that lowers the squares; whether."""
     layout = few.layout
     pixels = np.arange(few.pixels, dtype=np.uint64)
     before = total
-    for channel in range(layout.light_channels):
+    channels = [slice(None)]
+    if layout.light_channels > 1:
+        channels += [slice(c, c + 1) for c in range(layout.light_channels)]
+    for channel in channels:
         for factor in SCALES:
             trial = x.copy()
-            lights = trial[layout.lighting].reshape(-1, layout.light_channels)
-            lights[:, channel] *= factor
+            trial[layout.lighting].reshape(-1, layout.light_channels)[:, channel] *= factor
             albedo = trial[layout.albedo].reshape(layout.channels, -1)
-            own = slice(None) if layout.light_channels == 1 else channel
-            albedo[own] = np.clip(albedo[own] / factor, 0, 1)
-            found, squares = descended(few, trial, pixels, steps=2 * DESCENT)
+            albedo[channel] = np.clip(albedo[channel] / factor, 0, 1)
+            found, squares = descended(few, trial, pixels, steps=2 * DESCENT, starts=STARTS)
             if squares.sum() < (1 - STALLED) * total:
                 x, total = put(few, trial, pixels, found), float(squares.sum())
     return x, total, total < before
