@@ -114,7 +114,7 @@ pub(crate) struct Descent<'a, const C: usize> {
     pub(crate) floor: &'a Doubles,
     /// Before the first step.
     pub(crate) damping: f64,
-    pub(crate) trial: &'a mut Point<C>,
+    pub(crate) trial: &'a mut Box<Point<C>>,
 }
 
 impl<const C: usize> Descent<'_, C> {
@@ -123,8 +123,8 @@ impl<const C: usize> Descent<'_, C> {
     pub(crate) fn run(
         &mut self,
         squares: &mut impl Squares<C>,
-        point: &mut Point<C>,
-        active: &mut Doubles,
+        point: &mut Box<Point<C>>,
+        mut active: Doubles,
         steps: usize,
     ) {
         let mut damping = Plane([self.damping; BLOCK]);
@@ -137,26 +137,32 @@ impl<const C: usize> Descent<'_, C> {
                 point,
                 metallic_known: self.metallic_known,
                 damping: &damping,
-                active,
+                active: &active,
                 trial: &mut self.trial.materials,
                 predicted: &mut predicted,
             });
             self.trial.take(self.isa, squares, self.pull);
             let mut accepted = Doubles::default();
+            let tried = active;
             self.isa.run(Judge {
                 cost: &point.cost,
                 trial: &self.trial.cost,
                 predicted: &predicted,
                 floor: self.floor,
-                active,
+                active: &mut active,
                 damping: &mut damping,
                 accepted: &mut accepted,
             });
-            self.isa.run(Take {
-                which: &accepted,
-                from: self.trial,
-                to: point,
-            });
+            // Where a pixel was not tried, both points are the same.
+            if accepted.0 == tried.0 {
+                std::mem::swap(point, self.trial);
+            } else {
+                self.isa.run(Take {
+                    which: &accepted,
+                    from: self.trial,
+                    to: point,
+                });
+            }
         }
     }
 }
