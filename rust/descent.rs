@@ -29,9 +29,13 @@ const RESTRAINED: f64 = 1e-3;
 const LEAST_DAMPING: f64 = 1e-12;
 /// Beyond it nothing is to be gained.
 const MOST_DAMPING: f64 = 1e10;
-/// Factors of the damping after a step that was accepted, and rejected.
+/// Factors of the damping after a step that kept its promise, and one that did not. Where residuals
+/// are large and bend, steps are too long time after time, though squares fall.
 const CALMER: f64 = 0.1;
 const WILDER: f64 = 10.0;
+/// Parts of the predicted decrease from which a promise is kept, or else broken.
+const HELD: f64 = 0.75;
+const BROKEN: f64 = 0.25;
 /// Diagonals up to this are 0: their inverse would overflow.
 const NOTHING: f64 = 1e-280;
 /// Of the diagonal, below which a pivot is rounding.
@@ -258,10 +262,14 @@ impl Kernel for Judge<'_> {
             } else {
                 self.predicted.0[x]
             };
-            let damping = if fell {
-                (CALMER * self.damping.0[x]).max(LEAST_DAMPING)
+            let promised = self.predicted.0[x];
+            let damping = self.damping.0[x];
+            let damping = if fell & (gained > HELD * promised) {
+                (CALMER * damping).max(LEAST_DAMPING)
+            } else if fell & (gained > BROKEN * promised) {
+                damping
             } else {
-                (WILDER * self.damping.0[x]).max(RESTRAINED)
+                (WILDER * damping).max(RESTRAINED)
             };
             let goes_on = gained > self.floor.0[x] && damping < MOST_DAMPING;
             self.accepted.0[x] = accepted;
