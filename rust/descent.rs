@@ -31,11 +31,11 @@ const LEAST_DAMPING: f64 = 1e-12;
 const MOST_DAMPING: f64 = 1e10;
 /// Factors of the damping after a step that kept its promise, and one that did not. Where residuals
 /// are large and bend, steps are too long time after time, though squares fall.
-const CALMER: f64 = 0.1;
+const CALMER: f64 = 0.2;
 const WILDER: f64 = 10.0;
 /// Parts of the predicted decrease from which a promise is kept, or else broken.
-const HELD: f64 = 0.75;
-const BROKEN: f64 = 0.25;
+const HELD: f64 = 0.25;
+const BROKEN: f64 = 0.1;
 /// Diagonals up to this are 0: their inverse would overflow.
 const NOTHING: f64 = 1e-280;
 /// Of the diagonal, below which a pivot is rounding.
