@@ -23,18 +23,8 @@ def room() -> Scene:
     """Pictures rendered in float64 from what is known."""
     scene = make_scene("room", size=24, lights=6, seed=3, held_out=1)
     assert scene.truth is not None
-    materials = scene.truth.materials
     assert scene.truth.lighting is not None
-    pictures = np.zeros(scene.images.shape)
-    valid = scene.valid
-    pictures[:, valid] = model.render(
-        scene.normals[valid],
-        scene.views[valid],
-        materials.albedo[valid],
-        materials.roughness[valid],
-        materials.metallic[valid],
-        scene.truth.lighting,
-    )
+    pictures = model.render(scene.truth.materials, scene.normals, scene.truth.lighting, scene.fov)
     return dataclasses.replace(scene, images=pictures)
 
 
@@ -177,7 +167,7 @@ def test_bad_remainders_are_refused(remainders: Any, message: str) -> None:
 
 def test_pictures_beyond_float32_are_no_warning() -> None:
     """Divided by the scene scale they are as good as any."""
-    scene = make_scene("spheres", size=8, lights=3, seed=1, held_out=0)
+    scene = make_scene("spheres", size=8, lights=3, seed=1, held_out=1)
     bright = dataclasses.replace(
         scene, images=scene.images.astype(np.float64) * 1e200, truth=None, lighting=None
     )
