@@ -579,3 +579,30 @@ impl<const C: usize> Kernel for AddChannel<'_, C> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn local_minima_come_from_the_lowest_and_equals_count_once() {
+        let values = [
+            [3.0, 2.0, 2.0, 9.0],
+            [3.0, 5.0, 5.0, 9.0],
+            [9.0, 9.0, 9.0, 9.0],
+            [1.0, 9.0, 9.0, 4.0],
+        ];
+        let nodes: Vec<Doubles> = values
+            .as_flattened()
+            .iter()
+            .map(|&v| Plane([v; BLOCK]))
+            .collect();
+        let found: Vec<_> = (0..5)
+            .map(|rank| local_minimum(&nodes, 4, 3, rank))
+            .collect();
+        assert_eq!(found, [Some(12), Some(1), Some(15), None, None]);
+        assert_eq!(lowest(&nodes, 3), Some(12));
+        assert_eq!(lowest(&[], 3), None);
+        assert_eq!(local_minimum(&[], 0, 3, 0), None);
+    }
+}
