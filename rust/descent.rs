@@ -546,11 +546,13 @@ mod tests {
 
     #[test]
     fn what_nothing_depends_on_stays_where_it_is() {
-        let mut point = Point::<3>::default();
-        point.materials = Materials {
-            albedo: [Plane([0.5; BLOCK]); 3],
-            roughness: Plane([0.5; BLOCK]),
-            metallic: Plane([0.5; BLOCK]),
+        let mut point = Point {
+            materials: Materials {
+                albedo: [Plane([0.5; BLOCK]); 3],
+                roughness: Plane([0.5; BLOCK]),
+                metallic: Plane([0.5; BLOCK]),
+            },
+            ..Point::default()
         };
         point.sums.matrix[0][0] = Plane([4.0; BLOCK]);
         point.sums.gradient[0] = Plane([1.0; BLOCK]);

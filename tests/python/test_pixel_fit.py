@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -59,7 +60,7 @@ class Example:
         pixels: int = 60,
         pictures: int = 16,
         noise: float = 0.0,
-        change: Callable[[Array], None] = lambda truth: None,
+        change: Callable[[Array], None] | None = None,
         brightness: float = 1.0,
     ) -> None:
         rng = np.random.default_rng(3)
@@ -68,7 +69,8 @@ class Example:
         self.normals = reference.unit(rng.normal(size=(p, 3)) * 0.4 + (0, 0, 1))
         self.views = reference.unit(rng.normal(size=(p, 3)) * 0.1 + (0, 0, 1))
         self.truth = rng.uniform(0.1, 0.9, (p, 5))  # three albedos, roughness, metallic
-        change(self.truth)
+        if change is not None:
+            change(self.truth)
         if kind.metallic is not None:
             self.truth[:, 4] = kind.metallic
         self.truth = np.delete(self.truth, np.s_[c:3], axis=1)
@@ -336,7 +338,13 @@ def test_whatever_the_pictures_show_it_ends_no_worse(
     given[rng.random((40, 5)) < 0.2] = 1
     before = explicit(example, given)
     problem, x = example.problem(), example.x(given)
-    for options in ({}, {"starts": 3, "exact_steps": 4}, {"steps": 0}, {"starts": 0}):
+    every: tuple[dict[str, Any], ...] = (
+        {},
+        {"starts": 3, "exact_steps": 4},
+        {"steps": 0},
+        {"starts": 0},
+    )
+    for options in every:
         found, squares = problem.fit_materials(
             x, example.everything, ROUGHNESS, METALLIC, **options
         )
@@ -371,7 +379,7 @@ def test_more_starts_never_end_higher() -> None:
         )[1]
         for starts in (0, 1, 2, 5)
     ]
-    for fewer, more in zip(ends, ends[1:], strict=False):
+    for fewer, more in itertools.pairwise(ends):
         assert (more <= fewer).all()
     assert (ends[-1] < ends[0] * (1 - 1e-3)).any()
 

@@ -106,9 +106,7 @@ def test_float64_paths_take_notice(channels: int, weights: bool) -> None:
     # From products at the very material, and so to fewer digits.
     _, squares = problem.fit_materials(x, PIXELS, *2 * (np.empty(0),), steps=0, exact_steps=0)
     np.testing.assert_allclose(squares, expected, rtol=1e-10)
-    np.testing.assert_array_equal(
-        problem.residuals(x, PIXELS).shape, (4, len(PIXELS), channels)
-    )
+    np.testing.assert_array_equal(problem.residuals(x, PIXELS).shape, (4, len(PIXELS), channels))
     np.testing.assert_allclose(problem.residuals(x, PIXELS), residual[:, PIXELS], rtol=1e-7)
     _, right = problem.light_equations(x[: -4 * 16 * channels])
     expected = np.einsum("np,npc,pck->cnk", omega, example.targets, example.by_light)
