@@ -71,7 +71,7 @@ impl Problem {
             let mut planes = vec![Doubles::default(); nodes];
             for (pixels, grid) in pixels.chunks(BLOCK).zip(grid.chunks_mut(BLOCK * nodes)) {
                 block.load(&lights, pixels);
-                block.fill_grid(roughness, metallic, &mut planes);
+                block.fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut planes);
                 for (x, of_pixel) in grid.chunks_mut(nodes).enumerate() {
                     for (to, plane) in of_pixel.iter_mut().zip(&planes) {
                         *to = plane.0[x] as f32;
@@ -161,8 +161,14 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// χ² at every node of the grid: a plane for each, (roughness, metallic).
-    pub(crate) fn fill_grid(&mut self, roughness: &[f64], metallic: &[f64], nodes: &mut [Doubles]) {
+    /// χ² at every node of the grid: a plane for each, (roughness, metallic). `STEPS` of Newton's
+    /// method find the albedos.
+    pub(crate) fn fill_grid<const STEPS: usize>(
+        &mut self,
+        roughness: &[f64],
+        metallic: &[f64],
+        nodes: &mut [Doubles],
+    ) {
         for (&r, of_roughness) in roughness.iter().zip(nodes.chunks_mut(metallic.len())) {
             for (plane, h) in self.bands.iter_mut().zip(ggx::bands(r).weight) {
                 plane.0.fill(h);
@@ -177,7 +183,7 @@ impl<'a> Block<'a> {
                 for (sum, &m) in of_roughness.iter_mut().zip(metallic) {
                     self.metallic.0.fill(m);
                     std::mem::swap(&mut self.squares, sum);
-                    self.minimize(c);
+                    self.minimize::<STEPS>(c);
                     std::mem::swap(&mut self.squares, sum);
                 }
             }
@@ -196,7 +202,7 @@ impl<'a> Block<'a> {
         self.squares = Doubles::default();
         for c in 0..self.albedo.len() {
             self.take_roughness(c);
-            self.minimize(c);
+            self.minimize::<NEWTON_STEPS>(c);
         }
     }
 
@@ -208,8 +214,8 @@ impl<'a> Block<'a> {
         });
     }
 
-    fn minimize(&mut self, channel: usize) {
-        self.isa.run(MinimizeByAlbedo {
+    fn minimize<const STEPS: usize>(&mut self, channel: usize) {
+        self.isa.run(MinimizeByAlbedo::<STEPS> {
             products: &self.products.by_channel[channel],
             specular: &self.specular,
             schlick: &self.schlick,
@@ -221,8 +227,9 @@ impl<'a> Block<'a> {
     }
 }
 
-/// One channel: the albedo with the least χ², which is added to `squares`.
-struct MinimizeByAlbedo<'a> {
+/// One channel: the albedo with the least χ², which is added to `squares`; by `STEPS` of Newton's
+/// method.
+struct MinimizeByAlbedo<'a, const STEPS: usize> {
     products: &'a Products,
     specular: &'a Specular,
     schlick: &'a Doubles,
@@ -232,7 +239,7 @@ struct MinimizeByAlbedo<'a> {
     squares: &'a mut Doubles,
 }
 
-impl Kernel for MinimizeByAlbedo<'_> {
+impl<const STEPS: usize> Kernel for MinimizeByAlbedo<'_, STEPS> {
     type Output = ();
 
     #[inline(always)]
@@ -274,7 +281,7 @@ impl Kernel for MinimizeByAlbedo<'_> {
                 least = if value < least { value } else { least };
             }
             let mut rho = best;
-            for _ in 0..NEWTON_STEPS {
+            for _ in 0..STEPS {
                 let slope = ((4.0 * c4 * rho + 3.0 * c3) * rho + 2.0 * c2) * rho + c1;
                 let bend = (12.0 * c4 * rho + 6.0 * c3) * rho + 2.0 * c2;
                 let next = rho - slope / (bend.abs() + f64::MIN_POSITIVE);

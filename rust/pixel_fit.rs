@@ -32,8 +32,10 @@ use crate::shade::{Factors, Material};
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::{Error, Result, check, pool};
 
-/// Blocks of pixels in a piece of work.
-const CHUNK: usize = 4;
+/// Blocks of pixels in a piece of work at most: a piece has a cost of its own.
+const MAX_CHUNK: usize = 8;
+/// Pieces of work that are wanted, so that threads are busy to the end.
+const PIECES: usize = 64;
 /// Of Σ ω T²: a decrease that the products cannot tell from rounding.
 const FORM_FLOOR: f64 = 1e-13;
 /// Of Σ ω T²: a difference that the products can tell for sure.
@@ -46,6 +48,9 @@ const EXACT_DAMPING: f64 = 1e-9;
 /// Descents begin at least at this roughness: at 0 nothing depends on roughness, and they would
 /// never leave it. A material of x below it is still kept if nothing better is found.
 const LEAST_ROUGHNESS: f64 = 1e-3;
+
+/// Of the best albedo of a node, which only has to be good enough to begin from.
+const NEWTON_STEPS: usize = 2;
 
 type Doubles = Plane<f64>;
 
@@ -135,7 +140,7 @@ fn fit<const C: usize>(
         materials: zeros(pixels.len() * unknowns)?,
         squares: zeros(pixels.len())?,
     };
-    let size = CHUNK * BLOCK;
+    let size = (pixels.len().div_ceil(PIECES * BLOCK)).clamp(1, MAX_CHUNK) * BLOCK;
     let pieces = pixels
         .chunks(size)
         .zip(fitted.materials.chunks_mut(size * unknowns))
@@ -183,10 +188,10 @@ struct Block<'a, const C: usize> {
     /// A plane for each node.
     nodes: Vec<Doubles>,
     samples: normal_matrix::Block<'a, C>,
-    own: Point<C>,
-    best: Point<C>,
-    candidate: Point<C>,
-    trial: Point<C>,
+    own: Box<Point<C>>,
+    best: Box<Point<C>>,
+    candidate: Box<Point<C>>,
+    trial: Box<Point<C>>,
 }
 
 impl<'a, const C: usize> Block<'a, C> {
@@ -204,10 +209,10 @@ impl<'a, const C: usize> Block<'a, C> {
             grid: material_grid::Block::new(problem),
             nodes: vec![Doubles::default(); if search.starts > 0 { nodes } else { 0 }],
             samples: normal_matrix::Block::new(problem),
-            own: Point::default(),
-            best: Point::default(),
-            candidate: Point::default(),
-            trial: Point::default(),
+            own: Box::default(),
+            best: Box::default(),
+            candidate: Box::default(),
+            trial: Box::default(),
         }
     }
 
@@ -262,9 +267,6 @@ impl<'a, const C: usize> Block<'a, C> {
         let mut floor = Doubles::default();
         for x in 0..BLOCK {
             floor.0[x] = FORM_FLOOR * size.0[x];
-            if active.0[x] == 0.0 {
-                self.candidate.cost.0[x] = f64::INFINITY;
-            }
         }
         Descent {
             isa,
@@ -274,12 +276,12 @@ impl<'a, const C: usize> Block<'a, C> {
             damping: FORM_DAMPING,
             trial: &mut self.trial,
         }
-        .run(
-            &mut form,
-            &mut self.candidate,
-            &mut active.clone(),
-            self.search.steps,
-        );
+        .run(&mut form, &mut self.candidate, *active, self.search.steps);
+        for x in 0..BLOCK {
+            if active.0[x] == 0.0 {
+                self.candidate.cost.0[x] = f64::INFINITY;
+            }
+        }
         self.best.keep_lower(isa, &self.candidate);
     }
 
@@ -293,7 +295,8 @@ impl<'a, const C: usize> Block<'a, C> {
             ..
         } = *self.search;
         if start == 0 && !self.nodes.is_empty() {
-            self.grid.fill_grid(roughness, metallic, &mut self.nodes);
+            self.grid
+                .fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut self.nodes);
             if let Some(pull) = pull {
                 add_pull(pull, roughness, metallic, &mut self.nodes);
             }
@@ -365,12 +368,7 @@ impl<'a, const C: usize> Block<'a, C> {
             damping: EXACT_DAMPING,
             trial: &mut self.trial,
         }
-        .run(
-            &mut exact,
-            &mut self.best,
-            &mut used.clone(),
-            self.search.exact_steps,
-        );
+        .run(&mut exact, &mut self.best, *used, self.search.exact_steps);
     }
 }
 
@@ -579,5 +577,32 @@ impl<const C: usize> Kernel for AddChannel<'_, C> {
             sums.matrix[m][r].0[x] += b_r * m_s + b * m_p;
             sums.matrix[r][r].0[x] += b_r * (b_r * ss + 2.0 * b * sp) + b * b * pp;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn local_minima_come_from_the_lowest_and_equals_count_once() {
+        let values = [
+            [3.0, 2.0, 2.0, 9.0],
+            [3.0, 5.0, 5.0, 9.0],
+            [9.0, 9.0, 9.0, 9.0],
+            [1.0, 9.0, 9.0, 4.0],
+        ];
+        let nodes: Vec<Doubles> = values
+            .as_flattened()
+            .iter()
+            .map(|&v| Plane([v; BLOCK]))
+            .collect();
+        let found: Vec<_> = (0..5)
+            .map(|rank| local_minimum(&nodes, 4, 3, rank))
+            .collect();
+        assert_eq!(found, [Some(12), Some(1), Some(15), None, None]);
+        assert_eq!(lowest(&nodes, 3), Some(12));
+        assert_eq!(lowest(&[], 3), None);
+        assert_eq!(local_minimum(&[], 0, 3, 0), None);
     }
 }
