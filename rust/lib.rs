@@ -21,6 +21,7 @@
 //! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
 //! | [`penalties`] | penalties on a map: neighbours alike, groups of pixels alike |
 //! | [`normal_matrix`] | pixels: Gauss–Newton normal matrices, and how they are tied to the lights |
+//! | [`lbfgs`] | a bounded quasi-Newton method's vectors: pairs, their products, directions |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`directional`] | the same under light from single directions, with the full reflection model |
 //! | [`image_file`] | picture files |
@@ -33,6 +34,7 @@ pub mod error;
 mod evaluate;
 pub mod ggx;
 pub mod image_file;
+pub mod lbfgs;
 pub mod material_grid;
 pub mod normal_matrix;
 pub mod penalties;
