@@ -6,24 +6,28 @@
 //! float32 does not know its gradient any better. All sums are float64, over fixed pieces in order,
 //! so that every bit is the same at any number of threads.
 
+use std::f64::INFINITY;
 use std::iter;
 use std::ops::Range;
 
-use crate::simd::{Instructions, Isa, Kernel, Vectors};
+use crate::simd::{Ahead, Instructions, Isa, Kernel, Vectors};
 use crate::{Error, Result, check, pool};
 
-/// Entries that a kernel handles at once: all pairs' fit the second cache, and some the first.
+/// Entries that a kernel handles at once, and that lie side by side in a column.
 const BLOCK: usize = 128;
 /// At most so many pieces of work. Their borders depend on the length alone.
 const MAX_PIECES: usize = 64;
-/// Entries in a piece of work at least, in blocks: a piece has a cost of its own.
+/// Blocks in a piece of work at least: a piece has a cost of its own.
 const MIN_PIECE: usize = 16;
 /// Sums are kept in so many parts, which the compiler can put into vector registers.
 const PARTS: usize = 8;
-/// Rows and columns of a tile of a Gram matrix, whose sums stay in registers.
-const TILE: (usize, usize) = (2, 4);
 /// More pairs would take longer than an evaluation.
 const MAX_CORRECTIONS: usize = 64;
+
+/// Numbers of a block.
+type Numbers = [f64; BLOCK];
+/// A bit for each entry of a block.
+type Mask = u128;
 
 /// Equal bounds of consecutive entries.
 #[derive(Clone, Copy, Debug)]
@@ -31,13 +35,6 @@ struct Bounds {
     end: usize,
     lower: f64,
     upper: f64,
-}
-
-/// A vector in float32: its entries are `unit` times `values`.
-#[derive(Clone, Debug, Default)]
-struct Column {
-    unit: f64,
-    values: Vec<f32>,
 }
 
 /// Products of the columns s₁ … s_k, y₁ … y_k of the kept pairs, the oldest first.
@@ -63,57 +60,75 @@ pub struct Lbfgs {
     corrections: usize,
     threads: usize,
     instructions: Instructions,
-    /// Pairs (s, y). Where there are more than `corrections`, the last place is the oldest's.
-    pairs: Vec<[Column; 2]>,
-    /// Places of the pairs that are known, the oldest first.
+    /// Places of the pairs that are known, the oldest first. Columns of place i are 2i, its s, and
+    /// 2i + 1, its y.
     order: Vec<usize>,
-    /// Products of columns over all entries, by place: s of place i is 2i, y is 2i + 1.
+    /// (block, column), each divided by its unit. So a block of all is read in one go.
+    columns: Vec<[f32; BLOCK]>,
+    /// Of the columns: with it their entries are near 1, far from where float32 ends.
+    units: Vec<f64>,
+    /// Products of columns over all entries, (column, column).
     all: Vec<f64>,
-    /// Whether the newest pair is not in `all` yet.
+    /// The same over those that were free when they were asked for last.
+    free: Vec<f64>,
+    /// Which were free then, block by block.
+    masks: Vec<Mask>,
+    /// Whether products of the newest pair are still missing.
     fresh: bool,
 }
 
 impl Lbfgs {
-    /// With no pairs yet. `lower` and `upper` may be infinite; at most `corrections` pairs are
-    /// kept.
+    /// With no pairs yet; at most `corrections` are kept.
+    ///
+    /// Entries up to the first of `ends` have the first bounds, those from there to the second the
+    /// second, and so on. Bounds may be infinite.
     ///
     /// # Errors
-    /// If bounds are crossed or NaN, there are none, or `corrections` is not 1 to 64.
-    pub fn new(lower: &[f64], upper: &[f64], corrections: usize, threads: usize) -> Result<Self> {
-        if lower.is_empty() {
-            return Err(Error::argument("lower", "at least one number", 0));
+    /// If ends do not rise, bounds are crossed or NaN, or `corrections` is not 1 to 64.
+    pub fn new(
+        ends: &[usize],
+        lower: &[f64],
+        upper: &[f64],
+        corrections: usize,
+        threads: usize,
+    ) -> Result<Self> {
+        check::length("lower", ends.len(), lower.len())?;
+        check::length("upper", ends.len(), upper.len())?;
+        let before = iter::once(&0).chain(ends);
+        if let Some((a, b)) = before.zip(ends).find(|(a, b)| a >= b) {
+            let found = format!("{b} after {a}");
+            return Err(Error::argument("ends", "rising numbers above 0", found));
         }
-        check::length("upper", lower.len(), upper.len())?;
+        let &size = ends
+            .last()
+            .ok_or_else(|| Error::argument("ends", "at least one", 0))?;
         if !(1..=MAX_CORRECTIONS).contains(&corrections) {
             let expected = format!("1 to {MAX_CORRECTIONS} pairs");
             return Err(Error::argument("corrections", expected, corrections));
         }
-        let mut bounds: Vec<Bounds> = Vec::new();
-        for (i, (&lower, &upper)) in lower.iter().zip(upper).enumerate() {
-            // Written so that NaN fails.
-            let possible = lower <= upper && lower < f64::INFINITY && upper > f64::NEG_INFINITY;
-            if !possible {
-                let found = format!("{lower} and {upper} at {i}");
-                return Err(Error::argument("lower", "at most upper", found));
-            }
-            match bounds.last_mut() {
-                Some(last) if (last.lower, last.upper) == (lower, upper) => last.end = i + 1,
-                _ => bounds.push(Bounds {
-                    end: i + 1,
-                    lower,
-                    upper,
-                }),
-            }
+        let bounds = iter::zip(ends, iter::zip(lower, upper));
+        let bounds = bounds.map(|(&end, (&lower, &upper))| Bounds { end, lower, upper });
+        let bounds: Vec<_> = bounds.collect();
+        // Written so that NaN fails.
+        let possible = |b: &Bounds| b.lower <= b.upper && b.lower < INFINITY && b.upper > -INFINITY;
+        if let Some(crossed) = bounds.iter().find(|b| !possible(b)) {
+            let found = format!("{} to {}", crossed.lower, crossed.upper);
+            return Err(Error::argument("bounds", "from lower to upper", found));
         }
+        let blocks = size.div_ceil(BLOCK);
+        let width = 2 * corrections;
         Ok(Self {
-            size: lower.len(),
+            size,
             bounds,
             corrections,
             threads,
             instructions: Instructions::best(),
-            pairs: Vec::new(),
             order: Vec::new(),
-            all: vec![0.0; (2 * corrections).pow(2)],
+            columns: zeros(blocks * width, [0.0; BLOCK])?,
+            units: vec![0.0; width],
+            all: vec![0.0; width * width],
+            free: vec![0.0; width * width],
+            masks: zeros(blocks, 0)?,
             fresh: false,
         })
     }
@@ -136,8 +151,8 @@ impl Lbfgs {
 
     /// Takes s = x′ − x and y = g′ − g as the newest pair, in the oldest's place if need be.
     ///
-    /// A pair is good if sᵀy > ε yᵀy: that keeps the matrix positive definite. Others are not
-    /// taken, and false is returned.
+    /// A pair is good if sᵀy > ε |s| |y| with the ε of float32, as which it is kept: so the matrix
+    /// stays positive definite. Others are not taken, and false is returned.
     ///
     /// # Errors
     /// If a vector has another length, or there is no memory for one more pair.
@@ -145,10 +160,10 @@ impl Lbfgs {
         self.check("x", &x)?;
         self.check("gradient", &gradient)?;
         if self.fresh {
-            self.gram(None);
+            self.count(None);
         }
         let [mut ss, mut sy, mut yy] = [0.0; 3];
-        for [a, b, c] in self.map(|_, range| {
+        for [a, b, c] in self.map(|range| {
             let [x, new_x] = x.map(|v| &v[range.clone()]);
             let [g, new_g] = gradient.map(|v| &v[range.clone()]);
             self.instructions.run(Squares { x, new_x, g, new_g })
@@ -158,34 +173,36 @@ impl Lbfgs {
             yy += c;
         }
         // Written so that NaN fails.
-        let good = sy > f64::EPSILON * yy && ss.is_finite() && yy.is_finite();
+        let good = sy > f64::from(f32::EPSILON) * (ss * yy).sqrt() && (ss + yy).is_finite();
         if !good {
             return Ok(false);
         }
-        // In this unit entries are near 1, far from where float32 ends.
-        let unit = |squares: f64| (squares / self.size as f64).sqrt();
-        let units = [unit(ss), unit(yy)];
         let place = if self.order.len() == self.corrections {
             self.order.remove(0)
         } else {
-            let known = self.order.len();
-            (0..known)
-                .find(|i| !self.order.contains(i))
-                .unwrap_or(known)
+            // Places are taken in turn, so those behind are not in use.
+            self.order
+                .last()
+                .map_or(0, |last| (last + 1) % self.corrections)
         };
-        if place == self.pairs.len() {
-            self.pairs.push(self.new_pair()?);
-        }
-        let piece = self.piece();
-        let [s, y] = &mut self.pairs[place];
-        (s.unit, y.unit) = (units[0], units[1]);
-        let pieces = s.values.chunks_mut(piece).zip(y.values.chunks_mut(piece));
-        let work = pieces.enumerate().collect();
-        pool::map(self.threads, work, |(i, (s, y)): (usize, _)| {
-            let range = i * piece..i * piece + <[f32]>::len(s);
-            differences(x.map(|v| &v[range.clone()]), units[0], s);
-            differences(gradient.map(|v| &v[range.clone()]), units[1], y);
-        });
+        let units = [ss, yy].map(|squares| (squares / self.size as f64).sqrt());
+        self.units[2 * place..][..2].copy_from_slice(&units);
+        let (piece, width) = (self.piece(), 2 * self.corrections);
+        let columns = self.columns.chunks_mut(piece / BLOCK * width).enumerate();
+        pool::map(
+            self.threads,
+            columns.collect(),
+            |(i, columns): (usize, _)| {
+                let blocks = <[[f32; BLOCK]]>::chunks_exact_mut(columns, width);
+                for (b, columns) in blocks.enumerate() {
+                    let start = i * piece + b * BLOCK;
+                    let range = start..(start + BLOCK).min(self.size);
+                    let [s, y] = [x, gradient].map(|v| v.map(|v| &v[range.clone()]));
+                    differences(s, units[0], &mut columns[2 * place]);
+                    differences(y, units[1], &mut columns[2 * place + 1]);
+                }
+            },
+        );
         self.order.push(place);
         self.fresh = true;
         Ok(true)
@@ -198,18 +215,19 @@ impl Lbfgs {
     pub fn products(&mut self, x: &[f64], gradient: &[f64]) -> Result<Products> {
         self.check("x", &[x])?;
         self.check("gradient", &[gradient])?;
-        let gram = self.gram(Some((x, gradient)));
-        let columns: Vec<usize> = self.places().collect();
-        let (count, width) = (columns.len(), columns.len() + 1);
-        let side = 2 * self.corrections;
-        let pairs = || (0..count).flat_map(|i| (0..count).map(move |j| (i, j)));
+        let mut by_gradient = self.count(Some((x, gradient)));
+        let columns = self.known();
+        let width = 2 * self.corrections;
+        let known = |matrix: &[f64]| {
+            let rows = columns.iter().map(|i| &matrix[i * width..][..width]);
+            rows.flat_map(|row| columns.iter().map(|&j| row[j]))
+                .collect()
+        };
         Ok(Products {
-            all: pairs()
-                .map(|(i, j)| self.all[columns[i] * side + columns[j]])
-                .collect(),
-            free: pairs().map(|(i, j)| gram[i * width + j]).collect(),
-            by_gradient: (0..count).map(|i| gram[i * width + count]).collect(),
-            gradient: gram[count * width + count],
+            all: known(&self.all),
+            free: known(&self.free),
+            gradient: by_gradient.pop().expect("its own square"),
+            by_gradient,
         })
     }
 
@@ -230,17 +248,19 @@ impl Lbfgs {
         self.check("gradient", &[gradient])?;
         self.check("out", &[out])?;
         check::length("coefficients", 2 * self.order.len(), coefficients.len())?;
-        let columns = self.columns();
-        let factors = columns.iter().zip(coefficients);
-        let factors: Vec<f64> = factors.map(|(column, c)| c * column.unit).collect();
-        let pieces = self.map_out(out, |_, range, out| {
+        let known = self.known();
+        let factors = iter::zip(&known, coefficients);
+        let factors: Vec<f64> = factors.map(|(&i, c)| c * self.units[i]).collect();
+        let pieces = self.map_out(out, |range, out| {
             self.instructions.run(Direction {
                 x: &x[range.clone()],
                 gradient: &gradient[range.clone()],
                 bounds: self.bounds_from(range.start),
                 first: range.start,
                 descent,
-                columns: columns.iter().map(|c| &c.values[range.clone()]).collect(),
+                columns: self.columns_of(&range),
+                width: 2 * self.corrections,
+                known: &known,
                 factors: &factors,
                 out,
             })
@@ -256,7 +276,7 @@ impl Lbfgs {
         self.check("x", &[x])?;
         self.check("direction", &[p])?;
         self.check("out", &[out])?;
-        self.map_out(out, |_, range, out| {
+        self.map_out(out, |range, out| {
             let (x, p) = (&x[range.clone()], &p[range.clone()]);
             self.instructions.run(Moved {
                 x,
@@ -277,7 +297,7 @@ impl Lbfgs {
     pub fn dot(&self, a: &[f64], b: &[f64]) -> Result<f64> {
         self.check("a", &[a])?;
         self.check("b", &[b])?;
-        let pieces = self.map(|_, range| {
+        let pieces = self.map(|range| {
             self.instructions.run(Dot {
                 a: &a[range.clone()],
                 b: &b[range],
@@ -291,82 +311,81 @@ impl Lbfgs {
         lengths.try_for_each(|found| check::length(name, self.size, found))
     }
 
-    fn new_pair(&self) -> Result<[Column; 2]> {
-        let mut pair = [Column::default(), Column::default()];
-        for column in &mut pair {
-            let values = &mut column.values;
-            let refused = |_| Error::Memory("pairs of steps and gradients");
-            values.try_reserve_exact(self.size).map_err(refused)?;
-            values.resize(self.size, 0.0);
-        }
-        Ok(pair)
-    }
-
-    /// Rows of `all` that belong to the columns s₁ … s_k, y₁ … y_k.
-    fn places(&self) -> impl Iterator<Item = usize> {
+    /// The columns s₁ … s_k, y₁ … y_k.
+    fn known(&self) -> Vec<usize> {
         let of = |part: usize| self.order.iter().map(move |place| 2 * place + part);
-        of(0).chain(of(1))
+        of(0).chain(of(1)).collect()
     }
 
-    fn columns(&self) -> Vec<&Column> {
-        let columns = self.places().map(|i| &self.pairs[i / 2][i % 2]);
-        columns.collect()
-    }
-
-    /// Gram matrix of the columns and the gradient over what is free, or without them over
-    /// nothing; and the newest pair's products, if they are missing, are put into `all`.
-    fn gram(&mut self, state: Option<(&[f64], &[f64])>) -> Vec<f64> {
-        let columns = self.columns();
-        let width = columns.len() + 1;
-        let newest = self.fresh.then(|| [width / 2 - 1, width - 2]);
-        let pieces = self.map(|_, range| {
-            self.instructions.run(Gram {
+    /// Puts the products of the newest pair into `all` and `free`, and what has come free, or no
+    /// longer is, into `free`. Returns products of the gradient with the known columns and with
+    /// itself. Without a state the entries that are free stay the same.
+    fn count(&mut self, state: Option<(&[f64], &[f64])>) -> Vec<f64> {
+        let known = self.known();
+        let k = self.order.len();
+        let newest = self.fresh.then(|| [k - 1, 2 * k - 1]);
+        let mut masks = std::mem::take(&mut self.masks);
+        let piece = self.piece();
+        let work = masks.chunks_mut(piece / BLOCK).enumerate().collect();
+        let pieces = pool::map(self.threads, work, |(i, masks): (usize, &mut [Mask])| {
+            let range = i * piece..(i * piece + piece).min(self.size);
+            self.instructions.run(Count {
                 state: state.map(|(x, g)| (&x[range.clone()], &g[range.clone()])),
                 bounds: self.bounds_from(range.start),
-                columns: columns.iter().map(|c| &c.values[range.clone()]).collect(),
+                columns: self.columns_of(&range),
+                width: 2 * self.corrections,
+                known: &known,
                 newest,
+                masks,
                 range,
             })
         });
-        let mut gram = vec![0.0; width * width];
-        let mut rows = vec![0.0; 2 * width];
-        for (of_gram, of_rows) in &pieces {
-            add(&mut gram, of_gram);
-            add(&mut rows, of_rows);
+        self.masks = masks;
+        let mut counts = Counts::new(known.len());
+        for of_piece in &pieces {
+            counts.add(of_piece);
         }
-        let units: Vec<f64> = columns.iter().map(|c| c.unit).chain([1.0]).collect();
-        for i in 0..width {
-            for j in i..width {
-                gram[i * width + j] *= units[i] * units[j];
-                gram[j * width + i] = gram[i * width + j];
+        let width = 2 * self.corrections;
+        let units: Vec<f64> = known.iter().map(|&i| self.units[i]).collect();
+        for (i, &row) in known.iter().enumerate() {
+            for (j, &column) in known.iter().enumerate().skip(i) {
+                let change = counts.changes[i * known.len() + j] * units[i] * units[j];
+                self.free[row * width + column] += change;
+                self.free[column * width + row] = self.free[row * width + column];
             }
         }
-        if let Some(newest) = newest {
-            let places: Vec<usize> = self.places().collect();
-            let side = 2 * self.corrections;
-            for (row, &i) in newest.iter().enumerate() {
-                for j in 0..width - 1 {
-                    let product = rows[row * width + j] * units[i] * units[j];
-                    self.all[places[i] * side + places[j]] = product;
-                    self.all[places[j] * side + places[i]] = product;
+        for (of_newest, &i) in newest.iter().flatten().enumerate() {
+            for (j, &column) in known.iter().enumerate() {
+                let unit = units[i] * units[j];
+                let row = known[i];
+                for (matrix, sums) in [
+                    (&mut self.all, counts.rows[ALL + of_newest][j]),
+                    (&mut self.free, counts.rows[FREE + of_newest][j]),
+                ] {
+                    matrix[row * width + column] = unit * sums;
+                    matrix[column * width + row] = unit * sums;
                 }
             }
-            self.fresh = false;
         }
-        gram
+        self.fresh = false;
+        let units = units.iter().chain([&1.0]);
+        iter::zip(&counts.rows[GRADIENT], units)
+            .map(|(sum, unit)| sum * unit)
+            .collect()
     }
 
+    /// Entries in a piece of work.
     fn piece(&self) -> usize {
         let blocks = self.size.div_ceil(BLOCK).div_ceil(MAX_PIECES);
         blocks.max(MIN_PIECE) * BLOCK
     }
 
     /// Of all pieces of work, in order.
-    fn map<R: Send>(&self, f: impl Fn(usize, Range<usize>) -> R + Send + Sync) -> Vec<R> {
+    fn map<R: Send>(&self, f: impl Fn(Range<usize>) -> R + Send + Sync) -> Vec<R> {
         let piece = self.piece();
-        let pieces = (0..self.size.div_ceil(piece)).collect();
-        pool::map(self.threads, pieces, |i: usize| {
-            f(i, i * piece..(i * piece + piece).min(self.size))
+        let pieces = (0..self.size).step_by(piece).collect();
+        pool::map(self.threads, pieces, |start: usize| {
+            f(start..(start + piece).min(self.size))
         })
     }
 
@@ -374,13 +393,19 @@ impl Lbfgs {
     fn map_out<R: Send>(
         &self,
         out: &mut [f64],
-        f: impl Fn(usize, Range<usize>, &mut [f64]) -> R + Send + Sync,
+        f: impl Fn(Range<usize>, &mut [f64]) -> R + Send + Sync,
     ) -> Vec<R> {
         let piece = self.piece();
         let pieces = out.chunks_mut(piece).enumerate().collect();
         pool::map(self.threads, pieces, |(i, out): (usize, &mut [f64])| {
-            f(i, i * piece..i * piece + out.len(), out)
+            f(i * piece..i * piece + out.len(), out)
         })
+    }
+
+    /// Blocks of all columns.
+    fn columns_of(&self, range: &Range<usize>) -> &[[f32; BLOCK]] {
+        let width = 2 * self.corrections;
+        &self.columns[range.start / BLOCK * width..range.end.div_ceil(BLOCK) * width]
     }
 
     /// Those that hold from an entry on.
@@ -389,17 +414,19 @@ impl Lbfgs {
     }
 }
 
-fn add(total: &mut [f64], partial: &[f64]) {
-    for (t, p) in total.iter_mut().zip(partial) {
-        *t += p;
-    }
+fn zeros<T: Copy>(count: usize, zero: T) -> Result<Vec<T>> {
+    let mut made = Vec::new();
+    let refused = |_| Error::Memory("pairs of steps and gradients");
+    made.try_reserve_exact(count).map_err(refused)?;
+    made.resize(count, zero);
+    Ok(made)
 }
 
 /// The bounds of one block after the other.
 struct BlockBounds<'a> {
     left: &'a [Bounds],
-    lower: [f64; BLOCK],
-    upper: [f64; BLOCK],
+    lower: Numbers,
+    upper: Numbers,
     /// Those that fill both arrays.
     filled: (f64, f64),
 }
@@ -546,7 +573,9 @@ struct Direction<'a> {
     bounds: &'a [Bounds],
     first: usize,
     descent: f64,
-    columns: Vec<&'a [f32]>,
+    columns: &'a [[f32; BLOCK]],
+    width: usize,
+    known: &'a [usize],
     factors: &'a [f64],
     out: &'a mut [f64],
 }
@@ -555,161 +584,209 @@ impl Kernel for Direction<'_> {
     type Output = f64;
 
     #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) -> f64 {
+    fn run<I: Isa>(self, isa: I) -> f64 {
         let mut bounds = BlockBounds::new(self.bounds);
-        let mut slope = [0.0; PARTS];
-        let mut d = [0.0; BLOCK];
-        for (b, out) in self.out.chunks_mut(BLOCK).enumerate() {
-            let (start, count) = (b * BLOCK, out.len());
-            bounds.fill(self.first + start, count);
-            let x = &self.x[start..][..count];
-            let g = &self.gradient[start..][..count];
-            for (d, g) in d.iter_mut().zip(g) {
-                *d = self.descent * g;
-            }
-            for (column, factor) in self.columns.iter().zip(self.factors) {
-                for (d, &value) in d.iter_mut().zip(&column[start..][..count]) {
-                    *d += factor * f64::from(value);
+        let mut slope = 0.0;
+        let blocks = self.columns.chunks_exact(self.width);
+        let mut ahead = Ahead::default();
+        ahead.push(self.columns);
+        ahead.step(2 * self.width * 8);
+        for ((b, out), columns) in self.out.chunks_mut(BLOCK).enumerate().zip(blocks) {
+            let start = b * BLOCK;
+            bounds.fill(self.first + start, out.len());
+            let x = padded(&self.x[start..][..out.len()]);
+            let g = padded(&self.gradient[start..][..out.len()]);
+            let mut d = g.map(|g| self.descent * g);
+            // Several at a time: d is read and written less often.
+            let (known, known_left) = self.known.as_chunks::<4>();
+            let (factors, factors_left) = self.factors.as_chunks::<4>();
+            for (known, f) in known.iter().zip(factors) {
+                ahead.step(4 * 8);
+                let w = known.map(|i| &columns[i]);
+                for i in 0..BLOCK {
+                    let [a, b, c, e] = w.map(|w| f64::from(w[i]));
+                    d[i] += (f[0] * a + f[1] * b) + (f[2] * c + f[3] * e);
                 }
             }
-            let (lower, upper) = (&bounds.lower[..count], &bounds.upper[..count]);
-            for i in 0..count {
-                let target = (x[i] - d[i]).max(lower[i]).min(upper[i]);
-                let free = is_free(x[i], g[i], lower[i], upper[i]);
-                out[i] = if free { target - x[i] } else { 0.0 };
+            for (&known, factor) in known_left.iter().zip(factors_left) {
+                for i in 0..BLOCK {
+                    d[i] += factor * f64::from(columns[known][i]);
+                }
             }
-            for i in 0..count {
-                slope[i % PARTS] += g[i] * out[i];
+            let mut p = [0.0; BLOCK];
+            for i in 0..BLOCK {
+                let (lower, upper) = (bounds.lower[i], bounds.upper[i]);
+                let target = (x[i] - d[i]).max(lower).min(upper);
+                let free = is_free(x[i], g[i], lower, upper);
+                p[i] = if free { target - x[i] } else { 0.0 };
             }
+            slope += Dot { a: &g, b: &p }.run(isa);
+            out.copy_from_slice(&p[..out.len()]);
         }
-        slope.iter().sum()
+        slope
     }
 }
 
-/// Gram matrix of the masked columns and gradient, its upper triangle, without units; and products
-/// of the newest pair with all columns, unmasked: (2, width).
-struct Gram<'a> {
+/// Rows of [`Counts`]: the newest s and y over what is free, the gradient over it, the newest over
+/// all.
+const FREE: usize = 0;
+const GRADIENT: usize = 2;
+const ALL: usize = 3;
+const ROWS: usize = 5;
+
+/// Sums of products, without units, of the known columns.
+struct Counts {
+    /// Each with the known columns and, at the end, with the gradient over what is free.
+    rows: [Vec<f64>; ROWS],
+    /// Of columns with each other, over what has come free, less what no longer is; without the
+    /// newest: (known, known), the upper triangle.
+    changes: Vec<f64>,
+}
+
+impl Counts {
+    fn new(known: usize) -> Self {
+        Self {
+            rows: std::array::from_fn(|_| vec![0.0; known + 1]),
+            changes: vec![0.0; known * known],
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        let rows = self.rows.iter_mut().zip(&other.rows);
+        let all = rows.chain([(&mut self.changes, &other.changes)]);
+        for (total, partial) in all.flat_map(|(a, b)| a.iter_mut().zip(b)) {
+            *total += partial;
+        }
+    }
+}
+
+struct Count<'a> {
     state: Option<(&'a [f64], &'a [f64])>,
     bounds: &'a [Bounds],
-    columns: Vec<&'a [f32]>,
+    columns: &'a [[f32; BLOCK]],
+    width: usize,
+    known: &'a [usize],
     newest: Option<[usize; 2]>,
+    masks: &'a mut [Mask],
     range: Range<usize>,
 }
 
-impl Kernel for Gram<'_> {
-    type Output = (Vec<f64>, Vec<f64>);
+impl Kernel for Count<'_> {
+    type Output = Counts;
 
     #[inline(always)]
-    fn run<I: Isa>(self, isa: I) -> (Vec<f64>, Vec<f64>) {
-        let width = self.columns.len() + 1;
-        // Whole tiles: what is too much stays 0.
-        let mut block = vec![[0.0; BLOCK]; width.next_multiple_of(TILE.1)];
-        let mut tiles = Tiles::new::<I>(width);
-        let mut rows = vec![0.0; 2 * width];
+    fn run<I: Isa>(self, isa: I) -> Counts {
+        let lanes = <I as Vectors<f64>>::LANES;
+        let known = self.known.len();
+        let mut counts = Counts::new(known);
+        let mut sums = vec![0.0; (known + 1) * ROWS * lanes];
         let mut bounds = BlockBounds::new(self.bounds);
-        for start in (0..self.range.len()).step_by(BLOCK) {
+        let mut rows = [[0.0; BLOCK]; ROWS];
+        let mut entries = vec![0.0; known];
+        let blocks = self.columns.chunks_exact(self.width);
+        let mut ahead = Ahead::default();
+        ahead.push(self.columns);
+        ahead.step(2 * self.width * 8);
+        for ((b, mask), columns) in self.masks.iter_mut().enumerate().zip(blocks) {
+            let start = b * BLOCK;
             let count = BLOCK.min(self.range.len() - start);
-            for (of_block, column) in block.iter_mut().zip(&self.columns) {
-                let (values, rest) = of_block.split_at_mut(count);
-                for (to, &value) in values.iter_mut().zip(&column[start..][..count]) {
-                    *to = f64::from(value);
-                }
-                rest.fill(0.0);
+            let mut free = *mask;
+            if let Some((x, g)) = self.state {
+                bounds.fill(self.range.start + start, count);
+                rows[GRADIENT] = padded(&g[start..][..count]);
+                let x = padded(&x[start..][..count]);
+                free = free_of(&x, &rows[GRADIENT], &bounds, count);
             }
+            let mut changed = free ^ *mask;
+            while changed != 0 {
+                let i = changed.trailing_zeros() as usize;
+                changed &= changed - 1;
+                let sign = if free >> i & 1 == 1 { 1.0 } else { -1.0 };
+                for (entry, &column) in entries.iter_mut().zip(self.known) {
+                    *entry = f64::from(columns[column][i]);
+                }
+                for &newest in self.newest.iter().flatten() {
+                    entries[newest] = 0.0;
+                }
+                for (row, &entry) in entries.iter().enumerate() {
+                    let entry = sign * entry;
+                    let changes = &mut counts.changes[row * known..][row..known];
+                    for (change, other) in changes.iter_mut().zip(&entries[row..]) {
+                        *change += entry * other;
+                    }
+                }
+            }
+            *mask = free;
+
             for (row, &newest) in self.newest.iter().flatten().enumerate() {
-                for j in 0..width - 1 {
-                    rows[row * width + j] += Dot {
-                        a: &block[newest],
-                        b: &block[j],
-                    }
-                    .run(isa);
-                }
+                rows[ALL + row] = columns[self.known[newest]].map(f64::from);
+                rows[FREE + row] = rows[ALL + row];
             }
-            let Some((x, gradient)) = self.state else {
-                continue;
-            };
-            bounds.fill(self.range.start + start, count);
-            let (x, g) = (&x[start..][..count], &gradient[start..][..count]);
-            let (lower, upper) = (&bounds.lower[..count], &bounds.upper[..count]);
-            let mut free = [0.0; BLOCK];
-            for i in 0..count {
-                let is_free = is_free(x[i], g[i], lower[i], upper[i]);
-                free[i] = if is_free { 1.0 } else { 0.0 };
-            }
-            block[width - 1][..count].copy_from_slice(g);
-            block[width - 1][count..].fill(0.0);
-            for column in &mut block[..width] {
-                for (value, free) in column.iter_mut().zip(&free) {
-                    *value *= free;
-                }
-            }
-            tiles.add(isa, &block);
-        }
-        (tiles.sums::<I>(width), rows)
-    }
-}
-
-/// Sums of a Gram matrix in tiles, each in as many parts as a vector register has lanes.
-struct Tiles {
-    /// Row and column of the first entry of each tile that is not wholly below the diagonal.
-    corners: Vec<(usize, usize)>,
-    /// (tile, row, column, lane)
-    sums: Vec<f64>,
-}
-
-impl Tiles {
-    #[inline(always)]
-    fn new<I: Isa>(width: usize) -> Self {
-        let rows = (0..width).step_by(TILE.0);
-        let corners: Vec<_> = rows
-            .flat_map(|i| {
-                let first = i - i % TILE.1;
-                (first..width).step_by(TILE.1).map(move |j| (i, j))
-            })
-            .collect();
-        let lanes = <I as Vectors<f64>>::LANES;
-        let sums = vec![0.0; corners.len() * TILE.0 * TILE.1 * lanes];
-        Self { corners, sums }
-    }
-
-    #[inline(always)]
-    fn add<I: Isa>(&mut self, isa: I, block: &[[f64; BLOCK]]) {
-        let sums = <I as Vectors<f64>>::of_mut(&mut self.sums)
-            .as_chunks_mut::<8>()
-            .0;
-        for (&(i, j), sums) in self.corners.iter().zip(sums) {
-            let column = |k: usize| <I as Vectors<f64>>::of(&block[k]);
-            let a = [column(i), column(i + 1)];
-            let b = [column(j), column(j + 1), column(j + 2), column(j + 3)];
-            let lengths = BLOCK / <I as Vectors<f64>>::LANES;
-            let (a, b) = (a.map(|v| &v[..lengths]), b.map(|v| &v[..lengths]));
-            let mut t = *sums;
-            for v in 0..lengths {
-                for row in 0..TILE.0 {
-                    for column in 0..TILE.1 {
-                        let sum = &mut t[row * TILE.1 + column];
-                        *sum = Vectors::<f64>::mul_add(isa, a[row][v], b[column][v], *sum);
+            if free != Mask::MAX {
+                for i in 0..BLOCK {
+                    let factor = if free >> i & 1 == 1 { 1.0 } else { 0.0 };
+                    for row in &mut rows[..ALL] {
+                        row[i] *= factor;
                     }
                 }
             }
-            *sums = t;
-        }
-    }
-
-    /// (width, width), the upper triangle.
-    #[inline(always)]
-    fn sums<I: Isa>(&self, width: usize) -> Vec<f64> {
-        let lanes = <I as Vectors<f64>>::LANES;
-        let mut gram = vec![0.0; width * width];
-        let tiles = self.sums.chunks_exact(TILE.0 * TILE.1 * lanes);
-        for (&(i, j), tile) in self.corners.iter().zip(tiles) {
-            for (entry, parts) in tile.chunks_exact(lanes).enumerate() {
-                let (i, j) = (i + entry / TILE.1, j + entry % TILE.1);
-                if i <= j && j < width {
-                    gram[i * width + j] = parts.iter().sum();
-                }
+            for (j, sums) in sums.chunks_exact_mut(ROWS * lanes).enumerate() {
+                ahead.step(8);
+                let column = match self.known.get(j) {
+                    Some(&column) => columns[column].map(f64::from),
+                    None => rows[GRADIENT],
+                };
+                add_products(isa, &rows, &column, sums);
             }
         }
-        gram
+        for (j, sums) in sums.chunks_exact(ROWS * lanes).enumerate() {
+            for (row, parts) in counts.rows.iter_mut().zip(sums.chunks_exact(lanes)) {
+                row[j] = parts.iter().sum();
+            }
+        }
+        counts
     }
+}
+
+/// Adds the products of each row with a column, lane by lane.
+#[inline(always)]
+fn add_products<I: Isa>(isa: I, rows: &[Numbers; ROWS], column: &Numbers, sums: &mut [f64]) {
+    let sums = <I as Vectors<f64>>::of_mut(sums);
+    let column = <I as Vectors<f64>>::of(column);
+    let rows: [_; ROWS] =
+        std::array::from_fn(|r| &<I as Vectors<f64>>::of(&rows[r])[..column.len()]);
+    let mut t: [_; ROWS] = std::array::from_fn(|r| sums[r]);
+    for (v, &value) in column.iter().enumerate() {
+        for r in 0..ROWS {
+            t[r] = Vectors::<f64>::mul_add(isa, rows[r][v], value, t[r]);
+        }
+    }
+    sums.copy_from_slice(&t);
+}
+
+/// The numbers, and zeros up to a whole block.
+#[inline(always)]
+fn padded(values: &[f64]) -> Numbers {
+    let mut block = [0.0; BLOCK];
+    block[..values.len()].copy_from_slice(values);
+    block
+}
+
+/// Which of the first `count` entries of a block are free.
+#[inline(always)]
+fn free_of(x: &Numbers, gradient: &Numbers, bounds: &BlockBounds, count: usize) -> Mask {
+    let mut free = [0; BLOCK];
+    for i in 0..BLOCK {
+        let (lower, upper) = (bounds.lower[i], bounds.upper[i]);
+        free[i] = u8::from(is_free(x[i], gradient[i], lower, upper));
+    }
+    free[count..].fill(0);
+    // Eight bytes of 0 or 1 are gathered into the top byte: each is moved to its own bit.
+    let bytes =
+        free.as_chunks::<8>().0.iter().map(|&eight| {
+            (u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8
+        });
+    bytes
+        .rev()
+        .fold(0, |mask, byte| mask << 8 | Mask::from(byte))
 }

@@ -55,6 +55,52 @@ TRIALS = 12
 
 
 @dataclass(frozen=True, eq=False)
+class Bounds:
+    """A box in runs of equal bounds, because a number for each entry would need memory.
+
+    Attributes
+    ----------
+    ends
+        (R,) int64: where each run ends; the last is n.
+    lower, upper
+        (R,) float64: its bounds; infinite = none.
+    """
+
+    ends: NDArray[np.int64]
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def of(cls, lower: ArrayLike, upper: ArrayLike) -> Bounds:
+        """From bounds of each entry, (n,).
+
+        Raises
+        ------
+        InputError
+            If these are no two vectors of one length.
+        """
+        lower, upper = _vector("lower", lower), _vector("upper", upper)
+        if lower.shape != upper.shape:
+            raise InputError(f"upper: expected shape {lower.shape}, found {upper.shape}")
+        change = (lower[1:] != lower[:-1]) | (upper[1:] != upper[:-1])
+        last = np.append(np.flatnonzero(change), [len(lower) - 1] if len(lower) else [])
+        last = last.astype(np.int64)
+        return cls(last + 1, lower[last], upper[last])
+
+    @classmethod
+    def of_slices(cls, size: int, *parts: tuple[slice, float, float]) -> Bounds:
+        """From (slice of x, lower, upper): of several for an entry the last; without one, none."""
+        marks = {0, size}.union(*(part.indices(size)[:2] for part, _, _ in parts))
+        first = np.array(sorted(marks), dtype=np.int64)
+        lower, upper = np.full((2, len(first) - 1), [[-np.inf], [np.inf]])
+        for part, low, high in parts:
+            start, stop, _ = part.indices(size)
+            inside = (first[:-1] >= start) & (first[:-1] < stop)
+            lower[inside], upper[inside] = low, high
+        return cls(first[1:], lower, upper)
+
+
+@dataclass(frozen=True, eq=False)
 class Iterate:
     """What a callback gets.
 
@@ -94,8 +140,7 @@ class Minimum:
 def minimize(
     fun: Callable[[Array], tuple[float, Array]],
     x0: ArrayLike,
-    lower: ArrayLike,
-    upper: ArrayLike,
+    bounds: Bounds,
     *,
     iterations: int,
     callback: Callable[[Iterate], Any] | None = None,
@@ -114,8 +159,8 @@ def minimize(
         shorter. May raise StopIteration.
     x0
         (n,) start; what is outside the box is clipped.
-    lower, upper
-        (n,) bounds; infinite = none.
+    bounds
+        The box.
     iterations
         At most so many.
     callback
@@ -143,14 +188,23 @@ def minimize(
         If an argument cannot be used, or the loss at x0 is not finite.
     """
     iterations = whole_number("iterations", iterations)
-    lower, upper = _vector("lower", lower), _vector("upper", upper)
-    vectors = _core.Lbfgs(lower, upper, whole_number("corrections", corrections), threads)
-    x0 = _vector("x0", x0)
-    if x0.shape != lower.shape or not np.isfinite(x0).all():
-        raise InputError(f"x0: expected {len(lower)} finite numbers, found {len(x0)} or NaN")
-    return _Search(fun, vectors, np.clip(x0, lower, upper), stall, resolution).run(
-        iterations, callback
+    vectors = _core.Lbfgs(
+        bounds.ends,
+        bounds.lower,
+        bounds.upper,
+        whole_number("corrections", corrections),
+        whole_number("threads", threads),
     )
+    window, share = stall or (0, 0.0)
+    if stall is not None and whole_number("stall", window) == 0:
+        raise InputError("stall: expected a window of 1 or more iterations, found 0")
+    x0 = _vector("x0", x0)
+    if x0.shape != (vectors.size,):
+        raise InputError(f"x0: expected shape {(vectors.size,)}, found {x0.shape}")
+    if not np.isfinite(x0).all():
+        raise InputError("x0: expected finite numbers, found NaN or inf")
+    search = _Search(fun, vectors, x0, resolution)
+    return search.run(iterations, callback, deque([search.loss], maxlen=window + 1), share)
 
 
 class _Search:
@@ -160,24 +214,30 @@ class _Search:
         self,
         fun: Callable[[Array], tuple[float, Array]],
         vectors: _core.Lbfgs,
-        x: Array,
-        stall: tuple[int, float] | None,
+        x0: Array,
         resolution: float,
     ) -> None:
         self.fun, self.vectors, self.resolution = fun, vectors, resolution
         self.evaluations = 0
-        self.x, self.next = x, np.empty_like(x)
-        self.way = np.empty_like(x)
-        self.loss, self.gradient = self._evaluate(x)
-        if not math.isfinite(self.loss) or not math.isfinite(
-            vectors.dot(self.gradient, self.gradient)
-        ):
-            raise InputError(f"fun: expected a finite loss and gradient at x0, found {self.loss}")
-        self.reach = 1.0  # length of a first step
-        window, self.share = stall or (0, 0.0)
-        self.losses = deque([self.loss], maxlen=window + 1)
+        self.x, self.next, self.way = np.empty_like(x0), np.empty_like(x0), np.zeros_like(x0)
+        vectors.moved(x0, self.way, 0.0, out=self.x)  # into the box
+        self.loss, self.gradient = self._evaluate(self.x)
+        squares = vectors.dot(self.gradient, self.gradient)
+        if not math.isfinite(self.loss) or not math.isfinite(squares):
+            raise InputError(
+                f"fun: expected a finite loss and gradient at x0, found {self.loss:g} and a "
+                f"gradient of square {squares:g}"
+            )
+        self.reach = 1.0  # length of a step without pairs
 
-    def run(self, iterations: int, callback: Callable[[Iterate], Any] | None) -> Minimum:
+    def run(
+        self,
+        iterations: int,
+        callback: Callable[[Iterate], Any] | None,
+        losses: deque[float],
+        share: float,
+    ) -> Minimum:
+        """`losses` keeps the last of a window."""
         done = 0
         reason: Reason = "iterations"
         try:
@@ -189,17 +249,14 @@ class _Search:
                 done += 1
                 if callback is not None:
                     callback(Iterate(self.x, self.loss))
-                if self._stalls():
+                losses.append(self.loss)
+                window_is_full = share > 0 and len(losses) == losses.maxlen
+                if window_is_full and losses[0] - self.loss < share * abs(losses[0]):
                     reason = "stall"
                     break
         except StopIteration:
             reason = "stopped"
         return Minimum(self.x, self.loss, done, self.evaluations, reason)
-
-    def _stalls(self) -> bool:
-        self.losses.append(self.loss)
-        full = len(self.losses) == self.losses.maxlen
-        return full and self.losses[0] - self.loss < self.share * abs(self.losses[0])
 
     def _step(self) -> Reason | None:
         """One iteration; or why there is none."""
@@ -248,6 +305,7 @@ class _Search:
             if usable and loss < self.loss and loss <= self.loss + DECREASE * length * slope:
                 self._take(loss, gradient)
                 return True
+            del gradient  # its memory, before the next is made
             if usable and -length * slope <= self.resolution * abs(self.loss):
                 return False
             least = _cubic_minimum(length, self.loss, slope, loss, end) if usable else 0.0
@@ -268,13 +326,15 @@ class _Search:
 
 
 def _coefficients(of_all: Array, of_free: Array, by_gradient: Array) -> tuple[float, Array] | None:
-    """Those of the gradient and of the columns [S Y] in B_FF⁻¹ g_F; None where K is singular.
+    """Those of the gradient and of the columns [S Y] in B_FF⁻¹ g_F; None where rounding ruins K.
 
     `of_all` = [S Y]ᵀ[S Y], `of_free` the same over free entries, `by_gradient` = [S Y]_Fᵀ g_F.
     """
     k = len(by_gradient) // 2
     s_y = of_all[:k, k:]
     curvature = s_y.diagonal()
+    if not (curvature > 0).all():
+        return None
     theta = of_all[-1, -1] / curvature[-1]
     below = np.tril(s_y, -1)
     inverse = np.block([[-np.diag(curvature), below.T], [below, theta * of_all[:k, :k]]])
@@ -294,7 +354,9 @@ def _coefficients(of_all: Array, of_free: Array, by_gradient: Array) -> tuple[fl
     return 1 / theta, coefficients
 
 
-def _cubic_minimum(length: float, start: float, slope: float, end: float, end_slope: float) -> float:
+def _cubic_minimum(
+    length: float, start: float, slope: float, end: float, end_slope: float
+) -> float:
     """Where the cubic with these values and slopes at 0 and `length` is least; 0 if nowhere."""
     d1 = slope + end_slope - 3 * (end - start) / length
     inside = d1 * d1 - slope * end_slope

@@ -9,6 +9,7 @@ use pyo3::prelude::*;
 use super::InputError;
 use super::arrays::{Contiguous, array};
 use super::model::matrix;
+use super::penalties::indices;
 use crate::lbfgs::Lbfgs;
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -24,8 +25,9 @@ struct PyLbfgs(Lbfgs);
 #[pymethods]
 impl PyLbfgs {
     #[new]
-    #[pyo3(signature = (lower, upper, corrections, threads = 0))]
+    #[pyo3(signature = (ends, lower, upper, corrections, threads = 0))]
     fn new(
+        ends: Argument<'_, '_>,
         lower: Argument<'_, '_>,
         upper: Argument<'_, '_>,
         corrections: usize,
@@ -35,7 +37,8 @@ impl PyLbfgs {
         let lower = Contiguous::try_of("lower", &lower)?;
         let upper = Contiguous::try_of("upper", &upper)?;
         let (lower, upper) = (lower.values(), upper.values());
-        Ok(Self(Lbfgs::new(lower, upper, corrections, threads)?))
+        let ends = indices("ends", ends)?;
+        Ok(Self(Lbfgs::new(&ends, lower, upper, corrections, threads)?))
     }
 
     #[getter]
