@@ -110,8 +110,6 @@ class Objective:
         Slices of x: where they lie.
     metallic, lighting
         Slices of x, or None where they are known.
-    bounds
-        (size, 2): [0, 1] for materials, infinite for lights.
     scale
         The scene scale, in picture units.
     exposures
@@ -175,9 +173,14 @@ class Objective:
         self.layout, self.pixels, self.size = layout, layout.pixels, layout.size
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.lighting = layout.metallic, layout.lighting
-        self.bounds = np.empty((self.size, 2))
-        self.bounds[layout.maps] = (0.0, 1.0)
-        self.bounds[layout.maps.stop :] = (-np.inf, np.inf)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """(size, 2): [0, 1] for materials, infinite for lights. Made anew: it is large."""
+        bounds = np.empty((self.size, 2))
+        bounds[self.layout.maps] = (0.0, 1.0)
+        bounds[self.layout.maps.stop :] = (-np.inf, np.inf)
+        return bounds
 
     def start(self) -> NDArray[np.float64]:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
