@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from pbrfit.model import render
 from pbrfit.priors import Priors
 from pbrfit.result import Result
 from pbrfit.scene import Scene
-from pbrfit.solve import Solver, decompose
+from pbrfit.solve import decompose
 
-SOLVERS: tuple[str, ...] = get_args(Solver)
+SOLVERS: tuple[str, ...] = ("auto", "gauss-newton", "lbfgsb")
 REFERENCE = "lbfgsb"
 ABOVE_NONE = "auto"
 """The solver that must end no higher than the reference."""
