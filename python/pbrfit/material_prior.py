@@ -112,6 +112,18 @@ class MaterialPull:
         self._factor = factor
         self._totals = pull.offset_precision()
 
+    def shifted(self, x: Array) -> Array:
+        """c + δ with the best offsets for x, (P, F)."""
+        pull = self._pull
+        off = np.stack([x[block] for block in self._blocks], axis=-1) - pull.centre
+        offsets = pull.sums(pull.precision * off) / ((1 + OFFSET_PULL) * self._totals)
+        return np.asarray(pull.centre + offsets[pull.cluster])
+
+    @property
+    def precision(self) -> Array:
+        """a, (P, F), in units of squared residuals."""
+        return self._pull.precision
+
     def value_and_grad(self, x: Array, gradient: Array) -> float:
         """See `Penalty`."""
         pull, total = self._pull, 0.0

@@ -161,7 +161,7 @@ class Objective:
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
 
-        self._scene, self._threads = scene, threads
+        self._scene, self.threads = scene, threads
         # Which of the scene's valid pixels take part.
         self._chosen: slice | NDArray[np.uint64] = slice(None)
         images, remainders = self._images()
@@ -438,7 +438,7 @@ class Objective:
             images,
             scene.normals[valid][self._chosen].astype(np.float64),
             scene.views[valid][self._chosen],
-            self._threads,
+            self.threads,
             weights=weights,
             sh_order=self.layout.sh_order,
             metallic=self.known_metallic,

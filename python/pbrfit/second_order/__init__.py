@@ -19,6 +19,6 @@ trying all finishes frees the pixels; each alone stalls too.
 Where lights are known there is 2 alone.
 """
 
-from pbrfit.second_order.driver import Fit, Lit, Watch, find_lights, fit_materials
+from pbrfit.second_order.driver import Fit, Lit, Watch, find_lights, fit_materials, fit_pulled
 
-__all__ = ["Fit", "Lit", "Watch", "find_lights", "fit_materials"]
+__all__ = ["Fit", "Lit", "Watch", "find_lights", "fit_materials", "fit_pulled"]

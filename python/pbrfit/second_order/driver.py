@@ -10,10 +10,19 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.material_prior import MaterialPull
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
 from pbrfit.second_order import subsample
-from pbrfit.second_order.pixels import STEPS, descended, fitted, put, retried, taken
+from pbrfit.second_order.pixels import (
+    STEPS,
+    Towards,
+    descended,
+    fitted,
+    put,
+    retried,
+    taken,
+)
 from pbrfit.second_order.polish import polished
 
 Array = NDArray[np.float64]
@@ -33,6 +42,12 @@ and three channels knows 3N − 5 numbers about them."""
 
 MUCH_LESS = 0.5
 """Of the squares of the pixels that judge: from others' lights something better is to be expected."""
+
+TURNS = 8
+"""Of a pull's offsets and all else, at most."""
+
+SETTLED = 1e-4
+"""Change of the squares in a turn that is the last."""
 
 ROUNDS = 4
 """Of a polish and a search for pixels that are still caught, at most."""
@@ -141,6 +156,33 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
                 break
             stop = watch.visit(x, squares)
     return Fit(x, squares)
+
+
+def fit_pulled(
+    objective: Objective, x: Array, pull: MaterialPull, watch: Watch
+) -> Array | None:
+    """X with squares and pull together as low as they get from x; None if time ran out before.
+
+    The pull's offsets are put to their best values in turns with all else.
+    """
+    data = np.inf
+    with _one_blas_thread():
+        for turn in range(TURNS):
+            towards = Towards(pull.shifted(x), pull.precision)
+            starts = 1 if turn == 0 else 0
+            found = fitted(objective, x, starts=starts, towards=towards, stop=watch.stop)
+            if found is None:
+                return None if turn == 0 else x
+            x, squares = found
+            if objective.lighting is not None:
+                x, squares = polished(
+                    objective, x, squares, lambda *_: watch.stop(), watch.stop, towards
+                )
+            stop = watch.visit(x, squares)
+            before, data = data, float(squares.sum())
+            if stop or abs(before - data) < SETTLED * data:
+                break
+    return x
 
 
 def _one_blas_thread() -> AbstractContextManager[object]:

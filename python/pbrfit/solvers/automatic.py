@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from pbrfit.result import Status
 from pbrfit.second_order import Lit
-from pbrfit.solvers.descent import robust_around, scipys, staged
+from pbrfit.solvers.descent import lowered, robust_around, staged
 from pbrfit.solvers.first_order import FIRST_SHARE
-from pbrfit.solvers.gauss_newton import find_lights, fit_materials
+from pbrfit.solvers.gauss_newton import find_lights, fit_materials, with_material_prior
 from pbrfit.solvers.learning import learns, learnt
 from pbrfit.solvers.run import Run
 
@@ -32,23 +32,24 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     found: Array | None = None
     if not lit.fits:
         found = _by_all_pixels(run, start, loss, lit, start_given=start_given)
-    if found is None:
+    if found is not None:
+        x = found
+        if learns(run) and run.left > 0 and not run.out_of_time():
+            x, _ = learnt(run, x)
+    else:
         found = fit_materials(run, lit)
         if found is None:
             return start, *run.ended("")
-        if not (learns(run) or run.objective.penalties or run.robust != "none"):
-            return found, *run.ended("no joint step lowers the squares further")
-    x = found
-    if run.left <= 0 or run.out_of_time():
-        return x, *run.ended("")
-    if learns(run):
-        x, _ = learnt(run, x)
-    else:
-        robust_around(run, (loss, x))
+        x = found
+        if learns(run) and run.left > 0 and not run.out_of_time():
+            x = with_material_prior(run, x)
+        if not run.objective.penalties and run.robust == "none":
+            return x, *run.ended("no joint step lowers the squares further")
     if run.left > 0 and not run.out_of_time():
-        with run.stage("L-BFGS-B"):
-            _, x = scipys(run, x, run.left)
-    return x, *run.ended("no step lowers the loss further")
+        if not learns(run):  # else it is robust already
+            robust_around(run, (loss, x))
+        x = lowered(run, x)
+    return x, *run.ended("the loss falls no further")
 
 
 def _by_all_pixels(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit import projected_lbfgs
 from pbrfit.objective import START_ROUGHNESS
+from pbrfit.projected_lbfgs import Bounds
 from pbrfit.solvers.run import Run
 
 Array = NDArray[np.float64]
@@ -24,6 +27,13 @@ hardly change, so little is lost by waiting."""
 STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 """(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
 that ended at the bound start again from the middle."""
+
+STALL = (10, 1e-5)
+"""(Iterations, share): `lowered` stops where the loss fell by less than this share of itself over so
+many iterations."""
+
+RESOLUTION = 1e-9
+"""Of a difference of nearby losses, whose residuals are those of float32."""
 
 STAGES_GIVEN_START = ((0.0, 1.0),)
 ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
@@ -80,20 +90,75 @@ def _restarted(run: Run, x: Array) -> Array:
     return x
 
 
+def lowered(run: Run, x: Array) -> Array:
+    """X with the whole objective lowered until that stalls, or the limits of the run.
+
+    By scipy's L-BFGS-B where its own work is a small share, else by the one whose vectors are in
+    Rust.
+    """
+    by_scipy = projected_lbfgs.choose(run.objective.size) == "scipy"
+    name = "L-BFGS-B by scipy" if by_scipy else "bounded L-BFGS in Rust"
+    with run.stage(name) as notes:
+        before = run.iteration
+        if by_scipy:
+            _, x = scipys(run, x, run.left, stall=STALL)
+        else:
+            x = _rusts(run, x)
+        notes.append(f"{run.iteration - before} iterations")
+    return x
+
+
+def _rusts(run: Run, x: Array) -> Array:
+    objective = run.objective
+    bounds = Bounds.of_slices(objective.size, (objective.layout.maps, 0.0, 1.0))
+
+    def after_iteration(iterate: projected_lbfgs.Iterate) -> None:
+        run.iteration += 1
+        run.record(iterate.x.copy(), iterate.fun)
+        if run.out_of_time():
+            raise StopIteration
+
+    found = projected_lbfgs.minimize(
+        run.evaluate,
+        x,
+        bounds,
+        iterations=run.left,
+        callback=after_iteration,
+        threads=objective.threads,
+        stall=STALL,
+        resolution=RESOLUTION,
+    )
+    return found.x
+
+
 def scipys(
-    run: Run, x: Array, iterations: int, lowest_roughness: float = 0.0
+    run: Run,
+    x: Array,
+    iterations: int,
+    lowest_roughness: float = 0.0,
+    stall: tuple[int, float] | None = None,
 ) -> tuple[float, Array]:
-    """Loss and x after scipy's L-BFGS-B, whose rows go into the history."""
+    """Loss and x after scipy's L-BFGS-B, whose rows go into the history.
+
+    With `stall` it also stops where the loss fell by less than a share of itself over a number of
+    iterations.
+    """
     from scipy.optimize import Bounds, minimize
     from threadpoolctl import threadpool_limits
 
     lower, upper = run.objective.bounds.T.copy()
     lower[run.objective.roughness] = lowest_roughness
 
+    window, share = stall or (0, 0.0)
+    losses: deque[float] = deque(maxlen=window + 1)
+
     def after_iteration(intermediate_result: Any) -> None:
         run.iteration += 1
-        run.record(intermediate_result.x, float(intermediate_result.fun))
-        if run.out_of_time():
+        loss = float(intermediate_result.fun)
+        run.record(intermediate_result.x, loss)
+        losses.append(loss)
+        stalled = window and len(losses) > window and losses[0] - loss < share * losses[0]
+        if stalled or run.out_of_time():
             raise StopIteration
 
     # One BLAS thread: dot products split over threads would round differently on a machine with

@@ -9,6 +9,7 @@ from pbrfit import second_order
 from pbrfit.result import Status
 from pbrfit.second_order import Lit
 from pbrfit.second_order.pixels import put
+from pbrfit.solvers.learning import learns, learnt
 from pbrfit.solvers.run import Run
 
 Array = NDArray[np.float64]
@@ -42,7 +43,8 @@ class _Watch:
         run.iteration += 1
         # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
         data = float(squares.sum()) / run.objective.total_weight
-        run.record(x, data, data)
+        loss = data + run.objective.add_penalties(x, np.zeros(run.objective.size))
+        run.record(x, loss, data)
         return run.left <= 0 or run.out_of_time()
 
 
@@ -63,7 +65,19 @@ def fit_materials(run: Run, lit: Lit) -> Array | None:
     return None if fit is None else fit.x
 
 
+def with_material_prior(run: Run, x: Array) -> Array:
+    """X with the material prior learnt around it, and all pixels and lights fitted with it."""
+    x, pull = learnt(run, x)
+    with run.stage("all pixels by Gauss-Newton, with the material prior"):
+        found = second_order.fit_pulled(run.objective, x, pull, _Watch(run, x))
+    return x if found is None else found
+
+
 def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
     found = fit_materials(run, find_lights(run, x))
-    return x if found is None else found, *run.ended("no joint step lowers the squares further")
+    if found is not None:
+        x = found
+        if learns(run) and run.left > 0 and not run.out_of_time():
+            x = with_material_prior(run, x)
+    return x, *run.ended("no joint step lowers the sum further")
