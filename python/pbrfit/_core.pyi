@@ -188,6 +188,46 @@ class Problem:
 
         covariances (P', D, D), the inverse of JᵀΩJ; modes (M, N, K, C) of the lights.
         """
+    def reduced(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        *,
+        damping: float = 0.0,
+        mono: bool = False,
+        precision: NDArray[np.float64] | None = None,
+        off: NDArray[np.float64] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Matrix S (M, M) and gradient s (M,) of the lights with some pixels solved for.
+
+        The M unknowns are (light channel, picture, coefficient); one light channel if `mono`. A
+        share `damping` of its diagonal is added to the matrix of each pixel. precision a and off =
+        v − c, both (P', F), are of a pull Σ a (v − c)² at roughness and, if it is free, metallic.
+        """
+    def reduced_product(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        v: NDArray[np.float64],
+        *,
+        damping: float = 0.0,
+        mono: bool = False,
+        precision: NDArray[np.float64] | None = None,
+        off: NDArray[np.float64] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """S v (M,) and s (M,) of `reduced`, without making S."""
+    def follow_lights(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        v: NDArray[np.float64],
+        *,
+        damping: float = 0.0,
+        mono: bool = False,
+        precision: NDArray[np.float64] | None = None,
+        off: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """Materials (P', D) that a Gauss-Newton step leads to when the lights move by v (M,)."""
 
 @final
 class Neighbours:

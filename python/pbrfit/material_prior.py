@@ -34,11 +34,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import pulled_steps
-from pbrfit.pulled_steps import OFFSET_PULL, Pull
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
+from pbrfit.pulled_steps import OFFSET_PULL, Pull
 from pbrfit.robust import FEWEST_DEGREES
-from pbrfit.sampling import spread, spread_over
+from pbrfit.sampling import spread_over
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
@@ -113,7 +113,7 @@ class MaterialPull:
         self._totals = pull.offset_precision()
 
     def shifted(self, x: Array) -> Array:
-        """c + δ with the best offsets for x, (P, F)."""
+        """Where pixels are pulled, with the best offsets for x: c + δ, (P, F)."""
         pull = self._pull
         off = np.stack([x[block] for block in self._blocks], axis=-1) - pull.centre
         offsets = pull.sums(pull.precision * off) / ((1 + OFFSET_PULL) * self._totals)
@@ -121,7 +121,7 @@ class MaterialPull:
 
     @property
     def precision(self) -> Array:
-        """a, (P, F), in units of squared residuals."""
+        """Of the pull: a, (P, F), in units of squared residuals."""
         return self._pull.precision
 
     def value_and_grad(self, x: Array, gradient: Array) -> float:

@@ -15,8 +15,9 @@ PAIRS = 1024
 """Neighbouring pixels by which a fit is judged."""
 
 NOISE_SHARED = 0.25
-"""Mean cosine between neighbours' residuals up to which these are noise. On six synthetic rooms noise
-of 1 %, or of float32, left at most 0.05; wrong normals, field of view or SH order 0.84 and more."""
+"""Mean cosine between neighbours' residuals up to which these are noise. On six synthetic rooms
+noise of 1 %, or of float32, left at most 0.05; wrong normals, field of view or SH order 0.84 and
+more."""
 
 
 class Neighbours:

@@ -11,8 +11,8 @@ from scipy.optimize import minimize_scalar
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene, material_prior, pulled_steps, shade
-from pbrfit.pulled_steps import OFFSET_PULL, Pull
 from pbrfit.material_prior import MaterialPull
+from pbrfit.pulled_steps import OFFSET_PULL, Pull
 from pbrfit.sampling import spread, spread_over
 from pbrfit.synthetic import make_scene
 

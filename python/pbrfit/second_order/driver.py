@@ -37,11 +37,11 @@ EXACT = 1e-5
 """Root mean square of residuals, at mean radiance 0.4, that counts as nothing left."""
 
 LIGHT_SHARE = 3
-"""Unknowns of the lights that there are at most for each pixel of the subsample. A pixel of N pictures
-and three channels knows 3N − 5 numbers about them."""
+"""Unknowns of the lights that there are at most for each pixel of the subsample. A pixel of N
+pictures and three channels knows 3N − 5 numbers about them."""
 
 MUCH_LESS = 0.5
-"""Of the squares of the pixels that judge: from others' lights something better is to be expected."""
+"""Of the squares of the pixels that judge: then something better is to be expected of others."""
 
 TURNS = 8
 """Of a pull's offsets and all else, at most."""
@@ -62,7 +62,9 @@ class Watch(Protocol):
     def stop(self) -> bool:
         """Whether time is up."""
 
-    def visit_few(self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float) -> bool:
+    def visit_few(
+        self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float
+    ) -> bool:
         """A joint step of some pixels is done; whether to stop.
 
         `materials` (Q, D), `lights` as in x, and the mean weighted square that is left of them.
@@ -158,9 +160,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
     return Fit(x, squares)
 
 
-def fit_pulled(
-    objective: Objective, x: Array, pull: MaterialPull, watch: Watch
-) -> Array | None:
+def fit_pulled(objective: Objective, x: Array, pull: MaterialPull, watch: Watch) -> Array | None:
     """X with squares and pull together as low as they get from x; None if time ran out before.
 
     The pull's offsets are put to their best values in turns with all else.
@@ -189,7 +189,8 @@ def _one_blas_thread() -> AbstractContextManager[object]:
     """Sums split over threads would round differently on a machine with more processors."""
     from threadpoolctl import threadpool_limits
 
-    return threadpool_limits(1, user_api="blas")
+    limits: AbstractContextManager[object] = threadpool_limits(1, user_api="blas")
+    return limits
 
 
 def _lit_by(

@@ -52,7 +52,9 @@ class Cholesky:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
 
 
-def options(objective: Objective, x: Array, pixels: Pixels, towards: Towards | None) -> dict[str, Any]:
+def options(
+    objective: Objective, x: Array, pixels: Pixels, towards: Towards | None
+) -> dict[str, Any]:
     """What the core has to know of mono lights and pulls, beside x and pixels."""
     layout = objective.layout
     found: dict[str, Any] = {"mono": layout.light_channels < layout.channels}

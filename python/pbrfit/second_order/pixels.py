@@ -154,10 +154,16 @@ def retried(objective: Objective, x: Array, squares: Array) -> tuple[Array, Arra
         return x, squares
     x, squares = x.copy(), squares.copy()
     maps = x[objective.layout.maps].reshape(-1, objective.pixels)
-    fine = {"steps": 2 * STEPS, "starts": FINE_STARTS, "nodes": (FINE_ROUGHNESS, FINE_METALLIC)}
     for first in range(0, len(outlying), AT_ONCE):
         chunk = outlying[first : first + AT_ONCE]
-        found, squares[chunk] = descended(objective, x, chunk, **fine)
+        found, squares[chunk] = descended(
+            objective,
+            x,
+            chunk,
+            steps=2 * STEPS,
+            starts=FINE_STARTS,
+            nodes=(FINE_ROUGHNESS, FINE_METALLIC),
+        )
         maps[:, chunk] = found.T
     for _ in range(SPREADS):
         gained = False

@@ -191,7 +191,7 @@ def _stepped(
     how: _How,
     stop: Callable[[], bool],
 ) -> tuple[Array, Array, float] | None:
-    """X, squares and sum after the longest of a few steps that lowers the sum; None if none does."""
+    """X, squares and sum after the longest step of a few that lowers the sum; None if none does."""
     for share in SHARES:
         moved = share * moves
         trial = x.copy()
@@ -221,8 +221,11 @@ def _caught(
     squares: Array,
     towards: Towards | None,
 ) -> tuple[Array, Array]:
-    """X and squares when pixels that a step left worse off start again: from where they were, and
-    from the best node. One that falls into another minimum costs more than many others gain."""
+    """X and squares when pixels that a step left worse off start again.
+
+    From where they were, and from the best node: one that falls into another minimum costs more
+    than many others gain.
+    """
     worse = np.flatnonzero(squares > WORSE * squares_before).astype(np.uint64)
     maps = x[objective.layout.maps].reshape(-1, objective.pixels)
     for first in range(0, len(worse), AT_ONCE):

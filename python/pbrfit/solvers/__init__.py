@@ -1,7 +1,7 @@
 """The solvers of `decompose`: from a start to a fit.
 
-`lbfgsb` is the paper's recipe and the reference, `gauss-newton` the fast one for the data alone (with
-the learnt material prior), `auto` puts them together.
+`lbfgsb` is the paper's recipe and the reference, `gauss-newton` the fast one for squares and the
+learnt material prior, `auto` puts them together.
 """
 
 from __future__ import annotations

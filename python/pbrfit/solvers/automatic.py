@@ -1,4 +1,4 @@
-"""`auto`: Gauss-Newton first, then L-BFGS on the whole objective where that has more than the data."""
+"""`auto`: Gauss-Newton first, then L-BFGS where there is more to lower than squares."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pbrfit.solvers.run import Run
 Array = NDArray[np.float64]
 
 MUCH_LESS = 0.5
-"""Of the squares of L-BFGS's fit: lights that leave less are the better ones, whatever they leave."""
+"""Of the squares of L-BFGS's fit: lights that leave less are better ones, whatever they leave."""
 
 
 def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:

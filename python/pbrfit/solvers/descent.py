@@ -29,8 +29,8 @@ STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 that ended at the bound start again from the middle."""
 
 STALL = (10, 1e-5)
-"""(Iterations, share): `lowered` stops where the loss fell by less than this share of itself over so
-many iterations."""
+"""(Iterations, share): `lowered` stops where the loss fell by less than this share of itself over
+so many iterations."""
 
 RESOLUTION = 1e-9
 """Of a difference of nearby losses, whose residuals are those of float32."""
