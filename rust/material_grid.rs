@@ -15,7 +15,7 @@
 
 use std::f64::consts::FRAC_1_PI;
 
-use crate::block::{BLOCK, Plane};
+use crate::block::{BLOCK, BlockBands, FillBands, Plane};
 use crate::ggx::{self, DIELECTRIC_F0};
 use crate::problem::Problem;
 use crate::products::{PixelProducts, Products, Specular, TakeRoughness};
@@ -192,12 +192,14 @@ impl<'a> Block<'a> {
 
     /// Best albedo and χ² at the roughness and metallic that each pixel has.
     pub(crate) fn at_own_roughness(&mut self) {
+        let mut bands = BlockBands::default();
+        self.isa.run(FillBands {
+            roughness: &self.roughness,
+            bands: &mut bands,
+        });
+        self.bands.copy_from_slice(&bands[..4]);
         for x in 0..BLOCK {
-            let r = self.roughness.0[x];
-            for (plane, h) in self.bands.iter_mut().zip(ggx::bands(r).weight) {
-                plane.0[x] = h;
-            }
-            self.g1.0[x] = ggx::smith_g1(self.cosine.0[x], r).0;
+            self.g1.0[x] = ggx::smith_g1(self.cosine.0[x], self.roughness.0[x]).0;
         }
         self.squares = Doubles::default();
         for c in 0..self.albedo.len() {

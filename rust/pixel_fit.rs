@@ -301,10 +301,14 @@ impl<'a, const C: usize> Block<'a, C> {
                 add_pull(pull, roughness, metallic, &mut self.nodes);
             }
         }
+        if self.nodes.is_empty() {
+            return None;
+        }
+        let lowest = self.isa.run(Lowest { nodes: &self.nodes });
         let mut active = Doubles::default();
         for x in 0..count {
             let node = if starts == 1 {
-                lowest(&self.nodes, x)
+                Some(lowest.0[x] as usize)
             } else {
                 local_minimum(&self.nodes, metallic.len(), x, start)
             };
@@ -400,9 +404,26 @@ fn add_pull(pull: &Pull, roughness: &[f64], metallic: &[f64], nodes: &mut [Doubl
     }
 }
 
-/// The lowest node of a pixel, the first of equals.
-fn lowest(nodes: &[Doubles], x: usize) -> Option<usize> {
-    (0..nodes.len()).min_by(|&a, &b| nodes[a].0[x].total_cmp(&nodes[b].0[x]))
+/// The lowest node of each pixel, the first of equals.
+struct Lowest<'a> {
+    nodes: &'a [Doubles],
+}
+
+impl Kernel for Lowest<'_> {
+    type Output = Doubles;
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) -> Doubles {
+        let (mut least, mut lowest) = (self.nodes[0], Doubles::default());
+        for (i, node) in self.nodes.iter().enumerate() {
+            for x in 0..BLOCK {
+                let lower = node.0[x] < least.0[x];
+                lowest.0[x] = if lower { i as f64 } else { lowest.0[x] };
+                least.0[x] = if lower { node.0[x] } else { least.0[x] };
+            }
+        }
+        lowest
+    }
 }
 
 /// Of a pixel's nodes that are lower than their eight neighbours, number `rank` from the lowest. Of
@@ -601,8 +622,11 @@ mod tests {
             .map(|rank| local_minimum(&nodes, 4, 3, rank))
             .collect();
         assert_eq!(found, [Some(12), Some(1), Some(15), None, None]);
-        assert_eq!(lowest(&nodes, 3), Some(12));
-        assert_eq!(lowest(&[], 3), None);
-        assert_eq!(local_minimum(&[], 0, 3, 0), None);
+        let lowest = Instructions::best().run(Lowest { nodes: &nodes });
+        assert_eq!(lowest.0, [12.0; BLOCK]);
+        let lowest = Instructions::best().run(Lowest {
+            nodes: &nodes[..12],
+        });
+        assert_eq!(lowest.0, [1.0; BLOCK]);
     }
 }
