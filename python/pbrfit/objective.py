@@ -381,17 +381,23 @@ class Objective:
     def _problem(
         self, images: NDArray[np.float32], weights: NDArray[np.float32] | None
     ) -> _core.Problem:
-        scene, valid = self._scene, self.layout.valid
+        scene = self._scene
         return _core.Problem(
             images,
-            scene.normals[valid].astype(np.float64),
-            scene.views[valid],
+            self._rows(scene.normals),
+            self._rows(scene.views),
             self._threads,
             weights=weights,
             sh_order=self.layout.sh_order,
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
         )
+
+    def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """(P, 3) of (H, W, 3), without a copy where all pixels are valid: here memory peaks."""
+        valid = self.layout.valid
+        rows = vectors.reshape(-1, 3) if valid.all() else vectors[valid]
+        return rows.astype(np.float64, copy=False)
 
     @property
     def _by_picture(self) -> NDArray[np.float64]:
