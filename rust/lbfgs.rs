@@ -6,7 +6,6 @@
 //! float32 does not know its gradient any better. All sums are float64, over fixed pieces in order,
 //! so that every bit is the same at any number of threads.
 
-use std::f64::INFINITY;
 use std::iter;
 use std::ops::Range;
 
@@ -110,7 +109,9 @@ impl Lbfgs {
         let bounds = bounds.map(|(&end, (&lower, &upper))| Bounds { end, lower, upper });
         let bounds: Vec<_> = bounds.collect();
         // Written so that NaN fails.
-        let possible = |b: &Bounds| b.lower <= b.upper && b.lower < INFINITY && b.upper > -INFINITY;
+        let possible = |b: &Bounds| {
+            b.lower <= b.upper && b.lower < f64::INFINITY && b.upper > f64::NEG_INFINITY
+        };
         if let Some(crossed) = bounds.iter().find(|b| !possible(b)) {
             let found = format!("{} to {}", crossed.lower, crossed.upper);
             return Err(Error::argument("bounds", "from lower to upper", found));

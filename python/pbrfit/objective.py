@@ -433,11 +433,11 @@ class Objective:
         remainders: NDArray[np.float32] | None,
         weights: NDArray[np.float32] | None,
     ) -> _core.Problem:
-        scene, valid = self._scene, self._scene.valid
+        scene = self._scene
         return _core.Problem(
             images,
-            scene.normals[valid][self._chosen].astype(np.float64),
-            scene.views[valid][self._chosen],
+            self._rows(scene.normals),
+            self._rows(scene.views),
             self.threads,
             weights=weights,
             sh_order=self.layout.sh_order,
@@ -445,6 +445,12 @@ class Objective:
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
             remainders=remainders,
         )
+
+    def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Rows (P, 3) of (H, W, 3), without a copy where all pixels are valid: here memory peaks."""
+        valid = self._scene.valid
+        rows = vectors.reshape(-1, 3) if valid.all() else vectors[valid]
+        return rows[self._chosen].astype(np.float64, copy=False)
 
     @property
     def _by_picture(self) -> NDArray[np.float64]:
