@@ -47,7 +47,7 @@ from pbrfit.evaluation.stability.extreme_pixels import (
     random_targets,
     seen_at,
 )
-from pbrfit.evaluation.stability.stiff_scenes import PICTURES, stiff_scenes
+from pbrfit.evaluation.stability.stiff_scenes import stiff_scenes
 from pbrfit.notation import scientific
 from pbrfit.synthetic.lights import condition
 from scene_files import run
@@ -381,7 +381,7 @@ def test_checks() -> None:
 
 
 def test_stiff_scenes_are_what_their_names_say() -> None:
-    scenes = {one.name: one for one in stiff_scenes(12)}
+    scenes = {one.name: one for one in stiff_scenes(12, 5)}
 
     def lighting(name: str) -> Any:
         truth = scenes[name].scene.truth
@@ -411,7 +411,7 @@ def test_stiff_scenes_are_what_their_names_say() -> None:
     assert (~bright.counted).sum() == 1
     plain = scenes["plain"].scene.images[:, ~bright.counted]
     np.testing.assert_allclose(bright.scene.images[:, ~bright.counted], 1e4 * plain, rtol=1e-6)
-    assert len(plain) == PICTURES
+    assert len(plain) == 5
 
 
 def fit_of(scene: str, solver: str, **changes: Any) -> stiff_fits.Fit:
@@ -440,7 +440,9 @@ def test_a_fit_that_is_worse_or_silent_or_broken_fails_its_check() -> None:
 def test_every_solver_fits_every_stiff_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stiff_fits, "SOLVERS", ("lbfgsb",))
     found = stiff_fits.measure_stiff_fits(TINY, threads=1)
-    assert [fit.scene for fit in found.fits] == [one.name for one in stiff_scenes(TINY.fit_size)]
+    assert [fit.scene for fit in found.fits] == [
+        one.name for one in stiff_scenes(TINY.fit_size, TINY.fit_pictures)
+    ]
     assert all(check.passed for check in found.checks)
     by_name = {fit.scene: fit for fit in found.fits}
     assert by_name["1 picture, its light known"].undetermined["roughness"] == 1.0
@@ -486,8 +488,9 @@ TINY = stability.Effort(
     draws=1,
     subnormal_pixels=16,
     repeated=((3, 2),),
-    fit_size=6,
-    fit_iterations=4,
+    fit_size=5,
+    fit_pictures=4,
+    fit_iterations=2,
 )
 
 BOUNDS = 50

@@ -217,8 +217,9 @@ def _sections(measured: Stability) -> list[Section]:
         Section(
             "8. Stiff and extreme fits",
             [
-                f"Whole fits of rooms of {m.effort.fit_size} × {m.effort.fit_size} pixels without "
-                f"noise, rounded to float32, at most {m.effort.fit_iterations} iterations, without "
+                f"Whole fits of rooms of {m.effort.fit_size} × {m.effort.fit_size} pixels, "
+                f"{m.effort.fit_pictures} pictures unless the name says otherwise, without noise, "
+                f"rounded to float32, at most {m.effort.fit_iterations} iterations, without "
                 "priors where none are named: lights that hardly differ, too few pictures, "
                 "materials at the ends of their ranges, samples that the model cannot explain. The "
                 "answer may be poor where the pictures do not tell it, but it has to be finite and "

@@ -80,7 +80,7 @@ class StiffFits:
 
 def measure_stiff_fits(effort: Effort, threads: int) -> StiffFits:
     """Fit every scene by every solver; then limits and threads on some."""
-    cases = stiff_scenes(effort.fit_size)
+    cases = stiff_scenes(effort.fit_size, effort.fit_pictures)
     options: dict[str, Any] = {
         "iterations": effort.fit_iterations,
         "threads": threads,

@@ -20,7 +20,6 @@ from pbrfit.synthetic.exposure import MEAN_RADIANCE
 
 Array = NDArray[np.float64]
 
-PICTURES = 16
 SEED = 300
 """Seeds below 400 served to design scenes; this one tunes nothing."""
 
@@ -50,9 +49,9 @@ class StiffScene:
     determined: bool = True
 
 
-def stiff_scenes(size: int) -> list[StiffScene]:
-    """All of them, size × size pixels."""
-    room = make_scene("room", size=size, lights=PICTURES, held_out=1, seed=SEED)
+def stiff_scenes(size: int, pictures: int) -> list[StiffScene]:
+    """All of them, size × size pixels; so many pictures where the name does not say how many."""
+    room = make_scene("room", size=size, lights=pictures, held_out=1, seed=SEED)
     plain = StiffScene("plain", _rendered(room), room.valid)
     cases = [plain]
     cases += [
@@ -63,7 +62,7 @@ def stiff_scenes(size: int) -> list[StiffScene]:
         )
         for condition in CONDITIONS
     ]
-    equal = np.repeat(_lighting(room)[:1], PICTURES, axis=0)
+    equal = np.repeat(_lighting(room)[:1], pictures, axis=0)
     cases.append(
         StiffScene(
             "all lights equal", _rendered(room, lighting=equal), room.valid, determined=False
