@@ -382,7 +382,3 @@ def _vector(name: str, values: ArrayLike) -> Array:
     if vector.ndim != 1:
         raise InputError(f"{name}: expected one dimension, found shape {vector.shape}")
     return vector
-
-
-def choose(size: int) -> Literal["scipy", "rust"]:
-    return "scipy" if size <= 100_000 else "rust"

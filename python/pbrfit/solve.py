@@ -14,9 +14,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import exposure, metrics
+from pbrfit import exposure, memory, metrics
 from pbrfit._core import InputError
 from pbrfit.history import History
+from pbrfit.layout import Layout
 from pbrfit.materials import Materials
 from pbrfit.model import render, whole_number
 from pbrfit.needs import Needs
@@ -123,6 +124,7 @@ def decompose(
     importlib.import_module("scipy.optimize")
     began = time.perf_counter()
     priors = priors or Priors.none()
+    _check_memory(scene, solver, sh_order, metallic, mono_light)
     objective = Objective(
         scene,
         threads=threads,
@@ -189,6 +191,16 @@ def decompose(
     )
     log.info("%s after %d iterations, %.1f s: %s", status, run.iteration, seconds, stop_reason)
     return result
+
+
+def _check_memory(
+    scene: Scene, solver: Solver, sh_order: int, metallic: float | None, mono_light: bool
+) -> None:
+    """Refuse what there is not enough memory for, before any of it is taken."""
+    layout = Layout.of(
+        scene, sh_order=sh_order, metallic_known=metallic is not None, mono_light=mono_light
+    )
+    memory.check(solver, memory.of_fit(scene, layout, solver))
 
 
 def _start(
