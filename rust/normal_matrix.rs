@@ -23,13 +23,13 @@
 
 use crate::block::{
     BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBands, FillBasis, FillFactors,
-    FillWeights, Materials, Plane, Radiance, SEEN, seen,
+    FillWeights, Materials, Plane, Radiance, SEEN, seen, seen_by,
 };
 use crate::ggx::Bands;
 use crate::problem::Problem;
 use crate::sh::COEFFICIENTS;
 use crate::shade::{Factors, Material};
-use crate::simd::{Instructions, Isa, Kernel};
+use crate::simd::{Instructions, Isa, Kernel, Vectors};
 use crate::{Error, Result, check, pool};
 
 /// By what radiance is derived in one channel: its albedo, roughness, metallic.
@@ -314,6 +314,8 @@ pub(crate) struct Block<'a, const C: usize> {
     /// w_ck
     weights: Vec<[Doubles; COEFFICIENTS]>,
     responses: Vec<Responses>,
+    /// Targets and weights ω: (channel, picture).
+    given: Vec<[Doubles; 2]>,
     sample: Sample,
 }
 
@@ -348,6 +350,7 @@ impl<'a, const C: usize> Block<'a, C> {
             factors: std::array::from_fn(|_| ChannelFactors::default()),
             weights: vec![[Doubles::default(); COEFFICIENTS]; C],
             responses: vec![Responses::default(); C],
+            given: Vec::new(),
             sample: Sample::default(),
         }
     }
@@ -367,6 +370,13 @@ impl<'a, const C: usize> Block<'a, C> {
         self.places.clear();
         self.places.extend(pixels);
         self.directions = self.problem.picked_directions(pixels);
+        self.given.clear();
+        for c in 0..C {
+            for picture in 0..self.problem.pictures() {
+                self.given
+                    .push(self.problem.picked_samples(c, picture, pixels));
+            }
+        }
         self.isa.run(FillBasis::<f64, COEFFICIENTS> {
             directions: &self.directions,
             basis: &mut self.basis,
@@ -412,14 +422,17 @@ impl<'a, const C: usize> Block<'a, C> {
 
     /// Adds all samples to the normal equations.
     pub(crate) fn add_samples(&mut self, lights: &[[f64; COEFFICIENTS]], sums: &mut Sums) {
-        let isa = self.isa;
-        self.each_sample(lights, |c, _, sample| {
-            isa.run(AddSample {
-                sample,
+        let pictures = self.problem.pictures();
+        for c in 0..C {
+            self.isa.run(AddSamples {
+                basis: &self.basis,
+                lights: &lights[c * pictures..][..pictures],
+                given: &self.given[c * pictures..][..pictures],
+                responses: &self.responses[c],
                 unknowns: unknowns_of_channel::<C>(c),
                 sums,
             });
-        });
+        }
     }
 
     /// Calls `f` with channel, picture and sample, channel by channel. Lights are (channel, picture).
@@ -438,12 +451,12 @@ impl<'a, const C: usize> Block<'a, C> {
 
     /// Works out one channel of one picture.
     fn take_sample(&mut self, channel: usize, picture: usize, light: &[f64; COEFFICIENTS]) {
-        let [target, weight] = self.problem.picked_samples(channel, picture, &self.places);
-        self.sample.weight = weight;
+        let [target, weight] = &self.given[channel * self.problem.pictures() + picture];
+        self.sample.weight = *weight;
         self.isa.run(TakeSample {
             basis: &self.basis,
             light,
-            target: &target,
+            target,
             responses: &self.responses[channel],
             sample: &mut self.sample,
         });
@@ -480,18 +493,20 @@ impl Kernel for FillResponses<'_> {
                 bands.slope[l] = self.bands[4 + l].0[x];
             }
             let factors = Factors::new(self.directions.cosine(x), &material, bands);
-            let mut put = |seen: usize, radiance: f64, by_diffuse: f64, by_band: [f64; 4]| {
+            // One call, in a loop: of several the compiler would make a function and no vector code.
+            for seen in 0..SEEN {
+                let mut alone = [0.0; SEEN];
+                alone[seen] = 1.0;
+                let [by_diffuse, by_band @ ..] = alone;
                 let derivatives = factors.pull_back(&material, &[by_diffuse], &[by_band]);
-                self.responses.radiance[seen].0[x] = radiance;
+                self.responses.radiance[seen].0[x] = if seen == 0 {
+                    factors.diffuse[0]
+                } else {
+                    factors.specular[0] * bands.weight[seen - 1]
+                };
                 self.responses.derivatives[0][seen].0[x] = derivatives.albedo[0];
                 self.responses.derivatives[1][seen].0[x] = derivatives.roughness;
                 self.responses.derivatives[2][seen].0[x] = derivatives.metallic;
-            };
-            put(0, factors.diffuse[0], 1.0, [0.0; 4]);
-            for l in 0..4 {
-                let mut alone = [0.0; 4];
-                alone[l] = 1.0;
-                put(1 + l, factors.specular[0] * bands.weight[l], 0.0, alone);
             }
         }
     }
@@ -556,39 +571,75 @@ impl Sums {
     }
 }
 
-/// Adds a sample to the normal equations.
-struct AddSample<'a> {
-    sample: &'a Sample,
+/// Adds one channel of all pictures to the normal equations, whose entries stay in registers.
+struct AddSamples<'a> {
+    basis: &'a Basis<f64>,
+    /// By picture.
+    lights: &'a [[f64; COEFFICIENTS]],
+    /// By picture.
+    given: &'a [[Doubles; 2]],
+    responses: &'a Responses,
     unknowns: [usize; DERIVATIVES],
     sums: &'a mut Sums,
 }
 
-impl Kernel for AddSample<'_> {
+impl Kernel for AddSamples<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
+    fn run<I: Isa>(self, isa: I) {
+        self.all(isa);
+    }
+}
+
+impl AddSamples<'_> {
+    #[inline(always)]
+    fn all<I: Vectors<f64>>(self, isa: I) {
         let Self {
-            sample,
+            basis,
+            lights,
+            given,
+            responses,
             unknowns,
             sums,
         } = self;
-        let mut weighted = Doubles::default();
-        for x in 0..BLOCK {
-            weighted.0[x] = sample.weight.0[x] * sample.residual.0[x];
-            sums.squares.0[x] += weighted.0[x] * sample.residual.0[x];
-        }
-        for i in 0..DERIVATIVES {
-            let by_row = &sample.derivatives[i];
-            let gradient = &mut sums.gradient[unknowns[i]];
-            for x in 0..BLOCK {
-                gradient.0[x] += weighted.0[x] * by_row.0[x];
+        let zero = isa.splat(0.0);
+        for v in 0..BLOCK / I::LANES {
+            let mut squares = zero;
+            let mut gradient = [zero; DERIVATIVES];
+            let mut matrix = [[zero; DERIVATIVES]; DERIVATIVES];
+            for (light, [target, weight]) in lights.iter().zip(given) {
+                let seen = seen_by(isa, basis, light, v);
+                let mut residual = isa.sub(zero, I::of(&target.0)[v]);
+                let mut derivatives = [zero; DERIVATIVES];
+                for s in 0..SEEN {
+                    let response = I::of(&responses.radiance[s].0)[v];
+                    residual = isa.mul_add(response, seen[s], residual);
+                    for j in 0..DERIVATIVES {
+                        let response = I::of(&responses.derivatives[j][s].0)[v];
+                        derivatives[j] = isa.mul_add(response, seen[s], derivatives[j]);
+                    }
+                }
+                let weight = I::of(&weight.0)[v];
+                let weighted = isa.mul(weight, residual);
+                squares = isa.mul_add(weighted, residual, squares);
+                for i in 0..DERIVATIVES {
+                    gradient[i] = isa.mul_add(weighted, derivatives[i], gradient[i]);
+                    let by_row = isa.mul(weight, derivatives[i]);
+                    for j in 0..=i {
+                        matrix[i][j] = isa.mul_add(by_row, derivatives[j], matrix[i][j]);
+                    }
+                }
             }
-            for j in 0..=i {
-                let by_column = &sample.derivatives[j];
-                let entry = &mut sums.matrix[unknowns[i]][unknowns[j]];
-                for x in 0..BLOCK {
-                    entry.0[x] += sample.weight.0[x] * by_row.0[x] * by_column.0[x];
+            let add = |to: &mut Doubles, more| {
+                let to = &mut I::of_mut(&mut to.0)[v];
+                *to = isa.add(*to, more);
+            };
+            add(&mut sums.squares, squares);
+            for i in 0..DERIVATIVES {
+                add(&mut sums.gradient[unknowns[i]], gradient[i]);
+                for j in 0..=i {
+                    add(&mut sums.matrix[unknowns[i]][unknowns[j]], matrix[i][j]);
                 }
             }
         }
