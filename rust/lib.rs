@@ -22,6 +22,8 @@
 //! | [`pixel_fit`] | all pixels: the best material when the lights are known |
 //! | [`penalties`] | penalties on a map: neighbours alike, groups of pixels alike |
 //! | [`normal_matrix`] | pixels: Gauss–Newton normal matrices, and how they are tied to the lights |
+//! | [`reduced`] | lights with the pixels solved for: the Schur complement, as a matrix or applied |
+//! | [`lbfgs`] | a bounded quasi-Newton method's vectors: pairs, their products, directions |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`directional`] | the same under light from single directions, with the full reflection model |
 //! | [`image_file`] | picture files |
@@ -35,6 +37,7 @@ pub mod error;
 mod evaluate;
 pub mod ggx;
 pub mod image_file;
+pub mod lbfgs;
 pub mod material_grid;
 pub mod normal_matrix;
 pub mod penalties;
@@ -44,6 +47,7 @@ pub mod problem;
 mod products;
 #[cfg(feature = "python")]
 mod python;
+pub mod reduced;
 mod remainders;
 pub mod render;
 pub mod robust;

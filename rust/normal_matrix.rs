@@ -23,13 +23,13 @@
 
 use crate::block::{
     BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBands, FillBasis, FillFactors,
-    FillWeights, Materials, Plane, Radiance, SEEN, seen, seen_by,
+    FillWeights, Materials, Plane, Radiance, SEEN, seen,
 };
 use crate::ggx::Bands;
 use crate::problem::Problem;
 use crate::sh::COEFFICIENTS;
 use crate::shade::{Factors, Material};
-use crate::simd::{Instructions, Isa, Kernel, Vectors};
+use crate::simd::{Instructions, Isa, Kernel};
 use crate::{Error, Result, check, pool};
 
 /// By what radiance is derived in one channel: its albedo, roughness, metallic.
@@ -287,11 +287,11 @@ fn moves_with_lights<const C: usize>(
 
 /// Where the three derivatives of a channel belong among the unknowns of a pixel. Metallic is the
 /// last: where it is known, its row is left out of what is handed out.
-fn unknowns_of_channel<const C: usize>(channel: usize) -> [usize; DERIVATIVES] {
+pub(crate) fn unknowns_of_channel<const C: usize>(channel: usize) -> [usize; DERIVATIVES] {
     [channel, C, C + 1]
 }
 
-fn zeros(count: usize) -> Result<Vec<f64>> {
+pub(crate) fn zeros(count: usize) -> Result<Vec<f64>> {
     let mut numbers = Vec::new();
     numbers
         .try_reserve_exact(count)
@@ -307,12 +307,12 @@ pub(crate) struct Block<'a, const C: usize> {
     /// Where the pixels come from.
     places: Vec<usize>,
     directions: Directions<f64>,
-    materials: Materials<C>,
+    pub materials: Materials<C>,
     basis: Basis<f64>,
     bands: BlockBands,
     factors: [ChannelFactors<f64>; C],
     /// w_ck
-    weights: Vec<[Doubles; COEFFICIENTS]>,
+    pub weights: Vec<[Doubles; COEFFICIENTS]>,
     responses: Vec<Responses>,
     /// Targets and weights ω: (channel, picture).
     given: Vec<[Doubles; 2]>,
@@ -328,13 +328,13 @@ struct Responses {
 
 /// One channel of one picture.
 #[derive(Clone, Debug, Default)]
-struct Sample {
+pub(crate) struct Sample {
     /// I − T
-    residual: Doubles,
+    pub residual: Doubles,
     /// ω; 0 where no pixel is.
-    weight: Doubles,
+    pub weight: Doubles,
     /// ∂I/∂(albedo, roughness, metallic)
-    derivatives: [Doubles; DERIVATIVES],
+    pub derivatives: [Doubles; DERIVATIVES],
 }
 
 impl<'a, const C: usize> Block<'a, C> {
@@ -356,7 +356,7 @@ impl<'a, const C: usize> Block<'a, C> {
     }
 
     /// Takes up pixels with their materials of `maps`.
-    fn load(&mut self, maps: &[f64], pixels: &[usize]) {
+    pub(crate) fn load(&mut self, maps: &[f64], pixels: &[usize]) {
         let mut materials = Materials::default();
         for (x, &p) in pixels.iter().enumerate() {
             materials.set(x, &self.problem.material(maps, p));
@@ -403,7 +403,7 @@ impl<'a, const C: usize> Block<'a, C> {
     }
 
     /// Works out the derivatives by the lights.
-    fn fill_weights(&mut self) {
+    pub(crate) fn fill_weights(&mut self) {
         self.isa.run(FillFactors {
             directions: &self.directions,
             materials: &self.materials,
@@ -422,21 +422,18 @@ impl<'a, const C: usize> Block<'a, C> {
 
     /// Adds all samples to the normal equations.
     pub(crate) fn add_samples(&mut self, lights: &[[f64; COEFFICIENTS]], sums: &mut Sums) {
-        let pictures = self.problem.pictures();
-        for c in 0..C {
-            self.isa.run(AddSamples {
-                basis: &self.basis,
-                lights: &lights[c * pictures..][..pictures],
-                given: &self.given[c * pictures..][..pictures],
-                responses: &self.responses[c],
+        let isa = self.isa;
+        self.each_sample(lights, |c, _, sample| {
+            isa.run(AddSample {
+                sample,
                 unknowns: unknowns_of_channel::<C>(c),
                 sums,
             });
-        }
+        });
     }
 
     /// Calls `f` with channel, picture and sample, channel by channel. Lights are (channel, picture).
-    fn each_sample(
+    pub fn each_sample(
         &mut self,
         lights: &[[f64; COEFFICIENTS]],
         mut f: impl FnMut(usize, usize, &Sample),
@@ -571,75 +568,39 @@ impl Sums {
     }
 }
 
-/// Adds one channel of all pictures to the normal equations, whose entries stay in registers.
-struct AddSamples<'a> {
-    basis: &'a Basis<f64>,
-    /// By picture.
-    lights: &'a [[f64; COEFFICIENTS]],
-    /// By picture.
-    given: &'a [[Doubles; 2]],
-    responses: &'a Responses,
-    unknowns: [usize; DERIVATIVES],
-    sums: &'a mut Sums,
+/// Adds a sample to the normal equations.
+pub(crate) struct AddSample<'a> {
+    pub sample: &'a Sample,
+    pub unknowns: [usize; DERIVATIVES],
+    pub sums: &'a mut Sums,
 }
 
-impl Kernel for AddSamples<'_> {
+impl Kernel for AddSample<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, isa: I) {
-        self.all(isa);
-    }
-}
-
-impl AddSamples<'_> {
-    #[inline(always)]
-    fn all<I: Vectors<f64>>(self, isa: I) {
+    fn run<I: Isa>(self, _: I) {
         let Self {
-            basis,
-            lights,
-            given,
-            responses,
+            sample,
             unknowns,
             sums,
         } = self;
-        let zero = isa.splat(0.0);
-        for v in 0..BLOCK / I::LANES {
-            let mut squares = zero;
-            let mut gradient = [zero; DERIVATIVES];
-            let mut matrix = [[zero; DERIVATIVES]; DERIVATIVES];
-            for (light, [target, weight]) in lights.iter().zip(given) {
-                let seen = seen_by(isa, basis, light, v);
-                let mut residual = isa.sub(zero, I::of(&target.0)[v]);
-                let mut derivatives = [zero; DERIVATIVES];
-                for s in 0..SEEN {
-                    let response = I::of(&responses.radiance[s].0)[v];
-                    residual = isa.mul_add(response, seen[s], residual);
-                    for j in 0..DERIVATIVES {
-                        let response = I::of(&responses.derivatives[j][s].0)[v];
-                        derivatives[j] = isa.mul_add(response, seen[s], derivatives[j]);
-                    }
-                }
-                let weight = I::of(&weight.0)[v];
-                let weighted = isa.mul(weight, residual);
-                squares = isa.mul_add(weighted, residual, squares);
-                for i in 0..DERIVATIVES {
-                    gradient[i] = isa.mul_add(weighted, derivatives[i], gradient[i]);
-                    let by_row = isa.mul(weight, derivatives[i]);
-                    for j in 0..=i {
-                        matrix[i][j] = isa.mul_add(by_row, derivatives[j], matrix[i][j]);
-                    }
-                }
+        let mut weighted = Doubles::default();
+        for x in 0..BLOCK {
+            weighted.0[x] = sample.weight.0[x] * sample.residual.0[x];
+            sums.squares.0[x] += weighted.0[x] * sample.residual.0[x];
+        }
+        for i in 0..DERIVATIVES {
+            let by_row = &sample.derivatives[i];
+            let gradient = &mut sums.gradient[unknowns[i]];
+            for x in 0..BLOCK {
+                gradient.0[x] += weighted.0[x] * by_row.0[x];
             }
-            let add = |to: &mut Doubles, more| {
-                let to = &mut I::of_mut(&mut to.0)[v];
-                *to = isa.add(*to, more);
-            };
-            add(&mut sums.squares, squares);
-            for i in 0..DERIVATIVES {
-                add(&mut sums.gradient[unknowns[i]], gradient[i]);
-                for j in 0..=i {
-                    add(&mut sums.matrix[unknowns[i]][unknowns[j]], matrix[i][j]);
+            for j in 0..=i {
+                let by_column = &sample.derivatives[j];
+                let entry = &mut sums.matrix[unknowns[i]][unknowns[j]];
+                for x in 0..BLOCK {
+                    entry.0[x] += sample.weight.0[x] * by_row.0[x] * by_column.0[x];
                 }
             }
         }

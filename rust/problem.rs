@@ -654,7 +654,7 @@ fn chunks_of_planes(
     })
 }
 
-fn add(total: &mut [f64], partial: &[f64]) {
+pub(crate) fn add(total: &mut [f64], partial: &[f64]) {
     for (t, p) in total.iter_mut().zip(partial) {
         *t += p;
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -109,8 +110,6 @@ class Objective:
         Slices of x: where they lie.
     metallic, lighting
         Slices of x, or None where they are known.
-    bounds
-        (size, 2): [0, 1] for materials, infinite for lights.
     scale
         The scene scale, in picture units.
     exposures
@@ -145,9 +144,8 @@ class Objective:
             metallic_known=metallic is not None,
             mono_light=mono_light,
         )
-        self.layout = layout
-        self.pixels, self.channels = layout.pixels, layout.channels
-        self.coefficients = layout.coefficients
+        self.channels, self.coefficients = layout.channels, layout.coefficients
+        self._lay_out(layout)
         self.weights = weights = _weights(scene) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
@@ -163,18 +161,26 @@ class Objective:
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
 
-        self._scene, self._threads = scene, threads
+        self._scene, self.threads = scene, threads
+        # Which of the scene's valid pixels take part.
+        self._chosen: slice | NDArray[np.uint64] = slice(None)
         images, remainders = self._images()
         self._mean_image = _mean_image(images, weights)
         self.problem = self._problem(images, remainders, weights)
+        self.penalties = [] if priors is None else penalties(layout, priors)
 
+    def _lay_out(self, layout: Layout) -> None:
+        self.layout, self.pixels, self.size = layout, layout.pixels, layout.size
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.lighting = layout.metallic, layout.lighting
-        self.size = layout.size
-        self.bounds = np.empty((self.size, 2))
-        self.bounds[layout.maps] = (0.0, 1.0)
-        self.bounds[layout.maps.stop :] = (-np.inf, np.inf)
-        self.penalties = [] if priors is None else penalties(layout, priors)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """(size, 2): [0, 1] for materials, infinite for lights. Made anew: it is large."""
+        bounds = np.empty((self.size, 2))
+        bounds[self.layout.maps] = (0.0, 1.0)
+        bounds[self.layout.maps.stop :] = (-np.inf, np.inf)
+        return bounds
 
     def start(self) -> NDArray[np.float64]:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
@@ -298,6 +304,35 @@ class Objective:
         found.problem = self._problem(*self._images(), factors)
         return found
 
+    def restricted(self, pixels: NDArray[np.uint64]) -> Objective:
+        """The objective of some pixels alone, in the same units; squares, without penalties.
+
+        Its x has the materials of these pixels in their order, and all lights: what `part_of` takes
+        from an x of this objective. `pack` and `unpack` are not for it, for it has no picture.
+        """
+        found = copy.copy(self)
+        segments = self.layout.segments
+        found._lay_out(
+            replace(
+                self.layout,
+                valid=np.ones((1, len(pixels)), dtype=bool),
+                segments=None if segments is None else segments[pixels],
+            )
+        )
+        found.penalties, found.robust = [], None
+        share = len(pixels) / self.pixels
+        found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
+        found.weights = None if self.weights is None else self.weights[:, pixels]
+        found._chosen = pixels
+        found._mean_image = self._mean_image[pixels]
+        found.problem = found._problem(*found._images(), found.weights)
+        return found
+
+    def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
+        """X of `restricted(pixels)` from an x of this objective."""
+        maps = x[self.layout.maps].reshape(-1, self.pixels)[:, pixels]
+        return np.concatenate([maps.ravel(), x[self.layout.maps.stop :]])
+
     def residual_rmse(self, loss: float) -> float:
         """Root of a loss without penalties, in picture units.
 
@@ -378,7 +413,7 @@ class Objective:
         images = np.empty(shape, dtype=np.float32)
         remainders = np.empty(shape, dtype=np.float32) if self._has_more_digits() else None
         for i, scaled in enumerate(images):
-            samples = self._scene.samples(i)[:, : self.channels].astype(np.float64)
+            samples = self._scene.samples(i)[self._chosen, : self.channels].astype(np.float64)
             samples /= self._units[i]
             scaled[:] = samples
             if remainders is not None:
@@ -398,12 +433,12 @@ class Objective:
         remainders: NDArray[np.float32] | None,
         weights: NDArray[np.float32] | None,
     ) -> _core.Problem:
-        scene, valid = self._scene, self.layout.valid
+        scene, valid = self._scene, self._scene.valid
         return _core.Problem(
             images,
-            scene.normals[valid].astype(np.float64),
-            scene.views[valid],
-            self._threads,
+            scene.normals[valid][self._chosen].astype(np.float64),
+            scene.views[valid][self._chosen],
+            self.threads,
             weights=weights,
             sh_order=self.layout.sh_order,
             metallic=self.known_metallic,

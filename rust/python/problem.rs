@@ -13,6 +13,7 @@ use super::model::{array3, matrix};
 use crate::normal_matrix::DERIVATIVES;
 use crate::pixel_fit::{Search, Towards};
 use crate::problem::{Options, Pictures, Problem};
+use crate::reduced::{Elimination, Pull};
 use crate::robust::Robust;
 use crate::{Error, check, pool};
 
@@ -389,6 +390,83 @@ impl PyProblem {
         let moves = py.detach(|| problem.moves_with_lights(&x, &pixels, &covariances, &modes))?;
         Ok(matrix(moves, [p, d]).into_pyarray(py))
     }
+
+    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[expect(clippy::type_complexity, clippy::too_many_arguments)]
+    fn reduced<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        damping: f64,
+        mono: bool,
+        precision: Option<&Bound<'py, PyAny>>,
+        off: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let pull = self.pull(pixels.len(), precision, off)?;
+        let how = elimination(damping, mono, pull.as_ref());
+        let found = py.detach(|| self.problem.reduced(&x, &pixels, &how))?;
+        let size = found.gradient.len();
+        Ok((
+            matrix(found.matrix, [size, size]).into_pyarray(py),
+            found.gradient.into_pyarray(py),
+        ))
+    }
+
+    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[expect(clippy::type_complexity, clippy::too_many_arguments)]
+    fn reduced_product<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        v: &Bound<'py, PyAny>,
+        damping: f64,
+        mono: bool,
+        precision: Option<&Bound<'py, PyAny>>,
+        off: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
+        let pull = self.pull(pixels.len(), precision, off)?;
+        let how = elimination(damping, mono, pull.as_ref());
+        let found = py.detach(|| self.problem.reduced_product(&x, &pixels, &v, &how))?;
+        Ok((
+            found.product.into_pyarray(py),
+            found.gradient.into_pyarray(py),
+        ))
+    }
+
+    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[expect(clippy::too_many_arguments)]
+    fn follow_lights<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        v: &Bound<'py, PyAny>,
+        damping: f64,
+        mono: bool,
+        precision: Option<&Bound<'py, PyAny>>,
+        off: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
+        let pull = self.pull(pixels.len(), precision, off)?;
+        let how = elimination(damping, mono, pull.as_ref());
+        let materials = py.detach(|| self.problem.follow_lights(&x, &pixels, &v, &how))?;
+        let shape = [pixels.len(), self.problem.unknowns_of_pixel()];
+        Ok(matrix(materials, shape).into_pyarray(py))
+    }
+}
+
+fn elimination<'a>(damping: f64, mono: bool, pull: Option<&'a [Vec<f64>; 2]>) -> Elimination<'a> {
+    Elimination {
+        damping,
+        mono,
+        pull: pull.map(|[precision, off]| Pull { precision, off }),
+    }
 }
 
 impl PyProblem {
@@ -396,6 +474,25 @@ impl PyProblem {
         let x = array::<f64, numpy::Ix1>("x", x)?;
         shape("x", &[self.problem.size()], x.shape())?;
         Ok(try_copied("x", &x)?)
+    }
+
+    /// Precision and distance of a pull, both (pixels, unknowns without albedo), or none.
+    fn pull(
+        &self,
+        pixels: usize,
+        precision: Option<&Bound<'_, PyAny>>,
+        off: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Option<[Vec<f64>; 2]>> {
+        let (Some(precision), Some(off)) = (precision, off) else {
+            return Ok(None);
+        };
+        let finish = self.problem.unknowns_of_pixel() - self.problem.channels();
+        let values = |name, argument| {
+            let values = array::<f64, numpy::Ix2>(name, argument)?;
+            shape(name, &[pixels, finish], values.shape())?;
+            PyResult::Ok(copied(&values))
+        };
+        Ok(Some([values("precision", precision)?, values("off", off)?]))
     }
 }
 
