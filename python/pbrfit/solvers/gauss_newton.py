@@ -16,7 +16,10 @@ Array = NDArray[np.float64]
 
 
 class _Watch:
-    """Makes iterations and rows of the history of what `second_order` tells."""
+    """Makes iterations and rows of the history of what `second_order` tells.
+
+    A step of a few pixels is no iteration: it costs a fraction of one, and there are no maps yet.
+    """
 
     def __init__(self, run: Run, x: Array) -> None:
         self._run, self._x = run, x
@@ -28,7 +31,6 @@ class _Watch:
         self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float
     ) -> bool:
         run = self._run
-        run.iteration += 1
 
         def state() -> Array:
             x = put(run.objective, self._x, pixels, materials)
@@ -36,7 +38,7 @@ class _Watch:
             return x
 
         run.tell(run.objective.residual_rmse(share), state)
-        return run.left <= 0 or run.out_of_time()
+        return run.out_of_time()
 
     def visit(self, x: Array, squares: Array) -> bool:
         run = self._run
