@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
-from peers import memory
+from pbrfit.evaluation import process_memory
 from peers.case import Case
 from peers.roster import Entry, Peer
 
@@ -81,7 +81,7 @@ def work(connection: Connection, assignment: Assignment) -> None:
     try:
         peer, ready, baseline = _prepare(assignment)
         connection.send(ready)
-        peak_is_fresh = memory.forget_peak()
+        peak_is_fresh = process_memory.forget_peak()
         mark = _Clocks.now()
         while True:
             if connection.recv() == "turn":
@@ -93,7 +93,7 @@ def work(connection: Connection, assignment: Assignment) -> None:
                 connection.send(Turn(took.wall, took.cpu, waited.wall, waited.cpu))
                 mark = _Clocks.now()
             else:
-                peak = memory.peak_kib() if peak_is_fresh else None
+                peak = process_memory.peak_kib() if peak_is_fresh else None
                 if peak is None or baseline is None:
                     connection.send(Memory(None))
                 else:
@@ -134,7 +134,7 @@ def _prepare(assignment: Assignment) -> tuple[Peer, Ready, int | None]:
     rehearsal.evaluate()
     del rehearsal
     gc.collect()
-    baseline = memory.resident_kib()
+    baseline = process_memory.resident_kib()
     case = Case.make(assignment.pixels, assignment.pictures, assignment.seed)
     peer = maker(case, assignment.threads)
     del case  # the peer keeps what it needs

@@ -15,7 +15,7 @@ from pbrfit.scene import Scene
 
 log = logging.getLogger("pbrfit")
 
-Method = Literal["lbfgsb", "auto"]
+Method = Literal["auto", "gauss-newton", "lbfgsb"]
 """Solvers whose memory is known."""
 
 METHODS: tuple[Method, ...] = get_args(Method)

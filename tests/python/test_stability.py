@@ -32,6 +32,7 @@ from pbrfit.evaluation.stability import (
     kernel,
     plots,
     report,
+    stiff_fits,
     tiny,
 )
 from pbrfit.evaluation.stability.checks import ratio, worst_entry, worst_of
@@ -46,7 +47,9 @@ from pbrfit.evaluation.stability.extreme_pixels import (
     random_targets,
     seen_at,
 )
+from pbrfit.evaluation.stability.stiff_scenes import stiff_scenes
 from pbrfit.notation import scientific
+from pbrfit.synthetic.lights import condition
 from scene_files import run
 
 Array = NDArray[np.floating[Any]]
@@ -233,7 +236,8 @@ def test_bounds_are_not_empty_words(measured: Stability) -> None:
     """What is bounded was measured: a rounding error that is exactly 0 was not."""
     exact = {"nonzero", "not_finite", "differs_from_mirror", "differs_between_threads"}
     exact.add("differs_between_calls")
-    assert {check.key for check in measured.checks if check.worst == 0} == exact
+    of_core = [check for check in measured.checks if not check.key.startswith("fits_")]
+    assert {check.key for check in of_core if check.worst == 0} == exact
 
 
 def test_same_seed_same_figures() -> None:
@@ -373,6 +377,78 @@ def test_checks() -> None:
     assert worst_entry(np.array([1.0, -3.0]), np.array([2.0, 4.0])) == 0.75
 
 
+# Stiff fits
+
+
+def test_stiff_scenes_are_what_their_names_say() -> None:
+    scenes = {one.name: one for one in stiff_scenes(12, 5)}
+
+    def lighting(name: str) -> Any:
+        truth = scenes[name].scene.truth
+        assert truth is not None
+        assert truth.lighting is not None
+        return truth.lighting
+
+    for number, name in ((10, "10"), (1e3, "1,000"), (1e5, "100,000"), (1e8, "10⁸")):
+        found = condition(lighting(f"light matrix of condition {name}"))
+        assert found == pytest.approx(number, rel=1e-6)
+    assert np.ptp(lighting("all lights equal"), axis=0).max() == 0
+    for one in scenes.values():
+        truth = one.scene.truth
+        assert truth is not None
+        assert truth.lighting is not None
+        assert one.scene.images.dtype == np.float32
+        rendered = pbrfit.render(truth.materials, one.scene.normals, truth.lighting, one.scene.fov)
+        np.testing.assert_allclose(
+            rendered[:, one.counted], one.scene.images[:, one.counted], rtol=1e-6, atol=1e-7
+        )
+    assert len(scenes["1 picture, its light known"].scene.images) == 1
+    assert scenes["1 picture, its light known"].scene.lighting is not None
+    assert [len(scenes[f"{n} pictures"].scene.images) for n in (2, 3)] == [2, 3]
+    black, bright = scenes["black pixels"], scenes["a pixel 10⁴ brighter"]
+    assert (~black.counted).sum() == 9
+    assert black.scene.images[:, ~black.counted].max() == 0
+    assert (~bright.counted).sum() == 1
+    plain = scenes["plain"].scene.images[:, ~bright.counted]
+    np.testing.assert_allclose(bright.scene.images[:, ~bright.counted], 1e4 * plain, rtol=1e-6)
+    assert len(plain) == 5
+
+
+def fit_of(scene: str, solver: str, **changes: Any) -> stiff_fits.Fit:
+    zeros = dict.fromkeys(stiff_fits.MAPS, 0.0)
+    plain = stiff_fits.Fit(scene, solver, 1e-3, zeros, zeros, 0, 0, 0, 0, 5, 6, 0.1, "converged")
+    return replace(plain, **changes)
+
+
+def test_a_fit_that_is_worse_or_silent_or_broken_fails_its_check() -> None:
+    def failed(*fits: stiff_fits.Fit) -> list[str]:
+        return [check.key for check in stiff_fits.of_fits(fits) if not check.passed]
+
+    reference = fit_of("a", "lbfgsb")
+    assert failed(reference, fit_of("a", "auto")) == []
+    assert failed(reference, fit_of("a", "auto", recon=1.1e-3)) == ["fits_above_lbfgsb"]
+    assert failed(reference, fit_of("a", "auto", recon=math.nan)) == ["fits_above_lbfgsb"]
+    exact = fit_of("a", "lbfgsb", recon=1e-9)
+    assert failed(exact, fit_of("a", "auto", recon=2e-7)) == []  # both below what float32 shows
+    assert failed(fit_of("a", "lbfgsb", not_finite=1)) == ["fits_not_finite"]
+    assert failed(fit_of("a", "lbfgsb", beyond=1)) == ["fits_beyond"]
+    assert failed(fit_of("a", "lbfgsb", over_limit=1)) == ["fits_iterations_over"]
+    [check] = [c for c in stiff_fits.of_fits([fit_of("b", "auto", overlooked=2)]) if not c.passed]
+    assert (check.key, check.worst, check.where) == ("fits_overlooked", 2, "b, auto")
+
+
+def test_every_solver_fits_every_stiff_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stiff_fits, "SOLVERS", ("lbfgsb",))
+    found = stiff_fits.measure_stiff_fits(TINY, threads=1)
+    assert [fit.scene for fit in found.fits] == [
+        one.name for one in stiff_scenes(TINY.fit_size, TINY.fit_pictures)
+    ]
+    assert all(check.passed for check in found.checks)
+    by_name = {fit.scene: fit for fit in found.fits}
+    assert by_name["1 picture, its light known"].undetermined["roughness"] == 1.0
+    assert {fit.iterations for fit in found.fits} == {TINY.fit_iterations}
+
+
 # Report
 
 
@@ -412,7 +488,12 @@ TINY = stability.Effort(
     draws=1,
     subnormal_pixels=16,
     repeated=((3, 2),),
+    fit_size=5,
+    fit_pictures=4,
+    fit_iterations=2,
 )
+
+BOUNDS = 50
 
 FILES = [
     "accumulation.png",
@@ -445,7 +526,7 @@ def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_report(written: Path, measured: Stability) -> None:
     assert sorted(path.name for path in written.iterdir()) == FILES
     page = (written / "report.html").read_text(encoding="utf-8")
-    assert "All 42 bounds hold." in page
+    assert f"All {BOUNDS} bounds hold." in page
     assert ">FAIL<" not in page
     assert page.count("data:image/png;base64,") == 7
     assert "http" not in page  # all of it is inside
@@ -479,10 +560,10 @@ def test_summary(written: Path, measured: Stability) -> None:
 def test_report_of_failures(tmp_path: Path, failing: Stability) -> None:
     report.write(tmp_path, failing)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "2 of 42 bounds fail." in page
+    assert f"2 of {BOUNDS} bounds fail." in page
     assert page.count(">FAIL<") == 2
     rows = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["rows"]
-    assert [row["metrics"]["failed"] for row in rows] == [0, 0, 0, 0, 0, 0, 2]
+    assert [row["metrics"]["failed"] for row in rows] == [0, 0, 0, 0, 0, 0, 2, 0]
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -574,8 +655,8 @@ def test_command(
     assert run("evaluate", "stability", "--out", out, "--quick") == 0
     captured = capsys.readouterr()
     assert captured.err == ""
-    assert captured.out.count("\n") == 1 + 42 + 2
-    assert f"all 42 bounds hold; look at {out / 'report.html'}" in captured.out
+    assert captured.out.count("\n") == 1 + BOUNDS + 2
+    assert f"all {BOUNDS} bounds hold; look at {out / 'report.html'}" in captured.out
     assert sorted(path.name for path in out.iterdir()) == FILES
     options = ("--seed", 7, "--threads", 2, "--quiet")
     assert run("evaluate", "stability", "--out", out, "--overwrite", *options) == 0
@@ -598,7 +679,7 @@ def test_command_when_a_bound_fails(
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == FILES
     out = capsys.readouterr().out
     assert out.count("FAILS") == 2
-    assert "2 of 42 bounds fail" in out
+    assert f"2 of {BOUNDS} bounds fail" in out
 
 
 @pytest.mark.usefixtures("asked", "no_plots")

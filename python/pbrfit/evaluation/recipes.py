@@ -54,15 +54,16 @@ def explain(
         As for `pbrfit.decompose`.
     """
     fixed = partial(decompose, scene, sh_order=sh_order, threads=threads)
+    by_lbfgsb = partial(fixed, solver="lbfgsb", iterations=iterations)
     match recipe:
         case "default":
             return fixed(iterations=iterations)
         case "plain":
             return fixed(iterations=iterations, priors=None)
         case "paper":
-            return fixed(iterations=iterations, start=paper_start(scene), priors=None)
+            return by_lbfgsb(start=paper_start(scene), priors=None)
         case "paper-priors":
-            return fixed(iterations=iterations, start=paper_start(scene), priors=PAPER_PRIORS)
+            return by_lbfgsb(start=paper_start(scene), priors=PAPER_PRIORS)
         case "constant":
             return fixed(iterations=0, start=constant_guess(scene), priors=None)
         case "start":

@@ -8,12 +8,13 @@ from pbrfit.evaluation.commands import (
     convergence,
     gap,
     real,
+    solvers,
     stability,
     table1,
     uncertainty,
 )
 
-SUITES = (table1, ablation, convergence, gap, real, stability, uncertainty)
+SUITES = (table1, ablation, convergence, gap, real, solvers, stability, uncertainty)
 
 
 def add_suites(suites: Subcommands) -> None:

@@ -56,6 +56,24 @@ def run_tasks(
     from pbrfit.evaluation import workspace
 
     workspace.prepare(options.out, resume=options.resume, overwrite=options.overwrite)
+    return go_on(tasks, work, options, jobs=options.jobs, unit=unit)
+
+
+def go_on(
+    tasks: Sequence[T],
+    work: Callable[[T, int], Values],
+    options: argparse.Namespace,
+    *,
+    jobs: int,
+    unit: str,
+) -> list[Record]:
+    """Run tasks in a folder that `run_tasks` has made: such as wait for others, or run alone.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        As `run_tasks`.
+    """
     with progress_bar(len(tasks), quiet=options.quiet, unit=unit) as bar:
         done = 0  # bar.n stays 0 where no bar is shown
 
@@ -69,7 +87,7 @@ def run_tasks(
                     complain(f"{record.key}: {record.error}")
 
         try:
-            return run(tasks, work, options.out, jobs=options.jobs, progress=show)
+            return run(tasks, work, options.out, jobs=jobs, progress=show)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted after {done} of {len(tasks)}; --resume goes on from there"

@@ -26,11 +26,11 @@ from pbrfit.synthetic.exposure import MEAN_RADIANCE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLORS = (BLACK, GREY, BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER)
+COLORS = (BLACK, GREY, BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER, GREY)
 """By place in the roster."""
 
-DASHES = ("-", "--", "-", "-", "-", "-", ":", "-")
-MARKERS = ("o", "o", "s", "^", "D", "v", "x", "P")
+DASHES = ("-", "--", "-", "-", "-", "-", "-", "-", ":")
+MARKERS = ("o", "o", "s", "^", "D", "v", "P", "X", "x")
 
 LABELS: dict[Quantity, str] = {
     "recon": "recon RMSE (radiance)",

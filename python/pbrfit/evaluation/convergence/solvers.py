@@ -158,6 +158,18 @@ SOLVERS: tuple[Solver, ...] = (
         partial(fit_with_ours, start=paper_start),
     ),
     Solver(
+        "gauss-newton",
+        "Gauss–Newton",
+        "Lights and some pixels' materials together, restarts pixel by pixel, then all pixels.",
+        partial(fit_with_ours, solver="gauss-newton"),
+    ),
+    Solver(
+        "auto",
+        "auto",
+        "Gauss–Newton first, then bounded L-BFGS on the whole objective.",
+        partial(fit_with_ours, solver="auto"),
+    ),
+    Solver(
         "torch-lbfgs",
         "PyTorch L-BFGS",
         "torch.optim.LBFGS with the strong Wolfe line search, maps through a sigmoid, from the "

@@ -18,12 +18,12 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.convergence.measure import Tracker
+from pbrfit.evaluation.convergence.measure import State
 from pbrfit.evaluation.float32_model import View
 from pbrfit.materials import Materials
 from pbrfit.objective import Objective
@@ -63,6 +63,8 @@ class Settings:
         Pairs that L-BFGS remembers.
     beta2
         Adam's second decay.
+    compiled
+        Whether the loss goes through torch.compile.
     """
 
     optimiser: Literal["lbfgs", "adam"]
@@ -71,6 +73,7 @@ class Settings:
     light_unit: float = 1.0
     history: int = 10
     beta2: float = 0.999
+    compiled: bool = False
 
 
 LBFGS = Settings("lbfgs", "sigmoid", rate=1.0, light_unit=0.3)
@@ -85,17 +88,41 @@ class Limits:
     seconds: float
 
 
-def fit(scene: Scene, settings: Settings, limits: Limits, tracker: Tracker, threads: int) -> str:
-    """Fit from the default start; the tracker gets every state. Returns why it ended.
+class Observer(Protocol):
+    """Whoever is shown the states, with the clock stopped: their cost, and how to see them."""
 
-    The clock starts with the pictures as arrays. Importing PyTorch, trying numbers of threads, and
-    making the start, which this package does, are not on it.
+    def visit(self, seconds: float, iteration: int, evaluations: int, state: State, /) -> None:
+        """Look at a state on the way, the start included; may raise to end the run."""
+
+    def end(self, seconds: float, iteration: int, evaluations: int, state: State, /) -> None:
+        """Look at what is handed back."""
+
+
+def fit(
+    scene: Scene,
+    settings: Settings,
+    limits: Limits,
+    tracker: Observer,
+    threads: int,
+    *,
+    start: Materials | None = None,
+) -> str:
+    """Fit from these maps, or from the default start; returns why it ended.
+
+    The clock starts with the pictures as arrays. Importing PyTorch, compiling, trying numbers of
+    threads, and making the start with the lights that fit it, which this package does, are not on
+    it.
     """
     objective = Objective(scene, threads=threads)
-    start = objective.start()
-    _choose_threads(Problem(scene, objective, start, settings), threads)
+    if start is None:
+        x = objective.start()
+    else:
+        x = objective.pack(start.albedo, start.roughness, start.metallic)
+    problem = Problem(scene, objective, x, settings)
+    _choose_threads(problem, threads)
     clock = _Clock()
-    problem = Problem(scene, objective, start, settings)
+    if not settings.compiled:  # else it would be compiled again
+        problem = Problem(scene, objective, x, settings)
     run = _lbfgs if settings.optimiser == "lbfgs" else _adam
     iterations, evaluations, reason = run(problem, settings, limits, tracker, clock)
     clock.stop()
@@ -117,7 +144,9 @@ class Problem:
         images = np.stack([scene.samples(i) for i in range(len(scene.images))]) / objective.scale
         normals = scene.normals[valid].astype(np.float64)
         view = View(images.astype(np.float32), normals, scene.views[valid])
-        self._loss = matrix_form(view)
+        loss = matrix_form(view)
+        # A shape of its own for each scene: nothing is gained by code for any shape.
+        self._loss = torch.compile(loss, dynamic=False) if settings.compiled else loss
         self._samples = view.images.size
         self._objective = objective
         self._sigmoid = settings.bounds == "sigmoid"
@@ -203,7 +232,7 @@ class _Clock:
 
 
 def _adam(
-    problem: Problem, settings: Settings, limits: Limits, tracker: Tracker, clock: _Clock
+    problem: Problem, settings: Settings, limits: Limits, tracker: Observer, clock: _Clock
 ) -> tuple[int, int, str]:
     import torch
 
@@ -228,7 +257,7 @@ def _adam(
 
 
 def _lbfgs(
-    problem: Problem, settings: Settings, limits: Limits, tracker: Tracker, clock: _Clock
+    problem: Problem, settings: Settings, limits: Limits, tracker: Observer, clock: _Clock
 ) -> tuple[int, int, str]:
     import torch
 
@@ -284,7 +313,7 @@ def _state(optimiser: torch.optim.LBFGS) -> Any:
 
 
 def _visit(
-    problem: Problem, tracker: Tracker, clock: _Clock, iteration: int, evaluations: int
+    problem: Problem, tracker: Observer, clock: _Clock, iteration: int, evaluations: int
 ) -> None:
     clock.stop()
     tracker.visit(clock.seconds, iteration, evaluations, problem.state)

@@ -24,6 +24,7 @@ from pbrfit.evaluation.stability.checks import Check
 from pbrfit.evaluation.stability.determinism import Determinism, measure_determinism
 from pbrfit.evaluation.stability.effort import FULL, QUICK, Effort
 from pbrfit.evaluation.stability.kernel import KernelErrors, measure_kernel
+from pbrfit.evaluation.stability.stiff_fits import StiffFits, measure_stiff_fits
 from pbrfit.evaluation.stability.tiny import TinyNumbers, measure_tiny
 
 __all__ = ["FULL", "QUICK", "SECTIONS", "Check", "Effort", "Stability", "measure"]
@@ -42,6 +43,7 @@ class Stability:
     accumulation: Accumulation
     tiny: TinyNumbers
     determinism: Determinism
+    fits: StiffFits
 
     @property
     def by_section(self) -> tuple[tuple[Check, ...], ...]:
@@ -54,6 +56,7 @@ class Stability:
             self.accumulation.checks,
             self.tiny.checks,
             self.determinism.checks,
+            self.fits.checks,
         )
 
     @property
@@ -96,17 +99,26 @@ def measure(
     with threadpool_limits(1):
         begin(1, SECTIONS[0])
         bands = measure_bands(effort)
-        return Stability(
-            effort,
-            seed,
-            bands,
-            measure_kernel(effort, begin(2, SECTIONS[1]), threads),
-            measure_branches(effort, begin(3, SECTIONS[2]), threads),
-            measure_cancellation(effort, begin(4, SECTIONS[3]), threads),
-            measure_accumulation(effort, begin(5, SECTIONS[4]), threads),
-            measure_tiny(effort, begin(6, SECTIONS[5]), threads),
-            measure_determinism(effort, begin(7, SECTIONS[6])),
-        )
+        kernel = measure_kernel(effort, begin(2, SECTIONS[1]), threads)
+        branches = measure_branches(effort, begin(3, SECTIONS[2]), threads)
+        cancellation = measure_cancellation(effort, begin(4, SECTIONS[3]), threads)
+        accumulation = measure_accumulation(effort, begin(5, SECTIONS[4]), threads)
+        tiny = measure_tiny(effort, begin(6, SECTIONS[5]), threads)
+        determinism = measure_determinism(effort, begin(7, SECTIONS[6]))
+        begin(8, SECTIONS[7])
+        fits = measure_stiff_fits(effort, threads)
+    return Stability(
+        effort,
+        seed,
+        bands,
+        kernel,
+        branches,
+        cancellation,
+        accumulation,
+        tiny,
+        determinism,
+        fits,
+    )
 
 
 SECTIONS = (
@@ -117,4 +129,5 @@ SECTIONS = (
     "accumulated error",
     "tiny numbers",
     "determinism",
+    "stiff fits",
 )

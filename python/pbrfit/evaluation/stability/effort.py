@@ -22,6 +22,9 @@ class Effort:
     draws: int
     subnormal_pixels: int
     repeated: tuple[tuple[int, int], ...]
+    fit_size: int
+    fit_pictures: int
+    fit_iterations: int
 
 
 FULL = Effort(
@@ -38,6 +41,9 @@ FULL = Effort(
     draws=32,
     subnormal_pixels=65_536,
     repeated=((1, 1), (17, 3), (1000, 5), (70_001, 4), (300_000, 2)),
+    fit_size=48,
+    fit_pictures=16,
+    fit_iterations=300,
 )
 
 QUICK = Effort(
@@ -54,4 +60,7 @@ QUICK = Effort(
     draws=8,
     subnormal_pixels=8_192,
     repeated=((1, 1), (17, 3), (1000, 5), (20_001, 4)),
+    fit_size=10,
+    fit_pictures=5,
+    fit_iterations=20,
 )

@@ -10,7 +10,8 @@ from pbrfit.evaluation import page, summary
 from pbrfit.evaluation.page import Cell, Section, Table
 from pbrfit.evaluation.stability import SECTIONS, Check, Stability, plots
 from pbrfit.evaluation.stability.exact_bands import DIGITS
-from pbrfit.notation import scientific
+from pbrfit.evaluation.stability.stiff_fits import MAPS, StiffFits
+from pbrfit.notation import percent, scientific
 
 CONTAINS = (summary.FILE, page.FILE)
 """Files by which an output folder is known for one of this suite."""
@@ -213,7 +214,51 @@ def _sections(measured: Stability) -> list[Section]:
             ],
             _table(m.determinism.checks),
         ),
+        Section(
+            "8. Stiff and extreme fits",
+            [
+                f"Whole fits of rooms of {m.effort.fit_size} × {m.effort.fit_size} pixels, "
+                f"{m.effort.fit_pictures} pictures unless the name says otherwise, without noise, "
+                f"rounded to float32, at most {m.effort.fit_iterations} iterations, without "
+                "priors where none are named: lights that hardly differ, too few pictures, "
+                "materials at the ends of their ranges, samples that the model cannot explain. The "
+                "answer may be poor where the pictures do not tell it, but it has to be finite and "
+                "say so.",
+            ],
+            [*_table(m.fits.checks), _fits(m.fits)],
+        ),
     ]
+
+
+def _fits(measured: StiffFits) -> Table:
+    columns = [Cell("Scene", "name"), Cell("Solver", "name")]
+    heads = ["recon / RMS", *(f"{name}\nRMSE" for name in MAPS)]
+    heads += [f"{name}:\nuntold" for name in MAPS]
+    heads += ["iterations", "evaluations", "seconds"]
+    columns += [Cell(head, "number") for head in heads]
+    columns.append(Cell("ended by"))
+    rows = []
+    scene = ""
+    for fit in measured.fits:
+        figures = [scientific(fit.recon)]
+        figures += [scientific(fit.errors[name]) for name in MAPS]
+        figures += [percent(fit.undetermined[name]) for name in MAPS]
+        figures += [str(fit.iterations), str(fit.evaluations), f"{fit.seconds:.2f}"]
+        rows.append(
+            [
+                Cell("" if fit.scene == scene else fit.scene, "name"),
+                Cell(fit.solver, "name"),
+                *(Cell(text, "number") for text in figures),
+                Cell(fit.status.replace("_", " ")),
+            ]
+        )
+        scene = fit.scene
+    return Table(
+        columns,
+        rows,
+        "Errors are of the pixels that can be explained. “Untold”: share of these that are flagged "
+        "as not determined, or lie on a bound.",
+    )
 
 
 _COLUMNS = (

@@ -75,8 +75,7 @@ class Task:
 def work(task: Task, threads: int) -> dict[str, Any]:
     """Scores of the row's recipes, facts about the scene, and perhaps a preview."""
     row = BY_KEY[task.row]
-    truth = _scene(task, row, threads)
-    scene, facts = _as_given(truth, task, row)
+    scene, facts = given(task, threads)
     found: dict[str, Any] = {"facts": facts, "recipes": {}}
     for recipe in row.recipes:
         result = explain(
@@ -86,6 +85,12 @@ def work(task: Task, threads: int) -> dict[str, Any]:
         if recipe == "default" and task.preview:
             found["preview"] = _preview(result, scene)
     return found
+
+
+def given(task: Task, threads: int) -> tuple[Scene, dict[str, float]]:
+    """The task's scene as the decomposition is told of it, and facts about its truth."""
+    row = BY_KEY[task.row]
+    return _as_given(_scene(task, row, threads), task, row)
 
 
 def _scene(task: Task, row: Row, threads: int) -> Scene:
