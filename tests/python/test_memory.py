@@ -66,7 +66,7 @@ print(resident("VmHWM") - before, memory.of_fit(scene, Layout.of(scene), method)
 def scene_of(size: int, pictures: int) -> pbrfit.Scene:
     normals = np.zeros((size, size, 3))
     normals[..., 2] = 1
-    images = np.random.default_rng(0).random((pictures, size, size, 3))
+    images = np.random.default_rng(0).random((pictures, size, size, 3), dtype=np.float32)
     return pbrfit.Scene(images=images, normals=normals, fov=30.0)
 
 
