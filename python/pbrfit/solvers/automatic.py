@@ -24,7 +24,7 @@ come further along its valleys. After 250 iterations on seven rooms Gauss-Newton
 of L-BFGS's squares where lights of order 2 were fitted to pictures of order 3, and its materials
 were better; with a wrong field of view it left 0.42 to 0.79, and they were worse."""
 
-LIKELY = 0.8
+LIKELY = (0.8, 1.3)
 """Of the squares of the pixels that judge: all may have found the same."""
 
 
@@ -76,7 +76,7 @@ def _may_be_better(run: Run, lit: Lit, by_all: Array) -> bool:
     objective = run.objective
     *_, squares = objective.problem.normal_equations(objective.for_core(by_all), lit.judges)
     share = lit.squares / max(float(squares.sum()), np.finfo(np.float64).tiny)
-    return _goes_on(run) and (share <= MUCH_LESS or share >= LIKELY)
+    return _goes_on(run) and (share <= MUCH_LESS or LIKELY[0] <= share <= LIKELY[1])
 
 
 def _is_better(run: Run, found: Array, by_all: Array) -> bool:
