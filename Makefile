@@ -1,5 +1,6 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
 # make bench-needs: what leaving out parts of a fit saves
+# make bench-lbfgs: our bounded L-BFGS beside scipy's
 # make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
@@ -16,7 +17,7 @@ DEMO ?= out/demo
 THREADS ?= 2
 PEERS_OPTIONS ?=
 
-.PHONY: demo test lint bench bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -39,6 +40,9 @@ bench:
 
 bench-needs: $(VENV)/installed
 	$(BIN)/python benches/needs.py --out docs/benchmarks/needs.md
+
+bench-lbfgs: $(VENV)/installed
+	$(BIN)/python benches/lbfgs.py --out docs/benchmarks/lbfgs.md
 
 bench-peers: $(PEERS)/installed
 	mkdir -p out

@@ -10,6 +10,7 @@ use glam::DVec3;
 use pbrfit::band_table::TABLE;
 use pbrfit::directional::{DirectionalLight, render_directional};
 use pbrfit::ggx;
+use pbrfit::pixel_fit::Search;
 use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::render::render;
 use pbrfit::shade::{Frame, Material, shade, shade_vjp};
@@ -140,6 +141,60 @@ fn parts(c: &mut Criterion) {
     group.finish();
 }
 
+/// The best material of every pixel with known lights, part by part: what is in a row is in the next,
+/// too. The pictures are rendered from materials, so that descents have somewhere to arrive.
+fn pixel_fit(c: &mut Criterion) {
+    let mut group = c.benchmark_group("fit_materials, 128², 16 pictures, 1 thread");
+    group.sample_size(10);
+    let mut example = Example::new(128 * 128, 16);
+    let pixels = example.normals.len();
+    let lighting = example.x.split_off(5 * pixels);
+    let radiance = render(
+        &example.normals,
+        &example.views,
+        &example.materials(),
+        &lighting,
+        1,
+    );
+    example.images = radiance.unwrap().iter().map(|&v| v as f32).collect();
+    let options = Options {
+        threads: 1,
+        lighting: Some(lighting),
+        ..Options::default()
+    };
+    let problem = example.problem(options);
+    let grey = vec![0.5; problem.size()];
+    let everything: Vec<usize> = (0..pixels).collect();
+    let nodes = |count: usize| -> Vec<f64> {
+        let last = (count - 1) as f64;
+        (0..count).map(|i| i as f64 / last).collect()
+    };
+    group.throughput(Throughput::Elements(pixels as u64));
+    for (name, grid, steps, exact_steps) in [
+        ("products", None, 0, 0),
+        ("and 10 steps from what was given", None, 10, 0),
+        ("and a grid of 8 × 4", Some((8, 4)), 10, 0),
+        ("or a grid of 12 × 6", Some((12, 6)), 10, 0),
+        ("and a step on residuals", Some((12, 6)), 10, 1),
+    ] {
+        let (roughness, metallic) = grid.map_or_else(Default::default, |(rows, columns)| {
+            (nodes(rows + 1).split_off(1), nodes(columns))
+        });
+        let search = Search {
+            roughness: &roughness,
+            metallic: &metallic,
+            starts: 1,
+            steps,
+            exact_steps,
+            pull: None,
+        };
+        group.bench_function(name, |b| {
+            b.iter(|| problem.fit_materials(&grey, &everything, &search).unwrap());
+        });
+    }
+    group.finish();
+}
+
 /// Forward only, in double precision.
 fn forward(c: &mut Criterion) {
     let mut group = c.benchmark_group("render");
@@ -250,6 +305,19 @@ impl Example {
         (0..pixels).map(material).collect()
     }
 
+    fn problem(&self, options: Options) -> Problem {
+        let given = Pictures {
+            images: &self.images,
+            remainders: None,
+            pictures: self.pictures,
+            channels: self.channels,
+            weights: self.weights.as_deref(),
+            normals: &self.normals,
+            views: &self.views,
+        };
+        Problem::new(&given, options).unwrap()
+    }
+
     fn bench(
         &self,
         group: &mut BenchmarkGroup<'_, WallTime>,
@@ -257,15 +325,7 @@ impl Example {
         parameter: &str,
         options: Options,
     ) {
-        let given = Pictures {
-            images: &self.images,
-            pictures: self.pictures,
-            channels: self.channels,
-            weights: self.weights.as_deref(),
-            normals: &self.normals,
-            views: &self.views,
-        };
-        let problem = Problem::new(&given, options).unwrap();
+        let problem = self.problem(options);
         let x = &self.x[..problem.size()];
         let mut gradient = vec![0.0; problem.size()];
         group.throughput(Throughput::Elements(self.images.len() as u64));
@@ -286,6 +346,7 @@ criterion_group!(
     sizes,
     pictures,
     parts,
+    pixel_fit,
     forward,
     directional
 );

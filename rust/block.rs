@@ -112,19 +112,15 @@ impl<T: Real> Directions<T> {
     /// Puts a pixel into the block.
     pub fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
         let (cosine, mirror) = Frame::directions(normal, view);
+        self.put(pixel, cosine, normal, mirror);
+    }
+
+    /// Puts a pixel into the block from its clamped n·v, normal and mirror direction.
+    pub fn put(&mut self, pixel: usize, cosine: f64, normal: DVec3, mirror: DVec3) {
         self.cosine.0[pixel] = cosine;
         for axis in 0..3 {
             self.normal[axis].0[pixel] = T::from_f64(normal[axis]);
             self.mirror[axis].0[pixel] = T::from_f64(mirror[axis]);
-        }
-    }
-
-    /// Puts a pixel of another block into this one, with its directions as they were rounded.
-    pub fn take<U: Real>(&mut self, pixel: usize, from: &Directions<U>, there: usize) {
-        self.cosine.0[pixel] = from.cosine.0[there];
-        for axis in 0..3 {
-            self.normal[axis].0[pixel] = T::from_f64(from.normal[axis].0[there].to_f64());
-            self.mirror[axis].0[pixel] = T::from_f64(from.mirror[axis].0[there].to_f64());
         }
     }
 
@@ -133,11 +129,9 @@ impl<T: Real> Directions<T> {
         self.cosine.0[pixel]
     }
 
-    /// A pixel of the block, with its directions as they were rounded.
-    pub fn get(&self, pixel: usize) -> Frame {
-        let [normal, mirror] =
-            [&self.normal, &self.mirror].map(|d| DVec3::from(vector(d, pixel).map(Real::to_f64)));
-        Frame::at(self.cosine.0[pixel], normal, mirror)
+    /// Normal and mirror direction of a pixel, as they were rounded.
+    pub fn rounded(&self, pixel: usize) -> [DVec3; 2] {
+        [&self.normal, &self.mirror].map(|d| DVec3::from(vector(d, pixel).map(Real::to_f64)))
     }
 }
 
@@ -166,10 +160,14 @@ impl<const C: usize> Materials<C> {
         self.metallic.0[pixel] = material.metallic;
     }
 
+    /// Albedo by channel, roughness, metallic.
+    pub fn planes(&self) -> impl Iterator<Item = &Plane<f64>> {
+        self.albedo.iter().chain([&self.roughness, &self.metallic])
+    }
+
     /// Puts `count` pixels into planes, starting at `first`; metallic only where there is a plane.
     pub fn store(&self, planes: &mut [&mut [f64]], first: usize, count: usize) {
-        let own = self.albedo.iter().chain([&self.roughness, &self.metallic]);
-        for (plane, own) in planes.iter_mut().zip(own) {
+        for (plane, own) in planes.iter_mut().zip(self.planes()) {
             plane[first..][..count].copy_from_slice(&own.0[..count]);
         }
     }
@@ -287,6 +285,34 @@ pub fn seen(basis: &Basis<f64>, light: &[f64; COEFFICIENTS]) -> [Plane<f64>; SEE
     seen
 }
 
+/// Fills in the bands of a block's roughness.
+pub struct FillBands<'a> {
+    /// In \[0, 1\].
+    pub roughness: &'a Plane<f64>,
+    /// To be written.
+    pub bands: &'a mut BlockBands,
+}
+
+impl Kernel for FillBands<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) {
+        fill_bands(isa, self.roughness, self.bands);
+    }
+}
+
+#[inline(always)]
+fn fill_bands<I: Isa>(isa: I, roughness: &Plane<f64>, bands: &mut BlockBands) {
+    let table = &*TABLE;
+    for x in 0..BLOCK {
+        let row = table.row(isa, roughness.0[x]);
+        for f in 0..FUNCTIONS {
+            bands[f].0[x] = row.0[f];
+        }
+    }
+}
+
 /// Fills in bands and factors of the first `pixels` pixels; the others' factors become zero, and
 /// with them their weights, residuals and derivatives.
 pub struct FillFactors<'a, T: Real, const C: usize> {
@@ -314,13 +340,7 @@ impl<T: Real, const C: usize> Kernel for FillFactors<'_, T, C> {
             bands,
             factors,
         } = self;
-        let table = &*TABLE;
-        for x in 0..BLOCK {
-            let row = table.row(isa, materials.roughness.0[x]);
-            for f in 0..FUNCTIONS {
-                bands[f].0[x] = row.0[f];
-            }
-        }
+        fill_bands(isa, &materials.roughness, bands);
         for x in 0..BLOCK {
             let of_pixel = factors_of(directions, materials, bands, x);
             for c in 0..C {

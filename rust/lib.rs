@@ -19,8 +19,11 @@
 //! | [`robust`] | losses that outliers pull less at |
 //! | [`problem`] | all pixels: loss and gradient |
 //! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
+//! | [`pixel_fit`] | all pixels: the best material when the lights are known |
 //! | [`penalties`] | penalties on a map: neighbours alike, groups of pixels alike |
 //! | [`normal_matrix`] | pixels: Gauss–Newton normal matrices, and how they are tied to the lights |
+//! | [`reduced`] | lights with the pixels solved for: the Schur complement, as a matrix or applied |
+//! | [`lbfgs`] | a bounded quasi-Newton method's vectors: pairs, their products, directions |
 //! | [`render`] | all pixels: radiance in float64 |
 //! | [`directional`] | the same under light from single directions, with the full reflection model |
 //! | [`image_file`] | picture files |
@@ -28,18 +31,24 @@
 pub mod band_table;
 pub mod block;
 mod check;
+mod descent;
 pub mod directional;
 pub mod error;
 mod evaluate;
 pub mod ggx;
 pub mod image_file;
+pub mod lbfgs;
 pub mod material_grid;
 pub mod normal_matrix;
 pub mod penalties;
+pub mod pixel_fit;
 mod pool;
 pub mod problem;
+mod products;
 #[cfg(feature = "python")]
 mod python;
+pub mod reduced;
+mod remainders;
 pub mod render;
 pub mod robust;
 pub mod sh;

@@ -10,15 +10,15 @@
 //! ```
 //!
 //! so that χ² = Σ_i ω_i (I_i − T_i)² is a polynomial of degree 4 in ρ, whose coefficients come from
-//! the products of the six vectors D, B₀ to B₃ and T over pictures. These products are summed once a
-//! pixel; after that roughness costs a small quadratic form, metallic and albedo a handful of
-//! operations, whatever the number of pictures.
+//! the [`products`](crate::products) of the six vectors D, B₀ to B₃ and T over pictures. Given
+//! these, roughness costs a small quadratic form, metallic and albedo a handful of operations.
 
 use std::f64::consts::FRAC_1_PI;
 
-use crate::block::{BLOCK, Basis, FillBasis, Plane, seen};
+use crate::block::{BLOCK, BlockBands, FillBands, Plane};
 use crate::ggx::{self, DIELECTRIC_F0};
 use crate::problem::Problem;
+use crate::products::{PixelProducts, Products, Specular, TakeRoughness};
 use crate::sh::COEFFICIENTS;
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::{Error, Result, check, pool};
@@ -31,28 +31,6 @@ const STARTS: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 const CHUNK: usize = 2;
 
 type Doubles = Plane<f64>;
-
-/// Products over pictures, Σ ω u v, of one channel.
-#[derive(Clone, Debug, Default)]
-struct Products {
-    target_target: Doubles,
-    diffuse_diffuse: Doubles,
-    diffuse_target: Doubles,
-    /// Of D with each B_l.
-    diffuse_band: [Doubles; 4],
-    /// Of T with each B_l.
-    band_target: [Doubles; 4],
-    /// Of B_l with B_j, j ≤ l, row by row.
-    band_band: [Doubles; 10],
-}
-
-/// The products that remain when roughness is given: those of D, S and T.
-#[derive(Clone, Debug, Default)]
-struct Specular {
-    specular_specular: Doubles,
-    diffuse_specular: Doubles,
-    specular_target: Doubles,
-}
 
 /// Best albedo of each pixel, and Σ ω (I − T)² with it.
 #[derive(Clone, Debug)]
@@ -90,9 +68,15 @@ impl Problem {
             .collect();
         pool::map(self.threads(), pieces, |(pixels, grid)| {
             let mut block = Block::new(self);
+            let mut planes = vec![Doubles::default(); nodes];
             for (pixels, grid) in pixels.chunks(BLOCK).zip(grid.chunks_mut(BLOCK * nodes)) {
                 block.load(&lights, pixels);
-                block.fill_grid(roughness, metallic, pixels.len(), grid);
+                block.fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut planes);
+                for (x, of_pixel) in grid.chunks_mut(nodes).enumerate() {
+                    for (to, plane) in of_pixel.iter_mut().zip(&planes) {
+                        *to = plane.0[x] as f32;
+                    }
+                }
             }
         });
         Ok(grid)
@@ -132,33 +116,32 @@ impl Problem {
 }
 
 /// Up to [`BLOCK`] pixels and what is known of them.
-struct Block<'a> {
+pub(crate) struct Block<'a> {
     problem: &'a Problem,
     isa: Instructions,
-    basis: Basis<f64>,
     /// n·v
     cosine: Doubles,
     /// (1−n·v)⁵
     schlick: Doubles,
-    products: Vec<Products>,
+    pub(crate) products: PixelProducts,
     specular: Specular,
     bands: [Doubles; 4],
     g1: Doubles,
-    roughness: Doubles,
-    metallic: Doubles,
-    albedo: Vec<Doubles>,
+    pub(crate) roughness: Doubles,
+    pub(crate) metallic: Doubles,
+    /// By channel.
+    pub(crate) albedo: Vec<Doubles>,
     squares: Doubles,
 }
 
 impl<'a> Block<'a> {
-    fn new(problem: &'a Problem) -> Self {
+    pub(crate) fn new(problem: &'a Problem) -> Self {
         Self {
             problem,
             isa: problem.instructions(),
-            basis: Basis::default(),
             cosine: Plane([1.0; BLOCK]),
             schlick: Doubles::default(),
-            products: vec![Products::default(); problem.channels()],
+            products: PixelProducts::new(problem.channels()),
             specular: Specular::default(),
             bands: Default::default(),
             g1: Doubles::default(),
@@ -170,91 +153,72 @@ impl<'a> Block<'a> {
     }
 
     /// Takes up pixels and sums their products over pictures.
-    fn load(&mut self, lights: &[[f64; COEFFICIENTS]], pixels: &[usize]) {
-        let problem = self.problem;
-        let directions = problem.picked_directions(pixels);
+    pub(crate) fn load(&mut self, lights: &[[f64; COEFFICIENTS]], pixels: &[usize]) {
+        self.products.load(self.problem, lights, pixels);
         for x in 0..BLOCK {
-            self.cosine.0[x] = directions.cosine(x);
+            self.cosine.0[x] = self.products.directions.cosine(x);
             self.schlick.0[x] = ggx::schlick(self.cosine.0[x]);
-        }
-        self.isa.run(FillBasis::<f64, COEFFICIENTS> {
-            directions: &directions,
-            basis: &mut self.basis,
-        });
-        let pictures = problem.pictures();
-        for (c, products) in self.products.iter_mut().enumerate() {
-            *products = Products::default();
-            for (i, light) in lights[c * pictures..][..pictures].iter().enumerate() {
-                let [target, weight] = problem.picked_samples(c, i, pixels);
-                self.isa.run(AddPicture {
-                    basis: &self.basis,
-                    light,
-                    target: &target,
-                    weight: &weight,
-                    products,
-                });
-            }
         }
     }
 
-    /// χ² of the first `count` pixels at every node of the grid.
-    fn fill_grid(&mut self, roughness: &[f64], metallic: &[f64], count: usize, grid: &mut [f32]) {
-        let nodes = roughness.len() * metallic.len();
-        // Squares wait here until all channels have added theirs.
-        let mut sums = vec![Doubles::default(); metallic.len()];
-        for (j, &r) in roughness.iter().enumerate() {
-            let of_roughness = ggx::bands(r).weight;
-            for (plane, h) in self.bands.iter_mut().zip(of_roughness) {
+    /// χ² at every node of the grid: a plane for each, (roughness, metallic). `STEPS` of Newton's
+    /// method find the albedos.
+    pub(crate) fn fill_grid<const STEPS: usize>(
+        &mut self,
+        roughness: &[f64],
+        metallic: &[f64],
+        nodes: &mut [Doubles],
+    ) {
+        for (&r, of_roughness) in roughness.iter().zip(nodes.chunks_mut(metallic.len())) {
+            for (plane, h) in self.bands.iter_mut().zip(ggx::bands(r).weight) {
                 plane.0.fill(h);
             }
             for x in 0..BLOCK {
                 self.g1.0[x] = ggx::smith_g1(self.cosine.0[x], r).0;
             }
-            sums.fill(Doubles::default());
-            for c in 0..self.products.len() {
+            of_roughness.fill(Doubles::default());
+            for c in 0..self.albedo.len() {
                 self.take_roughness(c);
-                for (sum, &m) in sums.iter_mut().zip(metallic) {
+                // Squares wait in their plane until all channels have added theirs.
+                for (sum, &m) in of_roughness.iter_mut().zip(metallic) {
                     self.metallic.0.fill(m);
                     std::mem::swap(&mut self.squares, sum);
-                    self.minimize(c);
+                    self.minimize::<STEPS>(c);
                     std::mem::swap(&mut self.squares, sum);
-                }
-            }
-            for (l, sum) in sums.iter().enumerate() {
-                for x in 0..count {
-                    grid[x * nodes + j * metallic.len() + l] = sum.0[x] as f32;
                 }
             }
         }
     }
 
     /// Best albedo and χ² at the roughness and metallic that each pixel has.
-    fn at_own_roughness(&mut self) {
+    pub(crate) fn at_own_roughness(&mut self) {
+        let mut bands = BlockBands::default();
+        self.isa.run(FillBands {
+            roughness: &self.roughness,
+            bands: &mut bands,
+        });
+        self.bands.copy_from_slice(&bands[..4]);
         for x in 0..BLOCK {
-            let r = self.roughness.0[x];
-            for (plane, h) in self.bands.iter_mut().zip(ggx::bands(r).weight) {
-                plane.0[x] = h;
-            }
-            self.g1.0[x] = ggx::smith_g1(self.cosine.0[x], r).0;
+            self.g1.0[x] = ggx::smith_g1(self.cosine.0[x], self.roughness.0[x]).0;
         }
         self.squares = Doubles::default();
-        for c in 0..self.products.len() {
+        for c in 0..self.albedo.len() {
             self.take_roughness(c);
-            self.minimize(c);
+            self.minimize::<NEWTON_STEPS>(c);
         }
     }
 
     fn take_roughness(&mut self, channel: usize) {
         self.isa.run(TakeRoughness {
-            products: &self.products[channel],
+            products: &self.products.by_channel[channel],
             bands: &self.bands,
             specular: &mut self.specular,
         });
     }
 
-    fn minimize(&mut self, channel: usize) {
-        self.isa.run(MinimizeByAlbedo {
-            products: &self.products[channel],
+    fn minimize<const STEPS: usize>(&mut self, channel: usize) {
+        self.isa.run(MinimizeByAlbedo::<STEPS> {
+            products: &self.products.by_channel[channel],
             specular: &self.specular,
             schlick: &self.schlick,
             g1: &self.g1,
@@ -265,88 +229,9 @@ impl<'a> Block<'a> {
     }
 }
 
-/// Adds one picture's share of the products.
-struct AddPicture<'a> {
-    basis: &'a Basis<f64>,
-    light: &'a [f64; COEFFICIENTS],
-    target: &'a Doubles,
-    weight: &'a Doubles,
-    products: &'a mut Products,
-}
-
-impl Kernel for AddPicture<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            basis,
-            light,
-            target,
-            weight,
-            products,
-        } = self;
-        let [diffuse, bands @ ..] = seen(basis, light);
-        for x in 0..BLOCK {
-            let (d, t) = (weight.0[x] * diffuse.0[x], weight.0[x] * target.0[x]);
-            products.target_target.0[x] += t * target.0[x];
-            products.diffuse_diffuse.0[x] += d * diffuse.0[x];
-            products.diffuse_target.0[x] += d * target.0[x];
-        }
-        for l in 0..4 {
-            for x in 0..BLOCK {
-                let b = weight.0[x] * bands[l].0[x];
-                products.diffuse_band[l].0[x] += b * diffuse.0[x];
-                products.band_target[l].0[x] += b * target.0[x];
-            }
-            for j in 0..=l {
-                let product = &mut products.band_band[l * (l + 1) / 2 + j];
-                for x in 0..BLOCK {
-                    product.0[x] += weight.0[x] * bands[l].0[x] * bands[j].0[x];
-                }
-            }
-        }
-    }
-}
-
-/// From the products of bands to those of S = Σ h_l B_l.
-struct TakeRoughness<'a> {
-    products: &'a Products,
-    bands: &'a [Doubles; 4],
-    specular: &'a mut Specular,
-}
-
-impl Kernel for TakeRoughness<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            products,
-            bands,
-            specular,
-        } = self;
-        *specular = Specular::default();
-        for l in 0..4 {
-            for x in 0..BLOCK {
-                let h = bands[l].0[x];
-                specular.diffuse_specular.0[x] += h * products.diffuse_band[l].0[x];
-                specular.specular_target.0[x] += h * products.band_target[l].0[x];
-            }
-            for j in 0..=l {
-                let product = &products.band_band[l * (l + 1) / 2 + j];
-                let twice = if j < l { 2.0 } else { 1.0 };
-                for x in 0..BLOCK {
-                    specular.specular_specular.0[x] +=
-                        twice * bands[l].0[x] * bands[j].0[x] * product.0[x];
-                }
-            }
-        }
-    }
-}
-
-/// One channel: the albedo with the least χ², which is added to `squares`.
-struct MinimizeByAlbedo<'a> {
+/// One channel: the albedo with the least χ², which is added to `squares`; by `STEPS` of Newton's
+/// method.
+struct MinimizeByAlbedo<'a, const STEPS: usize> {
     products: &'a Products,
     specular: &'a Specular,
     schlick: &'a Doubles,
@@ -356,7 +241,7 @@ struct MinimizeByAlbedo<'a> {
     squares: &'a mut Doubles,
 }
 
-impl Kernel for MinimizeByAlbedo<'_> {
+impl<const STEPS: usize> Kernel for MinimizeByAlbedo<'_, STEPS> {
     type Output = ();
 
     #[inline(always)]
@@ -398,7 +283,7 @@ impl Kernel for MinimizeByAlbedo<'_> {
                 least = if value < least { value } else { least };
             }
             let mut rho = best;
-            for _ in 0..NEWTON_STEPS {
+            for _ in 0..STEPS {
                 let slope = ((4.0 * c4 * rho + 3.0 * c3) * rho + 2.0 * c2) * rho + c1;
                 let bend = (12.0 * c4 * rho + 6.0 * c3) * rho + 2.0 * c2;
                 let next = rho - slope / (bend.abs() + f64::MIN_POSITIVE);

@@ -22,8 +22,8 @@
 //! inverted afterwards.
 
 use crate::block::{
-    BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBasis, FillFactors, FillWeights,
-    Materials, Plane, Radiance, SEEN, seen,
+    BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBands, FillBasis, FillFactors,
+    FillWeights, Materials, Plane, Radiance, SEEN, seen,
 };
 use crate::ggx::Bands;
 use crate::problem::Problem;
@@ -35,7 +35,7 @@ use crate::{Error, Result, check, pool};
 /// By what radiance is derived in one channel: its albedo, roughness, metallic.
 pub const DERIVATIVES: usize = 3;
 /// Unknowns of a pixel at most.
-const MAX_UNKNOWNS: usize = 5;
+pub(crate) const MAX_UNKNOWNS: usize = 5;
 /// Blocks of pixels in a piece of work.
 const CHUNK: usize = 2;
 
@@ -125,13 +125,7 @@ fn normal_equations<const C: usize>(
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 let mut sums = Sums::default();
-                block.each_sample(&lights, |c, _, sample| {
-                    problem.instructions().run(AddSample {
-                        sample,
-                        unknowns: unknowns_of_channel::<C>(c),
-                        sums: &mut sums,
-                    });
-                });
+                block.add_samples(&lights, &mut sums);
                 for x in 0..pixels.len() {
                     let p = i * BLOCK + x;
                     sums.store_matrix(x, &mut matrices[p * unknowns * unknowns..], unknowns);
@@ -178,6 +172,7 @@ fn derivatives<const C: usize>(
             let mut block = Block::<C>::new(problem);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
+                block.fill_weights();
                 let of_block = by_light[i * BLOCK * C * k..].chunks_mut(k).enumerate();
                 for (row, of_row) in of_block.take(pixels.len() * C) {
                     for (to, from) in of_row.iter_mut().zip(&block.weights[row % C]) {
@@ -243,6 +238,7 @@ fn moves_with_lights<const C: usize>(
             let mut radiance = Doubles::default();
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
+                block.fill_weights();
                 // ω J of every sample, in the order of the lights.
                 block.each_sample(&lights, |c, picture, sample| {
                     let to = &mut weighted[c * problem.pictures() + picture];
@@ -291,11 +287,11 @@ fn moves_with_lights<const C: usize>(
 
 /// Where the three derivatives of a channel belong among the unknowns of a pixel. Metallic is the
 /// last: where it is known, its row is left out of what is handed out.
-fn unknowns_of_channel<const C: usize>(channel: usize) -> [usize; DERIVATIVES] {
+pub(crate) fn unknowns_of_channel<const C: usize>(channel: usize) -> [usize; DERIVATIVES] {
     [channel, C, C + 1]
 }
 
-fn zeros(count: usize) -> Result<Vec<f64>> {
+pub(crate) fn zeros(count: usize) -> Result<Vec<f64>> {
     let mut numbers = Vec::new();
     numbers
         .try_reserve_exact(count)
@@ -305,18 +301,18 @@ fn zeros(count: usize) -> Result<Vec<f64>> {
 }
 
 /// Up to [`BLOCK`] pixels, picked from anywhere, and one of their samples at a time.
-struct Block<'a, const C: usize> {
+pub(crate) struct Block<'a, const C: usize> {
     problem: &'a Problem,
     isa: Instructions,
     /// Where the pixels come from.
     places: Vec<usize>,
     directions: Directions<f64>,
-    materials: Materials<C>,
+    pub materials: Materials<C>,
     basis: Basis<f64>,
     bands: BlockBands,
     factors: [ChannelFactors<f64>; C],
     /// w_ck
-    weights: Vec<[Doubles; COEFFICIENTS]>,
+    pub weights: Vec<[Doubles; COEFFICIENTS]>,
     responses: Vec<Responses>,
     sample: Sample,
 }
@@ -330,17 +326,17 @@ struct Responses {
 
 /// One channel of one picture.
 #[derive(Clone, Debug, Default)]
-struct Sample {
+pub(crate) struct Sample {
     /// I − T
-    residual: Doubles,
+    pub residual: Doubles,
     /// ω; 0 where no pixel is.
-    weight: Doubles,
+    pub weight: Doubles,
     /// ∂I/∂(albedo, roughness, metallic)
-    derivatives: [Doubles; DERIVATIVES],
+    pub derivatives: [Doubles; DERIVATIVES],
 }
 
 impl<'a, const C: usize> Block<'a, C> {
-    fn new(problem: &'a Problem) -> Self {
+    pub(crate) fn new(problem: &'a Problem) -> Self {
         Self {
             problem,
             isa: problem.instructions(),
@@ -356,32 +352,35 @@ impl<'a, const C: usize> Block<'a, C> {
         }
     }
 
-    /// Takes up pixels and works out all that no picture changes.
-    fn load(&mut self, maps: &[f64], pixels: &[usize]) {
+    /// Takes up pixels with their materials of `maps`.
+    pub(crate) fn load(&mut self, maps: &[f64], pixels: &[usize]) {
+        let mut materials = Materials::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            materials.set(x, &self.problem.material(maps, p));
+        }
+        self.place(pixels);
+        self.take(&materials);
+    }
+
+    /// Takes up pixels, whose materials are still to come.
+    pub(crate) fn place(&mut self, pixels: &[usize]) {
         self.places.clear();
         self.places.extend(pixels);
         self.directions = self.problem.picked_directions(pixels);
-        self.materials = Materials::default();
-        for (x, &p) in pixels.iter().enumerate() {
-            self.materials.set(x, &self.problem.material(maps, p));
-        }
         self.isa.run(FillBasis::<f64, COEFFICIENTS> {
             directions: &self.directions,
             basis: &mut self.basis,
         });
-        self.isa.run(FillFactors {
-            directions: &self.directions,
-            materials: &self.materials,
-            pixels: pixels.len(),
+    }
+
+    /// Gives the pixels materials, and works out all that no picture changes.
+    pub(crate) fn take(&mut self, materials: &Materials<C>) {
+        self.materials = materials.clone();
+        self.isa.run(FillBands {
+            roughness: &self.materials.roughness,
             bands: &mut self.bands,
-            factors: &mut self.factors,
         });
         for c in 0..C {
-            self.isa.run(FillWeights {
-                basis: &self.basis,
-                factors: &self.factors[c],
-                weights: &mut self.weights[c],
-            });
             self.isa.run(FillResponses {
                 directions: &self.directions,
                 albedo: &self.materials.albedo[c],
@@ -393,8 +392,38 @@ impl<'a, const C: usize> Block<'a, C> {
         }
     }
 
+    /// Works out the derivatives by the lights.
+    pub(crate) fn fill_weights(&mut self) {
+        self.isa.run(FillFactors {
+            directions: &self.directions,
+            materials: &self.materials,
+            pixels: self.places.len(),
+            bands: &mut self.bands,
+            factors: &mut self.factors,
+        });
+        for (factors, weights) in self.factors.iter().zip(&mut self.weights) {
+            self.isa.run(FillWeights {
+                basis: &self.basis,
+                factors,
+                weights,
+            });
+        }
+    }
+
+    /// Adds all samples to the normal equations.
+    pub(crate) fn add_samples(&mut self, lights: &[[f64; COEFFICIENTS]], sums: &mut Sums) {
+        let isa = self.isa;
+        self.each_sample(lights, |c, _, sample| {
+            isa.run(AddSample {
+                sample,
+                unknowns: unknowns_of_channel::<C>(c),
+                sums,
+            });
+        });
+    }
+
     /// Calls `f` with channel, picture and sample, channel by channel. Lights are (channel, picture).
-    fn each_sample(
+    pub fn each_sample(
         &mut self,
         lights: &[[f64; COEFFICIENTS]],
         mut f: impl FnMut(usize, usize, &Sample),
@@ -509,10 +538,10 @@ impl Kernel for TakeSample<'_> {
 
 /// The normal equations of a block; of the matrix, the lower triangle.
 #[derive(Clone, Debug, Default)]
-struct Sums {
-    matrix: [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
-    gradient: [Doubles; MAX_UNKNOWNS],
-    squares: Doubles,
+pub(crate) struct Sums {
+    pub(crate) matrix: [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    pub(crate) gradient: [Doubles; MAX_UNKNOWNS],
+    pub(crate) squares: Doubles,
 }
 
 impl Sums {
@@ -528,10 +557,10 @@ impl Sums {
 }
 
 /// Adds a sample to the normal equations.
-struct AddSample<'a> {
-    sample: &'a Sample,
-    unknowns: [usize; DERIVATIVES],
-    sums: &'a mut Sums,
+pub(crate) struct AddSample<'a> {
+    pub sample: &'a Sample,
+    pub unknowns: [usize; DERIVATIVES],
+    pub sums: &'a mut Sums,
 }
 
 impl Kernel for AddSample<'_> {

@@ -7,9 +7,10 @@ use glam::DVec3;
 use crate::block::{BLOCK, Directions, Plane};
 use crate::check::LARGEST_F32;
 use crate::evaluate::{self, Evaluate, Piece};
+use crate::remainders::{self, DirectionRemainders};
 use crate::robust::Robust;
 use crate::sh::COEFFICIENTS;
-use crate::shade::{Material, shade};
+use crate::shade::{Frame, Material, shade};
 use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
 
@@ -30,6 +31,9 @@ pub(crate) const MAX_SAMPLES: usize = 1 << 31;
 pub struct Pictures<'a> {
     /// Linear radiance: (picture, pixel, channel).
     pub images: &'a [f32],
+    /// What `images` lack: targets are the sums of both. The fast evaluation, in float32, takes no
+    /// notice of it; (picture, pixel, channel).
+    pub remainders: Option<&'a [f32]>,
     /// Number of pictures.
     pub pictures: usize,
     /// Colour channels, 1 or 3.
@@ -90,8 +94,11 @@ pub struct Problem {
     /// Sum of the weights of all samples and channels.
     total_weight: f64,
     directions: Vec<Directions>,
+    direction_remainders: Vec<DirectionRemainders>,
     /// (block, channel, picture)
     targets: Vec<Plane>,
+    /// Of the targets, in the same order; or empty.
+    remainders: Vec<Plane>,
     /// (block, channel, picture), with one channel where all share a weight; or empty.
     weights: Vec<Plane>,
 }
@@ -149,6 +156,20 @@ impl Problem {
             check::moderate("lighting", lighting, LARGEST_F32)?;
         }
         check::moderate("images", images, LARGEST_F32)?;
+        let remainders = match given.remainders {
+            None => Vec::new(),
+            Some(remainders) => {
+                check::length("remainders", samples * channels, remainders.len())?;
+                check::moderate("remainders", remainders, LARGEST_F32)?;
+                planes(
+                    "remainders",
+                    remainders,
+                    pictures,
+                    channels,
+                    options.threads,
+                )?
+            }
+        };
         let (weights, total_weight) = match given.weights {
             None => (Vec::new(), (samples * channels) as f64),
             Some(weights) => {
@@ -189,6 +210,8 @@ impl Problem {
             instructions: options.instructions,
             total_weight,
             directions,
+            direction_remainders: remainders::of_directions(normals, views)?,
+            remainders,
             targets: planes("images", images, pictures, channels, options.threads)?,
             weights,
         })
@@ -319,13 +342,13 @@ impl Problem {
         let mut residuals = vec![0.0; self.pictures * pixels.len() * C];
         for (j, &p) in pixels.iter().enumerate() {
             let (block, x) = (p / BLOCK, p % BLOCK);
-            let weights = shade(&self.directions[block].get(x), &self.material::<C>(maps, p));
+            let weights = shade(&self.frame(p), &self.material::<C>(maps, p));
             for (c, w) in weights.iter().enumerate() {
-                for (i, target) in self.targets(block, c).iter().enumerate() {
+                for i in 0..self.pictures {
                     let light = lighting[i * k * C + c..].iter().step_by(C);
                     let radiance: f64 = w[..k].iter().zip(light).map(|(w, l)| w * l).sum();
                     residuals[(i * pixels.len() + j) * C + c] =
-                        (radiance - f64::from(target.0[x])) as f32;
+                        (radiance - self.target(block, c, i, x)) as f32;
                 }
             }
         }
@@ -411,7 +434,7 @@ impl Problem {
         for p in blocks.start * BLOCK..(blocks.end * BLOCK).min(self.pixels) {
             let (block, x) = (p / BLOCK, p % BLOCK);
             let material = self.material::<C>(maps, p);
-            let weights = shade(&self.directions[block].get(x), &material);
+            let weights = shade(&self.frame(p), &material);
             for (c, sum) in sums.iter_mut().enumerate() {
                 let w = &weights[c][..k];
                 let mut add_gram = |gram: usize, omega: f64| {
@@ -425,12 +448,12 @@ impl Problem {
                 if omegas.is_empty() {
                     add_gram(0, 1.0);
                 }
-                for (i, target) in self.targets(block, c).iter().enumerate() {
+                for i in 0..n {
                     let omega = omegas.get(i).map_or(1.0, |plane| f64::from(plane.0[x]));
                     if !omegas.is_empty() {
                         add_gram(i, omega);
                     }
-                    let target = omega * f64::from(target.0[x]);
+                    let target = omega * self.target(block, c, i, x);
                     for (right, w) in sum.right[i * k..][..k].iter_mut().zip(w) {
                         *right += target * w;
                     }
@@ -521,9 +544,37 @@ impl Problem {
     pub(crate) fn picked_directions(&self, pixels: &[usize]) -> Directions<f64> {
         let mut picked = Directions::default();
         for (x, &p) in pixels.iter().enumerate() {
-            picked.take(x, self.directions(p / BLOCK), p % BLOCK);
+            let [normal, mirror] = self.exact_directions(p);
+            picked.put(
+                x,
+                self.directions[p / BLOCK].cosine(p % BLOCK),
+                normal,
+                mirror,
+            );
         }
         picked
+    }
+
+    fn frame(&self, p: usize) -> Frame {
+        let [normal, mirror] = self.exact_directions(p);
+        Frame::at(self.directions[p / BLOCK].cosine(p % BLOCK), normal, mirror)
+    }
+
+    /// Normal and mirror direction of a pixel, to 48 bits.
+    fn exact_directions(&self, p: usize) -> [DVec3; 2] {
+        let (block, x) = (p / BLOCK, p % BLOCK);
+        let [normal, mirror] = self.directions[block].rounded(x);
+        let [of_normal, of_mirror] = self.direction_remainders[block].get(x);
+        [normal + of_normal, mirror + of_mirror]
+    }
+
+    /// One target, with its remainder where there are any.
+    fn target(&self, block: usize, channel: usize, picture: usize, x: usize) -> f64 {
+        let i = (block * self.channels + channel) * self.pictures + picture;
+        let target = f64::from(self.targets[i].0[x]);
+        self.remainders
+            .get(i)
+            .map_or(target, |rest| target + f64::from(rest.0[x]))
     }
 
     /// Targets and weights of some pixels in one channel of one picture; 0 where no pixel is.
@@ -536,7 +587,7 @@ impl Problem {
         let [mut target, mut weight] = <[Plane<f64>; 2]>::default();
         for (x, &p) in pixels.iter().enumerate() {
             let (block, there) = (p / BLOCK, p % BLOCK);
-            target.0[x] = self.targets(block, channel)[picture].0[there].into();
+            target.0[x] = self.target(block, channel, picture, there);
             let weights = self.weights(block, channel);
             weight.0[x] = weights.get(picture).map_or(1.0, |w| w.0[there].into());
         }
@@ -603,7 +654,7 @@ fn chunks_of_planes(
     })
 }
 
-fn add(total: &mut [f64], partial: &[f64]) {
+pub(crate) fn add(total: &mut [f64], partial: &[f64]) {
     for (t, p) in total.iter_mut().zip(partial) {
         *t += p;
     }

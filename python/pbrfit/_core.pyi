@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 __all__ = [
     "Groups",
     "InputError",
+    "Lbfgs",
     "Neighbours",
     "Problem",
     "Raster",
@@ -75,7 +76,8 @@ class Problem:
 
     images (N, P, C) float32 with C = 1 or 3; normals, views (P, 3) float64 unit vectors; weights
     (N, P) or (N, P, C) float32; lighting (N, K, C) float64, known; metallic a number, known;
-    threads 0 = all. K = (sh_order + 1)², sh_order 2 or 3.
+    threads 0 = all. K = (sh_order + 1)², sh_order 2 or 3. remainders (N, P, C) float32: what images
+    lack, for targets of 48 bits; all methods but value_and_grad take notice of it.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | lighting (N, K, C)], without
     those that are known. The loss is the (weighted) mean of the squared residuals, or of a robust
     loss of them.
@@ -92,6 +94,7 @@ class Problem:
         sh_order: int = 3,
         metallic: float | None = None,
         lighting: NDArray[np.float64] | None = None,
+        remainders: NDArray[np.float32] | None = None,
     ) -> Problem: ...
     @property
     def size(self) -> int: ...
@@ -132,6 +135,29 @@ class Problem:
         metallic: NDArray[np.float64],
     ) -> NDArray[np.float32]:
         """Least Σω(I−T)² over albedo (P', roughness, metallic) with the lights of x."""
+    def fit_materials(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        roughness: NDArray[np.float64],
+        metallic: NDArray[np.float64],
+        *,
+        starts: int = 1,
+        steps: int = 10,
+        exact_steps: int = 1,
+        centre: NDArray[np.float64] | None = None,
+        precision: NDArray[np.float64] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Materials (P', D) that fit best with the lights of x, and Σω(I−T)² (P',) with them.
+
+        Of each pixel alone: the lowest of what is reached from its material in x and from the
+        `starts` lowest local minima of the grid roughness × metallic (no grid if one is empty;
+        metallic is not read where it is known), by `steps` Levenberg-Marquardt steps on products
+        over pictures. Then `exact_steps` on residuals; without, squares have half of the digits.
+        Never worse than in x. `centre` and `precision` (P', 1 or 2) of roughness and metallic add
+        Σ precision (v − centre)² to what is minimised, not to the squares that are returned.
+        The D unknowns of a pixel: albedo by channel, roughness and, unless it is known, metallic.
+        """
     def best_albedo(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -162,6 +188,46 @@ class Problem:
 
         covariances (P', D, D), the inverse of JᵀΩJ; modes (M, N, K, C) of the lights.
         """
+    def reduced(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        *,
+        damping: float = 0.0,
+        mono: bool = False,
+        precision: NDArray[np.float64] | None = None,
+        off: NDArray[np.float64] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Matrix S (M, M) and gradient s (M,) of the lights with some pixels solved for.
+
+        The M unknowns are (light channel, picture, coefficient); one light channel if `mono`. A
+        share `damping` of its diagonal is added to the matrix of each pixel. precision a and off =
+        v − c, both (P', F), are of a pull Σ a (v − c)² at roughness and, if it is free, metallic.
+        """
+    def reduced_product(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        v: NDArray[np.float64],
+        *,
+        damping: float = 0.0,
+        mono: bool = False,
+        precision: NDArray[np.float64] | None = None,
+        off: NDArray[np.float64] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """S v (M,) and s (M,) of `reduced`, without making S."""
+    def follow_lights(
+        self,
+        x: NDArray[np.float64],
+        pixels: NDArray[np.uint64],
+        v: NDArray[np.float64],
+        *,
+        damping: float = 0.0,
+        mono: bool = False,
+        precision: NDArray[np.float64] | None = None,
+        off: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """Materials (P', D) that a Gauss-Newton step leads to when the lights move by v (M,)."""
 
 @final
 class Neighbours:
@@ -184,6 +250,67 @@ class Groups:
         self, values: NDArray[np.float64], weight: float, gradient: NDArray[np.float64]
     ) -> float:
         """As that of `Neighbours`."""
+
+@final
+class Lbfgs:
+    """Bounds, and pairs of a quasi-Newton method; the vector work of `pbrfit.projected_lbfgs`.
+
+    Entries up to ends[0] have bounds lower[0] and upper[0], those from there to ends[1] the second,
+    and so on. Vectors are contiguous float64 (n,) arrays, n = ends[-1]. Columns are s₁ … s_k,
+    y₁ … y_k of the `pairs` = k pairs that are known, the oldest first. An entry is free unless it
+    is on a bound that the gradient pushes it against. threads 0 = all.
+    """
+
+    def __new__(
+        cls,
+        ends: NDArray[np.int64],
+        lower: NDArray[np.float64],
+        upper: NDArray[np.float64],
+        corrections: int,
+        threads: int = 0,
+    ) -> Lbfgs: ...
+    @property
+    def size(self) -> int: ...
+    @property
+    def pairs(self) -> int: ...
+    def forget(self) -> None:
+        """All pairs."""
+    def learn(
+        self,
+        x: NDArray[np.float64],
+        new_x: NDArray[np.float64],
+        gradient: NDArray[np.float64],
+        new_gradient: NDArray[np.float64],
+    ) -> bool:
+        """Take a pair s = new_x − x and y = new_gradient − gradient, if sᵀy is well above 0."""
+    def products(
+        self, x: NDArray[np.float64], gradient: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+        """Of columns with each other, over all entries and over free ones, (2k, 2k) each.
+
+        And over free ones with the gradient (2k,), and of the gradient with itself.
+        """
+    def direction(
+        self,
+        x: NDArray[np.float64],
+        gradient: NDArray[np.float64],
+        descent: float,
+        coefficients: NDArray[np.float64],
+        out: NDArray[np.float64],
+    ) -> float:
+        """Put clip(x − descent · gradient − columns · coefficients) − x, on free entries, into out.
+
+        Returns its product with the gradient.
+        """
+    def moved(
+        self,
+        x: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        length: float,
+        out: NDArray[np.float64],
+    ) -> None:
+        """Put clip(x + length · direction) into out."""
+    def dot(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> float: ...
 
 @final
 class Raster:

@@ -4,37 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbrfit import geometry
+from pbrfit import geometry, memory
 from pbrfit.layout import Layout
 from pbrfit.needs import Needs
 from pbrfit.priors import Priors
 from pbrfit.scene import Scene
 
-BYTES_PER_UNKNOWN = 480
-"""Measured with scipy 1.17's L-BFGS-B and 10 corrections: its workspace, bounds, x and gradient."""
 
-BLOCK = 128
-"""Pixels are padded to whole blocks of so many in the Rust core."""
-
-DIRECTION_BYTES = 32
-"""Of a pixel in the Rust core: normal and mirror direction in float32, n·v in float64."""
-
-VECTOR_BYTES = 5 * 24
-"""Of a pixel while the core is made: view directions, and two copies of those and of normals."""
-
-
-def fit_memory(scene: Scene, layout: Layout) -> int:
+def fit_memory(scene: Scene, layout: Layout, solver: memory.Method) -> int:
     """Bytes that `decompose` needs at its peak, beside the interpreter and its libraries."""
-    pixels, channels = layout.pixels, layout.channels
-    planes = len(scene.images) * (channels + (scene.weights is not None))
-    arrays = scene.images.nbytes + scene.normals.nbytes + 8 * channels * pixels  # mean picture
-    if scene.weights is not None:
-        arrays += scene.weights.nbytes
-    core = (4 * planes + DIRECTION_BYTES) * BLOCK * -(-pixels // BLOCK)
-    # Pictures and weights are scaled into arrays that the core copies; these are gone when the
-    # solver begins.
-    making = (4 * planes + VECTOR_BYTES) * pixels
-    return arrays + core + max(making, BYTES_PER_UNKNOWN * layout.size)
+    return memory.of_fit(scene, layout, solver).peak
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
@@ -69,6 +48,14 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("fit by default", "; ".join(needs.used)),
         ("left out", "; ".join(needs.left_out) or "nothing"),
         ("unknowns", f"{layout.size}"),
-        ("memory needed", f"about {fit_memory(scene, layout) / 2**20:.0f} MiB for solver lbfgsb"),
+    ]
+    free = memory.available()
+    needed = [
+        f"about {memory.size(fit_memory(scene, layout, solver))} for solver {solver}"
+        for solver in memory.METHODS
+    ]
+    found += [
+        ("memory needed", "; ".join(needed)),
+        ("memory free", "unknown" if free is None else memory.size(free)),
     ]
     return found

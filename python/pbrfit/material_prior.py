@@ -21,12 +21,11 @@ group of neighbouring nodes, and free: so the pull gathers pixels without holdin
 were gathered while lights were still wrong.
 
 Lights and prior depend on each other. They are found together on a few pixels, in rounds of EM and
-joint Gauss-Newton steps (`gauss_newton`), and then applied to all.
+joint Gauss-Newton steps (`pulled_steps`), and then applied to all.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,12 +33,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import gauss_newton
-from pbrfit.gauss_newton import OFFSET_PULL, Pull
+from pbrfit import pulled_steps
+from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
-from pbrfit.priors import tied_neighbours
+from pbrfit.pulled_steps import OFFSET_PULL, Pull
 from pbrfit.robust import FEWEST_DEGREES
-from pbrfit.sampling import spread, spread_over
+from pbrfit.sampling import spread_over
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
@@ -79,17 +78,10 @@ to the last bit, wherever else something was found; their likelihood alone decid
 SAME_GROUP = 0.02
 """Of the largest probability: neighbouring nodes above this are one group."""
 
-JUDGING_PAIRS = 1024
-"""Neighbouring pixels by which lights are judged. On twelve synthetic rooms the two bounds that
-follow separate noise and slow convergence (0.004 to 0.92 of the squares; with 0.37 and more the
-correlation is at most 0.005) from wrong normals, field of view and SH order (0.8 to 1.02 of the
-squares, correlation 0.33 and more)."""
-
 MUCH_LESS = 0.5
-"""Of the squares: better lights, whatever is left."""
-
-NOISE_SHARED = 0.1
-"""Correlation of neighbours' residuals up to which they are noise."""
+"""Of the squares: better lights, whatever is left. On twelve synthetic rooms noise and slow
+convergence left 0.004 to 0.92 of the squares, wrong normals, field of view and SH order 0.8 to
+1.02."""
 
 NOT_MORE = 1.05
 """Of the squares, where all that is left is noise: lights from few pixels have more noise of their
@@ -119,6 +111,18 @@ class MaterialPull:
         self._blocks = blocks
         self._factor = factor
         self._totals = pull.offset_precision()
+
+    def shifted(self, x: Array) -> Array:
+        """Where pixels are pulled, with the best offsets for x: c + δ, (P, F)."""
+        pull = self._pull
+        off = np.stack([x[block] for block in self._blocks], axis=-1) - pull.centre
+        offsets = pull.sums(pull.precision * off) / ((1 + OFFSET_PULL) * self._totals)
+        return np.asarray(pull.centre + offsets[pull.cluster])
+
+    @property
+    def precision(self) -> Array:
+        """Of the pull: a, (P, F), in units of squared residuals."""
+        return self._pull.precision
 
     def value_and_grad(self, x: Array, gradient: Array) -> float:
         """See `Penalty`."""
@@ -197,7 +201,7 @@ def _with_lights(
         posterior = _Learnt.of(likelihood, labels, grid).posterior(likelihood, labels)
         pull = _pull(posterior, floor, strength * grid.variance, len(objective.layout.finish))
         x = _put(objective, x, pixels, pull.centre)
-        x, _ = gauss_newton.minimize(objective, x, pixels, pull, STEPS)
+        x, _ = pulled_steps.minimize(objective, x, pixels, pull, STEPS)
         if out_of_time():
             break
     return x
@@ -211,24 +215,18 @@ def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
     neighbours share them; lights that lower such residuals by a little bend the materials to the
     error, and are worse ones.
     """
-    pairs = tied_neighbours(objective.layout)
-    if not pairs.size:
+    neighbours = Neighbours(objective)
+    pixels = neighbours.pixels
+    if not pixels.size:
         return False
-    pairs = pairs[:, spread(pairs.shape[1], JUDGING_PAIRS)].astype(np.uint64)
-    pixels = np.unique(pairs).astype(np.uint64)
-    first, second = np.searchsorted(pixels, pairs)
     squares = []
     for x in (before, after):
         best = _put(objective, x, pixels, _Grid(objective, x, pixels).best(pixels))
         best, of_pixels = objective.with_best_albedo(best, pixels)
         squares.append(float(of_pixels.sum()))
-        residuals = objective.problem.residuals(objective.for_core(best), pixels)
     if squares[1] <= MUCH_LESS * squares[0]:
         return True
-    one, other = residuals[:, first], residuals[:, second]
-    shared = float((one * other).sum(dtype=np.float64))
-    alone = math.sqrt((one**2).sum(dtype=np.float64) * (other**2).sum(dtype=np.float64))
-    return squares[1] <= NOT_MORE * squares[0] and shared <= NOISE_SHARED * alone
+    return squares[1] <= NOT_MORE * squares[0] and neighbours.shared(best) <= NOISE_SHARED
 
 
 def _pieces(count: int) -> list[slice]:

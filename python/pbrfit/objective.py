@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -109,8 +110,6 @@ class Objective:
         Slices of x: where they lie.
     metallic, lighting
         Slices of x, or None where they are known.
-    bounds
-        (size, 2): [0, 1] for materials, infinite for lights.
     scale
         The scene scale, in picture units.
     exposures
@@ -145,9 +144,8 @@ class Objective:
             metallic_known=metallic is not None,
             mono_light=mono_light,
         )
-        self.layout = layout
-        self.pixels, self.channels = layout.pixels, layout.channels
-        self.coefficients = layout.coefficients
+        self.channels, self.coefficients = layout.channels, layout.coefficients
+        self._lay_out(layout)
         self.weights = weights = _weights(scene) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
@@ -163,18 +161,26 @@ class Objective:
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
 
-        self._scene, self._threads = scene, threads
-        images = self._images()
+        self._scene, self.threads = scene, threads
+        # Which of the scene's valid pixels take part.
+        self._chosen: slice | NDArray[np.uint64] = slice(None)
+        images, remainders = self._images()
         self._mean_image = _mean_image(images, weights)
-        self.problem = self._problem(images, weights)
+        self.problem = self._problem(images, remainders, weights)
+        self.penalties = [] if priors is None else penalties(layout, priors)
 
+    def _lay_out(self, layout: Layout) -> None:
+        self.layout, self.pixels, self.size = layout, layout.pixels, layout.size
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.lighting = layout.metallic, layout.lighting
-        self.size = layout.size
-        self.bounds = np.empty((self.size, 2))
-        self.bounds[layout.maps] = (0.0, 1.0)
-        self.bounds[layout.maps.stop :] = (-np.inf, np.inf)
-        self.penalties = [] if priors is None else penalties(layout, priors)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """(size, 2): [0, 1] for materials, infinite for lights. Made anew: it is large."""
+        bounds = np.empty((self.size, 2))
+        bounds[self.layout.maps] = (0.0, 1.0)
+        bounds[self.layout.maps.stop :] = (-np.inf, np.inf)
+        return bounds
 
     def start(self) -> NDArray[np.float64]:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
@@ -295,8 +301,37 @@ class Objective:
             factors *= self.weights[..., None]
         found = copy.copy(self)
         found.robust = None
-        found.problem = self._problem(self._images(), factors)
+        found.problem = self._problem(*self._images(), factors)
         return found
+
+    def restricted(self, pixels: NDArray[np.uint64]) -> Objective:
+        """The objective of some pixels alone, in the same units; squares, without penalties.
+
+        Its x has the materials of these pixels in their order, and all lights: what `part_of` takes
+        from an x of this objective. `pack` and `unpack` are not for it, for it has no picture.
+        """
+        found = copy.copy(self)
+        segments = self.layout.segments
+        found._lay_out(
+            replace(
+                self.layout,
+                valid=np.ones((1, len(pixels)), dtype=bool),
+                segments=None if segments is None else segments[pixels],
+            )
+        )
+        found.penalties, found.robust = [], None
+        share = len(pixels) / self.pixels
+        found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
+        found.weights = None if self.weights is None else self.weights[:, pixels]
+        found._chosen = pixels
+        found._mean_image = self._mean_image[pixels]
+        found.problem = found._problem(*found._images(), found.weights)
+        return found
+
+    def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
+        """X of `restricted(pixels)` from an x of this objective."""
+        maps = x[self.layout.maps].reshape(-1, self.pixels)[:, pixels]
+        return np.concatenate([maps.ravel(), x[self.layout.maps.stop :]])
 
     def residual_rmse(self, loss: float) -> float:
         """Root of a loss without penalties, in picture units.
@@ -367,28 +402,55 @@ class Objective:
         )
         return materials, lighting
 
-    def _images(self) -> NDArray[np.float32]:
-        """(N, P, C): the pictures in the unit of x."""
-        images = np.empty((self.layout.pictures, self.pixels, self.channels), dtype=np.float32)
+    def _images(self) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """(N, P, C): the pictures in the unit of x, and what float32 leaves of them.
+
+        The latter only of pictures that came in float64 with more digits than float32 holds. Of
+        pictures in float32 the division leaves something too, but it is no more than what was
+        rounded away before they came, and keeping it would double the memory.
+        """
+        shape = (self.layout.pictures, self.pixels, self.channels)
+        images = np.empty(shape, dtype=np.float32)
+        remainders = np.empty(shape, dtype=np.float32) if self._has_more_digits() else None
         for i, scaled in enumerate(images):
-            samples = self._scene.samples(i)[:, : self.channels]
-            scaled[:] = samples.astype(np.float64) / self._units[i]
-        return images
+            samples = self._scene.samples(i)[self._chosen, : self.channels].astype(np.float64)
+            samples /= self._units[i]
+            scaled[:] = samples
+            if remainders is not None:
+                remainders[i] = samples - scaled
+        return images, remainders
+
+    def _has_more_digits(self) -> bool:
+        if self._scene.images.dtype == np.float32:
+            return False
+        pictures = (self._scene.samples(i) for i in range(self.layout.pictures))
+        with np.errstate(over="ignore"):  # beyond float32: infinite, so not the same
+            return any((samples != samples.astype(np.float32)).any() for samples in pictures)
 
     def _problem(
-        self, images: NDArray[np.float32], weights: NDArray[np.float32] | None
+        self,
+        images: NDArray[np.float32],
+        remainders: NDArray[np.float32] | None,
+        weights: NDArray[np.float32] | None,
     ) -> _core.Problem:
-        scene, valid = self._scene, self.layout.valid
+        scene = self._scene
         return _core.Problem(
             images,
-            scene.normals[valid].astype(np.float64),
-            scene.views[valid],
-            self._threads,
+            self._rows(scene.normals),
+            self._rows(scene.views),
+            self.threads,
             weights=weights,
             sh_order=self.layout.sh_order,
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
+            remainders=remainders,
         )
+
+    def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Rows (P, 3) of (H, W, 3), without a copy where all pixels are valid: here memory peaks."""
+        valid = self._scene.valid
+        rows = vectors.reshape(-1, 3) if valid.all() else vectors[valid]
+        return rows[self._chosen].astype(np.float64, copy=False)
 
     @property
     def _by_picture(self) -> NDArray[np.float64]:

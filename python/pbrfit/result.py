@@ -38,12 +38,21 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True)
+class Stage:
+    """A part of a fit: which method ran, how long, and what is to be said about it."""
+
+    name: str
+    seconds: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
 class Options:
     """Options of `decompose` that change the result.
 
     Attributes
     ----------
-    solver, iterations, time_limit, sh_order
+    solver, iterations, time_limit, sh_order, seed
         As given.
     metallic
         The number that all pixels have; None = free.
@@ -66,6 +75,7 @@ class Options:
     priors: Mapping[str, float | None] = field(default_factory=dict)
     robust: str = "none"
     equal_exposures: bool | None = None
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +100,10 @@ class Result:
         Why the fit ended: for programs, and in words.
     history
         Loss and errors by iteration.
+    stages
+        Which methods ran, one after the other.
     evaluations
-        Number of evaluations of loss and gradient.
+        Passes over all pictures by L-BFGS: evaluations of loss and gradient.
     seconds
         Time of the fit, reading and writing of files apart.
     metrics
@@ -123,6 +135,7 @@ class Result:
     inputs: Mapping[str, str] = field(default_factory=dict)
     uncertainty: Uncertainty | None = None
     source: Source | None = None
+    stages: tuple[Stage, ...] = ()
 
     @property
     def albedo(self) -> NDArray[np.floating[Any]]:
@@ -189,6 +202,7 @@ class Result:
             "options": asdict(self.options),
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
+            "stages": [asdict(stage) for stage in self.stages],
             "inputs": dict(self.inputs),
             "scene": None if self.source is None else _source_as_json(self.source, folder),
         }
@@ -232,6 +246,7 @@ class Result:
                 assumed=content["assumed"],
                 left_out=tuple(content["left_out"]),
                 inputs=content["inputs"],
+                stages=tuple(Stage(**stage) for stage in content.get("stages", ())),
                 uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
                 source=None if source is None else _source(source, folder),
             )

@@ -6,6 +6,7 @@
 
 mod arrays;
 mod image_file;
+mod lbfgs;
 mod model;
 mod penalties;
 mod problem;
@@ -57,5 +58,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     model::register(module)?;
     problem::register(module)?;
     penalties::register(module)?;
+    lbfgs::register(module)?;
     image_file::register(module)
 }

@@ -11,7 +11,9 @@ use pyo3::prelude::*;
 use super::arrays::{Contiguous, array, copied, shape, try_copied, vectors};
 use super::model::{array3, matrix};
 use crate::normal_matrix::DERIVATIVES;
+use crate::pixel_fit::{Search, Towards};
 use crate::problem::{Options, Pictures, Problem};
+use crate::reduced::{Elimination, Pull};
 use crate::robust::Robust;
 use crate::{Error, check, pool};
 
@@ -40,7 +42,7 @@ impl PyProblem {
     #[new]
     #[pyo3(signature = (
         images, normals, views, threads = 0, *,
-        weights = None, sh_order = 3, metallic = None, lighting = None
+        weights = None, sh_order = 3, metallic = None, lighting = None, remainders = None
     ))]
     #[expect(clippy::too_many_arguments)]
     fn new(
@@ -52,6 +54,7 @@ impl PyProblem {
         sh_order: usize,
         metallic: Option<f64>,
         lighting: Option<&Bound<'_, PyAny>>,
+        remainders: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let images = array::<f32, numpy::Ix3>("images", images)?;
         let normals = array("normals", normals)?;
@@ -84,14 +87,25 @@ impl PyProblem {
                 lighting.shape(),
             )?;
         }
+        let remainders = remainders
+            .map(|remainders| array::<f32, numpy::Ix3>("remainders", remainders))
+            .transpose()?;
+        if let Some(remainders) = &remainders {
+            shape("remainders", &samples, remainders.shape())?;
+        }
         let (normals, views) = (vectors("normals", &normals)?, vectors("views", &views)?);
         let images = Contiguous::try_of("images", &images)?;
         let weights = weights
             .as_ref()
             .map(|weights| Contiguous::try_of("weights", weights))
             .transpose()?;
+        let remainders = remainders
+            .as_ref()
+            .map(|remainders| Contiguous::try_of("remainders", remainders))
+            .transpose()?;
         let given = Pictures {
             images: images.values(),
+            remainders: remainders.as_ref().map(Contiguous::values),
             pictures,
             channels,
             weights: weights.as_ref().map(Contiguous::values),
@@ -233,6 +247,61 @@ impl PyProblem {
         Ok(array3(grid, shape).into_pyarray(py))
     }
 
+    #[pyo3(signature = (
+        x, pixels, roughness, metallic, *,
+        starts = 1, steps = 10, exact_steps = 1, centre = None, precision = None
+    ))]
+    #[expect(clippy::too_many_arguments, clippy::type_complexity)]
+    fn fit_materials<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        roughness: &Bound<'py, PyAny>,
+        metallic: &Bound<'py, PyAny>,
+        starts: usize,
+        steps: usize,
+        exact_steps: usize,
+        centre: Option<&Bound<'py, PyAny>>,
+        precision: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
+        let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
+        let (q, d) = (pixels.len(), self.problem.unknowns_of_pixel());
+        let of_pixels = |name, argument: Option<&Bound<'py, PyAny>>| {
+            let Some(argument) = argument else {
+                return Ok(None);
+            };
+            let values = array::<f64, numpy::Ix2>(name, argument)?;
+            shape(name, &[q, d - self.problem.channels()], values.shape())?;
+            PyResult::Ok(Some(try_copied(name, &values)?))
+        };
+        let (centre, precision) = (
+            of_pixels("centre", centre)?,
+            of_pixels("precision", precision)?,
+        );
+        let pull = match (&centre, &precision) {
+            (None, None) => None,
+            (Some(centre), Some(precision)) => Some(Towards { centre, precision }),
+            (Some(_), None) => return Err(missing("precision", "centre")),
+            (None, Some(_)) => return Err(missing("centre", "precision")),
+        };
+        let search = Search {
+            roughness: &roughness,
+            metallic: &metallic,
+            starts,
+            steps,
+            exact_steps,
+            pull,
+        };
+        let fitted = py.detach(|| self.problem.fit_materials(&x, &pixels, &search))?;
+        Ok((
+            matrix(fitted.materials, [q, d]).into_pyarray(py),
+            fitted.squares.into_pyarray(py),
+        ))
+    }
+
     #[expect(clippy::type_complexity)]
     fn best_albedo<'py>(
         &self,
@@ -321,6 +390,83 @@ impl PyProblem {
         let moves = py.detach(|| problem.moves_with_lights(&x, &pixels, &covariances, &modes))?;
         Ok(matrix(moves, [p, d]).into_pyarray(py))
     }
+
+    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[expect(clippy::type_complexity, clippy::too_many_arguments)]
+    fn reduced<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        damping: f64,
+        mono: bool,
+        precision: Option<&Bound<'py, PyAny>>,
+        off: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let pull = self.pull(pixels.len(), precision, off)?;
+        let how = elimination(damping, mono, pull.as_ref());
+        let found = py.detach(|| self.problem.reduced(&x, &pixels, &how))?;
+        let size = found.gradient.len();
+        Ok((
+            matrix(found.matrix, [size, size]).into_pyarray(py),
+            found.gradient.into_pyarray(py),
+        ))
+    }
+
+    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[expect(clippy::type_complexity, clippy::too_many_arguments)]
+    fn reduced_product<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        v: &Bound<'py, PyAny>,
+        damping: f64,
+        mono: bool,
+        precision: Option<&Bound<'py, PyAny>>,
+        off: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
+        let pull = self.pull(pixels.len(), precision, off)?;
+        let how = elimination(damping, mono, pull.as_ref());
+        let found = py.detach(|| self.problem.reduced_product(&x, &pixels, &v, &how))?;
+        Ok((
+            found.product.into_pyarray(py),
+            found.gradient.into_pyarray(py),
+        ))
+    }
+
+    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[expect(clippy::too_many_arguments)]
+    fn follow_lights<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        v: &Bound<'py, PyAny>,
+        damping: f64,
+        mono: bool,
+        precision: Option<&Bound<'py, PyAny>>,
+        off: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
+        let pull = self.pull(pixels.len(), precision, off)?;
+        let how = elimination(damping, mono, pull.as_ref());
+        let materials = py.detach(|| self.problem.follow_lights(&x, &pixels, &v, &how))?;
+        let shape = [pixels.len(), self.problem.unknowns_of_pixel()];
+        Ok(matrix(materials, shape).into_pyarray(py))
+    }
+}
+
+fn elimination<'a>(damping: f64, mono: bool, pull: Option<&'a [Vec<f64>; 2]>) -> Elimination<'a> {
+    Elimination {
+        damping,
+        mono,
+        pull: pull.map(|[precision, off]| Pull { precision, off }),
+    }
 }
 
 impl PyProblem {
@@ -329,6 +475,29 @@ impl PyProblem {
         shape("x", &[self.problem.size()], x.shape())?;
         Ok(try_copied("x", &x)?)
     }
+
+    /// Precision and distance of a pull, both (pixels, unknowns without albedo), or none.
+    fn pull(
+        &self,
+        pixels: usize,
+        precision: Option<&Bound<'_, PyAny>>,
+        off: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Option<[Vec<f64>; 2]>> {
+        let (Some(precision), Some(off)) = (precision, off) else {
+            return Ok(None);
+        };
+        let finish = self.problem.unknowns_of_pixel() - self.problem.channels();
+        let values = |name, argument| {
+            let values = array::<f64, numpy::Ix2>(name, argument)?;
+            shape(name, &[pixels, finish], values.shape())?;
+            PyResult::Ok(copied(&values))
+        };
+        Ok(Some([values("precision", precision)?, values("off", off)?]))
+    }
+}
+
+fn missing(name: &'static str, other: &str) -> PyErr {
+    Error::argument(name, format!("an array beside {other}"), "None").into()
 }
 
 /// Pixels by number.

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 import pbrfit
-from pbrfit import Objective, Priors, Result, Scene, gauss_newton, material_prior, shade
-from pbrfit.gauss_newton import OFFSET_PULL, Pull
+from pbrfit import Objective, Priors, Result, Scene, material_prior, pulled_steps, shade
 from pbrfit.material_prior import MaterialPull
+from pbrfit.pulled_steps import OFFSET_PULL, Pull
 from pbrfit.sampling import spread, spread_over
 from pbrfit.synthetic import make_scene
 
@@ -199,7 +199,7 @@ def some_pull(
 
 
 def total_of(objective: Objective, x: Array, pixels: Pixels, pull: Pull) -> float:
-    """What `gauss_newton.minimize` minimises, with the best offsets, term by term."""
+    """What `pulled_steps.minimize` minimises, with the best offsets, term by term."""
     residuals = objective.problem.residuals(objective.for_core(x), pixels).astype(np.float64)
     _, _, weights = objective.problem.derivatives(objective.for_core(x), pixels)
     total = (weights.transpose(1, 0, 2) * residuals**2).sum()
@@ -216,14 +216,14 @@ def total_of(objective: Objective, x: Array, pixels: Pixels, pull: Pull) -> floa
 def test_gauss_newton_ends_in_a_minimum(
     room: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gauss_newton, "ENOUGH", 0.0)
+    monkeypatch.setattr(pulled_steps, "ENOUGH", 0.0)
     scene, options = variants(room)[kind]
     objective = Objective(scene, **options)
     rng = np.random.default_rng(3)
     pixels = spread(objective.pixels, 80)
     pull = some_pull(objective, pixels, rng)
     start = objective.start()
-    found, steps = gauss_newton.minimize(objective, start, pixels, pull, steps=25)
+    found, steps = pulled_steps.minimize(objective, start, pixels, pull, steps=25)
     assert steps > 1
     least = total_of(objective, found, pixels, pull)
     assert least < total_of(objective, start, pixels, pull)
@@ -246,7 +246,7 @@ def test_gauss_newton_leaves_other_pixels(room: Scene) -> None:
     pixels = spread(objective.pixels, 40)
     pull = some_pull(objective, pixels, np.random.default_rng(4))
     start = objective.start()
-    found, _ = gauss_newton.minimize(objective, start, pixels, pull, steps=2)
+    found, _ = pulled_steps.minimize(objective, start, pixels, pull, steps=2)
     others = np.setdiff1d(np.arange(objective.pixels), pixels)
     maps = objective.layout.maps
     before, after = (x[maps].reshape(-1, objective.pixels)[:, others] for x in (start, found))

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
-from pbrfit.solve import TRAP_ROUGHNESS
+from pbrfit.solvers.descent import TRAP_ROUGHNESS
 from pbrfit.synthetic import make_scene
 
 

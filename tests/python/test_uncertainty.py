@@ -105,10 +105,9 @@ def test_normal_equations_are_those_of_the_reference(kind: Kind) -> None:
     j, w = example.jacobian[pixels], example.weights[pixels]
     residual = (example.radiance - example.images.transpose(1, 0, 2))[pixels]
     matrices, gradient, squares = example.problem.normal_equations(example.x, pixels)
-    # The core keeps directions in float32.
-    assert relative(matrices, np.einsum("pnci,pnc,pncj->pij", j, w, j)) < 1e-6
-    assert relative(gradient, np.einsum("pnci,pnc->pi", j, w * residual)) < 1e-6
-    assert relative(squares, (w * residual**2).sum(axis=(1, 2))) < 1e-6
+    assert relative(matrices, np.einsum("pnci,pnc,pncj->pij", j, w, j)) < 1e-12
+    assert relative(gradient, np.einsum("pnci,pnc->pi", j, w * residual)) < 1e-12
+    assert relative(squares, (w * residual**2).sum(axis=(1, 2))) < 1e-12
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
@@ -116,8 +115,8 @@ def test_derivatives_are_those_of_the_reference(kind: Kind) -> None:
     example = Example(kind)
     pixels = np.arange(150, dtype=np.uint64)[::-1]
     by_material, by_light, weights = example.problem.derivatives(example.x, pixels)
-    assert relative(by_material, example.by_material[::-1]) < 1e-6
-    assert relative(by_light, example.by_light[::-1]) < 1e-6
+    assert relative(by_material, example.by_material[::-1]) < 1e-12
+    assert relative(by_light, example.by_light[::-1]) < 1e-12
     assert relative(weights, example.weights[::-1]) == 0
 
 
@@ -134,7 +133,7 @@ def test_moves_with_lights_are_those_of_the_reference(kind: Kind) -> None:
     effects = np.einsum("pnci,pnc,pck,mnkc->pmi", j, w, example.by_light[7:], modes)
     expected = np.square(effects @ covariances).sum(axis=1)
     found = example.problem.moves_with_lights(example.x, pixels, covariances, modes)
-    assert relative(found, expected) < 1e-6
+    assert relative(found, expected) < 1e-12
 
 
 def test_gradient_of_normal_equations_is_that_of_the_loss() -> None:

@@ -70,6 +70,7 @@ impl Example {
     fn problem_for(&self, threads: usize, instructions: Instructions) -> Problem {
         let given = Pictures {
             images: &self.images,
+            remainders: None,
             pictures: self.pictures,
             channels: self.channels,
             weights: self.weights.as_deref(),
@@ -477,6 +478,7 @@ fn refusals_name_the_array() {
     let example = Example::new(20, 2);
     let given = Pictures {
         images: &example.images,
+        remainders: None,
         pictures: 2,
         channels: 3,
         weights: None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pbrfit.arguments import add_threads, given_priors, progress_bar
 from pbrfit.robust import LOSSES
+from pbrfit.solvers import SOLVERS
 
 if TYPE_CHECKING:
     from pbrfit.result import Result
@@ -19,7 +20,13 @@ EXPOSURES = {"auto": None, "as-is": False, "equal": True}
 
 def add_solver(parser: argparse.ArgumentParser) -> None:
     """Add what says how long is fitted."""
-    parser.add_argument("--solver", choices=("lbfgsb",), default="lbfgsb", help="optimiser")
+    parser.add_argument(
+        "--solver",
+        choices=SOLVERS,
+        default="auto",
+        help="auto: Gauss-Newton, then L-BFGS where there is more to minimise than squares; "
+        "gauss-newton: squares alone; lbfgsb: the paper's recipe (default: %(default)s)",
+    )
     parser.add_argument("--iterations", metavar="K", type=int, default=500, help="at most so many")
     parser.add_argument(
         "--time-limit",

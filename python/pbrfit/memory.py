@@ -1,0 +1,190 @@
+"""How much memory a fit will need, and how much there is: said before anything large is made."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from pbrfit._core import InputError
+from pbrfit.layout import Layout
+from pbrfit.projected_lbfgs import CORRECTIONS, choose
+from pbrfit.scene import Scene
+
+log = logging.getLogger("pbrfit")
+
+Method = Literal["auto", "gauss-newton", "lbfgsb"]
+"""Solvers whose memory is known."""
+
+METHODS: tuple[Method, ...] = get_args(Method)
+
+SCIPY_BYTES = 480
+"""An unknown, measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and
+gradient."""
+
+PROJECTED_BYTES = 8 * CORRECTIONS + 8 * 8
+"""An unknown, of `projected_lbfgs`: pairs in float32; in float64 the start, a better state that is
+kept, x, the next x, the way there and two gradients, and the core's copy of x."""
+
+BLOCK = 128
+"""Pixels are padded to whole blocks of so many in the Rust core."""
+
+DIRECTION_BYTES = 32
+"""Of a pixel in the Rust core: normal and mirror direction in float32, n·v in float64."""
+
+VECTOR_BYTES = 5 * 24
+"""Of a pixel while the core is made: view directions, and two copies of those and of normals."""
+
+WORTH_SAYING = 2**30
+"""A fit that needs more bytes says so."""
+
+ROOT = Path("/")
+"""Where the system's files are; tests have their own."""
+
+
+@dataclass(frozen=True)
+class FitMemory:
+    """Bytes that a fit needs beside the interpreter and its libraries.
+
+    Attributes
+    ----------
+    scene
+        Its arrays, which are there already.
+    core
+        Pictures and directions in the Rust core, and the mean picture.
+    making
+        For a while, beside these, while the core is made: pictures in the unit of x.
+    solver
+        Beside scene and core while the solver runs: its vectors.
+    """
+
+    scene: int
+    core: int
+    making: int
+    solver: int
+
+    @property
+    def further(self) -> int:
+        """That are not there yet."""
+        return self.core + max(self.making, self.solver)
+
+    @property
+    def peak(self) -> int:
+        """At the peak."""
+        return self.scene + self.further
+
+
+def of_fit(scene: Scene, layout: Layout, method: Method) -> FitMemory:
+    """What `decompose` needs of memory with a solver.
+
+    Parameters
+    ----------
+    scene, layout
+        What is fitted.
+    method
+        "lbfgsb", or "auto", whose largest part is the L-BFGS at its end.
+    """
+    pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
+    planes = pictures * (channels + layout.weighted)
+    held = scene.images.nbytes + scene.normals.nbytes
+    if scene.weights is not None:
+        held += scene.weights.nbytes
+    blocks = BLOCK * -(-pixels // BLOCK)
+    driver = "scipy" if method == "lbfgsb" else choose(layout.size)
+    of_unknown = SCIPY_BYTES if driver == "scipy" else PROJECTED_BYTES
+    return FitMemory(
+        scene=held,
+        core=(4 * planes + DIRECTION_BYTES) * blocks + 8 * channels * pixels,
+        making=(4 * planes + VECTOR_BYTES) * pixels,
+        solver=of_unknown * layout.size,
+    )
+
+
+def check(method: Method, needed: FitMemory) -> None:
+    """Say how much memory a fit needs if that is much, and refuse it if there is not so much.
+
+    Raises
+    ------
+    InputError
+        If more is needed than the process may still have. Where that cannot be told, never.
+    """
+    free = available()
+    if free is not None and needed.further > free:
+        advice = "; solver auto needs less" if method == "lbfgsb" else ""
+        raise InputError(
+            f"solver {method}: expected {size(needed.further)} of memory to be available, "
+            f"found {size(free)}; use smaller or fewer pictures{advice}"
+        )
+    if needed.further > WORTH_SAYING:
+        known = "" if free is None else f"; {size(free)} are available"
+        log.warning("solver %s needs about %s of memory%s", method, size(needed.further), known)
+
+
+def available() -> int | None:
+    """Bytes that this process may still take without swapping; None where the system does not say.
+
+    The least of what the machine has left and what the process's control groups (containers, batch
+    jobs) still allow.
+    """
+    limits = [_machine_has(), *_groups_allow()]
+    return min((limit for limit in limits if limit is not None), default=None)
+
+
+def size(count: float) -> str:
+    """Bytes for people."""
+    return f"{count / 2**30:.1f} GiB" if count >= 2**30 else f"{count / 2**20:.0f} MiB"
+
+
+def _machine_has() -> int | None:
+    for line in _lines("proc/meminfo"):
+        name, _, amount = line.partition(":")
+        if name == "MemAvailable":
+            return 1024 * int(amount.split()[0])
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None  # macOS and Windows
+
+
+def _groups_allow() -> list[int]:
+    """What each group that the process is in, and each around it, has left."""
+    left = []
+    for line in _lines("proc/self/cgroup"):
+        _, controllers, path = line.split(":", 2)
+        if controllers == "":
+            root, limit, usage = "sys/fs/cgroup", "memory.max", "memory.current"
+            reclaimable = "inactive_file"
+        elif "memory" in controllers.split(","):
+            root, limit, usage = (
+                "sys/fs/cgroup/memory",
+                "memory.limit_in_bytes",
+                "memory.usage_in_bytes",
+            )
+            reclaimable = "total_inactive_file"
+        else:
+            continue
+        group = Path(path.lstrip("/"))
+        # In a container the path may be that outside of it; then only the root is there.
+        for folder in (group, *group.parents):
+            most, used = (_number(f"{root}/{folder}/{file}") for file in (limit, usage))
+            if most is None or used is None:
+                continue
+            statistics = dict(line.split() for line in _lines(f"{root}/{folder}/memory.stat"))
+            # Files that were read once count as used, and are given up when memory is wanted.
+            left.append(max(0, most - used + int(statistics.get(reclaimable, 0))))
+    return left
+
+
+def _lines(path: str) -> list[str]:
+    try:
+        return (ROOT / path).read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+
+
+def _number(path: str) -> int | None:
+    """The number in a file; None where there is none, or "max"."""
+    text = "".join(_lines(path))
+    return int(text) if text.isdecimal() else None

@@ -1,0 +1,184 @@
+"""Bounded L-BFGS on all unknowns: the paper's recipe, in stages that keep off roughness 0."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import projected_lbfgs
+from pbrfit.objective import START_ROUGHNESS
+from pbrfit.projected_lbfgs import Bounds
+from pbrfit.solvers.run import Run
+
+Array = NDArray[np.float64]
+
+CORRECTIONS = 10
+"""Pairs of steps and gradients that L-BFGS-B remembers."""
+
+TRAP_ROUGHNESS = 0.1
+"""The first stages keep roughness above this. Band weights and G1 depend on r⁴, so their slope is
+r³ and roughness 0 is a stationary point of every pixel: one that overshoots to the bound stays
+there, far from its minimum, and pulls at the lights. Between 0 and 0.1 pictures under SH light
+hardly change, so little is lost by waiting."""
+
+STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
+"""(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
+that ended at the bound start again from the middle."""
+
+STALL = (10, 1e-5)
+"""(Iterations, share): `lowered` stops where the loss fell by less than this share of itself over
+so many iterations."""
+
+RESOLUTION = 1e-9
+"""Of a difference of nearby losses, whose residuals are those of float32."""
+
+STAGES_GIVEN_START = ((0.0, 1.0),)
+ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
+"""A robust loss needs a fit by squares first, which tells its scale."""
+
+
+def staged(
+    run: Run, x: Array, loss: float, iterations: float, *, start_given: bool
+) -> tuple[Array, float, str]:
+    """X, its loss, and which state that is, after so many iterations at most.
+
+    The last is empty unless the state is one from before the last restart.
+    """
+    best = loss, x
+    trapped = False
+    before = run.iteration
+    for lowest_roughness, share in _stages(run, start_given):
+        left = round(share * iterations) - (run.iteration - before)
+        if left <= 0 or run.out_of_time():
+            continue
+        if run.iteration > before:
+            best = robust_around(run, best)
+        if trapped:
+            x = _restarted(run, x)
+        loss, x = scipys(run, x, left, lowest_roughness)
+        trapped = lowest_roughness > 0
+        # A restart raises the loss at first, and time may run out before it pays.
+        best = min(best, (loss, x), key=lambda pair: pair[0])
+    kept = "; kept the better state before the last restart" if best[0] < loss else ""
+    loss, x = best
+    return x, loss, kept
+
+
+def _stages(run: Run, start_given: bool) -> tuple[tuple[float, float], ...]:
+    if not start_given:
+        return STAGES
+    return STAGES_GIVEN_START if run.robust == "none" else ROBUST_STAGES_GIVEN_START
+
+
+def robust_around(run: Run, best: tuple[float, Array]) -> tuple[float, Array]:
+    """Make the loss robust, if it is to be, with the scale at this state; returns it anew."""
+    if run.robust == "none":
+        return best
+    _, x = best
+    run.objective.robust = run.objective.robust_around(x, run.robust)
+    return run.evaluate(x)[0], x
+
+
+def _restarted(run: Run, x: Array) -> Array:
+    """X with the pixels that are trapped at the roughness bound put back to the middle."""
+    x = x.copy()
+    roughness = x[run.objective.roughness]
+    roughness[roughness <= TRAP_ROUGHNESS + 0.005] = START_ROUGHNESS
+    return x
+
+
+def lowered(run: Run, x: Array) -> Array:
+    """X with the whole objective lowered until that stalls, or the limits of the run.
+
+    By scipy's L-BFGS-B where its own work is a small share, else by the one whose vectors are in
+    Rust.
+    """
+    by_scipy = projected_lbfgs.choose(run.objective.size) == "scipy"
+    name = "L-BFGS-B by scipy" if by_scipy else "bounded L-BFGS in Rust"
+    with run.stage(name) as notes:
+        before = run.iteration
+        if by_scipy:
+            _, x = scipys(run, x, run.left, stall=STALL)
+        else:
+            x = _rusts(run, x)
+        notes.append(f"{run.iteration - before} iterations")
+    return x
+
+
+def _rusts(run: Run, x: Array) -> Array:
+    objective = run.objective
+    bounds = Bounds.of_slices(objective.size, (objective.layout.maps, 0.0, 1.0))
+
+    def after_iteration(iterate: projected_lbfgs.Iterate) -> None:
+        run.iteration += 1
+        run.record(iterate.x.copy(), iterate.fun)
+        if run.out_of_time():
+            raise StopIteration
+
+    found = projected_lbfgs.minimize(
+        run.evaluate,
+        x,
+        bounds,
+        iterations=run.left,
+        callback=after_iteration,
+        threads=objective.threads,
+        stall=STALL,
+        resolution=RESOLUTION,
+    )
+    return found.x
+
+
+def scipys(
+    run: Run,
+    x: Array,
+    iterations: int,
+    lowest_roughness: float = 0.0,
+    stall: tuple[int, float] | None = None,
+) -> tuple[float, Array]:
+    """Loss and x after scipy's L-BFGS-B, whose rows go into the history.
+
+    With `stall` it also stops where the loss fell by less than a share of itself over a number of
+    iterations.
+    """
+    from scipy.optimize import Bounds, minimize
+    from threadpoolctl import threadpool_limits
+
+    lower, upper = run.objective.bounds.T.copy()
+    lower[run.objective.roughness] = lowest_roughness
+
+    window, share = stall or (0, 0.0)
+    losses: deque[float] = deque(maxlen=window + 1)
+
+    def after_iteration(intermediate_result: Any) -> None:
+        run.iteration += 1
+        loss = float(intermediate_result.fun)
+        run.record(intermediate_result.x, loss)
+        losses.append(loss)
+        stalled = window and len(losses) > window and losses[0] - loss < share * losses[0]
+        if stalled or run.out_of_time():
+            raise StopIteration
+
+    # One BLAS thread: dot products split over threads would round differently on a machine with
+    # another number of processors.
+    with threadpool_limits(1, user_api="blas"):
+        found = minimize(
+            run.evaluate,
+            x,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=Bounds(lower, upper),
+            callback=after_iteration,
+            options={
+                "maxiter": iterations,
+                "maxfun": 10**9,  # iterations and time are the limits
+                "maxcor": CORRECTIONS,
+                # The loss is a mean, so its gradient entries are tiny: scipy's absolute
+                # tolerances would stop at once. Run on until no step lowers the loss.
+                "ftol": 0.0,
+                "gtol": 0.0,
+            },
+        )
+    return float(found.fun), found.x

@@ -1,0 +1,83 @@
+"""`gauss-newton`: the squares of the data as low as they get, by `pbrfit.second_order`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import second_order
+from pbrfit.result import Status
+from pbrfit.second_order import Lit
+from pbrfit.second_order.pixels import put
+from pbrfit.solvers.learning import learns, learnt
+from pbrfit.solvers.run import Run
+
+Array = NDArray[np.float64]
+
+
+class _Watch:
+    """Makes iterations and rows of the history of what `second_order` tells."""
+
+    def __init__(self, run: Run, x: Array) -> None:
+        self._run, self._x = run, x
+
+    def stop(self) -> bool:
+        return self._run.out_of_time()
+
+    def visit_few(
+        self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float
+    ) -> bool:
+        run = self._run
+        run.iteration += 1
+
+        def state() -> Array:
+            x = put(run.objective, self._x, pixels, materials)
+            x[run.objective.layout.maps.stop :] = lights
+            return x
+
+        run.tell(run.objective.residual_rmse(share), state)
+        return run.left <= 0 or run.out_of_time()
+
+    def visit(self, x: Array, squares: Array) -> bool:
+        run = self._run
+        run.iteration += 1
+        # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
+        data = float(squares.sum()) / run.objective.total_weight
+        loss = data + run.objective.add_penalties(x, np.zeros(run.objective.size))
+        run.record(x, loss, data)
+        return run.left <= 0 or run.out_of_time()
+
+
+def find_lights(run: Run, x: Array) -> Lit:
+    """Lights that explain some pixels, from x."""
+    with run.stage("lights by Gauss-Newton") as notes:
+        lit = second_order.find_lights(run.objective, x, _Watch(run, x), run.seed)
+        notes.append(lit.note)
+    return lit
+
+
+def fit_materials(run: Run, lit: Lit) -> Array | None:
+    """X with the squares of all pixels as low as they get; None if time ran out before."""
+    with run.stage("all pixels by Gauss-Newton") as notes:
+        fit = second_order.fit_materials(run.objective, lit.x, _Watch(run, lit.x))
+        if fit is None:
+            notes.append("stopped before all pixels had lights")
+    return None if fit is None else fit.x
+
+
+def with_material_prior(run: Run, x: Array) -> Array:
+    """X with the material prior learnt around it, and all pixels and lights fitted with it."""
+    x, pull = learnt(run, x)
+    with run.stage("all pixels by Gauss-Newton, with the material prior"):
+        found = second_order.fit_pulled(run.objective, x, pull, _Watch(run, x))
+    return x if found is None else found
+
+
+def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
+    """X of the fit, and why it ended."""
+    found = fit_materials(run, find_lights(run, x))
+    if found is not None:
+        x = found
+        if learns(run) and run.left > 0 and not run.out_of_time():
+            x = with_material_prior(run, x)
+    return x, *run.ended("no joint step lowers the sum further")
