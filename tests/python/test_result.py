@@ -59,7 +59,7 @@ def masked_scene(*, truth: bool) -> Scene:
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return decompose(masked_scene(truth=False), iterations=4)
+    return decompose(masked_scene(truth=False), iterations=30)
 
 
 def test_files_and_layers_as_another_reader_sees_them(result: Result, tmp_path: Path) -> None:
@@ -97,11 +97,11 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
     content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
     assert list(content) == KEYS
     assert content["status"] == "iteration_limit"
-    assert content["iterations"] == 4
+    assert content["iterations"] == 30
     assert list(content["metrics"]) == ["recon_rmse"]
     assert content["options"] == {
         "solver": "auto",
-        "iterations": 4,
+        "iterations": 30,
         "time_limit": None,
         "sh_order": 3,
         "metallic": None,
