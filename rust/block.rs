@@ -285,6 +285,26 @@ pub fn seen(basis: &Basis<f64>, light: &[f64; COEFFICIENTS]) -> [Plane<f64>; SEE
     seen
 }
 
+/// The same for one vector of pixels, number `v` of the block.
+#[inline(always)]
+pub fn seen_by<I: Vectors<f64>>(
+    isa: I,
+    basis: &Basis<f64>,
+    light: &[f64; COEFFICIENTS],
+    v: usize,
+) -> [I::Vector; SEEN] {
+    let mut seen = [isa.splat(0.0); SEEN];
+    for k in 0..COEFFICIENTS {
+        let light = isa.splat(light[k]);
+        if k < DIFFUSE {
+            seen[0] = isa.mul_add(light, I::of(&basis.diffuse[k].0)[v], seen[0]);
+        }
+        let band = &mut seen[1 + BAND_OF[k]];
+        *band = isa.mul_add(light, I::of(&basis.mirror[k].0)[v], *band);
+    }
+    seen
+}
+
 /// Fills in the bands of a block's roughness.
 pub struct FillBands<'a> {
     /// In \[0, 1\].

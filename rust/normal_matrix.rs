@@ -314,6 +314,8 @@ pub(crate) struct Block<'a, const C: usize> {
     /// w_ck
     pub weights: Vec<[Doubles; COEFFICIENTS]>,
     responses: Vec<Responses>,
+    /// Targets and weights ω: (channel, picture).
+    given: Vec<[Doubles; 2]>,
     sample: Sample,
 }
 
@@ -348,6 +350,7 @@ impl<'a, const C: usize> Block<'a, C> {
             factors: std::array::from_fn(|_| ChannelFactors::default()),
             weights: vec![[Doubles::default(); COEFFICIENTS]; C],
             responses: vec![Responses::default(); C],
+            given: Vec::new(),
             sample: Sample::default(),
         }
     }
@@ -367,6 +370,13 @@ impl<'a, const C: usize> Block<'a, C> {
         self.places.clear();
         self.places.extend(pixels);
         self.directions = self.problem.picked_directions(pixels);
+        self.given.clear();
+        for c in 0..C {
+            for picture in 0..self.problem.pictures() {
+                self.given
+                    .push(self.problem.picked_samples(c, picture, pixels));
+            }
+        }
         self.isa.run(FillBasis::<f64, COEFFICIENTS> {
             directions: &self.directions,
             basis: &mut self.basis,
@@ -438,12 +448,12 @@ impl<'a, const C: usize> Block<'a, C> {
 
     /// Works out one channel of one picture.
     fn take_sample(&mut self, channel: usize, picture: usize, light: &[f64; COEFFICIENTS]) {
-        let [target, weight] = self.problem.picked_samples(channel, picture, &self.places);
-        self.sample.weight = weight;
+        let [target, weight] = &self.given[channel * self.problem.pictures() + picture];
+        self.sample.weight = *weight;
         self.isa.run(TakeSample {
             basis: &self.basis,
             light,
-            target: &target,
+            target,
             responses: &self.responses[channel],
             sample: &mut self.sample,
         });
@@ -480,18 +490,20 @@ impl Kernel for FillResponses<'_> {
                 bands.slope[l] = self.bands[4 + l].0[x];
             }
             let factors = Factors::new(self.directions.cosine(x), &material, bands);
-            let mut put = |seen: usize, radiance: f64, by_diffuse: f64, by_band: [f64; 4]| {
+            // One call, in a loop: of several the compiler would make a function and no vector code.
+            for seen in 0..SEEN {
+                let mut alone = [0.0; SEEN];
+                alone[seen] = 1.0;
+                let [by_diffuse, by_band @ ..] = alone;
                 let derivatives = factors.pull_back(&material, &[by_diffuse], &[by_band]);
-                self.responses.radiance[seen].0[x] = radiance;
+                self.responses.radiance[seen].0[x] = if seen == 0 {
+                    factors.diffuse[0]
+                } else {
+                    factors.specular[0] * bands.weight[seen - 1]
+                };
                 self.responses.derivatives[0][seen].0[x] = derivatives.albedo[0];
                 self.responses.derivatives[1][seen].0[x] = derivatives.roughness;
                 self.responses.derivatives[2][seen].0[x] = derivatives.metallic;
-            };
-            put(0, factors.diffuse[0], 1.0, [0.0; 4]);
-            for l in 0..4 {
-                let mut alone = [0.0; 4];
-                alone[l] = 1.0;
-                put(1 + l, factors.specular[0] * bands.weight[l], 0.0, alone);
             }
         }
     }

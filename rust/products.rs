@@ -6,10 +6,10 @@
 //! summed once a pixel; what is done with them costs the same for any number of pictures. They know
 //! a sum of squares to about 10⁻¹⁵ of Σ ω T², which is half of the digits of a residual.
 
-use crate::block::{BLOCK, Basis, Directions, FillBasis, Plane, seen};
+use crate::block::{BLOCK, Basis, Directions, FillBasis, Plane, seen_by};
 use crate::problem::Problem;
 use crate::sh::COEFFICIENTS;
-use crate::simd::{Isa, Kernel};
+use crate::simd::{Isa, Kernel, Vectors};
 
 type Doubles = Plane<f64>;
 
@@ -65,61 +65,80 @@ impl PixelProducts {
             basis: &mut self.basis,
         });
         let pictures = problem.pictures();
+        let mut given = Vec::with_capacity(pictures);
         for (c, products) in self.by_channel.iter_mut().enumerate() {
-            *products = Products::default();
-            for (i, light) in lights[c * pictures..][..pictures].iter().enumerate() {
-                let [target, weight] = problem.picked_samples(c, i, pixels);
-                isa.run(AddPicture {
-                    basis: &self.basis,
-                    light,
-                    target: &target,
-                    weight: &weight,
-                    products,
-                });
-            }
+            given.clear();
+            given.extend((0..pictures).map(|i| problem.picked_samples(c, i, pixels)));
+            isa.run(SumPictures {
+                basis: &self.basis,
+                lights: &lights[c * pictures..][..pictures],
+                given: &given,
+                products,
+            });
         }
     }
 }
 
-/// Adds one picture's share of the products.
-struct AddPicture<'a> {
+/// Products of one channel, which stay in registers until all pictures have added theirs.
+struct SumPictures<'a> {
     basis: &'a Basis<f64>,
-    light: &'a [f64; COEFFICIENTS],
-    target: &'a Doubles,
-    weight: &'a Doubles,
+    /// By picture.
+    lights: &'a [[f64; COEFFICIENTS]],
+    /// Target and weight, by picture.
+    given: &'a [[Doubles; 2]],
+    /// To be written.
     products: &'a mut Products,
 }
 
-impl Kernel for AddPicture<'_> {
+impl Kernel for SumPictures<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
+    fn run<I: Isa>(self, isa: I) {
+        self.all(isa);
+    }
+}
+
+impl SumPictures<'_> {
+    #[inline(always)]
+    fn all<I: Vectors<f64>>(self, isa: I) {
         let Self {
             basis,
-            light,
-            target,
-            weight,
+            lights,
+            given,
             products,
         } = self;
-        let [diffuse, bands @ ..] = seen(basis, light);
-        for x in 0..BLOCK {
-            let (d, t) = (weight.0[x] * diffuse.0[x], weight.0[x] * target.0[x]);
-            products.target_target.0[x] += t * target.0[x];
-            products.diffuse_diffuse.0[x] += d * diffuse.0[x];
-            products.diffuse_target.0[x] += d * target.0[x];
-        }
-        for l in 0..4 {
-            for x in 0..BLOCK {
-                let b = weight.0[x] * bands[l].0[x];
-                products.diffuse_band[l].0[x] += b * diffuse.0[x];
-                products.band_target[l].0[x] += b * target.0[x];
-            }
-            for j in 0..=l {
-                let product = &mut products.band_band[l * (l + 1) / 2 + j];
-                for x in 0..BLOCK {
-                    product.0[x] += weight.0[x] * bands[l].0[x] * bands[j].0[x];
+        let zero = isa.splat(0.0);
+        for v in 0..BLOCK / I::LANES {
+            let (mut tt, mut dd, mut dt) = (zero, zero, zero);
+            let (mut db, mut bt, mut bb) = ([zero; 4], [zero; 4], [zero; 10]);
+            for (light, [target, weight]) in lights.iter().zip(given) {
+                let [diffuse, bands @ ..] = seen_by(isa, basis, light, v);
+                let (target, weight) = (I::of(&target.0)[v], I::of(&weight.0)[v]);
+                let d = isa.mul(weight, diffuse);
+                tt = isa.mul_add(isa.mul(weight, target), target, tt);
+                dd = isa.mul_add(d, diffuse, dd);
+                dt = isa.mul_add(d, target, dt);
+                for l in 0..4 {
+                    let b = isa.mul(weight, bands[l]);
+                    db[l] = isa.mul_add(b, diffuse, db[l]);
+                    bt[l] = isa.mul_add(b, target, bt[l]);
+                    for j in 0..=l {
+                        let sum = &mut bb[l * (l + 1) / 2 + j];
+                        *sum = isa.mul_add(b, bands[j], *sum);
+                    }
                 }
+            }
+            let put = |to: &mut Doubles, sum| I::of_mut(&mut to.0)[v] = sum;
+            put(&mut products.target_target, tt);
+            put(&mut products.diffuse_diffuse, dd);
+            put(&mut products.diffuse_target, dt);
+            for l in 0..4 {
+                put(&mut products.diffuse_band[l], db[l]);
+                put(&mut products.band_target[l], bt[l]);
+            }
+            for (to, sum) in products.band_band.iter_mut().zip(bb) {
+                put(to, sum);
             }
         }
     }

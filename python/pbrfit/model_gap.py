@@ -31,7 +31,9 @@ class Neighbours:
 
     def __init__(self, objective: Objective) -> None:
         pairs = tied_neighbours(objective.layout)
-        pairs = pairs[:, spread(pairs.shape[1], PAIRS)].astype(np.uint64)
+        if pairs.shape[1] > PAIRS:
+            pairs = pairs[:, spread(pairs.shape[1], PAIRS)]
+        pairs = pairs.astype(np.uint64)
         self.pixels = np.unique(pairs).astype(np.uint64)
         self._first, self._second = np.searchsorted(self.pixels, pairs)
         self._objective = objective

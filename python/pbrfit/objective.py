@@ -447,7 +447,7 @@ class Objective:
         )
 
     def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Rows (P, 3) of (H, W, 3), without a copy where all pixels are valid: here memory peaks."""
+        """Rows (P, 3) of (H, W, 3), no copy if all are valid: memory peaks here."""
         valid = self._scene.valid
         rows = vectors.reshape(-1, 3) if valid.all() else vectors[valid]
         return rows[self._chosen].astype(np.float64, copy=False)

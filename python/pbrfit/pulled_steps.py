@@ -154,7 +154,6 @@ def _step(
     off = values[:, finish] - pull.centre - state.offsets[pull.cluster]
     precision = np.zeros_like(values)
     precision[:, finish] = pull.precision
-    residuals = objective.problem.residuals(for_core, pixels).transpose(1, 0, 2)
 
     # Pixels: those on a bound that would leave it are held.
     _, by_materials, _ = objective.problem.normal_equations(for_core, pixels)
@@ -166,21 +165,28 @@ def _step(
     whitened = np.einsum("pij,pj->pi", part.whiten, by_materials)
 
     # Lights and offsets: matrix and gradient with the pixels solved for.
-    system = _System.of(part, pull, layout)
-    left = part.weights * residuals - np.einsum("pdnc,pd->pnc", part.rows, whitened)
-    by_lights = np.einsum("pnc,pck->nck", left, part.by_light)
-    if layout.light_channels < layout.channels:
-        by_lights = by_lights.sum(axis=1, keepdims=True)
+    of_lights, by_lights = objective.problem.reduced(
+        for_core,
+        pixels,
+        damping=damping,
+        mono=layout.light_channels < layout.channels,
+        precision=pull.precision,
+        off=off,
+    )
+    system = _System.of(part, of_lights, pull, layout)
     tied = np.einsum("pfg,pf->pg", system.by_offsets, whitened[:, finish])
     by_offsets = OFFSET_PULL * pull.offset_precision() * state.offsets
     by_offsets -= pull.sums(pull.precision * off + tied)
-    gradient = np.concatenate([by_lights.ravel(), by_offsets.ravel()])
+    gradient = np.concatenate([by_lights, by_offsets.ravel()])
 
     matrix = system.matrix
     diagonal = np.einsum("ii->i", matrix)
     diagonal += LIGHT_DAMPING * damping * np.abs(diagonal) + RIDGE * diagonal.max()
     moves = -cho_solve(cho_factor(matrix), gradient)
-    lights = moves[: by_lights.size].reshape(by_lights.shape)
+    lights = moves[: by_lights.size].reshape(
+        layout.light_channels, layout.pictures, layout.coefficients
+    )
+    lights = lights.transpose(1, 0, 2)
     offsets = moves[by_lights.size :].reshape(state.offsets.shape)
 
     # Back to the pixels.
@@ -205,7 +211,7 @@ class _System:
     Attributes
     ----------
     matrix
-        Of (N, light channels, K) and (clusters, F), one after the other.
+        Of (light channels, N, K) and (clusters, F), one after the other.
     by_offsets
         (Q, F, F): U ∂²/∂v∂δ, rows and columns of roughness and metallic.
     """
@@ -214,10 +220,11 @@ class _System:
     by_offsets: Array
 
     @classmethod
-    def of(cls, part: Eliminated, pull: Pull, layout: Layout) -> _System:
+    def of(cls, part: Eliminated, of_lights: Array, pull: Pull, layout: Layout) -> _System:
         finish = slice(layout.channels, None)
         by_offsets = -part.whiten[:, finish, finish] * pull.precision[:, None, :]
-        of_lights = part.information(layout)
+        shape = (layout.pictures, layout.light_channels, layout.coefficients)
+        in_core = np.arange(len(of_lights)).reshape(shape).transpose(1, 0, 2).ravel()
         f = pull.precision.shape[1]
         size, count = len(of_lights), pull.clusters * f
         matrix = np.zeros((size + count, size + count))
@@ -230,6 +237,7 @@ class _System:
             columns[np.arange(len(of_chunk)), :, pull.cluster[chunk]] = of_chunk
             by_offset = columns.reshape(-1, count)
             crossed = part.light_rows(chunk, layout).T @ by_offset
+            crossed = crossed[in_core]
             matrix[:size, size:] -= crossed
             matrix[size:, :size] -= crossed.T
             matrix[size:, size:] -= by_offset.T @ by_offset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +35,12 @@ without noise 256 found all but one, and joint steps cost half as much as with 5
 
 EXACT = 1e-5
 """Root mean square of residuals, at mean radiance 0.4, that counts as nothing left."""
+
+TRIES = 4
+"""At most, each with other pixels."""
+
+ALIKE = 0.7
+"""Of the larger of two sums of squares: a smaller one is another minimum."""
 
 LIGHT_SHARE = 3
 """Unknowns of the lights that there are at most for each pixel of the subsample. A pixel of N
@@ -106,36 +112,62 @@ class Fit:
 
 
 def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> Lit:
-    """Lights that explain some pixels, from those of x; where they are known, they are left."""
+    """Lights that explain some pixels, from those of x; where they are known, they are left.
+
+    Where no lights leave only noise, it is tried again from x with other pixels, and the lights
+    that leave least are taken: pixels are few, and some lead into a wrong valley.
+    """
     judge = Neighbours(objective)
     if objective.lighting is None:
         return Lit(x, fits=True, judges=judge.pixels, squares=0.0, note="lights known")
+    rng = np.random.default_rng(seed)
+    best, used = None, list[int]()
+    with _one_blas_thread():
+        for _ in range(TRIES):
+            lit, stop = _try(objective, x, judge, rng, watch, used)
+            left = sorted([lit.squares, lit.squares if best is None else best.squares])
+            again = best is None or left[0] < ALIKE * left[1]
+            if best is None or lit.squares < best.squares:
+                best = lit
+            if stop or best.fits or not again:
+                break
+    assert best is not None
+    return replace(best, note=f"lights from {' and '.join(map(str, used))} pixels")
+
+
+def _try(
+    objective: Objective,
+    x: Array,
+    judge: Neighbours,
+    rng: np.random.Generator,
+    watch: Watch,
+    used: list[int],
+) -> tuple[Lit, bool]:
+    """Lights that some pixels find from x, and others after them; and whether to stop altogether.
+
+    The numbers of pixels are added to `used`.
+    """
     layout = objective.layout
     lights = layout.light_channels * layout.pictures * layout.coefficients
-    drawn = np.random.default_rng(seed).permutation(objective.pixels).astype(np.uint64)
-    fits, left, used = False, math.inf, []
-    with _one_blas_thread():
-        sizes = list(SUBSAMPLES)
-        while sizes:
-            size = sizes.pop(0)
-            count = min(objective.pixels, max(size, lights // LIGHT_SHARE))
-            chosen, drawn = np.sort(drawn[:count]), np.roll(drawn, -count)
-            found, stop = _lit_by(objective, x, chosen, watch)
-            used.append(count)
-            materials, squares = descended(objective, found, judge.pixels, steps=STEPS, starts=2)
-            found = put(objective, found, judge.pixels, materials)
-            before, left = left, float(squares.sum())
-            if left < before:
-                x = found
+    drawn = rng.permutation(objective.pixels).astype(np.uint64)
+    nothing = EXACT**2 * objective.total_weight * len(judge.pixels) / objective.pixels
+    fits, left, sizes = False, math.inf, list(SUBSAMPLES)
+    while True:
+        count = min(objective.pixels, max(sizes.pop(0), lights // LIGHT_SHARE))
+        used.append(count)
+        chosen, drawn = np.sort(drawn[:count]), np.roll(drawn, -count)
+        found, stop = _lit_by(objective, x, chosen, watch)
+        materials, squares = descended(objective, found, judge.pixels, steps=STEPS, starts=2)
+        found = put(objective, found, judge.pixels, materials)
+        before, now = left, float(squares.sum())
+        if now < before:
+            x, left = found, now
             fits = not judge.pixels.size or judge.shared(x) <= NOISE_SHARED
-            share = len(judge.pixels) / objective.pixels
-            exact = left <= EXACT**2 * objective.total_weight * share
-            if stop or (fits and exact) or (not fits and left > MUCH_LESS * before):
-                break
-            if fits:
-                sizes = sizes[-1:]
-    note = f"lights from {' and '.join(map(str, used))} pixels"
-    return Lit(x, fits, judge.pixels, min(left, before), note)
+        hopeless = not fits and now > MUCH_LESS * before
+        if stop or hopeless or (fits and left <= nothing) or not sizes:
+            return Lit(x, fits, judge.pixels, left, ""), stop
+        if fits:
+            sizes = sizes[-1:]
 
 
 def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pbrfit.result import Status
 from pbrfit.second_order import Lit
-from pbrfit.solvers.descent import lowered, robust_around, staged
+from pbrfit.solvers.descent import Descent, lowered, robust_around, staged
 from pbrfit.solvers.first_order import FIRST_SHARE
 from pbrfit.solvers.gauss_newton import find_lights, fit_materials, with_material_prior
 from pbrfit.solvers.learning import learns, learnt
@@ -57,9 +57,10 @@ def _by_all_pixels(
 ) -> Array | None:
     """X of L-BFGS from the start; None if the lights that are found already are far better."""
     objective = run.objective
-    with run.stage("L-BFGS-B") as notes:
+    descent = Descent.for_size(run)
+    with run.stage(descent.name) as notes:
         share = FIRST_SHARE if learns(run) else 1.0
-        found, _, _ = staged(run, start, loss, share * run.left, start_given=start_given)
+        found, _, _ = staged(run, start, loss, share * run.left, descent, start_given=start_given)
         residuals = objective.problem.normal_equations(objective.for_core(found), lit.judges)[2]
         if lit.squares <= MUCH_LESS * float(residuals.sum()):
             notes.append("lights by Gauss-Newton are far better and were kept")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,7 +43,7 @@ ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
 
 
 def staged(
-    run: Run, x: Array, loss: float, iterations: float, *, start_given: bool
+    run: Run, x: Array, loss: float, iterations: float, descent: Descent, *, start_given: bool
 ) -> tuple[Array, float, str]:
     """X, its loss, and which state that is, after so many iterations at most.
 
@@ -58,7 +60,7 @@ def staged(
             best = robust_around(run, best)
         if trapped:
             x = _restarted(run, x)
-        loss, x = scipys(run, x, left, lowest_roughness)
+        loss, x = descent(run, x, left, lowest_roughness)
         trapped = lowest_roughness > 0
         # A restart raises the loss at first, and time may run out before it pays.
         best = min(best, (loss, x), key=lambda pair: pair[0])
@@ -90,31 +92,70 @@ def _restarted(run: Run, x: Array) -> Array:
     return x
 
 
-def lowered(run: Run, x: Array) -> Array:
-    """X with the whole objective lowered until that stalls, or the limits of the run.
+@dataclass(frozen=True)
+class Descent:
+    """Who lowers the objective: scipy's L-BFGS-B, or the bounded L-BFGS whose vectors are in Rust.
 
-    By scipy's L-BFGS-B where its own work is a small share, else by the one whose vectors are in
-    Rust.
+    Attributes
+    ----------
+    name
+        For people.
     """
-    by_scipy = projected_lbfgs.choose(run.objective.size) == "scipy"
-    name = "L-BFGS-B by scipy" if by_scipy else "bounded L-BFGS in Rust"
-    with run.stage(name) as notes:
+
+    name: str
+    _method: Callable[..., tuple[float, Array]]
+
+    @classmethod
+    def for_size(cls, run: Run) -> Descent:
+        """Scipy's where its own work is a small share."""
+        if projected_lbfgs.choose(run.objective.size) == "scipy":
+            return SCIPYS
+        return cls("bounded L-BFGS in Rust", rusts)
+
+    def __call__(
+        self,
+        run: Run,
+        x: Array,
+        iterations: int,
+        lowest_roughness: float = 0.0,
+        stall: tuple[int, float] | None = None,
+    ) -> tuple[float, Array]:
+        """Loss and x after so many iterations at most, whose rows go into the history.
+
+        With `stall` it also stops where the loss fell by less than a share of itself over a number
+        of iterations.
+        """
+        return self._method(run, x, iterations, lowest_roughness, stall)
+
+
+def lowered(run: Run, x: Array) -> Array:
+    """X with the whole objective lowered until that stalls, or the limits of the run."""
+    descent = Descent.for_size(run)
+    with run.stage(descent.name) as notes:
         before = run.iteration
-        if by_scipy:
-            _, x = scipys(run, x, run.left, stall=STALL)
-        else:
-            x = _rusts(run, x)
+        _, x = descent(run, x, run.left, stall=STALL)
         notes.append(f"{run.iteration - before} iterations")
     return x
 
 
-def _rusts(run: Run, x: Array) -> Array:
+def rusts(
+    run: Run,
+    x: Array,
+    iterations: int,
+    lowest_roughness: float,
+    stall: tuple[int, float] | None,
+) -> tuple[float, Array]:
+    """See `Descent`."""
     objective = run.objective
-    bounds = Bounds.of_slices(objective.size, (objective.layout.maps, 0.0, 1.0))
+    bounds = Bounds.of_slices(
+        objective.size,
+        (objective.layout.maps, 0.0, 1.0),
+        (objective.roughness, lowest_roughness, 1.0),
+    )
 
     def after_iteration(iterate: projected_lbfgs.Iterate) -> None:
         run.iteration += 1
-        run.record(iterate.x.copy(), iterate.fun)
+        run.record(iterate.x, iterate.fun)
         if run.out_of_time():
             raise StopIteration
 
@@ -122,27 +163,23 @@ def _rusts(run: Run, x: Array) -> Array:
         run.evaluate,
         x,
         bounds,
-        iterations=run.left,
+        iterations=iterations,
         callback=after_iteration,
         threads=objective.threads,
-        stall=STALL,
+        stall=stall,
         resolution=RESOLUTION,
     )
-    return found.x
+    return found.fun, found.x
 
 
 def scipys(
     run: Run,
     x: Array,
     iterations: int,
-    lowest_roughness: float = 0.0,
-    stall: tuple[int, float] | None = None,
+    lowest_roughness: float,
+    stall: tuple[int, float] | None,
 ) -> tuple[float, Array]:
-    """Loss and x after scipy's L-BFGS-B, whose rows go into the history.
-
-    With `stall` it also stops where the loss fell by less than a share of itself over a number of
-    iterations.
-    """
+    """See `Descent`."""
     from scipy.optimize import Bounds, minimize
     from threadpoolctl import threadpool_limits
 
@@ -182,3 +219,6 @@ def scipys(
             },
         )
     return float(found.fun), found.x
+
+
+SCIPYS = Descent("L-BFGS-B", scipys)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.result import Status
-from pbrfit.solvers.descent import scipys, staged
+from pbrfit.solvers.descent import SCIPYS, staged
 from pbrfit.solvers.learning import learns, learnt
 from pbrfit.solvers.run import Run
 
@@ -21,12 +21,14 @@ def lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
     """X of the fit, and why it ended."""
     with run.stage("L-BFGS-B"):
         share = FIRST_SHARE if learns(run) else 1.0
-        x, _, kept = staged(run, x, loss, share * run.limits.iterations, start_given=start_given)
+        x, _, kept = staged(
+            run, x, loss, share * run.limits.iterations, SCIPYS, start_given=start_given
+        )
     if learns(run) and not run.out_of_time():
         kept = ""
         x, _ = learnt(run, x)
         if run.left > 0:  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):
-                _, x = scipys(run, x, run.left)
+                _, x = SCIPYS(run, x, run.left)
     # With zero tolerances scipy stops early only where rounding hides any further descent.
     return x, *run.ended("no step lowers the loss further", kept)
