@@ -205,6 +205,21 @@ def test_numpy_scalars_are_numbers(tmp_path: Path) -> None:
     assert pbrfit.Result.load(tmp_path / "out").fov == 60.0
 
 
+@pytest.mark.parametrize("iterations", [3, 20, 40])
+@pytest.mark.parametrize("priors", [{"smoothness": 1000.0}, {"cohesion": 10.0}])
+def test_few_iterations_with_strong_penalties_do_no_harm(
+    iterations: int, priors: dict[str, float]
+) -> None:
+    """Gauss-Newton minimises squares, and may have no time left for the rest."""
+    scene = room(16, lights=3, held_out=1)
+    weights = pbrfit.Priors(material=0, monochrome=0, **priors)
+    result = pbrfit.decompose(scene, iterations=iterations, priors=weights)
+    objective = pbrfit.Objective(scene, priors=weights)
+    maps = result.materials
+    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, result.lighting)
+    assert objective.value_and_grad(x)[0] <= result.history["loss"][0] * (1 + 1e-6)
+
+
 @every_solver
 @pytest.mark.parametrize("factor", [1e-300, 1e300])
 def test_radiance_beyond_float32_is_fitted_all_the_same(factor: float, solver: Solver) -> None:

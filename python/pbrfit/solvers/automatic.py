@@ -41,6 +41,9 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
         if found is None:
             return start, *run.ended("")
         x = found
+        limited = run.left <= 0 or run.out_of_time()
+        if limited and run.rows[-1].loss > loss:  # by penalties, of which squares know nothing
+            return start, *run.ended("", "; kept the start, whose loss is lower")
         if learns(run) and run.left > 0 and not run.out_of_time():
             x = with_material_prior(run, x)
         if not run.objective.penalties and run.robust == "none":
