@@ -112,7 +112,7 @@ def decompose(
     """
     check_solver(solver)
     check_loss(robust)
-    seed = whole_number("seed", seed)
+    seed, sh_order = whole_number("seed", seed), whole_number("sh_order", sh_order)
     iterations = whole_number("iterations", iterations)
     if time_limit is not None:
         time_limit = float(time_limit)

@@ -194,9 +194,11 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
             x, squares = polished(objective, x, squares, watch.visit, watch.stop)
             before = float(squares.sum())
             x, squares = retried(objective, x, squares)
-            if float(squares.sum()) >= (1 - FREED) * before:
+            left = float(squares.sum())
+            if left < before:
+                stop = watch.visit(x, squares)
+            if left >= (1 - FREED) * before:
                 break
-            stop = watch.visit(x, squares)
     return Fit(x, squares)
 
 

@@ -37,11 +37,16 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     the error. Then L-BFGS takes all pixels from the start, and its fit stays unless Gauss-Newton's
     is the same or far better.
     """
+    start = x
     lit = find_lights(run, x)
     by_all = None if lit.fits else _by_all_pixels(run, x, loss, start_given=start_given)
     found = fit_materials(run, lit) if by_all is None or _may_be_better(run, lit, by_all) else None
     if found is not None and (by_all is None or _is_better(run, found, by_all)):
         x = found
+        limited = not _goes_on(run)
+        if by_all is None and limited and run.rows[-1].loss > loss:
+            # By penalties, of which squares know nothing.
+            return start, *run.ended("", "; kept the start, whose loss is lower")
         if learns(run) and _goes_on(run):
             x = with_material_prior(run, x)
         if not run.objective.penalties and run.robust == "none":

@@ -42,7 +42,8 @@ class _Watch:
 
     def visit(self, x: Array, squares: Array) -> bool:
         run = self._run
-        run.iteration += 1
+        # Materials that all pixels find for the lights of the last iteration belong to that.
+        run.iteration += run.left > 0
         # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
         data = float(squares.sum()) / run.objective.total_weight
         loss = data + run.objective.add_penalties(x, np.zeros(run.objective.size))
