@@ -1,4 +1,4 @@
-"""The lights' system with pixels solved for, against the whole one: dense, slow, eliminated by numpy."""
+"""The lights' system with pixels solved for, against the whole one, dense and slow, by numpy."""
 
 from __future__ import annotations
 

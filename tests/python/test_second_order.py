@@ -230,7 +230,7 @@ def test_joint_steps_of_some_pixels_only_lower_the_squares(noisy: Scene, kind: s
 
 
 def test_all_scales_of_a_channel_are_tried() -> None:
-    """Albedo and light of a channel may be scaled against each other; the squares are flat there."""
+    """Albedo and light of a channel may be scaled against each other; squares are flat there."""
     scene = make_scene("room", size=12, lights=6, noise=0.01, seed=7, held_out=1)
     objective = Objective(scene)
     assert scene.truth is not None
