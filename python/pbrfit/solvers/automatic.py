@@ -27,46 +27,48 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     mean worse materials there, because lights that fit some pixels closely bend their materials to
     the error. Then L-BFGS takes all pixels from the start.
     """
-    start = x
-    lit = find_lights(run, x)
-    found: Array | None = None
-    if not lit.fits:
-        found = _by_all_pixels(run, start, loss, lit, start_given=start_given)
-    if found is not None:
-        x = found
-        if learns(run) and run.left > 0 and not run.out_of_time():
-            x, _ = learnt(run, x)
-    else:
+    least, lit = (loss, x), find_lights(run, x)
+    fits = lit.fits
+    if not fits:
+        least, fits = _by_all_pixels(run, x, loss, lit, start_given=start_given)
+    if fits:
         found = fit_materials(run, lit)
         if found is None:
-            return start, *run.ended("")
+            return least[1], *run.ended("")
         x = found
-        limited = run.left <= 0 or run.out_of_time()
-        if limited and run.rows[-1].loss > loss:  # by penalties, of which squares know nothing
-            return start, *run.ended("", "; kept the start, whose loss is lower")
         if learns(run) and run.left > 0 and not run.out_of_time():
             x = with_material_prior(run, x)
-        if not run.objective.penalties and run.robust == "none":
-            return x, *run.ended("no joint step lowers the squares further")
-    if run.left > 0 and not run.out_of_time():
+    else:
+        x = least[1]
+        if learns(run) and run.left > 0 and not run.out_of_time():
+            x, _ = learnt(run, x)
+    only_squares = not run.objective.penalties and run.robust == "none"
+    if not (fits and only_squares) and run.left > 0 and not run.out_of_time():
         if not learns(run):  # else it is robust already
             robust_around(run, (loss, x))
         x = lowered(run, x)
-    return x, *run.ended("the loss falls no further")
+    comparable = not learns(run) and run.robust == "none"
+    if comparable and run.rows[-1].loss > least[0]:
+        # Squares know nothing of penalties, and there was no time to lower these.
+        return least[1], *run.ended("", "; kept an earlier state, whose loss is lower")
+    why = "no joint step lowers the squares" if fits and only_squares else "the loss falls no"
+    return x, *run.ended(f"{why} further")
 
 
 def _by_all_pixels(
     run: Run, start: Array, loss: float, lit: Lit, *, start_given: bool
-) -> Array | None:
-    """X of L-BFGS from the start; None if the lights that are found already are far better."""
+) -> tuple[tuple[float, Array], bool]:
+    """Loss and x of L-BFGS from the start, and whether the lights that are there are far better."""
     objective = run.objective
     descent = Descent.for_size(run)
     with run.stage(descent.name) as notes:
         share = FIRST_SHARE if learns(run) else 1.0
-        found, _, _ = staged(run, start, loss, share * run.left, descent, start_given=start_given)
-        residuals = objective.problem.normal_equations(objective.for_core(found), lit.judges)[2]
-        if lit.squares <= MUCH_LESS * float(residuals.sum()):
-            notes.append("lights by Gauss-Newton are far better and were kept")
-            return None
-        notes.append("the model does not fit the pictures: residuals of neighbours are alike")
-    return found
+        x, loss, _ = staged(run, start, loss, share * run.left, descent, start_given=start_given)
+        residuals = objective.problem.normal_equations(objective.for_core(x), lit.judges)[2]
+        better = lit.squares <= MUCH_LESS * float(residuals.sum())
+        notes.append(
+            "lights by Gauss-Newton are far better and were kept"
+            if better
+            else "the model does not fit the pictures: residuals of neighbours are alike"
+        )
+    return (loss, x), better

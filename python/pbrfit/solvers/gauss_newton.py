@@ -15,17 +15,12 @@ from pbrfit.solvers.run import Run
 Array = NDArray[np.float64]
 
 
-LIGHTS_SHARE = 0.5
-"""Of the iterations: what the search for lights may take of few of them, so that some are left for
-all pixels, or where it fails for L-BFGS."""
-
-
 class _Watch:
-    """Makes iterations and rows of the history of what `second_order` tells."""
+    """Makes iterations and rows of the history of what `second_order` tells of all pixels."""
 
-    def __init__(self, run: Run, x: Array, last: int = 0) -> None:
-        """`last`: the iteration at which steps of some pixels alone end."""
-        self._run, self._x, self._last = run, x, last
+    def __init__(self, run: Run, x: Array) -> None:
+        self._run, self._x = run, x
+        self._steps_of_few = 0
 
     def stop(self) -> bool:
         return self._run.out_of_time()
@@ -33,8 +28,10 @@ class _Watch:
     def visit_few(
         self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float
     ) -> bool:
+        # No iterations: they cost little, and where they fail L-BFGS is to have all of these. But
+        # there are no more of them, so that few iterations take little time.
         run = self._run
-        run.iteration += 1
+        self._steps_of_few += 1
 
         def state() -> Array:
             x = put(run.objective, self._x, pixels, materials)
@@ -42,11 +39,11 @@ class _Watch:
             return x
 
         run.tell(run.objective.residual_rmse(share), state)
-        return run.iteration >= self._last or run.out_of_time()
+        return self._steps_of_few >= run.limits.iterations or run.out_of_time()
 
     def visit(self, x: Array, squares: Array) -> bool:
         run = self._run
-        # Materials that all pixels find for the lights of the last iteration belong to that.
+        # Pixels that are freed after the last iteration belong to that.
         run.iteration += run.left > 0
         # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
         data = float(squares.sum()) / run.objective.total_weight
@@ -57,9 +54,8 @@ class _Watch:
 
 def find_lights(run: Run, x: Array) -> Lit:
     """Lights that explain some pixels, from x."""
-    last = run.iteration + max(1, round(LIGHTS_SHARE * run.left))
     with run.stage("lights by Gauss-Newton") as notes:
-        lit = second_order.find_lights(run.objective, x, _Watch(run, x, last), run.seed)
+        lit = second_order.find_lights(run.objective, x, _Watch(run, x), run.seed)
         notes.append(lit.note)
     return lit
 
