@@ -53,7 +53,7 @@ class History:
 
     @property
     def iterations(self) -> int:
-        """That were done. Not each has a row: no joint step of some pixels alone has one."""
+        """That were done."""
         return self.rows[-1].iteration
 
     def __getitem__(self, column: str) -> NDArray[np.float64]:

@@ -390,7 +390,7 @@ def test_weights_and_mask_are_counted_apart() -> None:
 def test_the_reconstruction_error_is_weighted() -> None:
     weights = some_weights()
     scene = dataclasses.replace(in_color(), weights=weights)
-    result = pbrfit.decompose(scene, iterations=20)
+    result = pbrfit.decompose(scene, solver="lbfgsb", iterations=20)
     rendered = pbrfit.render(result.materials, scene.normals, result.lighting, scene.fov)
     squares = np.square(rendered - scene.images)[:, scene.valid]
     of_samples = weights.astype(np.float64)[:, scene.valid][..., None]

@@ -145,17 +145,6 @@ def test_history_and_metrics_have_errors_where_there_is_truth(truth: bool, tmp_p
         assert content["metrics"][name] == pytest.approx(last, rel=1e-12)
 
 
-def test_iterations_are_counted_where_not_each_has_a_row(tmp_path: Path) -> None:
-    scene = make_scene("room", size=SIZE, lights=8, held_out=1)
-    result = decompose(scene, solver="gauss-newton", priors=None)
-    result.save(tmp_path / "out")
-    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
-    assert len(result.history) < content["iterations"] == result.history.iterations
-    steps = result.history["iteration"]
-    assert steps[0] == 0
-    assert (np.diff(steps) > 0).all()
-
-
 def test_save_and_load_give_the_same_result(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out", scene=masked_scene(truth=True))
     loaded = Result.load(tmp_path / "out")

@@ -14,7 +14,7 @@ import pbrfit
 from pbrfit import Objective, Scene, material_prior, second_order
 from pbrfit.second_order import polish, subsample
 from pbrfit.second_order.lights import Cholesky, as_in_x
-from pbrfit.second_order.pixels import STEPS, Towards, descended, fitted, put, retried, taken
+from pbrfit.second_order.pixels import Towards, fitted, put, retried, taken
 from pbrfit.second_order.polish import polished
 from pbrfit.synthetic import make_scene
 
@@ -227,22 +227,6 @@ def test_joint_steps_of_some_pixels_only_lower_the_squares(noisy: Scene, kind: s
     assert (np.diff(totals) <= 0).all()
     assert total <= totals[-1]
     assert total == pytest.approx(squares_at(few, found).sum(), rel=1e-6)
-
-
-def test_all_scales_of_a_channel_are_tried() -> None:
-    """Albedo and light of a channel may be scaled against each other; squares are flat there."""
-    scene = make_scene("room", size=12, lights=6, noise=0.01, seed=7, held_out=1)
-    objective = Objective(scene)
-    assert scene.truth is not None
-    x = at_truth(objective, scene)
-    off = x.copy()
-    off[objective.layout.lighting] *= 1.2
-    off[objective.albedo] = np.clip(off[objective.albedo] / 1.2, 0, 1)
-    materials, squares = descended(objective, off, everything(objective), steps=STEPS, starts=2)
-    off = put(objective, off, everything(objective), materials)
-    _, total, better = subsample._scaled(objective, off, float(squares.sum()))
-    assert better == (total < squares.sum())
-    assert total <= squares.sum()
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_the_same_lights(noisy: Scene) -> None:
@@ -490,7 +474,9 @@ def test_progress_is_told_of_every_joint_step(room: Scene, solver: Any) -> None:
 
     result = pbrfit.decompose(room, solver=solver, priors=None, progress=progress)
     told = [now.iteration for now in seen]
-    assert told == list(range(result.history.iterations + 1))
+    steps = told.count(0)  # of some pixels, and the start
+    assert steps > 3
+    assert told == [0] * (steps - 1) + list(range(result.history.iterations + 1))
     assert seen[-1].recon_rmse < 1e-3 * seen[0].recon_rmse
     assert all(np.diff([now.elapsed_s for now in seen]) >= 0)
     for materials, lighting in states:

