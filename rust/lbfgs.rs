@@ -6,20 +6,27 @@
 //! float32 does not know its gradient any better. All sums are float64, over fixed pieces in order,
 //! so that every bit is the same at any number of threads.
 
+mod bounds;
+mod count;
+mod vectors;
+
 use std::iter;
 use std::ops::Range;
 
-use crate::simd::{Ahead, Instructions, Isa, Kernel, Vectors};
+use self::bounds::Bounds;
+use self::count::{ALL, Count, Counts, FREE, GRADIENT};
+use self::vectors::{Direction, Dot, Moved, Squares, differences};
+use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
 
 /// Entries that a kernel handles at once, and that lie side by side in a column.
 const BLOCK: usize = 128;
+/// Cache lines of 64 bytes that a block of a column takes.
+const LINES: usize = BLOCK * size_of::<f32>() / 64;
 /// At most so many pieces of work. Their borders depend on the length alone.
 const MAX_PIECES: usize = 64;
 /// Blocks in a piece of work at least: a piece has a cost of its own.
 const MIN_PIECE: usize = 16;
-/// Sums are kept in so many parts, which the compiler can put into vector registers.
-const PARTS: usize = 8;
 /// More pairs would take longer than an evaluation.
 const MAX_CORRECTIONS: usize = 64;
 
@@ -27,14 +34,6 @@ const MAX_CORRECTIONS: usize = 64;
 type Numbers = [f64; BLOCK];
 /// A bit for each entry of a block.
 type Mask = u128;
-
-/// Equal bounds of consecutive entries.
-#[derive(Clone, Copy, Debug)]
-struct Bounds {
-    end: usize,
-    lower: f64,
-    upper: f64,
-}
 
 /// Products of the columns s₁ … s_k, y₁ … y_k of the kept pairs, the oldest first.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,30 +90,11 @@ impl Lbfgs {
         corrections: usize,
         threads: usize,
     ) -> Result<Self> {
-        check::length("lower", ends.len(), lower.len())?;
-        check::length("upper", ends.len(), upper.len())?;
-        let before = iter::once(&0).chain(ends);
-        if let Some((a, b)) = before.zip(ends).find(|(a, b)| a >= b) {
-            let found = format!("{b} after {a}");
-            return Err(Error::argument("ends", "rising numbers above 0", found));
-        }
-        let &size = ends
-            .last()
-            .ok_or_else(|| Error::argument("ends", "at least one", 0))?;
+        let bounds = bounds::runs(ends, lower, upper)?;
+        let size = ends[ends.len() - 1];
         if !(1..=MAX_CORRECTIONS).contains(&corrections) {
             let expected = format!("1 to {MAX_CORRECTIONS} pairs");
             return Err(Error::argument("corrections", expected, corrections));
-        }
-        let bounds = iter::zip(ends, iter::zip(lower, upper));
-        let bounds = bounds.map(|(&end, (&lower, &upper))| Bounds { end, lower, upper });
-        let bounds: Vec<_> = bounds.collect();
-        // Written so that NaN fails.
-        let possible = |b: &Bounds| {
-            b.lower <= b.upper && b.lower < f64::INFINITY && b.upper > f64::NEG_INFINITY
-        };
-        if let Some(crossed) = bounds.iter().find(|b| !possible(b)) {
-            let found = format!("{} to {}", crossed.lower, crossed.upper);
-            return Err(Error::argument("bounds", "from lower to upper", found));
         }
         let blocks = size.div_ceil(BLOCK);
         let width = 2 * corrections;
@@ -421,373 +401,4 @@ fn zeros<T: Copy>(count: usize, zero: T) -> Result<Vec<T>> {
     made.try_reserve_exact(count).map_err(refused)?;
     made.resize(count, zero);
     Ok(made)
-}
-
-/// The bounds of one block after the other.
-struct BlockBounds<'a> {
-    left: &'a [Bounds],
-    lower: Numbers,
-    upper: Numbers,
-    /// Those that fill both arrays.
-    filled: (f64, f64),
-}
-
-impl<'a> BlockBounds<'a> {
-    #[inline(always)]
-    fn new(left: &'a [Bounds]) -> Self {
-        Self {
-            left,
-            lower: [0.0; BLOCK],
-            upper: [0.0; BLOCK],
-            filled: (f64::NAN, f64::NAN),
-        }
-    }
-
-    /// Fills both arrays for the entries from `first` on.
-    #[inline(always)]
-    fn fill(&mut self, first: usize, count: usize) {
-        let mut done = 0;
-        while done < count {
-            let here = self.left[0];
-            let until = (here.end - first).min(count);
-            let whole = until - done == BLOCK;
-            if !(whole && self.filled == (here.lower, here.upper)) {
-                self.lower[done..until].fill(here.lower);
-                self.upper[done..until].fill(here.upper);
-                self.filled = if whole {
-                    (here.lower, here.upper)
-                } else {
-                    (f64::NAN, f64::NAN)
-                };
-            }
-            done = until;
-            if here.end == first + until {
-                self.left = &self.left[1..];
-            }
-        }
-    }
-}
-
-/// Whether an entry may move: it is inside its bounds, or the gradient pulls it inwards.
-#[inline(always)]
-fn is_free(x: f64, gradient: f64, lower: f64, upper: f64) -> bool {
-    !((x <= lower) & (gradient >= 0.0) | (x >= upper) & (gradient <= 0.0))
-}
-
-/// [sᵀs, sᵀy, yᵀy]
-struct Squares<'a> {
-    x: &'a [f64],
-    new_x: &'a [f64],
-    g: &'a [f64],
-    new_g: &'a [f64],
-}
-
-impl Kernel for Squares<'_> {
-    type Output = [f64; 3];
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) -> [f64; 3] {
-        let mut sums = [[0.0; PARTS]; 3];
-        let (x, x_left) = self.x.as_chunks::<PARTS>();
-        let (new_x, new_x_left) = self.new_x.as_chunks::<PARTS>();
-        let (g, g_left) = self.g.as_chunks::<PARTS>();
-        let (new_g, new_g_left) = self.new_g.as_chunks::<PARTS>();
-        let mut add = |i: usize, s: f64, y: f64| {
-            sums[0][i] += s * s;
-            sums[1][i] += s * y;
-            sums[2][i] += y * y;
-        };
-        for (((x, new_x), g), new_g) in x.iter().zip(new_x).zip(g).zip(new_g) {
-            for i in 0..PARTS {
-                add(i, new_x[i] - x[i], new_g[i] - g[i]);
-            }
-        }
-        for i in 0..x_left.len() {
-            add(i, new_x_left[i] - x_left[i], new_g_left[i] - g_left[i]);
-        }
-        sums.map(|parts| parts.iter().sum())
-    }
-}
-
-/// (new − old) / unit, rounded.
-fn differences([old, new]: [&[f64]; 2], unit: f64, out: &mut [f32]) {
-    // A vector of zeros has no unit.
-    let factor = if unit > 0.0 { unit.recip() } else { 0.0 };
-    for ((out, old), new) in out.iter_mut().zip(old).zip(new) {
-        *out = ((new - old) * factor) as f32;
-    }
-}
-
-struct Dot<'a> {
-    a: &'a [f64],
-    b: &'a [f64],
-}
-
-impl Kernel for Dot<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) -> f64 {
-        let (a, a_left) = self.a.as_chunks::<PARTS>();
-        let (b, b_left) = self.b.as_chunks::<PARTS>();
-        let mut parts = [0.0; PARTS];
-        for (a, b) in a.iter().zip(b) {
-            for i in 0..PARTS {
-                parts[i] += a[i] * b[i];
-            }
-        }
-        let left = iter::zip(a_left, b_left).map(|(a, b)| a * b);
-        parts.iter().sum::<f64>() + left.sum::<f64>()
-    }
-}
-
-struct Moved<'a> {
-    x: &'a [f64],
-    p: &'a [f64],
-    length: f64,
-    bounds: &'a [Bounds],
-    first: usize,
-    out: &'a mut [f64],
-}
-
-impl Kernel for Moved<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _isa: I) {
-        let mut bounds = BlockBounds::new(self.bounds);
-        for (b, out) in self.out.chunks_mut(BLOCK).enumerate() {
-            let (start, count) = (b * BLOCK, out.len());
-            bounds.fill(self.first + start, count);
-            let (x, p) = (&self.x[start..][..count], &self.p[start..][..count]);
-            let (lower, upper) = (&bounds.lower[..count], &bounds.upper[..count]);
-            for i in 0..count {
-                out[i] = (x[i] + self.length * p[i]).max(lower[i]).min(upper[i]);
-            }
-        }
-    }
-}
-
-struct Direction<'a> {
-    x: &'a [f64],
-    gradient: &'a [f64],
-    bounds: &'a [Bounds],
-    first: usize,
-    descent: f64,
-    columns: &'a [[f32; BLOCK]],
-    width: usize,
-    known: &'a [usize],
-    factors: &'a [f64],
-    out: &'a mut [f64],
-}
-
-impl Kernel for Direction<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn run<I: Isa>(self, isa: I) -> f64 {
-        let mut bounds = BlockBounds::new(self.bounds);
-        let mut slope = 0.0;
-        let blocks = self.columns.chunks_exact(self.width);
-        let mut ahead = Ahead::default();
-        ahead.push(self.columns);
-        ahead.step(2 * self.width * 8);
-        for ((b, out), columns) in self.out.chunks_mut(BLOCK).enumerate().zip(blocks) {
-            let start = b * BLOCK;
-            bounds.fill(self.first + start, out.len());
-            let x = padded(&self.x[start..][..out.len()]);
-            let g = padded(&self.gradient[start..][..out.len()]);
-            let mut d = g.map(|g| self.descent * g);
-            // Several at a time: d is read and written less often.
-            let (known, known_left) = self.known.as_chunks::<4>();
-            let (factors, factors_left) = self.factors.as_chunks::<4>();
-            for (known, f) in known.iter().zip(factors) {
-                ahead.step(4 * 8);
-                let w = known.map(|i| &columns[i]);
-                for i in 0..BLOCK {
-                    let [a, b, c, e] = w.map(|w| f64::from(w[i]));
-                    d[i] += (f[0] * a + f[1] * b) + (f[2] * c + f[3] * e);
-                }
-            }
-            for (&known, factor) in known_left.iter().zip(factors_left) {
-                for i in 0..BLOCK {
-                    d[i] += factor * f64::from(columns[known][i]);
-                }
-            }
-            let mut p = [0.0; BLOCK];
-            for i in 0..BLOCK {
-                let (lower, upper) = (bounds.lower[i], bounds.upper[i]);
-                let target = (x[i] - d[i]).max(lower).min(upper);
-                let free = is_free(x[i], g[i], lower, upper);
-                p[i] = if free { target - x[i] } else { 0.0 };
-            }
-            slope += Dot { a: &g, b: &p }.run(isa);
-            out.copy_from_slice(&p[..out.len()]);
-        }
-        slope
-    }
-}
-
-/// Rows of [`Counts`]: the newest s and y over what is free, the gradient over it, the newest over
-/// all.
-const FREE: usize = 0;
-const GRADIENT: usize = 2;
-const ALL: usize = 3;
-const ROWS: usize = 5;
-
-/// Sums of products, without units, of the known columns.
-struct Counts {
-    /// Each with the known columns and, at the end, with the gradient over what is free.
-    rows: [Vec<f64>; ROWS],
-    /// Of columns with each other, over what has come free, less what no longer is; without the
-    /// newest: (known, known), the upper triangle.
-    changes: Vec<f64>,
-}
-
-impl Counts {
-    fn new(known: usize) -> Self {
-        Self {
-            rows: std::array::from_fn(|_| vec![0.0; known + 1]),
-            changes: vec![0.0; known * known],
-        }
-    }
-
-    fn add(&mut self, other: &Self) {
-        let rows = self.rows.iter_mut().zip(&other.rows);
-        let all = rows.chain([(&mut self.changes, &other.changes)]);
-        for (total, partial) in all.flat_map(|(a, b)| a.iter_mut().zip(b)) {
-            *total += partial;
-        }
-    }
-}
-
-struct Count<'a> {
-    state: Option<(&'a [f64], &'a [f64])>,
-    bounds: &'a [Bounds],
-    columns: &'a [[f32; BLOCK]],
-    width: usize,
-    known: &'a [usize],
-    newest: Option<[usize; 2]>,
-    masks: &'a mut [Mask],
-    range: Range<usize>,
-}
-
-impl Kernel for Count<'_> {
-    type Output = Counts;
-
-    #[inline(always)]
-    fn run<I: Isa>(self, isa: I) -> Counts {
-        let lanes = <I as Vectors<f64>>::LANES;
-        let known = self.known.len();
-        let mut counts = Counts::new(known);
-        let mut sums = vec![0.0; (known + 1) * ROWS * lanes];
-        let mut bounds = BlockBounds::new(self.bounds);
-        let mut rows = [[0.0; BLOCK]; ROWS];
-        let mut entries = vec![0.0; known];
-        let blocks = self.columns.chunks_exact(self.width);
-        let mut ahead = Ahead::default();
-        ahead.push(self.columns);
-        ahead.step(2 * self.width * 8);
-        for ((b, mask), columns) in self.masks.iter_mut().enumerate().zip(blocks) {
-            let start = b * BLOCK;
-            let count = BLOCK.min(self.range.len() - start);
-            let mut free = *mask;
-            if let Some((x, g)) = self.state {
-                bounds.fill(self.range.start + start, count);
-                rows[GRADIENT] = padded(&g[start..][..count]);
-                let x = padded(&x[start..][..count]);
-                free = free_of(&x, &rows[GRADIENT], &bounds, count);
-            }
-            let mut changed = free ^ *mask;
-            while changed != 0 {
-                let i = changed.trailing_zeros() as usize;
-                changed &= changed - 1;
-                let sign = if free >> i & 1 == 1 { 1.0 } else { -1.0 };
-                for (entry, &column) in entries.iter_mut().zip(self.known) {
-                    *entry = f64::from(columns[column][i]);
-                }
-                for &newest in self.newest.iter().flatten() {
-                    entries[newest] = 0.0;
-                }
-                for (row, &entry) in entries.iter().enumerate() {
-                    let entry = sign * entry;
-                    let changes = &mut counts.changes[row * known..][row..known];
-                    for (change, other) in changes.iter_mut().zip(&entries[row..]) {
-                        *change += entry * other;
-                    }
-                }
-            }
-            *mask = free;
-
-            for (row, &newest) in self.newest.iter().flatten().enumerate() {
-                rows[ALL + row] = columns[self.known[newest]].map(f64::from);
-                rows[FREE + row] = rows[ALL + row];
-            }
-            if free != Mask::MAX {
-                for i in 0..BLOCK {
-                    let factor = if free >> i & 1 == 1 { 1.0 } else { 0.0 };
-                    for row in &mut rows[..ALL] {
-                        row[i] *= factor;
-                    }
-                }
-            }
-            for (j, sums) in sums.chunks_exact_mut(ROWS * lanes).enumerate() {
-                ahead.step(8);
-                let column = match self.known.get(j) {
-                    Some(&column) => columns[column].map(f64::from),
-                    None => rows[GRADIENT],
-                };
-                add_products(isa, &rows, &column, sums);
-            }
-        }
-        for (j, sums) in sums.chunks_exact(ROWS * lanes).enumerate() {
-            for (row, parts) in counts.rows.iter_mut().zip(sums.chunks_exact(lanes)) {
-                row[j] = parts.iter().sum();
-            }
-        }
-        counts
-    }
-}
-
-/// Adds the products of each row with a column, lane by lane.
-#[inline(always)]
-fn add_products<I: Isa>(isa: I, rows: &[Numbers; ROWS], column: &Numbers, sums: &mut [f64]) {
-    let sums = <I as Vectors<f64>>::of_mut(sums);
-    let column = <I as Vectors<f64>>::of(column);
-    let rows: [_; ROWS] =
-        std::array::from_fn(|r| &<I as Vectors<f64>>::of(&rows[r])[..column.len()]);
-    let mut t: [_; ROWS] = std::array::from_fn(|r| sums[r]);
-    for (v, &value) in column.iter().enumerate() {
-        for r in 0..ROWS {
-            t[r] = Vectors::<f64>::mul_add(isa, rows[r][v], value, t[r]);
-        }
-    }
-    sums.copy_from_slice(&t);
-}
-
-/// The numbers, and zeros up to a whole block.
-#[inline(always)]
-fn padded(values: &[f64]) -> Numbers {
-    let mut block = [0.0; BLOCK];
-    block[..values.len()].copy_from_slice(values);
-    block
-}
-
-/// Which of the first `count` entries of a block are free.
-#[inline(always)]
-fn free_of(x: &Numbers, gradient: &Numbers, bounds: &BlockBounds, count: usize) -> Mask {
-    let mut free = [0; BLOCK];
-    for i in 0..BLOCK {
-        let (lower, upper) = (bounds.lower[i], bounds.upper[i]);
-        free[i] = u8::from(is_free(x[i], gradient[i], lower, upper));
-    }
-    free[count..].fill(0);
-    // Eight bytes of 0 or 1 are gathered into the top byte: each is moved to its own bit.
-    let bytes =
-        free.as_chunks::<8>().0.iter().map(|&eight| {
-            (u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8
-        });
-    bytes
-        .rev()
-        .fold(0, |mask, byte| mask << 8 | Mask::from(byte))
 }

@@ -24,9 +24,10 @@ SCIPY_BYTES = 480
 """An unknown, measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and
 gradient."""
 
-PROJECTED_BYTES = 8 * CORRECTIONS + 8 * 8
-"""An unknown, of `projected_lbfgs`: pairs in float32; in float64 the start, a better state that is
-kept, x, the next x, the way there and two gradients, and the core's copy of x."""
+PROJECTED_BYTES = 8 * CORRECTIONS + 16 * 8
+"""An unknown, of `projected_lbfgs`: pairs in float32; in float64 the start, x, the next x, the way
+there, two gradients and the core's copy of x; the rest, measured on whole fits of 640² with 16
+pictures, is what the stages before it and the history hold."""
 
 BLOCK = 128
 """Pixels are padded to whole blocks of so many in the Rust core."""

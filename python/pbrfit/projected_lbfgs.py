@@ -41,7 +41,7 @@ Reason = Literal["iterations", "stopped", "gradient", "descent", "stall"]
 """Why a minimisation ended: iterations done; `callback` or `fun` raised StopIteration; no entry may
 move downwards; no step lowers the loss; it falls too slowly."""
 
-CORRECTIONS = 12
+CORRECTIONS = 10
 """Pairs that are kept."""
 
 DECREASE = 1e-4

@@ -132,9 +132,7 @@ def test_one_bright_picture_hardly_changes_the_materials() -> None:
     scene = make_scene("spheres", size=16, lights=6, seed=2003, held_out=1)
     exposed = brighter(scene, 2, 16.0)
     plain, fitted, as_is = (
-        pbrfit.decompose(
-            s, solver="lbfgsb", iterations=150, equal_exposures=equal, priors=None
-        )
+        pbrfit.decompose(s, solver="lbfgsb", iterations=150, equal_exposures=equal, priors=None)
         for s, equal in ((scene, True), (exposed, None), (exposed, False))
     )
     # The pictures are the same but for rounding once they are divided.

@@ -324,9 +324,7 @@ def test_numpy_numbers_are_options() -> None:
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("shape", [(SIZE, SIZE), (N, SIZE, SIZE)])
 @pytest.mark.parametrize("value", [1.0, 1e-30, 1e30, 3])
-def test_equal_weights_are_no_weights(
-    value: float, shape: tuple[int, ...], solver: Solver
-) -> None:
+def test_equal_weights_are_no_weights(value: float, shape: tuple[int, ...], solver: Solver) -> None:
     scene = in_color()
     weighted = dataclasses.replace(scene, weights=np.full(shape, value))
     a, b = (pbrfit.decompose(s, solver=solver, iterations=12) for s in (scene, weighted))

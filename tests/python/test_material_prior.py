@@ -408,9 +408,7 @@ def test_perfect_pictures_are_not_pulled(room: Scene, solver: Solver) -> None:
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_bitwise_the_same_at_any_number_of_threads(room: Scene, solver: Solver) -> None:
-    one, two = (
-        pbrfit.decompose(room, solver=solver, iterations=60, threads=t) for t in (1, 2)
-    )
+    one, two = (pbrfit.decompose(room, solver=solver, iterations=60, threads=t) for t in (1, 2))
     assert "material prior" in [stage.name for stage in one.stages]
     np.testing.assert_array_equal(one.albedo, two.albedo)
     np.testing.assert_array_equal(one.roughness, two.roughness)

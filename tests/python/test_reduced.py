@@ -1,4 +1,4 @@
-"""The lights' system with pixels solved for, against the whole one: dense, slow, eliminated by numpy."""
+"""The lights' system with pixels solved for, against the whole one, dense and slow, by numpy."""
 
 from __future__ import annotations
 
@@ -226,9 +226,7 @@ def test_products_are_those_of_the_whole_system(kind: str) -> None:
 def test_pixels_follow_the_lights_as_the_whole_system_says(kind: str) -> None:
     example = Example(KINDS[kind])
     expected, moves = dense(example, example.pixels), example.moves()
-    found = example.problem().follow_lights(
-        example.x, example.pixels, moves, **example.options()
-    )
+    found = example.problem().follow_lights(example.x, example.pixels, moves, **example.options())
     before = example.materials[example.pixels, : example.kind.unknowns]
     after = before - expected.forward - expected.follow @ moves
     if example.kind.bounds:

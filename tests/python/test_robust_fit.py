@@ -41,9 +41,7 @@ def test_outliers_do_less_harm_than_to_squares(
     spoilt: tuple[pbrfit.Scene, pbrfit.Result], loss: Any
 ) -> None:
     scene, by_squares = spoilt
-    result = pbrfit.decompose(
-        scene, solver="lbfgsb", iterations=200, priors=None, robust=loss
-    )
+    result = pbrfit.decompose(scene, solver="lbfgsb", iterations=200, priors=None, robust=loss)
     for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
         assert result.metrics[name] < 0.9 * by_squares.metrics[name], name
     # The outliers are left where they are.
@@ -70,9 +68,7 @@ def test_outliers_do_less_harm_than_to_squares_after_gauss_newton(
 
 def test_the_first_stage_is_by_squares(spoilt: tuple[pbrfit.Scene, pbrfit.Result]) -> None:
     scene, by_squares = spoilt
-    result = pbrfit.decompose(
-        scene, solver="lbfgsb", iterations=200, priors=None, robust="huber"
-    )
+    result = pbrfit.decompose(scene, solver="lbfgsb", iterations=200, priors=None, robust="huber")
     first = slice(0, 61)
     np.testing.assert_array_equal(result.history["loss"][first], by_squares.history["loss"][first])
     assert result.history["loss"][-1] < by_squares.history["loss"][-1]

@@ -83,9 +83,7 @@ def test_results_do_not_depend_on_threads_or_processors(
 
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("exponent", [-10, 10])
-def test_materials_do_not_depend_on_exposure_by_a_power_of_2(
-    exponent: int, solver: Solver
-) -> None:
+def test_materials_do_not_depend_on_exposure_by_a_power_of_2(exponent: int, solver: Solver) -> None:
     def fit(factor: float) -> Result:
         images = room().images * np.float32(factor)
         scene = Scene(images=images, normals=room().normals)

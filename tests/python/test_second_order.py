@@ -121,9 +121,7 @@ def test_the_objective_of_some_pixels_is_a_part_of_the_whole_one(noisy: Scene, k
     assert few.size == len(part)
     assert few.pixels == 100
     np.testing.assert_array_equal(taken(few, part, slice(None)), taken(objective, x, chosen))
-    np.testing.assert_array_equal(
-        part[few.layout.lighting], x[objective.layout.lighting]
-    )
+    np.testing.assert_array_equal(part[few.layout.lighting], x[objective.layout.lighting])
     of_few, of_all = squares_at(few, part), squares_at(objective, x)[chosen]
     np.testing.assert_allclose(of_few, of_all, rtol=1e-12)
     for one, other in zip(

@@ -53,9 +53,7 @@ def notes_of(result: Result) -> str:
 
 @pytest.mark.parametrize("solver", SECOND_ORDER)
 @pytest.mark.parametrize("seed", [2000, 2001])
-def test_pictures_without_noise_are_explained_to_their_last_bit(
-    seed: int, solver: Solver
-) -> None:
+def test_pictures_without_noise_are_explained_to_their_last_bit(seed: int, solver: Solver) -> None:
     scene = in_float64(room(seed))
     scene = dataclasses.replace(scene, images=scene.images.astype(np.float32))
     result = decompose(scene, solver=solver, priors=None, uncertainty=False)
