@@ -14,7 +14,7 @@ import pbrfit
 from pbrfit import Objective, Scene, material_prior, second_order
 from pbrfit.second_order import polish, subsample
 from pbrfit.second_order.lights import Cholesky, as_in_x
-from pbrfit.second_order.pixels import STEPS, Towards, descended, fitted, put, retried, taken
+from pbrfit.second_order.pixels import Towards, fitted, put, retried, taken
 from pbrfit.second_order.polish import polished
 from pbrfit.synthetic import make_scene
 
@@ -204,7 +204,7 @@ def test_some_pixels_find_the_lights_of_a_room_without_noise(room: Scene) -> Non
     # Pixels that had no part are as they were.
     before, after = (taken(objective, x, slice(None)) for x in (objective.start(), lit.x))
     same = (before == after).all(axis=1)
-    assert 0 < np.count_nonzero(~same)
+    assert np.count_nonzero(~same) > 0
     assert (~same)[lit.judges].all()
 
 
