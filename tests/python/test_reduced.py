@@ -252,7 +252,8 @@ def test_a_step_solves_the_whole_system() -> None:
     problem, x, pixels, how = example.problem(), example.x, example.pixels, example.options()
     matrix, gradient = problem.reduced(x, pixels, **how)
     # Not all directions of the lights are told by these pixels.
-    moves: Array = -np.linalg.solve(matrix + 1e-2 * np.diag(np.diag(matrix)), gradient)
+    damped = matrix + 1e-2 * np.diag(np.diag(matrix))
+    moves = np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
     before = problem.normal_equations(x, pixels)[2].sum()
     moved = x.copy()
     maps = moved[: example.kind.unknowns * PIXELS].reshape(-1, PIXELS)
