@@ -15,6 +15,7 @@ use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::render::render;
 use pbrfit::shade::{Frame, Material, shade, shade_vjp};
 use pbrfit::simd::{Instructions, Isa, Kernel};
+use pbrfit::targets::Targets;
 
 /// Bands of one roughness: exact, and from the table that the fast path uses.
 fn bands(c: &mut Criterion) {
@@ -306,16 +307,15 @@ impl Example {
     }
 
     fn problem(&self, options: Options) -> Problem {
+        let (pixels, threads) = (self.normals.len(), options.threads);
+        let targets = Targets::of(&self.images, pixels, self.pictures, self.channels, threads);
         let given = Pictures {
-            images: &self.images,
-            remainders: None,
-            pictures: self.pictures,
-            channels: self.channels,
+            images: targets.unwrap(),
             weights: self.weights.as_deref(),
             normals: &self.normals,
             views: &self.views,
         };
-        Problem::new(&given, options).unwrap()
+        Problem::new(given, options).unwrap()
     }
 
     fn bench(

@@ -40,12 +40,23 @@ pub(crate) fn moderate<T: Copy + Into<f64>>(
     values: &[T],
     limit: f64,
 ) -> Result<()> {
+    moderate_from(name, 0, values, limit)
+}
+
+/// The same of a part of an array, from its number `first` on.
+pub(crate) fn moderate_from<T: Copy + Into<f64>>(
+    name: &'static str,
+    first: usize,
+    values: &[T],
+    limit: f64,
+) -> Result<()> {
     // Written so that NaN fails.
     let is_moderate = |&v: &T| v.into().abs() <= limit;
     let Some(i) = values.iter().position(|v| !is_moderate(v)) else {
         return Ok(());
     };
     let value: f64 = values[i].into();
+    let i = first + i;
     Err(if value.is_finite() {
         let expected = format!("numbers up to {limit:e} in size");
         Error::argument(name, expected, format!("{value:e} at {i}"))

@@ -54,5 +54,6 @@ pub mod robust;
 pub mod sh;
 pub mod shade;
 pub mod simd;
+pub mod targets;
 
 pub use error::{Error, Result};

@@ -12,6 +12,7 @@ use crate::robust::Robust;
 use crate::sh::COEFFICIENTS;
 use crate::shade::{Frame, Material, shade};
 use crate::simd::Instructions;
+use crate::targets::{Targets, planes};
 use crate::{Error, Result, check, pool};
 
 /// At most so many pieces of work. Their borders depend on the pixel count alone, and their
@@ -27,17 +28,10 @@ const MAPS_OF_X: &str = "x (albedo, roughness, metallic)";
 pub(crate) const MAX_SAMPLES: usize = 1 << 31;
 
 /// What is given to a [`Problem`].
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Pictures<'a> {
-    /// Linear radiance: (picture, pixel, channel).
-    pub images: &'a [f32],
-    /// What `images` lack: targets are the sums of both. The fast evaluation, in float32, takes no
-    /// notice of it; (picture, pixel, channel).
-    pub remainders: Option<&'a [f32]>,
-    /// Number of pictures.
-    pub pictures: usize,
-    /// Colour channels, 1 or 3.
-    pub channels: usize,
+    /// Linear radiance.
+    pub images: Targets,
     /// Weight of each sample, in \[0, 1\]: (picture, pixel), or (picture, pixel, channel).
     pub weights: Option<&'a [f32]>,
     /// Unit vectors, one a pixel.
@@ -95,10 +89,7 @@ pub struct Problem {
     total_weight: f64,
     directions: Vec<Directions>,
     direction_remainders: Vec<DirectionRemainders>,
-    /// (block, channel, picture)
-    targets: Vec<Plane>,
-    /// Of the targets, in the same order; or empty.
-    remainders: Vec<Plane>,
+    targets: Targets,
     /// (block, channel, picture), with one channel where all share a weight; or empty.
     weights: Vec<Plane>,
 }
@@ -114,29 +105,18 @@ pub struct LightEquations {
 }
 
 impl Problem {
-    /// Copies and checks the pictures, and chooses the kernel for them.
-    pub fn new(given: &Pictures, options: Options) -> Result<Self> {
-        let &Pictures {
-            images,
-            pictures,
-            channels,
+    /// Checks what is given, and chooses the kernel for it.
+    pub fn new(given: Pictures, options: Options) -> Result<Self> {
+        let Pictures {
+            images: targets,
+            weights,
             normals,
             views,
-            ..
         } = given;
-        let pixels = normals.len();
-        if pixels == 0 || pictures == 0 {
-            return Err(Error::argument(
-                "images",
-                "at least one picture and one pixel",
-                format!("{pictures} pictures of {pixels} pixels"),
-            ));
-        }
-        if !matches!(channels, 1 | 3) {
-            return Err(Error::argument("images", "1 or 3 channels", channels));
-        }
-        let samples = check::samples(pictures, pixels)?;
-        check::length("images", samples * channels, images.len())?;
+        targets.complete()?;
+        let [pixels, pictures, channels] =
+            [targets.pixels(), targets.pictures(), targets.channels()];
+        check::length("normals", pixels, normals.len())?;
         check::length("views", pixels, views.len())?;
         check::unit_vectors("normals", normals)?;
         check::unit_vectors("views", views)?;
@@ -155,22 +135,8 @@ impl Problem {
             )?;
             check::moderate("lighting", lighting, LARGEST_F32)?;
         }
-        check::moderate("images", images, LARGEST_F32)?;
-        let remainders = match given.remainders {
-            None => Vec::new(),
-            Some(remainders) => {
-                check::length("remainders", samples * channels, remainders.len())?;
-                check::moderate("remainders", remainders, LARGEST_F32)?;
-                planes(
-                    "remainders",
-                    remainders,
-                    pictures,
-                    channels,
-                    options.threads,
-                )?
-            }
-        };
-        let (weights, total_weight) = match given.weights {
+        let samples = pictures * pixels;
+        let (weights, total_weight) = match weights {
             None => (Vec::new(), (samples * channels) as f64),
             Some(weights) => {
                 let of_sample = if weights.len() == samples {
@@ -211,8 +177,7 @@ impl Problem {
             total_weight,
             directions,
             direction_remainders: remainders::of_directions(normals, views)?,
-            remainders,
-            targets: planes("images", images, pictures, channels, options.threads)?,
+            targets,
             weights,
         })
     }
@@ -348,7 +313,7 @@ impl Problem {
                     let light = lighting[i * k * C + c..].iter().step_by(C);
                     let radiance: f64 = w[..k].iter().zip(light).map(|(w, l)| w * l).sum();
                     residuals[(i * pixels.len() + j) * C + c] =
-                        (radiance - self.target(block, c, i, x)) as f32;
+                        (radiance - self.targets.get(block, c, i, x)) as f32;
                 }
             }
         }
@@ -453,7 +418,7 @@ impl Problem {
                     if !omegas.is_empty() {
                         add_gram(i, omega);
                     }
-                    let target = omega * self.target(block, c, i, x);
+                    let target = omega * self.targets.get(block, c, i, x);
                     for (right, w) in sum.right[i * k..][..k].iter_mut().zip(w) {
                         *right += target * w;
                     }
@@ -537,7 +502,7 @@ impl Problem {
 
     /// A plane for each picture.
     pub(crate) fn targets(&self, block: usize, channel: usize) -> &[Plane] {
-        &self.targets[(block * self.channels + channel) * self.pictures..][..self.pictures]
+        self.targets.planes(block, channel)
     }
 
     /// Where some pixels look, at most [`BLOCK`] of them, from anywhere.
@@ -568,15 +533,6 @@ impl Problem {
         [normal + of_normal, mirror + of_mirror]
     }
 
-    /// One target, with its remainder where there are any.
-    fn target(&self, block: usize, channel: usize, picture: usize, x: usize) -> f64 {
-        let i = (block * self.channels + channel) * self.pictures + picture;
-        let target = f64::from(self.targets[i].0[x]);
-        self.remainders
-            .get(i)
-            .map_or(target, |rest| target + f64::from(rest.0[x]))
-    }
-
     /// Targets and weights of some pixels in one channel of one picture; 0 where no pixel is.
     pub(crate) fn picked_samples(
         &self,
@@ -587,7 +543,7 @@ impl Problem {
         let [mut target, mut weight] = <[Plane<f64>; 2]>::default();
         for (x, &p) in pixels.iter().enumerate() {
             let (block, there) = (p / BLOCK, p % BLOCK);
-            target.0[x] = self.target(block, channel, picture, there);
+            target.0[x] = self.targets.get(block, channel, picture, there);
             let weights = self.weights(block, channel);
             weight.0[x] = weights.get(picture).map_or(1.0, |w| w.0[there].into());
         }
@@ -603,39 +559,6 @@ impl Problem {
         let first = (block * channels + channel % channels) * self.pictures;
         &self.weights[first..][..self.pictures]
     }
-}
-
-/// From (picture, pixel, channel) to planes (block, channel, picture), zero where no pixel is.
-fn planes(
-    name: &'static str,
-    values: &[f32],
-    pictures: usize,
-    channels: usize,
-    threads: usize,
-) -> Result<Vec<Plane>> {
-    let pixels = values.len() / (pictures * channels);
-    let of_block = channels * pictures;
-    let blocks = pixels.div_ceil(BLOCK);
-    let mut planes: Vec<Plane> = Vec::new();
-    planes
-        .try_reserve_exact(blocks * of_block)
-        .map_err(|_| Error::Memory(name))?;
-    planes.resize(blocks * of_block, Plane::default());
-    let pieces = planes.chunks_mut(of_block).enumerate().collect();
-    pool::map(threads, pieces, |(block, planes): (usize, &mut [Plane])| {
-        let first = block * BLOCK;
-        let count = BLOCK.min(pixels - first);
-        for i in 0..pictures {
-            let picture = &values[(i * pixels + first) * channels..][..count * channels];
-            for c in 0..channels {
-                let out = &mut planes[c * pictures + i].0[..count];
-                for (out, &value) in out.iter_mut().zip(picture[c..].iter().step_by(channels)) {
-                    *out = value;
-                }
-            }
-        }
-    });
-    Ok(planes)
 }
 
 /// Planes of `pixels` values each, cut into pieces of `chunk` pixels.

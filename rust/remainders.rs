@@ -9,7 +9,7 @@ use crate::block::{BLOCK, Plane};
 use crate::shade::Frame;
 
 /// The nearest float32, and what is left of the number.
-fn rounded(value: f64) -> (f32, f32) {
+pub(crate) fn rounded(value: f64) -> (f32, f32) {
     let near = value as f32;
     (near, (value - f64::from(near)) as f32)
 }

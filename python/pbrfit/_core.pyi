@@ -1,8 +1,8 @@
 """The Rust core: flat arrays in, flat arrays out; `pbrfit` wraps it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from os import PathLike
-from typing import Any, final
+from typing import Any, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,14 +70,21 @@ def render_directional(
     threads: int,
 ) -> NDArray[np.float64]: ...
 
+class _Series(Protocol):
+    """Pictures (P, C), one after the other."""
+
+    def __len__(self) -> int: ...
+    def __iter__(self) -> Iterator[NDArray[np.float32] | NDArray[np.float64]]: ...
+
 @final
 class Problem:
     """The pictures of one scene, and the loss over them.
 
-    images (N, P, C) float32 with C = 1 or 3; normals, views (P, 3) float64 unit vectors; weights
-    (N, P) or (N, P, C) float32; lighting (N, K, C) float64, known; metallic a number, known;
-    threads 0 = all. K = (sh_order + 1)², sh_order 2 or 3. remainders (N, P, C) float32: what images
-    lack, for targets of 48 bits; all methods but value_and_grad take notice of it.
+    images (N, P, C) float32 with C = 1 or 3, or a series of (P, C), taken one after the other:
+    those in float64 are kept to 48 bits, of which all methods but value_and_grad take notice.
+    normals, views (P, 3) float64 unit vectors; weights (N, P) or (N, P, C) float32; lighting
+    (N, K, C) float64, known; metallic a number, known; threads 0 = all. K = (sh_order + 1)²,
+    sh_order 2 or 3.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | lighting (N, K, C)], without
     those that are known. The loss is the (weighted) mean of the squared residuals, or of a robust
     loss of them.
@@ -85,7 +92,7 @@ class Problem:
 
     def __new__(
         cls,
-        images: NDArray[np.float32],
+        images: NDArray[np.float32] | _Series,
         normals: NDArray[np.float64],
         views: NDArray[np.float64],
         threads: int = 0,
@@ -94,7 +101,6 @@ class Problem:
         sh_order: int = 3,
         metallic: float | None = None,
         lighting: NDArray[np.float64] | None = None,
-        remainders: NDArray[np.float32] | None = None,
     ) -> Problem: ...
     @property
     def size(self) -> int: ...

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -164,9 +165,8 @@ class Objective:
         self._scene, self.threads = scene, threads
         # Which of the scene's valid pixels take part.
         self._chosen: slice | NDArray[np.uint64] = slice(None)
-        images, remainders = self._images()
-        self._mean_image = _mean_image(images, weights)
-        self.problem = self._problem(images, remainders, weights)
+        self._mean_image = self._mean(weights)
+        self.problem = self._problem(weights)
         self.penalties = [] if priors is None else penalties(layout, priors)
 
     def _lay_out(self, layout: Layout) -> None:
@@ -301,7 +301,7 @@ class Objective:
             factors *= self.weights[..., None]
         found = copy.copy(self)
         found.robust = None
-        found.problem = self._problem(*self._images(), factors)
+        found.problem = self._problem(factors)
         return found
 
     def restricted(self, pixels: NDArray[np.uint64]) -> Objective:
@@ -325,7 +325,7 @@ class Objective:
         found.weights = None if self.weights is None else self.weights[:, pixels]
         found._chosen = pixels
         found._mean_image = self._mean_image[pixels]
-        found.problem = found._problem(*found._images(), found.weights)
+        found.problem = found._problem(found.weights)
         return found
 
     def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
@@ -402,23 +402,29 @@ class Objective:
         )
         return materials, lighting
 
-    def _images(self) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """(N, P, C): the pictures in the unit of x, and what float32 leaves of them.
+    def _image(self, i: int) -> NDArray[np.float64]:
+        """(P, C): a picture in the unit of x."""
+        samples = self._scene.samples(i)[self._chosen, : self.channels].astype(np.float64)
+        samples /= self._units[i]
+        return samples
 
-        The latter only of pictures that came in float64 with more digits than float32 holds. Of
-        pictures in float32 the division leaves something too, but it is no more than what was
-        rounded away before they came, and keeping it would double the memory.
-        """
-        shape = (self.layout.pictures, self.pixels, self.channels)
-        images = np.empty(shape, dtype=np.float32)
-        remainders = np.empty(shape, dtype=np.float32) if self._has_more_digits() else None
-        for i, scaled in enumerate(images):
-            samples = self._scene.samples(i)[self._chosen, : self.channels].astype(np.float64)
-            samples /= self._units[i]
-            scaled[:] = samples
-            if remainders is not None:
-                remainders[i] = samples - scaled
-        return images, remainders
+    def _mean(self, weights: NDArray[np.float32] | None) -> NDArray[np.float64]:
+        """(P, C): the mean over pictures, of what float32 holds of them."""
+        mean = np.zeros((self.pixels, self.channels))
+        for i in range(self.layout.pictures):
+            image = self._image(i).astype(np.float32)
+            mean += (
+                image
+                if weights is None
+                else np.multiply(image, weights[i, :, None], dtype=np.float64)
+            )
+        if weights is None:
+            mean /= self.layout.pictures
+            return mean
+        total = weights.sum(axis=0, dtype=np.float64)[:, None]
+        # Weights that are tiny beside the largest can vanish in float32.
+        np.divide(mean, total, out=mean, where=total > 0)
+        return mean
 
     def _has_more_digits(self) -> bool:
         if self._scene.images.dtype == np.float32:
@@ -427,13 +433,16 @@ class Objective:
         with np.errstate(over="ignore"):  # beyond float32: infinite, so not the same
             return any((samples != samples.astype(np.float32)).any() for samples in pictures)
 
-    def _problem(
-        self,
-        images: NDArray[np.float32],
-        remainders: NDArray[np.float32] | None,
-        weights: NDArray[np.float32] | None,
-    ) -> _core.Problem:
+    def _problem(self, weights: NDArray[np.float32] | None) -> _core.Problem:
         scene = self._scene
+        # Pictures that came in float64 keep their digits. Of pictures in float32 the division
+        # leaves something too, but it is no more than what was rounded away before they came, and
+        # keeping it would double the memory.
+        images = _OneByOne(
+            self.layout.pictures,
+            self._image,
+            np.dtype(np.float64 if self._has_more_digits() else np.float32),
+        )
         return _core.Problem(
             images,
             self._rows(scene.normals),
@@ -443,7 +452,6 @@ class Objective:
             sh_order=self.layout.sh_order,
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
-            remainders=remainders,
         )
 
     def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
@@ -483,6 +491,22 @@ class Objective:
                 "lighting: expected known lights with equal channels for mono_light, found colour"
             )
         return known[:, : self.coefficients, : self.channels] / self._by_picture
+
+
+@dataclass(frozen=True)
+class _OneByOne:
+    """Pictures that are made when their turn comes, so that they never all lie there twice."""
+
+    count: int
+    image: Callable[[int], NDArray[np.float64]]
+    dtype: np.dtype[np.float32 | np.float64]
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[NDArray[np.float32 | np.float64]]:
+        for i in range(self.count):
+            yield self.image(i).astype(self.dtype, copy=False)
 
 
 def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]:
@@ -534,16 +558,3 @@ def _scene_scale(
             f"images: expected a positive mean radiance over the valid pixels, found {mean:g}"
         )
     return mean / MEAN_RADIANCE
-
-
-def _mean_image(
-    images: NDArray[np.float32], weights: NDArray[np.float32] | None
-) -> NDArray[np.float64]:
-    """(P, C): the mean over pictures."""
-    if weights is None:
-        return np.asarray(images.mean(axis=0, dtype=np.float64))
-    total = weights.sum(axis=0, dtype=np.float64)
-    mean: NDArray[np.float64] = np.einsum("npc,np->pc", images, weights, dtype=np.float64)
-    # Weights that are tiny beside the largest can vanish in float32.
-    np.divide(mean, total[:, None], out=mean, where=total[:, None] > 0)
-    return mean

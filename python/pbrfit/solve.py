@@ -70,8 +70,8 @@ def decompose(
         (the paper's recipe), in stages that keep off roughness 0; in one stage when `start` is
         given. docs/solver.md has more.
     iterations
-        At most so many iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Steps on a few
-        pixels, which find the lights, are not counted.
+        At most so many iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these at
+        most as many steps on some pixels, which find the lights and are not counted.
     time_limit
         In seconds; the fit stops after the iteration that passes it.
     start

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use bytemuck::cast_slice;
 use glam::DVec3;
 use numpy::ndarray::{ArrayView, Dimension};
 use numpy::{
@@ -108,13 +109,20 @@ impl<'a, T: Element + Copy> Contiguous<'a, T> {
     }
 }
 
-/// Rows of an (M, 3) array.
-pub(super) fn vectors(name: &'static str, array: &PyReadonlyArray2<'_, f64>) -> Result<Vec<DVec3>> {
+/// Rows of an (M, 3) array: its own memory where they lie there one after the other, else a copy.
+pub(super) fn vectors<'a>(
+    name: &'static str,
+    array: &'a PyReadonlyArray2<'_, f64>,
+) -> Result<Cow<'a, [DVec3]>> {
     let rows = array.shape()[0];
     shape(name, &[rows, 3], array.shape())?;
-    let values = Contiguous::try_of(name, array)?;
-    let vectors = values.values().as_chunks().0.iter();
-    collect(name, rows, vectors.map(|&v| DVec3::from_array(v)))
+    Ok(match Contiguous::try_of(name, array)?.0 {
+        Cow::Borrowed(values) => Cow::Borrowed(cast_slice(values)),
+        Cow::Owned(values) => {
+            let vectors = values.as_chunks().0.iter();
+            Cow::Owned(collect(name, rows, vectors.map(|&v| DVec3::from_array(v)))?)
+        }
+    })
 }
 
 /// Materials from (M, 3), (M,) and (M,) arrays, checked to lie in \[0, 1\].

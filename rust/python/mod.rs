@@ -6,6 +6,7 @@
 
 mod arrays;
 mod image_file;
+mod images;
 mod lbfgs;
 mod model;
 mod penalties;

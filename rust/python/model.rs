@@ -29,7 +29,8 @@ fn sh_basis<'py>(
     py: Python<'py>,
     directions: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let directions = vectors("directions", &array("directions", directions)?)?;
+    let directions = array("directions", directions)?;
+    let directions = vectors("directions", &directions)?.into_owned();
     let basis = py.detach(|| {
         check::unit_vectors("directions", &directions)?;
         let rows = directions.iter().map(|&d| sh::basis(d.to_array()));
@@ -188,7 +189,8 @@ fn render_directional<'py>(
         roughness,
         metallic,
     )?;
-    let directions = vectors("directions", &array("directions", directions)?)?;
+    let directions = array("directions", directions)?;
+    let directions = vectors("directions", &directions)?.into_owned();
     let colors = array::<f64, Ix2>("colors", colors)?;
     shape("colors", &[directions.len(), 3], colors.shape())?;
     not_too_many("directions", directions.len(), pixels.count())?;
@@ -247,8 +249,8 @@ impl Pixels {
         shape(names[1], &[materials.len(), 3], views.shape())?;
         Ok(Self {
             names,
-            normals: vectors(names[0], &normals)?,
-            views: vectors(names[1], &views)?,
+            normals: vectors(names[0], &normals)?.into_owned(),
+            views: vectors(names[1], &views)?.into_owned(),
             materials,
         })
     }

@@ -1,6 +1,6 @@
 //! `pbrfit._core.Problem`: the pictures, and the loss over them.
 
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard};
 
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyUntypedArrayMethods,
@@ -9,6 +9,7 @@ use numpy::{
 use pyo3::prelude::*;
 
 use super::arrays::{Contiguous, array, copied, shape, try_copied, vectors};
+use super::images::Images;
 use super::model::{array3, matrix};
 use crate::normal_matrix::DERIVATIVES;
 use crate::pixel_fit::{Search, Towards};
@@ -33,7 +34,7 @@ fn of_name((name, scale): (String, f64)) -> Result<Robust, Error> {
 #[pyclass(frozen, name = "Problem", module = "pbrfit._core")]
 struct PyProblem {
     problem: Problem,
-    /// The last copy of x: its memory serves again.
+    /// The last copy of x, or of its first part: its memory serves again.
     copy: Mutex<Vec<f64>>,
 }
 
@@ -42,7 +43,7 @@ impl PyProblem {
     #[new]
     #[pyo3(signature = (
         images, normals, views, threads = 0, *,
-        weights = None, sh_order = 3, metallic = None, lighting = None, remainders = None
+        weights = None, sh_order = 3, metallic = None, lighting = None
     ))]
     #[expect(clippy::too_many_arguments)]
     fn new(
@@ -54,20 +55,17 @@ impl PyProblem {
         sh_order: usize,
         metallic: Option<f64>,
         lighting: Option<&Bound<'_, PyAny>>,
-        remainders: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        let images = array::<f32, numpy::Ix3>("images", images)?;
+        let images = Images::of(images)?;
         let normals = array("normals", normals)?;
         let views = array("views", views)?;
-        let &[pictures, pixels, channels] = images.shape() else {
-            unreachable!("an array of three dimensions");
-        };
+        let [pictures, pixels, channels] = images.shape;
         // Before anything is copied: a broadcast array may pretend to more than any memory holds.
         check::samples(pictures, pixels)?;
         let rows = normals.shape()[0];
         shape("normals", &[rows, 3], normals.shape())?;
         shape("views", &[rows, 3], views.shape())?;
-        shape("images", &[pictures, rows, channels], images.shape())?;
+        shape("images", &[pictures, rows, channels], &images.shape)?;
         let samples = [pictures, pixels, channels];
         let weights = weights
             .map(|weights| array::<f32, numpy::IxDyn>("weights", weights))
@@ -87,31 +85,11 @@ impl PyProblem {
                 lighting.shape(),
             )?;
         }
-        let remainders = remainders
-            .map(|remainders| array::<f32, numpy::Ix3>("remainders", remainders))
-            .transpose()?;
-        if let Some(remainders) = &remainders {
-            shape("remainders", &samples, remainders.shape())?;
-        }
         let (normals, views) = (vectors("normals", &normals)?, vectors("views", &views)?);
-        let images = Contiguous::try_of("images", &images)?;
         let weights = weights
             .as_ref()
             .map(|weights| Contiguous::try_of("weights", weights))
             .transpose()?;
-        let remainders = remainders
-            .as_ref()
-            .map(|remainders| Contiguous::try_of("remainders", remainders))
-            .transpose()?;
-        let given = Pictures {
-            images: images.values(),
-            remainders: remainders.as_ref().map(Contiguous::values),
-            pictures,
-            channels,
-            weights: weights.as_ref().map(Contiguous::values),
-            normals: &normals,
-            views: &views,
-        };
         let options = Options {
             sh_order,
             metallic,
@@ -121,11 +99,16 @@ impl PyProblem {
             threads,
             ..Options::default()
         };
-        // The one long call that keeps the interpreter lock: it reads the caller's pictures where
-        // they are, and nobody may change them meanwhile. A copy to work from would double the
-        // memory.
+        // The one long call that keeps the interpreter lock: it reads the caller's arrays where they
+        // are, and nobody may change them meanwhile. Copies to work from would add to the memory.
+        let given = Pictures {
+            images: images.targets(threads)?,
+            weights: weights.as_ref().map(Contiguous::values),
+            normals: &normals,
+            views: &views,
+        };
         Ok(Self {
-            problem: Problem::new(&given, options)?,
+            problem: Problem::new(given, options)?,
             copy: Mutex::default(),
         })
     }
@@ -162,18 +145,9 @@ impl PyProblem {
         x: &Bound<'py, PyAny>,
         robust: Option<(String, f64)>,
     ) -> PyResult<(f64, Bound<'py, PyArray1<f64>>)> {
-        let x = array::<f64, numpy::Ix1>("x", x)?;
-        shape("x", &[self.problem.size()], x.shape())?;
         let robust = robust.map(of_name).transpose()?;
-        // Another thread may be using the kept copy; then this call has one of its own.
-        let mut kept = self.copy.try_lock().ok();
-        let mut own = Vec::new();
-        let copy = kept.as_deref_mut().unwrap_or(&mut own);
-        let values = Contiguous::try_of("x", &x)?;
-        copy.try_reserve_exact(self.problem.size() - copy.len())
-            .map_err(|_| Error::Memory("x"))?;
-        pool::copy(self.problem.threads(), values.values(), copy);
-        let copy = &*copy;
+        let x = self.x(x)?;
+        let x = x.values();
         // numpy's memory, because numpy asks the system for large pages: with a vector of ours the
         // first touch of each small page takes a third of the time at 1024². By numpy's function,
         // which raises MemoryError where `PyArray1::zeros` panics.
@@ -182,7 +156,7 @@ impl PyProblem {
             .cast_into::<PyArray1<f64>>()?;
         let mut access = gradient.readwrite();
         let values = access.as_slice_mut()?;
-        let value = py.detach(|| self.problem.value_and_grad(copy, robust, values))?;
+        let value = py.detach(|| self.problem.value_and_grad(x, robust, values))?;
         drop(access);
         Ok((value, gradient))
     }
@@ -193,11 +167,9 @@ impl PyProblem {
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let x = array::<f64, numpy::Ix1>("x", x)?;
-        let x = try_copied("x", &x)?;
-        let pixels = array::<u64, numpy::Ix1>("pixels", pixels)?;
-        let pixels: Vec<usize> = copied(&pixels).into_iter().map(|p| p as usize).collect();
-        let residuals = py.detach(|| self.problem.residuals(&x, &pixels))?;
+        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let x = x.values();
+        let residuals = py.detach(|| self.problem.residuals(x, &pixels))?;
         let shape = [
             self.problem.pictures(),
             pixels.len(),
@@ -212,10 +184,9 @@ impl PyProblem {
         py: Python<'py>,
         maps: &Bound<'py, PyAny>,
     ) -> PyResult<(Bound<'py, PyArray4<f64>>, Bound<'py, PyArray3<f64>>)> {
-        let maps = array::<f64, numpy::Ix1>("maps", maps)?;
-        shape("maps", &[self.problem.maps()], maps.shape())?;
-        let maps = try_copied("maps", &maps)?;
-        let equations = py.detach(|| self.problem.light_equations(&maps))?;
+        let maps = self.copied("maps", maps, self.problem.maps())?;
+        let maps = maps.values();
+        let equations = py.detach(|| self.problem.light_equations(maps))?;
         let (channels, k) = (self.problem.channels(), self.problem.coefficients());
         let gram: Vec<f64> = equations.iter().flat_map(|e| &e.gram).copied().collect();
         let right: Vec<f64> = equations.iter().flat_map(|e| &e.right).copied().collect();
@@ -237,11 +208,12 @@ impl PyProblem {
         metallic: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let x = x.values();
         let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
         let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
         let grid = py.detach(|| {
             self.problem
-                .material_grid(&x, &pixels, &roughness, &metallic)
+                .material_grid(x, &pixels, &roughness, &metallic)
         })?;
         let shape = [pixels.len(), roughness.len(), metallic.len()];
         Ok(array3(grid, shape).into_pyarray(py))
@@ -266,6 +238,7 @@ impl PyProblem {
         precision: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let x = x.values();
         let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
         let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
         let (q, d) = (pixels.len(), self.problem.unknowns_of_pixel());
@@ -295,7 +268,7 @@ impl PyProblem {
             exact_steps,
             pull,
         };
-        let fitted = py.detach(|| self.problem.fit_materials(&x, &pixels, &search))?;
+        let fitted = py.detach(|| self.problem.fit_materials(x, &pixels, &search))?;
         Ok((
             matrix(fitted.materials, [q, d]).into_pyarray(py),
             fitted.squares.into_pyarray(py),
@@ -310,7 +283,8 @@ impl PyProblem {
         pixels: &Bound<'py, PyAny>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
-        let best = py.detach(|| self.problem.best_albedo(&x, &pixels))?;
+        let x = x.values();
+        let best = py.detach(|| self.problem.best_albedo(x, &pixels))?;
         let shape = [pixels.len(), self.problem.channels()];
         Ok((
             matrix(best.albedo, shape).into_pyarray(py),
@@ -330,7 +304,8 @@ impl PyProblem {
         Bound<'py, PyArray1<f64>>,
     )> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
-        let found = py.detach(|| self.problem.normal_equations(&x, &pixels))?;
+        let x = x.values();
+        let found = py.detach(|| self.problem.normal_equations(x, &pixels))?;
         let (p, d) = (pixels.len(), self.problem.unknowns_of_pixel());
         Ok((
             array3(found.matrices, [p, d, d]).into_pyarray(py),
@@ -351,7 +326,8 @@ impl PyProblem {
         Bound<'py, PyArray3<f64>>,
     )> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
-        let found = py.detach(|| self.problem.derivatives(&x, &pixels))?;
+        let x = x.values();
+        let found = py.detach(|| self.problem.derivatives(x, &pixels))?;
         let problem = &self.problem;
         let (p, n, c) = (pixels.len(), problem.pictures(), problem.channels());
         let by_material =
@@ -373,6 +349,7 @@ impl PyProblem {
         modes: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let x = x.values();
         let problem = &self.problem;
         let (p, d) = (pixels.len(), problem.unknowns_of_pixel());
         let covariances = array::<f64, numpy::Ix3>("covariances", covariances)?;
@@ -387,7 +364,7 @@ impl PyProblem {
         );
         shape("modes", &[count, n, k, c], modes.shape())?;
         let modes = try_copied("modes", &modes)?;
-        let moves = py.detach(|| problem.moves_with_lights(&x, &pixels, &covariances, &modes))?;
+        let moves = py.detach(|| problem.moves_with_lights(x, &pixels, &covariances, &modes))?;
         Ok(matrix(moves, [p, d]).into_pyarray(py))
     }
 
@@ -404,9 +381,10 @@ impl PyProblem {
         off: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let x = x.values();
         let pull = self.pull(pixels.len(), precision, off)?;
         let how = elimination(damping, mono, pull.as_ref());
-        let found = py.detach(|| self.problem.reduced(&x, &pixels, &how))?;
+        let found = py.detach(|| self.problem.reduced(x, &pixels, &how))?;
         let size = found.gradient.len();
         Ok((
             matrix(found.matrix, [size, size]).into_pyarray(py),
@@ -428,10 +406,11 @@ impl PyProblem {
         off: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let x = x.values();
         let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
         let pull = self.pull(pixels.len(), precision, off)?;
         let how = elimination(damping, mono, pull.as_ref());
-        let found = py.detach(|| self.problem.reduced_product(&x, &pixels, &v, &how))?;
+        let found = py.detach(|| self.problem.reduced_product(x, &pixels, &v, &how))?;
         Ok((
             found.product.into_pyarray(py),
             found.gradient.into_pyarray(py),
@@ -452,10 +431,11 @@ impl PyProblem {
         off: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let x = x.values();
         let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
         let pull = self.pull(pixels.len(), precision, off)?;
         let how = elimination(damping, mono, pull.as_ref());
-        let materials = py.detach(|| self.problem.follow_lights(&x, &pixels, &v, &how))?;
+        let materials = py.detach(|| self.problem.follow_lights(x, &pixels, &v, &how))?;
         let shape = [pixels.len(), self.problem.unknowns_of_pixel()];
         Ok(matrix(materials, shape).into_pyarray(py))
     }
@@ -469,11 +449,45 @@ fn elimination<'a>(damping: f64, mono: bool, pull: Option<&'a [Vec<f64>; 2]>) ->
     }
 }
 
+/// See [`PyProblem::copied`].
+struct Copied<'a> {
+    kept: Option<MutexGuard<'a, Vec<f64>>>,
+    own: Vec<f64>,
+}
+
+impl Copied<'_> {
+    fn values(&self) -> &[f64] {
+        self.kept.as_deref().unwrap_or(&self.own)
+    }
+}
+
 impl PyProblem {
-    fn x(&self, x: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
-        let x = array::<f64, numpy::Ix1>("x", x)?;
-        shape("x", &[self.problem.size()], x.shape())?;
-        Ok(try_copied("x", &x)?)
+    fn x(&self, x: &Bound<'_, PyAny>) -> PyResult<Copied<'_>> {
+        self.copied("x", x, self.problem.size())
+    }
+
+    /// A copy to work from, in the memory of the last one unless another thread uses that.
+    fn copied(
+        &self,
+        name: &'static str,
+        values: &Bound<'_, PyAny>,
+        size: usize,
+    ) -> PyResult<Copied<'_>> {
+        let values = array::<f64, numpy::Ix1>(name, values)?;
+        shape(name, &[size], values.shape())?;
+        let values = Contiguous::try_of(name, &values)?;
+        let mut copied = Copied {
+            kept: self.copy.try_lock().ok(),
+            own: Vec::new(),
+        };
+        let copy = copied.kept.as_deref_mut().unwrap_or(&mut copied.own);
+        if copy.len() != size {
+            copy.clear();
+        }
+        copy.try_reserve_exact(size - copy.len())
+            .map_err(|_| Error::Memory(name))?;
+        pool::copy(self.problem.threads(), values.values(), copy);
+        Ok(copied)
     }
 
     /// Precision and distance of a pull, both (pixels, unknowns without albedo), or none.

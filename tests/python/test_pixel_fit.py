@@ -96,9 +96,8 @@ class Example:
     def problem(self, threads: int = 1, *, exact: bool = True) -> _core.Problem:
         """With all digits of the targets, or those that float32 holds."""
         targets = np.ascontiguousarray(self.targets.swapaxes(0, 1))
-        images = targets.astype(np.float32)
         return _core.Problem(
-            images,
+            list(targets) if exact else targets.astype(np.float32),
             self.normals,
             self.views,
             threads,
@@ -106,7 +105,6 @@ class Example:
             sh_order=self.kind.sh_order,
             metallic=self.kind.metallic,
             lighting=None if self.kind.free_lights else self.lights,
-            remainders=(targets - images).astype(np.float32) if exact else None,
         )
 
     def x(self, materials: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -49,19 +50,19 @@ def test_pictures_in_float64_are_explained_to_the_last_digit(room: Scene) -> Non
 def test_pictures_that_float32_holds_need_no_remainders(
     room: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[NDArray[np.float32] | None] = []
+    given: list[np.dtype[Any]] = []
 
     class Watched:
-        def __new__(cls, *args: Any, remainders: Any = None, **kwargs: Any) -> Any:
-            given.append(remainders)
-            return problem(*args, remainders=remainders, **kwargs)
+        def __new__(cls, images: Any, *args: Any, **kwargs: Any) -> Any:
+            given.extend({image.dtype for image in images})
+            return problem(images, *args, **kwargs)
 
     problem = _core.Problem
     monkeypatch.setattr("pbrfit.objective._core.Problem", Watched)
     rounded = room.images.astype(np.float32)
     for images in (rounded, rounded.astype(np.float64), room.images):
         Objective(dataclasses.replace(room, images=images))
-    assert [remainders is None for remainders in given] == [True, True, False]
+    assert given == [np.float32, np.float32, np.float64]
 
 
 class Example:
@@ -74,7 +75,6 @@ class Example:
         self.views = reference.unit(rng.normal(size=(p, 3)) * 0.2 + (0, 0, 1))
         self.targets = rng.random((n, p, c))
         self.images = self.targets.astype(np.float32)
-        self.remainders = (self.targets - self.images).astype(np.float32)
         self.weights = rng.random((n, p)).astype(np.float32) if weights else None
         albedo, r, m = rng.random((p, c)), rng.random(p), rng.random(p)
         lights = rng.normal(size=(n, 16, c))
@@ -85,9 +85,11 @@ class Example:
         self.radiance = np.einsum("pck,nkc->npc", self.by_light, lights)
         self.omega = np.ones((n, p)) if self.weights is None else self.weights.astype(np.float64)
 
-    def problem(self, **changes: Any) -> _core.Problem:
-        arguments = {"weights": self.weights, "remainders": self.remainders, **changes}
-        return _core.Problem(self.images, self.normals, self.views, **arguments)
+    def problem(self, images: Any = None) -> _core.Problem:
+        """Of 48 bits, or of these pictures."""
+        if images is None:
+            images = list(self.targets)
+        return _core.Problem(images, self.normals, self.views, weights=self.weights)
 
 
 PIXELS = np.random.default_rng(0).permutation(150)[:140].astype(np.uint64)
@@ -117,13 +119,7 @@ def test_small_residuals_keep_their_digits() -> None:
     example = Example()
     small = 1e-12 * np.random.default_rng(1).normal(size=example.targets.shape)
     targets = example.radiance - small
-    images = targets.astype(np.float32)
-    problem = _core.Problem(
-        images,
-        example.normals,
-        example.views,
-        remainders=(targets - images).astype(np.float32),
-    )
+    problem = example.problem(list(targets))
     found = problem.residuals(example.x, PIXELS)
     np.testing.assert_allclose(found, small[:, PIXELS], atol=3e-14)
 
@@ -131,36 +127,74 @@ def test_small_residuals_keep_their_digits() -> None:
 def test_the_fast_evaluation_takes_no_notice() -> None:
     example = Example()
     with_them, gradient = example.problem().value_and_grad(example.x)
-    without, same = example.problem(remainders=None).value_and_grad(example.x)
+    without, same = example.problem(example.images).value_and_grad(example.x)
     assert with_them == without
     np.testing.assert_array_equal(gradient, same)
 
 
-def test_no_remainders_are_remainders_of_0() -> None:
+def test_single_pictures_are_double_ones_without_remainders() -> None:
     example = Example()
-    nothing = example.problem(remainders=None)
-    zeros = example.problem(remainders=np.zeros_like(example.images))
-    for a, b in zip(
-        nothing.normal_equations(example.x, PIXELS),
-        zeros.normal_equations(example.x, PIXELS),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(a, b)
+    single = example.images
+    double = list(single.astype(np.float64))
+    mixed = [double[0], single[1], double[2], single[3]]
+    whole = example.problem(single).normal_equations(example.x, PIXELS)
+    for images in (list(single), double, mixed):
+        for a, b in zip(
+            whole, example.problem(images).normal_equations(example.x, PIXELS), strict=True
+        ):
+            np.testing.assert_array_equal(a, b)
+
+
+class Told:
+    """A series that claims another length than it has."""
+
+    def __init__(self, images: list[Array], count: int) -> None:
+        self._images, self._count = images, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter(self._images)
+
+
+def changed(picture: Any) -> list[Any]:
+    images: list[Any] = list(Example().targets)
+    images[2] = picture
+    return images
 
 
 @pytest.mark.parametrize(
-    ("remainders", "message"),
+    ("images", "message"),
     [
-        (np.zeros((4, 150, 1), np.float32), r"remainders: expected shape \[4, 150, 3\]"),
-        (np.zeros((4, 150, 3)), "remainders: expected an array of float32 in 3 dimensions"),
-        (np.zeros((4, 150), np.float32), "remainders: expected an array of float32"),
-        (np.full((4, 150, 3), np.nan, np.float32), "remainders: expected finite numbers"),
-        (np.full((4, 150, 3), 1e20, np.float32), "remainders: expected numbers up to"),
+        ([], "expected at least one picture, found none"),
+        ([None], "expected an array of float32 in 2 dimensions, found NoneType"),
+        (changed(np.zeros((150, 1))), r"expected shape \[150, 3\], found shape \[150, 1\]"),
+        (changed(np.zeros((150, 3), int)), "expected an array of float32 in 2 dim.*found int64"),
+        (changed(np.zeros((3, 50, 3))), r"expected an array of float64 in 2 dim.*\[3, 50, 3\]"),
+        (changed(np.full((150, 3), np.nan)), "expected finite numbers, found NaN at 900"),
+        (changed(np.full((150, 3), 1e20)), "expected numbers up to 1e16 in size, .* at 900"),
+        (Told(list(Example().targets), 3), "expected 3 pictures, found 4"),
+        (Told(list(Example().targets), 5), "expected 5 pictures, found 4"),
+        (Told(list(Example().targets), 1 << 40), "expected at most 2147483648 pixels times"),
     ],
 )
-def test_bad_remainders_are_refused(remainders: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Example().problem(remainders=remainders)
+def test_bad_series_are_refused(images: Any, message: str) -> None:
+    with pytest.raises(InputError, match=f"^images: {message}"):
+        Example().problem(images)
+
+
+def test_an_error_of_a_series_is_its_own() -> None:
+    def images() -> Iterator[Array]:
+        yield Example().targets[0]
+        raise OSError("no more")
+
+    class Broken(Told):
+        def __iter__(self) -> Iterator[Array]:
+            return images()
+
+    with pytest.raises(OSError, match="no more"):
+        Example().problem(Broken([], 4))
 
 
 def test_pictures_beyond_float32_are_no_warning() -> None:

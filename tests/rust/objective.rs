@@ -9,6 +9,7 @@ use pbrfit::render::render;
 use pbrfit::robust::Robust;
 use pbrfit::shade::{Frame, Material, shade, shade_vjp};
 use pbrfit::simd::{Instructions, Isa, Kernel};
+use pbrfit::targets::Targets;
 
 #[derive(Clone)]
 struct Example {
@@ -69,10 +70,7 @@ impl Example {
 
     fn problem_for(&self, threads: usize, instructions: Instructions) -> Problem {
         let given = Pictures {
-            images: &self.images,
-            remainders: None,
-            pictures: self.pictures,
-            channels: self.channels,
+            images: self.targets(threads),
             weights: self.weights.as_deref(),
             normals: &self.normals,
             views: &self.views,
@@ -84,7 +82,18 @@ impl Example {
             threads,
             instructions,
         };
-        Problem::new(&given, options).unwrap()
+        Problem::new(given, options).unwrap()
+    }
+
+    fn targets(&self, threads: usize) -> Targets {
+        Targets::of(
+            &self.images,
+            self.pixels(),
+            self.pictures,
+            self.channels,
+            threads,
+        )
+        .unwrap()
     }
 
     fn pixels(&self) -> usize {
@@ -476,72 +485,74 @@ fn best_lights_explain_rendered_pictures() {
 #[test]
 fn refusals_name_the_array() {
     let example = Example::new(20, 2);
+    let images = |values: &[f32], pixels: usize, pictures: usize, channels: usize| {
+        Targets::of(values, pixels, pictures, channels, 0).map_err(|error| error.to_string())
+    };
+    let refused = |values: &[f32], pixels, pictures, channels| {
+        images(values, pixels, pictures, channels).unwrap_err()
+    };
+    assert!(refused(&example.images[1..], 20, 2, 3).starts_with("images: expected 120 numbers"));
+    let mut not_finite = example.images.clone();
+    not_finite[67] = f32::NAN;
+    assert_eq!(
+        refused(&not_finite, 20, 2, 3),
+        "images: expected finite numbers, found NaN at 67"
+    );
+    assert!(
+        refused(&[], 0, 2, 3).starts_with("images: expected at least one picture and one pixel")
+    );
+    assert!(
+        refused(&example.images, 20, 1 << 40, 3)
+            .starts_with("images: expected at most 2147483648 pixels times pictures")
+    );
+    assert!(refused(&example.images, 20, 2, 2).starts_with("images: expected 1 or 3 channels"));
+    let mut targets = Targets::new(20, 2, 3, 0).unwrap();
+    let picture = [0.5; 60];
+    targets.push_exact(&picture).unwrap();
     let given = Pictures {
-        images: &example.images,
-        remainders: None,
-        pictures: 2,
-        channels: 3,
+        images: targets.clone(),
         weights: None,
         normals: &example.normals,
         views: &example.views,
     };
     let new =
-        |given: &Pictures, options: Options| Problem::new(given, options).unwrap_err().to_string();
-    let refusal = |given: Pictures| new(&given, Options::default());
-    assert!(
-        refusal(Pictures {
-            images: &example.images[1..],
-            ..given
-        })
-        .starts_with("images: expected 120 numbers")
+        |given: Pictures, options: Options| Problem::new(given, options).unwrap_err().to_string();
+    let refusal = |given: Pictures| new(given, Options::default());
+    assert_eq!(
+        refusal(given.clone()),
+        "images: expected 2 pictures, found 1"
     );
+    targets.push_exact(&picture).unwrap();
+    assert_eq!(
+        targets.push_exact(&picture).unwrap_err().to_string(),
+        "images: expected 2 pictures, found 3"
+    );
+    let given = Pictures {
+        images: targets,
+        ..given
+    };
     assert!(
         refusal(Pictures {
             views: &example.views[1..],
-            ..given
+            ..given.clone()
         })
         .starts_with("views: expected 20")
     );
-    let mut images = example.images.clone();
-    images[7] = f32::NAN;
-    assert_eq!(
+    assert!(
         refusal(Pictures {
-            images: &images,
-            ..given
-        }),
-        "images: expected finite numbers, found NaN at 7"
+            normals: &example.normals[1..],
+            ..given.clone()
+        })
+        .starts_with("normals: expected 20")
     );
     let mut normals = example.normals.clone();
     normals[3] = DVec3::ZERO;
     assert!(
         refusal(Pictures {
             normals: &normals,
-            ..given
+            ..given.clone()
         })
         .starts_with("normals: expected unit vectors, found [0, 0, 0]")
-    );
-    assert!(
-        refusal(Pictures {
-            images: &[],
-            normals: &[],
-            views: &[],
-            ..given
-        })
-        .starts_with("images: expected at least one picture and one pixel")
-    );
-    assert!(
-        refusal(Pictures {
-            pictures: 1 << 40,
-            ..given
-        })
-        .starts_with("images: expected at most 2147483648 pixels times pictures")
-    );
-    assert!(
-        refusal(Pictures {
-            channels: 2,
-            ..given
-        })
-        .starts_with("images: expected 1 or 3 channels")
     );
     for (weights, reason) in [
         (vec![1.0; 39], "weights: expected 120 numbers"),
@@ -556,9 +567,15 @@ fn refusals_name_the_array() {
         ),
     ] {
         let weights = Some(&weights[..]);
-        assert!(refusal(Pictures { weights, ..given }).starts_with(reason));
+        assert!(
+            refusal(Pictures {
+                weights,
+                ..given.clone()
+            })
+            .starts_with(reason)
+        );
     }
-    let with = |options: Options| new(&given, options);
+    let with = |options: Options| new(given.clone(), options);
     assert!(
         with(Options {
             sh_order: 4,

@@ -37,29 +37,31 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     the error. Then L-BFGS takes all pixels from the start, and its fit stays unless Gauss-Newton's
     is the same or far better.
     """
-    least, by_all, lit = (loss, x), None, find_lights(run, x)
+    lit = find_lights(run, x)
+    least, by_all = (loss, x), None
     if not lit.fits:
         least = _by_all_pixels(run, x, loss, start_given=start_given)
-        _, by_all = least
+        by_all = least[1]
     found = fit_materials(run, lit) if by_all is None or _may_be_better(run, lit, by_all) else None
     if found is not None and (by_all is None or _is_better(run, found, by_all)):
-        x = found
+        x, squares_are_least = found, True
         if learns(run) and _goes_on(run):
             x = with_material_prior(run, x)
-        if not run.objective.penalties and run.robust == "none":
-            return x, *run.ended("no joint step lowers the squares further")
-        if not _goes_on(run) and not learns(run) and run.evaluate(x)[0] > least[0]:
-            # By penalties, of which squares know nothing, and which there was no time to lower.
-            return least[1], *run.ended("", "; kept an earlier state, whose loss is lower")
-    elif by_all is not None:
-        x = by_all
+    else:
+        x, squares_are_least = least[1], False
         if learns(run) and _goes_on(run):
             x, _ = learnt(run, x)
-    if _goes_on(run):
+    only_squares = not run.objective.penalties and run.robust == "none"
+    if not (squares_are_least and only_squares) and _goes_on(run):
         if not learns(run):  # else it is robust already
             robust_around(run, (loss, x))
         x = lowered(run, x)
-    return x, *run.ended("the loss falls no further")
+    comparable = not learns(run) and run.robust == "none"
+    if comparable and run.rows[-1].loss > least[0]:
+        # Squares know nothing of penalties, and there was no time to lower these.
+        return least[1], *run.ended("", "; kept an earlier state, whose loss is lower")
+    why = "no joint step lowers the squares" if only_squares else "the loss falls no"
+    return x, *run.ended(f"{why} further")
 
 
 def _goes_on(run: Run) -> bool:

@@ -16,13 +16,11 @@ Array = NDArray[np.float64]
 
 
 class _Watch:
-    """Makes iterations and rows of the history of what `second_order` tells.
-
-    A step of a few pixels is no iteration: it costs a fraction of one, and there are no maps yet.
-    """
+    """Makes iterations and rows of the history of what `second_order` tells of all pixels."""
 
     def __init__(self, run: Run, x: Array) -> None:
         self._run, self._x = run, x
+        self._steps_of_few = 0
 
     def stop(self) -> bool:
         return self._run.out_of_time()
@@ -30,7 +28,10 @@ class _Watch:
     def visit_few(
         self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float
     ) -> bool:
+        # No iterations: they cost little, and where they fail L-BFGS is to have all of these. But
+        # there are no more of them, so that few iterations take little time.
         run = self._run
+        self._steps_of_few += 1
 
         def state() -> Array:
             x = put(run.objective, self._x, pixels, materials)
@@ -38,11 +39,11 @@ class _Watch:
             return x
 
         run.tell(run.objective.residual_rmse(share), state)
-        return run.out_of_time()
+        return self._steps_of_few >= run.limits.iterations or run.out_of_time()
 
     def visit(self, x: Array, squares: Array) -> bool:
         run = self._run
-        # Materials that all pixels find for the lights of the last iteration belong to that.
+        # Pixels that are freed after the last iteration belong to that.
         run.iteration += run.left > 0
         # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
         data = float(squares.sum()) / run.objective.total_weight
