@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -191,6 +192,13 @@ def dense(example: Example, pixels: Pixels) -> Dense:
     return Dense(matrix, gradient, forward, follow)
 
 
+@cache
+def expected_of(kind: str) -> tuple[Example, Dense]:
+    """An example of a kind, and the system of its pixels."""
+    example = Example(KINDS[kind])
+    return example, dense(example, example.pixels)
+
+
 def close(found: Array, expected: Array, share: float) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=share * np.abs(expected).max())
 
@@ -202,8 +210,7 @@ def accuracy(kind: Kind) -> float:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) -> None:
-    example = Example(KINDS[kind])
-    expected = dense(example, example.pixels)
+    example, expected = expected_of(kind)
     matrix, gradient = example.problem().reduced(example.x, example.pixels, **example.options())
     assert matrix.shape == (example.size, example.size)
     close(matrix, expected.matrix, accuracy(example.kind))
@@ -213,8 +220,8 @@ def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) ->
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_products_are_those_of_the_whole_system(kind: str) -> None:
-    example = Example(KINDS[kind])
-    expected, moves = dense(example, example.pixels), example.moves()
+    example, expected = expected_of(kind)
+    moves = example.moves()
     product, gradient = example.problem().reduced_product(
         example.x, example.pixels, moves, **example.options()
     )
@@ -224,8 +231,8 @@ def test_products_are_those_of_the_whole_system(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_pixels_follow_the_lights_as_the_whole_system_says(kind: str) -> None:
-    example = Example(KINDS[kind])
-    expected, moves = dense(example, example.pixels), example.moves()
+    example, expected = expected_of(kind)
+    moves = example.moves()
     found = example.problem().follow_lights(example.x, example.pixels, moves, **example.options())
     before = example.materials[example.pixels, : example.kind.unknowns]
     after = before - expected.forward - expected.follow @ moves
@@ -244,8 +251,9 @@ def test_a_step_solves_the_whole_system() -> None:
     example = Example(KINDS["damped"])
     problem, x, pixels, how = example.problem(), example.x, example.pixels, example.options()
     matrix, gradient = problem.reduced(x, pixels, **how)
-    # Pixels of four pictures do not tell of all directions of the lights.
-    moves = -np.linalg.solve(matrix + 1e-2 * np.diag(np.diag(matrix)), gradient)
+    # Not all directions of the lights are told by these pixels.
+    damped = matrix + 1e-2 * np.diag(np.diag(matrix))
+    moves = np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
     before = problem.normal_equations(x, pixels)[2].sum()
     moved = x.copy()
     maps = moved[: example.kind.unknowns * PIXELS].reshape(-1, PIXELS)

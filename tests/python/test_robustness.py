@@ -67,8 +67,8 @@ sys.exit(main(sys.argv[1:]))
 def test_results_do_not_depend_on_threads_or_processors(
     scene: Path, tmp_path: Path, solver: str
 ) -> None:
-    arguments = ("decompose", str(scene), "--solver", solver, "--iterations", "80", "--quiet")
-    arguments += ("--out",)
+    options = ("--solver", solver, "--iterations", "80", "--quiet", "--out")
+    arguments = ("decompose", str(scene), *options)
     for threads in ("1", "2", "3", "0"):
         assert run(*arguments, tmp_path / threads, "--threads", threads) == 0
     expected = comparable(tmp_path / "1")
