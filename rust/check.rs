@@ -79,6 +79,17 @@ pub(crate) fn unit_interval<T: Copy + Into<f64>>(name: &'static str, values: &[T
     }
 }
 
+pub(crate) fn not_negative(name: &'static str, values: &[f64]) -> Result<()> {
+    match values.iter().position(|&v| v < 0.0) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(
+            name,
+            "numbers from 0",
+            format!("{} at {i}", values[i]),
+        )),
+    }
+}
+
 /// Indices of `count` things.
 pub(crate) fn indices(name: &'static str, count: usize, indices: &[usize]) -> Result<()> {
     match indices.iter().find(|&&i| i >= count) {

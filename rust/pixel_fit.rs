@@ -104,10 +104,7 @@ impl Problem {
             check::length("precision", count, pull.precision.len())?;
             check::moderate("centre", pull.centre, LARGEST_PULL)?;
             check::moderate("precision", pull.precision, LARGEST_PULL)?;
-            if let Some(i) = pull.precision.iter().position(|&p| p < 0.0) {
-                let found = format!("{} at {i}", pull.precision[i]);
-                return Err(Error::argument("precision", "numbers from 0", found));
-            }
+            check::not_negative("precision", pull.precision)?;
         }
         match self.channels() {
             1 => fit::<1>(self, x, pixels, search),

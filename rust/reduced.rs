@@ -159,6 +159,7 @@ impl<'a, const C: usize> Lights<'a, C> {
             check::length("precision", expected, pull.precision.len())?;
             check::length("off", expected, pull.off.len())?;
             check::moderate("precision", pull.precision, check::LARGEST_F64)?;
+            check::not_negative("precision", pull.precision)?;
             check::moderate("off", pull.off, check::LARGEST_F64)?;
         }
         Ok(Self {

@@ -51,6 +51,11 @@ class History:
         known = any(not math.isnan(row.albedo_rmse) for row in self.rows)
         return COLUMNS if known else WITHOUT_TRUTH
 
+    @property
+    def iterations(self) -> int:
+        """That were done."""
+        return self.rows[-1].iteration
+
     def __getitem__(self, column: str) -> NDArray[np.float64]:
         return np.array([getattr(row, column) for row in self.rows], dtype=np.float64)
 

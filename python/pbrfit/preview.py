@@ -63,7 +63,7 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     # No run time: the same input gives the same bits.
     title = (
         f"{len(result.pictures)} pictures of {width} x {height}, "
-        f"{len(result.history) - 1} iterations"
+        f"{result.history.iterations} iterations"
     )
     return sheet(rows, title=title, labels=labels, key=key)
 

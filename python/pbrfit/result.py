@@ -193,7 +193,7 @@ class Result:
             "status": str(self.status),
             "stop_reason": self.stop_reason,
             "fov": self.fov,
-            "iterations": len(self.history) - 1,
+            "iterations": self.history.iterations,
             "evaluations": self.evaluations,
             "seconds": self.seconds,
             "protocol": PROTOCOL,

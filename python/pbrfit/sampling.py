@@ -15,6 +15,8 @@ def spread(count: int, at_most: int) -> NDArray[np.uint64]:
     the golden ratio: no row length makes that a pattern of columns. It is the same every time.
     """
     chosen = min(count, at_most)
+    if chosen == 0:
+        return np.empty(0, dtype=np.uint64)
     borders = np.arange(chosen + 1) * count // chosen
     fraction = np.arange(chosen) * _GOLDEN_RATIO % 1.0
     return np.asarray(borders[:-1] + (fraction * np.diff(borders)).astype(np.int64), np.uint64)

@@ -70,7 +70,8 @@ def decompose(
         (the paper's recipe), in stages that keep off roughness 0; in one stage when `start` is
         given. docs/solver.md has more.
     iterations
-        At most so many iterations: steps of L-BFGS, or joint steps of Gauss-Newton.
+        At most so many iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these at
+        most as many steps on some pixels, which find the lights and are not counted.
     time_limit
         In seconds; the fit stops after the iteration that passes it.
     start
@@ -98,7 +99,7 @@ def decompose(
     seed
         Of what is drawn at random: the pixels on which Gauss-Newton finds the lights.
     progress
-        Called at the start and after each iteration.
+        Called at the start, after each iteration and after each step on some pixels.
 
     Returns
     -------
@@ -112,7 +113,7 @@ def decompose(
     """
     check_solver(solver)
     check_loss(robust)
-    seed = whole_number("seed", seed)
+    seed, sh_order = whole_number("seed", seed), whole_number("sh_order", sh_order)
     iterations = whole_number("iterations", iterations)
     if time_limit is not None:
         time_limit = float(time_limit)

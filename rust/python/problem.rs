@@ -497,8 +497,11 @@ impl PyProblem {
         precision: Option<&Bound<'_, PyAny>>,
         off: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Option<[Vec<f64>; 2]>> {
-        let (Some(precision), Some(off)) = (precision, off) else {
-            return Ok(None);
+        let (precision, off) = match (precision, off) {
+            (None, None) => return Ok(None),
+            (Some(precision), Some(off)) => (precision, off),
+            (Some(_), None) => return Err(missing("off", "precision")),
+            (None, Some(_)) => return Err(missing("precision", "off")),
         };
         let finish = self.problem.unknowns_of_pixel() - self.problem.channels();
         let values = |name, argument| {

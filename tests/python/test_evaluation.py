@@ -357,7 +357,7 @@ def test_recipes(scene: Scene) -> None:
         recipe: recipes.explain(scene, recipe, iterations=5, sh_order=2)
         for recipe in recipes.RECIPES
     }
-    steps = {recipe: len(result.history) - 1 for recipe, result in found.items()}
+    steps = {recipe: result.history.iterations for recipe, result in found.items()}
     assert steps.pop("default") >= 5  # the learnt prior may take its own
     assert steps == {"plain": 5, "paper": 5, "paper-priors": 5, "constant": 0, "start": 0}
     for result in found.values():

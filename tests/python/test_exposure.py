@@ -14,6 +14,7 @@ import pbrfit
 from finite_differences import ridders
 from pbrfit.exposure import EXPOSURE_RANGE, LEAST_EXPOSURE, mean_radiance, relative_exposures
 from pbrfit.objective import MEAN_RADIANCE, Objective
+from pbrfit.solvers import Solver
 from pbrfit.synthetic import make_scene
 
 SIZE, N = 12, 5
@@ -131,7 +132,7 @@ def test_one_bright_picture_hardly_changes_the_materials() -> None:
     scene = make_scene("spheres", size=16, lights=6, seed=2003, held_out=1)
     exposed = brighter(scene, 2, 16.0)
     plain, fitted, as_is = (
-        pbrfit.decompose(s, iterations=150, equal_exposures=equal, priors=None)
+        pbrfit.decompose(s, solver="lbfgsb", iterations=150, equal_exposures=equal, priors=None)
         for s, equal in ((scene, True), (exposed, None), (exposed, False))
     )
     # The pictures are the same but for rounding once they are divided.
@@ -145,6 +146,20 @@ def test_one_bright_picture_hardly_changes_the_materials() -> None:
     assert "exposures" not in as_is.assumed
     assert fitted.options.equal_exposures is None
     assert as_is.options.equal_exposures is False
+
+
+@pytest.mark.parametrize("solver", ["auto", "gauss-newton"])
+def test_one_bright_picture_does_not_change_an_exact_fit(solver: Solver) -> None:
+    """With noise that grows with the picture all divided pictures are the same."""
+    scene = make_scene("spheres", size=16, lights=8, seed=2003, held_out=1, noise=0.01)
+    exposed = brighter(scene, 2, 16.0)
+    plain, fitted = (
+        pbrfit.decompose(s, solver=solver, equal_exposures=equal, priors=None)
+        for s, equal in ((scene, True), (exposed, None))
+    )
+    for name in ("albedo", "roughness", "metallic"):
+        assert difference(getattr(fitted, name), getattr(plain, name)) < 1e-3, name
+    np.testing.assert_allclose(fitted.lighting[2] / 16, plain.lighting[2], rtol=0, atol=1e-2)
 
 
 def test_errors_of_the_reconstruction_are_weighted_like_the_loss() -> None:

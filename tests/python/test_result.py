@@ -35,7 +35,7 @@ LAYERS = {
 }
 KEYS = [
     *("version", "status", "stop_reason", "fov", "iterations", "evaluations", "seconds"),
-    *("protocol", "metrics", "uncertainty", "options", "assumed", "left_out", "inputs"),
+    *("protocol", "metrics", "uncertainty", "options", "assumed", "left_out", "stages", "inputs"),
     "scene",
 ]
 HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
@@ -59,7 +59,7 @@ def masked_scene(*, truth: bool) -> Scene:
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return decompose(masked_scene(truth=False), iterations=4)
+    return decompose(masked_scene(truth=False), iterations=30)
 
 
 def test_files_and_layers_as_another_reader_sees_them(result: Result, tmp_path: Path) -> None:
@@ -97,11 +97,11 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
     content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
     assert list(content) == KEYS
     assert content["status"] == "iteration_limit"
-    assert content["iterations"] == 4
+    assert content["iterations"] == 30
     assert list(content["metrics"]) == ["recon_rmse"]
     assert content["options"] == {
-        "solver": "lbfgsb",
-        "iterations": 4,
+        "solver": "auto",
+        "iterations": 30,
         "time_limit": None,
         "sh_order": 3,
         "metallic": None,
@@ -109,7 +109,10 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "priors": dataclasses.asdict(Priors()),
         "robust": "none",
         "equal_exposures": None,
+        "seed": 0,
     }
+    assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]
+    assert {type(stage["seconds"]) for stage in content["stages"]} == {float}
     assert content["assumed"] == {"fov": "60 degrees, asked for"}
     masked, monochrome = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"
@@ -125,7 +128,8 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("truth", [False, True])
 def test_history_and_metrics_have_errors_where_there_is_truth(truth: bool, tmp_path: Path) -> None:
-    decompose(masked_scene(truth=truth), iterations=3).save(tmp_path / "out")
+    result = decompose(masked_scene(truth=truth), solver="lbfgsb", iterations=3)
+    result.save(tmp_path / "out")
     with (tmp_path / "out" / "history.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
     assert header == (HISTORY + ERRORS if truth else HISTORY)
@@ -154,7 +158,7 @@ def test_save_and_load_give_the_same_result(result: Result, tmp_path: Path) -> N
         np.testing.assert_array_equal(loaded.history[name], result.history[name])
     for name in (
         *("fov", "pictures", "stop_reason", "evaluations", "seconds", "metrics", "options"),
-        *("assumed", "left_out", "inputs"),
+        *("assumed", "left_out", "stages", "inputs"),
     ):
         assert getattr(loaded, name) == getattr(result, name), name
     loaded.save(tmp_path / "again")
@@ -169,11 +173,14 @@ def test_a_result_from_before_the_options_were_added_is_read(
     result.save(tmp_path / "out")
     file = tmp_path / "out" / "result.json"
     content = json.loads(file.read_text("utf-8"))
-    for name in ("sh_order", "metallic"):
+    for name in ("sh_order", "metallic", "seed"):
         del content["options"][name]
+    del content["stages"]
     file.write_text(json.dumps(content), encoding="utf-8")
-    options = Result.load(tmp_path / "out").options
-    assert (options.sh_order, options.metallic) == (3, None)
+    loaded = Result.load(tmp_path / "out")
+    options = loaded.options
+    assert (options.sh_order, options.metallic, options.seed) == (3, None, 0)
+    assert loaded.stages == ()
 
 
 def test_saving_needs_a_free_name_or_overwrite(result: Result, tmp_path: Path) -> None:

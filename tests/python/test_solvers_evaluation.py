@@ -240,10 +240,21 @@ def test_exact_rooms_are_counted_against_their_share() -> None:
         ])  # fmt: skip
 
     judged = verdicts(rooms(64))
-    assert len(judged) == 3
-    assert all(v.holds and (v.value, v.bar) == (64, 64) for v in judged)
+    assert len(judged) == 4
+    assert all(v.holds and (v.value, v.bar) == (64, 64) for v in judged[:3])
     assert judged[0].where == "not: 1064, 1065, 1066"
-    assert not any(v.holds for v in verdicts(rooms(63)))
+    assert not any(v.holds for v in verdicts(rooms(63))[:3])
+
+
+def test_auto_ends_no_higher_than_lbfgsb_without_noise() -> None:
+    def room(seed: int, auto: float) -> Any:
+        runs = {name: exact_run(1e-3) for name, _, _ in exact.FITS}
+        return recorded(exact.Task(seed, 8, 9), runs | {"auto": exact_run(auto)})
+
+    judged = verdicts(measured(exact=[room(1, 1e-9), room(2, 2e-3)]))
+    found = of(judged, "auto's residual")
+    assert found.value == pytest.approx(2.0)
+    assert (found.holds, found.where) == (False, "seed 2; above in 1 of 2")
 
 
 def test_the_objective_with_noise_is_held_against_the_lower_mark() -> None:

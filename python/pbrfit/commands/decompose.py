@@ -21,7 +21,7 @@ from pbrfit.arguments import (
     message_of,
     unread_is_no_failure,
 )
-from pbrfit.commands.fit_options import add_model, add_solver, fit, print_result
+from pbrfit.commands.fit_options import add_model, add_seed, add_solver, fit, print_result
 from pbrfit.commands.scene_options import add_input, load
 
 
@@ -34,6 +34,7 @@ def add(commands: Subcommands) -> None:
     add_out(added, "result folder; with several scenes it holds one result folder a scene")
     add_input(added)
     add_solver(added)
+    add_seed(added)
     add_model(added, "of the lights; 2 leaves out band 3")
     add_priors(added)
     add_quiet(added)

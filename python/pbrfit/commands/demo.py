@@ -20,7 +20,7 @@ def add(commands: Subcommands) -> None:
         commands, "demo", _run, "make a synthetic scene, decompose it, relight it, report"
     )
     added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
-    add_synthetic(added)
+    add_synthetic(added, "of scene, lights and noise, and of what the fit draws at random")
     add_solver(added)
     add_model(added, "of the lights, true and fitted")
     add_priors(added)

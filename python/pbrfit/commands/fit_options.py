@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pbrfit.arguments import add_threads, given_priors, progress_bar
+from pbrfit.arguments import add_threads, given_priors, progress_bar, whole_number
 from pbrfit.robust import LOSSES
 from pbrfit.solvers import SOLVERS
 
@@ -35,6 +35,18 @@ def add_solver(parser: argparse.ArgumentParser) -> None:
         help="stop the fit of a scene after so many seconds (default: none)",
     )
     add_threads(parser)
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Add `--seed`."""
+    parser.add_argument(
+        "--seed",
+        metavar="SEED",
+        type=whole_number,
+        default=0,
+        help="of what a fit draws at random: pixels on which lights are sought "
+        "(default: %(default)s)",
+    )
 
 
 def add_model(parser: argparse.ArgumentParser, what_order: str) -> None:
@@ -88,7 +100,7 @@ def fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
             bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)
             bar.update(progress.iteration - bar.n)
 
-        return decompose(
+        result = decompose(
             scene,
             solver=options.solver,
             iterations=options.iterations,
@@ -100,17 +112,25 @@ def fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
             priors=given_priors(options),
             robust=options.robust,
             equal_exposures=EXPOSURES[options.exposures],
+            seed=options.seed,
             progress=show,
         )
+        # Most fits need fewer iterations than they may do: then the bar was all of them.
+        bar.total = bar.n
+        bar.refresh()
+    return result
 
 
 def print_result(result: Result, scene: Scene, output: Path) -> None:
     """Tell how the fit went."""
-    iterations = len(result.history) - 1
+    iterations = result.history.iterations
     print(
         f"{output}: {len(scene.images)} pictures of {scene.width} × {scene.height}, "
         f"{iterations} iterations in {result.seconds:.1f} s ({result.stop_reason})"
     )
+    for stage in result.stages:
+        note = f" ({stage.note})" if stage.note else ""
+        print(f"{stage.seconds:>6.1f} s  {stage.name}{note}")
     rows = [
         ("reconstruction", "recon_rmse"),
         ("albedo", "albedo_rmse"),

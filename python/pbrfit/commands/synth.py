@@ -24,7 +24,9 @@ def add(commands: Subcommands) -> None:
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
 
 
-def add_synthetic(parser: argparse.ArgumentParser) -> None:
+def add_synthetic(
+    parser: argparse.ArgumentParser, what_seed: str = "of scene, lights and noise"
+) -> None:
     """Add what says which scene is made; `make_scene` reads it, and `--sh-order`."""
     parser.add_argument(
         "--scene",
@@ -46,7 +48,7 @@ def add_synthetic(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--noise", metavar="S", type=float, default=0.0, help="Gaussian; mean radiance is 0.4"
     )
-    parser.add_argument("--seed", type=whole_number, default=0, help="of scene, lights and noise")
+    parser.add_argument("--seed", type=whole_number, default=0, help=what_seed)
 
 
 def make_scene(options: argparse.Namespace) -> Scene:

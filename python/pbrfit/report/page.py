@@ -279,7 +279,24 @@ def _history(result: Result) -> str:
     return (
         paragraph(f"{text}, while the fit ran. history.csv has the numbers.")
         + f'<figure class="plot"><img src="{address}" alt="{what}"></figure>'
+        + _stages(result)
     )
+
+
+def _stages(result: Result) -> str:
+    """What ran, one after the other; nothing for results of a version that did not tell."""
+    if not result.stages:
+        return ""
+    columns = [Cell("stage", "name"), Cell("seconds", "number"), Cell("")]
+    rows = [
+        [
+            Cell(stage.name, "name"),
+            Cell(f"{stage.seconds:.2f}", "number", stage.seconds),
+            Cell(stage.note),
+        ]
+        for stage in result.stages
+    ]
+    return table(Table(columns, rows, f"What ran, of solver {result.options.solver}:"))
 
 
 def _origin(result: Result) -> str:

@@ -54,7 +54,7 @@ def sentences(result: Result, pictures: Sequence[Picture]) -> list[str]:
 def _ended(result: Result) -> str:
     how = "converged" if result.status is Status.CONVERGED else "stopped"
     return (
-        f"The fit {how} after {len(result.history) - 1} iterations and {result.seconds:.1f} s "
+        f"The fit {how} after {result.history.iterations} iterations and {result.seconds:.1f} s "
         f"({result.stop_reason})."
     )
 
@@ -146,7 +146,7 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
         ("pixels fitted", f"{valid:,} of {width * height:,}", valid),
         ("field of view", _fov(result.fov), result.fov),
         ("status", str(result.status), None),
-        ("iterations", f"{len(result.history) - 1:,}", len(result.history) - 1),
+        ("iterations", f"{result.history.iterations:,}", result.history.iterations),
         ("evaluations", f"{result.evaluations:,}", result.evaluations),
         ("run time", f"{result.seconds:.1f} s", result.seconds),
     ]

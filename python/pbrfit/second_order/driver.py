@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -27,27 +26,26 @@ from pbrfit.second_order.polish import polished
 
 Array = NDArray[np.float64]
 
-SUBSAMPLES = (256, 512, 1024)
-"""Pixels that find the lights of 16 pictures. Others take over with the lights found so far where
-something is left of the pixels that judge: the next size where that is no noise, the last where it
-is, because noise of few pixels leads too far off for all pixels to follow. On twelve rooms of 128²
-without noise 256 found all but one, and joint steps cost half as much as with 512."""
+FEW = 256
+"""Pixels that find the lights of 16 pictures. On 160 rooms of 128² without noise, 256 of the first
+draw found 140; joint steps cost half as much as with 512."""
+
+TRIES = 3
+"""With so many pixels, each with others, where only some lead to lights that fit."""
+
+MORE = (512, 1024)
+"""Pixels that go on where none did; and the last where noise is left, because lights from few noisy
+pixels lie too far off for all to follow."""
+
+ALIKE = 0.4
+"""Of the largest sum of squares that tries left: what is smaller is another minimum."""
 
 EXACT = 1e-5
 """Root mean square of residuals, at mean radiance 0.4, that counts as nothing left."""
 
-TRIES = 4
-"""At most, each with other pixels."""
-
-ALIKE = 0.7
-"""Of the larger of two sums of squares: a smaller one is another minimum."""
-
 LIGHT_SHARE = 3
 """Unknowns of the lights that there are at most for each pixel of the subsample. A pixel of N
 pictures and three channels knows 3N − 5 numbers about them."""
-
-MUCH_LESS = 0.5
-"""Of the squares of the pixels that judge: then something better is to be expected of others."""
 
 TURNS = 8
 """Of a pull's offsets and all else, at most."""
@@ -114,60 +112,70 @@ class Fit:
 def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> Lit:
     """Lights that explain some pixels, from those of x; where they are known, they are left.
 
-    Where no lights leave only noise, it is tried again from x with other pixels, and the lights
-    that leave least are taken: pixels are few, and some lead into a wrong valley.
+    Few pixels may lead into a wrong valley. So where their lights leave more than noise of the
+    pixels that judge, others try from x. If all leave about the same, it is the model that does not
+    fit; else more pixels go on from the lights that leave least.
     """
     judge = Neighbours(objective)
     if objective.lighting is None:
         return Lit(x, fits=True, judges=judge.pixels, squares=0.0, note="lights known")
-    rng = np.random.default_rng(seed)
-    best, used = None, list[int]()
+    search = _Search(objective, judge, watch, np.random.default_rng(seed))
     with _one_blas_thread():
+        best, worst = None, 0.0
         for _ in range(TRIES):
-            lit, stop = _try(objective, x, judge, rng, watch, used)
-            left = sorted([lit.squares, lit.squares if best is None else best.squares])
-            again = best is None or left[0] < ALIKE * left[1]
+            lit = search.by(FEW, x)
+            worst = max(worst, lit.squares)
             if best is None or lit.squares < best.squares:
                 best = lit
-            if stop or best.fits or not again:
+            if search.stopped or best.fits:
                 break
-    assert best is not None
-    return replace(best, note=f"lights from {' and '.join(map(str, used))} pixels")
+        assert best is not None
+        alike = not best.fits and best.squares > ALIKE * worst
+        for size in () if alike else MORE:
+            if search.stopped or (best.fits and (size < MORE[-1] or search.is_exact(best))):
+                continue
+            lit = search.by(size, best.x)
+            if lit.squares < best.squares:
+                best = lit
+    counts = ", ".join(map(str, search.used))
+    return replace(best, note=f"lights from {counts} pixels")
 
 
-def _try(
-    objective: Objective,
-    x: Array,
-    judge: Neighbours,
-    rng: np.random.Generator,
-    watch: Watch,
-    used: list[int],
-) -> tuple[Lit, bool]:
-    """Lights that some pixels find from x, and others after them; and whether to stop altogether.
+class _Search:
+    """Subsets of the pixels, one after the other, that look for lights.
 
-    The numbers of pixels are added to `used`.
+    Attributes
+    ----------
+    used
+        Their sizes.
+    stopped
+        Whether the watch has had enough.
     """
-    layout = objective.layout
-    lights = layout.light_channels * layout.pictures * layout.coefficients
-    drawn = rng.permutation(objective.pixels).astype(np.uint64)
-    nothing = EXACT**2 * objective.total_weight * len(judge.pixels) / objective.pixels
-    fits, left, sizes = False, math.inf, list(SUBSAMPLES)
-    while True:
-        count = min(objective.pixels, max(sizes.pop(0), lights // LIGHT_SHARE))
-        used.append(count)
-        chosen, drawn = np.sort(drawn[:count]), np.roll(drawn, -count)
-        found, stop = _lit_by(objective, x, chosen, watch)
-        materials, squares = descended(objective, found, judge.pixels, steps=STEPS, starts=2)
-        found = put(objective, found, judge.pixels, materials)
-        before, now = left, float(squares.sum())
-        if now < before:
-            x, left = found, now
-            fits = not judge.pixels.size or judge.shared(x) <= NOISE_SHARED
-        hopeless = not fits and now > MUCH_LESS * before
-        if stop or hopeless or (fits and left <= nothing) or not sizes:
-            return Lit(x, fits, judge.pixels, left, ""), stop
-        if fits:
-            sizes = sizes[-1:]
+
+    def __init__(
+        self, objective: Objective, judge: Neighbours, watch: Watch, rng: np.random.Generator
+    ) -> None:
+        self._objective, self._judge, self._watch, self._rng = objective, judge, watch, rng
+        self.used: list[int] = []
+        self.stopped = False
+
+    def by(self, size: int, x: Array) -> Lit:
+        """Lights that so many pixels find from x, judged."""
+        objective, judge, layout = self._objective, self._judge, self._objective.layout
+        lights = layout.light_channels * layout.pictures * layout.coefficients
+        count = min(objective.pixels, max(size, lights // LIGHT_SHARE))
+        self.used.append(count)
+        chosen = np.sort(self._rng.choice(objective.pixels, count, replace=False))
+        x, self.stopped = _lit_by(objective, x, chosen.astype(np.uint64), self._watch)
+        materials, squares = descended(objective, x, judge.pixels, steps=STEPS, starts=2)
+        x = put(objective, x, judge.pixels, materials)
+        fits = not judge.pixels.size or judge.shared(x) <= NOISE_SHARED
+        return Lit(x, fits, judge.pixels, float(squares.sum()), "")
+
+    def is_exact(self, lit: Lit) -> bool:
+        """Whether nothing is left of the pixels that judge."""
+        share = len(lit.judges) / self._objective.pixels
+        return lit.squares <= EXACT**2 * self._objective.total_weight * share
 
 
 def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
@@ -186,9 +194,11 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
             x, squares = polished(objective, x, squares, watch.visit, watch.stop)
             before = float(squares.sum())
             x, squares = retried(objective, x, squares)
-            if float(squares.sum()) >= (1 - FREED) * before:
+            left = float(squares.sum())
+            if left < before:
+                stop = watch.visit(x, squares)
+            if left >= (1 - FREED) * before:
                 break
-            stop = watch.visit(x, squares)
     return Fit(x, squares)
 
 

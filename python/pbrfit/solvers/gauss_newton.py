@@ -16,10 +16,11 @@ Array = NDArray[np.float64]
 
 
 class _Watch:
-    """Makes iterations and rows of the history of what `second_order` tells."""
+    """Makes iterations and rows of the history of what `second_order` tells of all pixels."""
 
     def __init__(self, run: Run, x: Array) -> None:
         self._run, self._x = run, x
+        self._steps_of_few = 0
 
     def stop(self) -> bool:
         return self._run.out_of_time()
@@ -27,8 +28,10 @@ class _Watch:
     def visit_few(
         self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float
     ) -> bool:
+        # No iterations: they cost little, and where they fail L-BFGS is to have all of these. But
+        # there are no more of them, so that few iterations take little time.
         run = self._run
-        run.iteration += 1
+        self._steps_of_few += 1
 
         def state() -> Array:
             x = put(run.objective, self._x, pixels, materials)
@@ -36,11 +39,12 @@ class _Watch:
             return x
 
         run.tell(run.objective.residual_rmse(share), state)
-        return run.left <= 0 or run.out_of_time()
+        return self._steps_of_few >= run.limits.iterations or run.out_of_time()
 
     def visit(self, x: Array, squares: Array) -> bool:
         run = self._run
-        run.iteration += 1
+        # Pixels that are freed after the last iteration belong to that.
+        run.iteration += run.left > 0
         # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
         data = float(squares.sum()) / run.objective.total_weight
         loss = data + run.objective.add_penalties(x, np.zeros(run.objective.size))

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a running fit stands; passed to `progress` at the start and after each iteration.
+    """Where a running fit stands; passed to `progress` at the start and after each step.
 
     Attributes
     ----------

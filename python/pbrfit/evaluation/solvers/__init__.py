@@ -64,7 +64,7 @@ QUICK = Effort(
     size={"exact": 32, "noise": 32, "start": 24, "gap": 32, "priors": 32, "race": 64},
     cycles_scenes=0,
     iterations=100,
-    memory_sizes=(256,),
+    memory_sizes=(512,),
 )
 
 LARGE_SIZE = 2048

@@ -236,7 +236,7 @@ def _fits(measured: StiffFits) -> Table:
     heads += [f"{name}:\nuntold" for name in MAPS]
     heads += ["iterations", "evaluations", "seconds"]
     columns += [Cell(head, "number") for head in heads]
-    columns.append(Cell("ended by"))
+    columns.append(Cell("ended by", "name"))
     rows = []
     scene = ""
     for fit in measured.fits:
@@ -249,7 +249,7 @@ def _fits(measured: StiffFits) -> Table:
                 Cell("" if fit.scene == scene else fit.scene, "name"),
                 Cell(fit.solver, "name"),
                 *(Cell(text, "number") for text in figures),
-                Cell(fit.status.replace("_", " ")),
+                Cell(fit.status.replace("_", " "), "name"),
             ]
         )
         scene = fit.scene

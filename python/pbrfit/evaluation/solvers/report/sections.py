@@ -103,7 +103,8 @@ def _worst_pixel(worst: Sequence[Values]) -> str:
         return ""
     w = worst[0]
     return (
-        f"at {tuple(w['pixel'])}: r {w['roughness'][0]:.3f} found {w['roughness'][1]:.3f}, "
+        f"at {tuple(w['pixel'])}, off by {scientific(max(w['off']))}: "
+        f"r {w['roughness'][0]:.3f} found {w['roughness'][1]:.3f}, "
         f"m {w['metallic'][0]:.2f} found {w['metallic'][1]:.2f}, radiance {w['radiance']:.3f}, "
         f"n·v {w['cosine']:.2f}"
     )

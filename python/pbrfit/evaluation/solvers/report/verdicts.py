@@ -96,6 +96,18 @@ def _exact(measured: Measured) -> Iterator[Verdict]:
             f"not: {', '.join(missed)}" if missed else "",
             at_least=True,
         )
+    above = {
+        task.seed: values["auto"]["recon"] / values["lbfgsb"]["recon"] for task, values in found
+    }
+    worst = max(above, key=lambda seed: above[seed])
+    higher = sum(ratio > 1 for ratio in above.values())
+    yield Verdict(
+        "exact",
+        "auto's residual over lbfgsb's",
+        above[worst],
+        1.0,
+        f"seed {worst}; above in {higher} of {len(found)}",
+    )
 
 
 def _noise(measured: Measured) -> Iterator[Verdict]:
