@@ -499,12 +499,12 @@ class _OneByOne:
 
     count: int
     image: Callable[[int], NDArray[np.float64]]
-    dtype: np.dtype[np.float32 | np.float64]
+    dtype: np.dtype[Any]
 
     def __len__(self) -> int:
         return self.count
 
-    def __iter__(self) -> Iterator[NDArray[np.float32 | np.float64]]:
+    def __iter__(self) -> Iterator[NDArray[Any]]:
         for i in range(self.count):
             yield self.image(i).astype(self.dtype, copy=False)
 
