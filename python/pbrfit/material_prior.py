@@ -168,8 +168,10 @@ def learn(
     with threadpool_limits(1, user_api="blas"):
         if layout.lighting is not None:
             moved = _with_lights(objective, x, few, labels[few], strength, out_of_time)
-            if _explains_more(objective, x, moved):
-                x = moved
+            x = moved if _explains_more(objective, x, moved) else x.copy()
+            del moved  # of the size of x, which counts
+        else:
+            x = x.copy()
 
         grid = _Grid(objective, x, few)
         many = spread_over(labels, LEARNING_PIXELS_GIVEN_LIGHTS)
@@ -180,9 +182,11 @@ def learn(
             for chunk in _pieces(layout.pixels)
         ]
         posterior = _Posterior.joined(parts)
+        del parts
         pull = _pull(posterior, FLOORS[-1], strength * grid.variance, len(layout.finish))
-        x = _put(objective, x, everything, pull.centre)
-        x, _ = objective.with_best_albedo(x, everything)
+        del posterior
+        _put(objective, x, everything, pull.centre)
+        objective.put_best_albedo(x, everything)
     return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight)
 
 
@@ -195,12 +199,14 @@ def _with_lights(
     out_of_time: Callable[[], bool],
 ) -> Array:
     """X with the lights, and materials of some pixels, that were found with their prior."""
+    x = x.copy()
     for floor in FLOORS:
         grid = _Grid(objective, x, pixels)
         likelihood = grid.likelihood(pixels)
         posterior = _Learnt.of(likelihood, labels, grid).posterior(likelihood, labels)
         pull = _pull(posterior, floor, strength * grid.variance, len(objective.layout.finish))
-        x = _put(objective, x, pixels, pull.centre)
+        _put(objective, x, pixels, pull.centre)
+        del grid  # which holds x
         x, _ = pulled_steps.minimize(objective, x, pixels, pull, STEPS)
         if out_of_time():
             break
@@ -219,11 +225,11 @@ def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
     pixels = neighbours.pixels
     if not pixels.size:
         return False
-    squares = []
+    squares, best = [], np.empty_like(before)
     for x in (before, after):
-        best = _put(objective, x, pixels, _Grid(objective, x, pixels).best(pixels))
-        best, of_pixels = objective.with_best_albedo(best, pixels)
-        squares.append(float(of_pixels.sum()))
+        best[:] = x
+        _put(objective, best, pixels, _Grid(objective, x, pixels).best(pixels))
+        squares.append(float(objective.put_best_albedo(best, pixels).sum()))
     if squares[1] <= MUCH_LESS * squares[0]:
         return True
     return squares[1] <= NOT_MORE * squares[0] and neighbours.shared(best) <= NOISE_SHARED
@@ -233,12 +239,10 @@ def _pieces(count: int) -> list[slice]:
     return [slice(first, first + APPLIED_AT_ONCE) for first in range(0, count, APPLIED_AT_ONCE)]
 
 
-def _put(objective: Objective, x: Array, pixels: NDArray[np.uint64], values: Array) -> Array:
-    """X with these roughness and metallic (Q, F) at some pixels."""
-    x = x.copy()
+def _put(objective: Objective, x: Array, pixels: NDArray[np.uint64], values: Array) -> None:
+    """Give some pixels of x these roughness and metallic (Q, F)."""
     for block, of_block in zip(objective.layout.finish, values.T, strict=True):
         x[block][pixels] = of_block
-    return x
 
 
 class _Grid:

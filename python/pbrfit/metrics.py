@@ -41,19 +41,25 @@ def rmse(
     """
     if found.shape != true.shape:
         raise ValueError(f"rmse: expected equal shapes, found {found.shape} and {true.shape}")
-    used = ~(np.isnan(found) | np.isnan(true))
+    used = np.isnan(found)
+    used |= np.isnan(true)
+    np.logical_not(used, out=used)
     if weights is not None:
         weights = np.broadcast_to(weights, found.shape)
         used &= weights > 0
         weights = weights[used].astype(np.float64)
-    difference = found[used].astype(np.float64) - true[used]
+    # In place: pictures are large.
+    difference = found[used].astype(np.float64, copy=False)
+    difference -= true[used]
     if not difference.size:
         raise ValueError("rmse: expected at least one entry that is NaN in neither array")
-    largest = float(np.max(np.abs(difference)))
+    largest = float(max(difference.max(), -difference.min()))
     if largest == 0.0:
         return 0.0
     # Divided by the largest, because squares of large radiance overflow.
-    return largest * math.sqrt(float(np.average(np.square(difference / largest), weights=weights)))
+    difference /= largest
+    np.square(difference, out=difference)
+    return largest * math.sqrt(float(np.average(difference, weights=weights)))
 
 
 def scaled_per_channel(

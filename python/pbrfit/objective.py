@@ -165,7 +165,6 @@ class Objective:
         self._scene, self.threads = scene, threads
         # Which of the scene's valid pixels take part.
         self._chosen: slice | NDArray[np.uint64] = slice(None)
-        self._mean_image = self._mean(weights)
         self.problem = self._problem(weights)
         self.penalties = [] if priors is None else penalties(layout, priors)
 
@@ -185,7 +184,7 @@ class Objective:
     def start(self) -> NDArray[np.float64]:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
         maps = np.empty(self.layout.maps.stop)
-        albedo = START_MEAN_ALBEDO / MEAN_RADIANCE * self._mean_image
+        albedo = START_MEAN_ALBEDO / MEAN_RADIANCE * self._mean_image()
         maps[self.albedo] = np.clip(albedo, *START_ALBEDO_RANGE).T.ravel()
         maps[self.roughness] = START_ROUGHNESS
         if self.metallic is not None:
@@ -225,10 +224,16 @@ class Objective:
         indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
         degree 4 in the albedo of each channel. Penalties take no part.
         """
-        albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
         x = x.copy()
+        return x, self.put_best_albedo(x, pixels)
+
+    def put_best_albedo(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> NDArray[np.float64]:
+        """As `with_best_albedo`, in x itself; returned are the sums alone."""
+        albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
         x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
-        return x, squares
+        return squares
 
     def value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         """Loss at x and its gradient: (float, (size,) float64). x is not changed.
@@ -324,7 +329,6 @@ class Objective:
         found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
         found.weights = None if self.weights is None else self.weights[:, pixels]
         found._chosen = pixels
-        found._mean_image = self._mean_image[pixels]
         found.problem = found._problem(found.weights)
         return found
 
@@ -408,8 +412,9 @@ class Objective:
         samples /= self._units[i]
         return samples
 
-    def _mean(self, weights: NDArray[np.float32] | None) -> NDArray[np.float64]:
+    def _mean_image(self) -> NDArray[np.float64]:
         """(P, C): the mean over pictures, of what float32 holds of them."""
+        weights = self.weights
         mean = np.zeros((self.pixels, self.channels))
         for i in range(self.layout.pictures):
             image = self._image(i).astype(np.float32)

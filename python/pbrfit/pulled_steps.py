@@ -85,9 +85,9 @@ class Pull:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """x, the offsets (clusters, F), and the sum that is minimised."""
+    """An x of the pixels alone, the offsets (clusters, F), and the sum that is minimised."""
 
-    x: Array
+    part: Array
     offsets: Array
     total: float
 
@@ -110,16 +110,18 @@ def minimize(
     steps
         At most so many.
     """
+    x = x.copy()
     state = _with_best_albedo(
         objective, x, pixels, pull, np.zeros((pull.clusters, pull.centre.shape[1]))
     )
     damping, done, failed = FIRST_DAMPING, 0, 0
     while done < steps and failed < FAILURES:
         try:
-            moved = _step(objective, state, pixels, pull, damping)
+            moved = _step(objective, x, state, pixels, pull, damping)
         except np.linalg.LinAlgError:
             moved = None
         if moved is None or not moved.total < state.total:
+            _put(objective, x, pixels, state.part)
             damping, failed = 10 * damping, failed + 1
             continue
         gain = state.total - moved.total
@@ -127,27 +129,41 @@ def minimize(
         damping = max(damping / 5, SMALLEST_DAMPING)
         if gain < ENOUGH * state.total:
             break
-    return state.x, done
+    return x, done
+
+
+def _put(objective: Objective, x: Array, pixels: NDArray[np.uint64], part: Array) -> None:
+    """Give x the materials of some pixels, and the lights, of an x of these pixels alone."""
+    maps = x[objective.layout.maps].reshape(-1, objective.pixels)
+    of_pixels, lights = np.split(part, [len(maps) * len(pixels)])
+    maps[:, pixels] = of_pixels.reshape(len(maps), -1)
+    x[objective.layout.maps.stop :] = lights
 
 
 def _with_best_albedo(
     objective: Objective, x: Array, pixels: NDArray[np.uint64], pull: Pull, offsets: Array
 ) -> _State:
-    x, squares = objective.with_best_albedo(x, pixels)
+    """The state of x, whose albedo is put to its best."""
+    squares = objective.put_best_albedo(x, pixels)
     values = np.stack([x[block][pixels] for block in objective.layout.finish], axis=-1)
     off = values - pull.centre - offsets[pull.cluster]
     pulled = float((pull.precision * off**2).sum())
     held = OFFSET_PULL * float((pull.offset_precision() * offsets**2).sum())
-    return _State(x, offsets, float(squares.sum()) + pulled + held)
+    return _State(objective.part_of(x, pixels), offsets, float(squares.sum()) + pulled + held)
 
 
 def _step(
-    objective: Objective, state: _State, pixels: NDArray[np.uint64], pull: Pull, damping: float
+    objective: Objective,
+    x: Array,
+    state: _State,
+    pixels: NDArray[np.uint64],
+    pull: Pull,
+    damping: float,
 ) -> _State:
-    """One damped step. Half the sum's derivatives are used throughout."""
+    """One damped step of x, which is in `state`. Half the sum's derivatives are used throughout."""
     from scipy.linalg import cho_factor, cho_solve
 
-    layout, x = objective.layout, state.x
+    layout = objective.layout
     for_core = objective.for_core(x)
     values = x[layout.maps].reshape(-1, layout.pixels)[:, pixels].T  # (Q, D)
     finish = slice(layout.channels, None)
@@ -198,7 +214,6 @@ def _step(
     whitened += np.einsum("pdnc,pnc->pd", part.rows, of_samples)
     whitened[:, finish] += np.einsum("pfg,pg->pf", system.by_offsets, offsets[pull.cluster])
     values = np.clip(values - np.einsum("pij,pi->pj", part.whiten, whitened), 0, 1)
-    x = x.copy()
     x[layout.maps].reshape(-1, layout.pixels)[:, pixels] = values.T
     x[layout.lighting] += lights.transpose(0, 2, 1).ravel()
     return _with_best_albedo(objective, x, pixels, pull, state.offsets + offsets)

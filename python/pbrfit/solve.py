@@ -135,7 +135,6 @@ def decompose(
         priors=priors,
         equal_exposures=equal_exposures,
     )
-    x = _start(objective, start)
     run = Run(
         scene,
         objective,
@@ -146,9 +145,9 @@ def decompose(
         progress=progress,
         began=began,
     )
-    x, status, stop_reason = solve(run, solver, x, start_given=start is not None)
-
-    materials, lighting = objective.unpack(x)
+    x, status, stop_reason = solve(
+        run, solver, _start(objective, start), start_given=start is not None
+    )
     needs = Needs.of(
         scene,
         objective.layout,
@@ -158,6 +157,12 @@ def decompose(
         lighting=run.measured_lighting,
     )
     seconds = time.perf_counter() - began - run.unmeasured
+    deviations = estimate(objective, x, priors=priors != Priors.none()) if uncertainty else None
+    materials, lighting = objective.unpack(x)
+    exposures, assumed = objective.exposures, _assumed(scene, objective)
+    history, evaluations, stages = History(tuple(run.rows)), run.evaluations, tuple(run.stages)
+    iteration = run.iteration
+    del run, objective, x  # the core, whose memory the pictures for the metrics take
     result = Result(
         materials=materials,
         lighting=lighting,
@@ -167,10 +172,10 @@ def decompose(
         pictures=scene.names,
         status=status,
         stop_reason=stop_reason,
-        history=History(tuple(run.rows)),
-        evaluations=run.evaluations,
+        history=history,
+        evaluations=evaluations,
         seconds=seconds,
-        metrics=_metrics(scene, materials, lighting, threads, objective.exposures),
+        metrics=_metrics(scene, materials, lighting, threads, exposures),
         options=Options(
             solver=solver,
             iterations=iterations,
@@ -183,14 +188,14 @@ def decompose(
             equal_exposures=equal_exposures,
             seed=seed,
         ),
-        assumed=_assumed(scene, objective),
+        assumed=assumed,
         left_out=needs.left_out,
         inputs=dict(scene.inputs),
         source=scene.source,
-        stages=tuple(run.stages),
-        uncertainty=estimate(objective, x, priors=priors != Priors.none()) if uncertainty else None,
+        stages=stages,
+        uncertainty=deviations,
     )
-    log.info("%s after %d iterations, %.1f s: %s", status, run.iteration, seconds, stop_reason)
+    log.info("%s after %d iterations, %.1f s: %s", status, iteration, seconds, stop_reason)
     return result
 
 

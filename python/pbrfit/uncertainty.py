@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pbrfit.layout import Layout
 from pbrfit.light_spectrum import spectrum
 from pbrfit.materials import Materials
-from pbrfit.normal_equations import chunks, held_at_bounds, inverse
+from pbrfit.normal_equations import WORKING_SET, chunks, held_at_bounds, inverse
 from pbrfit.objective import Objective
 from pbrfit.sampling import spread
 
@@ -46,6 +46,10 @@ this it is rounding: materials can make up for it completely."""
 FREE_MOVE = 0.01
 """An unknown that moves by more than this when the light changes by as much as it is itself, in a
 direction that materials can make up for, is not determined."""
+
+PIECES = 16
+"""At least so many pieces are the pixels taken in, so that their matrices take little memory beside
+the pictures."""
 
 CHECKED = 512
 """Pixels in which the modes that were used are compared with all."""
@@ -212,11 +216,11 @@ def _estimate(objective: Objective, x: Array, priors: bool, light_pixels: int) -
     conditional = np.empty(held.shape)
     marginal = np.empty(held.shape)
     singular = np.empty(held.shape, dtype=bool)
-    squares = 0.0
-    for chunk in chunks(layout.pixels, 8 * 4 * held.shape[1] ** 2):
+    squares = np.empty(layout.pixels)
+    bytes_each = max(8 * 4 * held.shape[1] ** 2, PIECES * WORKING_SET // layout.pixels)
+    for chunk in chunks(layout.pixels, bytes_each):
         pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
-        matrices, _, of_pixels = problem.normal_equations(for_core, pixels)
-        squares += float(of_pixels.sum())
+        matrices, _, squares[chunk] = problem.normal_equations(for_core, pixels)
         found = inverse(matrices, held[chunk])
         conditional[chunk] = np.einsum("pii->pi", found.matrices)
         marginal[chunk] = conditional[chunk]
@@ -230,22 +234,27 @@ def _estimate(objective: Objective, x: Array, priors: bool, light_pixels: int) -
 
     unknowns = np.count_nonzero(~held) + layout.size - layout.maps.stop
     degrees = objective.samples - unknowns
-    noise = math.sqrt(squares / degrees) if degrees > 0 else None
+    noise = math.sqrt(float(squares.sum()) / degrees) if degrees > 0 else None
 
     def deviations(variances: Array) -> Array:
-        unknown = singular | (not degrees > 0) & ~held
-        found = np.sqrt(variances) * (noise or 0.0)
-        return np.minimum(np.where(unknown, LARGEST, found), LARGEST)
+        """In their place."""
+        found = np.sqrt(variances, out=variances)
+        found *= noise or 0.0
+        found[singular | (not degrees > 0) & ~held] = LARGEST
+        return np.minimum(found, LARGEST, out=found)
 
-    conditional, marginal = deviations(conditional), deviations(marginal)
     albedo_scale = np.zeros(3)
     if lights is not None:
         albedo_scale[:] = (
             np.minimum(lights.scale * noise, LARGEST) if noise is not None else LARGEST
         )
     red, green, blue = albedo_scale.tolist()
+    # Of the size of x each, which counts: maps of one after the other.
+    of_conditional = _materials(deviations(conditional), layout)
+    del conditional
+    marginal = deviations(marginal)
     return Uncertainty(
-        conditional=_materials(conditional, layout),
+        conditional=of_conditional,
         marginal=_materials(marginal, layout),
         undetermined=_flags(marginal > UNDETERMINED, layout),
         on_bound=_flags(held, layout),

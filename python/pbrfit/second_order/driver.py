@@ -17,12 +17,13 @@ from pbrfit.second_order.pixels import (
     STEPS,
     Towards,
     descended,
-    fitted,
+    fit_all,
+    place,
     put,
-    retried,
+    retry,
     taken,
 )
-from pbrfit.second_order.polish import polished
+from pbrfit.second_order.polish import polish
 
 Array = NDArray[np.float64]
 
@@ -118,7 +119,7 @@ def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> Lit:
     """
     judge = Neighbours(objective)
     if objective.lighting is None:
-        return Lit(x, fits=True, judges=judge.pixels, squares=0.0, note="lights known")
+        return Lit(x.copy(), fits=True, judges=judge.pixels, squares=0.0, note="lights known")
     search = _Search(objective, judge, watch, np.random.default_rng(seed))
     with _one_blas_thread():
         best, worst = None, 0.0
@@ -168,7 +169,7 @@ class _Search:
         chosen = np.sort(self._rng.choice(objective.pixels, count, replace=False))
         x, self.stopped = _lit_by(objective, x, chosen.astype(np.uint64), self._watch)
         materials, squares = descended(objective, x, judge.pixels, steps=STEPS, starts=2)
-        x = put(objective, x, judge.pixels, materials)
+        place(objective, x, judge.pixels, materials)
         fits = not judge.pixels.size or judge.shared(x) <= NOISE_SHARED
         return Lit(x, fits, judge.pixels, float(squares.sum()), "")
 
@@ -179,21 +180,24 @@ class _Search:
 
 
 def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
-    """All pixels' materials for the lights of x, then both together; None if time ran out."""
+    """All pixels' materials for the lights of x, then both together; None if time ran out.
+
+    x changes.
+    """
     with _one_blas_thread():
-        found = fitted(objective, x, starts=1, stop=watch.stop)
-        if found is None:
+        squares = fit_all(objective, x, starts=1, stop=watch.stop)
+        if squares is None:
             return None
-        x, squares = retried(objective, *found)
+        retry(objective, x, squares)
         stop = watch.visit(x, squares)
         if objective.lighting is None:
             return Fit(x, squares)
         for _ in range(ROUNDS):
             if stop:
                 break
-            x, squares = polished(objective, x, squares, watch.visit, watch.stop)
+            polish(objective, x, squares, watch.visit, watch.stop)
             before = float(squares.sum())
-            x, squares = retried(objective, x, squares)
+            retry(objective, x, squares)
             left = float(squares.sum())
             if left < before:
                 stop = watch.visit(x, squares)
@@ -202,29 +206,29 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
     return Fit(x, squares)
 
 
-def fit_pulled(objective: Objective, x: Array, pull: MaterialPull, watch: Watch) -> Array | None:
-    """X with squares and pull together as low as they get from x; None if time ran out before.
+def fit_pulled(objective: Objective, x: Array, pull: MaterialPull, watch: Watch) -> None:
+    """Squares and pull together as low as they get from x, which changes.
 
-    The pull's offsets are put to their best values in turns with all else.
+    The pull's offsets are put to their best values in turns with all else. Where time runs out
+    before all pixels have had their turn, x is as it was before it.
     """
     data = np.inf
     with _one_blas_thread():
         for turn in range(TURNS):
             towards = Towards(pull.shifted(x), pull.precision)
             starts = 1 if turn == 0 else 0
-            found = fitted(objective, x, starts=starts, towards=towards, stop=watch.stop)
-            if found is None:
-                return None if turn == 0 else x
-            x, squares = found
+            before_turn = x.copy()
+            squares = fit_all(objective, x, starts=starts, towards=towards, stop=watch.stop)
+            if squares is None:
+                x[:] = before_turn
+                break
+            del before_turn  # of the size of x, which counts
             if objective.lighting is not None:
-                x, squares = polished(
-                    objective, x, squares, lambda *_: watch.stop(), watch.stop, towards
-                )
+                polish(objective, x, squares, lambda *_: watch.stop(), watch.stop, towards)
             stop = watch.visit(x, squares)
             before, data = data, float(squares.sum())
             if stop or abs(before - data) < SETTLED * data:
                 break
-    return x
 
 
 def _one_blas_thread() -> AbstractContextManager[object]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,10 +65,15 @@ def taken(objective: Objective, x: Array, pixels: Pixels | slice) -> Array:
 
 
 def put(objective: Objective, x: Array, pixels: Pixels | slice, materials: Array) -> Array:
-    """X with these materials (Q, D) of some pixels."""
+    """A copy of x with these materials (Q, D) of some pixels."""
     x = x.copy()
-    x[objective.layout.maps].reshape(-1, objective.pixels)[:, pixels] = materials.T
+    place(objective, x, pixels, materials)
     return x
+
+
+def place(objective: Objective, x: Array, pixels: Pixels | slice, materials: Array) -> None:
+    """Give some pixels of x these materials (Q, D)."""
+    x[objective.layout.maps].reshape(-1, objective.pixels)[:, pixels] = materials.T
 
 
 def descended(
@@ -113,13 +118,13 @@ def descended(
     return found, squares
 
 
-def chunks(count: int) -> list[Pixels]:
+def chunks(count: int) -> Iterator[Pixels]:
     """All pixels, in pieces that take a fraction of a second."""
-    everything = np.arange(count, dtype=np.uint64)
-    return [everything[first : first + AT_ONCE] for first in range(0, count, AT_ONCE)]
+    for first in range(0, count, AT_ONCE):
+        yield np.arange(first, min(first + AT_ONCE, count), dtype=np.uint64)
 
 
-def fitted(
+def fit_all(
     objective: Objective,
     x: Array,
     *,
@@ -127,11 +132,12 @@ def fitted(
     steps: int = STEPS,
     towards: Towards | None = None,
     stop: Callable[[], bool] = lambda: False,
-) -> tuple[Array, Array] | None:
-    """X with all pixels' best materials for its lights, and their squares (P,); None if stopped."""
-    x = x.copy()
+) -> Array | None:
+    """Give all pixels of x their best materials for its lights; their squares (P,).
+
+    None if stopped before all pixels had theirs.
+    """
     squares = np.empty(objective.pixels)
-    maps = x[objective.layout.maps].reshape(-1, objective.pixels)
     for chunk in chunks(objective.pixels):
         if stop():
             return None
@@ -139,21 +145,41 @@ def fitted(
         found, squares[chunk] = descended(
             objective, x, chunk, steps=steps, starts=starts, towards=rows
         )
-        maps[:, chunk] = found.T
-    return x, squares
+        place(objective, x, chunk, found)
+    return squares
 
 
-def retried(objective: Objective, x: Array, squares: Array) -> tuple[Array, Array]:
-    """X and squares after pixels whose squares stand out were tried again.
+def try_from(
+    objective: Objective,
+    x: Array,
+    squares: Array,
+    pixels: Pixels,
+    materials: Array,
+    *,
+    steps: int,
+    starts: int = 0,
+    towards: Towards | None = None,
+) -> Array:
+    """Let some pixels of x descend from these materials (Q, D), and keep what is lower.
+
+    Theirs of `squares` (P,) change too. Returned are the squares they descended to, (Q,).
+    """
+    own = taken(objective, x, pixels)
+    place(objective, x, pixels, materials)
+    found, left = descended(objective, x, pixels, steps=steps, starts=starts, towards=towards)
+    better = left < squares[pixels]
+    place(objective, x, pixels, np.where(better[:, None], found, own))
+    squares[pixels[better]] = left[better]
+    return left
+
+
+def retry(objective: Objective, x: Array, squares: Array) -> None:
+    """Try pixels again whose squares stand out; x and `squares` change where that is better.
 
     From more nodes, and from the materials of the pixels around them: an object is seldom of a
     single pixel, and where its neighbours have found their way, so can it.
     """
     outlying = np.flatnonzero(squares > OUTLYING * np.median(squares)).astype(np.uint64)
-    if not outlying.size:
-        return x, squares
-    x, squares = x.copy(), squares.copy()
-    maps = x[objective.layout.maps].reshape(-1, objective.pixels)
     for first in range(0, len(outlying), AT_ONCE):
         chunk = outlying[first : first + AT_ONCE]
         found, squares[chunk] = descended(
@@ -164,23 +190,18 @@ def retried(objective: Objective, x: Array, squares: Array) -> tuple[Array, Arra
             starts=FINE_STARTS,
             nodes=(FINE_ROUGHNESS, FINE_METALLIC),
         )
-        maps[:, chunk] = found.T
+        place(objective, x, chunk, found)
     for _ in range(SPREADS):
         gained = False
         for offset in NEIGHBOURS:
             chunk, other = _beside(objective, outlying, offset)
             if not chunk.size:
                 continue
-            trial = x.copy()
-            trial[objective.layout.maps].reshape(-1, objective.pixels)[:, chunk] = maps[:, other]
-            found, left = descended(objective, trial, chunk, steps=STEPS)
-            better = left < squares[chunk]
-            maps[:, chunk[better]] = found[better].T
-            squares[chunk[better]] = left[better]
+            beside = taken(objective, x, other)
+            left = try_from(objective, x, squares, chunk, beside, steps=STEPS)
             gained |= bool((left < CLEARLY * squares[chunk]).any())
         if not gained:
             break
-    return x, squares
 
 
 def _beside(objective: Objective, pixels: Pixels, offset: tuple[int, int]) -> tuple[Pixels, Pixels]:

@@ -17,10 +17,10 @@ from pbrfit.second_order.pixels import (
     Pixels,
     Towards,
     chunks,
-    descended,
-    fitted,
-    put,
+    fit_all,
+    place,
     taken,
+    try_from,
 )
 
 Array = NDArray[np.float64]
@@ -83,15 +83,15 @@ Visit = Callable[[Array, Array], bool]
 """Called with x and the pixels' squares after each step; whether to stop."""
 
 
-def polished(
+def polish(
     objective: Objective,
     x: Array,
     squares: Array,
     visit: Visit,
     stop: Callable[[], bool],
     towards: Towards | None = None,
-) -> tuple[Array, Array]:
-    """X and squares (P,) after joint steps that lower their sum, pulls included."""
+) -> None:
+    """Joint steps that lower the sum of squares, pulls included; x and `squares` (P,) change."""
     total = _total(objective, x, squares, towards)
     damping = 0.0
     for _ in range(STEPS):
@@ -101,18 +101,16 @@ def polished(
         moves, predicted = _light_moves(objective, x, how, WORTH * total, stop)
         if predicted < WORTH * total or stop():
             break
-        taken_step = _stepped(objective, x, squares, moves, total, how, stop)
-        if taken_step is None:
+        lower = _step(objective, x, squares, moves, total, how, stop)
+        if lower is None:
             if damping >= MOST_DAMPING or stop():
                 break
             damping = max(MORE_DAMPING * damping, FIRST_DAMPING)
             continue
         damping = 0.0 if damping <= FIRST_DAMPING else damping / MORE_DAMPING
-        x, squares, lower = taken_step
         gain, total = 1 - lower / total, lower
         if visit(x, squares) or gain < LAST:
             break
-    return x, squares
 
 
 def _total(objective: Objective, x: Array, squares: Array, towards: Towards | None) -> float:
@@ -183,7 +181,7 @@ def _light_moves(
     return moves, predicted
 
 
-def _stepped(
+def _step(
     objective: Objective,
     x: Array,
     squares: Array,
@@ -191,50 +189,47 @@ def _stepped(
     total: float,
     how: _How,
     stop: Callable[[], bool],
-) -> tuple[Array, Array, float] | None:
-    """X, squares and sum after the longest step of a few that lowers the sum; None if none does."""
+) -> float | None:
+    """The sum after the longest step of a few that lowers it, which is taken; None if none does."""
+    towards = how.towards
+    trial = np.empty_like(x)
     for share in SHARES:
         moved = share * moves
-        trial = x.copy()
+        trial[:] = x
         trial[objective.layout.lighting] += as_in_x(moved, objective.layout)
-        maps = trial[objective.layout.maps].reshape(-1, objective.pixels)
         for chunk in chunks(objective.pixels):
             followed = objective.problem.follow_lights(
                 objective.for_core(x), chunk, moved, **how.of(objective, x, chunk)
             )
-            maps[:, chunk] = followed.T
-        towards = how.towards
-        found = fitted(objective, trial, starts=0, steps=DESCENT, towards=towards, stop=stop)
-        if found is None:
+            place(objective, trial, chunk, followed)
+        left = fit_all(objective, trial, starts=0, steps=DESCENT, towards=towards, stop=stop)
+        if left is None:
             return None
-        found = _caught(objective, x, squares, *found, towards)
-        lower = _total(objective, *found, towards)
+        _catch(objective, x, squares, trial, left, towards)
+        lower = _total(objective, trial, left, towards)
         if lower < total:
-            return *found, lower
+            x[:], squares[:] = trial, left
+            return lower
     return None
 
 
-def _caught(
+def _catch(
     objective: Objective,
     before: Array,
     squares_before: Array,
     x: Array,
     squares: Array,
     towards: Towards | None,
-) -> tuple[Array, Array]:
-    """X and squares when pixels that a step left worse off start again.
+) -> None:
+    """Let pixels that a step left worse off start again; x and `squares` change.
 
     From where they were, and from the best node: one that falls into another minimum costs more
     than many others gain.
     """
     worse = np.flatnonzero(squares > WORSE * squares_before).astype(np.uint64)
-    maps = x[objective.layout.maps].reshape(-1, objective.pixels)
     for first in range(0, len(worse), AT_ONCE):
         chunk = worse[first : first + AT_ONCE]
-        trial = put(objective, x, chunk, taken(objective, before, chunk))
+        own = taken(objective, before, chunk)
         rows = None if towards is None else towards.of(chunk)
-        found, left = descended(objective, trial, chunk, steps=2 * DESCENT, starts=1, towards=rows)
-        better = left < squares[chunk]
-        maps[:, chunk[better]] = found[better].T
-        squares[chunk[better]] = left[better]
-    return x, squares
+        steps = 2 * DESCENT
+        try_from(objective, x, squares, chunk, own, steps=steps, starts=1, towards=rows)

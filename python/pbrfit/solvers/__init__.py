@@ -43,7 +43,7 @@ def solve(
 
     `start_given` tells L-BFGS-B to trust the start: it has no stages then.
     """
-    loss, _ = run.evaluate(x)
+    loss = run.evaluate(x)[0]  # not the gradient, which is as large as x
     run.record(x, loss)
     if run.left <= 0:
         return x, Status.ITERATION_LIMIT, "0 iterations asked for"

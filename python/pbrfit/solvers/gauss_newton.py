@@ -46,8 +46,9 @@ class _Watch:
         # Pixels that are freed after the last iteration belong to that.
         run.iteration += run.left > 0
         # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
-        data = float(squares.sum()) / run.objective.total_weight
-        loss = data + run.objective.add_penalties(x, np.zeros(run.objective.size))
+        loss = data = float(squares.sum()) / run.objective.total_weight
+        if run.objective.penalties:
+            loss += run.objective.add_penalties(x, np.zeros(run.objective.size))
         run.record(x, loss, data)
         return run.left <= 0 or run.out_of_time()
 
@@ -73,8 +74,8 @@ def with_material_prior(run: Run, x: Array) -> Array:
     """X with the material prior learnt around it, and all pixels and lights fitted with it."""
     x, pull = learnt(run, x)
     with run.stage("all pixels by Gauss-Newton, with the material prior"):
-        found = second_order.fit_pulled(run.objective, x, pull, _Watch(run, x))
-    return x if found is None else found
+        second_order.fit_pulled(run.objective, x, pull, _Watch(run, x))
+    return x
 
 
 def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:

@@ -29,13 +29,13 @@ def learnt(run: Run, x: Array) -> tuple[Array, MaterialPull]:
         x, pull = material_prior.learn(
             objective.reweighted(x), x, run.priors.material, out_of_time=run.out_of_time
         )
-        _, run.measured_lighting = objective.unpack(x)
+        run.measured_lighting = objective.unpack(x)[1]
         needs = Needs.of(
             run.scene, objective.layout, priors=run.priors, lighting=run.measured_lighting
         )
         objective.penalties = [*penalties(objective.layout, needs.priors), pull]
         objective.robust = objective.robust_around(x, run.robust)
-        loss, _ = run.evaluate(x)
+        loss = run.evaluate(x)[0]
         run.iteration += 1
         run.record(x, loss)
     return x, pull
