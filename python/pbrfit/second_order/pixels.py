@@ -27,11 +27,7 @@ OUTLYING = 5.0
 pure noise in 16 pictures of three channels one in 10⁹ is."""
 
 NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-SPREADS = 8
-"""Rounds in which outlying pixels take over materials from beside them, at most."""
-
-CLEARLY = 0.5
-"""Of its squares: a pixel that is left with less has gained by what it took over."""
+"""From where outlying pixels take over materials, in this order: (rows, columns)."""
 
 STEPS = 12
 """Of a descent from a node."""
@@ -159,10 +155,10 @@ def try_from(
     steps: int,
     starts: int = 0,
     towards: Towards | None = None,
-) -> Array:
+) -> None:
     """Let some pixels of x descend from these materials (Q, D), and keep what is lower.
 
-    Theirs of `squares` (P,) change too. Returned are the squares they descended to, (Q,).
+    Theirs of `squares` (P,) change too.
     """
     own = taken(objective, x, pixels)
     place(objective, x, pixels, materials)
@@ -170,7 +166,6 @@ def try_from(
     better = left < squares[pixels]
     place(objective, x, pixels, np.where(better[:, None], found, own))
     squares[pixels[better]] = left[better]
-    return left
 
 
 def retry(objective: Objective, x: Array, squares: Array) -> None:
@@ -191,17 +186,11 @@ def retry(objective: Objective, x: Array, squares: Array) -> None:
             nodes=(FINE_ROUGHNESS, FINE_METALLIC),
         )
         place(objective, x, chunk, found)
-    for _ in range(SPREADS):
-        gained = False
-        for offset in NEIGHBOURS:
-            chunk, other = _beside(objective, outlying, offset)
-            if not chunk.size:
-                continue
+    for offset in NEIGHBOURS:
+        chunk, other = _beside(objective, outlying, offset)
+        if chunk.size:
             beside = taken(objective, x, other)
-            left = try_from(objective, x, squares, chunk, beside, steps=STEPS)
-            gained |= bool((left < CLEARLY * squares[chunk]).any())
-        if not gained:
-            break
+            try_from(objective, x, squares, chunk, beside, steps=STEPS)
 
 
 def _beside(objective: Objective, pixels: Pixels, offset: tuple[int, int]) -> tuple[Pixels, Pixels]:

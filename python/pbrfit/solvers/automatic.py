@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pbrfit.result import Status
 from pbrfit.second_order import Lit
-from pbrfit.solvers.descent import Descent, lowered, robust_around, staged
+from pbrfit.solvers.descent import STALL, Descent, lowered, robust_around, staged
 from pbrfit.solvers.first_order import FIRST_SHARE
 from pbrfit.solvers.gauss_newton import find_lights, fit_materials, with_material_prior
 from pbrfit.solvers.learning import learns, learnt
@@ -24,6 +24,10 @@ come further along its valleys. After 250 iterations on seven rooms Gauss-Newton
 of L-BFGS's squares where lights of order 2 were fitted to pictures of order 3, and its materials
 were better; with a wrong field of view it left 0.42 to 0.79, and they were worse."""
 
+NO_FIT = "the model does not fit the pictures: residuals of neighbours are alike"
+NO_SQUARES = "for a robust loss"
+"""Why L-BFGS takes all pixels from the start."""
+
 EXACT = 1e-6
 """Root mean square of residuals, at mean radiance 0.4: rounding to float32 leaves 10⁻⁸."""
 
@@ -38,14 +42,19 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     model is wrong somewhere: normals, field of view, shadows, order of the lights. A lower loss can
     mean worse materials there, because lights that fit some pixels closely bend their materials to
     the error. Then L-BFGS takes all pixels from the start, and its fit stays unless Gauss-Newton's
-    is the same or far better.
+    is the same or far better. It takes them with a robust loss too: squares of outliers lead far
+    from where that is least, and the material prior would be learnt there.
     """
-    lit = find_lights(run, x)
-    least, by_all = (loss, x), None
-    if not lit.fits:
-        least = _by_all_pixels(run, x, loss, start_given=start_given)
+    least, by_all, lit = (loss, x), None, None
+    if run.robust == "none":
+        lit = find_lights(run, x)
+    if lit is None or not lit.fits:
+        why = NO_SQUARES if lit is None else NO_FIT
+        least = _by_all_pixels(run, x, loss, why, start_given=start_given)
         by_all = least[1]
-    found = fit_materials(run, lit) if by_all is None or _may_be_better(run, lit, by_all) else None
+    found = None
+    if lit is not None and (by_all is None or _may_be_better(run, lit, by_all)):
+        found = fit_materials(run, lit)
     if found is not None and (by_all is None or _is_better(run, found, by_all)):
         x, squares_are_least = found, True
         if learns(run) and _goes_on(run):
@@ -59,7 +68,7 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     if not done and _goes_on(run):
         if not learns(run):  # else it is robust already
             robust_around(run, (loss, x))
-        x = lowered(run, x)
+        x = lowered(run, x, stall=STALL if squares_are_least else None)
     comparable = not learns(run) and run.robust == "none"
     if comparable and run.rows[-1].loss > least[0]:
         # Squares know nothing of penalties, and there was no time to lower these.
@@ -82,13 +91,15 @@ def _is_exact(run: Run, x: Array) -> bool:
     return run.objective.data_value_and_grad(x)[0] <= EXACT**2
 
 
-def _by_all_pixels(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[float, Array]:
+def _by_all_pixels(
+    run: Run, x: Array, loss: float, why: str, *, start_given: bool
+) -> tuple[float, Array]:
     """Loss and x of L-BFGS from the start."""
     descent = Descent.for_size(run)
     with run.stage(descent.name) as notes:
         share = FIRST_SHARE if learns(run) else 1.0
         x, loss, _ = staged(run, x, loss, share * run.left, descent, start_given=start_given)
-        notes.append("the model does not fit the pictures: residuals of neighbours are alike")
+        notes.append(why)
     return loss, x
 
 

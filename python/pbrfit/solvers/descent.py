@@ -31,8 +31,8 @@ STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 that ended at the bound start again from the middle."""
 
 STALL = (10, 1e-5)
-"""(Iterations, share): `lowered` stops where the loss fell by less than this share of itself over
-so many iterations."""
+"""(Iterations, share): after Gauss-Newton, L-BFGS stops where the loss fell by less than this share
+of itself over so many iterations."""
 
 RESOLUTION = 1e-9
 """Of a difference of nearby losses, whose residuals are those of float32."""
@@ -128,12 +128,12 @@ class Descent:
         return self._method(run, x, iterations, lowest_roughness, stall)
 
 
-def lowered(run: Run, x: Array) -> Array:
+def lowered(run: Run, x: Array, stall: tuple[int, float] | None) -> Array:
     """X with the whole objective lowered until that stalls, or the limits of the run."""
     descent = Descent.for_size(run)
     with run.stage(descent.name) as notes:
         before = run.iteration
-        _, x = descent(run, x, run.left, stall=STALL)
+        _, x = descent(run, x, run.left, stall=stall)
         notes.append(f"{run.iteration - before} iterations")
     return x
 
