@@ -19,7 +19,7 @@ SINGULAR = 1e8
 """Where the other unknowns of a pixel raise a variance by more than this, rounding has decided it:
 the matrices are sums of float64 products, and the pictures have 7 digits."""
 
-WORKING_SET = 1 << 26
+WORKING_SET = 1 << 24
 """Bytes of the largest array that a piece of work may need."""
 
 
