@@ -142,9 +142,13 @@ def print_result(result: Result, scene: Scene, output: Path) -> None:
     print(f"\n{'RMSE':<22}{'start':>10}{'result':>10}")
     for name, key in rows:
         if key in result.metrics:
-            at_start = (
-                f"{result.history[key][0]:>10.4f}" if key in result.history.columns else f"{'':>10}"
-            )
-            print(f"{name:<22}{at_start}{result.metrics[key]:>10.4f}")
+            known = key in result.history.columns
+            at_start = _error(result.history[key][0]) if known else ""
+            print(f"{name:<22}{at_start:>10}{_error(result.metrics[key]):>10}")
     if result.left_out:
         print(f"\nleft out: {'; '.join(result.left_out)}")
+
+
+def _error(value: float) -> str:
+    """Four decimals, or what there is where these would all be 0."""
+    return f"{value:.4f}" if value >= 5e-5 or value == 0 else f"{value:.1e}"
