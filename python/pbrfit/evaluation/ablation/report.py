@@ -161,14 +161,14 @@ def _rows(measured: Measured) -> Iterator[summary.Row]:
                 metrics[name] = measured.mean(case, one, name)
                 metrics[f"{name}_ratio"] = measured.ratio(case, one, name)
             yield summary.Row(
-                f"{case}, {one.key}", len(records) - failed, "lbfgsb", metrics, status=status
+                f"{case}, {one.key}", len(records) - failed, "auto", metrics, status=status
             )
     for verdict in measured.verdicts(DEFAULT):
         demand = verdict.demand
         yield summary.Row(
             f"must hold ({demand.part}): {demand.case}, {demand.metric}",
             len(verdict.rooms),
-            "lbfgsb",
+            "auto",
             {
                 "value": verdict.value,
                 "limit": demand.limit,
@@ -183,13 +183,13 @@ def _rows(measured: Measured) -> Iterator[summary.Row]:
             yield summary.Row(task.source.name, 0, None, {}, status=record.error or "not run")
             continue
         for key, found in record.values["found"].items():
-            yield summary.Row(f"{task.source.name}, {key}", 1, "lbfgsb", found)
+            yield summary.Row(f"{task.source.name}, {key}", 1, "auto", found)
     if measured.cost.values is not None:
         parts = {"loss and gradient": measured.cost.values["data"], **measured.cost.values["more"]}
         for name, milliseconds in parts.items():
             yield summary.Row(f"cost, {name}", 1, None, {"milliseconds": milliseconds})
         for key, fit in measured.cost.values["fits"].items():
-            yield summary.Row(f"cost, fit, {key}", 1, "lbfgsb", fit)
+            yield summary.Row(f"cost, fit, {key}", 1, "auto", fit)
 
 
 def _opening(measured: Measured) -> list[str]:

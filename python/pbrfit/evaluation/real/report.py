@@ -68,7 +68,7 @@ def _rows(measured: Sequence[Measured], absent: Sequence[PublicSet]) -> Iterator
                 "seconds": found.seconds,
                 "folds": float(len(one.folds)),
             }
-            solver = "lbfgsb" if name in ("default", "plain", "paper") else None
+            solver = {"default": "auto", "plain": "auto", "paper": "lbfgsb"}.get(name)
             yield summary.Row(
                 f"{one.source.name}, {name}", 1, solver, metrics, status=one.error or "ok"
             )

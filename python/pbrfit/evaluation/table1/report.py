@@ -47,8 +47,8 @@ NAMES = {
 """Of the columns."""
 
 SOLVERS: dict[Recipe, str | None] = {
-    "plain": "lbfgsb, no priors",
-    "default": "lbfgsb, default",
+    "plain": "auto, no priors",
+    "default": "auto, default",
     "paper": "lbfgsb, paper's recipe",
     "paper-priors": "lbfgsb, paper's recipe and priors",
     "constant": "constant guess",
