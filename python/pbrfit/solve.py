@@ -66,7 +66,7 @@ def decompose(
     solver
         `"auto"`: Gauss-Newton, then L-BFGS on the whole objective where it has more than squares;
         where the model does not fit the pictures, L-BFGS from the start. `"gauss-newton"`: squares
-        of the data alone, as low as they get. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem
+        and the learnt material prior alone. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem
         (the paper's recipe), in stages that keep off roughness 0; in one stage when `start` is
         given. docs/solver.md has more.
     iterations

@@ -25,7 +25,8 @@ def add_solver(parser: argparse.ArgumentParser) -> None:
         choices=SOLVERS,
         default="auto",
         help="auto: Gauss-Newton, then L-BFGS where there is more to minimise than squares; "
-        "gauss-newton: squares alone; lbfgsb: the paper's recipe (default: %(default)s)",
+        "gauss-newton: squares and the material prior; lbfgsb: the paper's recipe "
+        "(default: %(default)s)",
     )
     parser.add_argument("--iterations", metavar="K", type=int, default=500, help="at most so many")
     parser.add_argument(

@@ -28,9 +28,6 @@ NO_FIT = "the model does not fit the pictures: residuals of neighbours are alike
 NO_SQUARES = "for a robust loss"
 """Why L-BFGS takes all pixels from the start."""
 
-EXACT = 1e-6
-"""Root mean square of residuals, at mean radiance 0.4: rounding to float32 leaves 10⁻⁸."""
-
 LIKELY = (0.8, 1.3)
 """Of the squares of the pixels that judge: all may have found the same."""
 
@@ -56,15 +53,13 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     if lit is not None and (by_all is None or _may_be_better(run, lit, by_all)):
         found = fit_materials(run, lit)
     if found is not None and (by_all is None or _is_better(run, found, by_all)):
-        x, squares_are_least = found, True
-        if learns(run) and _goes_on(run):
-            x = with_material_prior(run, x)
+        x, squares_are_least = with_material_prior(run, found), True
     else:
         x, squares_are_least = least[1], False
         if learns(run) and _goes_on(run):
             x, _ = learnt(run, x)
     only_squares = run.robust == "none" and not run.objective.penalties
-    done = squares_are_least and (only_squares or _is_exact(run, x))
+    done = squares_are_least and only_squares
     if not done and _goes_on(run):
         if not learns(run):  # else it is robust already
             robust_around(run, (loss, x))
@@ -79,16 +74,6 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
 
 def _goes_on(run: Run) -> bool:
     return run.left > 0 and not run.out_of_time()
-
-
-def _is_exact(run: Run, x: Array) -> bool:
-    """Whether nothing is left of the pictures that evaluations in float32 could lower.
-
-    What draws materials to those that were learnt has gone with the noise then.
-    """
-    if run.robust != "none" or any(p.name != "material" for p in run.objective.penalties):
-        return False
-    return run.objective.data_value_and_grad(x)[0] <= EXACT**2
 
 
 def _by_all_pixels(
