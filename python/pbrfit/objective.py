@@ -165,6 +165,7 @@ class Objective:
         self._scene, self.threads = scene, threads
         # Which of the scene's valid pixels take part.
         self._chosen: slice | NDArray[np.uint64] = slice(None)
+        self._exact = self._has_more_digits()
         self.problem = self._problem(weights)
         self.penalties = [] if priors is None else penalties(layout, priors)
 
@@ -337,6 +338,15 @@ class Objective:
         maps = x[self.layout.maps].reshape(-1, self.pixels)[:, pixels]
         return np.concatenate([maps.ravel(), x[self.layout.maps.stop :]])
 
+    def put_part(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64], part: NDArray[np.float64]
+    ) -> None:
+        """Undo `part_of`: give x the materials of these pixels, and the lights, of `part`."""
+        maps = x[self.layout.maps].reshape(-1, self.pixels)
+        of_pixels, lights = np.split(part, [len(maps) * len(pixels)])
+        maps[:, pixels] = of_pixels.reshape(len(maps), -1)
+        x[self.layout.maps.stop :] = lights
+
     def residual_rmse(self, loss: float) -> float:
         """Root of a loss without penalties, in picture units.
 
@@ -446,7 +456,7 @@ class Objective:
         images = _OneByOne(
             self.layout.pictures,
             self._image,
-            np.dtype(np.float64 if self._has_more_digits() else np.float32),
+            np.dtype(np.float64 if self._exact else np.float32),
         )
         return _core.Problem(
             images,

@@ -57,7 +57,7 @@ TRIALS = 12
 SCIPY_UP_TO = 100_000
 """Unknowns up to which scipy's L-BFGS-B is taken, 128² pixels of three channels. There 500 of its
 iterations take seconds, and the fit is that of the reference, bit for bit. Its own work is nowhere
-a small share of an iteration (73 % and more); ours takes a third to an eighth of the time at any
+a small share of an iteration (73 % and more); ours takes a third to a tenth of the time at any
 size, but after as many iterations single scenes end up to 12 % above scipy's loss, others as much
 below."""
 

@@ -121,7 +121,7 @@ def minimize(
         except np.linalg.LinAlgError:
             moved = None
         if moved is None or not moved.total < state.total:
-            _put(objective, x, pixels, state.part)
+            objective.put_part(x, pixels, state.part)
             damping, failed = 10 * damping, failed + 1
             continue
         gain = state.total - moved.total
@@ -130,14 +130,6 @@ def minimize(
         if gain < ENOUGH * state.total:
             break
     return x, done
-
-
-def _put(objective: Objective, x: Array, pixels: NDArray[np.uint64], part: Array) -> None:
-    """Give x the materials of some pixels, and the lights, of an x of these pixels alone."""
-    maps = x[objective.layout.maps].reshape(-1, objective.pixels)
-    of_pixels, lights = np.split(part, [len(maps) * len(pixels)])
-    maps[:, pixels] = of_pixels.reshape(len(maps), -1)
-    x[objective.layout.maps.stop :] = lights
 
 
 def _with_best_albedo(

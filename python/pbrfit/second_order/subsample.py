@@ -14,7 +14,7 @@ from pbrfit.second_order.pixels import descended, put
 Array = NDArray[np.float64]
 
 ROUNDS = 20
-"""At most. Noise-free rooms need four to seven, noisy ones three to five."""
+"""At most. Rooms need three to seven."""
 
 STARTS = 2
 """Nodes from which each pixel starts in a round."""
