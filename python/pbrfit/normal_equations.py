@@ -15,6 +15,10 @@ Array = NDArray[np.float64]
 RIDGE = 1e-12
 """Added to matrices of unit diagonal before they are inverted; far below what data can tell."""
 
+LIGHT_RIDGE = 1e-13
+"""Of the largest diagonal entry of the lights' system: they may have directions that no pixel sees.
+"""
+
 SINGULAR = 1e8
 """Where the other unknowns of a pixel raise a variance by more than this, rounding has decided it:
 the matrices are sums of float64 products, and the pictures have 7 digits."""
@@ -205,3 +209,38 @@ def _products(jacobian: Array, weights: Array) -> Array:
     rows = jacobian.reshape(pixels, -1, unknowns)
     weighted = rows * weights.reshape(pixels, -1, 1)
     return np.asarray(weighted.transpose(0, 2, 1) @ rows)
+
+
+def as_in_x(moves: Array, layout: Layout) -> Array:
+    """From (light channel, picture, coefficient), as the core has them, to the order in x."""
+    shape = (layout.light_channels, layout.pictures, layout.coefficients)
+    return moves.reshape(shape).transpose(1, 2, 0).ravel()
+
+
+class Cholesky:
+    """Solves with the matrix of some pixels, damped by a share of its diagonal.
+
+    Attributes
+    ----------
+    diagonal
+        Of the matrix without damping.
+
+    Raises
+    ------
+    LinAlgError
+        If the matrix is not positive definite, which rounding can do to it.
+    """
+
+    def __init__(self, matrix: Array, damping: float) -> None:
+        from scipy.linalg import cho_factor
+
+        diagonal = np.einsum("ii->i", matrix)
+        self.diagonal = diagonal.copy()
+        diagonal += damping * np.abs(diagonal) + LIGHT_RIDGE * diagonal.max() + np.finfo(float).tiny
+        self._factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
+
+    def solve(self, right: Array) -> Array:
+        """The vector that the matrix takes to `right`."""
+        from scipy.linalg import cho_solve
+
+        return np.asarray(cho_solve(self._factor, right, check_finite=False))

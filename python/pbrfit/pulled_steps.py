@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.layout import Layout
-from pbrfit.normal_equations import Eliminated, chunks, eliminate
+from pbrfit.normal_equations import Cholesky, Eliminated, as_in_x, chunks, eliminate
 from pbrfit.objective import Objective
 
 Array = NDArray[np.float64]
@@ -46,9 +46,6 @@ FAILURES = 4
 
 ENOUGH = 1e-5
 """A step that lowers the sum by less than this share of it is the last."""
-
-RIDGE = 1e-13
-"""Of the largest diagonal entry: the lights may have directions that no pixel sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +150,6 @@ def _step(
     damping: float,
 ) -> _State:
     """One damped step of x, which is in `state`. Half the sum's derivatives are used throughout."""
-    from scipy.linalg import cho_factor, cho_solve
-
     layout = objective.layout
     for_core = objective.for_core(x)
     values = x[layout.maps].reshape(-1, layout.pixels)[:, pixels].T  # (Q, D)
@@ -187,10 +182,7 @@ def _step(
     by_offsets -= pull.sums(pull.precision * off + tied)
     gradient = np.concatenate([by_lights, by_offsets.ravel()])
 
-    matrix = system.matrix
-    diagonal = np.einsum("ii->i", matrix)
-    diagonal += LIGHT_DAMPING * damping * np.abs(diagonal) + RIDGE * diagonal.max()
-    moves = -cho_solve(cho_factor(matrix), gradient)
+    moves = -Cholesky(system.matrix, LIGHT_DAMPING * damping).solve(gradient)
     lights = moves[: by_lights.size].reshape(
         layout.light_channels, layout.pictures, layout.coefficients
     )
@@ -207,7 +199,7 @@ def _step(
     whitened[:, finish] += np.einsum("pfg,pg->pf", system.by_offsets, offsets[pull.cluster])
     values = np.clip(values - np.einsum("pij,pi->pj", part.whiten, whitened), 0, 1)
     x[layout.maps].reshape(-1, layout.pixels)[:, pixels] = values.T
-    x[layout.lighting] += lights.transpose(0, 2, 1).ravel()
+    x[layout.lighting] += as_in_x(moves[: by_lights.size], layout)
     return _with_best_albedo(objective, x, pixels, pull, state.offsets + offsets)
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Objective, Scene, material_prior, second_order
+from pbrfit.normal_equations import Cholesky, as_in_x
 from pbrfit.second_order import polish, subsample
-from pbrfit.second_order.lights import Cholesky, as_in_x
 from pbrfit.second_order.pixels import Towards, fit_all, put, retry, taken
 from pbrfit.synthetic import make_scene
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.normal_equations import Cholesky, as_in_x
 from pbrfit.objective import Objective
 from pbrfit.sampling import spread
-from pbrfit.second_order.lights import Cholesky, as_in_x, options
+from pbrfit.second_order.lights import options
 from pbrfit.second_order.pixels import (
     AT_ONCE,
     Pixels,

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.normal_equations import Cholesky, as_in_x
 from pbrfit.objective import Objective
-from pbrfit.second_order.lights import Cholesky, as_in_x, options
+from pbrfit.second_order.lights import options
 from pbrfit.second_order.pixels import descended, put
 
 Array = NDArray[np.float64]
