@@ -43,6 +43,9 @@ def save_tiny_flux2_klein(folder: Path, *, distilled: bool = False, seed: int = 
         axes_dims_rope=(4, 4, 4, 4),
         guidance_embeds=False,
     )
+    with torch.no_grad():  # as it is initialised, what goes in hardly shows in what comes out
+        for parameter in transformer.parameters():
+            parameter *= 2
     autoencoder = AutoencoderKLFlux2(
         block_out_channels=(4, 4, 4, 4), layers_per_block=1, latent_channels=4, norm_num_groups=1
     )

@@ -144,7 +144,7 @@ def load(
     """
     options = {} if revision is None else {"revision": revision}
     folder = Path(model).expanduser()
-    if folder.is_dir():
+    if model and folder.is_dir():
         if not (folder / marker).is_file():
             raise InputError(f"{folder}: expected {kind} with a {marker}, found none")
         try:
