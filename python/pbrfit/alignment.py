@@ -12,8 +12,8 @@ or a lamp makes them. The logarithm makes brightness irrelevant. The correlation
     C(d) = Re Σ e_a(x)* e_b(x + d) / √(Σ |e_a|² Σ |e_b|²)
 
 is 1 for equal fields, about 0 for unrelated ones, and has its peak where b lies relative to a.
-Edges of shadows and highlights, which move with the lamp, lower the peak but have no place in common
-where they could make another.
+Edges of shadows and highlights, which move with the lamp, lower the peak, but have no place in
+common where they could make another.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ _LEAST_EDGES = 0.005
 _MOVED = 1.0
 _SURE = 0.3
 _GAIN = 0.08
-"""A tile has moved if its peak is more than `_MOVED` pixels away, `_SURE` high and by `_GAIN` higher
-than the correlation where it is. Tuned on rooms of seeds 2000 to 2009."""
+"""A tile has moved if its peak is more than `_MOVED` pixels away, `_SURE` high, and by `_GAIN`
+higher than the correlation in place. Chosen on scenes of seeds 2000 to 2009."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,8 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None, *, side: i
 
 def common(fields: Sequence[Field]) -> Field:
     """What fields of one view have in common: lasting edges stay, those of one picture fade."""
-    return np.mean(fields, axis=0).astype(np.complex64)
+    found: Field = np.mean(fields, axis=0).astype(np.complex64)
+    return found
 
 
 def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment | None:

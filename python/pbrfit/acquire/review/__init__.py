@@ -6,8 +6,8 @@ Alone, against the photograph (`Reviewer.picture`):
 
 - *exposure*: enough of it is neither clipped nor black;
 - *copy*: it is not the photograph again with another tone curve;
-- *edges*: its edges are those of the photograph, wherever the light comes from (`pbrfit.alignment`);
-- *shift*, *warp*: and where the photograph has them.
+- *edges*: its edges are those of the photograph, wherever the light comes from;
+- *shift*, *warp*: and they are where the photograph has them (`pbrfit.alignment`).
 
 With the photograph and the other pictures (`Reviewer.together`), which tell what is albedo and what
 light:
@@ -16,8 +16,8 @@ light:
 - *structure*: what lasts under every light is there (`structure`);
 - *light*: its illumination is one that the others' can make up (`illumination`).
 
-A check is a number and its bound; a person reads its note. docs/generate.md has how often deliberate
-damage is found and honest pictures are refused, and `pbrfit evaluate review` measures it.
+A check is a number and its bound; a person reads its note. docs/generate.md has how often
+deliberate damage is found and honest pictures are refused; `pbrfit evaluate review` measures it.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class Reviewer:
 
         Returns
         -------
-        One verdict for each. With fewer than 4 pictures, the photograph included, nothing is judged.
+        One verdict for each. With fewer than 4 pictures, the photograph included, none is judged.
         """
         from threadpoolctl import threadpool_limits
 

@@ -40,7 +40,7 @@ _STEPS = 8
 
 
 def relative(pictures: NDArray[Any]) -> NDArray[np.float64]:
-    """Illuminations E (N, P, 3) of pictures (N, P, 3): divided by the median of their logarithms."""
+    """Illuminations E (N, P, 3) of pictures (N, P, 3): by what is the middle one at each pixel."""
     lit = pictures + _FLOOR
     return np.asarray(lit / np.exp(np.median(np.log(lit), axis=0)))
 
@@ -92,4 +92,4 @@ def mixed(residual: NDArray[np.float64]) -> NDArray[np.float64]:
     from scipy.ndimage import gaussian_filter
 
     smooth = gaussian_filter(residual, (WINDOW, WINDOW, 0))
-    return np.minimum(smooth.max(axis=-1).clip(0), (-smooth.min(axis=-1)).clip(0))
+    return np.asarray(np.minimum(smooth.max(axis=-1), -smooth.min(axis=-1)).clip(0))

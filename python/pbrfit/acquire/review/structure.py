@@ -1,9 +1,9 @@
 """What lasts under every light: gradients that all pictures of a view have in common.
 
-A pixel's logarithm is the sum of those of albedo and of illumination. Illumination varies slowly, or
-in other places in every picture; so the median over pictures of the gradient is the gradient of the
-albedo (Weiss, Deriving intrinsic images from image sequences, 2001), and the median distance from
-it, s, says how far it can be relied on there. Where a picture was painted over, the lasting
+A pixel's logarithm is the sum of those of albedo and of illumination. Illumination varies slowly,
+or in other places in every picture; so the median over pictures of the gradient is the gradient of
+the albedo (Weiss, Deriving intrinsic images from image sequences, 2001), and the median distance
+from it, s, says how far it can be relied on there. Where a picture was painted over, the lasting
 gradients are missing, and what replaces them does not correlate with them. So over a window
 
     kept = Σ w g · r / Σ w |r|²,    w = 1 / (s₀² + s²)
@@ -11,8 +11,9 @@ gradients are missing, and what replaces them does not correlate with them. So o
 with the picture's gradients g and the lasting ones r is 1 for an honest picture whatever its light
 and its shadows, whose borders are elsewhere, and 0 where the content is another.
 
-Near black, log(I + ε) flattens: gradients are I / (I + ε) times those of log I. The lasting ones are
-multiplied by the same factor before they are compared, so darkness is no evidence against a picture.
+Near black, log(I + ε) flattens: gradients are I / (I + ε) times those of log I. The lasting ones
+are multiplied by the same factor before they are compared, so darkness is no evidence against a
+picture.
 """
 
 from __future__ import annotations
@@ -72,7 +73,8 @@ def gradients(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Gra
     if mask is not None:
         sound &= mask[..., None]
     sound = binary_erosion(sound, structure=np.ones((3, 3, 1), bool), border_value=1)
-    return Gradients(g / (smooth + _FLOOR), smooth / (smooth + _FLOOR), sound)
+    factor = (smooth / (smooth + _FLOOR)).astype(np.float32)
+    return Gradients((g / (smooth + _FLOOR)).astype(np.complex64), factor, sound)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +102,16 @@ def lasting(pictures: Sequence[Gradients]) -> Lasting:
     return Lasting(values, weight)
 
 
-def kept(picture: Gradients, reference: Lasting) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Share of the lasting gradients that a picture keeps, and how many there are.
+def kept(picture: Gradients, reference: Lasting) -> NDArray[np.float64]:
+    """Share of the lasting gradients that a picture keeps, at the most.
+
+    The border of one shadow in a window of few lasting gradients lowers the share by chance, the
+    more the fewer they are. So 1/√(Σ w |r|²) is added to it.
 
     Returns
     -------
-    share
-        (h, w), a quarter of the size: about 1 for an honest picture; NaN where there is too little to judge by.
-    evidence
-        (h, w), Σ w |r|² in the mean of the window.
+    (h, w), a quarter of the size: 1 or more for an honest picture, about 0 where the content is
+    another; NaN where there is too little to judge by.
     """
     from scipy.ndimage import gaussian_filter
 
