@@ -1,0 +1,170 @@
+"""Generators: what makes pictures of the same view under other lights, behind one protocol."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+
+if TYPE_CHECKING:
+    from pbrfit.acquire.photo import Photo
+    from pbrfit.acquire.prompts import Catalogue
+
+RETRY_STEP = 1000
+"""Between the seeds of a request's attempts; so many requests have seeds of their own."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One picture that is asked for.
+
+    Attributes
+    ----------
+    name
+        Of the picture, safe in file names, unique in a run.
+    prompt, negative
+        The whole texts; a generator may not take the second.
+    seed
+        Of this attempt.
+    """
+
+    name: str
+    prompt: str
+    negative: str
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Generated:
+    """One picture that came.
+
+    Attributes
+    ----------
+    pixels
+        (H, W, 3) uint8, sRGB, of the photo's size, each pixel where the photo has it.
+    record
+        How it was made, as JSON: model, revision, seed, steps, guidance, seconds, usage, cost …
+    """
+
+    pixels: NDArray[np.uint8]
+    record: dict[str, Any]
+
+
+class Refused(Exception):  # noqa: N818 - a refusal is an answer, not an error
+    """A prompt was refused, and the message says why; other prompts may not be."""
+
+
+class Generator(Protocol):
+    """Makes pictures of a view under other lights.
+
+    Attributes
+    ----------
+    name
+        As the command line has it.
+    retries
+        Whether another seed gives another picture.
+    """
+
+    name: str
+    retries: bool
+
+    def settings(self) -> dict[str, Any]:
+        """All that decides about the pictures, as JSON; no secrets."""
+        ...
+
+    def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
+        """The pictures to ask for, with their first seeds.
+
+        Raises
+        ------
+        InputError
+            If so many cannot be had.
+        """
+        ...
+
+    def generate(self, photo: Photo, request: Request) -> Generated:
+        """Make one.
+
+        Raises
+        ------
+        Refused
+            If this request was refused.
+        InputError
+            If the generator cannot work: one line.
+        """
+        ...
+
+
+def requests_from(catalogue: Catalogue, count: int, seed: int) -> list[Request]:
+    """The first `count` lightings, request i with seed + i; beyond the end again from the front.
+
+    A second round has other seeds, and names that end in ``_2``.
+
+    Raises
+    ------
+    InputError
+        If `count` is not 1 to 1000, beyond which seeds of attempts would meet.
+    """
+    if not 1 <= count <= RETRY_STEP:
+        raise InputError(f"count: expected 1 to {RETRY_STEP}, found {count}")
+    requests: list[Request] = []
+    taken = {prompt.name for prompt in catalogue.lighting}
+    for i in range(count):
+        around, k = divmod(i, len(catalogue.lighting))
+        prompt = catalogue.lighting[k]
+        name = prompt.name
+        if around:
+            name = f"{prompt.name}_{around + 1}"
+            while name in taken:  # somebody called a lighting of their own so
+                name += "_"
+            taken.add(name)
+        requests.append(Request(name, catalogue.full(prompt), catalogue.negative, seed + i))
+    return requests
+
+
+_REGISTRY = {
+    "flux2-klein": ("flux2_klein", "Flux2Klein"),
+    "gpt-image-2": ("gpt_image", "GptImage"),
+    "folder": ("folder", "Folder"),
+}
+"""Name to module and class; imported when chosen."""
+
+NAMES = ("flux2-klein", "gpt-image-2", "folder:DIR")
+
+
+def create(choice: str, **options: Any) -> Generator:
+    """Make a generator by its name.
+
+    Parameters
+    ----------
+    choice
+        One of `NAMES`.
+    options
+        What its constructor takes; None stands for its default.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name, or it has no such option.
+    """
+    name, colon, argument = choice.partition(":")
+    if name not in _REGISTRY or (name == "folder") != bool(colon and argument):
+        raise InputError(f"generator: expected one of {', '.join(NAMES)}, found {choice!r}")
+    module, class_name = _REGISTRY[name]
+    made = getattr(importlib.import_module(f"{__name__}.{module}"), class_name)
+    given = {key: value for key, value in options.items() if value is not None}
+    known = [key for key in inspect.signature(made).parameters if key != "folder"]
+    for key in given:
+        if key not in known:
+            raise InputError(
+                f"{key}: expected no such option for the generator {name}, which has "
+                f"{', '.join(known) or 'none'}"
+            )
+    generator: Generator = made(argument, **given) if argument else made(**given)
+    return generator

@@ -1,0 +1,202 @@
+"""Sizes that a network takes: a picture padded or scaled to one, and exactly back.
+
+Networks take whole blocks of pixels, and pipelines cut off or stretch what does not fit, which
+moves every pixel. Here nothing is cut: a picture is padded on all sides with its own mirror image
+until it is whole blocks, and the same frame is cut off from what comes back. Only where it is too
+large (or too small) for the network it is scaled before, each axis by itself:
+
+    pixel centres  (x' + 1/2) / width' = (x + 1/2) / width
+
+in both directions, so the way there and back moves nothing, whatever the sizes round to.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit._core import InputError
+from pbrfit.color import decode_srgb, encode_srgb
+from pbrfit.resampling import averaged
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Sizes that a network takes, in pixels.
+
+    Attributes
+    ----------
+    multiple
+        Both sides are whole multiples of this.
+    least_side, most_side
+        Of either side.
+    least_area, most_area
+        Of both together.
+    most_aspect
+        Longer over shorter side.
+    """
+
+    multiple: int = 16
+    least_side: int = 16
+    most_side: int = 1 << 20
+    least_area: int = 1
+    most_area: int = 1 << 40
+    most_aspect: float = 1e9
+
+
+FLUX2_KLEIN = Limits(multiple=16, least_side=64, most_area=1024 * 1024, most_aspect=8)
+"""`diffusers.Flux2KleinPipeline` 0.42: smaller or longer is refused, larger is scaled down, and
+what is no multiple of 16 is cut off, half on each side."""
+
+GPT_IMAGE_2 = Limits(
+    multiple=16,
+    least_side=16,
+    most_side=3840,
+    least_area=655_360,
+    most_area=2560 * 1440,
+    most_aspect=3,
+)
+"""OpenAI's `images.edit`: multiples of 16, 1:3 to 3:1, at most 3840 × 2160, experimental above
+2560 × 1440 (openai client 3.54); "current pixel limits" beside these are in OpenAI's guide."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """How pictures of one size go to a network and come back.
+
+    Attributes
+    ----------
+    size
+        (height, width) of the picture.
+    scaled
+        (height, width) that it is scaled to; mostly `size`.
+    padded
+        (height, width) that the network gets and gives.
+    """
+
+    size: tuple[int, int]
+    scaled: tuple[int, int]
+    padded: tuple[int, int]
+
+    @property
+    def offset(self) -> tuple[int, int]:
+        """(rows above, columns to the left) that are padding."""
+        return (self.padded[0] - self.scaled[0]) // 2, (self.padded[1] - self.scaled[1]) // 2
+
+    def to_model(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Picture (H, W, 3), sRGB, at the size that the network takes.
+
+        Raises
+        ------
+        InputError
+            If the picture is of another size than the frame is for.
+        """
+        self._check("picture", picture, self.size)
+        if self.scaled != self.size:
+            picture = resized_srgb8(picture, self.scaled)
+        around = [
+            (before, whole - inner - before)
+            for before, whole, inner in zip(self.offset, self.padded, self.scaled, strict=True)
+        ]
+        return np.pad(picture, [*around, (0, 0)], mode="symmetric")
+
+    def from_model(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What came back, sRGB, at the picture's size: the inverse of `to_model`.
+
+        Raises
+        ------
+        InputError
+            If it is not of the size that was asked for, so that nobody knows what became of the
+            pixels.
+        """
+        self._check("generated picture", picture, self.padded)
+        top, left = self.offset
+        inner = picture[top : top + self.scaled[0], left : left + self.scaled[1]]
+        return resized_srgb8(inner, self.size) if self.scaled != self.size else inner.copy()
+
+    @staticmethod
+    def _check(what: str, picture: NDArray[Any], size: tuple[int, int]) -> None:
+        if picture.shape != (*size, 3):
+            raise InputError(
+                f"{what}: expected {size[1]} × {size[0]} pixels in 3 channels, found an array of "
+                f"shape {picture.shape}"
+            )
+
+
+def frame(size: tuple[int, int], limits: Limits) -> Frame:
+    """Find the largest form of a picture, up to its own size, that a network takes.
+
+    Parameters
+    ----------
+    size
+        (height, width).
+    limits
+        What the network takes. A picture below the least area is scaled up, one that is too long
+        is padded until it is not.
+
+    Raises
+    ------
+    InputError
+        If no form of it is in the limits.
+    """
+    longer, shorter = max(size), min(size)
+    own = _padded(longer, shorter, limits)
+    candidates = range(longer, 0, -1)
+    if own is not None and own[0] * own[1] < limits.least_area:
+        candidates = range(longer, limits.most_side + 1)
+    for side in candidates:
+        other = max(1, math.floor(shorter * side / longer + 0.5))
+        whole = _padded(side, other, limits)
+        if whole is not None and limits.least_area <= whole[0] * whole[1] <= limits.most_area:
+            turn = 1 if size[0] >= size[1] else -1
+            scaled, padded = (side, other)[::turn], whole[::turn]
+            return Frame(size, (scaled[0], scaled[1]), (padded[0], padded[1]))
+    raise InputError(
+        f"photo: expected a size that the network can be given, found {size[1]} × {size[0]} pixels"
+    )
+
+
+def _padded(longer: int, shorter: int, limits: Limits) -> tuple[int, int] | None:
+    """Both sides up to whole blocks, long and short enough; None if one is too long."""
+
+    def whole(side: float) -> int:
+        return math.ceil(side / limits.multiple) * limits.multiple
+
+    padded = whole(max(longer, limits.least_side))
+    if padded > limits.most_side:
+        return None
+    return padded, whole(max(shorter, limits.least_side, padded / limits.most_aspect))
+
+
+def resized_srgb8(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Picture (H, W, 3), sRGB, scaled in linear light to (height, width)."""
+    linear = resized(decode_srgb(picture / 255.0), size)
+    return np.asarray(np.rint(255 * encode_srgb(np.clip(linear, 0, 1))), dtype=np.uint8)
+
+
+def resized(pixels: NDArray[np.floating[Any]], size: tuple[int, int]) -> NDArray[np.float32]:
+    """Linear pixels (H, W, 3) at (height, width), borders on borders.
+
+    An axis that shrinks is averaged over areas; one that grows is interpolated by cubics, without
+    leaving the range of the values.
+    """
+    height, width = pixels.shape[:2]
+    smaller = min(height, size[0]), min(width, size[1])
+    result = np.empty((*size, 3), dtype=np.float32)
+    for k in range(3):
+        plane = pixels[..., k]
+        if smaller != (height, width):
+            plane = averaged(plane, smaller)
+        if smaller != size:
+            low, high = plane.min(), plane.max()
+            grown = Image.fromarray(np.ascontiguousarray(plane, dtype=np.float32))
+            plane = np.clip(
+                np.asarray(grown.resize(size[::-1], Image.Resampling.BICUBIC)), low, high
+            )
+        result[..., k] = plane
+    return result

@@ -1,0 +1,186 @@
+"""The photograph that all starts from, as pixels for the fit and as what a network is shown."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import images
+from pbrfit._core import InputError
+from pbrfit.color import ColorSpace
+from pbrfit.display import encoded
+from pbrfit.geometry import fov_from_focal_length
+from pbrfit.resampling import averaged, reduced_size
+
+LEAST_SIDE = 64
+"""Fewest pixels of a side: below, FLUX.2 refuses, and a picture shows nothing to imagine from."""
+
+WHITE_QUANTILE = 0.99
+"""Of a float file, this share of the pixels is shown below white: lamps and windows are not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A photograph at the size that pictures are generated at.
+
+    Attributes
+    ----------
+    path
+        The file.
+    pixels
+        (H, W, 3), linear Rec.709, float32, upright. Finite; what the mask leaves out is as stored.
+    mask
+        (H, W), bool: what alpha and finite values leave; None = all.
+    sha256
+        Of the file, hexadecimal.
+    fov
+        Horizontal field of view in degrees, from EXIF; None if it says nothing.
+    exposure
+        In stops: `srgb8` shows pixels times 2^exposure. 0 of integer files, whose white is white.
+    full_size
+        (height, width) of the file, upright.
+    assumed
+        In words, what was found or decided about ``color``, ``size``, ``alpha``, ``exposure``.
+    """
+
+    path: Path
+    pixels: NDArray[np.float32]
+    mask: NDArray[np.bool_] | None
+    sha256: str
+    fov: float | None
+    exposure: float
+    full_size: tuple[int, int]
+    assumed: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) that pictures of it have."""
+        height, width = self.pixels.shape[:2]
+        return height, width
+
+    def srgb8(self) -> NDArray[np.uint8]:
+        """What a network is shown: (H, W, 3), sRGB.
+
+        Of an 8-bit sRGB file that was not scaled these are its bytes. What the mask leaves out has
+        the mean colour of the rest, because files hold anything under transparent pixels.
+        """
+        pixels = self.pixels
+        if self.mask is not None:
+            pixels = np.where(self.mask[..., None], pixels, pixels[self.mask].mean(axis=0))
+        return np.asarray(np.rint(255 * encoded(pixels, self.exposure)), dtype=np.uint8)
+
+
+def read_photo(
+    path: str | os.PathLike[str],
+    *,
+    color_space: ColorSpace | None = None,
+    max_size: int | None = 1024,
+) -> Photo:
+    """Read a photograph: EXR, HDR, PNG, JPEG or TIFF, of any depth, colour or grey.
+
+    The colour is decided as by `pbrfit.images.read_picture`, the EXIF orientation is applied, and
+    alpha below a half leaves pixels out.
+
+    Parameters
+    ----------
+    path
+        The file.
+    color_space
+        How to read the stored values, whatever the file says.
+    max_size
+        Longer side in pixels, to which larger photographs are averaged down in linear light; None
+        keeps their size.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, a side is below 64 pixels, before or after scaling, or nothing
+        is left by alpha.
+    OSError
+        If it cannot be read.
+    """
+    if max_size is not None and max_size < LEAST_SIDE:
+        raise InputError(f"max_size: expected at least {LEAST_SIDE} pixels, found {max_size}")
+    path = Path(path)
+    picture = images.read_picture(path, color_space)
+    height, width = picture.pixels.shape[:2]
+    if min(height, width) < LEAST_SIDE:
+        raise InputError(
+            f"{path}: expected a photograph of at least {LEAST_SIDE} × {LEAST_SIDE} pixels, "
+            f"found {width} × {height}"
+        )
+    size = (height, width) if max_size is None else reduced_size((height, width), max_size)
+    if min(size) < LEAST_SIDE:
+        raise InputError(
+            f"{path}: expected at least {LEAST_SIDE} pixels on the shorter side, found "
+            f"{width} × {height}, which max_size {max_size} makes {size[1]} × {size[0]}"
+        )
+    assumed = {"color": picture.color}
+    sound = np.asarray(np.isfinite(picture.pixels).all(axis=-1))
+    pixels = np.where(sound[..., None], picture.pixels, np.float32(0))
+    valid = sound if picture.alpha is None else sound & (picture.alpha >= 0.5)
+    if not valid.any():
+        raise InputError(f"{path}: expected opaque, finite pixels, found none")
+    if not valid.all():
+        assumed["alpha"] = f"{np.count_nonzero(~valid)} transparent or infinite pixels left out"
+    if size != (height, width):
+        assumed["size"] = f"averaged from {width} × {height} to {size[1]} × {size[0]} pixels"
+        pixels, valid = _averaged_down(pixels, valid, size)
+    if not valid.any():
+        raise InputError(f"{path}: expected opaque pixels, found none at {size[1]} × {size[0]}")
+    exposure = 0.0
+    if picture.bit_depth == 32:
+        exposure = exposure_of(path, pixels[valid])
+        assumed["exposure"] = (
+            f"shown at {exposure:+.1f} stops: {100 * WHITE_QUANTILE:g} % of the pixels of the float "
+            "file are below white"
+        )
+    fov = None
+    if picture.focal_length_35mm is not None:
+        fov = fov_from_focal_length(picture.focal_length_35mm, height, width)
+    return Photo(
+        path=path,
+        pixels=pixels,
+        mask=None if valid.all() else valid,
+        sha256=picture.sha256,
+        fov=fov,
+        exposure=exposure,
+        full_size=(height, width),
+        assumed=assumed,
+    )
+
+
+def _averaged_down(
+    pixels: NDArray[np.float32], valid: NDArray[np.bool_], size: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Means over the valid part of each new pixel; valid is what is so for the most part.
+
+    Under transparent pixels is anything, often black, which must not darken an outline.
+    """
+    share = averaged(valid, size)
+    small = np.empty((*size, 3), dtype=np.float32)
+    for k in range(3):
+        of_all = averaged(pixels[..., k], size)
+        of_valid = averaged(np.where(valid, pixels[..., k], 0), size)
+        small[..., k] = np.where(share > 0, of_valid / np.maximum(share, 1e-12), of_all)
+    return small, share >= 0.5
+
+
+def exposure_of(path: Path, pixels: NDArray[np.float32]) -> float:
+    """Stops by which `WHITE_QUANTILE` of pixels (..., 3) of a float file end up below white.
+
+    Raises
+    ------
+    InputError
+        If all is black; it names `path`.
+    """
+    bright = float(np.quantile(pixels.max(axis=-1), WHITE_QUANTILE))
+    if bright <= 0:
+        bright = float(pixels.max())
+    if bright <= 0:
+        raise InputError(f"{path}: expected radiance above 0, found none")
+    return float(-np.log2(bright))

@@ -1,0 +1,306 @@
+"""Networks loaded, from a local folder or the Hugging Face Hub: every way it fails is one line.
+
+A name is looked for in the local cache first, so that what was once loaded is used as it is, with
+or without a network; only what is not there is downloaded.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pbrfit._core import InputError
+
+log = logging.getLogger("pbrfit")
+
+Device = Literal["auto", "cpu", "cuda", "mps"]
+Precision = Literal["auto", "float32", "bfloat16", "float16"]
+Offload = Literal["none", "model", "sequential"]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a network computes, resolved: nothing is "auto" any more.
+
+    Attributes
+    ----------
+    device
+        "cpu", "cuda" or "mps".
+    dtype
+        "float32", "bfloat16" or "float16".
+    offload
+        What waits in the processor's memory: "none"; "model", every part but the one that
+        computes; "sequential", every layer but the one that computes, which is slow.
+    """
+
+    device: str
+    dtype: str
+    offload: str
+
+    @property
+    def torch_dtype(self) -> Any:
+        """The `torch.dtype` of that name."""
+        import torch
+
+        return getattr(torch, self.dtype)
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """A network and where it came from.
+
+    Attributes
+    ----------
+    network
+        What the loader returned.
+    record
+        For records, as JSON: ``model`` as asked for, ``source`` ("folder" or "hub") and
+        ``revision``, the commit on the Hub, or None where there is none.
+    """
+
+    network: Any
+    record: dict[str, Any]
+
+
+def placement(
+    device: str = "auto", dtype: str = "auto", offload: str = "none", *, what: str = "the network"
+) -> Placement:
+    """Choose where and how precisely to compute; imports torch.
+
+    ``auto`` takes CUDA, else Apple's MPS, else the processor with a warning; and bfloat16, in
+    which large networks are released, on a GPU, float32 on the processor.
+
+    Raises
+    ------
+    InputError
+        If an option is none of those there are, the device is not there, or there is nothing to
+        offload from.
+    """
+    for name, value, known in (
+        ("device", device, get_args(Device)),
+        ("dtype", dtype, get_args(Precision)),
+        ("offload", offload, get_args(Offload)),
+    ):
+        if value not in known:
+            raise InputError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
+    import torch
+
+    there = {"cpu": True, "cuda": torch.cuda.is_available()}
+    there["mps"] = torch.backends.mps.is_available()
+    if device == "auto":
+        device = next(name for name in ("cuda", "mps", "cpu") if there[name])
+        if device == "cpu" and offload == "none":
+            log.warning("no GPU found: %s runs on the processor, which is slow", what)
+    if not there[device]:
+        kind = "NVIDIA GPU that PyTorch can use" if device == "cuda" else "Apple GPU"
+        raise InputError(
+            f"device: expected {_article(kind)}, found none; cpu works without one, slowly"
+        )
+    if device == "cpu" and offload != "none":
+        raise InputError(
+            f"offload: expected a GPU to take parts off with {offload!r}, found none; leave it out"
+        )
+    if dtype == "auto":
+        dtype = "float32" if device == "cpu" else "bfloat16"
+    return Placement(device, dtype, offload)
+
+
+def load(
+    kind: str,
+    model: str,
+    *,
+    loader: Callable[..., Any],
+    marker: str,
+    revision: str | None = None,
+) -> Loaded:
+    """Load a network from a local folder or by its name on the Hugging Face Hub.
+
+    Parameters
+    ----------
+    kind
+        What it is, for messages: "FLUX.2 Klein".
+    model
+        Local folder as `save_pretrained` leaves it, or OWNER/NAME on the Hub.
+    loader
+        A `from_pretrained`, with what else it needs bound to it. It is called with the name or
+        folder and ``local_files_only``, and with ``revision`` if there is one.
+    marker
+        File that every folder of this kind has: "model_index.json" of a pipeline, "config.json"
+        of a single network.
+    revision
+        Branch, tag or commit on the Hub.
+
+    Raises
+    ------
+    InputError
+        If it is in neither place and cannot be downloaded, or cannot be loaded: one line that says
+        which and where it was looked for.
+    """
+    options = {} if revision is None else {"revision": revision}
+    folder = Path(model).expanduser()
+    if folder.is_dir():
+        if not (folder / marker).is_file():
+            raise InputError(f"{folder}: expected {kind} with a {marker}, found none")
+        network = _loaded(kind, model, lambda: loader(str(folder), local_files_only=True))
+        return Loaded(network, {"model": model, "source": "folder", "revision": None})
+    if not _is_hub_name(model):
+        raise InputError(f"{model}: expected a folder with {kind}, or OWNER/NAME, found neither")
+    if _commit(model, marker, revision) is not None:
+        # A download that was cut off leaves a cache that lacks files; then the Hub has the rest.
+        try:
+            network = loader(model, local_files_only=True, **options)
+        except Exception as error:
+            if _offline():
+                raise _failed(kind, model, error, place=f" in {_cache()}") from error
+        else:
+            return Loaded(network, _hub_record(model, marker, revision))
+    if _offline():
+        raise InputError(
+            f"{kind}: expected the weights {model} in {_cache()}, found none, and HF_HUB_OFFLINE "
+            f"forbids to download them: run once without it, or `hf download {model}` where there "
+            "is a network, or give a local folder"
+        )
+    log.warning("%s: downloading %s to %s", kind, model, _cache())
+    try:
+        network = loader(model, local_files_only=False, **options)
+    except Exception as error:
+        raise _not_downloaded(kind, model, error) from error
+    return Loaded(network, _hub_record(model, marker, revision))
+
+
+def place(network: Any, where: Placement, *, what: str) -> None:
+    """Move a diffusers pipeline to its device, or set up that its parts are moved when needed.
+
+    Raises
+    ------
+    InputError
+        If it does not fit in the GPU's memory.
+    """
+    with memory_in_words(what):
+        if where.offload == "model":
+            network.enable_model_cpu_offload(device=where.device)
+        elif where.offload == "sequential":
+            network.enable_sequential_cpu_offload(device=where.device)
+        else:
+            network.to(where.device)
+
+
+@contextmanager
+def memory_in_words(
+    what: str,
+    remedies: str = "a smaller --max-size, --offload model or sequential, --dtype bfloat16",
+) -> Iterator[None]:
+    """Turn running out of memory, on a GPU or not, into one line that says what helps.
+
+    Raises
+    ------
+    InputError
+        In place of the error of PyTorch or Python.
+    """
+    try:
+        yield
+    except (RuntimeError, MemoryError) as error:
+        if not _out_of_memory(error):
+            raise
+        raise InputError(f"{what}: out of memory; what helps: {remedies}") from error
+
+
+def _out_of_memory(error: Exception) -> bool:
+    if isinstance(error, MemoryError):
+        return True
+    import torch
+
+    # The processor's allocator and MPS raise a plain RuntimeError.
+    said = str(error)
+    return isinstance(error, torch.OutOfMemoryError) or any(
+        words in said for words in ("can't allocate memory", "out of memory")
+    )
+
+
+def _loaded(kind: str, model: str, call: Callable[[], Any]) -> Any:
+    try:
+        return call()
+    except Exception as error:
+        raise _failed(kind, model, error) from error
+
+
+def _failed(kind: str, model: str, error: Exception, place: str = "") -> InputError:
+    """One line of what a library says of a damaged or foreign checkpoint, whatever its type."""
+    if isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError) and _out_of_memory(error)
+    ):
+        return InputError(f"{kind}: out of memory while loading {model}")
+    return InputError(f"{model}: expected {kind}{place} that can be loaded: {_first_line(error)}")
+
+
+def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
+    from huggingface_hub import errors
+
+    chain: list[BaseException] = []
+    link: BaseException | None = error
+    while link is not None and link not in chain:
+        chain.append(link)
+        link = link.__cause__ or link.__context__
+    if any(isinstance(link, errors.GatedRepoError) for link in chain):
+        return InputError(
+            f"{kind}: {model} is given out on conditions: accept them at "
+            f"https://huggingface.co/{model} and log in with `hf auth login`"
+        )
+    if any(isinstance(link, errors.RevisionNotFoundError) for link in chain):
+        return InputError(f"{kind}: expected a revision that {model} has, found none such")
+    if any(isinstance(link, errors.RepositoryNotFoundError) for link in chain):
+        return InputError(
+            f"{model}: expected {kind} in a local folder or on the Hub, found neither of that name"
+        )
+    return InputError(
+        f"{kind}: expected the weights {model} in {_cache()}, found none, and could not download "
+        f"them: {_first_line(error)}"
+    )
+
+
+def _first_line(error: Exception) -> str:
+    said = str(error).strip()
+    return " ".join(said.splitlines()[0].split()) if said else type(error).__name__
+
+
+def _hub_record(model: str, marker: str, revision: str | None) -> dict[str, Any]:
+    return {"model": model, "source": "hub", "revision": _commit(model, marker, revision)}
+
+
+def _commit(model: str, marker: str, revision: str | None) -> str | None:
+    """The commit of the cached snapshot; None if there is none."""
+    from huggingface_hub import try_to_load_from_cache
+
+    path = try_to_load_from_cache(model, marker, revision=revision)
+    # …/models--OWNER--NAME/snapshots/COMMIT/marker
+    return Path(path).parent.name if isinstance(path, str) else None
+
+
+def _is_hub_name(model: str) -> bool:
+    from huggingface_hub.utils import HFValidationError, validate_repo_id
+
+    try:
+        validate_repo_id(model)
+    except HFValidationError:
+        return False
+    return model.count("/") == 1 and not model.startswith((".", "~"))
+
+
+def _offline() -> bool:
+    from huggingface_hub import constants
+
+    return bool(constants.is_offline_mode())
+
+
+def _cache() -> str:
+    from huggingface_hub import constants
+
+    return str(constants.HF_HUB_CACHE)
+
+
+def _article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'AEIONaeio' else 'a'} {noun}"

@@ -1,0 +1,1 @@
+"""Tests that need PyTorch, diffusers, transformers or openai: `make test-acquire`."""
