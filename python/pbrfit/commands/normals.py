@@ -23,8 +23,8 @@ def add(commands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pbrfit import scene_folder
+    from pbrfit import scene_completion
 
-    path = scene_folder.write_flat_normals(options.scene, overwrite=options.overwrite)
+    path = scene_completion.add_flat_normals(options.scene, overwrite=options.overwrite)
     print(f"{path}: every surface faces the camera")
     return DONE
