@@ -128,18 +128,22 @@ class GptImage:
                 image=("photo.png", sent, "image/png"),
                 prompt=_with_negative(request),
                 size=f"{width}x{height}",
-                quality=self.quality,  # type: ignore[arg-type]  # checked when made
+                quality=self.quality,
                 n=1,
             )
         except openai.OpenAIError as error:
             self._explain(error)
+        except ValueError:  # what the client lets through of a body that is no JSON
+            raise InputError(
+                f"{self._service}: expected a picture, found an answer that is no JSON"
+            ) from None
         pixels, given = self._picture(answer, around)
         usage = answer.usage.model_dump(mode="json", exclude_none=True) if answer.usage else None
         return Generated(
             pixels=pixels,
             record={
                 "model": self.model,
-                "service": _host(str(self._client.base_url)),
+                "service": self._service,
                 "seed": None,  # the API takes none
                 "size": [width, height],
                 "size_given": given,
@@ -161,29 +165,34 @@ class GptImage:
             raise InputError(f"{KEY}: expected a key of OpenAI's API in the environment, found none")
         return openai.OpenAI(api_key=key, max_retries=self.max_retries, timeout=self.timeout)
 
+    @property
+    def _service(self) -> str:
+        """Host and port: a URL may carry a password."""
+        parts = urlsplit(str(self._client.base_url))
+        return f"{parts.hostname}:{parts.port}" if parts.port else str(parts.hostname)
+
     def _picture(
         self, answer: ImagesResponse, around: Frame
     ) -> tuple[NDArray[np.uint8], list[int]]:
         """The picture in an answer at the photo's size, and the (width, height) it came in."""
-        service = _host(str(self._client.base_url))
         # A body that is no JSON arrives as the text it is.
         data = getattr(answer, "data", None)
         encoded = getattr(data[0], "b64_json", None) if isinstance(data, list) and data else None
         if not isinstance(encoded, str):
-            raise InputError(f"{service}: expected a picture, found an answer without one")
+            raise InputError(f"{self._service}: expected a picture, found an answer without one")
         try:
             with Image.open(io.BytesIO(base64.b64decode(encoded, validate=True))) as picture:
                 pixels = np.asarray(picture.convert("RGB"))
         except (binascii.Error, OSError, ValueError, Image.DecompressionBombError):
             raise InputError(
-                f"{service}: expected a picture, found an answer with one that cannot be read"
+                f"{self._service}: expected a picture, found an answer with one that cannot be read"
             ) from None
         height, width = pixels.shape[:2]
         if (height, width) != around.padded:
             asked = around.padded
             if abs(width / height * asked[0] / asked[1] - 1) > SAME_SHAPE:
                 raise InputError(
-                    f"{service}: expected a picture of {asked[1]} × {asked[0]} pixels, as asked "
+                    f"{self._service}: expected a picture of {asked[1]} × {asked[0]} pixels, as asked "
                     f"for, found {width} × {height}, whose pixels cannot be told to be the photo's"
                 )
             pixels = resized_srgb8(pixels, asked)
@@ -193,14 +202,14 @@ class GptImage:
         """Say what went wrong; the chain of errors, which holds the request, is cut off."""
         import openai
 
-        service = _host(str(self._client.base_url))
-        said = self._clean(getattr(error, "message", str(error)))
+        body = getattr(error, "body", None)
+        said = self._clean(str(body.get("message") if isinstance(body, dict) else error))
         if isinstance(error, openai.BadRequestError) and error.code == "moderation_blocked":
-            raise Refused(_refusal(error.body, said)) from None
+            raise Refused(_refusal(body, said)) from None
         if isinstance(error, openai.AuthenticationError):
             # What the service says here quotes parts of the key.
             raise InputError(
-                f"{KEY}: expected a key that {service} takes, found one that it refuses (401)"
+                f"{KEY}: expected a key that {self._service} takes, found one that it refuses (401)"
             ) from None
         tries = self.max_retries + 1
         if isinstance(error, openai.APITimeoutError):
@@ -215,7 +224,7 @@ class GptImage:
             problem = f"status {error.status_code}: {said}"
         else:
             problem = said
-        raise InputError(f"{service}: expected a picture, found {problem}") from None
+        raise InputError(f"{self._service}: expected a picture, found {problem}") from None
 
     def _clean(self, text: str) -> str:
         """One line, not endless, without the key."""
@@ -259,12 +268,6 @@ def _root(error: BaseException) -> str:
     while error.__cause__ is not None:
         error = error.__cause__
     return type(error).__name__
-
-
-def _host(url: str) -> str:
-    """Host and port: a URL may carry a password."""
-    parts = urlsplit(url)
-    return f"{parts.hostname}:{parts.port}" if parts.port else str(parts.hostname)
 
 
 def _as_png(pixels: NDArray[np.uint8]) -> bytes:
