@@ -1,59 +1,275 @@
 """From a photograph to a scene folder: pictures asked for, reviewed, and put in place.
 
-What can fail for free is done first: the place, the key, the weights, and the normals and segments,
-which need the photo alone. Then pictures, each written to the journal as it comes. The scene itself
-appears at the very end.
+What can fail for nothing is done first: the place, the key, and normals and segments, which need
+the photo alone. Then pictures, each written to the journal as it comes. The scene appears at the
+very end.
 """
 
 from __future__ import annotations
 
-import dataclasses
+import json
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pbrfit import geometry
+from pbrfit import geometry, images
 from pbrfit._core import InputError
-from pbrfit.acquire import journal as journals
-from pbrfit.acquire.generators import RETRY_STEP, Generator, Refused, Request
-from pbrfit.acquire.journal import Entry, Journal
+from pbrfit.acquire.generation_report import FILE, SHEET, GenerationReport
+from pbrfit.acquire.generators import Generator, Request
+from pbrfit.acquire.journal import FOLDER, Journal
+from pbrfit.acquire.normals import Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.acquire.scene_parts import Maps, free_place, publish
-from pbrfit.color import ColorSpace, decode_srgb
+from pbrfit.acquire.rounds import REGENERATE, Reviewer, Rounds
+from pbrfit.acquire.scene_place import PICTURES, check_place, place
+from pbrfit.color import ColorSpace
+from pbrfit.display import encoded
+from pbrfit.normal_files import write_normals
 from pbrfit.scene_folder import DEFAULT_FOV
+from pbrfit.sheet import as_png
+from pbrfit.weight_files import WEIGHT_FILE, write_weights
 
 log = logging.getLogger("pbrfit")
 
 PHOTO = "photo"
 """Name of the photograph among the pictures."""
 
-REGENERATE = 2
-"""How often a picture that the review refused is asked for again."""
-
 LEAST = 2
 """Pictures that a scene needs."""
 
+COUNT = 16
+"""How many pictures are asked for unless somebody says so: what the method was published with."""
+
 Progress = Callable[[str, int, int], None]
-"""Told what happens, how many pictures are there, and how many are wanted so far."""
+"""Told what is done next, which picture that is, from 1 on, and how many there will be so far."""
 
 
-class Check(Protocol):
-    """One figure that a picture was judged by."""
+def generate(
+    photo_path: Path,
+    out: Path,
+    *,
+    generator: Generator,
+    catalogue: Catalogue,
+    count: int | None = None,
+    seed: int = 0,
+    regenerate: int | None = None,
+    review: bool = True,
+    reviewer: Reviewer | None = None,
+    normals: str = "marigold",
+    normal_options: Mapping[str, Any] | None = None,
+    segments: str = "none",
+    segment_options: Mapping[str, Any] | None = None,
+    fov: float | None = None,
+    color_space: ColorSpace | None = None,
+    max_size: int | None = 1024,
+    with_photo: bool = True,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> GenerationReport:
+    """Make a scene folder of one photograph.
 
-    @property
-    def name(self) -> str: ...  # noqa: D102
-    @property
-    def value(self) -> float: ...  # noqa: D102
-    @property
-    def bound(self) -> float: ...  # noqa: D102
-    @property
-    def passed(self) -> bool: ...  # noqa: D102
-    @property
-    def note(self) -> str: ...  # noqa: D102
+    Parameters
+    ----------
+    photo_path
+        The photograph.
+    out
+        Scene folder; docs/formats.md and docs/generate.md say what it will hold.
+    generator
+        Makes the pictures.
+    catalogue
+        What they are asked for with.
+    count, seed
+        How many pictures, and the first one's seed. None: `COUNT`, and of pictures that are there
+        already, all.
+    regenerate
+        How often a picture that the review refused is asked for again; None: `REGENERATE`.
+    review
+        Whether pictures are reviewed; by `reviewer`, or a `pbrfit.acquire.review.Reviewer`.
+    normals, normal_options
+        Source, as `pbrfit.acquire.normals.estimate` takes it.
+    segments, segment_options
+        Source, as `pbrfit.acquire.segments.segment` takes it, or "none".
+    fov
+        Horizontal field of view in degrees, 0 = orthographic; None: EXIF, else 60 with a warning.
+    color_space, max_size
+        How the photograph is read; see `read_photo`.
+    with_photo
+        Whether the photograph is a picture of the scene too.
+    resume
+        Go on with what is in `out`, which must be of the same photo and settings.
+    overwrite
+        Make the scene in `out` anew. Pictures in its journal are kept all the same, and taken
+        where they are what is asked for.
+    progress
+        Told about every step.
+
+    Returns
+    -------
+    GenerationReport
+        What became of every picture.
+
+    Raises
+    ------
+    InputError
+        If something cannot be used or had, or fewer than two pictures are left: one line. Pictures
+        that had come are in the journal, and `resume` goes on with them.
+    FileExistsError
+        If `out` is not free.
+    """
+    if count is None:
+        count = COUNT if generator.retries else sys.maxsize
+    if regenerate is None:
+        regenerate = REGENERATE
+    if regenerate < 0:
+        raise InputError(f"regenerate: expected 0 or more, found {regenerate}")
+    photo = read_photo(photo_path, color_space=color_space, max_size=max_size)
+    settings = {"generator": generator.name, **generator.settings()}
+    check_place(out, photo, settings, resume=resume, overwrite=overwrite)
+    requests = _requests(generator, catalogue, count, seed, with_photo)
+    view, assumed = _field_of_view(photo, fov)
+    told = progress or (lambda what, done, total: None)
+    journal = Journal(out / FOLDER, photo, settings)
+    with place(out) as made:
+        journal.begin()
+        generator.check()
+        if review and reviewer is None:
+            from pbrfit.acquire.review import Reviewer as Default
+
+            reviewer = Default(photo.pixels, mask=photo.mask)
+        parts, segment_record = None, None
+        if segments != "none":
+            told("segments", 0, len(requests))
+            with _or_instead("segments", segments, "sam2", "none or FILE"):
+                from pbrfit.acquire.segments import segment
+
+                parts, segment_record = segment(segments, photo.srgb8(), **(segment_options or {}))
+        told("normals", 0, len(requests))
+        with _or_instead("normals", normals, "marigold", "flat, depth:FILE or FILE"):
+            surface = estimate(
+                normals, photo.srgb8(), fov=view, mask=photo.mask, **(normal_options or {})
+            )
+        asked = 0
+
+        def counted(what: str, more: int) -> None:
+            nonlocal asked
+            asked += more
+            told(what, asked, max(asked, len(requests)))
+
+        rounds = Rounds(
+            photo, generator, journal, reviewer if review else None, regenerate, counted
+        )
+        with _kept(journal, out):
+            pictures = rounds.make(requests)
+        report = GenerationReport(
+            out, photo, with_photo, settings, pictures, review, view,
+            assumed, surface.record, segment_record,
+        )  # fmt: skip
+        told("writing", asked, asked)
+        (made / FILE).write_text(
+            json.dumps(report.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+            encoding="utf-8",
+        )
+        (made / SHEET).write_bytes(as_png(report.sheet(journal)))
+        enough = len(report.accepted) + with_photo >= LEAST
+        if enough:
+            _write_maps(made, photo, view, surface)
+            if parts is not None:
+                images.write_png(made / "segments.png", parts, tag=None)
+            _write_pictures(made / PICTURES, report, journal)
+    if not enough:
+        reasons = "; ".join(f"{picture.request.name}: {picture.reason}" for picture in pictures)
+        raise InputError(
+            f"{out}: expected at least {LEAST} pictures for a scene, found "
+            f"{len(report.accepted) + with_photo}"
+            f"{' with the photo' if with_photo else ''}; left out were {reasons}"
+        )
+    return report
+
+
+def _requests(
+    generator: Generator, catalogue: Catalogue, count: int, seed: int, with_photo: bool
+) -> list[Request]:
+    requests = generator.plan(catalogue, count, seed)
+    if with_photo and any(request.name == PHOTO for request in requests):
+        raise InputError(
+            f"{PHOTO}: expected another name for a generated picture, because the photograph is "
+            "called so; --without-photo leaves it out"
+        )
+    return requests
+
+
+def _field_of_view(photo: Photo, asked: float | None) -> tuple[float, dict[str, str]]:
+    """Degrees, and how they were found."""
+    if asked is not None:
+        geometry.check_fov(asked)
+        return asked, {"fov": f"{asked:g} degrees, asked for"}
+    if photo.fov is not None:
+        return photo.fov, {"fov": f"{photo.fov:.2f} degrees, from EXIF"}
+    log.warning(
+        "%s: field of view unknown, assumed %g degrees (--fov sets it)", photo.path, DEFAULT_FOV
+    )
+    return DEFAULT_FOV, {"fov": f"{DEFAULT_FOV:g} degrees: neither --fov nor EXIF says"}
+
+
+@contextmanager
+def _or_instead(what: str, source: str, network: str, others: str) -> Iterator[None]:
+    """Let the failure of a network say what does without one."""
+    try:
+        yield
+    except InputError as error:
+        if source != network:
+            raise
+        raise InputError(f"{what}: {error}; without a network: --{what} {others}") from error
+
+
+@contextmanager
+def _kept(journal: Journal, out: Path) -> Iterator[None]:
+    """Let what stops a run say what it left behind."""
+
+    def kept() -> str:
+        count = len(journal)
+        pictures = "1 answer is" if count == 1 else f"{count} answers are"
+        return f"{pictures} kept in {out / FOLDER}, and --resume goes on from there"
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        if len(journal):
+            raise KeyboardInterrupt(f"interrupted; {kept()}") from None
+        raise
+    except (InputError, MemoryError) as error:
+        if len(journal):
+            said = str(error) or "out of memory"
+            raise InputError(f"{said}; {kept()}") from error
+        raise
+
+
+def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> None:
+    write_normals(folder / "normals.exr", surface.normals, surface.uncertainty)
+    weights = surface.weights
+    if weights is not None:
+        write_weights(folder / WEIGHT_FILE, weights, ())
+    if photo.mask is not None:
+        mask = np.where(photo.mask, 255, 0).astype(np.uint8)
+        images.write_png(folder / "mask.png", mask, tag=None)
+    (folder / "scene.toml").write_text(f"fov = {float(fov)!r}\n", encoding="utf-8")
+
+
+def _write_pictures(folder: Path, report: GenerationReport, journal: Journal) -> None:
+    """Generated pictures as they are in the journal; the photograph with 16 bits, as it was read."""
+    folder.mkdir()
+    if report.with_photo:
+        photo = report.photo
+        shown = encoded(photo.pixels, photo.exposure)
+        images.write_png(
+            folder / f"{PHOTO}.png", np.rint(65535 * shown).astype(np.uint16), tag="srgb"
+        )
+    for picture in report.accepted:
+        pixels = journal.pixels(picture.attempts[-1].entry)
+        images.write_png(folder / f"{picture.request.name}.png", pixels, tag="srgb")

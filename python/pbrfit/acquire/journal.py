@@ -77,6 +77,9 @@ class Journal:
             if content["about"] == self._about
         }
 
+    def __len__(self) -> int:
+        return len(self._entries)
+
     def begin(self) -> None:
         """Make the folder, and note what this run is about."""
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -85,7 +85,7 @@ class Rounds:
     Attributes
     ----------
     told
-        Called with what is being done and the number of pictures asked for, before each.
+        Called before each step: what it is, and whether it gets another picture (1 or 0).
     """
 
     photo: Photo

@@ -62,6 +62,9 @@ class Folder:
         """Where the pictures are and how they are read."""
         return {"folder": str(self._folder.resolve()), "color_space": self._color_space}
 
+    def check(self) -> None:
+        """Nothing: the folder was looked into when it was named."""
+
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
         """One request a file, at most `count`; prompts play no part."""
         del catalogue
