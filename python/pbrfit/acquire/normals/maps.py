@@ -58,6 +58,7 @@ def fit_to_size(
     facing = np.array([0.0, 0.0, 1.0])
     return np.where(told[..., None], small / length[..., None], facing), told
 
+
 def read_npy(path: Path) -> NDArray[np.float64]:
     """Read an array of numpy's own format, without anything that could be code.
 
