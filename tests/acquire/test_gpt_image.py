@@ -5,15 +5,26 @@ from __future__ import annotations
 import json
 import logging
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
-from image_service import CUT, USAGE, Answer, Call, Reply, Service, as_json, failure, picture, running
 from PIL import Image
 
+from acquire.image_service import (
+    CUT,
+    USAGE,
+    Answer,
+    Call,
+    Reply,
+    Service,
+    as_json,
+    failure,
+    picture,
+    running,
+)
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Refused, Request
 from pbrfit.acquire.generators.gpt_image import PRICES, PRICES_AS_OF, GptImage, cost
@@ -21,6 +32,8 @@ from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import read_prompts
 
 KEY = "sk-this-is-the-secret-0123456789"
+Serve = Callable[..., Service]
+
 ASK = Request("lamp_left", "Light from a lamp at the left.", "people, text.", 7)
 
 
@@ -40,7 +53,7 @@ def key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
     """Start a service that the client is led to."""
     with ExitStack() as stack:
 
@@ -68,7 +81,7 @@ def error_of(photo: Photo, generator: GptImage | None = None) -> str:
     return message
 
 
-def test_what_comes_back_lies_on_the_photo_pixel_by_pixel(tmp_path: Path, serve) -> None:
+def test_what_comes_back_lies_on_the_photo_pixel_by_pixel(tmp_path: Path, serve: Serve) -> None:
     serve(inverted)
     # A size that is a whole number of blocks and large enough: nothing is scaled.
     taken = photo(tmp_path, 1008, 752)
@@ -78,7 +91,7 @@ def test_what_comes_back_lies_on_the_photo_pixel_by_pixel(tmp_path: Path, serve)
 
 @pytest.mark.parametrize(("width", "height"), [(131, 97), (97, 131), (1024, 300), (640, 480)])
 def test_odd_sizes_come_back_at_the_photos_size_and_place(
-    tmp_path: Path, serve, width: int, height: int
+    tmp_path: Path, serve: Serve, width: int, height: int
 ) -> None:
     service = serve(inverted)
     taken = photo(tmp_path, width, height)
@@ -97,7 +110,7 @@ def test_odd_sizes_come_back_at_the_photos_size_and_place(
         assert abs(off[0] - off[2]) < 0.02 * off[0]
 
 
-def test_the_upload_holds_what_the_api_asks_for(tmp_path: Path, serve) -> None:
+def test_the_upload_holds_what_the_api_asks_for(tmp_path: Path, serve: Serve) -> None:
     service = serve(inverted)
     taken = photo(tmp_path, 1008, 752)
     GptImage(quality="medium").generate(taken, ASK)
@@ -114,13 +127,15 @@ def test_the_upload_holds_what_the_api_asks_for(tmp_path: Path, serve) -> None:
     assert call.headers["authorization"] == f"Bearer {KEY}"
 
 
-def test_without_a_negative_prompt_nothing_is_added(tmp_path: Path, serve) -> None:
+def test_without_a_negative_prompt_nothing_is_added(tmp_path: Path, serve: Serve) -> None:
     service = serve(inverted)
     GptImage().generate(photo(tmp_path), Request("a", "Evening.", "", 0))
     assert service.calls[0].text["prompt"] == "Evening."
 
 
-def test_usage_is_recorded_as_it_came_and_the_cost_by_the_prices(tmp_path: Path, serve) -> None:
+def test_usage_is_recorded_as_it_came_and_the_cost_by_the_prices(
+    tmp_path: Path, serve: Serve
+) -> None:
     serve(inverted)
     record = GptImage().generate(photo(tmp_path), ASK).record
     assert record["usage"] == USAGE
@@ -131,7 +146,7 @@ def test_usage_is_recorded_as_it_came_and_the_cost_by_the_prices(tmp_path: Path,
     assert json.loads(json.dumps(record)) == record
 
 
-def test_cost_is_unknown_for_another_model_or_without_usage(tmp_path: Path, serve) -> None:
+def test_cost_is_unknown_for_another_model_or_without_usage(tmp_path: Path, serve: Serve) -> None:
     assert cost("gpt-image-9", USAGE) is None
     assert cost("gpt-image-2", {"input_tokens": 3}) is None
     serve(lambda call: picture(call.image, usage=None))
@@ -140,13 +155,13 @@ def test_cost_is_unknown_for_another_model_or_without_usage(tmp_path: Path, serv
     assert record["cost_usd"] is None
 
 
-def test_the_client_asks_again_after_429(tmp_path: Path, serve) -> None:
+def test_the_client_asks_again_after_429(tmp_path: Path, serve: Serve) -> None:
     service = serve(failure(429, "slow down"), inverted)
     GptImage().generate(photo(tmp_path), ASK)
     assert len(service.calls) == 2
 
 
-def test_a_lasting_429_is_told_after_all_tries(tmp_path: Path, serve) -> None:
+def test_a_lasting_429_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
     service = serve(failure(429, "You exceeded your current quota", "insufficient_quota"))
     message = error_of(photo(tmp_path), GptImage(max_retries=2))
     assert "429" in message
@@ -154,29 +169,31 @@ def test_a_lasting_429_is_told_after_all_tries(tmp_path: Path, serve) -> None:
     assert len(service.calls) == 3
 
 
-def test_a_refusal_by_moderation_tells_stage_and_categories(tmp_path: Path, serve) -> None:
+def test_a_refusal_by_moderation_tells_stage_and_categories(tmp_path: Path, serve: Serve) -> None:
     details = {"moderation_stage": "output", "categories": ["violence"]}
     service = serve(
-        failure(400, "Rejected by the safety system.", "moderation_blocked", moderation_details=details)
+        failure(
+            400, "Rejected by the safety system.", "moderation_blocked", moderation_details=details
+        )
     )
     with pytest.raises(Refused, match=r"moderation \(output; categories: violence\).*Rejected"):
         GptImage().generate(photo(tmp_path), ASK)
     assert len(service.calls) == 1
 
 
-def test_a_refusal_without_details_is_a_refusal_too(tmp_path: Path, serve) -> None:
+def test_a_refusal_without_details_is_a_refusal_too(tmp_path: Path, serve: Serve) -> None:
     serve(failure(400, "Rejected by the safety system.", "moderation_blocked"))
     with pytest.raises(Refused, match=r"moderation: Rejected"):
         GptImage().generate(photo(tmp_path), ASK)
 
 
-def test_another_400_is_no_refusal_of_a_prompt(tmp_path: Path, serve) -> None:
+def test_another_400_is_no_refusal_of_a_prompt(tmp_path: Path, serve: Serve) -> None:
     serve(failure(400, "Invalid size '7x7'.", "invalid_value"))
     assert "status 400: " in (message := error_of(photo(tmp_path)))
     assert "Invalid size" in message
 
 
-def test_a_refused_key_is_named_and_not_shown(tmp_path: Path, serve) -> None:
+def test_a_refused_key_is_named_and_not_shown(tmp_path: Path, serve: Serve) -> None:
     serve(failure(401, f"Incorrect API key provided: {KEY[:8]}***{KEY[-4:]}.", "invalid_api_key"))
     message = error_of(photo(tmp_path))
     assert message.startswith("OPENAI_API_KEY: ")
@@ -185,24 +202,26 @@ def test_a_refused_key_is_named_and_not_shown(tmp_path: Path, serve) -> None:
     assert KEY[-4:] not in message
 
 
-def test_a_service_that_quotes_the_key_does_not_make_us_show_it(tmp_path: Path, serve) -> None:
+def test_a_service_that_quotes_the_key_does_not_make_us_show_it(
+    tmp_path: Path, serve: Serve
+) -> None:
     serve(failure(403, f"No access with {KEY}"))
     assert "No access with ***" in error_of(photo(tmp_path))
 
 
-def test_a_service_that_always_fails_is_told_after_all_tries(tmp_path: Path, serve) -> None:
+def test_a_service_that_always_fails_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
     service = serve(failure(500, "The server had an error"))
     assert "a failure there (500), 2 times" in error_of(photo(tmp_path), GptImage(max_retries=1))
     assert len(service.calls) == 2
 
 
-def test_a_connection_that_is_cut_is_told_after_all_tries(tmp_path: Path, serve) -> None:
+def test_a_connection_that_is_cut_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
     service = serve(CUT)
     assert "a broken connection, 2 times" in error_of(photo(tmp_path), GptImage(max_retries=1))
     assert len(service.calls) == 2
 
 
-def test_after_a_cut_connection_the_next_try_may_succeed(tmp_path: Path, serve) -> None:
+def test_after_a_cut_connection_the_next_try_may_succeed(tmp_path: Path, serve: Serve) -> None:
     service = serve(CUT, inverted)
     GptImage(max_retries=1).generate(photo(tmp_path), ASK)
     assert len(service.calls) == 2
@@ -231,19 +250,19 @@ def test_a_service_that_is_not_there_is_told(
     ],
     ids=["html", "list", "broken", "no data", "empty", "no picture", "no base64", "no PNG"],
 )
-def test_an_answer_without_a_picture_is_told(tmp_path: Path, serve, answer: Answer) -> None:
+def test_an_answer_without_a_picture_is_told(tmp_path: Path, serve: Serve, answer: Answer) -> None:
     serve(answer)
     assert "expected a picture, found an answer" in error_of(photo(tmp_path))
 
 
-def test_a_picture_of_another_shape_is_refused(tmp_path: Path, serve) -> None:
+def test_a_picture_of_another_shape_is_refused(tmp_path: Path, serve: Serve) -> None:
     serve(picture(np.zeros((1024, 1024, 3), dtype=np.uint8)))
     message = error_of(photo(tmp_path, 1008, 752))
     assert "1008 × 752" in message
     assert "1024 × 1024" in message
 
 
-def test_a_picture_of_the_same_shape_is_scaled_and_said_to_be(tmp_path: Path, serve) -> None:
+def test_a_picture_of_the_same_shape_is_scaled_and_said_to_be(tmp_path: Path, serve: Serve) -> None:
     serve(lambda call: picture(call.image[::2, ::2]))
     taken = photo(tmp_path, 1008, 752)
     generated = GptImage().generate(taken, ASK)
@@ -253,7 +272,7 @@ def test_a_picture_of_the_same_shape_is_scaled_and_said_to_be(tmp_path: Path, se
 
 
 def test_without_a_key_nothing_is_asked(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, serve
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, serve: Serve
 ) -> None:
     service = serve(inverted)
     monkeypatch.delenv("OPENAI_API_KEY")
@@ -270,7 +289,7 @@ def test_a_quality_that_is_none_is_refused() -> None:
 
 
 def test_the_key_is_in_no_setting_record_or_log(
-    tmp_path: Path, serve, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, serve: Serve, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
     serve(failure(429, "wait"), inverted)

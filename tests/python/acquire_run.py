@@ -1,4 +1,4 @@
-"""What the tests of `pbrfit generate` share: photos, a folder of pictures, a generator that counts."""
+"""What tests of `pbrfit generate` share: photos, a folder of pictures, a generator that counts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from pbrfit.color import encode_srgb
 from pbrfit.synthetic import make_scene
 
 SIZE = 64
-CATALOGUE = Catalogue("Keep all.", tuple(Prompt(f"light_{k}", f"Light {k}.") for k in range(6)), "no")
+CATALOGUE = Catalogue(
+    "Keep all.", tuple(Prompt(f"light_{k}", f"Light {k}.") for k in range(6)), "no"
+)
 
 
 @functools.cache
@@ -52,7 +54,7 @@ def write_photo(path: Path, size: int = SIZE, count: int = 4) -> Path:
 class Counting:
     """Pictures that differ by seed; counts what it is asked for, and fails where it is told to."""
 
-    before: Callable[[int, Request], None] = lambda calls, request: None
+    before: Callable[[int, Request], None] = lambda *_: None
     quality: str = "good"
     retries: bool = True
     name: str = "counting"

@@ -56,7 +56,14 @@ def test_a_scene_folder_holds_the_pictures_the_photo_normals_and_why(
 ) -> None:
     report = make(Counting())
     scene = tmp_path / "scene"
-    assert names(scene) == ["generation", "images", "normals.exr", "review.json", "review.png", "scene.toml"]
+    assert names(scene) == [
+        "generation",
+        "images",
+        "normals.exr",
+        "review.json",
+        "review.png",
+        "scene.toml",
+    ]
     assert names(scene / "images") == [*(f"light_{k}.png" for k in range(4)), "photo.png"]
     loaded = Scene.load(scene)
     assert loaded.fov == 50.0
@@ -82,9 +89,9 @@ def test_without_the_photo_it_is_not(make: Make, tmp_path: Path) -> None:
 def test_a_generated_picture_is_in_the_scene_bit_by_bit(make: Make, tmp_path: Path) -> None:
     make(Counting())
     scene = tmp_path / "scene"
-    with Image.open(scene / "generation" / "light_2-2.png") as received:
-        with Image.open(scene / "images" / "light_2.png") as placed:
-            np.testing.assert_array_equal(np.asarray(received), np.asarray(placed))
+    paths = scene / "generation" / "light_2-2.png", scene / "images" / "light_2.png"
+    with Image.open(paths[0]) as received, Image.open(paths[1]) as placed:
+        np.testing.assert_array_equal(np.asarray(received), np.asarray(placed))
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt(), InputError("service: gone"), MemoryError()])
@@ -215,9 +222,7 @@ def test_a_folder_of_somebodys_pictures_is_never_touched(make: Make, tmp_path: P
     assert names(tmp_path / "scene") == ["images"]
 
 
-def test_a_refused_prompt_is_left_out_and_never_asked_for_again(
-    make: Make, tmp_path: Path
-) -> None:
+def test_a_refused_prompt_is_left_out_and_never_asked_for_again(make: Make, tmp_path: Path) -> None:
     report = make(Counting(before=refusing("light_1")), reviewer=Strict())
     assert [picture.request.name for picture in report.left_out] == ["light_1"]
     [picture] = [each for each in reviewed(tmp_path / "scene")["pictures"] if not each["accepted"]]
@@ -230,9 +235,7 @@ def test_a_refused_prompt_is_left_out_and_never_asked_for_again(
     assert [picture.request.name for picture in report.left_out] == ["light_1"]
 
 
-def test_what_the_review_refuses_is_asked_for_with_another_seed(
-    make: Make, tmp_path: Path
-) -> None:
+def test_what_the_review_refuses_is_asked_for_with_another_seed(make: Make, tmp_path: Path) -> None:
     generator = Counting()
     make(generator, reviewer=Strict(alone=[1, 2]))
     assert [request.seed for request in generator.asked] == [0, 1, 1001, 2001, 2, 3]
@@ -281,7 +284,9 @@ def test_resume_of_a_run_with_refusals_asks_for_none_of_them_again(make: Make) -
 
 
 def test_too_few_pictures_are_no_scene_and_the_review_says_why(make: Make, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"at least 2 pictures .* found 1 with the photo; left out"):
+    with pytest.raises(
+        InputError, match=r"at least 2 pictures .* found 1 with the photo; left out"
+    ):
         make(Counting(), reviewer=Strict(alone=range(12)), regenerate=0)
     scene = tmp_path / "scene"
     assert names(scene) == ["generation", "review.json", "review.png"]

@@ -133,7 +133,7 @@ def generate(
     check_place(out, photo, settings, resume=resume, overwrite=overwrite)
     requests = _requests(generator, catalogue, count, seed, with_photo)
     view, assumed = _field_of_view(photo, fov)
-    told = progress or (lambda what, done, total: None)
+    told = progress or _nobody
     journal = Journal(out / FOLDER, photo, settings)
     with place(out) as made:
         journal.begin()
@@ -190,6 +190,11 @@ def generate(
             f"{' with the photo' if with_photo else ''}; left out were {reasons}"
         )
     return report
+
+
+def _nobody(what: str, done: int, total: int) -> None:
+    """Is told about the progress where nobody asked."""
+    del what, done, total
 
 
 def _requests(
@@ -262,7 +267,7 @@ def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> Non
 
 
 def _write_pictures(folder: Path, report: GenerationReport, journal: Journal) -> None:
-    """Generated pictures as they are in the journal; the photograph with 16 bits, as it was read."""
+    """Generated pictures as they are in the journal; the photograph, which was averaged, 16-bit."""
     folder.mkdir()
     if report.with_photo:
         photo = report.photo

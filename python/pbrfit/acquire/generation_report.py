@@ -108,13 +108,15 @@ class GenerationReport:
         shown = []
         for picture in self.pictures:
             for k, attempt in enumerate(picture.attempts):
-                entry = attempt.entry
-                last = k + 1 == len(picture.attempts)
-                reason = attempt.reason
-                if reason and not last:
-                    reason += f" (asked for again with seed {picture.attempts[k + 1].entry.request.seed})"
-                pixels = None if entry.refused else journal.pixels(entry)
-                shown.append(Shown(f"{entry.request.name}, seed {entry.request.seed}", pixels, reason))
+                caption, reason = picture.request.name, attempt.reason
+                if len(picture.attempts) > 1:
+                    caption += f", seed {attempt.entry.request.seed}"
+                if k + 1 < len(picture.attempts):
+                    reason += f" (asked again, seed {picture.attempts[k + 1].entry.request.seed})"
+                elif reason:
+                    reason += " (left out)"
+                pixels = None if attempt.entry.refused else journal.pixels(attempt.entry)
+                shown.append(Shown(caption, pixels, reason))
         title = (
             f"{self.photo.path.name}: {len(self.accepted)} of {len(self.pictures)} pictures by "
             f"{self.settings.get('generator', 'the generator')}"
@@ -124,9 +126,7 @@ class GenerationReport:
         return contact_sheet(self.photo.srgb8(), shown, title=title)
 
     def _records(self) -> list[dict[str, Any]]:
-        return [
-            attempt.entry.record for picture in self.pictures for attempt in picture.attempts
-        ]
+        return [attempt.entry.record for picture in self.pictures for attempt in picture.attempts]
 
 
 def _picture(picture: Picture) -> dict[str, Any]:

@@ -141,7 +141,7 @@ class Journal:
 def about(photo: Photo, settings: dict[str, Any]) -> dict[str, Any]:
     """What decides about all pictures of a run: the photo as it is shown to the model, settings."""
     height, width = photo.pixels.shape[:2]
-    shown = hashlib.sha256(np.ascontiguousarray(photo.srgb8())).hexdigest()
+    shown = hashlib.sha256(photo.srgb8().tobytes()).hexdigest()
     return {
         "photo": {"sha256": photo.sha256, "size": [width, height], "pixels_sha256": shown},
         # What it will be when it has been through a file.
@@ -199,12 +199,15 @@ def _read(folder: Path) -> Iterator[tuple[dict[str, Any], Entry]]:
             continue
         content = _json(path)
         try:
-            yield content, Entry(
-                path.stem,
-                Request(**content["request"]),
-                content["refused"],
-                content["record"],
-                content["sha256"],
+            yield (
+                content,
+                Entry(
+                    path.stem,
+                    Request(**content["request"]),
+                    content["refused"],
+                    content["record"],
+                    content["sha256"],
+                ),
             )
             _ = content["about"]
         except (KeyError, TypeError):

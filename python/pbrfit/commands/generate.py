@@ -60,6 +60,11 @@ def add(commands: Subcommands) -> None:
         "all but --generator folder:DIR --normals flat --segments none; docs/generate.md says "
         "which, what they cost, and that gpt-image-2 sends the photograph to OpenAI.",
     )
+    added.usage = (
+        "%(prog)s PHOTO --out SCENE [OPTION ...]\n"
+        "       %(prog)s --list-prompts [--prompts FILE]\n"
+        "       %(prog)s --save-prompts FILE"
+    )
     added.add_argument("photo", metavar="PHOTO", nargs="?", type=Path, help="the photograph")
     added.add_argument("--out", metavar="SCENE", type=Path, help="scene folder to write")
     again = added.add_mutually_exclusive_group()

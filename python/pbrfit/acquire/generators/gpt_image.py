@@ -48,7 +48,7 @@ SAME_SHAPE = 0.01
 scaled. Services that stand in for OpenAI's may round sizes their own way."""
 
 PRICES = {"gpt-image-2": (5.0, 8.0, 30.0), "gpt-image-2-2026-04-21": (5.0, 8.0, 30.0)}
-"""US dollars for a million tokens of text in, of pictures in, of pictures out, without discounts."""
+"""US dollars for a million tokens of text in, of pictures in, of pictures out; no discounts."""
 
 PRICES_AS_OF = "2026-11"
 """When `PRICES` were looked up. OpenAI's bill counts; this is an estimate."""
@@ -162,7 +162,9 @@ class GptImage:
 
         key = os.environ.get(KEY, "").strip()
         if not key:
-            raise InputError(f"{KEY}: expected a key of OpenAI's API in the environment, found none")
+            raise InputError(
+                f"{KEY}: expected a key of OpenAI's API in the environment, found none"
+            )
         return openai.OpenAI(api_key=key, max_retries=self.max_retries, timeout=self.timeout)
 
     @property
@@ -192,8 +194,8 @@ class GptImage:
             asked = around.padded
             if abs(width / height * asked[0] / asked[1] - 1) > SAME_SHAPE:
                 raise InputError(
-                    f"{self._service}: expected a picture of {asked[1]} × {asked[0]} pixels, as asked "
-                    f"for, found {width} × {height}, whose pixels cannot be told to be the photo's"
+                    f"{self._service}: expected a picture of {asked[1]} × {asked[0]} pixels, as "
+                    f"was asked for, found {width} × {height}: no pixel is sure to be the photo's"
                 )
             pixels = resized_srgb8(pixels, asked)
         return around.from_model(pixels), [width, height]
@@ -234,17 +236,14 @@ class GptImage:
 
 def cost(model: str, usage: dict[str, Any] | None) -> float | None:
     """US dollars for a call, by `PRICES`; None where the model or the tokens are not known."""
-    details = (usage or {}).get("input_tokens_details") or {}
-    tokens = (
-        details.get("text_tokens"),
-        details.get("image_tokens"),
-        (usage or {}).get("output_tokens"),
-    )
-    if model not in PRICES or any(count is None for count in tokens):
+    used = usage or {}
+    details = used.get("input_tokens_details") or {}
+    counts = details.get("text_tokens"), details.get("image_tokens"), used.get("output_tokens")
+    tokens = [count for count in counts if isinstance(count, int)]
+    if model not in PRICES or len(tokens) < len(counts):
         return None
-    return round(
-        sum(price * count for price, count in zip(PRICES[model], tokens, strict=True)) / 1e6, 6
-    )
+    of_a_million = [price * count for price, count in zip(PRICES[model], tokens, strict=True)]
+    return round(sum(of_a_million) / 1e6, 6)
 
 
 def _with_negative(request: Request) -> str:
