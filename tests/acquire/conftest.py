@@ -26,6 +26,8 @@ THIRD_PARTY = ("torch", "torchvision", "diffusers", "transformers", "accelerate"
 
 def pytest_configure(config: pytest.Config) -> None:
     """Warnings are errors, but for those that the libraries raise in their own code."""
+    for library in THIRD_PARTY:
+        config.addinivalue_line("filterwarnings", rf"ignore:::{library}(\.|$)")
 
 
 @pytest.fixture(scope="session", autouse=True)
