@@ -36,8 +36,8 @@ def test_the_command_line_knows_its_options_without_anything_heavy() -> None:
 
 
 def test_the_networks_interfaces_import_nothing_heavy() -> None:
-    modules = "extras, padding, photo, prompts, weights, generators"
-    folder = "from pbrfit.acquire.generators import flux2_klein, folder"
+    modules = "extras, generation, padding, photo, prompts, weights, generators"
+    folder = "from pbrfit.acquire.generators import flux2_klein, folder, gpt_image"
     assert heavy_after(f"from pbrfit.acquire import {modules}\n{folder}") == []
 
 
