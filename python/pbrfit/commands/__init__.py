@@ -13,6 +13,7 @@ from pbrfit.commands import (
     normals,
     relight,
     report,
+    segments,
     synth,
 )
 
@@ -23,6 +24,7 @@ COMMANDS = (
     export,
     inspect,
     normals,
+    segments,
     synth,
     check_gradients,
     evaluate,
