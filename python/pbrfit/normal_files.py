@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +41,15 @@ class Convention:
     frame: str = "camera"
     world_to_camera: NDArray[np.float64] | None = None
 
-    def to_camera(self, normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_camera(self, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """(..., 3) normals of this convention in camera space."""
-        turned = normals * self._signs()
+        turned = np.asarray(normals * self._signs(), np.float64)
         return turned if self.frame != "world" else turned @ self._rotation().T
 
-    def from_camera(self, normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    def from_camera(self, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """(..., 3) normals of camera space in this convention: undoes `to_camera`."""
         turned = normals if self.frame != "world" else normals @ self._rotation()
-        return turned * self._signs()
+        return np.asarray(turned * self._signs(), np.float64)
 
     def _signs(self) -> NDArray[np.float64]:
         return np.array([1.0, -1.0 if self.axes == "directx" else 1.0, 1.0])
@@ -108,8 +109,8 @@ def read_normals(path: Path) -> NDArray[np.float64]:
 
 def write_normals(
     path: Path,
-    normals: NDArray[np.floating],
-    uncertainty: NDArray[np.floating] | None = None,
+    normals: NDArray[np.floating[Any]],
+    uncertainty: NDArray[np.floating[Any]] | None = None,
 ) -> None:
     """Write `normals.exr`: channels X, Y, Z, and `UNCERTAINTY` if there is one.
 

@@ -26,7 +26,7 @@ from pbrfit.normal_files import (
     write_normals,
 )
 from pbrfit.output import new_folder
-from pbrfit.resampling import averaged, reduced_size
+from pbrfit.resampling import at_centres, averaged, reduced_size
 from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Source, Truth, unit_normals
 from pbrfit.segments import consecutive_labels
 from pbrfit.weight_files import WEIGHT_FILE, read_weights, reduced, write_weights
@@ -143,18 +143,7 @@ def load(
         inputs["lighting.json"] = _sha256(lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
-    if fov is not None:
-        assumed["fov"] = f"{fov:g} degrees, asked for"
-    elif settings.fov is not None:
-        fov = settings.fov
-        assumed["fov"] = f"{fov:g} degrees, from scene.toml"
-    elif read.focal_length is not None:
-        fov = geometry.fov_from_focal_length(read.focal_length, *full_size)
-        assumed["fov"] = f"{fov:.2f} degrees, from EXIF ({read.focal_length:g} mm equivalent)"
-    else:
-        fov = DEFAULT_FOV
-        assumed["fov"] = f"{fov:g} degrees: neither --fov, scene.toml nor EXIF says"
-        log.warning("%s: field of view unknown, assumed %g degrees (--fov sets it)", folder, fov)
+    fov, assumed["fov"] = _decided_fov(folder, fov, settings, read.focal_length, full_size)
 
     truth = _read_truth(folder / "truth", names, size)
     try:
@@ -197,6 +186,22 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.truth is not None:
             _write_truth(scene.truth, scene, folder / "truth")
+
+
+def field_of_view(folder: Path, fov: float | None) -> float:
+    """Decide about the field of view as `load` does, of the pictures reading only the first.
+
+    Raises
+    ------
+    InputError, OSError
+        As `load`.
+    """
+    if fov is not None:
+        geometry.check_fov(fov)
+    settings = read_settings(folder / "scene.toml", {})
+    first = images.read_picture(find_pictures(folder)[0])
+    size = first.pixels.shape[:2]
+    return _decided_fov(folder, fov, settings, first.focal_length_35mm, size)[0]
 
 
 def find_pictures(folder: Path) -> list[Path]:
@@ -292,6 +297,27 @@ def read_settings(path: Path, inputs: dict[str, str]) -> Settings:
         normals_frame=_choice(path, content, "normals_frame", ("camera", "world"), "camera"),
         world_to_camera=_rotation(path, content),
     )
+
+
+def _decided_fov(
+    folder: Path,
+    fov: float | None,
+    settings: Settings,
+    focal_length: float | None,
+    size: tuple[int, ...],
+) -> tuple[float, str]:
+    """In degrees, and in words."""
+    if fov is not None:
+        return fov, f"{fov:g} degrees, asked for"
+    if settings.fov is not None:
+        return settings.fov, f"{settings.fov:g} degrees, from scene.toml"
+    if focal_length is not None:
+        fov = geometry.fov_from_focal_length(focal_length, size[0], size[1])
+        return fov, f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
+    log.warning(
+        "%s: field of view unknown, assumed %g degrees (--fov sets it)", folder, DEFAULT_FOV
+    )
+    return DEFAULT_FOV, f"{DEFAULT_FOV:g} degrees: neither --fov, scene.toml nor EXIF says"
 
 
 def _fov(path: Path, content: dict[str, Any]) -> float | None:
@@ -527,11 +553,7 @@ def _averaged(
     # Opposite normals cancel.
     small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH
     if segments is not None:
-        rows, columns = (
-            np.minimum((np.arange(s) + 0.5) * f / s, f - 1).astype(int)
-            for s, f in zip(size, mask.shape, strict=True)
-        )
-        segments = segments[np.ix_(rows, columns)]
+        segments = at_centres(segments, size)
     return small_normals, small_mask, segments
 
 

@@ -14,6 +14,7 @@ from pbrfit.commands import (
     normals,
     relight,
     report,
+    segments,
     synth,
 )
 
@@ -25,6 +26,7 @@ COMMANDS = (
     generate,
     inspect,
     normals,
+    segments,
     synth,
     check_gradients,
     evaluate,

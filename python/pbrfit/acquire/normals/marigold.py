@@ -12,7 +12,7 @@ and of several normals it keeps the nearest to the mean, not the mean.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,7 @@ def from_picture(
     device: str = "auto",
     dtype: str = "auto",
     offload: str = "none",
+    progress: Callable[[], Any] = lambda: None,
 ) -> tuple[Array, Array | None, dict[str, Any]]:
     """Estimate normals of one picture.
 
@@ -63,6 +64,8 @@ def from_picture(
         Of the first.
     device, dtype, offload
         As for `pbrfit.acquire.weights.placement`.
+    progress
+        Called after each prediction.
 
     Returns
     -------
@@ -107,6 +110,7 @@ def from_picture(
                 generator=torch.Generator("cpu").manual_seed(seed + i),
             )
             members.append(found.prediction[0].astype(np.float64))
+            progress()
     normals, spread = mean_and_spread(members)
     record = loaded.record | {
         "ensemble": ensemble,
