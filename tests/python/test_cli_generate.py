@@ -131,7 +131,7 @@ def test_a_file_of_normals_is_placed_in_the_scene(made: Path) -> None:
         (("--device", "cpu"), "--device: goes with flux2-klein, marigold or sam2"),
         (("--regenerate", "1"), "--regenerate: goes with"),
         (("--max-size", "60"), "max_size: expected at least 64"),
-        (("--normals", "flatt"), "normals: expected marigold, flat, depth:FILE or FILE"),
+        (("--normals", "flatt"), "--normals: expected marigold, flat, depth:FILE or a file"),
     ],
 )
 def test_options_that_would_do_nothing_or_cannot_be_are_refused_before_anything_is_made(

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from pbrfit._core import InputError
+from pbrfit.acquire.weights import Device, Offload, Precision
 from pbrfit.arguments import (
     DONE,
     Subcommands,
@@ -23,6 +24,7 @@ from pbrfit.arguments import (
     whole_number,
 )
 from pbrfit.color import ColorSpace
+from pbrfit.commands.network_options import source
 
 if TYPE_CHECKING:
     from pbrfit.acquire.generation import Progress
@@ -139,12 +141,12 @@ def add(commands: Subcommands) -> None:
     )
     pictures.add_argument(
         "--dtype",
-        metavar="auto|float32|bfloat16|float16",
+        choices=get_args(Precision),
         help="flux2-klein: of its numbers (default: bfloat16 on a GPU, else float32)",
     )
     pictures.add_argument(
         "--offload",
-        metavar="none|model|sequential",
+        choices=get_args(Offload),
         help="flux2-klein: what waits outside the GPU's memory (default: none)",
     )
     pictures.add_argument(
@@ -187,18 +189,20 @@ def add(commands: Subcommands) -> None:
     maps.add_argument(
         "--normals",
         metavar="marigold|flat|depth:FILE|FILE",
+        type=source(("marigold", "flat"), ("depth:",)),
         default="marigold",
         help="by a network, none (every surface faces the camera), or from a file",
     )
     maps.add_argument(
         "--segments",
         metavar="sam2|none|FILE",
+        type=source(("sam2", "none")),
         default="sam2",
         help="by a network, none, or from a file",
     )
     maps.add_argument(
         "--device",
-        metavar="auto|cpu|cuda|mps",
+        choices=get_args(Device),
         help="where networks compute, those for pictures too (default: a GPU if there is one)",
     )
 
