@@ -245,7 +245,7 @@ def test_what_the_review_refuses_is_asked_for_with_another_seed(make: Make, tmp_
     assert picture["attempts"][0]["checks"][0] == {
         "name": "alone", "value": 2.0, "bound": 1.0, "passed": False, "note": "refused by alone",
     }  # fmt: skip
-    assert [check["name"] for check in picture["attempts"][2]["checks"]] == ["alone", "company"]
+    assert [check["name"] for check in picture["attempts"][2]["together"]] == ["company"]
 
 
 def test_a_picture_that_stays_refused_is_left_out_after_so_many_attempts(

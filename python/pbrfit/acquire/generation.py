@@ -141,7 +141,7 @@ def generate(
         if review and reviewer is None:
             from pbrfit.acquire.review import Reviewer as Default
 
-            reviewer = Default(photo.pixels, mask=photo.mask)
+            reviewer = Default(photo.pixels * np.float32(2.0**photo.exposure), mask=photo.mask)
         parts, segment_record = None, None
         if segments != "none":
             told("segments", 0, len(requests))

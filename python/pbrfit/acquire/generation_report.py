@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from pbrfit.acquire.contact_sheet import Shown, contact_sheet
 from pbrfit.acquire.journal import FOLDER, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.rounds import Attempt, Picture
+
+if TYPE_CHECKING:
+    from pbrfit.acquire.review import Check
 
 FILE, SHEET = "review.json", "review.png"
 
@@ -148,17 +151,19 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "received": None if entry.refused else f"{FOLDER}/{entry.stem}.png",
         "accepted": not attempt.reason,
         "reason": attempt.reason,
-        "checks": [
-            {
-                "name": check.name,
-                "value": _finite(check.value),
-                "bound": _finite(check.bound),
-                "passed": check.passed,
-                "note": check.note,
-            }
-            for check in attempt.checks
-        ],
+        "checks": [_check(check) for check in attempt.checks],
+        "together": [_check(check) for check in attempt.together],
         "record": entry.record,
+    }
+
+
+def _check(check: Check) -> dict[str, Any]:
+    return {
+        "name": check.name,
+        "value": _finite(check.value),
+        "bound": _finite(check.bound),
+        "passed": check.passed,
+        "note": check.note,
     }
 
 

@@ -50,13 +50,16 @@ class Attempt:
     entry
         What the journal holds.
     checks
-        Of the review; empty without one, or where there is no picture.
+        Of the picture by itself; empty without a review, or where there is no picture.
+    together
+        Of the picture beside the others, when it was last among those that were accepted.
     reason
         Why it was refused; empty for one that was accepted.
     """
 
     entry: Entry
     checks: tuple[Check, ...] = ()
+    together: tuple[Check, ...] = ()
     reason: str = ""
 
 
@@ -116,12 +119,10 @@ class Rounds:
             verdicts = self.reviewer.together([self._linear(picture) for picture in accepted])
             refused = []
             for picture, verdict in zip(accepted, verdicts, strict=True):
-                # Of an earlier round the same checks may be there, of another company.
-                names = {check.name for check in verdict.checks}
-                last = picture.attempts[-1]
-                kept = tuple(check for check in last.checks if check.name not in names)
                 reason = "" if verdict.accepted else verdict.reason
-                picture.attempts[-1] = Attempt(last.entry, (*kept, *verdict.checks), reason)
+                picture.attempts[-1] = dataclasses.replace(
+                    picture.attempts[-1], together=verdict.checks, reason=reason
+                )
                 if reason:
                     refused.append(picture)
             if not refused:
@@ -162,7 +163,7 @@ class Rounds:
         verdict = self.reviewer.picture(
             linear(self.journal.pixels(entry) if pixels is None else pixels)
         )
-        return Attempt(entry, verdict.checks, "" if verdict.accepted else verdict.reason)
+        return Attempt(entry, verdict.checks, reason="" if verdict.accepted else verdict.reason)
 
     def _linear(self, picture: Picture) -> NDArray[np.float32]:
         return linear(self.journal.pixels(picture.attempts[-1].entry))
