@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -115,6 +118,33 @@ def test_a_run_that_stops_in_the_middle_keeps_what_came_and_resume_asks_for_the_
         assert (scene / "images" / name).read_bytes() == (
             tmp_path / "at once" / "images" / name
         ).read_bytes()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no such signal")
+def test_a_run_that_is_killed_leaves_whole_pictures_and_resume_asks_for_the_rest(
+    make: Make, tmp_path: Path, photo: Path
+) -> None:
+    program = f"""
+import os, signal
+from pathlib import Path
+from acquire_run import CATALOGUE, Counting
+from pbrfit.acquire.generation import generate
+
+def kill(calls, request):
+    if calls == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+generate(Path({str(photo)!r}), Path({str(tmp_path / "scene")!r}), generator=Counting(before=kill),
+         catalogue=CATALOGUE, count=4, normals="flat", fov=50.0, review=False)
+"""
+    here = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    killed = subprocess.run([sys.executable, "-c", program], env=here, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not (tmp_path / "scene" / "images").exists()
+    rest = Counting()
+    make(rest, resume=True)
+    assert [request.name for request in rest.asked] == ["light_2", "light_3"]
+    assert len(Scene.load(tmp_path / "scene").images) == 5
 
 
 def test_a_run_that_stops_before_the_first_picture_leaves_nothing(
