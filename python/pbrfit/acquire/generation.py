@@ -28,7 +28,6 @@ from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.rounds import REGENERATE, Reviewer, Rounds
 from pbrfit.acquire.scene_place import PICTURES, check_place, place
 from pbrfit.color import ColorSpace
-from pbrfit.display import encoded
 from pbrfit.normal_files import write_normals
 from pbrfit.scene_folder import DEFAULT_FOV
 from pbrfit.sheet import as_png
@@ -267,14 +266,10 @@ def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> Non
 
 
 def _write_pictures(folder: Path, report: GenerationReport, journal: Journal) -> None:
-    """Generated pictures as they are in the journal; the photograph, which was averaged, 16-bit."""
+    """Generated pictures as they are in the journal, and the photograph as it was shown."""
     folder.mkdir()
     if report.with_photo:
-        photo = report.photo
-        shown = encoded(photo.pixels, photo.exposure)
-        images.write_png(
-            folder / f"{PHOTO}.png", np.rint(65535 * shown).astype(np.uint16), tag="srgb"
-        )
+        images.write_png(folder / f"{PHOTO}.png", report.photo.srgb8(), tag="srgb")
     for picture in report.accepted:
         pixels = journal.pixels(picture.attempts[-1].entry)
         images.write_png(folder / f"{picture.request.name}.png", pixels, tag="srgb")
