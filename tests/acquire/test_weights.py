@@ -18,6 +18,7 @@ from pbrfit.acquire.generators import Request
 from pbrfit.acquire.generators.flux2_klein import MODEL, Flux2Klein
 from pbrfit.acquire.photo import Photo, read_photo
 
+FILE = "/{repo_id}/resolve/{revision}/{filename}"
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 LEFT = Request("left", "Blue light from the left.", "moved objects", 3)
 
@@ -171,7 +172,7 @@ class HubThatRefuses(BaseHTTPRequestHandler):
         self.send_header("Content-Length", "0")
         self.end_headers()
 
-    do_HEAD = do_GET
+    do_HEAD = do_GET  # noqa: N815 - named by http.server
 
     def log_message(self, *_: object) -> None:
         pass
@@ -189,11 +190,7 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[HubThatRefuses]]:
     endpoint = f"http://127.0.0.1:{server.server_port}"
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
     monkeypatch.setattr(constants, "ENDPOINT", endpoint)
-    monkeypatch.setattr(
-        constants,
-        "HUGGINGFACE_CO_URL_TEMPLATE",
-        endpoint + "/{repo_id}/resolve/{revision}/{filename}",
-    )
+    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", endpoint + FILE)
     yield handler
     server.shutdown()
     server.server_close()
@@ -209,7 +206,7 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[HubThatRefuses]]:
         (
             404,
             "EntryNotFound",
-            r"expected the weights .*, found none, and could not .*404 Not Found",
+            r"expected the weights .*, found none, and could .*404 Not Found",
         ),
     ],
 )
@@ -228,9 +225,9 @@ def test_no_connection_is_one_line(
 ) -> None:
     from huggingface_hub import constants
 
-    closed = "http://127.0.0.1:1/{repo_id}/resolve/{revision}/{filename}"
-    monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:1")
-    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", closed)
+    nobody = "http://127.0.0.1:1"
+    monkeypatch.setattr(constants, "ENDPOINT", nobody)
+    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", nobody + FILE)
     monkeypatch.setattr("time.sleep", lambda _: None)  # the client tries again after longer pauses
     with pytest.raises(InputError) as caught:
         Flux2Klein(device="cpu").generate(photo, LEFT)
