@@ -136,8 +136,8 @@ def read_photo(
     if picture.bit_depth == 32:
         exposure = exposure_of(path, pixels[valid])
         assumed["exposure"] = (
-            f"shown at {exposure:+.1f} stops: {100 * WHITE_QUANTILE:g} % of the pixels of the float "
-            "file are below white"
+            f"shown at {exposure:+.1f} stops: {100 * WHITE_QUANTILE:g} % of the pixels of a float "
+            "file are to be below white"
         )
     fov = None
     if picture.focal_length_35mm is not None:

@@ -6,6 +6,7 @@ or without a network; only what is not there is downloaded.
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -127,7 +128,8 @@ def load(
         Local folder as `save_pretrained` leaves it, or OWNER/NAME on the Hub.
     loader
         A `from_pretrained`, with what else it needs bound to it. It is called with the name or
-        folder and ``local_files_only``, and with ``revision`` if there is one.
+        folder and ``local_files_only``, and with ``revision`` if there is one; an `InputError` of
+        its own passes through.
     marker
         File that every folder of this kind has: "model_index.json" of a pipeline, "config.json"
         of a single network.
@@ -142,17 +144,26 @@ def load(
     """
     options = {} if revision is None else {"revision": revision}
     folder = Path(model).expanduser()
-    if folder.is_dir():
+    if model and folder.is_dir():
         if not (folder / marker).is_file():
             raise InputError(f"{folder}: expected {kind} with a {marker}, found none")
-        network = _loaded(kind, model, lambda: loader(str(folder), local_files_only=True))
+        try:
+            with _no_bars():
+                network = loader(str(folder), local_files_only=True)
+        except InputError:
+            raise
+        except Exception as error:
+            raise _failed(kind, model, error) from error
         return Loaded(network, {"model": model, "source": "folder", "revision": None})
     if not _is_hub_name(model):
         raise InputError(f"{model}: expected a folder with {kind}, or OWNER/NAME, found neither")
     if _commit(model, marker, revision) is not None:
         # A download that was cut off leaves a cache that lacks files; then the Hub has the rest.
         try:
-            network = loader(model, local_files_only=True, **options)
+            with _no_bars():
+                network = loader(model, local_files_only=True, **options)
+        except InputError:
+            raise
         except Exception as error:
             if _offline():
                 raise _failed(kind, model, error, place=f" in {_cache()}") from error
@@ -166,7 +177,9 @@ def load(
         )
     log.warning("%s: downloading %s to %s", kind, model, _cache())
     try:
-        network = loader(model, local_files_only=False, **options)
+        network = loader(model, local_files_only=False, **options)  # gigabytes: with bars
+    except InputError:
+        raise
     except Exception as error:
         raise _not_downloaded(kind, model, error) from error
     return Loaded(network, _hub_record(model, marker, revision))
@@ -221,11 +234,20 @@ def _out_of_memory(error: Exception) -> bool:
     )
 
 
-def _loaded(kind: str, model: str, call: Callable[[], Any]) -> Any:
+@contextmanager
+def _no_bars() -> Iterator[None]:
+    """Without the bars over parts, that libraries draw even where stderr is no terminal."""
+    libraries = [importlib.import_module("transformers.utils.logging")]
+    if importlib.util.find_spec("diffusers") is not None:
+        libraries.append(importlib.import_module("diffusers.utils.logging"))
+    shown = [library for library in libraries if library.is_progress_bar_enabled()]
+    for library in shown:
+        library.disable_progress_bar()
     try:
-        return call()
-    except Exception as error:
-        raise _failed(kind, model, error) from error
+        yield
+    finally:
+        for library in shown:
+            library.enable_progress_bar()
 
 
 def _failed(kind: str, model: str, error: Exception, place: str = "") -> InputError:
@@ -240,6 +262,7 @@ def _failed(kind: str, model: str, error: Exception, place: str = "") -> InputEr
 def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
     from huggingface_hub import errors
 
+    # diffusers says in each case that a file is missing; what the Hub or the network said is below.
     chain: list[BaseException] = []
     link: BaseException | None = error
     while link is not None and link not in chain:
@@ -258,11 +281,11 @@ def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
         )
     return InputError(
         f"{kind}: expected the weights {model} in {_cache()}, found none, and could not download "
-        f"them: {_first_line(error)}"
+        f"them: {_first_line(chain[-1])}"
     )
 
 
-def _first_line(error: Exception) -> str:
+def _first_line(error: BaseException) -> str:
     said = str(error).strip()
     return " ".join(said.splitlines()[0].split()) if said else type(error).__name__
 

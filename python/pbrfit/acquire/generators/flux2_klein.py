@@ -1,0 +1,244 @@
+"""Pictures by FLUX.2 Klein, a diffusion network that edits photographs, on this machine.
+
+The photo is given as the reference that the prompt edits. Guidance g and a negative prompt work
+together: in each step the network predicts once for the prompt and once for the negative, v₊ and
+v₋, and v₋ + g (v₊ − v₋) is taken (Ho and Salimans 2022). Guidance 5 with negatives is what the
+paper found to keep geometry. Networks distilled to few steps have one fixed guidance in their
+weights and know no v₋, so with them neither can be asked for.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit._core import InputError
+from pbrfit.acquire import extras, padding, weights
+from pbrfit.acquire.generators import Generated, Request, requests_from
+from pbrfit.acquire.photo import Photo
+from pbrfit.acquire.prompts import Catalogue
+
+MODEL = "black-forest-labs/FLUX.2-klein-base-4B"
+"""The base checkpoint under Apache-2.0; FLUX.2-klein-4B is distilled from it."""
+
+KIND = "FLUX.2 Klein"
+PROMPT_TOKENS = 512
+"""What the pipeline reads of a prompt; it would cut off the rest without a word."""
+
+
+class Flux2Klein:
+    """Pictures by diffusers' `Flux2KleinPipeline`; the network is loaded at the first one.
+
+    Parameters
+    ----------
+    model
+        Name on the Hugging Face Hub, or a local folder as `save_pretrained` leaves it.
+    revision
+        Branch, tag or commit on the Hub.
+    guidance
+        g above; at 1 or less there is no v₋, and so no negative prompt.
+    steps
+        Of the sampler.
+    device, dtype, offload
+        As `pbrfit.acquire.weights.placement` takes them.
+    quiet
+        No bar over the steps of a picture; there is one only where stderr is a terminal.
+
+    Raises
+    ------
+    InputError
+        If diffusers is missing, or an option is none there is.
+    """
+
+    name = "flux2-klein"
+    retries = True
+
+    def __init__(
+        self,
+        *,
+        model: str = MODEL,
+        revision: str | None = None,
+        guidance: float = 5.0,
+        steps: int = 50,
+        device: str = "auto",
+        dtype: str = "auto",
+        offload: str = "none",
+        quiet: bool = False,
+    ) -> None:
+        extras.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
+        if not (math.isfinite(guidance) and guidance >= 0):
+            raise InputError(f"guidance: expected a number of 0 or more, found {guidance}")
+        if steps < 1:
+            raise InputError(f"steps: expected at least 1, found {steps}")
+        self._model = model
+        self._revision = revision
+        self._guidance = guidance
+        self._steps = steps
+        self._where = (device, dtype, offload)
+        self._quiet = quiet
+        self._pipeline: Any = None
+        self._record: dict[str, Any] = {}
+        self._negative: tuple[str, Any] | None = None
+
+    def settings(self) -> dict[str, Any]:
+        """What decides about the pictures. The device does not: seeds are drawn on the processor.
+
+        Devices differ in rounding, and so in details; records say where each picture was made.
+        """
+        return {
+            "model": self._model,
+            "revision": self._revision,
+            "guidance": self._guidance,
+            "steps": self._steps,
+            "dtype": self._where[1],
+        }
+
+    def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
+        """The first `count` lightings of the catalogue.
+
+        Raises
+        ------
+        InputError
+            If `count` is out of range, or there are negatives and no guidance to use them.
+        """
+        self._check_guidance(catalogue.negative)
+        return requests_from(catalogue, count, seed)
+
+    def generate(self, photo: Photo, request: Request) -> Generated:
+        """Make one picture; the same seed on the same machine gives the same bits.
+
+        Raises
+        ------
+        InputError
+            If the network cannot be had, is distilled and cannot do what was asked for, or runs
+            out of memory; or the prompt is too long.
+        """
+        self._check_guidance(request.negative)
+        pipeline = self._loaded(request.negative)
+        self._check_distilled(pipeline.config.is_distilled, request.negative)
+        import torch
+
+        frame = padding.frame(photo.size, padding.FLUX2_KLEIN)
+        for text in (request.prompt, request.negative):
+            self._check_length(request.name, text)
+        began = time.perf_counter()
+        with weights.memory_in_words(f"{KIND}, picture {request.name}"), torch.no_grad():
+            options = {}
+            if self._guidance > 1:
+                options["negative_prompt_embeds"] = self._embedded(request.negative)
+            output = pipeline(
+                image=Image.fromarray(frame.to_model(photo.srgb8())),
+                prompt=request.prompt,
+                height=frame.padded[0],
+                width=frame.padded[1],
+                num_inference_steps=self._steps,
+                guidance_scale=self._guidance,
+                # On the processor, where a seed means the same noise on every machine.
+                generator=torch.Generator("cpu").manual_seed(request.seed),
+                max_sequence_length=PROMPT_TOKENS,
+                output_type="np",
+                **options,
+            )
+        return Generated(
+            pixels=frame.from_model(_in_bytes(output.images[0], self._record["dtype"])),
+            record={
+                **self._record,
+                "guidance": self._guidance,
+                "steps": self._steps,
+                "seed": request.seed,
+                "prompt": request.prompt,
+                "negative": request.negative,
+                "network_size": list(frame.padded),
+                "scaled_size": list(frame.scaled),
+                "seconds": round(time.perf_counter() - began, 3),
+            },
+        )
+
+    def _loaded(self, negative: str) -> Any:
+        """The pipeline on its device; loaded once."""
+        if self._pipeline is not None:
+            return self._pipeline
+        from diffusers import Flux2KleinPipeline
+
+        where = weights.placement(*self._where, what=KIND)
+
+        def loader(name: str, **options: Any) -> Any:
+            # The small file first: a wrong choice shows before gigabytes are read.
+            config = Flux2KleinPipeline.load_config(name, **options)
+            kind = config.get("_class_name")
+            if kind != "Flux2KleinPipeline":
+                raise InputError(f"{name}: expected a Flux2KleinPipeline, found a {kind}")
+            self._check_distilled(config.get("is_distilled", False), negative)
+            return Flux2KleinPipeline.from_pretrained(name, dtype=where.torch_dtype, **options)
+
+        loaded = weights.load(
+            KIND, self._model, loader=loader, marker="model_index.json", revision=self._revision
+        )
+        pipeline = loaded.network
+        pipeline.set_progress_bar_config(disable=True if self._quiet else None, leave=False)
+        weights.place(pipeline, where, what=f"{KIND} {self._model}")
+        self._record = {
+            "generator": self.name,
+            **loaded.record,
+            "device": where.device,
+            "dtype": where.dtype,
+            "offload": where.offload,
+            "versions": extras.versions("torch", "diffusers", "transformers"),
+        }
+        self._pipeline = pipeline
+        return pipeline
+
+    def _check_guidance(self, negative: str) -> None:
+        if negative and self._guidance <= 1:
+            raise InputError(
+                f"negative prompts: expected guidance above 1, which they work through, found "
+                f'{self._guidance:g}; take negative = "" in the prompts, or more guidance'
+            )
+
+    def _check_distilled(self, distilled: bool, negative: str) -> None:
+        if distilled and (self._guidance != 1 or negative):
+            asked = [f"guidance {self._guidance:g}"] * (self._guidance != 1)
+            asked += ["negative prompts"] * bool(negative)
+            raise InputError(
+                f"{self._model}: expected a base checkpoint for {' and '.join(asked)}, found a "
+                f"distilled one, which ignores both: take {MODEL}, or guidance 1 and prompts with "
+                'negative = ""'
+            )
+
+    def _check_length(self, name: str, text: str) -> None:
+        tokenizer = self._pipeline.tokenizer
+        whole = tokenizer.apply_chat_template(
+            [{"role": "user", "content": text}],
+            tokenize=False,
+            add_generation_prompt=True,
+            enable_thinking=False,
+        )
+        tokens = len(tokenizer(whole)["input_ids"])
+        if tokens > PROMPT_TOKENS:
+            raise InputError(
+                f"prompt {name}: expected at most {PROMPT_TOKENS} tokens, of which the network "
+                f"reads no more, found {tokens}"
+            )
+
+    def _embedded(self, negative: str) -> Any:
+        """A run has one negative prompt; the text network, large, is asked once."""
+        if self._negative is None or self._negative[0] != negative:
+            embeddings, _ = self._pipeline.encode_prompt(
+                prompt=negative, max_sequence_length=PROMPT_TOKENS
+            )
+            self._negative = negative, embeddings
+        return self._negative[1]
+
+
+def _in_bytes(picture: NDArray[np.floating[Any]], dtype: str) -> NDArray[np.uint8]:
+    if not np.isfinite(picture).all():
+        raise InputError(
+            f"{KIND}: expected finite pixels, found NaN, as {dtype} gives where it overflows; "
+            "--dtype bfloat16 or float32 does not"
+        )
+    return np.asarray(np.rint(255 * picture), dtype=np.uint8)

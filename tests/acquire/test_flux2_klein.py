@@ -1,0 +1,260 @@
+"""FLUX.2 Klein end to end, with random weights: what goes in, what comes out, what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit._core import InputError
+from pbrfit.acquire.generators import Generated, Request
+from pbrfit.acquire.generators.flux2_klein import MODEL, Flux2Klein
+from pbrfit.acquire.photo import Photo, read_photo
+from pbrfit.acquire.prompts import Catalogue, Prompt, read_prompts
+
+LEFT = Request("left", "Blue light from the left.", "moved objects", 3)
+
+
+def smooth_noise(height: int, width: int) -> NDArray[np.uint8]:
+    small = np.random.default_rng(0).integers(0, 256, (-(-height // 8), -(-width // 8), 3))
+    codes = Image.fromarray(small.astype(np.uint8))
+    return np.asarray(codes.resize((width, height), Image.Resampling.BICUBIC))
+
+
+@pytest.fixture
+def photo(tmp_path: Path) -> Photo:
+    return photo_of(97, 131, tmp_path)
+
+
+def photo_of(height: int, width: int, folder: Path, max_size: int | None = None) -> Photo:
+    Image.fromarray(smooth_noise(height, width)).save(folder / "photo.png")
+    return read_photo(folder / "photo.png", max_size=max_size)
+
+
+@pytest.fixture(scope="module")
+def klein(tiny_flux2_klein: Path) -> Flux2Klein:
+    return Flux2Klein(model=str(tiny_flux2_klein), steps=2, device="cpu")
+
+
+@pytest.fixture
+def echo(tiny_flux2_klein: Path, monkeypatch: pytest.MonkeyPatch) -> Flux2Klein:
+    """A network that paints what it was shown: the decoder gives back what the encoder got."""
+    generator = Flux2Klein(model=str(tiny_flux2_klein), steps=1, guidance=1, device="cpu")
+    autoencoder = generator._loaded("").vae
+    encode = autoencoder.encode
+    shown: list[Any] = []
+
+    def keep(image: Any) -> Any:
+        shown[:] = [image]
+        return encode(image)
+
+    monkeypatch.setattr(autoencoder, "encode", keep)
+    monkeypatch.setattr(autoencoder, "decode", lambda *_, **__: (shown[0],))
+    return generator
+
+
+@pytest.mark.parametrize("size", [(97, 131), (131, 97), (64, 64), (65, 200)])
+def test_what_the_network_is_shown_comes_back_bit_for_bit(
+    size: tuple[int, int], echo: Flux2Klein, tmp_path: Path
+) -> None:
+    photo = photo_of(*size, tmp_path)
+    made = echo.generate(photo, Request("same", "The same.", "", 0))
+    np.testing.assert_array_equal(made.pixels, photo.srgb8())
+
+
+def test_a_photograph_too_large_for_the_network_comes_back_where_it_was(
+    echo: Flux2Klein, tmp_path: Path
+) -> None:
+    photo = photo_of(1100, 1403, tmp_path)
+    made = echo.generate(photo, Request("same", "The same.", "", 0))
+    assert made.record["scaled_size"] != [1100, 1403]
+    assert np.prod(made.record["network_size"]) <= 1024 * 1024
+    error = made.pixels.astype(np.float64) - photo.srgb8()
+    down, across = np.gradient(photo.srgb8().astype(np.float64), axis=(0, 1))
+    shifts = [np.sum(error * slope) / np.sum(slope**2) for slope in (down, across)]
+    assert np.abs(shifts).max() < 0.01
+    assert np.sqrt(np.mean(error**2)) < 4
+
+
+@pytest.mark.parametrize("size", [(97, 131), (131, 97)])
+def test_a_picture_has_the_size_of_the_photo(
+    size: tuple[int, int], klein: Flux2Klein, tmp_path: Path
+) -> None:
+    photo = photo_of(*size, tmp_path)
+    made = klein.generate(photo, LEFT)
+    assert made.pixels.shape == (*size, 3)
+    assert made.pixels.dtype == np.uint8
+    assert made.pixels.std() > 5  # random weights paint noise, not nothing
+
+
+def test_the_seed_decides(klein: Flux2Klein, photo: Photo) -> None:
+    first, again = klein.generate(photo, LEFT), klein.generate(photo, LEFT)
+    np.testing.assert_array_equal(first.pixels, again.pixels)
+    other = klein.generate(photo, Request(LEFT.name, LEFT.prompt, LEFT.negative, 4))
+    assert np.abs(first.pixels.astype(int) - other.pixels).mean() > 5
+
+
+def test_prompt_negative_and_photo_change_the_picture(
+    klein: Flux2Klein, photo: Photo, tmp_path: Path
+) -> None:
+    first = klein.generate(photo, LEFT)
+    others: dict[str, Generated] = {
+        "prompt": klein.generate(photo, Request("left", "Red light.", LEFT.negative, 3)),
+        "negative": klein.generate(photo, Request("left", LEFT.prompt, "", 3)),
+    }
+    Image.new("RGB", (131, 97)).save(tmp_path / "black.png")
+    others["photo"] = klein.generate(read_photo(tmp_path / "black.png"), LEFT)
+    for what, other in others.items():
+        assert (first.pixels != other.pixels).mean() > 0.05, what
+
+
+def test_the_record_says_how_a_picture_was_made(
+    klein: Flux2Klein, photo: Photo, tiny_flux2_klein: Path
+) -> None:
+    record = klein.generate(photo, LEFT).record
+    assert json.loads(json.dumps(record)) == record
+    expected = {
+        "generator": "flux2-klein",
+        "model": str(tiny_flux2_klein),
+        "source": "folder",
+        "revision": None,
+        "device": "cpu",
+        "dtype": "float32",
+        "guidance": 5.0,
+        "steps": 2,
+        "seed": 3,
+        "prompt": LEFT.prompt,
+        "negative": LEFT.negative,
+        "network_size": [112, 144],
+    }
+    assert {key: record[key] for key in expected} == expected
+    assert set(record["versions"]) == {"torch", "diffusers", "transformers"}
+    assert record["seconds"] > 0
+    json.dumps(klein.settings())
+
+
+def test_bfloat16_works_on_the_processor_too(tiny_flux2_klein: Path, photo: Photo) -> None:
+    small = Flux2Klein(model=str(tiny_flux2_klein), steps=1, device="cpu", dtype="bfloat16")
+    made = small.generate(photo, LEFT)
+    assert made.record["dtype"] == "bfloat16"
+    assert made.pixels.std() > 5
+
+
+def test_the_shipped_prompts_fit_into_what_is_read(klein: Flux2Klein) -> None:
+    klein._loaded("")
+    catalogue = read_prompts()
+    for request in klein.plan(catalogue, len(catalogue.lighting), 0):
+        klein._check_length(request.name, request.prompt)
+        klein._check_length(request.name, request.negative)
+
+
+def test_a_prompt_that_would_be_cut_off_is_refused(klein: Flux2Klein, photo: Photo) -> None:
+    request = Request("long", "light " * 600, "", 0)
+    with pytest.raises(InputError, match="prompt long: expected at most 512 tokens"):
+        klein.generate(photo, request)
+
+
+@pytest.mark.parametrize(
+    ("guidance", "negative", "asked"),
+    [
+        (5.0, "fog", "guidance 5 and negative prompts"),
+        (5.0, "", "guidance 5"),
+        (1.01, "", "guidance 1.01"),
+    ],
+)
+def test_a_distilled_checkpoint_with_guidance_is_refused(
+    guidance: float,
+    negative: str,
+    asked: str,
+    tiny_distilled_flux2_klein: Path,
+    photo: Photo,
+) -> None:
+    generator = Flux2Klein(model=str(tiny_distilled_flux2_klein), guidance=guidance, device="cpu")
+    expected = f"expected a base checkpoint for {asked}, found a distilled one, which ignores both"
+    with pytest.raises(InputError, match=expected) as caught:
+        generator.generate(photo, Request("left", "Light.", negative, 0))
+    assert MODEL in str(caught.value)
+
+
+def test_a_distilled_checkpoint_without_guidance_paints(
+    tiny_distilled_flux2_klein: Path, photo: Photo
+) -> None:
+    generator = Flux2Klein(model=str(tiny_distilled_flux2_klein), guidance=1, steps=1, device="cpu")
+    assert generator.generate(photo, Request("left", "Light.", "", 0)).pixels.std() > 5
+
+
+def test_negatives_without_guidance_are_refused(photo: Photo) -> None:
+    generator = Flux2Klein(model="nowhere/nothing", guidance=1)
+    catalogue = Catalogue("", (Prompt("left", "Light."),), "fog")
+    expected = "negative prompts: expected guidance above 1"
+    with pytest.raises(InputError, match=expected):
+        generator.plan(catalogue, 1, 0)
+    with pytest.raises(InputError, match=expected):
+        generator.generate(photo, Request("left", "Light.", "fog", 0))
+
+
+def test_numbers_that_overflowed_are_not_a_picture(
+    klein: Flux2Klein, photo: Photo, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    autoencoder = klein._loaded("").vae
+    decode = autoencoder.decode
+    monkeypatch.setattr(autoencoder, "decode", lambda *a, **k: (decode(*a, **k)[0] * float("nan"),))
+    with pytest.raises(InputError, match="expected finite pixels, found NaN, as float32 gives"):
+        klein.generate(photo, LEFT)
+
+
+def test_out_of_memory_says_what_helps(
+    klein: Flux2Klein, photo: Photo, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+
+    def exhausted(*_: object, **__: object) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB")
+
+    monkeypatch.setattr(klein._loaded("").vae, "encode", exhausted)
+    expected = "picture left: out of memory; what helps: a smaller --max-size, --offload model"
+    with pytest.raises(InputError, match=expected):
+        klein.generate(photo, LEFT)
+
+
+def test_another_pipeline_is_refused_before_its_weights_are_read(
+    tiny_flux2_klein: Path, photo: Photo, tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    index = json.loads((tiny_flux2_klein / "model_index.json").read_text())
+    index["_class_name"] = "StableDiffusionPipeline"
+    (other / "model_index.json").write_text(json.dumps(index))
+    with pytest.raises(InputError, match="expected a Flux2KleinPipeline, found a StableDiffusion"):
+        Flux2Klein(model=str(other), device="cpu").generate(photo, LEFT)
+
+
+def test_damaged_weights_are_one_line(tiny_flux2_klein: Path, photo: Photo, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged"
+    shutil.copytree(tiny_flux2_klein, damaged)
+    weights = damaged / "transformer" / "diffusion_pytorch_model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:1000])
+    with pytest.raises(
+        InputError, match=r"damaged: expected FLUX\.2 Klein that can be loaded"
+    ) as e:
+        Flux2Klein(model=str(damaged), device="cpu").generate(photo, LEFT)
+    assert "\n" not in str(e.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"steps": 0}, "steps: expected at least 1, found 0"),
+        ({"guidance": float("nan")}, "guidance: expected a number of 0 or more, found nan"),
+        ({"guidance": -1.0}, "guidance: expected a number of 0 or more, found -1"),
+    ],
+)
+def test_options_out_of_range_are_refused(options: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        Flux2Klein(**options)

@@ -1,0 +1,45 @@
+"""What is heavy is imported where it is needed, and nowhere before."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+HEAVY = (
+    "torch",
+    "torchvision",
+    "diffusers",
+    "transformers",
+    "accelerate",
+    "huggingface_hub",
+    "openai",
+    "scipy",
+    "matplotlib",
+)
+
+
+def heavy_after(statements: str) -> list[str]:
+    """Which of `HEAVY` are imported by statements, in a Python of their own."""
+    program = f"{statements}\nimport sys\nprint(*[m for m in {HEAVY} if m in sys.modules])"
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    return run.stdout.split()
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    assert heavy_after("import pbrfit") == []
+
+
+def test_the_command_line_knows_its_options_without_anything_heavy() -> None:
+    assert heavy_after("from pbrfit.cli import _parser\n_parser().format_help()") == []
+
+
+def test_the_networks_interfaces_import_nothing_heavy() -> None:
+    modules = "extras, padding, photo, prompts, weights, generators"
+    folder = "from pbrfit.acquire.generators import flux2_klein, folder"
+    assert heavy_after(f"from pbrfit.acquire import {modules}\n{folder}") == []
+
+
+def test_what_is_heavy_would_be_found() -> None:
+    assert heavy_after("import scipy") == ["scipy"]
