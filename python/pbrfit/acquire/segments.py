@@ -126,7 +126,7 @@ def by_sam2(
     where = weights.placement(device, "float32", what=WHAT)
     loaded = weights.load(WHAT, model, loader=Sam2Model.from_pretrained, marker="config.json")
     processor = weights.load(
-        WHAT, model, loader=AutoImageProcessor.from_pretrained, marker="preprocessor_config.json"
+        WHAT, model, loader=AutoImageProcessor.from_pretrained, marker="config.json"
     )
     with weights.memory_in_words(WHAT, "a smaller picture, fewer --points, --device cpu"):
         generator = pipeline(
