@@ -316,9 +316,11 @@ def test_resume_of_a_run_with_refusals_asks_for_none_of_them_again(make: Make) -
 
 
 def test_too_few_pictures_are_no_scene_and_the_review_says_why(make: Make, tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"at least 2 pictures .* found 1 with the photo; left out"
-    ):
+    expected = (
+        "scene: expected at least 2 pictures for a scene, found 1 with the photo; left out were "
+        "light_0: refused by alone; light_1: refused by alone; and 2 more"
+    )
+    with pytest.raises(InputError, match=expected):
         make(Counting(), reviewer=Strict(alone=range(12)), regenerate=0)
     scene = tmp_path / "scene"
     assert names(scene) == ["generation", "review.json", "review.png"]
@@ -372,6 +374,18 @@ def test_a_place_that_nobody_may_write_to_shows_before_any_picture(make: Make) -
     assert generator.asked == []
 
 
+def test_what_fails_before_any_picture_leaves_an_earlier_journal_as_it_is(
+    make: Make, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        make(Counting(before=failing(2, KeyboardInterrupt())))
+    with pytest.raises((InputError, OSError), match=r"no_such\.exr"):
+        make(Counting(quality="other"), normals=str(tmp_path / "no_such.exr"), overwrite=True)
+    rest = Counting()
+    make(rest, resume=True)
+    assert [request.name for request in rest.asked] == ["light_2", "light_3"]
+
+
 def test_a_place_below_a_file_shows_before_any_picture(make: Make, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     generator = Counting()
@@ -403,6 +417,6 @@ def test_transparent_pixels_are_masked(make: Make, tmp_path: Path, photo: Path) 
 def test_progress_counts_up_to_all_pictures(make: Make) -> None:
     told: list[tuple[str, int, int]] = []
     make(Counting(), reviewer=Strict(alone=[0]), progress=lambda *step: told.append(step))
-    assert told[0] == ("normals", 0, 4)
+    assert told[0] == ("segments and normals", 0, 4)
     assert ("light_0, seed 1000", 2, 4) in told
     assert told[-1] == ("writing", 5, 5)

@@ -12,10 +12,12 @@ import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pbrfit import geometry, images
 from pbrfit._core import InputError
@@ -135,60 +137,57 @@ def generate(
     told = progress or _nobody
     journal = Journal(out / FOLDER, photo, settings)
     with place(out) as made:
-        journal.begin()
         generator.check()
-        if review and reviewer is None:
+        if not review:
+            reviewer = None
+        elif reviewer is None:
             from pbrfit.acquire.review import Reviewer as Default
 
             reviewer = Default(photo.pixels * np.float32(2.0**photo.exposure), mask=photo.mask)
-        parts, segment_record = None, None
-        if segments != "none":
-            told("segments", 0, len(requests))
-            with _or_instead("segments", segments, "sam2", "none or FILE"):
-                from pbrfit.acquire.segments import segment
-
-                parts, segment_record = segment(segments, photo.srgb8(), **(segment_options or {}))
-        told("normals", 0, len(requests))
-        with _or_instead("normals", normals, "marigold", "flat, depth:FILE or FILE"):
-            surface = estimate(
-                normals, photo.srgb8(), fov=view, mask=photo.mask, **(normal_options or {})
-            )
-        asked = 0
-
-        def counted(what: str, more: int) -> None:
-            nonlocal asked
-            asked += more
-            told(what, asked, max(asked, len(requests)))
-
-        rounds = Rounds(
-            photo, generator, journal, reviewer if review else None, regenerate, counted
-        )
+        told("segments and normals", 0, len(requests))
+        parts = _segments(photo, segments, segment_options or {})
+        surface = _normals(photo, normals, view, normal_options or {})
+        journal.begin()
         with _kept(journal, out):
+            steps = _Steps(told, len(requests))
+            rounds = Rounds(photo, generator, journal, reviewer, regenerate, steps.told)
             pictures = rounds.make(requests)
         report = GenerationReport(
-            out, photo, with_photo, settings, pictures, review, view,
-            assumed, surface.record, segment_record,
-        )  # fmt: skip
-        told("writing", asked, asked)
-        (made / FILE).write_text(
-            json.dumps(report.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
-            encoding="utf-8",
+            out=out,
+            photo=photo,
+            with_photo=with_photo,
+            settings=settings,
+            pictures=pictures,
+            reviewed=review,
+            fov=view,
+            assumed=assumed,
+            normals=surface.record,
+            segments=None if parts is None else parts[1],
         )
-        (made / SHEET).write_bytes(as_png(report.sheet(journal)))
+        told("writing", steps.asked, steps.asked)
+        _write_report(made, report, journal)
         enough = len(report.accepted) + with_photo >= LEAST
         if enough:
             _write_maps(made, photo, view, surface)
             if parts is not None:
-                images.write_png(made / "segments.png", parts, tag=None)
+                images.write_png(made / "segments.png", parts[0], tag=None)
             _write_pictures(made / PICTURES, report, journal)
     if not enough:
-        reasons = "; ".join(f"{picture.request.name}: {picture.reason}" for picture in pictures)
-        raise InputError(
-            f"{out}: expected at least {LEAST} pictures for a scene, found "
-            f"{len(report.accepted) + with_photo}"
-            f"{' with the photo' if with_photo else ''}; left out were {reasons}"
-        )
+        raise InputError(_too_few(report))
     return report
+
+
+@dataclass
+class _Steps:
+    """Counts pictures for who is told about the progress."""
+
+    progress: Progress
+    wanted: int
+    asked: int = 0
+
+    def told(self, what: str, more: int) -> None:
+        self.asked += more
+        self.progress(what, self.asked, max(self.asked, self.wanted))
 
 
 def _nobody(what: str, done: int, total: int) -> None:
@@ -219,6 +218,22 @@ def _field_of_view(photo: Photo, asked: float | None) -> tuple[float, dict[str, 
         "%s: field of view unknown, assumed %g degrees (--fov sets it)", photo.path, DEFAULT_FOV
     )
     return DEFAULT_FOV, {"fov": f"{DEFAULT_FOV:g} degrees: neither --fov nor EXIF says"}
+
+
+def _segments(
+    photo: Photo, source: str, options: Mapping[str, Any]
+) -> tuple[NDArray[np.uint16], dict[str, Any]] | None:
+    if source == "none":
+        return None
+    from pbrfit.acquire.segments import segment
+
+    with _or_instead("segments", source, "sam2", "none or FILE"):
+        return segment(source, photo.srgb8(), **options)
+
+
+def _normals(photo: Photo, source: str, fov: float, options: Mapping[str, Any]) -> Normals:
+    with _or_instead("normals", source, "marigold", "flat, depth:FILE or FILE"):
+        return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
 
 
 @contextmanager
@@ -252,6 +267,23 @@ def _kept(journal: Journal, out: Path) -> Iterator[None]:
             said = str(error) or "out of memory"
             raise InputError(f"{said}; {kept()}") from error
         raise
+
+
+def _too_few(report: GenerationReport) -> str:
+    found = len(report.accepted) + report.with_photo
+    with_photo = " with the photo" if report.with_photo else ""
+    reasons = [f"{picture.request.name}: {picture.reason}" for picture in report.left_out]
+    told = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if reasons[2:] else "")
+    return (
+        f"{report.out}: expected at least {LEAST} pictures for a scene, found {found}{with_photo}; "
+        f"left out were {told or 'none'}"
+    )
+
+
+def _write_report(folder: Path, report: GenerationReport, journal: Journal) -> None:
+    text = json.dumps(report.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    (folder / FILE).write_text(text, encoding="utf-8")
+    (folder / SHEET).write_bytes(as_png(report.sheet(journal)))
 
 
 def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> None:

@@ -98,7 +98,7 @@ def place(out: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
         with suppress(OSError):  # what is not empty stays, and so do the folders above it
             kept = out_at / journal.FOLDER
-            if journal.holds_nothing(kept):
+            if kept.is_dir() and journal.holds_nothing(kept):
                 shutil.rmtree(kept)
             for folder in new:
                 folder.rmdir()

@@ -47,11 +47,19 @@ SAME_SHAPE = 0.01
 """A picture of another size whose sides are in the proportion that was asked for, up to this, is
 scaled. Services that stand in for OpenAI's may round sizes their own way."""
 
-PRICES = {"gpt-image-2": (5.0, 8.0, 30.0), "gpt-image-2-2026-04-21": (5.0, 8.0, 30.0)}
+PRICES = dict.fromkeys(
+    (
+        "gpt-image-2",
+        "gpt-image-2-2026-04-21",
+        "gpt-image-2.5-sunburst",
+        "gpt-image-2.5-flare",
+    ),
+    (5.0, 8.0, 30.0),
+)
 """US dollars for a million tokens of text in, of pictures in, of pictures out; no discounts."""
 
-PRICES_AS_OF = "2026-11"
-"""When `PRICES` were looked up. OpenAI's bill counts; this is an estimate."""
+PRICES_AS_OF = "2026-09"
+"""When OpenAI's page had these prices. Its bill counts; ours is an estimate."""
 
 
 @dataclass(frozen=True)
