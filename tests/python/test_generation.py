@@ -402,6 +402,20 @@ def test_names_that_are_not_ascii_are_kept(make: Make, tmp_path: Path) -> None:
     assert len(Scene.load(scene).images) == 5
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are UTF-8 there")
+def test_a_name_that_is_no_utf8_costs_no_picture(make: Make, tmp_path: Path, photo: Path) -> None:
+    strange = photo.rename(tmp_path / os.fsdecode(b"caf\xe9.png"))
+    make(Counting(), photo=strange)
+    assert reviewed(tmp_path / "scene")["photo"]["file"] == strange.name
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are UTF-8 there")
+def test_a_generated_picture_needs_a_name_in_utf8(make: Make) -> None:
+    catalogue = Catalogue("", (Prompt(os.fsdecode(b"caf\xe9"), "Day."),), "")
+    with pytest.raises(InputError, match=r"expected names in UTF-8, found 'caf"):
+        make(Counting(), catalogue=catalogue, count=1)
+
+
 def test_transparent_pixels_are_masked(make: Make, tmp_path: Path, photo: Path) -> None:
     with Image.open(photo) as opaque:
         picture = opaque.convert("RGBA")

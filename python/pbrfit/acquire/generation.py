@@ -7,7 +7,6 @@ very end.
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -23,7 +22,7 @@ from pbrfit import geometry, images
 from pbrfit._core import InputError
 from pbrfit.acquire.generation_report import FILE, SHEET, GenerationReport
 from pbrfit.acquire.generators import Generator, Request
-from pbrfit.acquire.journal import FOLDER, Journal
+from pbrfit.acquire.journal import FOLDER, Journal, write_json
 from pbrfit.acquire.normals import Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
@@ -199,6 +198,13 @@ def _requests(
     generator: Generator, catalogue: Catalogue, count: int, seed: int, with_photo: bool
 ) -> list[Request]:
     requests = generator.plan(catalogue, count, seed)
+    for request in requests:
+        try:
+            request.name.encode()
+        except UnicodeEncodeError:
+            raise InputError(
+                f"generated pictures: expected names in UTF-8, found {request.name!r}"
+            ) from None
     if with_photo and any(request.name == PHOTO for request in requests):
         raise InputError(
             f"{PHOTO}: expected another name for a generated picture, because the photograph is "
@@ -281,8 +287,7 @@ def _too_few(report: GenerationReport) -> str:
 
 
 def _write_report(folder: Path, report: GenerationReport, journal: Journal) -> None:
-    text = json.dumps(report.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    (folder / FILE).write_text(text, encoding="utf-8")
+    write_json(folder / FILE, report.as_json())
     (folder / SHEET).write_bytes(as_png(report.sheet(journal)))
 
 

@@ -225,7 +225,15 @@ def _strange(path: Path) -> InputError:
     return InputError(f"{path}: expected an entry of a generation journal, found something else")
 
 
-def _write(path: Path, content: object, *, overwrite: bool = False) -> None:
+def write_json(path: Path, content: object) -> None:
+    """Write JSON that people can read.
+
+    Names of files may hold bytes that are no UTF-8; as escapes, they come back as they were.
+    """
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+def _write(path: Path, content: object, *, overwrite: bool = False) -> None:
     with new_file(path, overwrite=overwrite) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        write_json(temporary, content)
