@@ -54,6 +54,27 @@ def test_the_scene_that_it_makes_can_be_decomposed_as_it_says(
     assert Result.load(command[-1]).metrics["recon_rmse"] < 0.2
 
 
+def test_a_picture_of_something_else_is_left_out_and_said_to_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_photo(tmp_path / "photo.png", 160, count=5)
+    first, *_ = write_pictures(tmp_path / "variants", 5, 160)
+    path = tmp_path / "variants" / f"{first}.png"
+    with Image.open(path) as picture:
+        mirrored = np.asarray(picture)[:, ::-1]
+    Image.fromarray(mirrored).save(path)
+    source = ("--generator", f"folder:{tmp_path / 'variants'}")
+    flat = ("--normals", "flat", "--segments", "none")
+    assert run("generate", tmp_path / "photo.png", "--out", tmp_path / "s", *source, *flat) == 0
+    said = capsys.readouterr().out
+    assert f"left out    {first}: " in said
+    assert not (tmp_path / "s" / "images" / f"{first}.png").exists()
+    review = json.loads((tmp_path / "s" / "review.json").read_text(encoding="utf-8"))
+    assert review["reviewed"]
+    [refused] = [each for each in review["pictures"] if each["name"] == first]
+    assert not all(check["passed"] for check in refused["attempts"][0]["checks"])
+
+
 def test_pictures_of_a_folder_are_in_the_scene_as_they_are(made: Path) -> None:
     assert generate(made) == 0
     for path in (made / "variants").iterdir():
