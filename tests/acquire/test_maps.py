@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,7 @@ def test_normals_of_any_size_with_their_uncertainty(marigold: str, size: tuple[i
     np.testing.assert_allclose(
         found.weights, 1 / (1 + (found.uncertainty / HALF_WEIGHT) ** 2), rtol=1e-5
     )
-    assert found.record["model"] == marigold
+    assert (found.record["source"], found.record["model"]) == ("marigold", marigold)
     assert found.record["ensemble"] == 3
     assert (found.record["steps"], found.record["resolution"]) == (2, 64)
 
@@ -185,6 +186,23 @@ def test_no_mask_is_a_legal_answer(sam2: str) -> None:
     )
     assert not ids.any()
     assert (record["masks"], record["segments"]) == (0, 0)
+
+
+def test_checkpoints_made_for_video_are_read_as_those_for_pictures(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    # So are all that Meta gives out: facebook/sam2.1-hiera-large says sam2_video.
+    folder = save_tiny_sam2(tmp_path)
+    for name, changes in {
+        "config.json": {"model_type": "sam2_video", "architectures": ["Sam2VideoModel"]},
+        "preprocessor_config.json": {"image_processor_type": "Sam2ImageProcessorFast"},
+    }.items():
+        content = json.loads((folder / name).read_text())
+        (folder / name).write_text(json.dumps(content | changes))
+    capfd.readouterr()
+    ids, _ = segment("sam2", picture(97, 131), model=str(folder), points=4, device="cpu")
+    assert ids.shape == (97, 131)
+    assert "sam2_video" not in capfd.readouterr().err
 
 
 def test_the_command_gives_segments_to_photographs(
