@@ -142,6 +142,31 @@ def test_an_option_that_there_is_none_of_is_refused(options: dict[str, str], exp
 
 
 @pytest.mark.parametrize(
+    ("offload", "expected"),
+    [
+        ("none", [("to", "cuda")]),
+        ("model", [("enable_model_cpu_offload", "cuda")]),
+        ("sequential", [("enable_sequential_cpu_offload", "cuda")]),
+    ],
+)
+def test_a_pipeline_is_put_where_it_computes(offload: str, expected: list[tuple[str, str]]) -> None:
+    calls: list[tuple[str, str]] = []
+
+    class Pipeline:
+        def to(self, device: str) -> None:
+            calls.append(("to", device))
+
+        def enable_model_cpu_offload(self, *, device: str) -> None:
+            calls.append(("enable_model_cpu_offload", device))
+
+        def enable_sequential_cpu_offload(self, *, device: str) -> None:
+            calls.append(("enable_sequential_cpu_offload", device))
+
+    weights.place(Pipeline(), weights.Placement("cuda", "bfloat16", offload), what="FLUX")
+    assert calls == expected
+
+
+@pytest.mark.parametrize(
     "error",
     [
         MemoryError(),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,8 @@ def by_sam2(
     from transformers import AutoImageProcessor, Sam2Model, pipeline
 
     where = weights.placement(device, "float32", what=WHAT)
-    loaded = weights.load(WHAT, model, loader=Sam2Model.from_pretrained, marker="config.json")
+    with _without_warnings():
+        loaded = weights.load(WHAT, model, loader=Sam2Model.from_pretrained, marker="config.json")
     processor = weights.load(
         WHAT, model, loader=AutoImageProcessor.from_pretrained, marker="config.json"
     )
@@ -139,8 +141,10 @@ def by_sam2(
     masks = [np.asarray(mask, dtype=bool) for mask in found["masks"]]
     height, width = srgb8.shape[:2]
     ids = ids_of(masks, (height, width), smallest=smallest)
-    record = loaded.record | {
+    record = {
         "source": "sam2",
+        "model": model,
+        "revision": loaded.record["revision"],
         "points": points,
         "smallest": smallest,
         **thresholds,
@@ -150,6 +154,19 @@ def by_sam2(
         "packages": versions("transformers", "torchvision", "torch"),
     }
     return ids, record
+
+
+@contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Keep transformers from warning that SAM2's checkpoints, made for video, are for video."""
+    from transformers.utils import logging
+
+    before = logging.get_verbosity()
+    logging.set_verbosity_error()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(before)
 
 
 def ids_of(

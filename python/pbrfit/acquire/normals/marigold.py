@@ -112,7 +112,9 @@ def from_picture(
             members.append(found.prediction[0].astype(np.float64))
             progress()
     normals, spread = mean_and_spread(members)
-    record = loaded.record | {
+    record = {
+        "model": model,
+        "revision": loaded.record["revision"],
         "ensemble": ensemble,
         "steps": steps or pipeline.default_denoising_steps,
         "resolution": pipeline.default_processing_resolution if resolution is None else resolution,

@@ -19,7 +19,7 @@ def add(suites: Subcommands) -> None:
     added = suites.add_parser(
         "peers",
         help="networks that see one picture, beside our fit of all",
-        description="Marigold-IID and RGB→X find materials in one picture of synthetic scenes, "
+        description="Marigold-IID and RGB-X find materials in one picture of synthetic scenes, "
         "our fit in all pictures; errors of the maps and of pictures relit with them. A peer "
         "whose packages (pbrfit[diffusion]) or weights are missing is left out, and the report "
         "says why. Writes report.html, pictures, scenes.csv and summary.json.",
@@ -40,7 +40,7 @@ def add(suites: Subcommands) -> None:
         metavar="ID|FOLDER",
         help="Marigold-IID (default: prs-eth/marigold-iid-appearance-v1-1)",
     )
-    added.add_argument("--rgbx", metavar="ID|FOLDER", help="RGB→X (default: zheng95z/rgb-to-x)")
+    added.add_argument("--rgbx", metavar="ID|FOLDER", help="RGB-X (default: zheng95z/rgb-to-x)")
     added.add_argument(
         "--device",
         choices=get_args(Device),

@@ -35,7 +35,7 @@ IN_WORDS: dict[Method, str] = {
     "pbrfit": "pbrfit, all pictures",
     "constant": "constant guess",
     "marigold": "Marigold-IID, one picture",
-    "rgbx": "RGB→X, one picture",
+    "rgbx": "RGB-X, one picture",
 }
 
 NOISE = 0.01
@@ -63,6 +63,8 @@ class Effort:
         Predictions of Marigold-IID that are combined.
     steps
         Of the peers' samplers; None = as their authors recommend.
+    longer_side
+        Of what RGB-X is shown, in pixels.
     shown
         Scenes that are shown in pictures.
     """
@@ -75,11 +77,22 @@ class Effort:
     iterations: int = 500
     samples: int = 5
     steps: int | None = None
+    longer_side: int = 1000
     shown: int = 3
 
 
 FULL = Effort("full")
-QUICK = Effort("quick", scenes=2, size=64, lights=8, iterations=60, samples=1, steps=4, shown=2)
+QUICK = Effort(
+    "quick",
+    scenes=2,
+    size=64,
+    lights=8,
+    iterations=60,
+    samples=1,
+    steps=4,
+    longer_side=256,
+    shown=2,
+)
 
 
 @dataclass(frozen=True)
@@ -120,7 +133,7 @@ def work(task: Task, threads: int) -> dict[str, Any]:
         If a peer cannot run; it says why.
     """
     effort = task.effort
-    peer = _opened(task.method, task.model, task.device, threads)  # first: it may not be there
+    peer = _opened(task, threads)  # first: it may not be there
     scene = given(effort, task.seed)
     at = evenly_lit(scene)
     if task.method == "pbrfit":
@@ -178,19 +191,19 @@ def shown_picture(scene: Scene, picture: int) -> NDArray[np.uint8]:
     return np.rint(255 * metrics.display(image, white)).astype(np.uint8)
 
 
-def _opened(method: Method, model: str | None, device: str, threads: int) -> Any:
+def _opened(task: Task, threads: int) -> Any:
     """A peer as a function of picture, seed and effort; None for what is none."""
-    if method not in PEERS:
+    if task.method not in PEERS:
         return None
-    assert model is not None
-    peer = _loaded(method, model, device, threads)
+    assert task.model is not None
+    peer = _loaded(task.method, task.model, task.device, task.effort.longer_side, threads)
     if isinstance(peer, str):
         raise InputError(peer)
     return peer
 
 
 @cache
-def _loaded(method: Method, model: str, device: str, threads: int) -> Any:
+def _loaded(method: Method, model: str, device: str, longer_side: int, threads: int) -> Any:
     """Load a peer once a process; the message, where that fails: it would fail again."""
     try:
         if method == "marigold":
@@ -203,7 +216,7 @@ def _loaded(method: Method, model: str, device: str, threads: int) -> Any:
             )
         from pbrfit.evaluation.peers.rgbx import RgbToX
 
-        rgbx = RgbToX(model, device=device)
+        rgbx = RgbToX(model, device=device, longer_side=longer_side)
         _use_threads(threads)
         return lambda picture, seed, effort: rgbx.maps(picture, seed=seed, steps=effort.steps)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""RGB→X (Zeng et al., SIGGRAPH 2024): one map of one picture for each prompt.
+"""RGB-X (Zeng et al., SIGGRAPH 2024): one map of one picture for each prompt.
 
 The published checkpoint is a Stable Diffusion 2 whose U-Net sees eight channels, the noisy map's
 four and the picture's four, and predicts v. diffusers has no pipeline for it, so the sampling is
@@ -36,8 +36,7 @@ PROMPTS = {
 }
 
 STEPS = 50
-LONGER_SIDE = 1000
-WHAT = "RGB→X"
+WHAT = "RGB-X"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ class RgbToX:
     """
 
     def __init__(
-        self, model: str = MODEL, *, device: str = "auto", longer_side: int = LONGER_SIDE
+        self, model: str = MODEL, *, device: str = "auto", longer_side: int = 1000
     ) -> None:
         need("diffusion", "torch", "diffusers", "transformers")
         where = weights.placement(device, what=WHAT)
