@@ -1,6 +1,8 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
 # make bench-needs: what leaving out parts of a fit saves
 # make bench-lbfgs: our bounded L-BFGS beside scipy's
+# make test-acquire: the tests that need PyTorch, diffusers, transformers and openai, in .venv-acquire
+#   (5 GB); they download no weights
 # make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
@@ -8,6 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PEERS := .venv-peers
 CYCLES := .venv-cycles
+ACQUIRE := .venv-acquire
 CYCLES_PYTHON ?= python3.11
 CYCLES_NEEDS := python/pbrfit/synthetic/cycles/requirements.txt
 SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find rust -name '*.rs')
@@ -17,7 +20,7 @@ DEMO ?= out/demo
 THREADS ?= 2
 PEERS_OPTIONS ?=
 
-.PHONY: demo test lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-acquire lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -25,6 +28,9 @@ demo: $(VENV)/installed
 test: $(VENV)/tools lint
 	cargo test --release
 	$(BIN)/pytest
+
+test-acquire: $(ACQUIRE)/installed
+	$(ACQUIRE)/bin/pytest tests/acquire
 
 lint: $(VENV)/tools
 	cargo fmt --check
@@ -55,7 +61,7 @@ wheel: $(VENV)/tools
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(CYCLES) target dist out
+	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) target dist out
 
 $(VENV)/installed: $(SOURCES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pbrfit needs Python 3.11 or later; set PYTHON=...")'
@@ -78,6 +84,12 @@ $(PEERS)/installed: $(SOURCES) $(PYTHON_SOURCES) benches/peers/requirements.txt
 		echo "installing $$peer"; \
 		$(PEERS)/bin/pip install --quiet "$$peer" < /dev/null || echo "bench-peers: no $$peer; going on without"; \
 	done
+	touch $@
+
+$(ACQUIRE)/installed: $(SOURCES)
+	test -d $(ACQUIRE) || $(PYTHON) -m venv $(ACQUIRE)
+	@echo "installing PyTorch, diffusers, transformers and openai: 5 GB"
+	$(ACQUIRE)/bin/pip install --quiet --editable '.[test,diffusion,openai,segment]'
 	touch $@
 
 $(CYCLES)/installed: $(CYCLES_NEEDS)

@@ -18,6 +18,8 @@ _CACHE = tempfile.mkdtemp(prefix="pbrfit-tests-")
 os.environ["HF_HOME"] = _CACHE
 os.environ["HF_HUB_OFFLINE"] = "1"
 os.environ["HF_HUB_DISABLE_TELEMETRY"] = "1"
+# Threads gain nothing on tiny networks, and wait for each other where processors are shared.
+os.environ["OMP_NUM_THREADS"] = "1"
 for name in ("HF_HUB_CACHE", "HUGGINGFACE_HUB_CACHE", "TRANSFORMERS_CACHE", "HF_TOKEN"):
     os.environ.pop(name, None)
 
@@ -26,6 +28,8 @@ THIRD_PARTY = ("torch", "torchvision", "diffusers", "transformers", "accelerate"
 
 def pytest_configure(config: pytest.Config) -> None:
     """Warnings are errors, but for those that the libraries raise in their own code."""
+    for library in THIRD_PARTY:
+        config.addinivalue_line("filterwarnings", rf"ignore:::{library}(\.|$)")
 
 
 @pytest.fixture(scope="session", autouse=True)

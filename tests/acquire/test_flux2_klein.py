@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit._core import InputError
+from pbrfit.acquire import weights
 from pbrfit.acquire.generators import Generated, Request
 from pbrfit.acquire.generators.flux2_klein import MODEL, Flux2Klein
 from pbrfit.acquire.photo import Photo, read_photo
@@ -146,6 +147,22 @@ def test_bfloat16_works_on_the_processor_too(tiny_flux2_klein: Path, photo: Phot
     assert made.pixels.std() > 5
 
 
+def test_parts_that_wait_elsewhere_change_no_bit(
+    klein: Flux2Klein,
+    tiny_flux2_klein: Path,
+    photo: Photo,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # The processor stands in for the GPU: parts move from it to it, by the same hooks.
+    where = weights.Placement("cpu", "float32", "model")
+    monkeypatch.setattr(weights, "placement", lambda *_, **__: where)
+    moving = Flux2Klein(model=str(tiny_flux2_klein), steps=2, offload="model")
+    made = moving.generate(photo, LEFT)
+    assert made.record["offload"] == "model"
+    np.testing.assert_array_equal(made.pixels, klein.generate(photo, LEFT).pixels)
+    np.testing.assert_array_equal(moving.generate(photo, LEFT).pixels, made.pixels)
+
+
 def test_the_shipped_prompts_fit_into_what_is_read(klein: Flux2Klein) -> None:
     klein._loaded("")
     catalogue = read_prompts()
@@ -238,8 +255,8 @@ def test_another_pipeline_is_refused_before_its_weights_are_read(
 def test_damaged_weights_are_one_line(tiny_flux2_klein: Path, photo: Photo, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged"
     shutil.copytree(tiny_flux2_klein, damaged)
-    weights = damaged / "transformer" / "diffusion_pytorch_model.safetensors"
-    weights.write_bytes(weights.read_bytes()[:1000])
+    file = damaged / "transformer" / "diffusion_pytorch_model.safetensors"
+    file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(
         InputError, match=r"damaged: expected FLUX\.2 Klein that can be loaded"
     ) as e:

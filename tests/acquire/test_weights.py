@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import logging
 import shutil
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,7 @@ from pbrfit.acquire.generators import Request
 from pbrfit.acquire.generators.flux2_klein import MODEL, Flux2Klein
 from pbrfit.acquire.photo import Photo, read_photo
 
+FILE = "/{repo_id}/resolve/{revision}/{filename}"
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 LEFT = Request("left", "Blue light from the left.", "moved objects", 3)
 
@@ -138,6 +142,31 @@ def test_an_option_that_there_is_none_of_is_refused(options: dict[str, str], exp
 
 
 @pytest.mark.parametrize(
+    ("offload", "expected"),
+    [
+        ("none", [("to", "cuda")]),
+        ("model", [("enable_model_cpu_offload", "cuda")]),
+        ("sequential", [("enable_sequential_cpu_offload", "cuda")]),
+    ],
+)
+def test_a_pipeline_is_put_where_it_computes(offload: str, expected: list[tuple[str, str]]) -> None:
+    calls: list[tuple[str, str]] = []
+
+    class Pipeline:
+        def to(self, device: str) -> None:
+            calls.append(("to", device))
+
+        def enable_model_cpu_offload(self, *, device: str) -> None:
+            calls.append(("enable_model_cpu_offload", device))
+
+        def enable_sequential_cpu_offload(self, *, device: str) -> None:
+            calls.append(("enable_sequential_cpu_offload", device))
+
+    weights.place(Pipeline(), weights.Placement("cuda", "bfloat16", offload), what="FLUX")
+    assert calls == expected
+
+
+@pytest.mark.parametrize(
     "error",
     [
         MemoryError(),
@@ -155,3 +184,79 @@ def test_another_error_is_left_as_it_is() -> None:
     with pytest.raises(RuntimeError, match="shapes differ"):  # noqa: SIM117
         with weights.memory_in_words("network"):
             raise RuntimeError("shapes differ")
+
+
+class HubThatRefuses(BaseHTTPRequestHandler):
+    """Answers as the Hub does where there is nothing to have."""
+
+    status, code = 404, "RepoNotFound"
+
+    def do_GET(self) -> None:
+        self.send_response(self.status)
+        self.send_header("X-Error-Code", self.code)
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    do_HEAD = do_GET  # noqa: N815 - named by http.server
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[HubThatRefuses]]:
+    """The Hub's client online, with a Hub on loopback."""
+    from huggingface_hub import constants
+
+    handler = type("Handler", (HubThatRefuses,), {})
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    endpoint = f"http://127.0.0.1:{server.server_port}"
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+    monkeypatch.setattr(constants, "ENDPOINT", endpoint)
+    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", endpoint + FILE)
+    yield handler
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+@pytest.mark.parametrize(
+    ("status", "code", "expected"),
+    [
+        (404, "RepoNotFound", rf"{MODEL}: expected FLUX.2 Klein in a local folder or on the Hub"),
+        (403, "GatedRepo", rf"{MODEL} is given out on conditions: accept them at https://hugging"),
+        (404, "RevisionNotFound", rf"FLUX.2 Klein: expected a revision that {MODEL} has, found"),
+        (
+            404,
+            "EntryNotFound",
+            r"expected the weights .*, found none, and could .*404 Not Found",
+        ),
+    ],
+)
+def test_what_the_hub_answers_is_one_line(
+    status: int, code: str, expected: str, hub: type[HubThatRefuses], photo: Photo
+) -> None:
+    hub.status, hub.code = status, code
+    with pytest.raises(InputError, match=expected) as caught:
+        Flux2Klein(device="cpu").generate(photo, LEFT)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("hub")
+def test_no_connection_is_one_line(
+    photo: Photo, hub_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from huggingface_hub import constants
+
+    nobody = "http://127.0.0.1:1"
+    monkeypatch.setattr(constants, "ENDPOINT", nobody)
+    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", nobody + FILE)
+    monkeypatch.setattr("time.sleep", lambda _: None)  # the client tries again after longer pauses
+    with pytest.raises(InputError) as caught:
+        Flux2Klein(device="cpu").generate(photo, LEFT)
+    said = str(caught.value)
+    assert f"expected the weights {MODEL} in {hub_cache}, found none, and could not" in said
+    assert "Connection refused" in said
+    assert "\n" not in said

@@ -62,7 +62,8 @@ GPT_IMAGE_2 = Limits(
     most_aspect=3,
 )
 """OpenAI's `images.edit`: multiples of 16, 1:3 to 3:1, at most 3840 × 2160, experimental above
-2560 × 1440 (openai client 3.54); "current pixel limits" beside these are in OpenAI's guide."""
+2560 × 1440 (openai client 3.54). Of the "current pixel limits" that it leaves to the service, the
+least area is as those who resell it document it."""
 
 
 @dataclass(frozen=True)

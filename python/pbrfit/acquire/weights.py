@@ -262,6 +262,7 @@ def _failed(kind: str, model: str, error: Exception, place: str = "") -> InputEr
 def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
     from huggingface_hub import errors
 
+    # diffusers says in each case that a file is missing; what the Hub or the network said is below.
     chain: list[BaseException] = []
     link: BaseException | None = error
     while link is not None and link not in chain:
@@ -280,11 +281,11 @@ def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
         )
     return InputError(
         f"{kind}: expected the weights {model} in {_cache()}, found none, and could not download "
-        f"them: {_first_line(error)}"
+        f"them: {_first_line(chain[-1])}"
     )
 
 
-def _first_line(error: Exception) -> str:
+def _first_line(error: BaseException) -> str:
     said = str(error).strip()
     return " ".join(said.splitlines()[0].split()) if said else type(error).__name__
 
