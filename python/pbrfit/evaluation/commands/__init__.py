@@ -9,6 +9,7 @@ from pbrfit.evaluation.commands import (
     gap,
     peers,
     real,
+    review,
     solvers,
     stability,
     table1,

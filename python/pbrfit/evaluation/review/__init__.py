@@ -7,7 +7,7 @@ review judges them: alone, then with all others. Nothing here draws or writes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -221,6 +221,34 @@ def _other_room(task: Task, k: int) -> Array:
     return camera(np.asarray(scene.images[0], np.float64))
 
 
-def judged(values: Sequence[dict[str, Any]]) -> list[Judged]:
+def judged(values: Mapping[str, Any]) -> list[Judged]:
     """From what `work` returned."""
-    return [Judged(**{**one, "refused": tuple(one["refused"])}) for one in values]
+    return [Judged(**{**one, "refused": tuple(one["refused"])}) for one in values["judged"]]
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How many of some pictures were refused."""
+
+    refused: int
+    pictures: int
+
+    @classmethod
+    def of(cls, found: Iterable[Judged]) -> Rate:
+        """Count."""
+        every = [bool(one.refused) for one in found]
+        return cls(sum(every), len(every))
+
+    @property
+    def share(self) -> float:
+        """0 to 1; NaN of none."""
+        return self.refused / self.pictures if self.pictures else float("nan")
+
+    def interval(self) -> tuple[float, float]:
+        """Of 95 %, by Wilson's score (1927): what share lies behind so few pictures."""
+        if not self.pictures:
+            return float("nan"), float("nan")
+        z, n, p = 1.96, self.pictures, self.share
+        middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+        half = z / (1 + z * z / n) * (p * (1 - p) / n + z * z / (4 * n * n)) ** 0.5
+        return max(0.0, middle - half), min(1.0, middle + half)

@@ -65,8 +65,9 @@ def damaged(
     unit = max(image.shape[:2]) / 512
     if kind == "shift":
         angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(*SHIFT)
-        down, right = (unit * length * part for part in (np.sin(angle), np.cos(angle)))
-        return _moved(image, np.full(image.shape[:2], down), right), {"pixels": length}
+        whole = np.full(image.shape[:2], unit * length)
+        moved = _moved(image, np.sin(angle) * whole, np.cos(angle) * whole)
+        return moved, {"pixels": length}
     if kind == "warp":
         from scipy.ndimage import gaussian_filter
 
@@ -88,13 +89,13 @@ def _shown(image: Array) -> Array:
     return encode_srgb(np.clip(image, 0, 1))
 
 
-def _moved(image: Array, down: Array, right: Array | float) -> Array:
+def _moved(image: Array, down: Array, right: Array) -> Array:
     from scipy.ndimage import map_coordinates
 
     row, column = np.mgrid[: image.shape[0], : image.shape[1]]
     places = [row - down, column - right]
     planes = [map_coordinates(image[..., c], places, order=3, mode="nearest") for c in range(3)]
-    return np.stack(planes, axis=-1).clip(0)
+    return np.asarray(np.stack(planes, axis=-1).clip(0))
 
 
 def _area(kind: Kind, segments: NDArray[Any], rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -146,4 +147,4 @@ def _repainted(
         colors = rng.uniform(0.3, 1.7, (2, 3))
         new = light * np.where(stripe, *colors)
     soft = smooth(area.astype(np.float64), 0.8)[..., None]
-    return (image * (1 - soft) + new * soft).clip(0)
+    return np.asarray((image * (1 - soft) + new * soft).clip(0))

@@ -121,10 +121,10 @@ def _by_cycles(
 def _equal(pictures: Array) -> Array:
     """Of equal brightness: a tenth of each is brighter than 1."""
     bright = np.quantile(pictures.mean(axis=-1).reshape(len(pictures), -1), 0.9, axis=1)
-    return pictures / bright[:, None, None, None]
+    return np.asarray(pictures / bright[:, None, None, None])
 
 
 def _exposed(picture: Array, rng: np.random.Generator) -> Array:
     """As a camera would: 3 % of the pixels above 0.6 to 1.1 of white."""
     bright = np.quantile(picture.mean(axis=-1), 0.97)
-    return rng.uniform(0.6, 1.1) / max(float(bright), 1e-9) * picture
+    return np.asarray(rng.uniform(0.6, 1.1) / max(float(bright), 1e-9) * picture)
