@@ -30,6 +30,15 @@ def averaged(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
     return np.asarray((across @ (down @ plane.astype(np.float64)).T).T)
 
 
+def at_centres(ids: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """What lies under the centre of each pixel of (height, width): for ids, which have no mean."""
+    rows, columns = (
+        np.minimum((np.arange(s) + 0.5) * f / s, f - 1).astype(int)
+        for s, f in zip(size, ids.shape, strict=True)
+    )
+    return ids[np.ix_(rows, columns)]
+
+
 def _shares(old: int, new: int) -> csr_array[np.float64]:
     """(new, old): which share of a new pixel each old one has, along one side."""
     from scipy.sparse import csr_array

@@ -90,7 +90,7 @@ class Scene:
     weights
         (N, H, W), or (H, W) for all pictures alike: how much each sample counts, 0 or more; None =
         all the same. Kept as float32. Only their ratios matter. Samples of weight 0 are no data:
-        they may be NaN or infinite. `save` does not keep weights.
+        they may be NaN or infinite.
     names
         One a picture; `picture_00`, ... when left out.
     truth
@@ -260,8 +260,8 @@ class Scene:
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a scene folder that `load` reads back: float32 EXR, truth included.
 
-        Weights are not stored. The mask leaves out pixels that have no weight in any picture or a
-        sample that is NaN or infinite. Segments with ids below 0 or above 65535 are numbered anew.
+        The mask leaves out pixels that have no weight in any picture. Samples of weight 0 that are
+        NaN or infinite are stored as 0. Segments with ids below 0 or above 65535 are numbered anew.
 
         Raises
         ------

@@ -18,10 +18,18 @@ from pbrfit._core import InputError
 from pbrfit.color import ColorSpace
 from pbrfit.lighting import Lighting
 from pbrfit.materials import read_materials, write_materials
+from pbrfit.normal_files import (
+    NORMAL_FILES,
+    Convention,
+    find_normals,
+    read_normals,
+    write_normals,
+)
 from pbrfit.output import new_folder
-from pbrfit.resampling import averaged, reduced_size
+from pbrfit.resampling import at_centres, averaged, reduced_size
 from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Source, Truth, unit_normals
 from pbrfit.segments import consecutive_labels
+from pbrfit.weight_files import WEIGHT_FILE, read_weights, reduced, write_weights
 
 log = logging.getLogger("pbrfit")
 
@@ -30,15 +38,13 @@ DEFAULT_FOV = 60.0
 CONTAINS = ("scene.toml", "truth")
 """What a scene folder must hold to be replaced: ground truth tells it from somebody's pictures."""
 
-NORMAL_FILES = ("normals.exr", "normals.png")
-
 NOT_PICTURES = frozenset({".csv", ".db", ".ini", ".json", ".md", ".toml", ".txt", ".xmp"})
 """Suffixes of files that may lie beside pictures."""
 
 HOW_TO_GET_NORMALS = (
-    "normals.exr or normals.png (camera space, X right, Y up, Z to the viewer) from a normal "
-    "estimator such as Marigold or from a renderer, or flat ones from `pbrfit normals SCENE "
-    "--from flat`"
+    "normals.exr or normals.png (camera space, X right, Y up, Z to the viewer) from a renderer or "
+    "a normal estimator such as Marigold (`pbrfit normals SCENE --from marigold`), or flat ones "
+    "(`--from flat`)"
 )
 
 MAX_ID = 65535
@@ -71,6 +77,11 @@ class Settings:
     normals_frame: str = "camera"
     world_to_camera: NDArray[np.float64] | None = None
 
+    @property
+    def convention(self) -> Convention:
+        """How the folder's normals are written down."""
+        return Convention(self.normals, self.normals_frame, self.world_to_camera)
+
 
 def load(
     folder: Path,
@@ -88,7 +99,7 @@ def load(
     _warn_of_near_misses(folder)
     inputs: dict[str, str] = {}
     assumed: dict[str, str] = {}
-    settings = _read_settings(folder / "scene.toml", inputs)
+    settings = read_settings(folder / "scene.toml", inputs)
     if fov is not None:
         geometry.check_fov(fov)
     names = tuple(path.stem for path in paths)
@@ -121,6 +132,9 @@ def load(
     if full_size != size:
         normals, mask, segments = _averaged(normals, mask, segments, size)
     weights = _exposure_weights(read, mask, paths, code_range, assumed)
+    given = _read_weights(folder / WEIGHT_FILE, names, mask, full_size, inputs, assumed)
+    if given is not None:
+        weights = given if weights is None else weights * given
 
     lighting = None
     lighting_path = folder / "lighting.json"
@@ -129,18 +143,7 @@ def load(
         inputs["lighting.json"] = _sha256(lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
-    if fov is not None:
-        assumed["fov"] = f"{fov:g} degrees, asked for"
-    elif settings.fov is not None:
-        fov = settings.fov
-        assumed["fov"] = f"{fov:g} degrees, from scene.toml"
-    elif read.focal_length is not None:
-        fov = geometry.fov_from_focal_length(read.focal_length, *full_size)
-        assumed["fov"] = f"{fov:.2f} degrees, from EXIF ({read.focal_length:g} mm equivalent)"
-    else:
-        fov = DEFAULT_FOV
-        assumed["fov"] = f"{fov:g} degrees: neither --fov, scene.toml nor EXIF says"
-        log.warning("%s: field of view unknown, assumed %g degrees (--fov sets it)", folder, fov)
+    fov, assumed["fov"] = _decided_fov(folder, fov, settings, read.focal_length, full_size)
 
     truth = _read_truth(folder / "truth", names, size)
     try:
@@ -169,21 +172,36 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
         for name, image in zip(scene.names, scene.images, strict=True):
             _write_picture(folder / "images" / f"{name}.exr", image)
         normals = np.where(scene.valid[..., None], scene.normals, 0.0).astype(np.float32)
-        images.write_exr(
-            folder / "normals.exr", {name: normals[..., i] for i, name in enumerate("XYZ")}
-        )
+        write_normals(folder / "normals.exr", normals)
         (folder / "scene.toml").write_text(f"fov = {float(scene.fov)!r}\n", encoding="utf-8")
-        sound = scene.valid & np.isfinite(scene.images).all(axis=(0, -1))
-        if not sound.all():
+        if not scene.valid.all():
             images.write_png(
-                folder / "mask.png", np.where(sound, 255, 0).astype(np.uint8), tag=None
+                folder / "mask.png", np.where(scene.valid, 255, 0).astype(np.uint8), tag=None
             )
+        if scene.weights is not None:
+            write_weights(folder / WEIGHT_FILE, scene.weights, scene.names)
         if scene.segments is not None:
             images.write_png(folder / "segments.png", _ids(scene.segments), tag=None)
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.truth is not None:
             _write_truth(scene.truth, scene, folder / "truth")
+
+
+def field_of_view(folder: Path, fov: float | None) -> float:
+    """Decide about the field of view as `load` does, of the pictures reading only the first.
+
+    Raises
+    ------
+    InputError, OSError
+        As `load`.
+    """
+    if fov is not None:
+        geometry.check_fov(fov)
+    settings = read_settings(folder / "scene.toml", {})
+    first = images.read_picture(find_pictures(folder)[0])
+    size = first.pixels.shape[:2]
+    return _decided_fov(folder, fov, settings, first.focal_length_35mm, size)[0]
 
 
 def find_pictures(folder: Path) -> list[Path]:
@@ -239,14 +257,28 @@ def is_scene(folder: Path) -> bool:
 
 def _warn_of_near_misses(folder: Path) -> None:
     """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
-    parts = (*NORMAL_FILES, "mask.png", "segments.png", "lighting.json", "scene.toml")
-    stems = {Path(part).stem for part in parts} | {"normal", "segment"}
+    parts = (
+        *NORMAL_FILES,
+        "mask.png",
+        "segments.png",
+        WEIGHT_FILE,
+        "lighting.json",
+        "scene.toml",
+    )
+    stems = {Path(part).stem for part in parts} | {"normal", "segment", "weight"}
     for path in sorted(folder.iterdir()):
         if path.is_file() and path.stem.lower() in stems and path.name not in parts:
             log.warning("%s: not read; expected %s", path, ", ".join(parts))
 
 
-def _read_settings(path: Path, inputs: dict[str, str]) -> Settings:
+def read_settings(path: Path, inputs: dict[str, str]) -> Settings:
+    """Read `scene.toml`, if it is there; `inputs` gets its sha256.
+
+    Raises
+    ------
+    InputError
+        If it is not TOML, or has other keys or values.
+    """
     if not path.exists():
         return Settings()
     try:
@@ -265,6 +297,27 @@ def _read_settings(path: Path, inputs: dict[str, str]) -> Settings:
         normals_frame=_choice(path, content, "normals_frame", ("camera", "world"), "camera"),
         world_to_camera=_rotation(path, content),
     )
+
+
+def _decided_fov(
+    folder: Path,
+    fov: float | None,
+    settings: Settings,
+    focal_length: float | None,
+    size: tuple[int, ...],
+) -> tuple[float, str]:
+    """In degrees, and in words."""
+    if fov is not None:
+        return fov, f"{fov:g} degrees, asked for"
+    if settings.fov is not None:
+        return settings.fov, f"{settings.fov:g} degrees, from scene.toml"
+    if focal_length is not None:
+        fov = geometry.fov_from_focal_length(focal_length, size[0], size[1])
+        return fov, f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
+    log.warning(
+        "%s: field of view unknown, assumed %g degrees (--fov sets it)", folder, DEFAULT_FOV
+    )
+    return DEFAULT_FOV, f"{DEFAULT_FOV:g} degrees: neither --fov, scene.toml nor EXIF says"
 
 
 def _fov(path: Path, content: dict[str, Any]) -> float | None:
@@ -415,6 +468,35 @@ def _exposure_weights(
     return np.where(left_out, np.float32(0), np.float32(1))
 
 
+def _read_weights(
+    path: Path,
+    names: tuple[str, ...],
+    mask: NDArray[np.bool_],
+    full_size: tuple[int, ...],
+    inputs: dict[str, str],
+    assumed: dict[str, str],
+) -> NDArray[np.float32] | None:
+    """`weights.exr` at the working size, that of `mask`; (H, W) or (N, H, W), 0 outside `mask`."""
+    if not path.exists():
+        return None
+    stored = read_weights(path, names)
+    _expect_size(path, stored.shape[-2:], full_size)
+    inputs[path.name] = _sha256(path)
+    weights = stored if mask.shape == full_size else reduced(stored, mask.shape)
+    inside = weights[..., mask]
+    if not (np.isfinite(inside) & (inside >= 0)).all():
+        bad = inside[~(np.isfinite(inside) & (inside >= 0))]
+        raise InputError(f"{path}: expected finite weights, 0 or more, found {bad[0]:g}")
+    if not inside.any():
+        raise InputError(f"{path}: expected some weight above 0 in the mask, found none")
+    alike = "for all pictures alike" if weights.ndim == 2 else "for each picture"
+    assumed["weights"] = (
+        f"{path.name}, {alike}: {inside.min():.2g} to {inside.max():.2g}, "
+        f"median {np.median(inside):.2g}"
+    )
+    return np.where(mask, weights, 0.0).astype(np.float32)
+
+
 def _touched(marked: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
     """Which pixels of a picture averaged down to `size` have a part in any that is marked."""
     if marked.shape == size:
@@ -471,48 +553,8 @@ def _averaged(
     # Opposite normals cancel.
     small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH
     if segments is not None:
-        rows, columns = (
-            np.minimum((np.arange(s) + 0.5) * f / s, f - 1).astype(int)
-            for s, f in zip(size, mask.shape, strict=True)
-        )
-        segments = segments[np.ix_(rows, columns)]
+        segments = at_centres(segments, size)
     return small_normals, small_mask, segments
-
-
-def read_normals(path: Path) -> NDArray[np.float64]:
-    """Read a normal map: EXR channels as they are, or a PNG whose values v mean n = 2v - 1.
-
-    Returns
-    -------
-    ndarray
-        (H, W, 3), in whatever frame and of whatever length the file holds.
-
-    Raises
-    ------
-    InputError
-        If the file has other channels.
-    """
-    if path.suffix == ".exr":
-        channels = images.read_channels(path)
-        triple = next(
-            (
-                [f"{prefix}{name}" for name in names]
-                for names in ("XYZ", "RGB", "xyz")
-                for prefix in ("", "normal.", "normals.", "Normal.", "N.")
-                if all(f"{prefix}{name}" in channels for name in names)
-            ),
-            None,
-        )
-        if triple is None:
-            raise InputError(
-                f"{path}: expected channels X, Y, Z (or R, G, B, or normal.X ...), "
-                f"found {', '.join(sorted(channels))}"
-            )
-        return np.stack([channels[name] for name in triple], axis=-1).astype(np.float64)
-    data = images.read_data(path)
-    if data.shape[-1] < 3:
-        raise InputError(f"{path}: expected three channels, found {data.shape[-1]}")
-    return 2.0 * data[..., :3] - 1.0
 
 
 def _read_normals(
@@ -522,7 +564,7 @@ def _read_normals(
     inputs: dict[str, str],
     assumed: dict[str, str],
 ) -> NDArray[np.float64]:
-    found = [path for name in NORMAL_FILES if (path := folder / name).exists()]
+    found = find_normals(folder)
     if not found:
         raise InputError(f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals")
     if len(found) == 2:
@@ -531,17 +573,11 @@ def _read_normals(
     normals = read_normals(path)
     _expect_size(path, normals.shape[:2], mask.shape)
     inputs[path.name] = _sha256(path)
-    axes = settings.normals
-    if axes == "directx":
-        normals[..., 1] *= -1.0
-    if settings.normals_frame == "world":
-        if settings.world_to_camera is None:
-            raise InputError(
-                f"{folder / 'scene.toml'}: expected world_to_camera, a 3 × 3 rotation, beside "
-                'normals_frame = "world"; found none'
-            )
-        normals = normals @ settings.world_to_camera.T
-    assumed["normals"] = f"{path.name}, {axes} axes, {settings.normals_frame} space"
+    try:
+        normals = settings.convention.to_camera(normals)
+    except InputError as error:
+        raise InputError(f"{folder / 'scene.toml'}: {error}") from None
+    assumed["normals"] = f"{path.name}, {settings.convention}"
     try:
         return unit_normals(normals, mask)
     except InputError as error:
@@ -612,27 +648,3 @@ def _expect_size(path: Path, found: tuple[int, ...], expected: tuple[int, ...]) 
             f"{path}: expected the pictures' size, {expected[1]} × {expected[0]} pixels, "
             f"found {found[1]} × {found[0]}"
         )
-
-
-def write_flat_normals(folder: Path, *, overwrite: bool = False) -> Path:
-    """Write `normals.exr` in which every surface faces the camera; returns its path.
-
-    Raises
-    ------
-    FileExistsError
-        If the folder has normals and `overwrite` is False.
-    """
-    existing = [p for name in NORMAL_FILES if (p := folder / name).exists()]
-    path = folder / "normals.exr"
-    if existing and not overwrite:
-        raise FileExistsError(
-            f"{existing[0]}: expected no normals yet, found some; --overwrite replaces them"
-        )
-    height, width = images.read_picture(find_pictures(folder)[0]).pixels.shape[:2]
-    facing = np.zeros((height, width, 3), dtype=np.float32)
-    facing[..., 2] = 1.0
-    images.write_exr(path, {name: facing[..., i] for i, name in enumerate("XYZ")})
-    for other in existing:
-        if other != path:
-            other.unlink()
-    return path

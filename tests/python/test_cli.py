@@ -373,7 +373,7 @@ def test_normals_from_flat(
     assert run("normals", folder, "--from", "flat") == 2
     assert "normals.exr: expected no normals yet, found some" in one_line(capsys)
     (folder / "normals.exr").rename(folder / "normals.png")  # to be replaced, so never read
-    assert run("normals", folder, "--overwrite") == 0
+    assert run("normals", folder, "--from", "flat", "--overwrite") == 0
     assert not (folder / "normals.png").exists()
     scene = Scene.load(folder)
     np.testing.assert_array_equal(scene.normals, np.broadcast_to([0, 0, 1], (SIZE, SIZE, 3)))
@@ -588,7 +588,7 @@ def test_version_as_a_module() -> None:
 
 
 COMMANDS = (
-    *("decompose", "relight", "report", "export", "inspect", "normals", "synth"),
+    *("decompose", "relight", "report", "export", "inspect", "normals", "segments", "synth"),
     *("check-gradients", "evaluate", "demo"),
 )
 
@@ -626,7 +626,7 @@ def test_help_names_defaults_once(command: str, capsys: pytest.CaptureFixture[st
         ("decompose s --out o --code-range a,b", "--code-range: invalid code_range value: 'a,b'"),
         ("decompose s --out o --color-space log", "--color-space: invalid choice: 'log'"),
         ("synth s --scene moon", "--scene: invalid choice: 'moon'"),
-        ("normals s --from guess", "--from: invalid choice: 'guess'"),
+        ("normals s --from guess", "--from: expected marigold, flat, depth:FILE or a file"),
     ],
 )
 def test_wrong_usage_is_one_line(

@@ -253,6 +253,110 @@ def test_one_clipped_pixel_spoils_what_it_is_averaged_into(folder: Path) -> None
         np.testing.assert_array_equal(scene.weights, expected)
 
 
+# --- Weights ---
+
+
+def some_weights() -> NDArray[np.float32]:
+    """(H, W), different everywhere, 0 in one pixel."""
+    weights = np.linspace(0.1, 2.0, SIZE * SIZE, dtype=np.float32).reshape(SIZE, SIZE)
+    weights[3, 4] = 0
+    return weights
+
+
+def test_weights_for_all_pictures_alike(folder: Path) -> None:
+    images.write_exr(folder / "weights.exr", {"Y": some_weights()})
+    scene = Scene.load(folder)
+    assert scene.weights is not None
+    np.testing.assert_array_equal(
+        scene.weights, np.broadcast_to(some_weights(), (LIGHTS, SIZE, SIZE))
+    )
+    assert not scene.valid[3, 4]
+    assert np.count_nonzero(~scene.valid) == 1
+    assert "weights.exr" in scene.inputs
+    assert scene.assumed["weights"].startswith("weights.exr, for all pictures alike: 0 to 2,")
+
+
+def test_weights_for_each_picture_by_name(folder: Path) -> None:
+    names = room().names
+    own = {name: some_weights() * (i + 1) for i, name in enumerate(names)}
+    channels = {f"{name}.Y": weights for name, weights in own.items()}
+    images.write_exr(folder / "weights.exr", {**channels, "gone.Y": some_weights()})
+    scene = Scene.load(folder)
+    assert scene.weights is not None
+    np.testing.assert_array_equal(scene.weights, np.stack([own[name] for name in names]))
+
+    channels.pop(f"{names[1]}.Y")
+    images.write_exr(folder / "weights.exr", channels)
+    with pytest.raises(InputError, match=rf"weights.exr: expected channel Y.* no {names[1]}.Y"):
+        Scene.load(folder)
+    images.write_exr(folder / "weights.exr", {**channels, "Y": some_weights()})
+    with pytest.raises(InputError, match=rf"expected channel Y or {names[0]}.Y, found both"):
+        Scene.load(folder)
+
+
+def test_weights_multiply_those_of_exposure(folder: Path) -> None:
+    codes = grey_codes()
+    codes[1, 5, 6] = 255
+    write_codes(folder, codes)
+    images.write_exr(folder / "weights.exr", {"Y": some_weights()})
+    scene = Scene.load(folder)
+    expected = np.repeat(some_weights()[None], LIGHTS, axis=0)
+    expected[1, 5, 6] = 0
+    np.testing.assert_array_equal(scene.weights, expected)
+
+
+def test_averaged_samples_have_the_weight_of_their_variance(folder: Path) -> None:
+    weights = np.ones((SIZE, SIZE))
+    weights[0, 0], weights[0, 1], weights[2, 2], weights[2, 3] = 0.5, 0.25, 0, 7
+    white = np.ones((SIZE, SIZE), bool)
+    weights[4, 4] = np.nan  # where the mask is not
+    white[4, 4] = False
+    images.write_exr(folder / "weights.exr", {"Y": weights})
+    write_mask(folder / "mask.png", white)
+    scene = Scene.load(folder, max_size=SIZE // 2)
+    assert scene.weights is not None
+    expected = np.ones((SIZE // 2, SIZE // 2))
+    expected[0, 0] = 4 / (1 / 0.5 + 1 / 0.25 + 1 + 1)
+    expected[1, 1] = expected[2, 2] = 0
+    np.testing.assert_allclose(scene.weights[0], expected, rtol=1e-6)
+    assert not scene.valid[2, 2]
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        (-np.ones((SIZE, SIZE)), "expected finite weights, 0 or more, found -1"),
+        (np.full((SIZE, SIZE), np.nan), "expected finite weights, 0 or more, found nan"),
+        (np.zeros((SIZE, SIZE)), "expected some weight above 0 in the mask, found none"),
+        (np.ones((SIZE, SIZE + 1)), "expected the pictures' size, 16 × 16 pixels, found 17 × 16"),
+    ],
+)
+@pytest.mark.parametrize("max_size", [None, SIZE // 2])
+def test_weights_that_cannot_be_used(
+    folder: Path, weights: NDArray[np.float64], message: str, max_size: int | None
+) -> None:
+    images.write_exr(folder / "weights.exr", {"Y": weights})
+    with pytest.raises(InputError, match=f"weights.exr: {message}"):
+        Scene.load(folder, max_size=max_size)
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_saved_weights_are_read_back(tmp_path: Path, alike: bool) -> None:
+    own = np.stack([some_weights()] * LIGHTS)
+    pixels = room().images.copy()
+    if not alike:
+        own[1, 2, 2] = 0
+        pixels[1, 2, 2] = np.nan  # no data where the weight is 0
+    made = dataclasses.replace(room(), images=pixels, weights=own)
+    made.save(tmp_path / "saved")
+    read = Scene.load(tmp_path / "saved")
+    np.testing.assert_array_equal(read.weights, made.weights)
+    np.testing.assert_array_equal(read.valid, made.valid)
+    np.testing.assert_array_equal(read.images, np.nan_to_num(pixels))
+    channels = images.read_channels(tmp_path / "saved" / "weights.exr")
+    assert set(channels) == ({"Y"} if alike else {f"{name}.Y" for name in room().names})
+
+
 def test_segments_keep_16_bits(folder: Path) -> None:
     ids = np.arange(SIZE * SIZE, dtype=np.uint16).reshape(SIZE, SIZE) * 255
     images.write_png(folder / "segments.png", ids, tag=None)

@@ -9,10 +9,12 @@ from pbrfit.commands import (
     demo,
     evaluate,
     export,
+    generate,
     inspect,
     normals,
     relight,
     report,
+    segments,
     synth,
 )
 
@@ -21,8 +23,10 @@ COMMANDS = (
     relight,
     report,
     export,
+    generate,
     inspect,
     normals,
+    segments,
     synth,
     check_gradients,
     evaluate,

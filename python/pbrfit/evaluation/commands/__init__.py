@@ -7,6 +7,7 @@ from pbrfit.evaluation.commands import (
     ablation,
     convergence,
     gap,
+    peers,
     real,
     solvers,
     stability,
@@ -14,7 +15,7 @@ from pbrfit.evaluation.commands import (
     uncertainty,
 )
 
-SUITES = (table1, ablation, convergence, gap, real, solvers, stability, uncertainty)
+SUITES = (table1, ablation, convergence, gap, peers, real, solvers, stability, uncertainty)
 
 
 def add_suites(suites: Subcommands) -> None:

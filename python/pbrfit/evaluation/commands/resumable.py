@@ -66,8 +66,11 @@ def go_on(
     *,
     jobs: int,
     unit: str,
+    complaints: int | None = None,
 ) -> list[Record]:
     """Run tasks in a folder that `run_tasks` has made: such as wait for others, or run alone.
+
+    At most so many `complaints` are shown, where all fail for one reason; None = all.
 
     Raises
     ------
@@ -75,14 +78,15 @@ def go_on(
         As `run_tasks`.
     """
     with progress_bar(len(tasks), quiet=options.quiet, unit=unit) as bar:
-        done = 0  # bar.n stays 0 where no bar is shown
+        done = failed = 0  # bar.n stays 0 where no bar is shown
 
         def show(record: Record) -> None:
-            nonlocal done
+            nonlocal done, failed
             done += 1
             bar.set_postfix_str(record.key, refresh=False)
             bar.update()
-            if record.error is not None:
+            failed += record.error is not None
+            if record.error is not None and (complaints is None or failed <= complaints):
                 with bar.external_write_mode():
                     complain(f"{record.key}: {record.error}")
 

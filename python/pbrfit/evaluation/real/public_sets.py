@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pbrfit import images, scene_folder
 from pbrfit.evaluation.jobs import digest_of_files
 from pbrfit.evaluation.real.spheres import sphere_normals
+from pbrfit.scene_completion import add_flat_normals
 
 Array = NDArray[np.floating[Any]]
 
@@ -188,7 +189,7 @@ def _write_room(source: Source, folder: Path) -> None:
     for path in scene_folder.find_pictures(source.folder):
         shutil.copy(path, folder)
     (folder / "scene.toml").write_text("fov = 60\n", encoding="utf-8")
-    scene_folder.write_flat_normals(folder)
+    add_flat_normals(folder)
 
 
 def has_normal(normals: Array) -> NDArray[np.bool_]:

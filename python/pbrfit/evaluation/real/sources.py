@@ -15,6 +15,7 @@ from pathlib import Path
 from pbrfit import scene_folder
 from pbrfit._core import InputError
 from pbrfit.evaluation.real.public_sets import SETS, PublicSet, Source, room_source
+from pbrfit.normal_files import find_normals
 from pbrfit.scene import Scene
 
 __all__ = [
@@ -122,9 +123,7 @@ def _sources_at(path: Path) -> list[Source]:
         return SETS[name].find(path)
     if not scene_folder.is_scene(path):
         return []
-    if not (path / "images").is_dir() and not any(
-        (path / file).exists() for file in scene_folder.NORMAL_FILES
-    ):
+    if not (path / "images").is_dir() and not find_normals(path):
         return [room_source(path)]
     pictures = len(scene_folder.find_pictures(path))
     return [Source(name, path, "scene", pictures, "scene folder, as it is")]

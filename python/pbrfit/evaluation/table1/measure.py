@@ -16,8 +16,8 @@ from pbrfit.evaluation.recipes import explain
 from pbrfit.evaluation.scores import METAL, score
 from pbrfit.evaluation.table1.normals import angles, disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, Row
+from pbrfit.normal_files import read_normals
 from pbrfit.scene import Scene, unit_normals
-from pbrfit.scene_folder import read_normals
 from pbrfit.synthetic import cycles, draw, make_scene
 from pbrfit.synthetic.lights import condition
 from pbrfit.synthetic.textures import MaterialSet, load_textures

@@ -1,0 +1,189 @@
+"""Normals by Marigold (Ke et al. 2024 and 2025), through diffusers.
+
+`MarigoldNormalsPipeline` of diffusers 0.42 gives X right, Y up and Z towards the observer (stated
+in `MarigoldImageProcessor.visualize_normals`), which is our camera space. It scales a picture to
+its own resolution with the corners on the corners, pads right and below to whole blocks, cuts that
+off again and scales back, so pixels stay where they are at any size.
+
+The ensemble is formed here. The pipeline's own has two faults for us: its angles are computed in
+the network's precision, where in bfloat16 the smallest angle whose cosine is not 1 is 5 degrees;
+and of several normals it keeps the nearest to the mean, not the mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.acquire import weights
+from pbrfit.acquire.extras import need, versions
+
+MODEL = "prs-eth/marigold-normals-v1-1"
+
+ENSEMBLE = 5
+
+LEAST_FOR_UNCERTAINTY = 3
+"""Fewer members tell no spread worth using."""
+
+WHAT = "Marigold (normals)"
+
+Array = NDArray[np.float64]
+
+
+def from_picture(
+    srgb8: NDArray[np.uint8],
+    *,
+    model: str = MODEL,
+    ensemble: int = ENSEMBLE,
+    steps: int | None = None,
+    resolution: int | None = None,
+    seed: int = 0,
+    device: str = "auto",
+    dtype: str = "auto",
+    offload: str = "none",
+    progress: Callable[[], Any] = lambda: None,
+) -> tuple[Array, Array | None, dict[str, Any]]:
+    """Estimate normals of one picture.
+
+    Parameters
+    ----------
+    srgb8
+        (H, W, 3), sRGB.
+    model
+        Name on the Hugging Face Hub, or a local folder.
+    ensemble
+        How many predictions, from seeds `seed`, `seed` + 1, ...; their mean is the answer.
+    steps, resolution
+        Denoising steps, and longer side in pixels at which the network sees the picture (a multiple
+        of its block, 8; 0 = that of the picture); None = as the model recommends.
+    seed
+        Of the first.
+    device, dtype, offload
+        As for `pbrfit.acquire.weights.placement`.
+    progress
+        Called after each prediction.
+
+    Returns
+    -------
+    normals
+        (H, W, 3) unit vectors in camera space.
+    uncertainty
+        (H, W) degrees, see `mean_and_spread`; None for an ensemble below 3.
+    record
+        How they were made, as JSON.
+
+    Raises
+    ------
+    InputError
+        If a package or the weights are missing, an option cannot be used, or memory runs out.
+    """
+    _check(ensemble, steps, resolution, seed)
+    need("diffusion", "torch", "diffusers", "transformers", "accelerate")
+    import torch
+    from diffusers import MarigoldNormalsPipeline
+    from PIL import Image
+
+    where = weights.placement(device, dtype, offload, what=WHAT)
+    loaded = weights.load(
+        WHAT,
+        model,
+        loader=_loader(MarigoldNormalsPipeline, where.torch_dtype),
+        marker="model_index.json",
+    )
+    pipeline = loaded.network
+    weights.place(pipeline, where, what=WHAT)
+    pipeline.set_progress_bar_config(disable=True)
+    _check_blocks(pipeline, resolution)
+    picture = Image.fromarray(srgb8)
+    members = []
+    with weights.memory_in_words(WHAT, "a smaller --resolution, --offload model, --dtype bfloat16"):
+        for i in range(ensemble):
+            found = pipeline(
+                picture,
+                num_inference_steps=steps,
+                processing_resolution=resolution,
+                # On the processor, so that a seed means the same everywhere.
+                generator=torch.Generator("cpu").manual_seed(seed + i),
+            )
+            members.append(found.prediction[0].astype(np.float64))
+            progress()
+    normals, spread = mean_and_spread(members)
+    record = {
+        "model": model,
+        "revision": loaded.record["revision"],
+        "ensemble": ensemble,
+        "steps": steps or pipeline.default_denoising_steps,
+        "resolution": pipeline.default_processing_resolution if resolution is None else resolution,
+        "seed": seed,
+        "device": where.device,
+        "dtype": where.dtype,
+        "packages": versions("diffusers", "transformers", "torch"),
+    }
+    return normals, spread if ensemble >= LEAST_FOR_UNCERTAINTY else None, record
+
+
+def mean_and_spread(members: Sequence[Array]) -> tuple[Array, Array]:
+    """Mean direction of unit vectors, and how far a single one is off.
+
+    For members n_i that scatter about a direction by small angles, the mean m = Σ n_i / |Σ n_i| is
+    the direction with the least Σ θ_i², θ_i the angle between n_i and m. Two of the 2E degrees of
+    freedom went into m, so
+
+        σ² = Σ θ_i² / (E - 1)
+
+    is the mean square angle between one member and the direction that all scatter about. It says
+    how much the network's answers depend on the noise that it started from; an error that all
+    members share is not in it. The mean is itself off by σ/√E on top of that.
+
+    Parameters
+    ----------
+    members
+        E arrays (H, W, 3) of unit vectors.
+
+    Returns
+    -------
+    mean : ndarray
+        (H, W, 3) unit vectors; (0, 0, 1) where the members cancel.
+    spread : ndarray
+        (H, W) σ in degrees; 0 of a single member.
+    """
+    total = np.zeros_like(members[0])
+    for member in members:
+        total += member
+    length = np.linalg.norm(total, axis=-1, keepdims=True)
+    facing = np.array([0.0, 0.0, 1.0])
+    mean = np.where(length > 1e-6 * len(members), total / np.maximum(length, 1e-12), facing)
+    squares = np.zeros(mean.shape[:2])
+    for member in members:
+        # arccos of n·m would lose half of the digits.
+        chord = np.linalg.norm(member - mean, axis=-1)
+        squares += (2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0))) ** 2
+    return mean, np.degrees(np.sqrt(squares / max(len(members) - 1, 1)))
+
+
+def _loader(pipeline: Any, dtype: Any) -> Any:
+    def load(model: str, **options: Any) -> Any:
+        return pipeline.from_pretrained(model, torch_dtype=dtype, **options)
+
+    return load
+
+
+def _check(ensemble: int, steps: int | None, resolution: int | None, seed: int) -> None:
+    for name, value, least in (("ensemble", ensemble, 1), ("steps", steps, 1), ("seed", seed, 0)):
+        if value is not None and value < least:
+            raise InputError(f"{name}: expected at least {least}, found {value}")
+    if resolution is not None and resolution < 0:
+        raise InputError(f"resolution: expected 0 or more pixels, found {resolution}")
+
+
+def _check_blocks(pipeline: Any, resolution: int | None) -> None:
+    block = int(pipeline.vae_scale_factor)
+    if resolution and resolution % block:
+        raise InputError(
+            f"resolution: expected a multiple of {block} pixels, the network's block, "
+            f"found {resolution}"
+        )

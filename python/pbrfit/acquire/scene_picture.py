@@ -1,0 +1,76 @@
+"""The one picture of a scene folder that a network is shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import images, scene_folder
+from pbrfit._core import InputError
+from pbrfit.color import ColorSpace
+from pbrfit.metrics import display, white_of
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """`srgb8` (H, W, 3); `what` it is, in words; EXIF's `focal_length` in 35 mm terms, or None."""
+
+    srgb8: NDArray[np.uint8]
+    what: str
+    focal_length: float | None
+
+
+def shown(folder: Path, picture: str | None = None, color_space: ColorSpace | None = None) -> Shown:
+    """Make it.
+
+    Without a name it is the mean of all pictures, each brought to the same mean radiance. Light
+    adds up, so this is a photograph of the same view with all lamps on: even light, soft shadows,
+    and fewer pixels that are clipped or black than in any single one. Its 98th percentile is white.
+
+    Parameters
+    ----------
+    folder
+        Scene folder.
+    picture
+        Name of one picture, without suffix, that is shown instead.
+    color_space
+        Of all pictures; None = as files say.
+
+    Raises
+    ------
+    InputError, OSError
+        If there is no such picture, or one cannot be read, or all are black.
+    """
+    paths = scene_folder.find_pictures(folder)
+    if picture is not None:
+        names = [path.stem for path in paths]
+        if picture not in names:
+            raise InputError(
+                f"picture: expected one of {', '.join(names[:12])}"
+                f"{', ...' if len(names) > 12 else ''}, found {picture!r}"
+            )
+        paths = [paths[names.index(picture)]]
+    total: NDArray[np.float64] | None = None
+    focal_length = None
+    for path in paths:
+        read = images.read_picture(path, color_space)
+        pixels = np.where(np.isfinite(read.pixels), read.pixels, 0.0).astype(np.float64)
+        mean = float(pixels.mean())
+        if total is None:
+            total = np.zeros_like(pixels)
+        if pixels.shape != total.shape:
+            raise InputError(
+                f"{path}: expected the size of {paths[0].name}, {total.shape[1]} × "
+                f"{total.shape[0]} pixels, found {pixels.shape[1]} × {pixels.shape[0]}"
+            )
+        if mean > 0:  # a picture without any light tells nothing
+            total += pixels / mean
+        focal_length = focal_length or read.focal_length_35mm
+    if total is None or not total.any():
+        raise InputError(f"{paths[0].parent}: expected radiance above 0, found none")
+    seen = np.rint(255 * display(total, white_of(total))).astype(np.uint8)
+    what = f"picture {paths[0].stem}" if len(paths) == 1 else f"the mean of {len(paths)} pictures"
+    return Shown(seen, what, focal_length)

@@ -1,0 +1,214 @@
+"""Segments for pictures that come without: by SAM2 (Ravi et al. 2024), or from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import images
+from pbrfit._core import InputError
+from pbrfit.acquire import weights
+from pbrfit.acquire.extras import need, versions
+from pbrfit.resampling import at_centres, reduced_size
+
+MODEL = "facebook/sam2.1-hiera-large"
+
+SMALLEST = 0.0005
+"""Share of the picture below which a mask is dropped: 22² pixels of a picture of 1000²."""
+
+POINTS = 32
+"""A side: SAM2 is asked what lies at each point of this grid."""
+
+MAX_ID = 65535
+
+WHAT = "SAM2"
+
+
+def segment(
+    source: str, srgb8: NDArray[np.uint8], **options: Any
+) -> tuple[NDArray[np.uint16], dict[str, Any]]:
+    """Find the segments of a picture.
+
+    Parameters
+    ----------
+    source
+        "sam2", or a file with ids: a grey PNG or TIFF of 8 or 16 bits or a palette PNG, of the
+        picture's size or larger in the same proportion.
+    srgb8
+        (H, W, 3), sRGB: what the network is shown. Of a file only its size matters.
+    options
+        Of "sam2": those of `by_sam2`.
+
+    Returns
+    -------
+    ids
+        (H, W), 0 = in no segment.
+    record
+        How they were made, as JSON.
+
+    Raises
+    ------
+    InputError, OSError
+        One line that names the file or option, what was expected and what was found.
+    """
+    if source == "sam2":
+        return by_sam2(srgb8, **options)
+    given = sorted(name for name, value in options.items() if value is not None)
+    if given:
+        raise InputError(f"{given[0]}: has no meaning for segments from {source}")
+    path = Path(source)
+    if not path.exists() and path.name == source and not path.suffix:
+        raise InputError(f"segments: expected sam2 or a file, found {source!r}")
+    ids = images.read_ids(path)
+    height, width = srgb8.shape[:2]
+    if ids.shape != (height, width):
+        larger = ids.shape[0] >= height and ids.shape[1] >= width
+        if not larger or reduced_size(ids.shape, max(height, width)) != (height, width):
+            raise InputError(
+                f"{path}: expected the pictures' size, {width} × {height} pixels, or a larger one "
+                f"in the same proportion, found {ids.shape[1]} × {ids.shape[0]}"
+            )
+        ids = at_centres(ids, (height, width))
+    return ids, {"source": "file", "file": path.name, "segments": len(np.unique(ids[ids > 0]))}
+
+
+def by_sam2(
+    srgb8: NDArray[np.uint8],
+    *,
+    model: str = MODEL,
+    points: int = POINTS,
+    smallest: float = SMALLEST,
+    device: str = "auto",
+    **thresholds: float,
+) -> tuple[NDArray[np.uint16], dict[str, Any]]:
+    """Segments by SAM2 through the mask generation of transformers.
+
+    Parameters
+    ----------
+    srgb8
+        (H, W, 3), sRGB.
+    model
+        Name on the Hugging Face Hub, or a local folder.
+    points
+        A side of the grid of points that are asked about.
+    smallest
+        As for `ids_of`.
+    device
+        As for `pbrfit.acquire.weights.placement`. Always in float32: the network is small.
+    thresholds
+        ``pred_iou_thresh`` and ``stability_score_thresh`` of transformers'
+        `MaskGenerationPipeline`, which masks are trusted; its defaults are SAM2's.
+
+    Returns
+    -------
+    ids
+        (H, W), 0 = in no segment, which may be so everywhere.
+    record
+        How they were made, as JSON.
+
+    Raises
+    ------
+    InputError
+        If a package or the weights are missing, an option cannot be used, or memory runs out.
+    """
+    if points < 1:
+        raise InputError(f"points: expected at least 1, found {points}")
+    _check_share(smallest)
+    need("segment", "torch", "torchvision", "transformers")
+    import torch
+    from PIL import Image
+    from transformers import AutoImageProcessor, Sam2Model, pipeline
+
+    where = weights.placement(device, "float32", what=WHAT)
+    with _without_warnings():
+        loaded = weights.load(WHAT, model, loader=Sam2Model.from_pretrained, marker="config.json")
+    processor = weights.load(
+        WHAT, model, loader=AutoImageProcessor.from_pretrained, marker="config.json"
+    )
+    with weights.memory_in_words(WHAT, "a smaller picture, fewer --points, --device cpu"):
+        generator = pipeline(
+            "mask-generation",
+            model=loaded.network,
+            image_processor=processor.network,
+            device=torch.device(where.device),
+        )
+        found = generator(Image.fromarray(srgb8), points_per_crop=points, **thresholds)
+    masks = [np.asarray(mask, dtype=bool) for mask in found["masks"]]
+    height, width = srgb8.shape[:2]
+    ids = ids_of(masks, (height, width), smallest=smallest)
+    record = {
+        "source": "sam2",
+        "model": model,
+        "revision": loaded.record["revision"],
+        "points": points,
+        "smallest": smallest,
+        **thresholds,
+        "masks": len(masks),
+        "segments": int(ids.max()),
+        "device": where.device,
+        "packages": versions("transformers", "torchvision", "torch"),
+    }
+    return ids, record
+
+
+@contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Keep transformers from warning that SAM2's checkpoints, made for video, are for video."""
+    from transformers.utils import logging
+
+    before = logging.get_verbosity()
+    logging.set_verbosity_error()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(before)
+
+
+def ids_of(
+    masks: Sequence[NDArray[np.bool_]], size: tuple[int, int], *, smallest: float = SMALLEST
+) -> NDArray[np.uint16]:
+    """One id map of masks that may overlap.
+
+    Masks are laid down from the largest to the smallest, so that a smaller one lies on top: the cup
+    on the table, the handle on the cup. What then shows of a mask counts: the mask of which least
+    shows is taken away, and what lay below comes to light, until all that are left show enough.
+
+    Parameters
+    ----------
+    masks
+        (H, W) each, of that size, in any order: equal masks in another order give the same ids.
+    size
+        (height, width).
+    smallest
+        Share of the picture, 0 to 1, that must show of a mask.
+
+    Returns
+    -------
+    ndarray
+        (H, W): 1 is the largest mask, and so on without gaps, at most 65535; 0 = in none.
+    """
+    _check_share(smallest)
+    least = max(1.0, smallest * size[0] * size[1])
+    # Of masks of one size the one that comes first in the picture lies below.
+    kept = sorted(
+        (mask for mask in masks if np.count_nonzero(mask) >= least),
+        key=lambda mask: (-np.count_nonzero(mask), tuple(np.flatnonzero(mask)[:1]), mask.tobytes()),
+    )[:MAX_ID]
+    while True:
+        ids = np.zeros(size, dtype=np.uint16)
+        for i, mask in enumerate(kept):
+            ids[mask] = i + 1
+        shown = np.bincount(ids.ravel(), minlength=len(kept) + 1)[1 : len(kept) + 1]
+        if not len(kept) or shown.min() >= least:
+            return ids
+        del kept[int(shown.argmin())]
+
+
+def _check_share(smallest: float) -> None:
+    if not 0 <= smallest <= 1:
+        raise InputError(f"smallest: expected a share of the picture, 0 to 1, found {smallest:g}")

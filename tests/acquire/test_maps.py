@@ -1,0 +1,215 @@
+"""Normals by Marigold and segments by SAM2, end to end with tiny networks."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from acquire.tiny_maps import save_tiny_marigold_normals, save_tiny_sam2
+from pbrfit import images
+from pbrfit._core import InputError
+from pbrfit.acquire.normals import HALF_WEIGHT, estimate
+from pbrfit.acquire.segments import segment
+from pbrfit.cli import main
+from pbrfit.normal_files import UNCERTAINTY
+from pbrfit.scene import Scene
+
+SIZES = [(97, 131), (131, 97), (64, 64)]
+
+
+@pytest.fixture(scope="module")
+def marigold(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(save_tiny_marigold_normals(tmp_path_factory.mktemp("marigold")))
+
+
+@pytest.fixture(scope="module")
+def sam2(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(save_tiny_sam2(tmp_path_factory.mktemp("sam2")))
+
+
+def picture(height: int, width: int, seed: int = 0) -> NDArray[np.uint8]:
+    """Smooth colours."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width] / max(height, width)
+    waves = [np.sin(a * x + b * y + c) for a, b, c in rng.uniform(-9, 9, (3, 3))]
+    return np.rint(127.5 + 127 * np.stack(waves, axis=-1)).astype(np.uint8)
+
+
+def folder_of_photographs(folder: Path, height: int = 97, width: int = 131) -> Path:
+    (folder / "images").mkdir(parents=True)
+    for i in range(3):
+        images.write_png(folder / "images" / f"{i}.png", picture(height, width, i), tag="srgb")
+    return folder
+
+
+# --- Normals ---
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_normals_of_any_size_with_their_uncertainty(marigold: str, size: tuple[int, int]) -> None:
+    found = estimate("marigold", picture(*size), fov=60, model=marigold, ensemble=3, device="cpu")
+    assert found.normals.shape == (*size, 3)
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=-1), 1, atol=1e-6)
+    assert found.uncertainty is not None
+    assert found.uncertainty.shape == size
+    assert 0 < found.uncertainty.mean() < 180
+    assert found.weights is not None
+    np.testing.assert_allclose(
+        found.weights, 1 / (1 + (found.uncertainty / HALF_WEIGHT) ** 2), rtol=1e-5
+    )
+    assert (found.record["source"], found.record["model"]) == ("marigold", marigold)
+    assert found.record["ensemble"] == 3
+    assert (found.record["steps"], found.record["resolution"]) == (2, 64)
+
+
+def test_few_members_tell_no_uncertainty(marigold: str) -> None:
+    shown = picture(64, 64)
+    one = estimate("marigold", shown, fov=60, model=marigold, ensemble=1, device="cpu")
+    two = estimate("marigold", shown, fov=60, model=marigold, ensemble=2, device="cpu")
+    assert one.uncertainty is None
+    assert one.weights is None
+    assert two.uncertainty is None
+
+
+def test_a_seed_gives_the_same_normals_and_another_gives_others(marigold: str) -> None:
+    def found(seed: int, ensemble: int = 1) -> NDArray[np.float64]:
+        options: dict[str, Any] = {"model": marigold, "device": "cpu", "ensemble": ensemble}
+        return estimate("marigold", picture(64, 80), fov=60, seed=seed, **options).normals
+
+    np.testing.assert_array_equal(found(3), found(3))
+    assert np.abs(found(3) - found(4)).mean() > 0.01
+    # The members of an ensemble are those of the seeds from its own on.
+    total = found(3) + found(4) + found(5)
+    total /= np.linalg.norm(total, axis=-1, keepdims=True)
+    np.testing.assert_allclose(found(3, ensemble=3), total, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(97, 131), (131, 97), (300, 75)])
+@pytest.mark.parametrize("resolution", [0, 64, 768])
+def test_pixels_stay_where_they_are(size: tuple[int, int], resolution: int) -> None:
+    # What Marigold does to a picture before and after its networks, with nothing between: an edge
+    # must come back where it was, to a pixel of the picture or of what the network sees.
+    import torch
+    from diffusers.pipelines.marigold.marigold_image_processing import MarigoldImageProcessor
+
+    height, width = size
+    y, x = np.mgrid[:height, :width]
+    ramps = np.stack([(x + 0.5) / width, (y + 0.5) / height, 0 * x], axis=-1)
+    processor = MarigoldImageProcessor(vae_scale_factor=8)
+    seen, padding, original = processor.preprocess(
+        ramps[None], resolution, "bilinear", torch.device("cpu"), torch.float64
+    )
+    assert seen.shape[-1] % 8 == seen.shape[-2] % 8 == 0
+    back = processor.unpad_image(seen, padding)
+    back = processor.resize_antialias(back, original, "bilinear", is_aa=False)
+    found = (processor.pt_to_numpy(back)[0] + 1) / 2
+    pixel = max(height, width) / (resolution or max(height, width))
+    inner = slice(round(2 * pixel) + 1, -round(2 * pixel) - 1)
+    for channel, side in ((0, width), (1, height)):
+        off = (found - ramps)[inner, inner, channel] * side
+        assert np.abs(off).max() < 0.02 * max(pixel, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"ensemble": 0}, "ensemble: expected at least 1, found 0"),
+        ({"steps": 0}, "steps: expected at least 1, found 0"),
+        ({"resolution": 65}, "resolution: expected a multiple of 8 pixels"),
+        ({"seed": -1}, "seed: expected at least 0, found -1"),
+        ({"device": "cuda"}, "device: expected an NVIDIA GPU that PyTorch can use, found none"),
+        ({"model": "nobody/nothing"}, r"Marigold \(normals\): expected the weights nobody/nothing"),
+    ],
+)
+def test_options_that_cannot_be_used(marigold: str, options: dict[str, Any], message: str) -> None:
+    import torch
+
+    if options.get("device") == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(InputError, match=message) as caught:
+        estimate(
+            "marigold", picture(64, 64), fov=60, **{"model": marigold, "device": "cpu", **options}
+        )
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_completes_a_folder_of_photographs(
+    marigold: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of_photographs(tmp_path / "scene")
+    shared = ("--model", marigold, "--device", "cpu", "--ensemble", "3")
+    assert main(["normals", str(folder), *shared]) == 0
+    said = capsys.readouterr().out
+    assert "shown the mean of 3 pictures" in said
+    assert re.search(r"uncertain by \d+\.\d degrees \(median\)", said)
+    scene = Scene.load(folder, fov=60)
+    channels = images.read_channels(folder / "normals.exr")
+    stored = np.stack([channels[name] for name in "XYZ"], axis=-1)[scene.valid]
+    np.testing.assert_allclose(scene.normals[scene.valid], stored, atol=1e-6)
+    assert scene.weights is not None
+    expected = 1 / (1 + (channels[UNCERTAINTY] / HALF_WEIGHT) ** 2)
+    lit = scene.weights[0] > 0  # some samples are clipped
+    np.testing.assert_allclose(scene.weights[0][lit], expected[lit], rtol=1e-4)
+    assert main(["normals", str(folder), *shared]) == 2
+    assert "normals.exr: expected no normals yet" in capsys.readouterr().err
+    assert main(["normals", str(folder), *shared, "--overwrite", "--picture", "1"]) == 0
+    assert "shown picture 1" in capsys.readouterr().out
+    assert main(["normals", str(folder), *shared, "--overwrite", "--picture", "7"]) == 2
+    assert "picture: expected one of 0, 1, 2, found '7'" in capsys.readouterr().err
+
+
+# --- Segments ---
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_segments_of_any_size(sam2: str, size: tuple[int, int]) -> None:
+    # Random weights trust no mask of theirs: without thresholds some are left.
+    open_to_all: dict[str, Any] = {"pred_iou_thresh": -1.0, "stability_score_thresh": -1.0}
+    options: dict[str, Any] = {"model": sam2, "points": 4, "device": "cpu", **open_to_all}
+    ids, record = segment("sam2", picture(*size), **options)
+    assert ids.shape == size
+    assert ids.dtype == np.uint16
+    assert record["masks"] >= record["segments"] == ids.max()
+    again, _ = segment("sam2", picture(*size), **options)
+    np.testing.assert_array_equal(ids, again)
+
+
+def test_no_mask_is_a_legal_answer(sam2: str) -> None:
+    ids, record = segment(
+        "sam2", picture(97, 131), model=sam2, points=4, device="cpu", pred_iou_thresh=2.0
+    )
+    assert not ids.any()
+    assert (record["masks"], record["segments"]) == (0, 0)
+
+
+def test_checkpoints_made_for_video_are_read_as_those_for_pictures(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    # So are all that Meta gives out: facebook/sam2.1-hiera-large says sam2_video.
+    folder = save_tiny_sam2(tmp_path)
+    for name, changes in {
+        "config.json": {"model_type": "sam2_video", "architectures": ["Sam2VideoModel"]},
+        "preprocessor_config.json": {"image_processor_type": "Sam2ImageProcessorFast"},
+    }.items():
+        content = json.loads((folder / name).read_text())
+        (folder / name).write_text(json.dumps(content | changes))
+    capfd.readouterr()
+    ids, _ = segment("sam2", picture(97, 131), model=str(folder), points=4, device="cpu")
+    assert ids.shape == (97, 131)
+    assert "sam2_video" not in capfd.readouterr().err
+
+
+def test_the_command_gives_segments_to_photographs(
+    sam2: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of_photographs(tmp_path / "scene")
+    arguments = ["segments", str(folder), "--model", sam2, "--points", "4", "--device", "cpu"]
+    assert main(arguments) == 0
+    assert re.search(r"segments.png: \d+ segments?, \d+ % of", capsys.readouterr().out)
+    assert images.read_ids(folder / "segments.png").shape == (97, 131)

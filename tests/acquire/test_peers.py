@@ -1,0 +1,140 @@
+"""Peers that see one picture, with tiny networks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquire.tiny_maps import TARGETS, save_tiny_marigold_iid, save_tiny_rgbx
+from pbrfit._core import InputError
+from pbrfit.cli import main
+from pbrfit.color import decode_srgb
+from pbrfit.evaluation.peers.marigold import Marigold, targets
+from pbrfit.evaluation.peers.rgbx import RgbToX
+
+
+@pytest.fixture(scope="module")
+def iid(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(save_tiny_marigold_iid(tmp_path_factory.mktemp("iid")))
+
+
+@pytest.fixture(scope="module")
+def rgbx(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(save_tiny_rgbx(tmp_path_factory.mktemp("rgbx")))
+
+
+SHOWN = np.random.default_rng(0).integers(0, 256, (97, 131, 3), dtype=np.uint8)
+
+
+def test_marigold_gives_maps_of_the_pictures_size(iid: str) -> None:
+    peer = Marigold(iid, device="cpu")
+    found = peer.maps(SHOWN, seed=0, samples=3, steps=None)
+    assert found.albedo.shape == (97, 131, 3)
+    assert found.roughness.shape == found.metallic.shape == (97, 131)
+    again = peer.maps(SHOWN, seed=0, samples=3, steps=None)
+    np.testing.assert_array_equal(found.roughness, again.roughness)
+    assert np.abs(found.roughness - found.metallic).mean() > 1e-3
+
+    # Albedo is encoded, the scalars are not: what the pipeline itself gives says which is which.
+    import torch
+    from PIL import Image
+
+    raw = peer._pipeline(
+        Image.fromarray(SHOWN), ensemble_size=3, generator=torch.Generator().manual_seed(0)
+    ).prediction
+    np.testing.assert_allclose(found.albedo, decode_srgb(raw[0].astype(np.float64)))
+    np.testing.assert_allclose(found.roughness, raw[1, ..., 0])
+    np.testing.assert_allclose(found.metallic, raw[1, ..., 1])
+
+
+def test_the_order_of_targets_is_the_checkpoints_own() -> None:
+    turned = {
+        **TARGETS,
+        "target_names": ["material", "albedo"],
+        "material": {
+            "prediction_space": "stack",
+            "sub_target_names": ["metallicity", None, "roughness"],
+        },
+        "albedo": {"prediction_space": "linear"},
+    }
+    assert targets("x", turned) == {
+        "metallicity": (0, 0, "linear"),
+        "roughness": (0, 2, "linear"),
+        "albedo": (1, slice(0, 3), "linear"),
+    }
+    lighting = {"target_names": ["albedo", "shading", "residual"]}
+    with pytest.raises(InputError, match="expected a checkpoint that predicts albedo, roughness"):
+        targets("iid-lighting", lighting)
+
+
+def test_rgbx_gives_maps_of_the_pictures_size(rgbx: str) -> None:
+    peer = RgbToX(rgbx, device="cpu", longer_side=96)
+    found = peer.maps(SHOWN, seed=0, steps=2)
+    assert found.albedo.shape == (97, 131, 3)
+    assert found.roughness.shape == found.metallic.shape == (97, 131)
+    assert np.ptp(found.albedo) > 0
+    assert 0 <= found.albedo.min() <= found.albedo.max() <= 1
+    np.testing.assert_array_equal(found.albedo, peer.maps(SHOWN, seed=0, steps=2).albedo)
+    assert np.abs(found.albedo - peer.maps(SHOWN, seed=1, steps=2).albedo).mean() > 1e-3
+    assert np.abs(found.albedo - peer.maps(255 - SHOWN, seed=0, steps=2).albedo).mean() > 1e-4
+    # Prompts differ, so do the answers to them.
+    assert np.abs(found.roughness - found.metallic).max() > 1e-5
+
+
+def test_rgbx_recovers_what_a_perfect_network_says(rgbx: str) -> None:
+    # With a network that answers the v of a known map, DDIM has to end at that map exactly:
+    # v = sqrt(a) e - sqrt(1 - a) x, from which x = sqrt(a) z - sqrt(1 - a) v at every step.
+    import torch
+
+    peer = RgbToX(rgbx, device="cpu", longer_side=96)
+    parts = peer._parts
+    known = torch.randn(1, 4, 12, 12, generator=torch.Generator().manual_seed(7))
+
+    def answer(
+        both: torch.Tensor, time: torch.Tensor, encoder_hidden_states: torch.Tensor
+    ) -> object:
+        assert encoder_hidden_states.shape == (1, 77, 32)
+        noisy = both[:, :4]
+        a = parts.scheduler.alphas_cumprod[time]
+        # At zero SNR (a = 0) any e is right: v = -x.
+        noise = (noisy - a.sqrt() * known) / (1 - a).sqrt()
+        sample = a.sqrt() * noise - (1 - a).sqrt() * known
+        return type("Answer", (), {"sample": sample})()
+
+    object.__setattr__(parts, "unet", answer)
+    found = peer._map(np.zeros((96, 96, 3), np.float32), "Roughness", 0, 5)
+    with torch.no_grad():
+        decoded = parts.autoencoder.decode(known / parts.autoencoder.config.scaling_factor).sample
+    expected = (decoded[0].permute(1, 2, 0) / 2 + 0.5).clamp(0, 1).numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_the_suite_with_tiny_peers(iid: str, rgbx: str, tmp_path: Path) -> None:
+    arguments = ["evaluate", "peers", "--out", str(tmp_path / "out"), "--quick", "--size", "32"]
+    arguments += ["--marigold", iid, "--device", "cpu", "--jobs", "1", "--quiet"]
+    assert main([*arguments, "--rgbx", str(tmp_path / "none")]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    rows = {row["name"]: row for row in summary["rows"]}
+    assert [row["scenes"] for row in summary["rows"]] == [2, 2, 2, 0]
+    fit, peer = rows["pbrfit, all pictures"], rows["Marigold-IID, one picture"]
+    assert fit["status"] == peer["status"] == "ok"
+    assert fit["metrics"]["albedo"] < peer["metrics"]["albedo"]  # which has random weights
+    assert "expected a folder with RGB-X" in rows["RGB-X, one picture"]["status"]
+
+    # With the weights there, only what is missing is done.
+    records = tmp_path / "out" / "records"
+    before = {path.name: path.stat().st_mtime_ns for path in records.iterdir()}
+    assert main([*arguments, "--rgbx", rgbx, "--resume"]) == 0
+    after = {path.name: path.stat().st_mtime_ns for path in records.iterdir()}
+    assert {name for name in after if after[name] != before[name]} == {
+        "rgbx_6000.json",
+        "rgbx_6001.json",
+    }
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [row["status"] for row in summary["rows"]] == ["ok"] * 4
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "not run" not in page
+    assert (tmp_path / "out" / "scene-6000.png").exists()

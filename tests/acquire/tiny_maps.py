@@ -1,0 +1,182 @@
+"""Networks for maps with random weights, of 1 to 4 MB, saved as the real ones are.
+
+Every part is of the class of the real checkpoint and has its shape, only narrow. What they answer
+is noise, but it depends on the picture and the seed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+TARGETS = {
+    "target_names": ["albedo", "material"],
+    "albedo": {"prediction_space": "srgb", "up_to_scale": False},
+    "material": {
+        "prediction_space": "stack",
+        "sub_target_names": ["roughness", "metallicity", None],
+        "up_to_scale": False,
+    },
+    "roughness": {"prediction_space": "linear", "up_to_scale": False},
+    "metallicity": {"prediction_space": "linear", "up_to_scale": False},
+}
+"""What prs-eth/marigold-iid-appearance-v1-1 says of itself."""
+
+
+def save_tiny_marigold_normals(folder: Path) -> Path:
+    """`MarigoldNormalsPipeline`."""
+    from diffusers import MarigoldNormalsPipeline
+
+    pipeline = MarigoldNormalsPipeline(
+        **_stable_diffusion(in_channels=8, out_channels=4, vocabulary=folder / "words"),
+        prediction_type="normals",
+        use_full_z_range=True,
+        default_denoising_steps=2,
+        default_processing_resolution=64,
+    )
+    pipeline.save_pretrained(folder / "checkpoint")
+    return folder / "checkpoint"
+
+
+def save_tiny_marigold_iid(folder: Path, properties: Any = TARGETS) -> Path:
+    """`MarigoldIntrinsicsPipeline` with two targets."""
+    from diffusers import MarigoldIntrinsicsPipeline
+
+    pipeline = MarigoldIntrinsicsPipeline(
+        **_stable_diffusion(in_channels=12, out_channels=8, vocabulary=folder / "words"),
+        prediction_type="intrinsics",
+        target_properties=properties,
+        default_denoising_steps=2,
+        default_processing_resolution=64,
+    )
+    pipeline.save_pretrained(folder / "checkpoint")
+    return folder / "checkpoint"
+
+
+def save_tiny_rgbx(folder: Path) -> Path:
+    """The folder that zheng95z/rgb-to-x is: parts beside each other, a pipeline nobody has."""
+    parts = _stable_diffusion(in_channels=8, out_channels=4, vocabulary=folder / "words")
+    for name, part in parts.items():
+        part.save_pretrained(folder / "checkpoint" / name)
+    index = {"_class_name": "StableDiffusionAOVMatEstPipeline"}
+    (folder / "checkpoint" / "model_index.json").write_text(json.dumps(index))
+    return folder / "checkpoint"
+
+
+def save_tiny_sam2(folder: Path) -> Path:
+    """`Sam2Model` for pictures of 128 × 128."""
+    import torch
+    from transformers import (
+        Sam2Config,
+        Sam2HieraDetConfig,
+        Sam2ImageProcessor,
+        Sam2MaskDecoderConfig,
+        Sam2Model,
+        Sam2PromptEncoderConfig,
+        Sam2VisionConfig,
+    )
+
+    torch.manual_seed(0)
+    size, widths = 128, [12, 24, 48, 96]
+    backbone = Sam2HieraDetConfig(
+        hidden_size=widths[0],
+        image_size=[size, size],
+        blocks_per_stage=[1, 1, 2, 1],
+        embed_dim_per_stage=widths,
+        num_attention_heads_per_stage=[1, 1, 2, 4],
+        window_size_per_stage=[8, 4, 4, 4],
+        global_attention_blocks=[3],
+    )
+    vision = Sam2VisionConfig(
+        backbone_config=backbone,
+        backbone_channel_list=widths[::-1],
+        backbone_feature_sizes=[[size // s, size // s] for s in (4, 8, 16)],
+        fpn_hidden_size=32,
+    )
+    model = Sam2Model(
+        Sam2Config(
+            vision_config=vision,
+            prompt_encoder_config=Sam2PromptEncoderConfig(hidden_size=32, image_size=size),
+            mask_decoder_config=Sam2MaskDecoderConfig(
+                hidden_size=32, mlp_dim=64, num_attention_heads=2, iou_head_hidden_dim=32
+            ),
+        )
+    )
+    model.save_pretrained(folder)
+    processor = Sam2ImageProcessor(
+        size={"height": size, "width": size}, mask_size={"height": size // 4, "width": size // 4}
+    )
+    processor.save_pretrained(folder)
+    return folder
+
+
+def _stable_diffusion(*, in_channels: int, out_channels: int, vocabulary: Path) -> dict[str, Any]:
+    """Parts of a Stable Diffusion 2 that predicts v."""
+    import torch
+    from diffusers import AutoencoderKL, DDIMScheduler, UNet2DConditionModel
+    from transformers import CLIPTextConfig, CLIPTextModel, CLIPTokenizer
+
+    torch.manual_seed(0)
+    tokenizer = _tokenizer(CLIPTokenizer, vocabulary)
+    text_encoder = CLIPTextModel(
+        CLIPTextConfig(
+            vocab_size=len(tokenizer),
+            hidden_size=32,
+            intermediate_size=37,
+            num_hidden_layers=2,
+            num_attention_heads=4,
+            max_position_embeddings=77,
+            bos_token_id=tokenizer.bos_token_id,
+            eos_token_id=tokenizer.eos_token_id,
+            pad_token_id=tokenizer.pad_token_id,
+        )
+    )
+    unet = UNet2DConditionModel(
+        block_out_channels=(32, 64),
+        layers_per_block=1,
+        sample_size=8,
+        in_channels=in_channels,
+        out_channels=out_channels,
+        down_block_types=("DownBlock2D", "CrossAttnDownBlock2D"),
+        up_block_types=("CrossAttnUpBlock2D", "UpBlock2D"),
+        cross_attention_dim=32,
+        attention_head_dim=8,
+        norm_num_groups=8,
+    )
+    autoencoder = AutoencoderKL(
+        block_out_channels=(8, 8, 8, 8),
+        down_block_types=("DownEncoderBlock2D",) * 4,
+        up_block_types=("UpDecoderBlock2D",) * 4,
+        latent_channels=4,
+        norm_num_groups=4,
+    )
+    with torch.no_grad():  # as it is initialised, what goes in hardly shows in what comes out
+        for parameter in autoencoder.parameters():
+            parameter *= 2
+    return {
+        "unet": unet.eval(),
+        "vae": autoencoder.eval(),
+        "scheduler": DDIMScheduler(
+            beta_start=0.00085,
+            beta_end=0.012,
+            beta_schedule="scaled_linear",
+            clip_sample=False,
+            prediction_type="v_prediction",
+            rescale_betas_zero_snr=True,
+            timestep_spacing="trailing",
+        ),
+        "text_encoder": text_encoder.eval(),
+        "tokenizer": tokenizer,
+    }
+
+
+def _tokenizer(kind: Any, folder: Path) -> Any:
+    """CLIP's, of single letters."""
+    letters = [chr(code) for code in range(33, 127)]
+    words = ["<|startoftext|>", "<|endoftext|>", *letters, *(f"{one}</w>" for one in letters)]
+    folder.mkdir(parents=True, exist_ok=True)
+    vocabulary = {word: i for i, word in enumerate(words)}
+    (folder / "vocab.json").write_text(json.dumps(vocabulary))
+    (folder / "merges.txt").write_text("#version: 0.2\n")
+    return kind(str(folder / "vocab.json"), str(folder / "merges.txt"), model_max_length=77)
