@@ -126,10 +126,14 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None, *, side: i
     return field.astype(np.complex64)
 
 
-def common(fields: Sequence[Field]) -> Field:
-    """What fields of one view have in common: lasting edges stay, those of one picture fade."""
-    found: Field = np.mean(fields, axis=0).astype(np.complex64)
-    return found
+def of_the_others(fields: Sequence[Field]) -> list[Field]:
+    """For each field of a view the mean of all others: lasting edges stay, those of one fade.
+
+    Its own edges would agree with themselves, wherever they are.
+    """
+    total = np.sum(fields, axis=0)
+    others = max(len(fields) - 1, 1)
+    return [((total - field) / others).astype(np.complex64) for field in fields]
 
 
 def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment | None:
@@ -162,20 +166,44 @@ def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment 
     )
 
 
-def of_pictures(
-    reference: NDArray[Any], picture: NDArray[Any], mask: NDArray[np.bool_] | None = None
-) -> Alignment | None:
-    """Say how a picture (H, W, 3) lies relative to another of the same size; linear radiance."""
-    pixel = max(reference.shape[:2]) / max(reduced_size(reference.shape, SIDE))
-    return compare(edges(reference, mask), edges(picture, mask), pixel=pixel)
-
-
 def of_scene(scene: Scene) -> list[Alignment | None]:
-    """Say how each picture of a scene lies relative to what all have in common."""
+    """Say how each picture of a scene lies relative to what all others have in common."""
     fields = [edges(image, scene.mask) for image in scene.images]
-    reference = common(fields)
-    pixel = max(scene.height, scene.width) / max(reference.shape)
-    return [compare(reference, field, pixel=pixel) for field in fields]
+    pixel = max(scene.height, scene.width) / max(fields[0].shape)
+    return [
+        compare(reference, field, pixel=pixel)
+        for reference, field in zip(of_the_others(fields), fields, strict=True)
+    ]
+
+
+MOST_SHIFT = 1.0
+LEAST_AGREEMENT = 0.2
+MOST_MOVED = 0.25
+"""Beyond these a picture of a scene does not line up: the shift in pixels that were compared."""
+
+
+def complaints(scene: Scene) -> list[str]:
+    """Say which pictures of a scene do not line up with the others, a sentence each.
+
+    Photographs from a hand that moved, and pictures of something else.
+    """
+    found = []
+    for name, one in zip(scene.names, of_scene(scene), strict=True):
+        if one is None:
+            continue
+        right, down = one.shift
+        if one.agreement < LEAST_AGREEMENT:
+            found.append(
+                f"{name} shows something else: its edges agree to {one.agreement:.2f} of 1"
+            )
+        elif one.distance > MOST_SHIFT * one.pixel:
+            found.append(
+                f"{name} is shifted by {one.distance:.1f} pixels ({right:+.1f} right, "
+                f"{down:+.1f} down)"
+            )
+        elif one.moved > MOST_MOVED:
+            found.append(f"{name} is bent: {100 * one.moved:.0f} % of its edges are displaced")
+    return found
 
 
 def _energy(field: NDArray[np.complex64]) -> float:

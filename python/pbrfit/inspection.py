@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbrfit import geometry, memory
+from pbrfit import alignment, geometry, memory
 from pbrfit.layout import Layout
 from pbrfit.needs import Needs
 from pbrfit.priors import Priors
@@ -14,6 +14,14 @@ from pbrfit.scene import Scene
 def fit_memory(scene: Scene, layout: Layout, solver: memory.Method) -> int:
     """Bytes that `decompose` needs at its peak, beside the interpreter and its libraries."""
     return memory.of_fit(scene, layout, solver).peak
+
+
+def _aligned(scene: Scene) -> list[tuple[str, str]]:
+    """Whether the pictures line up, a line for each that does not."""
+    found = alignment.complaints(scene)
+    if not found:
+        return [("line up", "yes")]
+    return [("line up", f"NO: {found[0]}"), *(("", complaint) for complaint in found[1:])]
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
@@ -40,6 +48,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
             "grey: one channel will be fitted" if layout.channels == 1 else "three channels",
         ),
         ("lights", "known" if layout.lighting_known else "unknown, will be fitted"),
+        *_aligned(scene),
         ("truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]
     found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]

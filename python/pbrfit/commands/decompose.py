@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +24,8 @@ from pbrfit.arguments import (
 )
 from pbrfit.commands.fit_options import add_model, add_seed, add_solver, fit, print_result
 from pbrfit.commands.scene_options import add_input, load
+
+log = logging.getLogger("pbrfit")
 
 
 def add(commands: Subcommands) -> None:
@@ -69,12 +72,15 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _decompose_one(path: Path, output: Path, options: argparse.Namespace) -> None:
+    from pbrfit import alignment
     from pbrfit.output import new_folder
     from pbrfit.result import CONTAINS
 
     # The folder is opened first: no right to write should show before the work, not after it.
     with new_folder(output, overwrite=options.overwrite, contains=CONTAINS) as folder:
         scene = load(path, options)
+        for complaint in alignment.complaints(scene):
+            log.warning("%s: %s: pictures must line up pixel by pixel", path, complaint)
         result = fit(scene, path.resolve().name, options)
         result.write(folder, scene)
     if not options.quiet:

@@ -13,8 +13,9 @@ Cauchy's weight, so that the repainted part has no say in them.
 
 A shadow that only this picture has is left over too. But what is blocked is missing in all
 channels, so that the residual has one sign in all three, where another colour of the same
-brightness has both. The measure is the smaller of the largest positive and the largest negative
-residual of the channels, smoothed: `mixed`.
+brightness has both. `mixed` is the smaller of the largest positive and the largest negative
+residual of the channels, smoothed. `brightness`, the mean of the channels, is large in shadows too;
+it counts beside what the others of a set show there.
 """
 
 from __future__ import annotations
@@ -85,6 +86,13 @@ def unexplained(
         spread = 1.5 * np.median(np.abs(residual[sound])) + 0.01
         trust = 1 / (1 + ((residual / spread) ** 2).sum(axis=-1) / 12)
     return np.asarray(residual * sound[:, None])
+
+
+def brightness(residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(H, W): size of the mean over channels of smoothed residuals (H, W, 3)."""
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(np.abs(gaussian_filter(residual.mean(axis=-1), WINDOW)))
 
 
 def mixed(residual: NDArray[np.float64]) -> NDArray[np.float64]:

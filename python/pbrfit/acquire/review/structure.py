@@ -25,14 +25,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.resampling import averaged, reduced_size
+from pbrfit.resampling import averaged
 
 _FLOOR = 0.02  # ε, of white
 _NOISE = 0.02  # s₀, gradient of a logarithm
 _BLUR = 0.8  # pixels
 _CLIPPED = 0.94  # of white: JPEG and resampling smear what is clipped
 _BLACK = 0.004  # of white, code 13 of 255: below it whole numbers hide gradients
-_STRIDE = 4  # pixels between windows
 _DARKEST = 0.3  # I / (I + ε) below which a gradient says nothing
 
 WINDOW = 24.0
@@ -102,16 +101,23 @@ def lasting(pictures: Sequence[Gradients]) -> Lasting:
     return Lasting(values, weight)
 
 
-def kept(picture: Gradients, reference: Lasting) -> NDArray[np.float64]:
+def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> NDArray[np.float64]:
     """Share of the lasting gradients that a picture keeps, at the most.
 
     The border of one shadow in a window of few lasting gradients lowers the share by chance, the
     more the fewer they are. So 1/√(Σ w |r|²) is added to it.
 
+    Parameters
+    ----------
+    picture, reference
+        Of one size (H, W).
+    size
+        (h, w) of the result, averaged down: the window is wide.
+
     Returns
     -------
-    (h, w), a quarter of the size: 1 or more for an honest picture, about 0 where the content is
-    another; NaN where there is too little to judge by.
+    (h, w): 1 or more for an honest picture, about 0 where the content is another; NaN where there
+    is too little to judge by.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -119,8 +125,6 @@ def kept(picture: Gradients, reference: Lasting) -> NDArray[np.float64]:
     weight = picture.sound * reference.weight
     along = (weight * (picture.values * expected.conj()).real).sum(axis=-1)
     there = (weight * np.abs(expected) ** 2).sum(axis=-1)
-    # The window is wide: it can be laid over averages of a few pixels.
-    size = reduced_size(along.shape, -(-max(along.shape) // _STRIDE))
     pixel = along.shape[0] / size[0]
     along, evidence = (
         gaussian_filter(averaged(part, size), WINDOW / pixel) for part in (along, there)

@@ -16,7 +16,7 @@ from pbrfit.evaluation.commands import (
     uncertainty,
 )
 
-SUITES = (table1, ablation, convergence, gap, peers, real, solvers, stability, uncertainty)
+SUITES = (table1, ablation, convergence, gap, peers, real, review, solvers, stability, uncertainty)
 
 
 def add_suites(suites: Subcommands) -> None:

@@ -72,9 +72,9 @@ def damaged(
         from scipy.ndimage import gaussian_filter
 
         width, length = unit * rng.uniform(25, 60), rng.uniform(*WARP)
-        down, right = (gaussian_filter(rng.normal(size=image.shape[:2]), width) for _ in range(2))
-        most = np.hypot(down, right).max() / (unit * length)
-        return _moved(image, down / most, right / most), {"pixels": length, "width": width}
+        field = [gaussian_filter(rng.normal(size=image.shape[:2]), width) for _ in range(2)]
+        most = np.hypot(*field).max() / (unit * length)
+        return _moved(image, field[0] / most, field[1] / most), {"pixels": length, "width": width}
     for _ in range(_TRIES):
         area = _area(kind, segments, rng)
         found = _repainted(image, area, kind, rng)
@@ -105,8 +105,8 @@ def _area(kind: Kind, segments: NDArray[Any], rng: np.random.Generator) -> NDArr
     height, width = segments.shape
     if kind == "recolour-object":
         ids, counts = np.unique(segments[segments > 0], return_counts=True)
-        share = counts / segments.size
-        fit = ids[(share >= OBJECT[0]) & (share <= OBJECT[1])]
+        shares = counts / segments.size
+        fit = ids[(shares >= OBJECT[0]) & (shares <= OBJECT[1])]
         if fit.size:
             return np.asarray(segments == rng.choice(fit))
     share = rng.uniform(*AREA)

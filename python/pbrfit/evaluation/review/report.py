@@ -23,7 +23,10 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """What has to be caught, by the damages it is made of."""
 
-IN_WORDS: dict[str, str] = {**WHAT, "swap": "a picture of another room"}
+IN_WORDS: dict[str, str] = {
+    **{str(kind): what for kind, what in WHAT.items()},
+    "swap": "a picture of another room",
+}
 
 
 @dataclass(frozen=True)
