@@ -106,8 +106,8 @@ def _opening(effort: Effort) -> list[str]:
         "In whose favour: the pictures are those of our model, lights of low order without "
         "shadows or light between surfaces, which our fit expects and which peers, trained on "
         "path-traced or real rooms, have never seen. Pictures with shadows are in docs/cycles.md.",
-        f"Marigold-IID: the median of {effort.samples} predictions; RGB-X: one, at "
-        f"{effort.longer_side} pixels; sampler steps: {sampler}.",
+        f"Predictions of Marigold-IID, of which the median is taken: {effort.samples}; of RGB-X, "
+        f"at {effort.longer_side} pixels: 1. Steps of their samplers: {sampler}.",
     ]
 
 

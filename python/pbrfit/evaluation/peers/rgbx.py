@@ -16,6 +16,7 @@ The authors say that the published checkpoint's metallicity differs from that of
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -73,12 +74,13 @@ class RgbToX:
     ) -> None:
         need("diffusion", "torch", "diffusers", "transformers")
         where = weights.placement(device, what=WHAT)
-        self._parts = weights.load(WHAT, model, loader=_load, marker="model_index.json").network
+        loader = partial(_load, where.torch_dtype)
+        self._parts = weights.load(WHAT, model, loader=loader, marker="model_index.json").network
         self._device, self._dtype = where.device, where.torch_dtype
         self._longer_side = longer_side
         with weights.memory_in_words(WHAT, "another --device"):
             for network in (self._parts.text_encoder, self._parts.autoencoder, self._parts.unet):
-                network.to(self._device, self._dtype).eval()
+                network.to(self._device).eval()
 
     def maps(self, srgb8: NDArray[np.uint8], *, seed: int, steps: int | None) -> Maps:
         """Maps of a picture (H, W, 3); `seed` of the noise, `steps` of the sampler (None = 50)."""
@@ -129,7 +131,7 @@ class RgbToX:
         return np.ascontiguousarray(shown.permute(1, 2, 0).cpu().numpy())
 
 
-def _load(model: str, **options: Any) -> _Parts:
+def _load(dtype: Any, model: str, **options: Any) -> _Parts:
     from diffusers import AutoencoderKL, DDIMScheduler, UNet2DConditionModel
     from transformers import CLIPTextModel, CLIPTokenizer
 
@@ -138,9 +140,9 @@ def _load(model: str, **options: Any) -> _Parts:
 
     return _Parts(
         tokenizer=part(CLIPTokenizer, "tokenizer"),
-        text_encoder=part(CLIPTextModel, "text_encoder"),
-        autoencoder=part(AutoencoderKL, "vae"),
-        unet=part(UNet2DConditionModel, "unet"),
+        text_encoder=part(CLIPTextModel, "text_encoder", dtype=dtype),
+        autoencoder=part(AutoencoderKL, "vae", dtype=dtype),
+        unet=part(UNet2DConditionModel, "unet", dtype=dtype),
         scheduler=part(
             DDIMScheduler, "scheduler", rescale_betas_zero_snr=True, timestep_spacing="trailing"
         ),
