@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 @contextmanager
-def _making(path: Path, what: str) -> Iterator[None]:
+def making(path: Path, what: str) -> Iterator[None]:
     """Let a failure say that nothing can be made at `path`."""
     try:
         yield
@@ -23,7 +23,7 @@ def _making(path: Path, what: str) -> Iterator[None]:
 
 
 @contextmanager
-def _naming(path: Path, temporary: Path) -> Iterator[None]:
+def naming(path: Path, temporary: Path) -> Iterator[None]:
     """Let failures name what was to be written: not the temporary beside it, and not nothing."""
     try:
         yield
@@ -60,10 +60,10 @@ def new_folder(
     old = temporary.with_name(f"{temporary.name}-old")
     new_parents = [parent for parent in target.parents if not parent.exists()]
     try:
-        with _making(path, "folder"):
+        with making(path, "folder"):
             target.parent.mkdir(parents=True, exist_ok=True)
             temporary.mkdir()
-        with _naming(path, temporary):
+        with naming(path, temporary):
             yield temporary
         check_free(
             path, overwrite=overwrite, contains=contains
@@ -102,10 +102,10 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}{target.suffix}")
     new_parents = [parent for parent in target.parents if not parent.exists()]
     try:
-        with _making(path, "file"):
+        with making(path, "file"):
             target.parent.mkdir(parents=True, exist_ok=True)
             temporary.touch()  # no right to write shows before the work, not after it
-        with _naming(path, temporary):
+        with naming(path, temporary):
             yield temporary
         check_free_file(path, overwrite=overwrite)  # as above
         temporary.replace(target)

@@ -19,6 +19,7 @@ PANEL_SIDE = (192, 384)
 MARGIN = 12
 PAPER = (255, 255, 255)
 INK = (30, 30, 30)
+REFUSED = (196, 30, 36)
 OUTSIDE = 0.85
 """Grey of pixels outside the mask."""
 
@@ -33,10 +34,22 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 @dataclass(frozen=True)
 class Panel:
-    """One labelled picture: (H, W, 3) values in [0, 1] as they go to the screen."""
+    """One labelled picture: (H, W, 3) values in [0, 1] as they go to the screen.
+
+    Attributes
+    ----------
+    caption
+        A line above it.
+    note
+        Below it, in as many lines as it needs.
+    crossed
+        Whether it is marked as refused: framed in red, with a cross in a corner.
+    """
 
     caption: str
     pixels: NDArray[np.floating[Any]]
+    note: str = ""
+    crossed: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,7 +112,13 @@ def sheet(
     label_font = _default(letters)
     line = caption_height(column)
     gutter = max((round(label_font.getlength(label)) + MARGIN for label in labels), default=0)
-    heights = [size[1] + MARGIN + (line if _has_captions(row) else 0) for row in rows]
+    note_font = _default(round(0.8 * letters))
+    notes = [[_wrapped(panel, column, note_font) for panel in row] for row in rows]
+    note_line = round(1.1 * letters)
+    heights = [
+        size[1] + MARGIN + (line if _has_captions(row) else 0) + note_line * max(map(len, below))
+        for row, below in zip(rows, notes, strict=True)
+    ]
     columns = max(len(row) for row in rows)
     top = MARGIN + (round(1.5 * line) if title else 0)
     whole = gutter + columns * (column + MARGIN) + MARGIN
@@ -124,10 +143,42 @@ def sheet(
             # Whole factors repeat pixels; smaller ones average them.
             scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
             canvas.paste(Image.fromarray(pixels).resize(size, scaling), (x, below_caption))
+            if panel.crossed:
+                _cross(draw, (x, below_caption, x + size[0], below_caption + size[1]), letters)
+            for k, text in enumerate(notes[i][j]):
+                at = (x, below_caption + size[1] + 4 + k * note_line)
+                draw.text(at, text, fill=REFUSED if panel.crossed else INK, font=note_font)
         y += heights[i]
     if key is not None:
         _draw_key(draw, key, (MARGIN + gutter, y), letters)
     return np.asarray(canvas)
+
+
+def _wrapped(panel: Panel | None, width: int, font: Font) -> list[str]:
+    """The lines of a panel's note; a word that is longer than a line is cut."""
+    lines: list[str] = []
+    for word in panel.note.split() if panel is not None else ():
+        if lines and font.getlength(f"{lines[-1]} {word}") <= width:
+            lines[-1] += f" {word}"
+            continue
+        while font.getlength(word) > width:
+            fits = next(n for n in range(len(word), 0, -1) if font.getlength(word[:n]) <= width)
+            lines.append(word[:fits])
+            word = word[fits:]
+        lines.append(word)
+    return lines
+
+
+def _cross(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], letters: int) -> None:
+    """Frame a picture in red, with a white cross on red in its upper right corner."""
+    left, top, right, bottom = box
+    width = max(3, letters // 5)
+    draw.rectangle((left, top, right - 1, bottom - 1), outline=REFUSED, width=width)
+    side, inset = 2 * letters, letters // 2
+    draw.rectangle((right - side, top, right - 1, top + side - 1), fill=REFUSED)
+    low, high = (right - side + inset, top + inset), (right - 1 - inset, top + side - 1 - inset)
+    draw.line([low, high], fill=PAPER, width=width)
+    draw.line([(low[0], high[1]), (high[0], low[1])], fill=PAPER, width=width)
 
 
 def _has_captions(row: Row) -> bool:

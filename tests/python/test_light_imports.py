@@ -37,9 +37,11 @@ def test_the_command_line_knows_its_options_without_anything_heavy() -> None:
 
 def test_the_networks_interfaces_import_nothing_heavy() -> None:
     modules = "extras, padding, photo, prompts, weights, generators, segments, scene_picture"
-    folder = "from pbrfit.acquire.generators import flux2_klein, folder"
+    run = "from pbrfit.acquire import generation"
+    folder = "from pbrfit.acquire.generators import flux2_klein, folder, gpt_image"
     normals = "from pbrfit.acquire.normals import given, marigold"
-    assert heavy_after(f"from pbrfit.acquire import {modules}\n{folder}\n{normals}") == []
+    imports = f"from pbrfit.acquire import {modules}\n{run}\n{folder}\n{normals}"
+    assert heavy_after(imports) == []
 
 
 def test_what_is_heavy_would_be_found() -> None:

@@ -78,6 +78,16 @@ class Generator(Protocol):
         """All that decides about the pictures, as JSON; no secrets."""
         ...
 
+    def check(self) -> None:
+        """See that it can work, as far as that shows without making a picture.
+
+        Raises
+        ------
+        InputError
+            If something is missing: one line.
+        """
+        ...
+
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
         """The pictures to ask for, with their first seeds.
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -98,6 +99,23 @@ class Flux2Klein:
             "dtype": self._where[1],
         }
 
+    def check(self) -> None:
+        """Look for the device and the network, and what kind it is; reads no weights.
+
+        Raises
+        ------
+        InputError
+            If one of them is not there, or the network is distilled and guidance is asked for.
+        """
+        _ = self._placement
+
+        def loader(name: str, **options: Any) -> Any:
+            return self._check_kind(name, "", **options)
+
+        weights.load(
+            KIND, self._model, loader=loader, marker="model_index.json", revision=self._revision
+        )
+
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
         """The first `count` lightings of the catalogue.
 
@@ -165,15 +183,11 @@ class Flux2Klein:
             return self._pipeline
         from diffusers import Flux2KleinPipeline
 
-        where = weights.placement(*self._where, what=KIND)
+        where = self._placement
 
         def loader(name: str, **options: Any) -> Any:
             # The small file first: a wrong choice shows before gigabytes are read.
-            config = Flux2KleinPipeline.load_config(name, **options)
-            kind = config.get("_class_name")
-            if kind != "Flux2KleinPipeline":
-                raise InputError(f"{name}: expected a Flux2KleinPipeline, found a {kind}")
-            self._check_distilled(config.get("is_distilled", False), negative)
+            self._check_kind(name, negative, **options)
             return Flux2KleinPipeline.from_pretrained(name, dtype=where.torch_dtype, **options)
 
         loaded = weights.load(
@@ -192,6 +206,20 @@ class Flux2Klein:
         }
         self._pipeline = pipeline
         return pipeline
+
+    @cached_property
+    def _placement(self) -> weights.Placement:
+        return weights.placement(*self._where, what=KIND)
+
+    def _check_kind(self, name: str, negative: str, **options: Any) -> None:
+        """Read what a checkpoint says about itself, a small file."""
+        from diffusers import Flux2KleinPipeline
+
+        config = Flux2KleinPipeline.load_config(name, **options)
+        kind = config.get("_class_name")
+        if kind != "Flux2KleinPipeline":
+            raise InputError(f"{name}: expected a Flux2KleinPipeline, found a {kind}")
+        self._check_distilled(config.get("is_distilled", False), negative)
 
     def _check_guidance(self, negative: str) -> None:
         if negative and self._guidance <= 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 from typing import Any
@@ -62,10 +63,21 @@ class Folder:
         """Where the pictures are and how they are read."""
         return {"folder": str(self._folder.resolve()), "color_space": self._color_space}
 
+    def check(self) -> None:
+        """Nothing: the folder was looked into when it was named."""
+
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
-        """One request a file, at most `count`; prompts play no part."""
+        """One request a file, at most `count`; prompts play no part.
+
+        In their place stands the content, so that a file which was changed is another request.
+        """
         del catalogue
-        return [Request(name, "", "", seed + i) for i, name in enumerate(list(self._files)[:count])]
+        requests = []
+        for i, (name, path) in enumerate(list(self._files.items())[:count]):
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            requests.append(Request(name, f"{path.name}, sha256 {digest}", "", seed + i))
+        return requests
 
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Read one.

@@ -1,0 +1,312 @@
+"""From a photograph to a scene folder: pictures asked for, reviewed, and put in place.
+
+What can fail for nothing is done first: the place, the key, and normals and segments, which need
+the photo alone. Then pictures, each written to the journal as it comes. The scene appears at the
+very end.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import geometry, images
+from pbrfit._core import InputError
+from pbrfit.acquire.generation_report import FILE, SHEET, GenerationReport
+from pbrfit.acquire.generators import Generator, Request
+from pbrfit.acquire.journal import FOLDER, Journal, write_json
+from pbrfit.acquire.normals import Normals, estimate
+from pbrfit.acquire.photo import Photo, read_photo
+from pbrfit.acquire.prompts import Catalogue
+from pbrfit.acquire.rounds import REGENERATE, Reviewer, Rounds
+from pbrfit.acquire.scene_place import PICTURES, check_place, place
+from pbrfit.color import ColorSpace
+from pbrfit.normal_files import write_normals
+from pbrfit.scene_folder import DEFAULT_FOV
+from pbrfit.sheet import as_png
+from pbrfit.weight_files import WEIGHT_FILE, write_weights
+
+log = logging.getLogger("pbrfit")
+
+PHOTO = "photo"
+"""Name of the photograph among the pictures."""
+
+LEAST = 2
+"""Pictures that a scene needs."""
+
+COUNT = 16
+"""How many pictures are asked for unless somebody says so: what the method was published with."""
+
+Progress = Callable[[str, int, int], None]
+"""Told what is done next, which picture that is, from 1 on, and how many there will be so far."""
+
+
+def generate(
+    photo_path: Path,
+    out: Path,
+    *,
+    generator: Generator,
+    catalogue: Catalogue,
+    count: int | None = None,
+    seed: int = 0,
+    regenerate: int | None = None,
+    review: bool = True,
+    reviewer: Reviewer | None = None,
+    normals: str = "marigold",
+    normal_options: Mapping[str, Any] | None = None,
+    segments: str = "none",
+    segment_options: Mapping[str, Any] | None = None,
+    fov: float | None = None,
+    color_space: ColorSpace | None = None,
+    max_size: int | None = 1024,
+    with_photo: bool = True,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> GenerationReport:
+    """Make a scene folder of one photograph.
+
+    Parameters
+    ----------
+    photo_path
+        The photograph.
+    out
+        Scene folder; docs/formats.md and docs/generate.md say what it will hold.
+    generator
+        Makes the pictures.
+    catalogue
+        What they are asked for with.
+    count, seed
+        How many pictures, and the first one's seed. None: `COUNT`, and of pictures that are there
+        already, all.
+    regenerate
+        How often a picture that the review refused is asked for again; None: `REGENERATE`.
+    review
+        Whether pictures are reviewed; by `reviewer`, or a `pbrfit.acquire.review.Reviewer`.
+    normals, normal_options
+        Source, as `pbrfit.acquire.normals.estimate` takes it.
+    segments, segment_options
+        Source, as `pbrfit.acquire.segments.segment` takes it, or "none".
+    fov
+        Horizontal field of view in degrees, 0 = orthographic; None: EXIF, else 60 with a warning.
+    color_space, max_size
+        How the photograph is read; see `read_photo`.
+    with_photo
+        Whether the photograph is a picture of the scene too.
+    resume
+        Go on with what is in `out`, which must be of the same photo and settings.
+    overwrite
+        Make the scene in `out` anew. Pictures in its journal are kept all the same, and taken
+        where they are what is asked for.
+    progress
+        Told about every step.
+
+    Returns
+    -------
+    GenerationReport
+        What became of every picture.
+
+    Raises
+    ------
+    InputError
+        If something cannot be used or had, or fewer than two pictures are left: one line. Pictures
+        that had come are in the journal, and `resume` goes on with them.
+    FileExistsError
+        If `out` is not free.
+    """
+    if count is None:
+        count = COUNT if generator.retries else sys.maxsize
+    if regenerate is None:
+        regenerate = REGENERATE
+    if regenerate < 0:
+        raise InputError(f"regenerate: expected 0 or more, found {regenerate}")
+    photo = read_photo(photo_path, color_space=color_space, max_size=max_size)
+    settings = {"generator": generator.name, **generator.settings()}
+    check_place(out, photo, settings, resume=resume, overwrite=overwrite)
+    requests = _requests(generator, catalogue, count, seed, with_photo)
+    view, assumed = _field_of_view(photo, fov)
+    told = progress or _nobody
+    journal = Journal(out / FOLDER, photo, settings)
+    with place(out) as made:
+        generator.check()
+        if not review:
+            reviewer = None
+        elif reviewer is None:
+            from pbrfit.acquire.review import Reviewer as Default
+
+            reviewer = Default(photo.pixels * np.float32(2.0**photo.exposure), mask=photo.mask)
+        told("segments and normals", 0, len(requests))
+        parts = _segments(photo, segments, segment_options or {})
+        surface = _normals(photo, normals, view, normal_options or {})
+        journal.begin()
+        with _kept(journal, out):
+            steps = _Steps(told, len(requests))
+            rounds = Rounds(photo, generator, journal, reviewer, regenerate, steps.told)
+            pictures = rounds.make(requests)
+        report = GenerationReport(
+            out=out,
+            photo=photo,
+            with_photo=with_photo,
+            settings=settings,
+            pictures=pictures,
+            reviewed=review,
+            fov=view,
+            assumed=assumed,
+            normals=surface.record,
+            segments=None if parts is None else parts[1],
+        )
+        told("writing", steps.asked, steps.asked)
+        _write_report(made, report, journal)
+        enough = len(report.accepted) + with_photo >= LEAST
+        if enough:
+            _write_maps(made, photo, view, surface)
+            if parts is not None:
+                images.write_png(made / "segments.png", parts[0], tag=None)
+            _write_pictures(made / PICTURES, report, journal)
+    if not enough:
+        raise InputError(_too_few(report))
+    return report
+
+
+@dataclass
+class _Steps:
+    """Counts pictures for who is told about the progress."""
+
+    progress: Progress
+    wanted: int
+    asked: int = 0
+
+    def told(self, what: str, more: int) -> None:
+        self.asked += more
+        self.progress(what, self.asked, max(self.asked, self.wanted))
+
+
+def _nobody(what: str, done: int, total: int) -> None:
+    """Is told about the progress where nobody asked."""
+    del what, done, total
+
+
+def _requests(
+    generator: Generator, catalogue: Catalogue, count: int, seed: int, with_photo: bool
+) -> list[Request]:
+    requests = generator.plan(catalogue, count, seed)
+    for request in requests:
+        try:
+            request.name.encode()
+        except UnicodeEncodeError:
+            raise InputError(
+                f"generated pictures: expected names in UTF-8, found {request.name!r}"
+            ) from None
+    if with_photo and any(request.name == PHOTO for request in requests):
+        raise InputError(
+            f"{PHOTO}: expected another name for a generated picture, because the photograph is "
+            "called so; --without-photo leaves it out"
+        )
+    return requests
+
+
+def _field_of_view(photo: Photo, asked: float | None) -> tuple[float, dict[str, str]]:
+    """Degrees, and how they were found."""
+    if asked is not None:
+        geometry.check_fov(asked)
+        return asked, {"fov": f"{asked:g} degrees, asked for"}
+    if photo.fov is not None:
+        return photo.fov, {"fov": f"{photo.fov:.2f} degrees, from EXIF"}
+    log.warning(
+        "%s: field of view unknown, assumed %g degrees (--fov sets it)", photo.path, DEFAULT_FOV
+    )
+    return DEFAULT_FOV, {"fov": f"{DEFAULT_FOV:g} degrees: neither --fov nor EXIF says"}
+
+
+def _segments(
+    photo: Photo, source: str, options: Mapping[str, Any]
+) -> tuple[NDArray[np.uint16], dict[str, Any]] | None:
+    if source == "none":
+        return None
+    from pbrfit.acquire.segments import segment
+
+    with _or_instead("segments", source, "sam2", "none or FILE"):
+        return segment(source, photo.srgb8(), **options)
+
+
+def _normals(photo: Photo, source: str, fov: float, options: Mapping[str, Any]) -> Normals:
+    with _or_instead("normals", source, "marigold", "flat, depth:FILE or FILE"):
+        return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
+
+
+@contextmanager
+def _or_instead(what: str, source: str, network: str, others: str) -> Iterator[None]:
+    """Let the failure of a network say what does without one."""
+    try:
+        yield
+    except InputError as error:
+        if source != network:
+            raise
+        raise InputError(f"{what}: {error}; without a network: --{what} {others}") from error
+
+
+@contextmanager
+def _kept(journal: Journal, out: Path) -> Iterator[None]:
+    """Let what stops a run say what it left behind."""
+
+    def kept() -> str:
+        count = len(journal)
+        pictures = "1 answer is" if count == 1 else f"{count} answers are"
+        return f"{pictures} kept in {out / FOLDER}, and --resume goes on from there"
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        if len(journal):
+            raise KeyboardInterrupt(f"interrupted; {kept()}") from None
+        raise
+    except (InputError, MemoryError) as error:
+        if len(journal):
+            said = str(error) or "out of memory"
+            raise InputError(f"{said}; {kept()}") from error
+        raise
+
+
+def _too_few(report: GenerationReport) -> str:
+    found = len(report.accepted) + report.with_photo
+    with_photo = " with the photo" if report.with_photo else ""
+    reasons = [f"{picture.request.name}: {picture.reason}" for picture in report.left_out]
+    told = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if reasons[2:] else "")
+    return (
+        f"{report.out}: expected at least {LEAST} pictures for a scene, found {found}{with_photo}; "
+        f"left out were {told or 'none'}"
+    )
+
+
+def _write_report(folder: Path, report: GenerationReport, journal: Journal) -> None:
+    write_json(folder / FILE, report.as_json())
+    (folder / SHEET).write_bytes(as_png(report.sheet(journal)))
+
+
+def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> None:
+    write_normals(folder / "normals.exr", surface.normals, surface.uncertainty)
+    weights = surface.weights
+    if weights is not None:
+        write_weights(folder / WEIGHT_FILE, weights, ())
+    if photo.mask is not None:
+        mask = np.where(photo.mask, 255, 0).astype(np.uint8)
+        images.write_png(folder / "mask.png", mask, tag=None)
+    (folder / "scene.toml").write_text(f"fov = {float(fov)!r}\n", encoding="utf-8")
+
+
+def _write_pictures(folder: Path, report: GenerationReport, journal: Journal) -> None:
+    """Generated pictures as they are in the journal, and the photograph as it was shown."""
+    folder.mkdir()
+    if report.with_photo:
+        images.write_png(folder / f"{PHOTO}.png", report.photo.srgb8(), tag="srgb")
+    for picture in report.accepted:
+        pixels = journal.pixels(picture.attempts[-1].entry)
+        images.write_png(folder / f"{picture.request.name}.png", pixels, tag="srgb")

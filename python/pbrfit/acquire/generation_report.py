@@ -1,0 +1,189 @@
+"""What a run of `pbrfit generate` did: for programs `review.json`, for people `review.png`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.acquire.contact_sheet import Shown, contact_sheet
+from pbrfit.acquire.journal import FOLDER, Journal
+from pbrfit.acquire.photo import Photo
+from pbrfit.acquire.rounds import Attempt, Picture
+
+if TYPE_CHECKING:
+    from pbrfit.acquire.review import Check
+
+FILE, SHEET = "review.json", "review.png"
+
+
+@dataclass(frozen=True, eq=False)
+class GenerationReport:
+    """What a run did.
+
+    Attributes
+    ----------
+    out
+        The scene folder.
+    photo
+        The photograph.
+    with_photo
+        Whether it is a picture of the scene too.
+    settings
+        The generator's.
+    pictures
+        All that were asked for, with every attempt.
+    reviewed
+        Whether there was a review.
+    fov
+        Horizontal field of view in degrees.
+    assumed
+        In words, what was found or decided.
+    normals, segments
+        How they were made; the latter None if there are none.
+    """
+
+    out: Path
+    photo: Photo
+    with_photo: bool
+    settings: dict[str, Any]
+    pictures: Sequence[Picture]
+    reviewed: bool
+    fov: float
+    assumed: dict[str, str]
+    normals: dict[str, Any]
+    segments: dict[str, Any] | None
+
+    @property
+    def accepted(self) -> list[Picture]:
+        """Generated pictures that are in the scene."""
+        return [picture for picture in self.pictures if picture.accepted]
+
+    @property
+    def left_out(self) -> list[Picture]:
+        """Those that are not, after all attempts."""
+        return [picture for picture in self.pictures if not picture.accepted]
+
+    @property
+    def cost_usd(self) -> float | None:
+        """Estimated cost of all attempts; None if no generator told one."""
+        costs = [record.get("cost_usd") for record in self._records()]
+        known = [cost for cost in costs if cost is not None]
+        return round(sum(known), 6) if known else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Content of `review.json`; docs/generate.md describes it."""
+        height, width = self.photo.size
+        return {
+            "version": version("pbrfit"),
+            "photo": {
+                "file": self.photo.path.name,
+                "sha256": self.photo.sha256,
+                "size": [width, height],
+                "in_scene": self.with_photo,
+            },
+            "assumed": {**self.photo.assumed, **self.assumed},
+            "fov": self.fov,
+            "generator": self.settings,
+            "reviewed": self.reviewed,
+            "pictures": [_picture(picture) for picture in self.pictures],
+            "normals": self.normals,
+            "segments": self.segments,
+            "totals": {
+                "asked_for": len(self.pictures),
+                "accepted": len(self.accepted),
+                "left_out": len(self.left_out),
+                "attempts": sum(len(picture.attempts) for picture in self.pictures),
+                "seconds": round(sum(_number(record, "seconds") for record in self._records()), 3),
+                "cost_usd": self.cost_usd,
+                "usage": _summed(record.get("usage") for record in self._records()),
+            },
+        }
+
+    def sheet(self, journal: Journal) -> NDArray[np.uint8]:
+        """Draw `review.png`, (H, W, 3)."""
+        shown = []
+        for picture in self.pictures:
+            for k, attempt in enumerate(picture.attempts):
+                caption, reason = picture.request.name, attempt.reason
+                if len(picture.attempts) > 1:
+                    caption += f", seed {attempt.entry.request.seed}"
+                if k + 1 < len(picture.attempts):
+                    reason += f" (asked again, seed {picture.attempts[k + 1].entry.request.seed})"
+                elif reason:
+                    reason += " (left out)"
+                pixels = None if attempt.entry.refused else journal.pixels(attempt.entry)
+                shown.append(Shown(caption, pixels, reason))
+        title = (
+            f"{self.photo.path.name}: {len(self.accepted)} of {len(self.pictures)} pictures by "
+            f"{self.settings.get('generator', 'the generator')}"
+        )
+        if not self.reviewed:
+            title += ", not reviewed"
+        return contact_sheet(self.photo.srgb8(), shown, title=title)
+
+    def _records(self) -> list[dict[str, Any]]:
+        return [attempt.entry.record for picture in self.pictures for attempt in picture.attempts]
+
+
+def _picture(picture: Picture) -> dict[str, Any]:
+    return {
+        "name": picture.request.name,
+        "prompt": picture.request.prompt,
+        "negative": picture.request.negative,
+        "accepted": picture.accepted,
+        "reason": picture.reason,
+        "file": f"images/{picture.request.name}.png" if picture.accepted else None,
+        "attempts": [_attempt(attempt) for attempt in picture.attempts],
+    }
+
+
+def _attempt(attempt: Attempt) -> dict[str, Any]:
+    entry = attempt.entry
+    return {
+        "seed": entry.request.seed,
+        "received": None if entry.refused else f"{FOLDER}/{entry.stem}.png",
+        "accepted": not attempt.reason,
+        "reason": attempt.reason,
+        "checks": [_check(check) for check in attempt.checks],
+        "together": [_check(check) for check in attempt.together],
+        "record": entry.record,
+    }
+
+
+def _check(check: Check) -> dict[str, Any]:
+    return {
+        "name": check.name,
+        "value": _finite(check.value),
+        "bound": _finite(check.bound),
+        "passed": check.passed,
+        "note": check.note,
+    }
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no infinity."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _number(record: dict[str, Any], key: str) -> float:
+    value = record.get(key)
+    return float(value) if isinstance(value, (int, float)) else 0.0
+
+
+def _summed(usages: Iterable[Any]) -> dict[str, Any] | None:
+    """Sum of numbers of the same name, level by level; None if there are none."""
+    total: dict[str, Any] = {}
+    for usage in usages:
+        for key, value in usage.items() if isinstance(usage, dict) else ():
+            if isinstance(value, dict):
+                total[key] = _summed([total.get(key), value])
+            elif isinstance(value, (int, float)) and not isinstance(value, bool):
+                total[key] = total.get(key, 0) + value
+    return total or None

@@ -1,0 +1,239 @@
+"""The journal of a run: every picture that was received, so that none is asked for twice.
+
+A folder with two files a request: `NAME-SEED.png`, the picture as it was received, and then
+`NAME-SEED.json`, which says what was asked for. The second is written when the first is whole, so
+what it speaks of is there. Nothing in this folder is ever deleted or written over.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit import images
+from pbrfit._core import InputError
+from pbrfit.acquire.generators import Generated, Refused, Request
+from pbrfit.acquire.photo import Photo
+from pbrfit.output import new_file
+
+FOLDER = "generation"
+"""Its name in a scene folder."""
+
+RUN = "run.json"
+"""What the last run was about: the photo and the generator's settings."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What came of one request.
+
+    Attributes
+    ----------
+    stem
+        Of its files' names.
+    request
+        What was asked for.
+    refused
+        Why there is no picture; empty where there is one.
+    record
+        What the generator noted.
+    sha256
+        Of the picture file.
+    """
+
+    stem: str
+    request: Request
+    refused: str
+    record: dict[str, Any]
+    sha256: str | None
+
+
+class Journal:
+    """Entries of one photo and one generator's settings; those of others stay untouched."""
+
+    def __init__(self, folder: Path, photo: Photo, settings: dict[str, Any]) -> None:
+        """Read what is there; makes no file.
+
+        Raises
+        ------
+        InputError
+            If a file of the journal cannot be read.
+        """
+        self.folder = folder
+        self._photo = photo
+        self._about = about(photo, settings)
+        self._entries = {
+            _key(entry.request): entry
+            for content, entry in _read(folder)
+            if content["about"] == self._about
+        }
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def begin(self) -> None:
+        """Make the folder, and note what this run is about."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        _write(self.folder / RUN, self._about, overwrite=True)
+
+    def find(self, request: Request) -> Entry | None:
+        """What came of an equal request, if it was made."""
+        return self._entries.get(_key(request))
+
+    def keep(self, request: Request, generated: Generated) -> Entry:
+        """Write down a picture."""
+        stem = self._free(request)
+        png = images.encode_png(generated.pixels, "srgb")
+        with new_file(self.folder / f"{stem}.png") as path:
+            path.write_bytes(png)
+        digest = hashlib.sha256(png).hexdigest()
+        return self._add(Entry(stem, request, "", generated.record, digest))
+
+    def refuse(self, request: Request, refusal: Refused) -> Entry:
+        """Write down that there will be none."""
+        return self._add(Entry(self._free(request), request, str(refusal), {}, None))
+
+    def pixels(self, entry: Entry) -> NDArray[np.uint8]:
+        """Picture of an entry, (H, W, 3) sRGB.
+
+        Raises
+        ------
+        InputError
+            If the file is not the one that was received.
+        """
+        path = self.folder / f"{entry.stem}.png"
+        data = path.read_bytes() if path.is_file() else b""
+        if hashlib.sha256(data).hexdigest() != entry.sha256:
+            there = "another file" if data else "none"
+            raise InputError(
+                f"{path}: expected the picture as it was received, found {there}; without "
+                f"{entry.stem}.json it is asked for anew"
+            )
+        with Image.open(path) as picture:
+            return np.asarray(picture.convert("RGB"))
+
+    def _add(self, entry: Entry) -> Entry:
+        content = {"about": self._about, **dataclasses.asdict(entry)}
+        del content["stem"]
+        _write(self.folder / f"{entry.stem}.json", content)
+        self._entries[_key(entry.request)] = entry
+        return entry
+
+    def _free(self, request: Request) -> str:
+        """NAME-SEED, or NAME-SEED-2 and so on where that was of another prompt or photo."""
+        stem = f"{request.name}-{request.seed}"
+        k = 1
+        while any((self.folder / f"{stem}{suffix}").exists() for suffix in (".png", ".json")):
+            k += 1
+            stem = f"{request.name}-{request.seed}-{k}"
+        return stem
+
+
+def about(photo: Photo, settings: dict[str, Any]) -> dict[str, Any]:
+    """What decides about all pictures of a run: the photo as it is shown to the model, settings."""
+    height, width = photo.pixels.shape[:2]
+    shown = hashlib.sha256(photo.srgb8().tobytes()).hexdigest()
+    return {
+        "photo": {"sha256": photo.sha256, "size": [width, height], "pixels_sha256": shown},
+        # What it will be when it has been through a file.
+        "settings": json.loads(json.dumps(settings)),
+    }
+
+
+def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[str]:
+    """What the last run in a journal was about that this one is not; empty if all is the same.
+
+    Raises
+    ------
+    InputError
+        If the folder does not say.
+    """
+    path = folder / RUN
+    if not path.is_file():
+        raise InputError(f"{path}: expected what an earlier run was about, found no such file")
+    before, now = _json(path), about(photo, settings)
+    try:
+        was, is_now = before["photo"], now["photo"]
+        if was["sha256"] != is_now["sha256"]:
+            return ["another photo"]
+        if was["size"] != is_now["size"]:
+            return [f"photo of {_size(was)} pixels (now {_size(is_now)})"]
+        if was["pixels_sha256"] != is_now["pixels_sha256"]:
+            return ["photo read in another colour space"]
+        old, new = before["settings"], now["settings"]
+        return [
+            f"{key} {old.get(key)!r} (now {new.get(key)!r})"
+            for key in sorted({*old, *new})
+            if old.get(key) != new.get(key)
+        ]
+    except (KeyError, TypeError, AttributeError):
+        raise _strange(path) from None
+
+
+def _size(photo: dict[str, Any]) -> str:
+    return " × ".join(str(side) for side in photo["size"])
+
+
+def holds_nothing(folder: Path) -> bool:
+    """Whether a journal has no entry."""
+    return all(path.name == RUN for path in folder.iterdir())
+
+
+def _key(request: Request) -> tuple[str, str, str, int]:
+    return request.name, request.prompt, request.negative, request.seed
+
+
+def _read(folder: Path) -> Iterator[tuple[dict[str, Any], Entry]]:
+    """All entries with their content."""
+    for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
+        if path.name == RUN or path.name.startswith("."):
+            continue
+        content = _json(path)
+        try:
+            yield (
+                content,
+                Entry(
+                    path.stem,
+                    Request(**content["request"]),
+                    content["refused"],
+                    content["record"],
+                    content["sha256"],
+                ),
+            )
+            _ = content["about"]
+        except (KeyError, TypeError):
+            raise _strange(path) from None
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:  # neither JSON nor UTF-8
+        raise _strange(path) from None
+
+
+def _strange(path: Path) -> InputError:
+    return InputError(f"{path}: expected an entry of a generation journal, found something else")
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write JSON that people can read.
+
+    Names of files may hold bytes that are no UTF-8; as escapes, they come back as they were.
+    """
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+def _write(path: Path, content: object, *, overwrite: bool = False) -> None:
+    with new_file(path, overwrite=overwrite) as temporary:
+        write_json(temporary, content)

@@ -1,0 +1,369 @@
+"""Review: whether a generated picture shows the photograph's view under another light.
+
+A picture is judged twice, both times without any model.
+
+Alone, against the photograph (`Reviewer.picture`):
+
+- *exposure*: enough of it is neither clipped nor black;
+- *copy*: it is not the photograph again with another tone curve;
+- *edges*: its edges are those of the photograph, wherever the light comes from (`pbrfit.alignment`);
+- *shift*, *warp*: and where the photograph has them.
+
+With the photograph and the other pictures (`Reviewer.together`), which tell what is albedo and what
+light:
+
+- *shift*, *warp* again, against edges that all have;
+- *structure*: what lasts under every light is there (`structure`);
+- *light*: its illumination is one that the others' can make up (`illumination`).
+
+A check is a number and its bound; a person reads its note. docs/generate.md has how often deliberate
+damage is found and honest pictures are refused, and `pbrfit evaluate review` measures it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import alignment
+from pbrfit._core import InputError
+from pbrfit.acquire.review import illumination, structure
+from pbrfit.alignment import Alignment
+from pbrfit.resampling import averaged, reduced_size
+
+LEAST_USABLE = 0.2
+"""Share of pixels that must be neither clipped nor black."""
+
+LEAST_CHANGE = 0.04
+"""Standard deviation of the logarithm that must be left when a tone curve is taken out."""
+
+LEAST_AGREEMENT = 0.4
+"""Correlation of edges with the photograph; see `pbrfit.alignment`."""
+
+MOST_SHIFT = 1.0
+"""Pixels at the size that is compared."""
+
+MOST_MOVED = 0.03
+MOST_MOVED_TOGETHER = 0.012
+"""Share of the edges that lie in tiles displaced from the photograph, or from what all share, which
+the lamps of one picture blur less."""
+
+LEAST_KEPT = 0.45
+"""Of lasting gradients, in any window that has enough of them; see `structure`."""
+
+MOST_MIXED = (0.04, 0.4)
+"""Unexplained light, up in one channel and down in another: a + b / N, since fewer pictures explain
+less of a light that is right; see `illumination`."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was measured of a picture.
+
+    Attributes
+    ----------
+    name
+        What was checked, in a word.
+    value, bound
+        What was found, and where it begins to be too much (or too little).
+    passed
+        Whether it is right.
+    note
+        A sentence for people.
+    """
+
+    name: str
+    value: float
+    bound: float
+    passed: bool
+    note: str
+
+    @property
+    def excess(self) -> float:
+        """How far beyond its bound, as a ratio: above 1 has failed."""
+        if self.passed:
+            return 0.0
+        larger, smaller = max(self.value, self.bound), min(self.value, self.bound)
+        return larger / max(smaller, 1e-3)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """All checks of a picture."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether all passed."""
+        return all(check.passed for check in self.checks)
+
+    @property
+    def reason(self) -> str:
+        """Why it was refused, for people; empty if it was not."""
+        return "; ".join(check.note for check in self.checks if not check.passed)
+
+
+class Reviewer:
+    """Judges pictures of the view of one photograph.
+
+    Parameters
+    ----------
+    photo
+        (H, W, 3) the photograph, linear Rec.709, white = 1.
+    mask
+        (H, W), False where the photograph is transparent.
+
+    Raises
+    ------
+    InputError
+        If the photograph has nothing to compare by: no edges at all.
+    """
+
+    def __init__(self, photo: NDArray[Any], *, mask: NDArray[np.bool_] | None = None) -> None:
+        self.shape = photo.shape
+        self._full_mask = mask
+        size = reduced_size(photo.shape, alignment.SIDE)
+        self._size = size
+        self._pixel = max(photo.shape[:2]) / max(size)
+        self._mask = None if mask is None else averaged(mask.astype(np.float64), size) > 0.999
+        self._photo = self._reduced(photo)
+        self._edges = alignment.edges(self._photo, self._mask)
+        if alignment.compare(self._edges, self._edges) is None:
+            raise InputError("photo: expected something with edges, found an even surface")
+
+    def picture(self, pixels: NDArray[Any]) -> Verdict:
+        """Judge one picture (H, W, 3), linear Rec.709, white = 1, against the photograph.
+
+        Raises
+        ------
+        InputError
+            If it is of another size.
+        """
+        picture = self._reduced(pixels)
+        edges = alignment.edges(picture, self._mask)
+        exposure = self._exposure(picture)
+        if not exposure.passed:
+            return Verdict((exposure,))
+        found = alignment.compare(self._edges, edges, pixel=self._pixel)
+        return Verdict(
+            (exposure, self._copy(picture), *_aligned(found, "the photograph", MOST_MOVED))
+        )
+
+    def together(self, pictures: Sequence[NDArray[Any]]) -> list[Verdict]:
+        """Judge pictures by each other and the photograph: those that were accepted alone.
+
+        The worst one is taken out and the others judged again without it, until none fails: a
+        picture that does not fit spoils what it is compared with.
+
+        Parameters
+        ----------
+        pictures
+            Each (H, W, 3), linear Rec.709, white = 1.
+
+        Returns
+        -------
+        One verdict for each. With fewer than 4 pictures, the photograph included, nothing is judged.
+        """
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1):  # small systems: more threads only wait for each other
+            return self._together(pictures)
+
+    def _together(self, pictures: Sequence[NDArray[Any]]) -> list[Verdict]:
+        members = [_Member(self._reduced(pixels), self._mask) for pixels in pictures]
+        photo = _Member(self._photo, self._mask)
+        verdicts: dict[int, Verdict] = {}
+        left = list(range(len(members)))
+        while left:
+            if len(left) + 1 < illumination.FEWEST:
+                verdicts |= {i: verdicts.get(i, Verdict(())) for i in left}
+                break
+            found = self._judge([photo, *(members[i] for i in left)])
+            judged = dict(zip(left, found, strict=True))
+            verdicts |= judged
+            worst = max(left, key=lambda i: max(check.excess for check in judged[i].checks))
+            if judged[worst].accepted:
+                break
+            left.remove(worst)
+        return [verdicts[i] for i in range(len(members))]
+
+    def _judge(self, members: Sequence[_Member]) -> list[Verdict]:
+        """Verdicts on all but the first, which is the photograph."""
+        common = alignment.common([member.edges for member in members])
+        lasting = structure.lasting([member.gradients for member in members])
+        low = np.stack([member.low for member in members])
+        used = illumination.usable(low)
+        if self._low_mask is not None:
+            used &= self._low_mask
+        lit = illumination.relative(low)
+        verdicts = []
+        for i, member in enumerate(members[1:], start=1):
+            found = alignment.compare(common, member.edges, pixel=self._pixel)
+            verdicts.append(
+                Verdict(
+                    (
+                        *_aligned(found, "what all pictures share", MOST_MOVED_TOGETHER),
+                        self._structure(member, lasting),
+                        self._light(illumination.unexplained(i, lit, used), len(members)),
+                    )
+                )
+            )
+        return verdicts
+
+    def _reduced(self, pixels: NDArray[Any]) -> NDArray[np.float32]:
+        if pixels.shape != self.shape:
+            raise InputError(
+                f"pixels: expected the photograph's shape {self.shape}, found {pixels.shape}"
+            )
+        if self._size == pixels.shape[:2]:
+            return np.asarray(pixels, np.float32)
+        planes = [averaged(pixels[..., c], self._size) for c in range(3)]
+        return np.stack(planes, axis=-1).astype(np.float32)
+
+    @cached_property
+    def _low_mask(self) -> NDArray[np.bool_] | None:
+        if self._mask is None:
+            return None
+        size = reduced_size(self._size, illumination.SIDE)
+        return np.asarray(averaged(self._mask.astype(np.float64), size).ravel() > 0.999)
+
+    def _inside(self, plane: NDArray[Any]) -> NDArray[Any]:
+        return plane.ravel() if self._mask is None else plane[self._mask]
+
+    def _exposure(self, picture: NDArray[np.float32]) -> Check:
+        usable = self._inside(illumination.usable(picture))
+        share = float(usable.mean())
+        black = float((self._inside(picture.max(axis=-1)) < 0.01).mean())
+        what = "black" if black > 0.5 * (1 - share) else "clipped"
+        return Check(
+            "exposure",
+            share,
+            LEAST_USABLE,
+            share >= LEAST_USABLE,
+            f"{100 * share:.0f} % of the picture is neither clipped nor black; the rest is mostly "
+            f"{what}",
+        )
+
+    def _copy(self, picture: NDArray[np.float32]) -> Check:
+        """Compare with the photograph after the best tone curve a + b log I for each channel."""
+        both = illumination.usable(self._photo) & illumination.usable(picture)
+        if self._mask is not None:
+            both &= self._mask
+        change = np.inf
+        if np.count_nonzero(both) > 100:
+            left = []
+            for c in range(3):
+                from_, to = (
+                    np.log(p[..., c][both].astype(np.float64)) for p in (self._photo, picture)
+                )
+                curve = np.polynomial.polynomial.polyfit(from_, to, 1)
+                left.append(np.std(to - np.polynomial.polynomial.polyval(from_, curve)))
+            change = float(np.mean(left))
+        known = float(min(change, 10.0))
+        return Check(
+            "copy",
+            known,
+            LEAST_CHANGE,
+            change >= LEAST_CHANGE,
+            f"a tone curve away from the photograph: only {known:.3f} in the logarithm is light"
+            if change < LEAST_CHANGE
+            else f"the light differs by {known:.2f} in the logarithm beside a tone curve",
+        )
+
+    def _structure(self, member: _Member, lasting: structure.Lasting) -> Check:
+        share = structure.kept(member.gradients, lasting)
+        if np.isnan(share).all():
+            return Check("structure", 1.0, LEAST_KEPT, True, "nothing lasting to judge by")
+        lowest = float(np.nanmin(share))
+        row, column = np.unravel_index(np.nanargmin(share), share.shape)
+        return Check(
+            "structure",
+            lowest,
+            LEAST_KEPT,
+            lowest >= LEAST_KEPT,
+            f"{100 * max(lowest, 0):.0f} % of the lasting detail is there around "
+            f"{self._place(row, column, share.shape)}",
+        )
+
+    def _light(self, residual: NDArray[np.float64], pictures: int) -> Check:
+        bound = MOST_MIXED[0] + MOST_MIXED[1] / pictures
+        size = reduced_size(self._size, illumination.SIDE)
+        mixed = illumination.mixed(residual.reshape(*size, 3))
+        most = float(mixed.max())
+        row, column = np.unravel_index(mixed.argmax(), mixed.shape)
+        return Check(
+            "light",
+            most,
+            bound,
+            most <= bound,
+            f"a colour that no light of the others makes, by {most:.3f} in the logarithm, around "
+            f"{self._place(row, column, mixed.shape)}",
+        )
+
+    def _place(self, row: Any, column: Any, size: tuple[int, ...]) -> str:
+        """In words: pixels of the full picture."""
+        x, y = (
+            (int(i) + 0.5) * full / part
+            for i, full, part in zip((column, row), self.shape[1::-1], size[1::-1], strict=True)
+        )
+        return f"x = {x:.0f}, y = {y:.0f}"
+
+
+class _Member:
+    """A picture and what is compared of it, each made when it is first asked for."""
+
+    def __init__(self, picture: NDArray[np.float32], mask: NDArray[np.bool_] | None) -> None:
+        self._picture, self._mask = picture, mask
+
+    @cached_property
+    def edges(self) -> alignment.Field:
+        return alignment.edges(self._picture, self._mask)
+
+    @cached_property
+    def gradients(self) -> structure.Gradients:
+        return structure.gradients(self._picture, self._mask)
+
+    @cached_property
+    def low(self) -> NDArray[np.float64]:
+        """(P, 3)."""
+        size = reduced_size(self._picture.shape, illumination.SIDE)
+        planes = [averaged(self._picture[..., c], size).ravel() for c in range(3)]
+        return np.stack(planes, axis=-1)
+
+
+def _aligned(found: Alignment | None, reference: str, most_moved: float) -> tuple[Check, ...]:
+    if found is None:
+        nothing = "no edges to compare by"
+        return (Check("edges", 0.0, LEAST_AGREEMENT, False, nothing),)
+    most = MOST_SHIFT * found.pixel
+    right, down = found.shift
+    return (
+        Check(
+            "edges",
+            found.agreement,
+            LEAST_AGREEMENT,
+            found.agreement >= LEAST_AGREEMENT,
+            f"edges agree with {reference} to {found.agreement:.2f} of 1",
+        ),
+        Check(
+            "shift",
+            found.distance,
+            most,
+            found.distance <= most,
+            f"shifted by {found.distance:.1f} pixels ({right:+.1f}, {down:+.1f}) from {reference}",
+        ),
+        Check(
+            "warp",
+            found.moved,
+            most_moved,
+            found.moved <= most_moved,
+            f"{100 * found.moved:.0f} % of the edges are displaced from {reference}, in the median "
+            f"by {found.warp:.1f} pixels",
+        ),
+    )

@@ -1,0 +1,175 @@
+"""Pictures asked for and reviewed in rounds, until each is accepted or left out.
+
+The first round asks for every picture and judges each by itself against the photo; what is refused
+is asked for again with another seed. Then those that were accepted are judged together, and the
+ones that do not agree with the rest are asked for again, as long as there are attempts left.
+Generators and the review always give the same for the same, so a run that was stopped comes to the
+same attempts again and finds them in the journal.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.acquire.generators import RETRY_STEP, Generator, Refused, Request
+from pbrfit.acquire.journal import Entry, Journal
+from pbrfit.acquire.photo import Photo
+from pbrfit.color import decode_srgb
+
+if TYPE_CHECKING:
+    from pbrfit.acquire.review import Check, Verdict
+
+REGENERATE = 2
+"""How often a picture that the review refused is asked for again."""
+
+
+class Reviewer(Protocol):
+    """Judges pictures (H, W, 3) in linear Rec.709 against the photo, and against each other."""
+
+    def picture(self, pixels: NDArray[np.float32]) -> Verdict:
+        """Judge one picture by itself."""
+        ...
+
+    def together(self, pictures: Sequence[NDArray[np.float32]]) -> list[Verdict]:
+        """Judge each of these beside the others."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One answer of the generator and what became of it.
+
+    Attributes
+    ----------
+    entry
+        What the journal holds.
+    checks
+        Of the picture by itself; empty without a review, or where there is no picture.
+    together
+        Of the picture beside the others, when it was last among those that were accepted.
+    reason
+        Why it was refused; empty for one that was accepted.
+    """
+
+    entry: Entry
+    checks: tuple[Check, ...] = ()
+    together: tuple[Check, ...] = ()
+    reason: str = ""
+
+
+@dataclass(eq=False)
+class Picture:
+    """One lighting: the first request for it, and all attempts, the last of which counts."""
+
+    request: Request
+    attempts: list[Attempt] = field(default_factory=list)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the last attempt was."""
+        return bool(self.attempts) and not self.attempts[-1].reason
+
+    @property
+    def reason(self) -> str:
+        """Why the last attempt was refused."""
+        return self.attempts[-1].reason if self.attempts else "never asked for"
+
+
+@dataclass(frozen=True, eq=False)
+class Rounds:
+    """What the rounds need.
+
+    Attributes
+    ----------
+    told
+        Called before each step: what it is, and whether it gets another picture (1 or 0).
+    """
+
+    photo: Photo
+    generator: Generator
+    journal: Journal
+    reviewer: Reviewer | None
+    regenerate: int
+    told: Callable[[str, int], None]
+
+    def make(self, requests: Iterable[Request]) -> list[Picture]:
+        """Ask for all and review them.
+
+        Raises
+        ------
+        InputError, OSError, MemoryError
+            If the generator cannot go on. What had come is in the journal.
+        """
+        pictures = [Picture(request) for request in requests]
+        for picture in pictures:
+            self._until_accepted(picture)
+        if self.reviewer is None:
+            return pictures
+        while True:
+            accepted = [picture for picture in pictures if picture.accepted]
+            if not accepted:
+                return pictures
+            self.told("reviewing together", 0)
+            verdicts = self.reviewer.together([self._linear(picture) for picture in accepted])
+            refused = []
+            for picture, verdict in zip(accepted, verdicts, strict=True):
+                reason = "" if verdict.accepted else verdict.reason
+                picture.attempts[-1] = dataclasses.replace(
+                    picture.attempts[-1], together=verdict.checks, reason=reason
+                )
+                if reason:
+                    refused.append(picture)
+            if not refused:
+                return pictures
+            for picture in refused:
+                self._until_accepted(picture)
+
+    def _until_accepted(self, picture: Picture) -> None:
+        """Attempts at one picture, while it is refused by the review and may be asked for again.
+
+        What the generator itself refused would be refused again.
+        """
+        most = 1 + (self.regenerate if self.generator.retries else 0)
+        while len(picture.attempts) < most and not picture.accepted:
+            if picture.attempts and picture.attempts[-1].entry.refused:
+                return
+            picture.attempts.append(self._attempt(picture.request, len(picture.attempts)))
+
+    def _attempt(self, first: Request, k: int) -> Attempt:
+        request = dataclasses.replace(first, seed=first.seed + k * RETRY_STEP)
+        entry = self.journal.find(request)
+        pixels = None
+        if entry is None:
+            self.told(f"{request.name}, seed {request.seed}", 1)
+            try:
+                generated = self.generator.generate(self.photo, request)
+            except Refused as refusal:
+                entry = self.journal.refuse(request, refusal)
+            else:
+                entry = self.journal.keep(request, generated)
+                pixels = generated.pixels
+        else:
+            self.told(f"{request.name}, in the journal", 1)
+        if entry.refused:
+            return Attempt(entry, reason=entry.refused)
+        if self.reviewer is None:
+            return Attempt(entry)
+        verdict = self.reviewer.picture(
+            linear(self.journal.pixels(entry) if pixels is None else pixels)
+        )
+        return Attempt(entry, verdict.checks, reason="" if verdict.accepted else verdict.reason)
+
+    def _linear(self, picture: Picture) -> NDArray[np.float32]:
+        return linear(self.journal.pixels(picture.attempts[-1].entry))
+
+
+def linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Pixels (H, W, 3), sRGB, in linear light."""
+    curve: NDArray[Any] = decode_srgb(np.arange(256) / 255).astype(np.float32)
+    return np.asarray(curve[pixels])

@@ -1,0 +1,126 @@
+"""The place of a generated scene: whether it is free, and how a scene gets there.
+
+The folder holds the journal, which only grows, and the scene, which is made anew by every run that
+ends well. `images/` is moved out of the way first and put in place last: without it no folder is
+taken for a scene, so nobody reads half of one.
+"""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from pbrfit._core import InputError
+from pbrfit.acquire import journal
+from pbrfit.acquire.photo import Photo
+from pbrfit.output import making, naming
+
+PICTURES = "images"
+
+PARTS = (
+    "normals.exr",
+    "normals.png",
+    "segments.png",
+    "mask.png",
+    "weights.exr",
+    "scene.toml",
+    "review.json",
+    "review.png",
+    PICTURES,
+)
+"""What a run puts in place or takes away, in this order. Nothing else in the folder is touched."""
+
+
+def check_place(
+    out: Path, photo: Photo, settings: dict[str, object], *, resume: bool, overwrite: bool
+) -> None:
+    """Check that a scene may be made at `out`.
+
+    Raises
+    ------
+    FileExistsError
+        If something is there that neither flag is for.
+    InputError
+        If `resume` is asked for, and what is there was of another photo or other settings.
+    """
+    if not out.is_dir():
+        if out.exists() or out.is_symlink():
+            raise FileExistsError(f"{out}: expected a folder or nothing, found a file")
+        return
+    folder = out / journal.FOLDER
+    if not (folder / journal.RUN).is_file():
+        if any(out.iterdir()):
+            raise FileExistsError(
+                f"{out}: expected an empty folder, or one of `pbrfit generate`, found one without "
+                f"{journal.FOLDER}/{journal.RUN}"
+            )
+        return
+    if resume:
+        different = journal.differences(folder, photo, settings)
+        if different:
+            raise InputError(
+                f"{out}: expected a run of the same photo and settings to go on with, found "
+                f"{', '.join(different)}; --overwrite starts anew and keeps {journal.FOLDER}/"
+            )
+    elif not overwrite:
+        there = "a scene" if (out / PICTURES).is_dir() else "a run that has not ended"
+        raise FileExistsError(
+            f"{out}: expected a folder that does not exist yet, found {there}; --resume goes on "
+            "with it, --overwrite makes it anew from what the journal holds and what it lacks"
+        )
+
+
+@contextmanager
+def place(out: Path) -> Iterator[Path]:
+    """Make the folder, or the right to write in it sure, and give a temporary one inside.
+
+    What the block leaves there under the names of `PARTS` is put in place when it ends well. The
+    temporary folder goes away in any case, and so does all that was made if the journal is empty.
+
+    Raises
+    ------
+    OSError
+        If nothing can be written there.
+    """
+    out_at = out.resolve()
+    new = [folder for folder in (out_at, *out_at.parents) if not folder.exists()]
+    temporary = out_at / f".pbrfit-{secrets.token_hex(6)}"
+    try:
+        with making(out, "folder"):
+            temporary.mkdir(parents=True)
+        with naming(out, temporary):
+            yield temporary
+            _put(temporary, out_at)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        with suppress(OSError):  # what is not empty stays, and so do the folders above it
+            kept = out_at / journal.FOLDER
+            if kept.is_dir() and journal.holds_nothing(kept):
+                shutil.rmtree(kept)
+            for folder in new:
+                folder.rmdir()
+
+
+def _put(made: Path, out: Path) -> None:
+    before = out / PICTURES
+    if not (made / PICTURES).is_dir():
+        return _put_review(made, out)
+    if before.is_dir():
+        before.rename(made / "before")
+    for name in PARTS:
+        if (made / name).exists():
+            (made / name).replace(out / name)
+        else:
+            (out / name).unlink(missing_ok=True)
+    return None
+
+
+def _put_review(made: Path, out: Path) -> None:
+    """Of a run that made no scene, for people to read; not beside a scene that it is not about."""
+    if (out / PICTURES).is_dir():
+        return
+    for path in made.iterdir():
+        path.replace(out / path.name)

@@ -1,0 +1,308 @@
+"""GPT-Image-2 by OpenAI's client against a real server on loopback."""
+
+from __future__ import annotations
+
+import json
+import logging
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from acquire.image_service import (
+    CUT,
+    USAGE,
+    Answer,
+    Call,
+    Reply,
+    Service,
+    as_json,
+    failure,
+    picture,
+    running,
+)
+from pbrfit._core import InputError
+from pbrfit.acquire.generators import Refused, Request
+from pbrfit.acquire.generators.gpt_image import PRICES, PRICES_AS_OF, GptImage, cost
+from pbrfit.acquire.photo import Photo, read_photo
+from pbrfit.acquire.prompts import read_prompts
+
+KEY = "sk-this-is-the-secret-0123456789"
+Serve = Callable[..., Service]
+
+ASK = Request("lamp_left", "Light from a lamp at the left.", "people, text.", 7)
+
+
+def photo(folder: Path, width: int = 128, height: int = 96) -> Photo:
+    """Patches of 4 pixels over ramps, so that a pixel that moves is seen."""
+    down, right = np.mgrid[:height, :width]
+    noise = np.random.default_rng(1).integers(0, 60, (height, width))[down // 4, right // 4]
+    pixels = np.stack([down * 190 // height, right * 190 // width, 60 + 0 * down], axis=-1)
+    path = folder / "photo.png"
+    Image.fromarray((pixels + noise[..., None]).astype(np.uint8)).save(path)
+    return read_photo(path)
+
+
+@pytest.fixture(autouse=True)
+def key(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+
+
+@pytest.fixture
+def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
+    """Start a service that the client is led to."""
+    with ExitStack() as stack:
+
+        def start(*replies: Reply | Answer) -> Service:
+            service = Service(*replies)
+            monkeypatch.setenv("OPENAI_BASE_URL", stack.enter_context(running(service)))
+            return service
+
+        yield start
+
+
+def inverted(call: Call) -> Answer:
+    return picture(255 - call.image)
+
+
+def error_of(photo: Photo, generator: GptImage | None = None) -> str:
+    """The one line that a failure comes to, checked to be one and to hold no part of the key."""
+    with pytest.raises(InputError) as caught:
+        (generator or GptImage()).generate(photo, ASK)
+    whole = "".join(traceback.format_exception(caught.value))
+    assert KEY not in whole
+    assert "secret" not in whole
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_what_comes_back_lies_on_the_photo_pixel_by_pixel(tmp_path: Path, serve: Serve) -> None:
+    serve(inverted)
+    # A size that is a whole number of blocks and large enough: nothing is scaled.
+    taken = photo(tmp_path, 1008, 752)
+    generated = GptImage().generate(taken, ASK)
+    np.testing.assert_array_equal(generated.pixels, 255 - taken.srgb8())
+
+
+@pytest.mark.parametrize(("width", "height"), [(131, 97), (97, 131), (1024, 300), (640, 480)])
+def test_odd_sizes_come_back_at_the_photos_size_and_place(
+    tmp_path: Path, serve: Serve, width: int, height: int
+) -> None:
+    service = serve(inverted)
+    taken = photo(tmp_path, width, height)
+    generated = GptImage().generate(taken, ASK)
+    assert generated.pixels.shape == taken.srgb8().shape
+    sent = service.calls[0].image
+    assert sent.shape[0] % 16 == sent.shape[1] % 16 == 0
+    assert sent.shape[0] * sent.shape[1] >= 655_360
+    assert max(sent.shape) <= 3 * min(sent.shape[:2])
+    # Back from an enlargement edges are a little softer. Were they moved by a share of a pixel,
+    # the error against the photo moved to one side would differ from that to the other by it.
+    back = 255.0 - generated.pixels
+    for axis in (0, 1):
+        off = [np.abs(back - np.roll(taken.srgb8(), d, axis)).mean() for d in (-1, 0, 1)]
+        assert off[1] < 0.5 * min(off[0], off[2])
+        assert abs(off[0] - off[2]) < 0.02 * off[0]
+
+
+def test_the_upload_holds_what_the_api_asks_for(tmp_path: Path, serve: Serve) -> None:
+    service = serve(inverted)
+    taken = photo(tmp_path, 1008, 752)
+    GptImage(quality="medium").generate(taken, ASK)
+    [call] = service.calls
+    assert call.path == "/v1/images/edits"
+    assert call.text == {
+        "model": "gpt-image-2",
+        "prompt": "Light from a lamp at the left.\n\nAvoid: people, text.",
+        "size": "1008x752",
+        "quality": "medium",
+        "n": "1",
+    }
+    np.testing.assert_array_equal(call.image, taken.srgb8())
+    assert call.headers["authorization"] == f"Bearer {KEY}"
+
+
+def test_without_a_negative_prompt_nothing_is_added(tmp_path: Path, serve: Serve) -> None:
+    service = serve(inverted)
+    GptImage().generate(photo(tmp_path), Request("a", "Evening.", "", 0))
+    assert service.calls[0].text["prompt"] == "Evening."
+
+
+def test_usage_is_recorded_as_it_came_and_the_cost_by_the_prices(
+    tmp_path: Path, serve: Serve
+) -> None:
+    serve(inverted)
+    record = GptImage().generate(photo(tmp_path), ASK).record
+    assert record["usage"] == USAGE
+    text, pictures, out = PRICES["gpt-image-2"]
+    assert record["cost_usd"] == pytest.approx((200 * text + 1000 * pictures + 4000 * out) / 1e6)
+    assert record["prices_as_of"] == PRICES_AS_OF
+    assert record["seed"] is None
+    assert json.loads(json.dumps(record)) == record
+
+
+def test_cost_is_unknown_for_another_model_or_without_usage(tmp_path: Path, serve: Serve) -> None:
+    assert cost("gpt-image-9", USAGE) is None
+    assert cost("gpt-image-2", {"input_tokens": 3}) is None
+    serve(lambda call: picture(call.image, usage=None))
+    record = GptImage().generate(photo(tmp_path), ASK).record
+    assert record["usage"] is None
+    assert record["cost_usd"] is None
+
+
+def test_the_client_asks_again_after_429(tmp_path: Path, serve: Serve) -> None:
+    service = serve(failure(429, "slow down"), inverted)
+    GptImage().generate(photo(tmp_path), ASK)
+    assert len(service.calls) == 2
+
+
+def test_a_lasting_429_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
+    service = serve(failure(429, "You exceeded your current quota", "insufficient_quota"))
+    message = error_of(photo(tmp_path), GptImage(max_retries=2))
+    assert "429" in message
+    assert "exceeded your current quota" in message
+    assert len(service.calls) == 3
+
+
+def test_a_refusal_by_moderation_tells_stage_and_categories(tmp_path: Path, serve: Serve) -> None:
+    details = {"moderation_stage": "output", "categories": ["violence"]}
+    service = serve(
+        failure(
+            400, "Rejected by the safety system.", "moderation_blocked", moderation_details=details
+        )
+    )
+    with pytest.raises(Refused, match=r"moderation \(output; categories: violence\).*Rejected"):
+        GptImage().generate(photo(tmp_path), ASK)
+    assert len(service.calls) == 1
+
+
+def test_a_refusal_without_details_is_a_refusal_too(tmp_path: Path, serve: Serve) -> None:
+    serve(failure(400, "Rejected by the safety system.", "moderation_blocked"))
+    with pytest.raises(Refused, match=r"moderation: Rejected"):
+        GptImage().generate(photo(tmp_path), ASK)
+
+
+def test_another_400_is_no_refusal_of_a_prompt(tmp_path: Path, serve: Serve) -> None:
+    serve(failure(400, "Invalid size '7x7'.", "invalid_value"))
+    assert "status 400: " in (message := error_of(photo(tmp_path)))
+    assert "Invalid size" in message
+
+
+def test_a_refused_key_is_named_and_not_shown(tmp_path: Path, serve: Serve) -> None:
+    serve(failure(401, f"Incorrect API key provided: {KEY[:8]}***{KEY[-4:]}.", "invalid_api_key"))
+    message = error_of(photo(tmp_path))
+    assert message.startswith("OPENAI_API_KEY: ")
+    assert "401" in message
+    assert KEY[:8] not in message
+    assert KEY[-4:] not in message
+
+
+def test_a_service_that_quotes_the_key_does_not_make_us_show_it(
+    tmp_path: Path, serve: Serve
+) -> None:
+    serve(failure(403, f"No access with {KEY}"))
+    assert "No access with ***" in error_of(photo(tmp_path))
+
+
+def test_a_service_that_always_fails_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
+    service = serve(failure(500, "The server had an error"))
+    assert "a failure there (500), 2 times" in error_of(photo(tmp_path), GptImage(max_retries=1))
+    assert len(service.calls) == 2
+
+
+def test_a_connection_that_is_cut_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
+    service = serve(CUT)
+    assert "a broken connection, 2 times" in error_of(photo(tmp_path), GptImage(max_retries=1))
+    assert len(service.calls) == 2
+
+
+def test_after_a_cut_connection_the_next_try_may_succeed(tmp_path: Path, serve: Serve) -> None:
+    service = serve(CUT, inverted)
+    GptImage(max_retries=1).generate(photo(tmp_path), ASK)
+    assert len(service.calls) == 2
+
+
+def test_a_service_that_is_not_there_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENAI_BASE_URL", "http://somebody:password@127.0.0.1:9/v1")
+    message = error_of(photo(tmp_path), GptImage(max_retries=0))
+    assert message.startswith("127.0.0.1:9: ")
+    assert "password" not in message
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        Answer(200, b"<html>not JSON</html>"),
+        Answer(200, b"[]"),
+        Answer(200, b"{"),
+        as_json(200, {"created": 1}),
+        as_json(200, {"created": 1, "data": []}),
+        as_json(200, {"created": 1, "data": [{}]}),
+        as_json(200, {"created": 1, "data": [{"b64_json": "!!"}]}),
+        as_json(200, {"created": 1, "data": [{"b64_json": "aGVsbG8="}]}),
+    ],
+    ids=["html", "list", "broken", "no data", "empty", "no picture", "no base64", "no PNG"],
+)
+def test_an_answer_without_a_picture_is_told(tmp_path: Path, serve: Serve, answer: Answer) -> None:
+    serve(answer)
+    assert "expected a picture, found an answer" in error_of(photo(tmp_path))
+
+
+def test_a_picture_of_another_shape_is_refused(tmp_path: Path, serve: Serve) -> None:
+    serve(picture(np.zeros((1024, 1024, 3), dtype=np.uint8)))
+    message = error_of(photo(tmp_path, 1008, 752))
+    assert "1008 × 752" in message
+    assert "1024 × 1024" in message
+
+
+def test_a_picture_of_the_same_shape_is_scaled_and_said_to_be(tmp_path: Path, serve: Serve) -> None:
+    serve(lambda call: picture(call.image[::2, ::2]))
+    taken = photo(tmp_path, 1008, 752)
+    generated = GptImage().generate(taken, ASK)
+    assert generated.pixels.shape == taken.srgb8().shape
+    assert generated.record["size"] == [1008, 752]
+    assert generated.record["size_given"] == [504, 376]
+
+
+def test_without_a_key_nothing_is_asked(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, serve: Serve
+) -> None:
+    service = serve(inverted)
+    monkeypatch.delenv("OPENAI_API_KEY")
+    with pytest.raises(InputError, match=r"OPENAI_API_KEY: expected a key .* found none"):
+        GptImage().check()
+    with pytest.raises(InputError, match="OPENAI_API_KEY"):
+        GptImage().generate(photo(tmp_path), ASK)
+    assert service.calls == []
+
+
+def test_a_quality_that_is_none_is_refused() -> None:
+    with pytest.raises(InputError, match=r"quality: expected one of low, .*found 'best'"):
+        GptImage(quality="best")
+
+
+def test_the_key_is_in_no_setting_record_or_log(
+    tmp_path: Path, serve: Serve, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.DEBUG)
+    serve(failure(429, "wait"), inverted)
+    generator = GptImage()
+    generated = generator.generate(photo(tmp_path), ASK)
+    seen = json.dumps([generator.settings(), generated.record]) + repr(generator) + caplog.text
+    assert caplog.text
+    assert KEY not in seen
+
+
+def test_requests_are_the_catalogues_with_seeds_that_tell_calls_apart() -> None:
+    catalogue = read_prompts()
+    requests = GptImage().plan(catalogue, 3, 5)
+    assert [request.seed for request in requests] == [5, 6, 7]
+    assert requests[0].prompt == catalogue.full(catalogue.lighting[0])
+    assert requests[0].negative == catalogue.negative
