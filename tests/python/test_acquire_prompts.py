@@ -39,7 +39,7 @@ def test_the_catalogue_that_ships_has_enough_lights() -> None:
     assert len({prompt.text for prompt in catalogue.lighting}) == 32
     for word in ("geometry", "material", "camera", "framing", "Add nothing", "colour grading"):
         assert word in catalogue.preamble
-    for word in ("changed geometry", "moved objects", "added objects", "lens flare", "text"):
+    for word in ("changed geometry", "moved objects", "added objects", "lens flare", "added text"):
         assert word in catalogue.negative
     full = catalogue.full(catalogue.lighting[0])
     assert full == f"{catalogue.preamble} {catalogue.lighting[0].text}"
@@ -52,10 +52,8 @@ def test_few_lights_already_come_from_all_sides_and_in_many_colours() -> None:
     assert kinds(texts[:2], SIDES) >= {"left", "right"}
     assert kinds(texts[:2], COLORS) >= {"warm", "cool"}
     assert kinds(texts[:8], SIDES) == set(SIDES)
-    assert kinds(texts[:8], COLORS) == set(COLORS)
-    for first in range(0, 32, 8):
-        assert len(kinds(texts[first : first + 8], SIDES)) >= 5
-        assert len(kinds(texts[first : first + 8], COLORS)) >= 2
+    assert kinds(texts[:8], COLORS) >= {"warm", "cool", "neutral"}
+    assert kinds(texts[:16], COLORS) == set(COLORS)
 
 
 def test_the_shipped_file_is_one_to_start_from(tmp_path: Path) -> None:

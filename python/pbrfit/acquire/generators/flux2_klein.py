@@ -225,7 +225,7 @@ class Flux2Klein:
         if negative and self._guidance <= 1:
             raise InputError(
                 f"negative prompts: expected guidance above 1, which they work through, found "
-                f'{self._guidance:g}; take negative = "" in the prompts, or more guidance'
+                f"{self._guidance:g}; --no-negative leaves them out"
             )
 
     def _check_distilled(self, distilled: bool, negative: str) -> None:
@@ -234,8 +234,7 @@ class Flux2Klein:
             asked += ["negative prompts"] * bool(negative)
             raise InputError(
                 f"{self._model}: expected a base checkpoint for {' and '.join(asked)}, found a "
-                f"distilled one, which ignores both: take {MODEL}, or guidance 1 and prompts with "
-                'negative = ""'
+                f"distilled one, which ignores both: take {MODEL}, or --guidance 1 --no-negative"
             )
 
     def _check_length(self, name: str, text: str) -> None:
