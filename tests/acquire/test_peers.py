@@ -88,6 +88,12 @@ def test_rgbx_gives_maps_of_the_pictures_size(rgbx: str) -> None:
     assert np.abs(found.roughness - found.metallic).max() > 1e-5
 
 
+def test_rgbx_in_the_precision_of_gpus(rgbx: str) -> None:
+    exact = RgbToX(rgbx, device="cpu", longer_side=96).maps(SHOWN, seed=0, steps=10)
+    half = RgbToX(rgbx, device="cpu", dtype="float16", longer_side=96).maps(SHOWN, seed=0, steps=10)
+    assert np.median(np.abs(half.albedo - exact.albedo)) < 0.02
+
+
 def test_rgbx_recovers_what_a_perfect_network_says(rgbx: str) -> None:
     # With a network that answers the v of a known map, DDIM has to end at that map exactly:
     # v = sqrt(a) e - sqrt(1 - a) x, from which x = sqrt(a) z - sqrt(1 - a) v at every step.
@@ -142,3 +148,17 @@ def test_the_suite_with_tiny_peers(iid: str, rgbx: str, tmp_path: Path) -> None:
     page = (tmp_path / "out" / "report.html").read_text()
     assert "not run" not in page
     assert (tmp_path / "out" / "scene-6000.png").exists()
+
+
+def test_a_peer_that_breaks_is_a_failure(
+    rgbx: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(RgbToX, "maps", broken)
+    arguments = ["evaluate", "peers", "--out", str(tmp_path / "out"), "--quick", "--size", "24"]
+    arguments += ["--scenes", "1", "--jobs", "1", "--device", "cpu", "--quiet"]
+    assert main([*arguments, "--rgbx", rgbx, "--marigold", str(tmp_path / "none")]) == 1
+    rows = json.loads((tmp_path / "out" / "summary.json").read_text())["rows"]
+    assert [row["status"] for row in rows][::3] == ["ok", "ZeroDivisionError"]

@@ -384,6 +384,14 @@ def test_nothing_is_replaced_unasked(folder: Path, capsys: pytest.CaptureFixture
     assert not (folder / "normals.exr").exists()
 
 
+def test_what_cannot_be_written_is_told_before_anything_is_computed(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "scene.toml").write_text('normals_frame = "world"\n')
+    assert run("normals", folder, "--device", "cpu") == 2  # marigold, whose packages may be missing
+    assert "scene.toml: expected world_to_camera" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

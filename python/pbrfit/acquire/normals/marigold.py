@@ -89,7 +89,7 @@ def from_picture(
     from diffusers import MarigoldNormalsPipeline
     from PIL import Image
 
-    where = weights.placement(device, dtype, offload, what=WHAT)
+    where = weights.placement(device, dtype, offload, what=WHAT, half="float16")
     loader = partial(MarigoldNormalsPipeline.from_pretrained, dtype=where.torch_dtype)
     loaded = weights.load(WHAT, model, loader=loader, marker="model_index.json")
     pipeline = loaded.network
@@ -100,7 +100,7 @@ def from_picture(
     height, width = srgb8.shape[:2]
     seen = Image.fromarray(resized_srgb8(srgb8, seen_size((height, width), resolution)))
     members = []
-    with weights.memory_in_words(WHAT, "a smaller --resolution, --offload model, --dtype bfloat16"):
+    with weights.memory_in_words(WHAT, "a smaller --resolution, --offload model, --dtype float16"):
         for i in range(ensemble):
             found = pipeline(
                 seen,

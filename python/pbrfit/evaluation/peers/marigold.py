@@ -41,7 +41,7 @@ class Marigold:
         need("diffusion", "torch", "diffusers", "transformers", "accelerate")
         from diffusers import MarigoldIntrinsicsPipeline
 
-        where = weights.placement(device, what=WHAT)
+        where = weights.placement(device, what=WHAT, half="float16")
         loader = partial(MarigoldIntrinsicsPipeline.from_pretrained, dtype=where.torch_dtype)
         loaded = weights.load(WHAT, model, loader=loader, marker="model_index.json")
         self._pipeline = loaded.network

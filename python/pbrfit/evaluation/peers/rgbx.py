@@ -58,7 +58,7 @@ class RgbToX:
     ----------
     model
         Name on the Hugging Face Hub, or a local folder.
-    device
+    device, dtype
         As for `pbrfit.acquire.weights.placement`.
     longer_side
         Of the picture that the network sees, in pixels.
@@ -70,10 +70,15 @@ class RgbToX:
     """
 
     def __init__(
-        self, model: str = MODEL, *, device: str = "auto", longer_side: int = 1000
+        self,
+        model: str = MODEL,
+        *,
+        device: str = "auto",
+        dtype: str = "auto",
+        longer_side: int = 1000,
     ) -> None:
         need("diffusion", "torch", "diffusers", "transformers")
-        where = weights.placement(device, what=WHAT)
+        where = weights.placement(device, dtype, what=WHAT, half="float16")
         loader = partial(_load, where.torch_dtype)
         self._parts = weights.load(WHAT, model, loader=loader, marker="model_index.json").network
         self._device, self._dtype = where.device, where.torch_dtype
@@ -118,15 +123,16 @@ class RgbToX:
             seen = parts.autoencoder.encode(picture).latent_dist.mode() * scale
             # On the processor, so that a seed means the same everywhere.
             noise = torch.randn(seen.shape, generator=torch.Generator().manual_seed(seed))
-            latent = noise.to(seen) * parts.scheduler.init_noise_sigma
+            # In float32 whatever the networks compute in: the steps add up.
+            latent = noise.to(self._device) * parts.scheduler.init_noise_sigma
             parts.scheduler.set_timesteps(steps, device=self._device)
             for time in parts.scheduler.timesteps:
                 noisy = parts.scheduler.scale_model_input(latent, time)
                 predicted = parts.unet(
-                    torch.cat([noisy, seen], dim=1), time, encoder_hidden_states=text
+                    torch.cat([noisy.to(seen), seen], dim=1), time, encoder_hidden_states=text
                 ).sample
-                latent = parts.scheduler.step(predicted, time, latent).prev_sample
-            decoded = parts.autoencoder.decode(latent / scale).sample[0]
+                latent = parts.scheduler.step(predicted.float(), time, latent).prev_sample
+            decoded = parts.autoencoder.decode((latent / scale).to(seen)).sample[0]
         shown = (decoded.float() / 2 + 0.5).clamp(0, 1)
         return np.ascontiguousarray(shown.permute(1, 2, 0).cpu().numpy())
 
