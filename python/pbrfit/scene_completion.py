@@ -28,14 +28,19 @@ def picture_size(folder: Path) -> tuple[int, int]:
     return height, width
 
 
-def check_no_normals(folder: Path, *, overwrite: bool) -> None:
-    """Refuse to replace what somebody may need.
+def check_normals_can_be_added(folder: Path, *, overwrite: bool) -> None:
+    """Check what can be checked before the normals are there: making them may take long.
 
     Raises
     ------
     FileExistsError
         If the folder has normals or weights and `overwrite` is False.
+    InputError, OSError
+        If there is no such folder, or its `scene.toml` states a convention that nothing can be
+        turned into.
     """
+    _to_convention(folder, np.zeros(3))
+    scene_folder.find_pictures(folder)
     for path in [*find_normals(folder), folder / WEIGHT_FILE]:
         if path.exists() and not overwrite:
             what = "weights" if path.name == WEIGHT_FILE else "normals"
@@ -77,15 +82,11 @@ def add_normals(
     InputError
         If the normals have another size than the pictures.
     """
-    check_no_normals(folder, overwrite=overwrite)
+    check_normals_can_be_added(folder, overwrite=overwrite)
     size = picture_size(folder)
     if normals.shape != (*size, 3):
         raise InputError(f"normals: expected shape {(*size, 3)}, found {normals.shape}")
-    settings = scene_folder.read_settings(folder / "scene.toml", {})
-    try:
-        stored = settings.convention.from_camera(normals.astype(np.float64))
-    except InputError as error:
-        raise InputError(f"{folder / 'scene.toml'}: {error}") from None
+    stored = _to_convention(folder, normals)
     path, weight_path = folder / "normals.exr", folder / WEIGHT_FILE
     weight_path.unlink(missing_ok=True)
     for other in find_normals(folder):
@@ -96,6 +97,15 @@ def add_normals(
         return [path]
     write_weights(weight_path, weights, ())
     return [path, weight_path]
+
+
+def _to_convention(folder: Path, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Normals (..., 3) of camera space as the folder's `scene.toml` says they are written."""
+    settings = scene_folder.read_settings(folder / "scene.toml", {})
+    try:
+        return settings.convention.from_camera(normals)
+    except InputError as error:
+        raise InputError(f"{folder / 'scene.toml'}: {error}") from None
 
 
 def add_flat_normals(folder: Path, *, overwrite: bool = False) -> Path:

@@ -15,6 +15,8 @@ from acquire.tiny_maps import save_tiny_marigold_normals, save_tiny_sam2
 from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, estimate
+from pbrfit.acquire.normals.marigold import at_size, seen_size
+from pbrfit.acquire.padding import resized
 from pbrfit.acquire.segments import segment
 from pbrfit.cli import main
 from pbrfit.normal_files import UNCERTAINTY
@@ -80,7 +82,7 @@ def test_few_members_tell_no_uncertainty(marigold: str) -> None:
 def test_a_seed_gives_the_same_normals_and_another_gives_others(marigold: str) -> None:
     def found(seed: int, ensemble: int = 1) -> NDArray[np.float64]:
         options: dict[str, Any] = {"model": marigold, "device": "cpu", "ensemble": ensemble}
-        return estimate("marigold", picture(64, 80), fov=60, seed=seed, **options).normals
+        return estimate("marigold", picture(64, 64), fov=60, seed=seed, **options).normals
 
     np.testing.assert_array_equal(found(3), found(3))
     assert np.abs(found(3) - found(4)).mean() > 0.01
@@ -90,30 +92,52 @@ def test_a_seed_gives_the_same_normals_and_another_gives_others(marigold: str) -
     np.testing.assert_allclose(found(3, ensemble=3), total, atol=1e-6)
 
 
+@pytest.mark.parametrize("precision", ["bfloat16", "float16"])
+def test_precisions_that_gpus_have(marigold: str, precision: str) -> None:
+    options: dict[str, Any] = {"model": marigold, "ensemble": 3, "device": "cpu"}
+    exact = estimate("marigold", picture(97, 131), fov=60, **options)
+    found = estimate("marigold", picture(97, 131), fov=60, dtype=precision, **options)
+    assert found.uncertainty is not None
+    assert np.isfinite(found.uncertainty).all()
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=-1), 1, atol=1e-6)
+    # The same noise, computed less precisely.
+    assert np.median(np.abs(found.normals - exact.normals)) < 0.05
+
+
 @pytest.mark.parametrize("size", [(97, 131), (131, 97), (300, 75)])
 @pytest.mark.parametrize("resolution", [0, 64, 768])
 def test_pixels_stay_where_they_are(size: tuple[int, int], resolution: int) -> None:
-    # What Marigold does to a picture before and after its networks, with nothing between: an edge
-    # must come back where it was, to a pixel of the picture or of what the network sees.
+    # The way to the network and back with a network between that answers what it sees: ramps must
+    # come back where they were, to a hundredth of a pixel of the picture or of what it sees.
     import torch
     from diffusers.pipelines.marigold.marigold_image_processing import MarigoldImageProcessor
 
     height, width = size
     y, x = np.mgrid[:height, :width]
-    ramps = np.stack([(x + 0.5) / width, (y + 0.5) / height, 0 * x], axis=-1)
+    ramps = np.stack([(x + 0.5) / width, (y + 0.5) / height, 0 * x + 0.5], axis=-1)
+    seen = resized(ramps, seen_size(size, resolution))
     processor = MarigoldImageProcessor(vae_scale_factor=8)
-    seen, padding, original = processor.preprocess(
-        ramps[None], resolution, "bilinear", torch.device("cpu"), torch.float64
+    padded, padding, _ = processor.preprocess(
+        seen.transpose(2, 0, 1)[None].transpose(0, 2, 3, 1), 0, "bilinear", torch.device("cpu")
     )
-    assert seen.shape[-1] % 8 == seen.shape[-2] % 8 == 0
-    back = processor.unpad_image(seen, padding)
-    back = processor.resize_antialias(back, original, "bilinear", is_aa=False)
-    found = (processor.pt_to_numpy(back)[0] + 1) / 2
-    pixel = max(height, width) / (resolution or max(height, width))
-    inner = slice(round(2 * pixel) + 1, -round(2 * pixel) - 1)
+    assert padded.shape[-1] % 8 == padded.shape[-2] % 8 == 0
+    answer = (processor.pt_to_numpy(processor.unpad_image(padded, padding))[0] + 1) / 2
+    back = resized(answer, size)
+    pixel = max(1.0, max(size) / (resolution or max(size)))
+    border = round(2 * pixel) + 1
+    inner = slice(border, -border)
     for channel, side in ((0, width), (1, height)):
-        off = (found - ramps)[inner, inner, channel] * side
-        assert np.abs(off).max() < 0.02 * max(pixel, 1)
+        off = (back - ramps)[inner, inner, channel] * side
+        assert np.abs(off).max() < 0.02 * pixel
+
+
+def test_normals_and_spread_at_another_size() -> None:
+    rng = np.random.default_rng(0)
+    normals = rng.normal(size=(12, 16, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    found, spread = at_size(normals, np.full((12, 16), 3.0), (97, 131))
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1)
+    np.testing.assert_allclose(spread, np.full((97, 131), 3.0), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +145,7 @@ def test_pixels_stay_where_they_are(size: tuple[int, int], resolution: int) -> N
     [
         ({"ensemble": 0}, "ensemble: expected at least 1, found 0"),
         ({"steps": 0}, "steps: expected at least 1, found 0"),
-        ({"resolution": 65}, "resolution: expected a multiple of 8 pixels"),
+        ({"resolution": -8}, "resolution: expected 0 or more pixels, found -8"),
         ({"seed": -1}, "seed: expected at least 0, found -1"),
         ({"device": "cuda"}, "device: expected an NVIDIA GPU that PyTorch can use, found none"),
         ({"model": "nobody/nothing"}, r"Marigold \(normals\): expected the weights nobody/nothing"),

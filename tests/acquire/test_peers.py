@@ -43,11 +43,15 @@ def test_marigold_gives_maps_of_the_pictures_size(iid: str) -> None:
     from PIL import Image
 
     raw = peer._pipeline(
-        Image.fromarray(SHOWN), ensemble_size=3, generator=torch.Generator().manual_seed(0)
-    ).prediction
-    np.testing.assert_allclose(found.albedo, decode_srgb(raw[0].astype(np.float64)))
-    np.testing.assert_allclose(found.roughness, raw[1, ..., 0])
-    np.testing.assert_allclose(found.metallic, raw[1, ..., 1])
+        Image.fromarray(SHOWN[:48, :64]),
+        processing_resolution=0,
+        ensemble_size=3,
+        generator=torch.Generator().manual_seed(0),
+    ).prediction.astype(np.float64)
+    own = peer.maps(SHOWN[:48, :64], seed=0, samples=3, steps=None)  # of the network's own size
+    np.testing.assert_allclose(own.albedo, decode_srgb(raw[0]), atol=1e-6)
+    np.testing.assert_allclose(own.roughness, raw[1, ..., 0], atol=1e-6)
+    np.testing.assert_allclose(own.metallic, raw[1, ..., 1], atol=1e-6)
 
 
 def test_the_order_of_targets_is_the_checkpoints_own() -> None:
@@ -82,6 +86,12 @@ def test_rgbx_gives_maps_of_the_pictures_size(rgbx: str) -> None:
     assert np.abs(found.albedo - peer.maps(255 - SHOWN, seed=0, steps=2).albedo).mean() > 1e-4
     # Prompts differ, so do the answers to them.
     assert np.abs(found.roughness - found.metallic).max() > 1e-5
+
+
+def test_rgbx_in_the_precision_of_gpus(rgbx: str) -> None:
+    exact = RgbToX(rgbx, device="cpu", longer_side=96).maps(SHOWN, seed=0, steps=10)
+    half = RgbToX(rgbx, device="cpu", dtype="float16", longer_side=96).maps(SHOWN, seed=0, steps=10)
+    assert np.median(np.abs(half.albedo - exact.albedo)) < 0.02
 
 
 def test_rgbx_recovers_what_a_perfect_network_says(rgbx: str) -> None:
@@ -138,3 +148,17 @@ def test_the_suite_with_tiny_peers(iid: str, rgbx: str, tmp_path: Path) -> None:
     page = (tmp_path / "out" / "report.html").read_text()
     assert "not run" not in page
     assert (tmp_path / "out" / "scene-6000.png").exists()
+
+
+def test_a_peer_that_breaks_is_a_failure(
+    rgbx: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(RgbToX, "maps", broken)
+    arguments = ["evaluate", "peers", "--out", str(tmp_path / "out"), "--quick", "--size", "24"]
+    arguments += ["--scenes", "1", "--jobs", "1", "--device", "cpu", "--quiet"]
+    assert main([*arguments, "--rgbx", rgbx, "--marigold", str(tmp_path / "none")]) == 1
+    rows = json.loads((tmp_path / "out" / "summary.json").read_text())["rows"]
+    assert [row["status"] for row in rows][::3] == ["ok", "ZeroDivisionError"]

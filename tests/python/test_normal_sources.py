@@ -15,8 +15,10 @@ from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, depth, estimate, weights_of
 from pbrfit.acquire.normals.marigold import mean_and_spread
+from pbrfit.acquire.scene_picture import shown
 from pbrfit.evaluation.table1.normals import angles
 from pbrfit.geometry import facing_away, view_directions
+from pbrfit.metrics import display, white_of
 from pbrfit.normal_files import UNCERTAINTY, Convention, read_normals
 from pbrfit.scene import Scene
 from pbrfit.synthetic import draw
@@ -262,9 +264,9 @@ def test_larger_files_are_averaged(tmp_path: Path) -> None:
     assert angles(found.normals, true).max() < 1e-4
     other_form = np.zeros((SIZE * 2, SIZE, 3), np.uint8)
     too_large = np.zeros((SIZE * 4, SIZE * 4, 3), np.uint8)
-    for shown in (other_form, too_large):
+    for sized in (other_form, too_large):
         with pytest.raises(InputError, match="or a larger one in the same proportion"):
-            estimate(str(path), shown, fov=60)
+            estimate(str(path), sized, fov=60)
 
 
 def test_pixels_without_a_normal_have_no_weight(tmp_path: Path) -> None:
@@ -382,6 +384,14 @@ def test_nothing_is_replaced_unasked(folder: Path, capsys: pytest.CaptureFixture
     assert not (folder / "normals.exr").exists()
 
 
+def test_what_cannot_be_written_is_told_before_anything_is_computed(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "scene.toml").write_text('normals_frame = "world"\n')
+    assert run("normals", folder, "--device", "cpu") == 2  # marigold, whose packages may be missing
+    assert "scene.toml: expected world_to_camera" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -414,3 +424,41 @@ def test_uncertainty_is_kept_beside_the_normals(folder: Path) -> None:
     with pytest.raises(InputError, match="normals: expected shape"):
         add_normals(folder, room().normals[1:], overwrite=True)
     assert dataclasses.replace(room(), weights=scene.weights).valid.all()
+
+
+# --- The picture a network is shown ---
+
+
+def test_the_mean_of_all_pictures_is_shown(folder: Path) -> None:
+    found = shown(folder)
+    assert found.what == f"the mean of {LIGHTS} pictures"
+    mean = sum(image / image.mean() for image in room().images)
+    expected = np.rint(255 * display(mean, white_of(mean)))
+    assert np.abs(found.srgb8.astype(int) - expected).max() <= 1
+    # However bright a picture is: each has the same part in it.
+    path = next((folder / "images").iterdir())
+    channels = images.read_channels(path)
+    images.write_exr(path, {name: 100 * plane for name, plane in channels.items()})
+    assert np.abs(shown(folder).srgb8.astype(int) - expected).max() <= 1
+
+
+def test_a_picture_is_shown_by_name(folder: Path) -> None:
+    name = room().names[1]
+    found = shown(folder, name)
+    assert found.what == f"picture {name}"
+    own = room().images[1]
+    expected = np.rint(255 * display(own, white_of(own)))
+    assert np.abs(found.srgb8.astype(int) - expected).max() <= 1
+    with pytest.raises(InputError, match=f"picture: expected one of {room().names[0]}"):
+        shown(folder, "other")
+
+
+def test_black_pictures_tell_nothing(folder: Path) -> None:
+    expected = shown(folder, room().names[0])
+    paths = sorted((folder / "images").iterdir())
+    for path in paths[1:]:
+        images.write_exr(path, {name: np.zeros((SIZE, SIZE)) for name in "RGB"})
+    np.testing.assert_array_equal(shown(folder).srgb8, expected.srgb8)
+    images.write_exr(paths[0], {name: np.zeros((SIZE, SIZE)) for name in "RGB"})
+    with pytest.raises(InputError, match="images: expected radiance above 0, found none"):
+        shown(folder)

@@ -181,15 +181,15 @@ def resized_srgb8(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[
 
 
 def resized(pixels: NDArray[np.floating[Any]], size: tuple[int, int]) -> NDArray[np.float32]:
-    """Linear pixels (H, W, 3) at (height, width), borders on borders.
+    """Linear pixels (H, W, C) at (height, width), borders on borders.
 
     An axis that shrinks is averaged over areas; one that grows is interpolated by cubics, without
     leaving the range of the values.
     """
     height, width = pixels.shape[:2]
     smaller = min(height, size[0]), min(width, size[1])
-    result = np.empty((*size, 3), dtype=np.float32)
-    for k in range(3):
+    result = np.empty((*size, pixels.shape[-1]), dtype=np.float32)
+    for k in range(pixels.shape[-1]):
         plane = pixels[..., k]
         if smaller != (height, width):
             plane = averaged(plane, smaller)

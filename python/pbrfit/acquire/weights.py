@@ -68,12 +68,18 @@ class Loaded:
 
 
 def placement(
-    device: str = "auto", dtype: str = "auto", offload: str = "none", *, what: str = "the network"
+    device: str = "auto",
+    dtype: str = "auto",
+    offload: str = "none",
+    *,
+    what: str = "the network",
+    half: str = "bfloat16",
 ) -> Placement:
     """Choose where and how precisely to compute; imports torch.
 
-    ``auto`` takes CUDA, else Apple's MPS, else the processor with a warning; and bfloat16, in
-    which large networks are released, on a GPU, float32 on the processor.
+    ``auto`` takes CUDA, else Apple's MPS, else the processor with a warning; and on a GPU `half`,
+    on the processor float32. Large networks are released in bfloat16; those made from Stable
+    Diffusion run in float16, whose numbers are eight times as fine.
 
     Raises
     ------
@@ -106,7 +112,7 @@ def placement(
             f"offload: expected a GPU to take parts off with {offload!r}, found none; leave it out"
         )
     if dtype == "auto":
-        dtype = "float32" if device == "cpu" else "bfloat16"
+        dtype = "float32" if device == "cpu" else half
     return Placement(device, dtype, offload)
 
 

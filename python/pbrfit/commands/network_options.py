@@ -61,7 +61,7 @@ def add_placement(group: Group, model: str, *, precision: bool = True) -> None:
         group.add_argument(
             "--dtype",
             choices=get_args(Precision),
-            help="of its numbers (default: bfloat16 on a GPU, else float32)",
+            help="of its numbers (default: float16 on a GPU, else float32)",
         )
         group.add_argument(
             "--offload",

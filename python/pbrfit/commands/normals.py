@@ -129,7 +129,7 @@ def add(commands: Subcommands) -> None:
 def _run(options: argparse.Namespace) -> int:
     from pbrfit import scene_completion
 
-    scene_completion.check_no_normals(options.scene, overwrite=options.overwrite)
+    scene_completion.check_normals_can_be_added(options.scene, overwrite=options.overwrite)
     kind = _kind(options.source)
     given = chosen(options, OPTIONS, kind, f"--from {options.source}")
     found, said = _estimated(options, kind, given)

@@ -1,18 +1,19 @@
 """Normals by Marigold (Ke et al. 2024 and 2025), through diffusers.
 
 `MarigoldNormalsPipeline` of diffusers 0.42 gives X right, Y up and Z towards the observer (stated
-in `MarigoldImageProcessor.visualize_normals`), which is our camera space. It scales a picture to
-its own resolution with the corners on the corners, pads right and below to whole blocks, cuts that
-off again and scales back, so pixels stay where they are at any size.
+in `MarigoldImageProcessor.visualize_normals`), which is our camera space. It pads a picture right
+and below to whole blocks and cuts that off again, so pixels stay where they are at any size.
 
-The ensemble is formed here. The pipeline's own has two faults for us: its angles are computed in
-the network's precision, where in bfloat16 the smallest angle whose cosine is not 1 is 5 degrees;
-and of several normals it keeps the nearest to the mean, not the mean.
+Scaling to the network's resolution and back, and the ensemble, are done here, because the pipeline
+does both in the network's precision. In bfloat16 its scaling is missing on the processor, the
+smallest angle whose cosine is not 1 is 5 degrees; and of several normals it keeps the one nearest
+to the mean, not the mean.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
 from pbrfit.acquire.extras import need, versions
+from pbrfit.acquire.padding import resized, resized_srgb8
 
 MODEL = "prs-eth/marigold-normals-v1-1"
 
@@ -58,8 +60,8 @@ def from_picture(
     ensemble
         How many predictions, from seeds `seed`, `seed` + 1, ...; their mean is the answer.
     steps, resolution
-        Denoising steps, and longer side in pixels at which the network sees the picture (a multiple
-        of its block, 8; 0 = that of the picture); None = as the model recommends.
+        Denoising steps, and longer side in pixels at which the network sees the picture (0 = that
+        of the picture); None = as the model recommends.
     seed
         Of the first.
     device, dtype, offload
@@ -87,37 +89,35 @@ def from_picture(
     from diffusers import MarigoldNormalsPipeline
     from PIL import Image
 
-    where = weights.placement(device, dtype, offload, what=WHAT)
-    loaded = weights.load(
-        WHAT,
-        model,
-        loader=_loader(MarigoldNormalsPipeline, where.torch_dtype),
-        marker="model_index.json",
-    )
+    where = weights.placement(device, dtype, offload, what=WHAT, half="float16")
+    loader = partial(MarigoldNormalsPipeline.from_pretrained, dtype=where.torch_dtype)
+    loaded = weights.load(WHAT, model, loader=loader, marker="model_index.json")
     pipeline = loaded.network
     weights.place(pipeline, where, what=WHAT)
     pipeline.set_progress_bar_config(disable=True)
-    _check_blocks(pipeline, resolution)
-    picture = Image.fromarray(srgb8)
+    if resolution is None:
+        resolution = int(pipeline.default_processing_resolution)
+    height, width = srgb8.shape[:2]
+    seen = Image.fromarray(resized_srgb8(srgb8, seen_size((height, width), resolution)))
     members = []
-    with weights.memory_in_words(WHAT, "a smaller --resolution, --offload model, --dtype bfloat16"):
+    with weights.memory_in_words(WHAT, "a smaller --resolution, --offload model, --dtype float16"):
         for i in range(ensemble):
             found = pipeline(
-                picture,
+                seen,
                 num_inference_steps=steps,
-                processing_resolution=resolution,
+                processing_resolution=0,
                 # On the processor, so that a seed means the same everywhere.
                 generator=torch.Generator("cpu").manual_seed(seed + i),
             )
             members.append(found.prediction[0].astype(np.float64))
             progress()
-    normals, spread = mean_and_spread(members)
+    normals, spread = at_size(*mean_and_spread(members), (height, width))
     record = {
         "model": model,
         "revision": loaded.record["revision"],
         "ensemble": ensemble,
         "steps": steps or pipeline.default_denoising_steps,
-        "resolution": pipeline.default_processing_resolution if resolution is None else resolution,
+        "resolution": resolution,
         "seed": seed,
         "device": where.device,
         "dtype": where.dtype,
@@ -165,11 +165,23 @@ def mean_and_spread(members: Sequence[Array]) -> tuple[Array, Array]:
     return mean, np.degrees(np.sqrt(squares / max(len(members) - 1, 1)))
 
 
-def _loader(pipeline: Any, dtype: Any) -> Any:
-    def load(model: str, **options: Any) -> Any:
-        return pipeline.from_pretrained(model, torch_dtype=dtype, **options)
+def seen_size(size: tuple[int, int], resolution: int) -> tuple[int, int]:
+    """(height, width) with a longer side of `resolution` pixels, in proportion; 0 = as it is."""
+    if resolution == 0:
+        return size
+    height, width = (max(1, round(side * resolution / max(size))) for side in size)
+    return height, width
 
-    return load
+
+def at_size(normals: Array, spread: Array, size: tuple[int, int]) -> tuple[Array, Array]:
+    """Unit normals and their spread at (height, width), borders on borders."""
+    if spread.shape == size:
+        return normals, spread
+    scaled = resized(normals, size).astype(np.float64)
+    length = np.linalg.norm(scaled, axis=-1, keepdims=True)
+    facing = np.array([0.0, 0.0, 1.0])
+    unit = np.where(length > 1e-6, scaled / np.maximum(length, 1e-6), facing)
+    return unit, resized(spread[..., None], size)[..., 0].astype(np.float64)
 
 
 def _check(ensemble: int, steps: int | None, resolution: int | None, seed: int) -> None:
@@ -178,12 +190,3 @@ def _check(ensemble: int, steps: int | None, resolution: int | None, seed: int) 
             raise InputError(f"{name}: expected at least {least}, found {value}")
     if resolution is not None and resolution < 0:
         raise InputError(f"resolution: expected 0 or more pixels, found {resolution}")
-
-
-def _check_blocks(pipeline: Any, resolution: int | None) -> None:
-    block = int(pipeline.vae_scale_factor)
-    if resolution and resolution % block:
-        raise InputError(
-            f"resolution: expected a multiple of {block} pixels, the network's block, "
-            f"found {resolution}"
-        )

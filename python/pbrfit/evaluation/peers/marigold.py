@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
 from pbrfit.acquire.extras import need
+from pbrfit.acquire.normals.marigold import seen_size
+from pbrfit.acquire.padding import resized, resized_srgb8
 from pbrfit.color import decode_srgb
 from pbrfit.evaluation.peers.maps import Maps
 
@@ -38,14 +41,10 @@ class Marigold:
         need("diffusion", "torch", "diffusers", "transformers", "accelerate")
         from diffusers import MarigoldIntrinsicsPipeline
 
-        where = weights.placement(device, what=WHAT)
-        loaded = weights.load(
-            WHAT,
-            model,
-            loader=MarigoldIntrinsicsPipeline.from_pretrained,
-            marker="model_index.json",
-        )
-        self._pipeline = loaded.network.to(where.torch_dtype)
+        where = weights.placement(device, what=WHAT, half="float16")
+        loader = partial(MarigoldIntrinsicsPipeline.from_pretrained, dtype=where.torch_dtype)
+        loaded = weights.load(WHAT, model, loader=loader, marker="model_index.json")
+        self._pipeline = loaded.network
         weights.place(self._pipeline, where, what=WHAT)
         self._pipeline.set_progress_bar_config(disable=True)
         self._targets = targets(model, self._pipeline.target_properties)
@@ -67,20 +66,32 @@ class Marigold:
         import torch
         from PIL import Image
 
+        height, width = srgb8.shape[:2]
+        # Scaled here: in bfloat16 the pipeline's own scaling does not run everywhere.
+        resolution = int(self._pipeline.default_processing_resolution)
+        seen = resized_srgb8(srgb8, seen_size((height, width), resolution))
         with weights.memory_in_words(WHAT, "another --device"):
             found = self._pipeline(
-                Image.fromarray(srgb8),
+                Image.fromarray(seen),
+                processing_resolution=0,
                 ensemble_size=samples,
                 num_inference_steps=steps,
                 generator=torch.Generator("cpu").manual_seed(seed),
             )
         planes = {
-            name: decode_srgb(found.prediction[i, ..., channel].astype(np.float64))
-            if space == "srgb"
-            else found.prediction[i, ..., channel].astype(np.float64)
+            name: self._plane(found.prediction[i], channel, space, (height, width))
             for name, (i, channel, space) in self._targets.items()
         }
         return Maps(planes["albedo"], planes["roughness"], planes["metallicity"])
+
+    @staticmethod
+    def _plane(
+        prediction: NDArray[np.float32], channel: Any, space: str, size: tuple[int, int]
+    ) -> NDArray[np.float64]:
+        """A map of a predicted picture (h, w, 3): linear, at (height, width)."""
+        encoded = prediction.astype(np.float64)
+        linear = decode_srgb(encoded) if space == "srgb" else encoded
+        return resized(linear, size)[..., channel].astype(np.float64)
 
 
 def targets(model: str, properties: Any) -> dict[str, tuple[int, Any, str]]:

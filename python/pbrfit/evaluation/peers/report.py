@@ -34,6 +34,9 @@ SHOWN = {
 }
 """Columns of the table: names of `Scores`, and how they are called."""
 
+ABSENT = "InputError: "
+"""What the error of a task begins with whose peer lacks packages or weights."""
+
 LARGER_IS_BETTER = ("albedo_psnr", "albedo_ssim", "relight_psnr")
 
 
@@ -58,7 +61,16 @@ class Measured:
     def status(self) -> str:
         """Why a scene has no figures, or "ok"."""
         errors = [record.error for record in self.records if record.error is not None]
-        return errors[0].removeprefix("InputError: ") if errors else "ok"
+        return errors[0].removeprefix(ABSENT) if errors else "ok"
+
+    @property
+    def expected(self) -> list[Record]:
+        """Records whose errors are failures: a peer that is not there is none, a broken one is."""
+        return [
+            record
+            for record in self.records
+            if self.method not in PEERS or not (record.error or "").startswith(ABSENT)
+        ]
 
     def mean(self, name: str) -> Mean:
         """Over scenes."""
@@ -106,8 +118,8 @@ def _opening(effort: Effort) -> list[str]:
         "In whose favour: the pictures are those of our model, lights of low order without "
         "shadows or light between surfaces, which our fit expects and which peers, trained on "
         "path-traced or real rooms, have never seen. Pictures with shadows are in docs/cycles.md.",
-        f"Marigold-IID: the median of {effort.samples} predictions; RGB-X: one, at "
-        f"{effort.longer_side} pixels; sampler steps: {sampler}.",
+        f"Predictions of Marigold-IID, of which the median is taken: {effort.samples}; of RGB-X, "
+        f"at {effort.longer_side} pixels: 1. Steps of their samplers: {sampler}.",
     ]
 
 

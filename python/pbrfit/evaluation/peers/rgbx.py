@@ -16,6 +16,7 @@ The authors say that the published checkpoint's metallicity differs from that of
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,7 @@ class RgbToX:
     ----------
     model
         Name on the Hugging Face Hub, or a local folder.
-    device
+    device, dtype
         As for `pbrfit.acquire.weights.placement`.
     longer_side
         Of the picture that the network sees, in pixels.
@@ -69,16 +70,22 @@ class RgbToX:
     """
 
     def __init__(
-        self, model: str = MODEL, *, device: str = "auto", longer_side: int = 1000
+        self,
+        model: str = MODEL,
+        *,
+        device: str = "auto",
+        dtype: str = "auto",
+        longer_side: int = 1000,
     ) -> None:
         need("diffusion", "torch", "diffusers", "transformers")
-        where = weights.placement(device, what=WHAT)
-        self._parts = weights.load(WHAT, model, loader=_load, marker="model_index.json").network
+        where = weights.placement(device, dtype, what=WHAT, half="float16")
+        loader = partial(_load, where.torch_dtype)
+        self._parts = weights.load(WHAT, model, loader=loader, marker="model_index.json").network
         self._device, self._dtype = where.device, where.torch_dtype
         self._longer_side = longer_side
         with weights.memory_in_words(WHAT, "another --device"):
             for network in (self._parts.text_encoder, self._parts.autoencoder, self._parts.unet):
-                network.to(self._device, self._dtype).eval()
+                network.to(self._device).eval()
 
     def maps(self, srgb8: NDArray[np.uint8], *, seed: int, steps: int | None) -> Maps:
         """Maps of a picture (H, W, 3); `seed` of the noise, `steps` of the sampler (None = 50)."""
@@ -116,20 +123,21 @@ class RgbToX:
             seen = parts.autoencoder.encode(picture).latent_dist.mode() * scale
             # On the processor, so that a seed means the same everywhere.
             noise = torch.randn(seen.shape, generator=torch.Generator().manual_seed(seed))
-            latent = noise.to(seen) * parts.scheduler.init_noise_sigma
+            # In float32 whatever the networks compute in: the steps add up.
+            latent = noise.to(self._device) * parts.scheduler.init_noise_sigma
             parts.scheduler.set_timesteps(steps, device=self._device)
             for time in parts.scheduler.timesteps:
                 noisy = parts.scheduler.scale_model_input(latent, time)
                 predicted = parts.unet(
-                    torch.cat([noisy, seen], dim=1), time, encoder_hidden_states=text
+                    torch.cat([noisy.to(seen), seen], dim=1), time, encoder_hidden_states=text
                 ).sample
-                latent = parts.scheduler.step(predicted, time, latent).prev_sample
-            decoded = parts.autoencoder.decode(latent / scale).sample[0]
+                latent = parts.scheduler.step(predicted.float(), time, latent).prev_sample
+            decoded = parts.autoencoder.decode((latent / scale).to(seen)).sample[0]
         shown = (decoded.float() / 2 + 0.5).clamp(0, 1)
         return np.ascontiguousarray(shown.permute(1, 2, 0).cpu().numpy())
 
 
-def _load(model: str, **options: Any) -> _Parts:
+def _load(dtype: Any, model: str, **options: Any) -> _Parts:
     from diffusers import AutoencoderKL, DDIMScheduler, UNet2DConditionModel
     from transformers import CLIPTextModel, CLIPTokenizer
 
@@ -138,9 +146,9 @@ def _load(model: str, **options: Any) -> _Parts:
 
     return _Parts(
         tokenizer=part(CLIPTokenizer, "tokenizer"),
-        text_encoder=part(CLIPTextModel, "text_encoder"),
-        autoencoder=part(AutoencoderKL, "vae"),
-        unet=part(UNet2DConditionModel, "unet"),
+        text_encoder=part(CLIPTextModel, "text_encoder", dtype=dtype),
+        autoencoder=part(AutoencoderKL, "vae", dtype=dtype),
+        unet=part(UNet2DConditionModel, "unet", dtype=dtype),
         scheduler=part(
             DDIMScheduler, "scheduler", rescale_betas_zero_snr=True, timestep_spacing="trailing"
         ),
