@@ -156,6 +156,8 @@ def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment 
     reach = min(REACH, min(reference.shape) // 4)
     found = _correlation(reference[None], field[None], reach)
     shift, agreement = (part[0] for part in _peak(found))
+    if np.abs(shift).max() > reach - 1:  # the peak, if there is one, is beyond
+        shift, agreement = np.zeros(2), found[0, reach, reach]
     warp, moved = _tiles(reference, field)
     return Alignment(
         shift=(float(pixel * shift[1]), float(pixel * shift[0])),
@@ -166,20 +168,41 @@ def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment 
     )
 
 
-def of_scene(scene: Scene) -> list[Alignment | None]:
-    """Say how each picture of a scene lies relative to what all others have in common."""
-    fields = [edges(image, scene.mask) for image in scene.images]
-    pixel = max(scene.height, scene.width) / max(fields[0].shape)
-    return [
-        compare(reference, field, pixel=pixel)
-        for reference, field in zip(of_the_others(fields), fields, strict=True)
-    ]
+def of_scene(scene: Scene) -> tuple[str, dict[str, Alignment]]:
+    """Say how the pictures of a scene lie relative to the one that is most like all others.
 
+    Returns
+    -------
+    The name of that picture, and the others by name: those that have edges to tell by.
+    """
+    fields = [edges(image, scene.mask) for image in scene.images]
+    alike = [
+        _in_place(others, field)
+        for others, field in zip(of_the_others(fields), fields, strict=True)
+    ]
+    middle = int(np.argmax(alike))
+    pixel = max(scene.height, scene.width) / max(fields[0].shape)
+    found = {
+        name: compare(fields[middle], field, pixel=pixel)
+        for i, (name, field) in enumerate(zip(scene.names, fields, strict=True))
+        if i != middle
+    }
+    told = {name: one for name, one in found.items() if one is not None}
+    return scene.names[middle], told
+
+
+LEAST_SIDE = 64
+"""Pixels: on smaller pictures it cannot be told whether they line up."""
 
 MOST_SHIFT = 1.0
-LEAST_AGREEMENT = 0.2
+"""Pixels that were compared."""
+
 MOST_MOVED = 0.25
-"""Beyond these a picture of a scene does not line up: the shift in pixels that were compared."""
+SURE = 0.5
+"""Agreement from which a displacement is believed: the edges of a smooth body are all of light."""
+
+OTHER = 0.15
+"""Agreement below which a picture shows something else, if most of the others are sure."""
 
 
 def complaints(scene: Scene) -> list[str]:
@@ -187,23 +210,37 @@ def complaints(scene: Scene) -> list[str]:
 
     Photographs from a hand that moved, and pictures of something else.
     """
+    if min(scene.height, scene.width) < LEAST_SIDE:
+        return []
+    middle, others = of_scene(scene)
+    agreement = [one.agreement for one in others.values()]
+    mostly_sure = len(agreement) > 1 and float(np.median(agreement)) > SURE
     found = []
-    for name, one in zip(scene.names, of_scene(scene), strict=True):
-        if one is None:
-            continue
+    for name, one in others.items():
         right, down = one.shift
-        if one.agreement < LEAST_AGREEMENT:
+        sure = one.agreement > SURE
+        if sure and one.distance > MOST_SHIFT * one.pixel:
             found.append(
-                f"{name} shows something else: its edges agree to {one.agreement:.2f} of 1"
+                f"{name} is shifted by {one.distance:.1f} pixels against {middle} "
+                f"({right:+.1f} right, {down:+.1f} down)"
             )
-        elif one.distance > MOST_SHIFT * one.pixel:
+        elif sure and one.moved > MOST_MOVED:
             found.append(
-                f"{name} is shifted by {one.distance:.1f} pixels ({right:+.1f} right, "
-                f"{down:+.1f} down)"
+                f"{name} is bent against {middle}: {100 * one.moved:.0f} % of its edges are "
+                "displaced"
             )
-        elif one.moved > MOST_MOVED:
-            found.append(f"{name} is bent: {100 * one.moved:.0f} % of its edges are displaced")
+        elif mostly_sure and one.agreement < OTHER:
+            found.append(
+                f"{name} shows something else than {middle}: their edges agree to "
+                f"{max(one.agreement, 0):.2f} of 1"
+            )
     return found
+
+
+def _in_place(a: Field, b: Field) -> float:
+    """Correlation without a shift, 0 without edges."""
+    scale = np.sqrt(_energy(a) * _energy(b))
+    return float(np.sum((a.conj() * b).real, dtype=np.float64) / scale) if scale > 0 else 0.0
 
 
 def _energy(field: NDArray[np.complex64]) -> float:

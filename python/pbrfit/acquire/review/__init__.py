@@ -50,15 +50,15 @@ lamp does not blur; see `pbrfit.alignment`."""
 MOST_SHIFT = 1.0
 """Pixels at the size that is compared."""
 
-MOST_MOVED = 0.15
+MOST_MOVED = 0.25
 MOST_MOVED_TOGETHER = 0.03
 """Share of the edges that lie in displaced tiles, likewise."""
 
-MOST_MIXED = (0.02, 0.4)
+MOST_MIXED = (0.01, 0.34)
 """Unexplained light, up in one channel and down in another: a + b / N, since fewer pictures explain
 less of a light that is right; see `illumination`."""
 
-MOST_CHANGED = 1.2
+MOST_CHANGED = 1.4
 BRIGHTNESS = 4.5
 DETAIL = 1.6
 """Evidence that a place shows something else: `DETAIL` times what is missing of the lasting

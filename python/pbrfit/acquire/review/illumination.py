@@ -36,7 +36,7 @@ FEWEST = 4
 
 _FLOOR = 0.005  # added to pictures before they are divided, of white
 _DARK, _BRIGHT = 0.01, 0.9  # between these, of white, a pixel has a say
-_RIDGE = 1e-3
+_RIDGE = 1e-4
 _STEPS = 8
 
 
