@@ -51,10 +51,10 @@ MOST_SHIFT = 1.0
 """Pixels at the size that is compared."""
 
 MOST_MOVED = 0.25
-MOST_MOVED_TOGETHER = 0.03
+MOST_MOVED_TOGETHER = 0.05
 """Share of the edges that lie in displaced tiles, likewise."""
 
-MOST_MIXED = (0.01, 0.34)
+MOST_MIXED = (0.015, 0.34)
 """Unexplained light, up in one channel and down in another: a + b / N, since fewer pictures explain
 less of a light that is right; see `illumination`."""
 
@@ -64,7 +64,7 @@ DETAIL = 1.6
 """Evidence that a place shows something else: `DETAIL` times what is missing of the lasting
 gradients, and the unexplained brightness in units of `BRIGHTNESS` times the median picture's most.
 Either alone is common under hard lamps, both in one place are not. All bounds were chosen on scenes
-of seeds 2000 to 2011."""
+of seeds 2000 to 2013."""
 
 _LEAST_BRIGHTNESS = 0.05
 """Of the median picture: noise and whole numbers leave as much."""
@@ -111,6 +111,11 @@ class Verdict:
     def accepted(self) -> bool:
         """Whether all passed."""
         return all(check.passed for check in self.checks)
+
+    @property
+    def excess(self) -> float:
+        """Of the check that failed most; 0 if none did."""
+        return max((check.excess for check in self.checks), default=0.0)
 
     @property
     def reason(self) -> str:
@@ -172,7 +177,8 @@ class Reviewer:
         """Judge pictures by each other and the photograph: those that were accepted alone.
 
         The worst one is taken out and the others judged again without it, until none fails: a
-        picture that does not fit spoils what it is compared with.
+        picture that does not fit spoils what it is compared with. Then each of those that were
+        taken out is judged once more, beside the good ones.
 
         Parameters
         ----------
@@ -191,20 +197,30 @@ class Reviewer:
     def _together(self, pictures: Sequence[NDArray[Any]]) -> list[Verdict]:
         members = [_Member(self._reduced(pixels), self._mask) for pixels in pictures]
         photo = _Member(self._photo, self._mask)
-        verdicts: dict[int, Verdict] = {}
+        verdicts = [Verdict(())] * len(members)
         left = list(range(len(members)))
-        while left:
-            if len(left) + 1 < illumination.FEWEST:
-                verdicts |= {i: verdicts.get(i, Verdict(())) for i in left}
-                break
-            found = self._judge([photo, *(members[i] for i in left)])
-            judged = dict(zip(left, found, strict=True))
-            verdicts |= judged
-            worst = max(left, key=lambda i: max(check.excess for check in judged[i].checks))
-            if judged[worst].accepted:
+        out: list[int] = []
+        while len(left) + 1 >= illumination.FEWEST:
+            for i, verdict in zip(
+                left, self._judge([photo, *(members[i] for i in left)]), strict=True
+            ):
+                verdicts[i] = verdict
+            worst = max(left, key=lambda i: verdicts[i].excess)
+            if verdicts[worst].accepted:
                 break
             left.remove(worst)
-        return [verdicts[i] for i in range(len(members))]
+            out.append(worst)
+        else:  # too few are left to say anything of them
+            for i in left:
+                verdicts[i] = Verdict(())
+            return verdicts
+        # Beside pictures that do not fit, one that does may have looked wrong.
+        for i in sorted(out, key=lambda i: verdicts[i].excess):
+            again = self._judge([photo, *(members[j] for j in left), members[i]])[-1]
+            if again.accepted:
+                verdicts[i] = again
+                left.append(i)
+        return verdicts
 
     def _judge(self, members: Sequence[_Member]) -> list[Verdict]:
         """Verdicts on all but the first, which is the photograph."""
