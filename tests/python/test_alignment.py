@@ -162,11 +162,8 @@ def test_inspect_and_decompose_say_what_does_not_line_up(
     assert "line up" in (told := capsys.readouterr().out)
     assert "NO: light_02 is shifted" in told
     with caplog.at_level(logging.WARNING, "pbrfit"):
-        main(
-            "decompose {0}/shaken --out {0}/out --iterations 1 --solver lbfgsb --quiet".format(
-                tmp_path
-            ).split()
-        )
+        options = "--iterations 1 --solver lbfgsb --quiet"
+        main(f"decompose {tmp_path}/shaken --out {tmp_path}/out {options}".split())
     assert "light_02 is shifted" in caplog.text + capsys.readouterr().err
 
 

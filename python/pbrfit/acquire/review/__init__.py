@@ -61,10 +61,10 @@ less of a light that is right; see `illumination`."""
 MOST_CHANGED = (1.0, 3.0)
 BRIGHTNESS = 4.5
 DETAIL = 1.6
-"""Evidence that a place shows something else, a + b / N likewise: `DETAIL` times what is missing of the lasting
-gradients, and the unexplained brightness in units of `BRIGHTNESS` times the median picture's most.
-Either alone is common under hard lamps, both in one place are not. All bounds were chosen on scenes
-of seeds 2000 to 2013."""
+"""Evidence that a place shows something else, a + b / N likewise: `DETAIL` times what is missing of
+the lasting gradients, and the unexplained brightness in units of `BRIGHTNESS` times the median
+picture's most. Either alone is common under hard lamps, both in one place are not. All bounds were
+chosen on scenes of seeds 2000 to 2013."""
 
 _LEAST_BRIGHTNESS = 0.05
 """Of the median picture: noise and whole numbers leave as much."""

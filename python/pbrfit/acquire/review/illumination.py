@@ -1,9 +1,9 @@
 """Whether the light of a picture fits those of the others: a quick decomposition at low resolution.
 
 Divided by what the other pictures have in common at a pixel, the median of their logarithms, a
-picture is an illumination: the albedo is gone, whatever the material is painted with. Light adds up, and
-illuminations of one view are few functions of direction and place. So that of a picture must be,
-nearly, a sum of those of the others,
+picture is an illumination: the albedo is gone, whatever the material is painted with. Light adds
+up, and illuminations of one view are few functions of direction and place. So that of a picture
+must be, nearly, a sum of those of the others,
 
     E_i(x, c) ≈ Σ_j Σ_c' a_jc' E_j(x, c') + b
 
