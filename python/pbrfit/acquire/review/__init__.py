@@ -119,8 +119,8 @@ class Verdict:
 
     @property
     def reason(self) -> str:
-        """Why it was refused, for people; empty if it was not."""
-        return "; ".join(check.note for check in self.checks if not check.passed)
+        """Why it was refused, for people: the first check that failed. Empty if none did."""
+        return next((check.note for check in self.checks if not check.passed), "")
 
 
 class Reviewer:
@@ -402,7 +402,7 @@ def _aligned(
             found.agreement,
             least_agreement,
             found.agreement >= least_agreement,
-            f"edges agree with {reference} to {found.agreement:.2f} of 1",
+            f"edges agree with {reference} to {max(found.agreement, 0):.2f} of 1",
         ),
         Check(
             "shift",
