@@ -43,7 +43,7 @@ LEAST_CHANGE = 0.04
 """Standard deviation of the logarithm that must be left when a tone curve is taken out."""
 
 LEAST_AGREEMENT = 0.22
-LEAST_AGREEMENT_TOGETHER = 0.5
+LEAST_AGREEMENT_TOGETHER = 0.4
 """Correlation of edges with the photograph, and with what the others share, which relief under one
 lamp does not blur; see `pbrfit.alignment`."""
 
