@@ -64,7 +64,9 @@ def write_pictures(folder: Path, size: int) -> None:
         if i in DAMAGES:
             shown, _ = damaged(picture, DAMAGES[i], view.segments, rng)
         codes = np.round(255 * encode_srgb(shown.clip(0, 1))).astype(np.uint8)
-        name = f"relit/light_{i:02d}-{DAMAGES[i]}.png" if i in DAMAGES else f"relit/light_{i:02d}.png"
+        name = (
+            f"relit/light_{i:02d}-{DAMAGES[i]}.png" if i in DAMAGES else f"relit/light_{i:02d}.png"
+        )
         if i == 0:
             name = "photo.png"
         images.write_png(folder / name, codes, tag="srgb")
