@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 from pbrfit.arguments import (
@@ -37,6 +38,16 @@ def add_options(parser: argparse.ArgumentParser, *, jobs: int | None = None) -> 
         help="scenes at the same time, each in a process of its own",
     )
     add_quiet(parser)
+
+
+def add_cycles_cache(parser: argparse.ArgumentParser) -> None:
+    """Add `--cycles-cache`, of suites that render with Blender Cycles."""
+    parser.add_argument(
+        "--cycles-cache",
+        metavar="DIR",
+        type=Path,
+        help="where renders are kept (default: the user's cache folder)",
+    )
 
 
 def run_tasks(

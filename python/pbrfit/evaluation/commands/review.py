@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 
 from pbrfit.arguments import DONE, SOME_FAILED, Subcommands, unread_is_no_failure, whole_number
-from pbrfit.evaluation.commands.resumable import add_options, exit_code, run_tasks
+from pbrfit.evaluation.commands.resumable import add_cycles_cache, add_options, exit_code, run_tasks
 
 
 def add(suites: Subcommands) -> None:
@@ -29,12 +28,7 @@ def add(suites: Subcommands) -> None:
         type=whole_number,
         help="of the first scene of each source (default: 4000)",
     )
-    added.add_argument(
-        "--cycles-cache",
-        metavar="DIR",
-        type=Path,
-        help="where renders are kept (default: the user's cache folder)",
-    )
+    add_cycles_cache(added)
     added.add_argument(
         "--no-cycles", action="store_true", help="only our own renders, even with Cycles there"
     )

@@ -5,11 +5,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pbrfit.arguments import DONE, SOME_FAILED, Subcommands, positive, unread_is_no_failure
-from pbrfit.evaluation.commands.resumable import add_options, exit_code, go_on, run_tasks
+from pbrfit.evaluation.commands.resumable import (
+    add_cycles_cache,
+    add_options,
+    exit_code,
+    go_on,
+    run_tasks,
+)
 
 if TYPE_CHECKING:
     from pbrfit.evaluation.jobs import Record
@@ -53,12 +58,7 @@ def add(suites: Subcommands) -> None:
         type=int,
         help="of the gap part: scenes of a row that Blender Cycles renders (default: 5)",
     )
-    added.add_argument(
-        "--cycles-cache",
-        metavar="DIR",
-        type=Path,
-        help="where renders are kept (default: the user's cache folder)",
-    )
+    add_cycles_cache(added)
     added.add_argument(
         "--large", action="store_true", help="measure the memory of 4 million pixels too"
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pbrfit._core import InputError
 from pbrfit.arguments import Subcommands, positive, unread_is_no_failure
-from pbrfit.evaluation.commands.resumable import add_options, exit_code, run_tasks
+from pbrfit.evaluation.commands.resumable import add_cycles_cache, add_options, exit_code, run_tasks
 from pbrfit.evaluation.table1.rows import ROWS
 
 if TYPE_CHECKING:
@@ -69,12 +69,7 @@ def add(suites: Subcommands) -> None:
         default=10,
         help="how many of the scenes are rendered by Blender Cycles",
     )
-    added.add_argument(
-        "--cycles-cache",
-        metavar="DIR",
-        type=Path,
-        help="where renders are kept (default: the user's cache folder)",
-    )
+    add_cycles_cache(added)
     added.add_argument(
         "--quick",
         action="store_true",
