@@ -283,6 +283,25 @@ def test_without_a_key_nothing_is_asked(
     assert service.calls == []
 
 
+@pytest.mark.parametrize("broken", ["sk-ключ", "sk-two words", "sk-two\nlines"])
+def test_a_key_that_cannot_be_sent_is_told_and_not_shown(
+    monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", broken)
+    with pytest.raises(InputError, match=r"^OPENAI_API_KEY: expected ASCII") as told:
+        GptImage().check()
+    assert "sk-" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "address", ["localhost", "ftp://localhost", "http://", "http://localhost:port/v1", "http://[::"]
+)
+def test_an_address_that_is_none_is_told(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+    monkeypatch.setenv("OPENAI_BASE_URL", address)
+    with pytest.raises(InputError, match=r"^OPENAI_BASE_URL: expected http:// or https://"):
+        GptImage().check()
+
+
 def test_a_quality_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match=r"quality: expected one of low, .*found 'best'"):
         GptImage(quality="best")

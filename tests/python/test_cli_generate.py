@@ -203,7 +203,11 @@ def test_prompts_are_listed_and_saved_as_a_catalogue_to_edit(
     assert run("generate", "--list-prompts", "--prompts", tmp_path / "mine.toml") == 0
     listed = capsys.readouterr().out
     assert all(prompt.text in listed for prompt in read_prompts().lighting)
+    (tmp_path / "mine.toml").write_text("")
     assert run("generate", "--save-prompts", tmp_path / "mine.toml") == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert run("generate", "--save-prompts", tmp_path / "mine.toml", "--overwrite") == 0
+    assert read_prompts(tmp_path / "mine.toml") == read_prompts()
 
 
 def test_help_has_a_group_for_each_part(capsys: pytest.CaptureFixture[str]) -> None:
