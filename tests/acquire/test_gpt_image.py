@@ -294,7 +294,8 @@ def test_a_key_that_cannot_be_sent_is_told_and_not_shown(
 
 
 @pytest.mark.parametrize(
-    "address", ["localhost", "ftp://localhost", "http://", "http://localhost:port/v1", "http://[::"]
+    "address",
+    ["", "localhost", "ftp://localhost", "http://", "http://localhost:port/v1", "http://[::"],
 )
 def test_an_address_that_is_none_is_told(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
     monkeypatch.setenv("OPENAI_BASE_URL", address)

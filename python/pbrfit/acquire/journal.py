@@ -72,9 +72,7 @@ class Journal:
         self._photo = photo
         self._about = about(photo, settings)
         self._entries = {
-            _key(entry.request): entry
-            for run, entry in _read(folder)
-            if run == self._about
+            _key(entry.request): entry for run, entry in _read(folder) if run == self._about
         }
 
     def __len__(self) -> int:

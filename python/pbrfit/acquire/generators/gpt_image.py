@@ -178,7 +178,8 @@ class GptImage:
             )
         if not (key.isascii() and key.isprintable()) or " " in key:
             raise InputError(f"{KEY}: expected ASCII without blanks, found other characters")
-        _check_address(os.environ.get(ADDRESS, ""))
+        if ADDRESS in os.environ:  # the client takes an empty one at its word too
+            _check_address(os.environ[ADDRESS])
         return openai.OpenAI(api_key=key, max_retries=self.max_retries, timeout=self.timeout)
 
     @property
@@ -255,7 +256,7 @@ def _check_address(address: str) -> None:
         sound = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
     except ValueError:
         sound = False
-    if address and not sound:
+    if not sound:
         raise InputError(f"{ADDRESS}: expected http:// or https:// and a host, found neither")
 
 
