@@ -78,11 +78,11 @@ def test_a_title_stands_above_all() -> None:
 
 
 def test_a_long_name_does_not_make_all_captions_too_small_to_read() -> None:
-    large = np.full((256, 384, 3), 128, dtype=np.uint8)
+    large = np.full((256, 384, 3), (0, 255, 255), dtype=np.uint8)
 
     def height_of_letters(neighbour: str) -> int:
         sheet = contact_sheet(large, [Shown("HHH", large), Shown(neighbour, large)], title="")
-        first = int(rows_of(sheet, 128, 128, 128).min())
+        first = int(rows_of(sheet, 0, 255, 255).min())
         second = slice(2 * MARGIN + 384, 2 * MARGIN + 2 * 384)
         return int((sheet[:first, second] < 128).any(axis=(1, 2)).sum())
 
