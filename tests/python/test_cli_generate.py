@@ -163,6 +163,16 @@ def test_options_that_would_do_nothing_or_cannot_be_are_refused_before_anything_
     assert not (made / "scene").exists()
 
 
+def test_depth_of_an_orthographic_camera_is_led_to_the_command_that_takes_it(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(made / "depth.npy", np.full((64, 64), 3.0))
+    depth = f"depth:{made / 'depth.npy'}"
+    assert generate(made, "--normals", depth, "--fov", "0") == 2
+    assert f"pbrfit normals SCENE --from {depth} --view-width" in error_of(capsys)
+    assert not (made / "scene").exists()
+
+
 def test_options_of_one_service_are_refused_for_another(
     made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,7 +23,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire.generation_report import FILE, SHEET, GenerationReport
 from pbrfit.acquire.generators import Generator, Request
 from pbrfit.acquire.journal import FOLDER, Journal, write_json
-from pbrfit.acquire.normals import Normals, estimate
+from pbrfit.acquire.normals import DEPTH, Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.rounds import REGENERATE, Reviewer, Rounds
@@ -235,6 +235,12 @@ def _segments(
 
 
 def _normals(photo: Photo, source: str, fov: float, options: Mapping[str, Any]) -> Normals:
+    if source.startswith(DEPTH) and fov == 0 and "view_width" not in options:
+        raise InputError(
+            f"normals: expected a field of view above 0 for {source}, found an orthographic one: "
+            f"take flat ones first, and then `pbrfit normals SCENE --from {source} --view-width "
+            "WIDTH --overwrite`"
+        )
     with _or_instead("normals", source, "marigold", "flat, depth:FILE or FILE"):
         return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
 
