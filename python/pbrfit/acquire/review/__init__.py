@@ -54,17 +54,17 @@ MOST_MOVED = 0.25
 MOST_MOVED_TOGETHER = 0.05
 """Share of the edges that lie in displaced tiles, likewise."""
 
-MOST_MIXED = (0.015, 0.34)
+MOST_MIXED = (0.003, 0.46)
 """Unexplained light, up in one channel and down in another: a + b / N, since fewer pictures explain
 less of a light that is right; see `illumination`."""
 
-MOST_CHANGED = 1.4
+MOST_CHANGED = (1.0, 3.0)
 BRIGHTNESS = 4.5
 DETAIL = 1.6
-"""Evidence that a place shows something else: `DETAIL` times what is missing of the lasting
-gradients, and the unexplained brightness in units of `BRIGHTNESS` times the median picture's most.
-Either alone is common under hard lamps, both in one place are not. All bounds were chosen on scenes
-of seeds 2000 to 2013."""
+"""Evidence that a place shows something else, a + b / N likewise: `DETAIL` times what is missing of
+the lasting gradients, and the unexplained brightness in units of `BRIGHTNESS` times the median
+picture's most. Either alone is common under hard lamps, both in one place are not. All bounds were
+chosen on scenes of seeds 2000 to 2013."""
 
 _LEAST_BRIGHTNESS = 0.05
 """Of the median picture: noise and whole numbers leave as much."""
@@ -230,10 +230,9 @@ class Reviewer:
         used = illumination.usable(low)
         if self._low_mask is not None:
             used &= self._low_mask
-        lit = illumination.relative(low)
         size = reduced_size(self._size, illumination.SIDE)
         residuals = [
-            illumination.unexplained(i, lit, used).reshape(*size, 3) for i in range(1, len(members))
+            illumination.unexplained(i, low, used).reshape(*size, 3) for i in range(1, len(members))
         ]
         brightness = [illumination.brightness(residual) for residual in residuals]
         usual = max(float(np.median([found.max() for found in brightness])), _LEAST_BRIGHTNESS)
@@ -253,7 +252,7 @@ class Reviewer:
                             MOST_MOVED_TOGETHER,
                         ),
                         self._colour(residual, len(members)),
-                        self._content(kept, bright, usual),
+                        self._content(kept, bright, usual, len(members)),
                     )
                 )
             )
@@ -320,7 +319,7 @@ class Reviewer:
         )
 
     def _colour(self, residual: NDArray[np.float64], pictures: int) -> Check:
-        bound = MOST_MIXED[0] + MOST_MIXED[1] / pictures
+        bound = _bound(MOST_MIXED, pictures)
         mixed = illumination.mixed(residual)
         most = float(mixed.max())
         return Check(
@@ -333,8 +332,13 @@ class Reviewer:
         )
 
     def _content(
-        self, kept: NDArray[np.float64], brightness: NDArray[np.float64], usual: float
+        self,
+        kept: NDArray[np.float64],
+        brightness: NDArray[np.float64],
+        usual: float,
+        pictures: int,
     ) -> Check:
+        bound = _bound(MOST_CHANGED, pictures)
         missing = np.nan_to_num(1.05 - kept).clip(0)
         changed = brightness / (BRIGHTNESS * usual) + DETAIL * missing
         row, column = np.unravel_index(changed.argmax(), changed.shape)
@@ -343,8 +347,8 @@ class Reviewer:
         return Check(
             "content",
             most,
-            MOST_CHANGED,
-            most <= MOST_CHANGED,
+            bound,
+            most <= bound,
             f"something else around {self._place(changed)}: {detail:.0f} % of the lasting detail "
             f"is missing, and brightness is off by {brightness[row, column]:.2f} in the logarithm "
             f"from what light can make ({usual:.2f} is usual here)",
@@ -356,6 +360,10 @@ class Reviewer:
         x = (int(column) + 0.5) * self.shape[1] / found.shape[1]
         y = (int(row) + 0.5) * self.shape[0] / found.shape[0]
         return f"x = {x:.0f}, y = {y:.0f}"
+
+
+def _bound(parts: tuple[float, float], pictures: int) -> float:
+    return parts[0] + parts[1] / pictures
 
 
 class _Member:

@@ -1,9 +1,9 @@
 """Whether the light of a picture fits those of the others: a quick decomposition at low resolution.
 
-Divided by what all pictures have in common at a pixel, the median of their logarithms, a picture is
-an illumination: the albedo is gone, whatever the material is painted with. Light adds up, and
-illuminations of one view are few functions of direction and place. So that of a picture must be,
-nearly, a sum of those of the others,
+Divided by what the other pictures have in common at a pixel, the median of their logarithms, a
+picture is an illumination: the albedo is gone, whatever the material is painted with. Light adds
+up, and illuminations of one view are few functions of direction and place. So that of a picture
+must be, nearly, a sum of those of the others,
 
     E_i(x, c) ≈ Σ_j Σ_c' a_jc' E_j(x, c') + b
 
@@ -40,19 +40,13 @@ _RIDGE = 1e-4
 _STEPS = 8
 
 
-def relative(pictures: NDArray[Any]) -> NDArray[np.float64]:
-    """Illuminations E (N, P, 3) of pictures (N, P, 3): by what is the middle one at each pixel."""
-    lit = pictures + _FLOOR
-    return np.asarray(lit / np.exp(np.median(np.log(lit), axis=0)))
-
-
 def usable(pictures: NDArray[Any]) -> NDArray[np.bool_]:
     """(N, P): neither clipped nor dark."""
     return np.asarray((pictures.min(axis=-1) > _DARK) & (pictures.max(axis=-1) < _BRIGHT))
 
 
 def unexplained(
-    index: int, illuminations: NDArray[np.float64], used: NDArray[np.bool_]
+    index: int, pictures: NDArray[np.float64], used: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Residual (P, 3) of a picture's illumination, as a logarithm; 0 where it is not usable.
 
@@ -60,16 +54,19 @@ def unexplained(
     ----------
     index
         Which picture.
-    illuminations
-        (N, P, 3), see `relative`.
+    pictures
+        (N, P, 3) linear, white = 1.
     used
         (N, P), see `usable`.
     """
-    count, pixels, _ = illuminations.shape
-    others = np.delete(np.arange(count), index)
-    basis = illuminations[others].transpose(1, 0, 2).reshape(pixels, -1)
+    lit = pictures + _FLOOR
+    others = np.delete(lit, index, axis=0)
+    # Without the picture itself: what is wrong in it would show in all illuminations.
+    albedo = np.exp(np.median(np.log(others), axis=0))
+    pixels = len(albedo)
+    basis = (others / albedo).transpose(1, 0, 2).reshape(pixels, -1)
     basis = np.concatenate([basis, np.ones((pixels, 1))], axis=1)
-    wanted = illuminations[index]
+    wanted = lit[index] / albedo
     sound = used[index]
     if np.count_nonzero(sound) < basis.shape[1]:
         return np.zeros((pixels, 3))
