@@ -18,9 +18,11 @@ def fit_memory(scene: Scene, layout: Layout, solver: memory.Method) -> int:
 
 def _aligned(scene: Scene) -> list[tuple[str, str]]:
     """Whether the pictures line up, a line for each that does not."""
+    if min(scene.height, scene.width) < alignment.LEAST_SIDE:
+        return [("line up", f"not looked at: pictures below {alignment.LEAST_SIDE} pixels")]
     found = alignment.complaints(scene)
     if not found:
-        return [("line up", "yes")]
+        return [("line up", "yes, as far as their edges tell")]
     return [("line up", f"NO: {found[0]}"), *(("", complaint) for complaint in found[1:])]
 
 

@@ -88,12 +88,12 @@ def add_normals(
         raise InputError(f"normals: expected shape {(*size, 3)}, found {normals.shape}")
     stored = _to_convention(folder, normals)
     path, weight_path = folder / "normals.exr", folder / WEIGHT_FILE
-    weight_path.unlink(missing_ok=True)
+    write_normals(path, stored, uncertainty)  # what cannot be written costs nothing
     for other in find_normals(folder):
         if other != path:
             other.unlink()
-    write_normals(path, stored, uncertainty)
     if weights is None:
+        weight_path.unlink(missing_ok=True)
         return [path]
     write_weights(weight_path, weights, ())
     return [path, weight_path]

@@ -6,10 +6,12 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from acquire.image_service import KEY, Answer, Reply, Serve, Service, running
 from acquire.tiny_pipelines import save_tiny_flux2_klein
 
 # Read when the libraries are imported, so before any test is. A cache of their own, so that what
@@ -49,3 +51,17 @@ def tiny_flux2_klein(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tiny_distilled_flux2_klein(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A checkpoint that says that it is distilled."""
     return save_tiny_flux2_klein(tmp_path_factory.mktemp("distilled"), distilled=True)
+
+
+@pytest.fixture
+def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
+    """Start a service that the client is led to."""
+    with ExitStack() as stack:
+
+        def start(*replies: Reply | Answer) -> Service:
+            service = Service(*replies)
+            monkeypatch.setenv("OPENAI_BASE_URL", stack.enter_context(running(service)))
+            monkeypatch.setenv("OPENAI_API_KEY", KEY)
+            return service
+
+        yield start

@@ -57,6 +57,9 @@ class Call:
 
 
 Reply = Callable[[Call], Answer]
+Serve = Callable[..., "Service"]
+
+KEY = "sk-this-is-the-secret-0123456789"
 
 
 def picture(pixels: Pixels, **changes: Any) -> Answer:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from acquire.image_service import Answer, Call, Reply, Service, failure, picture, running
+from acquire.image_service import KEY, Answer, Call, Serve, Service, failure, picture
 from pbrfit.cli import main
 from pbrfit.scene import Scene
 
-KEY = "sk-this-is-the-secret-0123456789"
 FREE = ("--normals", "flat", "--segments", "none", "--no-review", "--fov", "50")
-Serve = Callable[..., Service]
 
 
 @pytest.fixture
@@ -27,20 +23,6 @@ def photo(tmp_path: Path) -> Path:
     path = tmp_path / "photo.png"
     Image.fromarray(codes.astype(np.uint8)).save(path)
     return path
-
-
-@pytest.fixture
-def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
-    """Start a service that the client is led to."""
-    with ExitStack() as stack:
-
-        def start(*replies: Reply | Answer) -> Service:
-            service = Service(*replies)
-            monkeypatch.setenv("OPENAI_BASE_URL", stack.enter_context(running(service)))
-            monkeypatch.setenv("OPENAI_API_KEY", KEY)
-            return service
-
-        yield start
 
 
 def generate(photo: Path, *options: str | Path | int) -> int:

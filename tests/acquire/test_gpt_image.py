@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -15,24 +13,20 @@ from PIL import Image
 
 from acquire.image_service import (
     CUT,
+    KEY,
     USAGE,
     Answer,
     Call,
-    Reply,
-    Service,
+    Serve,
     as_json,
     failure,
     picture,
-    running,
 )
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Refused, Request
 from pbrfit.acquire.generators.gpt_image import PRICES, PRICES_AS_OF, GptImage, cost
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import read_prompts
-
-KEY = "sk-this-is-the-secret-0123456789"
-Serve = Callable[..., Service]
 
 ASK = Request("lamp_left", "Light from a lamp at the left.", "people, text.", 7)
 
@@ -50,19 +44,6 @@ def photo(folder: Path, width: int = 128, height: int = 96) -> Photo:
 @pytest.fixture(autouse=True)
 def key(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", KEY)
-
-
-@pytest.fixture
-def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
-    """Start a service that the client is led to."""
-    with ExitStack() as stack:
-
-        def start(*replies: Reply | Answer) -> Service:
-            service = Service(*replies)
-            monkeypatch.setenv("OPENAI_BASE_URL", stack.enter_context(running(service)))
-            return service
-
-        yield start
 
 
 def inverted(call: Call) -> Answer:
@@ -281,6 +262,26 @@ def test_without_a_key_nothing_is_asked(
     with pytest.raises(InputError, match="OPENAI_API_KEY"):
         GptImage().generate(photo(tmp_path), ASK)
     assert service.calls == []
+
+
+@pytest.mark.parametrize("broken", ["sk-ключ", "sk-two words", "sk-two\nlines"])
+def test_a_key_that_cannot_be_sent_is_told_and_not_shown(
+    monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", broken)
+    with pytest.raises(InputError, match=r"^OPENAI_API_KEY: expected ASCII") as told:
+        GptImage().check()
+    assert "sk-" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["", "localhost", "ftp://localhost", "http://", "http://localhost:port/v1", "http://[::"],
+)
+def test_an_address_that_is_none_is_told(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+    monkeypatch.setenv("OPENAI_BASE_URL", address)
+    with pytest.raises(InputError, match=r"^OPENAI_BASE_URL: expected http:// or https://"):
+        GptImage().check()
 
 
 def test_a_quality_that_is_none_is_refused() -> None:

@@ -244,6 +244,24 @@ def test_what_the_hub_answers_is_one_line(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (MemoryError(), "FLUX: out of memory while loading owner/name"),
+        (ValueError("header too large"), "owner/name: expected FLUX in .* that can be loaded: hea"),
+    ],
+)
+@pytest.mark.usefixtures("hub")
+def test_weights_that_are_there_and_cannot_be_used_are_not_said_to_be_missing(
+    error: Exception, expected: str
+) -> None:
+    def loader(*_: object, **__: object) -> object:
+        raise error
+
+    with pytest.raises(InputError, match=expected):
+        weights.load("FLUX", "owner/name", loader=loader, marker="config.json")
+
+
 @pytest.mark.usefixtures("hub")
 def test_no_connection_is_one_line(
     photo: Photo, hub_cache: Path, monkeypatch: pytest.MonkeyPatch

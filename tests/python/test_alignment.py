@@ -173,3 +173,11 @@ def test_inspect_says_that_sound_pictures_line_up(
     room().save(tmp_path / "sound")
     assert main(["inspect", str(tmp_path / "sound")]) == 0
     assert "line up           yes" in capsys.readouterr().out
+
+
+def test_inspect_does_not_say_that_small_pictures_line_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_scene("furnished", size=32, lights=3, held_out=1, seed=1).save(tmp_path / "small")
+    assert main(["inspect", str(tmp_path / "small")]) == 0
+    assert "line up           not looked at: pictures below 64" in capsys.readouterr().out

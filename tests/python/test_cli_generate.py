@@ -163,6 +163,16 @@ def test_options_that_would_do_nothing_or_cannot_be_are_refused_before_anything_
     assert not (made / "scene").exists()
 
 
+def test_depth_of_an_orthographic_camera_is_led_to_the_command_that_takes_it(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(made / "depth.npy", np.full((64, 64), 3.0))
+    depth = f"depth:{made / 'depth.npy'}"
+    assert generate(made, "--normals", depth, "--fov", "0") == 2
+    assert f"pbrfit normals SCENE --from {depth} --view-width" in error_of(capsys)
+    assert not (made / "scene").exists()
+
+
 def test_options_of_one_service_are_refused_for_another(
     made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -203,7 +213,11 @@ def test_prompts_are_listed_and_saved_as_a_catalogue_to_edit(
     assert run("generate", "--list-prompts", "--prompts", tmp_path / "mine.toml") == 0
     listed = capsys.readouterr().out
     assert all(prompt.text in listed for prompt in read_prompts().lighting)
+    (tmp_path / "mine.toml").write_text("")
     assert run("generate", "--save-prompts", tmp_path / "mine.toml") == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert run("generate", "--save-prompts", tmp_path / "mine.toml", "--overwrite") == 0
+    assert read_prompts(tmp_path / "mine.toml") == read_prompts()
 
 
 def test_help_has_a_group_for_each_part(capsys: pytest.CaptureFixture[str]) -> None:

@@ -75,3 +75,15 @@ def test_a_title_stands_above_all() -> None:
     above = with_title[: rows_of(with_title, 128, 128, 128).min()]
     assert (above == INK).all(axis=-1).any()
     assert tuple(with_title[0, 0]) == PAPER
+
+
+def test_a_long_name_does_not_make_all_captions_too_small_to_read() -> None:
+    large = np.full((256, 384, 3), (0, 255, 255), dtype=np.uint8)
+
+    def height_of_letters(neighbour: str) -> int:
+        sheet = contact_sheet(large, [Shown("HHH", large), Shown(neighbour, large)], title="")
+        first = int(rows_of(sheet, 0, 255, 255).min())
+        second = slice(2 * MARGIN + 384, 2 * MARGIN + 2 * 384)
+        return int((sheet[:first, second] < 128).any(axis=(1, 2)).sum())
+
+    assert height_of_letters("window_" * 30) >= 0.6 * height_of_letters("b")

@@ -19,6 +19,7 @@ from acquire_run import CATALOGUE, Counting, Strict, failing, refusing, write_ph
 from pbrfit._core import InputError
 from pbrfit.acquire.generation import generate
 from pbrfit.acquire.generation_report import GenerationReport
+from pbrfit.acquire.generators import Request
 from pbrfit.acquire.prompts import Catalogue, Prompt
 from pbrfit.scene import Scene
 
@@ -147,6 +148,44 @@ generate(Path({str(photo)!r}), Path({str(tmp_path / "scene")!r}), generator=Coun
     make(rest, resume=True)
     assert [request.name for request in rest.asked] == ["light_2", "light_3"]
     assert len(Scene.load(tmp_path / "scene").images) == 5
+
+
+def test_what_a_killed_run_worked_in_goes_away_and_is_no_scene(make: Make, tmp_path: Path) -> None:
+    left = tmp_path / "scene" / ".pbrfit-generate-0123456789ab"
+    (left / "images").mkdir(parents=True)
+    make(Counting())
+    assert not left.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no such lock")
+@pytest.mark.parametrize("again", ["resume", "overwrite"])
+def test_a_second_run_at_the_same_time_pays_for_nothing(make: Make, again: str) -> None:
+    second = Counting()
+
+    def at_once(calls: int, request: Request) -> None:
+        del request
+        if calls == 1:
+            with pytest.raises(InputError, match=r"scene: expected no other run at work there"):
+                make(second, **{again: True})
+
+    first = Counting(before=at_once)
+    make(first)
+    assert len(first.asked) == 4
+    assert second.asked == []
+
+
+@pytest.mark.parametrize("again", ["resume", "overwrite"])
+def test_pictures_that_somebody_added_are_not_taken_away(
+    make: Make, tmp_path: Path, again: str
+) -> None:
+    make(Counting())
+    own = tmp_path / "scene" / "images" / "mine.png"
+    own.write_bytes((tmp_path / "photo.png").read_bytes())
+    with pytest.raises(FileExistsError, match=r"mine.png: expected only pictures that"):
+        make(Counting(), **{again: True})
+    assert own.exists()
+    own.rename(own.with_name(".DS_Store"))
+    make(Counting(), **{again: True})
 
 
 def test_a_run_that_stops_before_the_first_picture_leaves_nothing(
@@ -350,7 +389,17 @@ def test_a_picture_of_the_journal_that_was_changed_is_told(make: Make, tmp_path:
         make(Counting(), resume=True)
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"about": 1}', "{\xe9"])
+LACKS_ABOUT = json.dumps(
+    {
+        "request": {"name": "light_1", "prompt": "", "negative": "", "seed": 1},
+        "refused": "",
+        "record": {},
+        "sha256": "",
+    }
+)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"about": 1}', "{\xe9", LACKS_ABOUT])
 def test_a_broken_journal_is_told(make: Make, tmp_path: Path, text: str) -> None:
     make(Counting())
     (tmp_path / "scene" / "generation" / "light_1-1.json").write_text(text, encoding="latin-1")

@@ -426,6 +426,24 @@ def test_uncertainty_is_kept_beside_the_normals(folder: Path) -> None:
     assert dataclasses.replace(room(), weights=scene.weights).valid.all()
 
 
+def test_normals_that_cannot_be_written_cost_none_that_are_there(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pbrfit import scene_completion
+
+    def full(*_: object) -> None:
+        raise OSError("no space left on device")
+
+    flat = np.broadcast_to([128, 128, 255], (SIZE, SIZE, 3)).astype(np.uint8)
+    images.write_png(folder / "normals.png", flat, tag=None)
+    images.write_exr(folder / "weights.exr", {"Y": np.ones((SIZE, SIZE))})
+    monkeypatch.setattr(scene_completion, "write_normals", full)
+    with pytest.raises(OSError, match="no space"):
+        scene_completion.add_normals(folder, room().normals, overwrite=True)
+    assert (folder / "normals.png").exists()
+    assert (folder / "weights.exr").exists()
+
+
 # --- The picture a network is shown ---
 
 

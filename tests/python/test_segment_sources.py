@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from pbrfit import images
 from pbrfit._core import InputError
-from pbrfit.acquire.segments import MAX_ID, ids_of, segment
+from pbrfit.acquire.segments import ids_of, segment
 from pbrfit.scene import Scene
+from pbrfit.scene_folder import MAX_ID
 from scene_files import SIZE, run, write_folder
 
 ALL = (20, 30)
@@ -102,7 +103,7 @@ def test_the_command_puts_them_beside_the_pictures(
     ids[:4] = 500
     images.write_png(tmp_path / "ids.png", ids, tag=None)
     assert run("segments", folder, "--from", tmp_path / "ids.png") == 0
-    assert "segments.png: 1 segments, 25 % of the picture" in capsys.readouterr().out
+    assert "segments.png: 1 segment, 25 % of the picture" in capsys.readouterr().out
     np.testing.assert_array_equal(Scene.load(folder).segments, ids)
     assert run("segments", folder, "--from", tmp_path / "ids.png") == 2
     assert "segments.png: expected no segments yet" in capsys.readouterr().err

@@ -14,6 +14,9 @@ from pbrfit.sheet import OUTSIDE, Panel, Row, sheet
 COLUMNS = 5
 """Pictures side by side, so that two dozen of them are five rows."""
 
+LONGEST = 32
+"""Letters of a caption: all captions are as small as the longest one needs."""
+
 
 @dataclass(frozen=True, eq=False)
 class Shown:
@@ -56,12 +59,13 @@ def contact_sheet(
     accepted = [Panel("the photo", _on_screen(photo))]
     refused = []
     for picture in pictures:
+        caption = _shortened(picture.caption)
         if picture.reason:
             empty = np.full(photo.shape, OUTSIDE)
             pixels = empty if picture.pixels is None else _on_screen(picture.pixels)
-            refused.append(Panel(picture.caption, pixels, note=picture.reason, crossed=True))
+            refused.append(Panel(caption, pixels, note=picture.reason, crossed=True))
         elif picture.pixels is not None:
-            accepted.append(Panel(picture.caption, _on_screen(picture.pixels)))
+            accepted.append(Panel(caption, _on_screen(picture.pixels)))
     columns = min(COLUMNS, max(len(accepted), len(refused)))
     parts = [sheet(_rows(accepted, columns), title=title)]
     if refused:
@@ -73,6 +77,14 @@ def _rows(panels: Sequence[Panel], columns: int) -> list[Row]:
     """Full rows, so that both parts are equally wide."""
     filled = [*panels, *[None] * (-len(panels) % columns)]
     return [filled[i : i + columns] for i in range(0, len(filled), columns)]
+
+
+def _shortened(caption: str) -> str:
+    """Without its middle: the ends tell pictures apart, and the seed is at one of them."""
+    if len(caption) <= LONGEST:
+        return caption
+    half = (LONGEST - 1) // 2
+    return f"{caption[:half]}…{caption[-half:]}"
 
 
 def _on_screen(pixels: NDArray[np.uint8]) -> NDArray[np.floating[Any]]:

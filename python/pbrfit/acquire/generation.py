@@ -23,11 +23,11 @@ from pbrfit._core import InputError
 from pbrfit.acquire.generation_report import FILE, SHEET, GenerationReport
 from pbrfit.acquire.generators import Generator, Request
 from pbrfit.acquire.journal import FOLDER, Journal, write_json
-from pbrfit.acquire.normals import Normals, estimate
+from pbrfit.acquire.normals import DEPTH, Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.rounds import REGENERATE, Reviewer, Rounds
-from pbrfit.acquire.scene_place import PICTURES, check_place, place
+from pbrfit.acquire.scene_place import PHOTO, PICTURES, check_place, place
 from pbrfit.color import ColorSpace
 from pbrfit.normal_files import write_normals
 from pbrfit.scene_folder import DEFAULT_FOV
@@ -35,9 +35,6 @@ from pbrfit.sheet import as_png
 from pbrfit.weight_files import WEIGHT_FILE, write_weights
 
 log = logging.getLogger("pbrfit")
-
-PHOTO = "photo"
-"""Name of the photograph among the pictures."""
 
 LEAST = 2
 """Pictures that a scene needs."""
@@ -134,9 +131,9 @@ def generate(
     requests = _requests(generator, catalogue, count, seed, with_photo)
     view, assumed = _field_of_view(photo, fov)
     told = progress or _nobody
-    journal = Journal(out / FOLDER, photo, settings)
     with place(out) as made:
         generator.check()
+        journal = Journal(out / FOLDER, photo, settings)
         if not review:
             reviewer = None
         elif reviewer is None:
@@ -238,6 +235,12 @@ def _segments(
 
 
 def _normals(photo: Photo, source: str, fov: float, options: Mapping[str, Any]) -> Normals:
+    if source.startswith(DEPTH) and fov == 0 and "view_width" not in options:
+        raise InputError(
+            f"normals: expected a field of view above 0 for {source}, found an orthographic one: "
+            f"take flat ones first, and then `pbrfit normals SCENE --from {source} --view-width "
+            "WIDTH --overwrite`"
+        )
     with _or_instead("normals", source, "marigold", "flat, depth:FILE or FILE"):
         return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
 

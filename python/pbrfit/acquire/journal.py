@@ -72,9 +72,7 @@ class Journal:
         self._photo = photo
         self._about = about(photo, settings)
         self._entries = {
-            _key(entry.request): entry
-            for content, entry in _read(folder)
-            if content["about"] == self._about
+            _key(entry.request): entry for run, entry in _read(folder) if run == self._about
         }
 
     def __len__(self) -> int:
@@ -192,26 +190,32 @@ def _key(request: Request) -> tuple[str, str, str, int]:
     return request.name, request.prompt, request.negative, request.seed
 
 
-def _read(folder: Path) -> Iterator[tuple[dict[str, Any], Entry]]:
-    """All entries with their content."""
+def names(folder: Path) -> set[str]:
+    """Names of all pictures that were ever asked for, of any photo and settings.
+
+    Raises
+    ------
+    InputError
+        If a file of the journal cannot be read.
+    """
+    return {entry.request.name for _, entry in _read(folder)}
+
+
+def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
+    """All entries, each with what its run was about."""
     for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
         if path.name == RUN or path.name.startswith("."):
             continue
         content = _json(path)
         try:
-            yield (
-                content,
-                Entry(
-                    path.stem,
-                    Request(**content["request"]),
-                    content["refused"],
-                    content["record"],
-                    content["sha256"],
-                ),
-            )
-            _ = content["about"]
+            request = Request(**content["request"])
+            refused, record, sha256 = (content[key] for key in ("refused", "record", "sha256"))
+            run = content["about"]
         except (KeyError, TypeError):
             raise _strange(path) from None
+        if not (isinstance(refused, str) and isinstance(record, dict)):
+            raise _strange(path)
+        yield run, Entry(path.stem, request, refused, record, sha256)
 
 
 def _json(path: Path) -> Any:

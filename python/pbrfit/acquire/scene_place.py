@@ -7,6 +7,7 @@ taken for a scene, so nobody reads half of one.
 
 from __future__ import annotations
 
+import os
 import secrets
 import shutil
 from collections.abc import Iterator
@@ -19,6 +20,9 @@ from pbrfit.acquire.photo import Photo
 from pbrfit.output import making, naming
 
 PICTURES = "images"
+
+PHOTO = "photo"
+"""Name of the photograph among the pictures."""
 
 PARTS = (
     "normals.exr",
@@ -33,6 +37,12 @@ PARTS = (
 )
 """What a run puts in place or takes away, in this order. Nothing else in the folder is touched."""
 
+_TEMPORARY = ".pbrfit-generate-"
+"""What the folder's name starts with that a run works in; one that was killed leaves it."""
+
+_OF_SYSTEMS = (".db", ".ini")
+"""Files that Windows puts beside pictures."""
+
 
 def check_place(
     out: Path, photo: Photo, settings: dict[str, object], *, resume: bool, overwrite: bool
@@ -42,7 +52,7 @@ def check_place(
     Raises
     ------
     FileExistsError
-        If something is there that neither flag is for.
+        If something is there that neither flag is for, or somebody put files among the pictures.
     InputError
         If `resume` is asked for, and what is there was of another photo or other settings.
     """
@@ -52,7 +62,7 @@ def check_place(
         return
     folder = out / journal.FOLDER
     if not (folder / journal.RUN).is_file():
-        if any(out.iterdir()):
+        if any(not path.name.startswith(_TEMPORARY) for path in out.iterdir()):
             raise FileExistsError(
                 f"{out}: expected an empty folder, or one of `pbrfit generate`, found one without "
                 f"{journal.FOLDER}/{journal.RUN}"
@@ -71,6 +81,21 @@ def check_place(
             f"{out}: expected a folder that does not exist yet, found {there}; --resume goes on "
             "with it, --overwrite makes it anew from what the journal holds and what it lacks"
         )
+    _check_pictures(out)
+
+
+def _check_pictures(out: Path) -> None:
+    """Refuse to take away pictures that no run put there."""
+    if not (out / PICTURES).is_dir():
+        return
+    made = {f"{name}.png" for name in (PHOTO, *journal.names(out / journal.FOLDER))}
+    for path in sorted((out / PICTURES).iterdir()):
+        of_a_system = path.name.startswith(".") or path.suffix.lower() in _OF_SYSTEMS
+        if path.name not in made and not of_a_system:
+            raise FileExistsError(
+                f"{path}: expected only pictures that `pbrfit generate` put there, because all are "
+                "replaced, found another; move it away first"
+            )
 
 
 @contextmanager
@@ -82,26 +107,71 @@ def place(out: Path) -> Iterator[Path]:
 
     Raises
     ------
+    InputError
+        If another run is at work there: both would ask for the same pictures.
     OSError
         If nothing can be written there.
     """
     out_at = out.resolve()
     new = [folder for folder in (out_at, *out_at.parents) if not folder.exists()]
-    temporary = out_at / f".pbrfit-{secrets.token_hex(6)}"
     try:
         with making(out, "folder"):
-            temporary.mkdir(parents=True)
+            out_at.mkdir(parents=True, exist_ok=True)
+        with _alone(out_at, out), _working(out_at, out) as temporary:
+            yield temporary
+    finally:
+        with suppress(OSError):  # what is not empty stays, and so do the folders above it
+            for folder in new:
+                folder.rmdir()
+
+
+@contextmanager
+def _working(out_at: Path, out: Path) -> Iterator[Path]:
+    """The temporary folder, and what becomes of it."""
+    temporary = out_at / f"{_TEMPORARY}{secrets.token_hex(6)}"
+    try:
+        with making(out, "folder"):
+            temporary.mkdir()
         with naming(out, temporary):
             yield temporary
             _put(temporary, out_at)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-        with suppress(OSError):  # what is not empty stays, and so do the folders above it
-            kept = out_at / journal.FOLDER
+        kept = out_at / journal.FOLDER
+        with suppress(OSError):
             if kept.is_dir() and journal.holds_nothing(kept):
                 shutil.rmtree(kept)
-            for folder in new:
-                folder.rmdir()
+
+
+@contextmanager
+def _alone(folder: Path, out: Path) -> Iterator[None]:
+    """Keep other runs out of a folder, and take away what killed ones left there.
+
+    The system forgets the lock when the process ends, however it ends. Where there are no such
+    locks, as on Windows and some network drives, nobody is kept out.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        locked = True
+        try:
+            fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(
+                f"{out}: expected no other run at work there, found one; --resume goes on with "
+                "what it leaves when it has ended"
+            ) from None
+        except OSError:
+            locked = False
+        for left in folder.glob(f"{_TEMPORARY}*") if locked else ():
+            shutil.rmtree(left, ignore_errors=True)
+        yield
+    finally:
+        os.close(opened)
 
 
 def _put(made: Path, out: Path) -> None:

@@ -14,7 +14,9 @@ from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
 from pbrfit.acquire.extras import need, versions
-from pbrfit.resampling import at_centres, reduced_size
+from pbrfit.acquire.normals.maps import check_reducible
+from pbrfit.resampling import at_centres
+from pbrfit.scene_folder import MAX_ID
 
 MODEL = "facebook/sam2.1-hiera-large"
 
@@ -23,8 +25,6 @@ SMALLEST = 0.0005
 
 POINTS = 32
 """A side: SAM2 is asked what lies at each point of this grid."""
-
-MAX_ID = 65535
 
 WHAT = "SAM2"
 
@@ -67,12 +67,7 @@ def segment(
     ids = images.read_ids(path)
     height, width = srgb8.shape[:2]
     if ids.shape != (height, width):
-        larger = ids.shape[0] >= height and ids.shape[1] >= width
-        if not larger or reduced_size(ids.shape, max(height, width)) != (height, width):
-            raise InputError(
-                f"{path}: expected the pictures' size, {width} × {height} pixels, or a larger one "
-                f"in the same proportion, found {ids.shape[1]} × {ids.shape[0]}"
-            )
+        check_reducible(path, ids.shape, (height, width))
         ids = at_centres(ids, (height, width))
     return ids, {"source": "file", "file": path.name, "segments": len(np.unique(ids[ids > 0]))}
 

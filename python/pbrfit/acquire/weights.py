@@ -171,7 +171,7 @@ def load(
         except InputError:
             raise
         except Exception as error:
-            if _offline():
+            if _offline() or _out_of_memory(error):
                 raise _failed(kind, model, error, place=f" in {_cache()}") from error
         else:
             return Loaded(network, _hub_record(model, marker, revision))
@@ -187,7 +187,9 @@ def load(
     except InputError:
         raise
     except Exception as error:
-        raise _not_downloaded(kind, model, error) from error
+        if _about_files(error):
+            raise _not_downloaded(kind, model, error) from error
+        raise _failed(kind, model, error, place=f" in {_cache()}") from error
     return Loaded(network, _hub_record(model, marker, revision))
 
 
@@ -229,8 +231,8 @@ def memory_in_words(
 
 
 def _out_of_memory(error: Exception) -> bool:
-    if isinstance(error, MemoryError):
-        return True
+    if not isinstance(error, RuntimeError):
+        return isinstance(error, MemoryError)
     import torch
 
     # The processor's allocator and MPS raise a plain RuntimeError.
@@ -258,22 +260,35 @@ def _no_bars() -> Iterator[None]:
 
 def _failed(kind: str, model: str, error: Exception, place: str = "") -> InputError:
     """One line of what a library says of a damaged or foreign checkpoint, whatever its type."""
-    if isinstance(error, MemoryError) or (
-        isinstance(error, RuntimeError) and _out_of_memory(error)
-    ):
+    if _out_of_memory(error):
         return InputError(f"{kind}: out of memory while loading {model}")
     return InputError(f"{model}: expected {kind}{place} that can be loaded: {_first_line(error)}")
+
+
+def _chain(error: BaseException) -> list[BaseException]:
+    """An error and those that it came from."""
+    chain: list[BaseException] = []
+    link: BaseException | None = error
+    while link is not None and link not in chain:
+        chain.append(link)
+        link = link.__cause__ or link.__context__
+    return chain
+
+
+def _about_files(error: Exception) -> bool:
+    """Whether files could not be had: others are there and cannot be used."""
+    clients = ("huggingface_hub", "httpx", "requests")
+    return any(
+        isinstance(link, OSError) or type(link).__module__.partition(".")[0] in clients
+        for link in _chain(error)
+    )
 
 
 def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
     from huggingface_hub import errors
 
     # diffusers says in each case that a file is missing; what the Hub or the network said is below.
-    chain: list[BaseException] = []
-    link: BaseException | None = error
-    while link is not None and link not in chain:
-        chain.append(link)
-        link = link.__cause__ or link.__context__
+    chain = _chain(error)
     if any(isinstance(link, errors.GatedRepoError) for link in chain):
         return InputError(
             f"{kind}: {model} is given out on conditions: accept them at "

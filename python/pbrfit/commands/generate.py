@@ -80,7 +80,8 @@ def add(commands: Subcommands) -> None:
         "--overwrite",
         action="store_true",
         help="make an earlier scene anew, also with another photograph or other settings; "
-        "received pictures are kept and taken where they are what is asked for",
+        "received pictures are kept and taken where they are what is asked for (of "
+        "--save-prompts: replace the file)",
     )
     added.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
     added.add_argument("--json", action="store_true", help="print review.json as the summary")
@@ -214,7 +215,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.save_prompts is not None:
         from pbrfit.output import new_file
 
-        with new_file(options.save_prompts) as file:
+        with new_file(options.save_prompts, overwrite=options.overwrite) as file:
             file.write_text(shipped_text(), encoding="utf-8")
         print(f"{options.save_prompts}: edit it, and pass it as --prompts")
         return DONE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -147,7 +148,8 @@ def _run(options: argparse.Namespace) -> int:
                 print(f"  {line}")
             if len(paths) > 1:
                 print(f"{paths[1]}: {_of_weights(found)}")
-            print(f"look at them: pbrfit inspect {options.scene} --preview normals_preview.png")
+            scene = shlex.quote(str(options.scene))
+            print(f"look at them: pbrfit inspect {scene} --preview normals_preview.png")
     return DONE
 
 

@@ -79,9 +79,10 @@ def _run(options: argparse.Namespace) -> int:
     ids, record = segment(options.source, picture, **given)
     path = scene_completion.add_segments(options.scene, ids, overwrite=options.overwrite)
     if not options.quiet:
+        count = record["segments"]
         with unread_is_no_failure():
             print(
-                f"{path}: {record['segments']} segments, "
+                f"{path}: {count} segment{'s' if count != 1 else ''}, "
                 f"{100 * np.mean(ids > 0):.0f} % of the picture"
             )
     return DONE

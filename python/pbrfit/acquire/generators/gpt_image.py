@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 KEY = "OPENAI_API_KEY"
 """Where the key is looked for, and nowhere else."""
 
+ADDRESS = "OPENAI_BASE_URL"
+"""Where the client looks for another service than OpenAI's."""
+
 QUALITIES = ("low", "medium", "high", "auto")
 
 TIMEOUT = 600.0
@@ -105,7 +108,7 @@ class GptImage:
         Raises
         ------
         InputError
-            If the extra or the key is missing.
+            If the extra or the key is missing, or the key or the service's address is none.
         """
         _ = self._client
 
@@ -173,6 +176,10 @@ class GptImage:
             raise InputError(
                 f"{KEY}: expected a key of OpenAI's API in the environment, found none"
             )
+        if not (key.isascii() and key.isprintable()) or " " in key:
+            raise InputError(f"{KEY}: expected ASCII without blanks, found other characters")
+        if ADDRESS in os.environ:  # the client takes an empty one at its word too
+            _check_address(os.environ[ADDRESS])
         return openai.OpenAI(api_key=key, max_retries=self.max_retries, timeout=self.timeout)
 
     @property
@@ -240,6 +247,17 @@ class GptImage:
         """One line, not endless, without the key."""
         text = " ".join(text.replace(self._client.api_key, "***").split())
         return text if len(text) <= 300 else text[:299] + "…"
+
+
+def _check_address(address: str) -> None:
+    """Refuse what is no web address; the message does not show it, for it may hold a password."""
+    try:
+        parts = urlsplit(address.strip())
+        sound = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        sound = False
+    if not sound:
+        raise InputError(f"{ADDRESS}: expected http:// or https:// and a host, found neither")
 
 
 def cost(model: str, usage: dict[str, Any] | None) -> float | None:

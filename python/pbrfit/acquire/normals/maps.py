@@ -41,13 +41,7 @@ def fit_to_size(
     """
     if normals.shape[:2] == size:
         return normals, known
-    height, width = size
-    larger = normals.shape[0] >= height and normals.shape[1] >= width
-    if not larger or reduced_size(normals.shape, max(size)) != size:
-        raise InputError(
-            f"{path}: expected the pictures' size, {width} × {height} pixels, or a larger one in "
-            f"the same proportion, found {normals.shape[1]} × {normals.shape[0]}"
-        )
+    check_reducible(path, normals.shape, size)
     planes = [averaged(np.where(known, normals[..., i], 0.0), size) for i in range(3)]
     small = np.stack(planes, axis=-1)
     length = np.linalg.norm(small, axis=-1)
@@ -57,6 +51,23 @@ def fit_to_size(
     length[~told] = 1.0
     facing = np.array([0.0, 0.0, 1.0])
     return np.where(told[..., None], small / length[..., None], facing), told
+
+
+def check_reducible(path: Path, shape: tuple[int, ...], size: tuple[int, int]) -> None:
+    """Check that a map of this shape becomes one of (height, width) by averaging.
+
+    Raises
+    ------
+    InputError
+        If it is smaller, or of another proportion; it names `path`.
+    """
+    height, width = size
+    larger = shape[0] >= height and shape[1] >= width
+    if not larger or reduced_size(shape, max(size)) != size:
+        raise InputError(
+            f"{path}: expected the pictures' size, {width} × {height} pixels, or a larger one in "
+            f"the same proportion, found {shape[1]} × {shape[0]}"
+        )
 
 
 def read_npy(path: Path) -> NDArray[np.float64]:
