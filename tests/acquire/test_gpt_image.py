@@ -26,7 +26,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire.generators import Refused, Request
 from pbrfit.acquire.generators.gpt_image import PRICES, PRICES_AS_OF, GptImage, cost
 from pbrfit.acquire.photo import Photo, read_photo
-from pbrfit.acquire.prompts import read_prompts
+from pbrfit.acquire.prompts import Catalogue, Prompt, read_prompts
 
 ASK = Request("lamp_left", "Light from a lamp at the left.", "people, text.", 7)
 
@@ -238,9 +238,18 @@ def test_an_answer_without_a_picture_is_told(tmp_path: Path, serve: Serve, answe
 
 def test_a_picture_of_another_shape_is_refused(tmp_path: Path, serve: Serve) -> None:
     serve(picture(np.zeros((1024, 1024, 3), dtype=np.uint8)))
-    message = error_of(photo(tmp_path, 1008, 752))
-    assert "1008 × 752" in message
-    assert "1024 × 1024" in message
+    taken = photo(tmp_path, 1008, 752)
+    with pytest.raises(Refused, match=r"1008 × 752 pixels, as was asked for, found 1024 × 1024"):
+        GptImage().generate(taken, ASK)
+
+
+def test_a_lighting_in_front_of_others_does_not_change_them() -> None:
+    lightings = tuple(Prompt(name, f"{name} light.") for name in ("dawn", "noon", "dusk"))
+    before, after = (
+        GptImage().plan(Catalogue("", some, ""), len(some), 7)
+        for some in (lightings[1:], lightings)
+    )
+    assert after[1:] == before
 
 
 def test_a_picture_of_the_same_shape_is_scaled_and_said_to_be(tmp_path: Path, serve: Serve) -> None:
@@ -301,9 +310,9 @@ def test_the_key_is_in_no_setting_record_or_log(
     assert KEY not in seen
 
 
-def test_requests_are_the_catalogues_with_seeds_that_tell_calls_apart() -> None:
+def test_requests_are_the_catalogues_and_all_have_the_first_seed() -> None:
     catalogue = read_prompts()
     requests = GptImage().plan(catalogue, 3, 5)
-    assert [request.seed for request in requests] == [5, 6, 7]
+    assert [request.seed for request in requests] == [5, 5, 5]
     assert requests[0].prompt == catalogue.full(catalogue.lighting[0])
     assert requests[0].negative == catalogue.negative

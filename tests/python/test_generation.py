@@ -389,6 +389,21 @@ def test_a_picture_of_the_journal_that_was_changed_is_told(make: Make, tmp_path:
         make(Counting(), resume=True)
 
 
+def test_a_crash_between_a_picture_and_its_entry_costs_nothing(make: Make, tmp_path: Path) -> None:
+    make(Counting())
+    journal = tmp_path / "scene" / "generation"
+    entry = journal / "light_1-1.json"
+    before = json.loads(entry.read_text())
+    entry.unlink()
+    (journal / "mine.png").write_bytes((tmp_path / "scene" / "images" / "photo.png").read_bytes())
+    again = Counting()
+    report = make(again, resume=True)
+    assert again.asked == []
+    (picture,) = [one for one in report.pictures if one.request.name == "light_1"]
+    found = picture.attempts[0].entry
+    assert (found.record, found.sha256) == (before["record"], before["sha256"])
+
+
 LACKS_ABOUT = json.dumps(
     {
         "request": {"name": "light_1", "prompt": "", "negative": "", "seed": 1},

@@ -2,13 +2,15 @@
 
 A folder with two files a request: `NAME-SEED.png`, the picture as it was received, and then
 `NAME-SEED.json`, which says what was asked for. The second is written when the first is whole, so
-what it speaks of is there. Nothing in this folder is ever deleted or written over.
+what it speaks of is there; and the first holds the second's text too, so that a crash between the
+two loses nothing. Nothing in this folder is ever deleted or written over.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
-from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.photo import Photo
@@ -27,6 +29,9 @@ from pbrfit.output import new_file
 
 FOLDER = "generation"
 """Its name in a scene folder."""
+
+TEXT = "pbrfit"
+"""Key of the text in a picture that says what its entry says."""
 
 RUN = "run.json"
 """What the last run was about: the photo and the generator's settings."""
@@ -90,7 +95,13 @@ class Journal:
     def keep(self, request: Request, generated: Generated) -> Entry:
         """Write down a picture."""
         stem = self._free(request)
-        png = images.encode_png(generated.pixels, "srgb")
+        told = PngInfo()
+        asked = {"request": dataclasses.asdict(request), "record": generated.record}
+        told.add_itxt(TEXT, _text({"about": self._about, **asked}), zip=True)
+        told.add(b"sRGB", b"\0")
+        buffer = io.BytesIO()
+        Image.fromarray(generated.pixels).save(buffer, "PNG", pnginfo=told)
+        png = buffer.getvalue()
         with new_file(self.folder / f"{stem}.png") as path:
             path.write_bytes(png)
         digest = hashlib.sha256(png).hexdigest()
@@ -216,6 +227,22 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
         if not (isinstance(refused, str) and isinstance(record, dict)):
             raise _strange(path)
         yield run, Entry(path.stem, request, refused, record, sha256)
+    for path in sorted(folder.glob("*.png")) if folder.is_dir() else ():
+        if not path.name.startswith(".") and not path.with_suffix(".json").exists():
+            yield from _orphan(path)
+
+
+def _orphan(path: Path) -> Iterator[tuple[object, Entry]]:
+    """A picture whose entry was not written any more, or somebody's own, which is none."""
+    data = path.read_bytes()
+    try:
+        with Image.open(io.BytesIO(data)) as picture:
+            content = json.loads(picture.info[TEXT])
+        request = Request(**content["request"])
+        run, record = content["about"], content["record"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    yield run, Entry(path.stem, request, "", record, hashlib.sha256(data).hexdigest())
 
 
 def _json(path: Path) -> Any:
@@ -234,8 +261,13 @@ def write_json(path: Path, content: object) -> None:
 
     Names of files may hold bytes that are no UTF-8; as escapes, they come back as they were.
     """
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    path.write_text(text, encoding="utf-8", errors="backslashreplace")
+    path.write_text(_text(content) + "\n", encoding="utf-8")
+
+
+def _text(content: object) -> str:
+    """JSON in UTF-8."""
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _write(path: Path, content: object, *, overwrite: bool = False) -> None:

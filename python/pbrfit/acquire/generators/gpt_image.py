@@ -12,7 +12,7 @@ import binascii
 import io
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn
 from urllib.parse import urlsplit
@@ -113,8 +113,12 @@ class GptImage:
         _ = self._client
 
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
-        """The first `count` prompts of the catalogue; see `requests_from`."""
-        return requests_from(catalogue, count, seed)
+        """The first `count` prompts of the catalogue; see `requests_from`.
+
+        The service has no seeds, so all requests have the first: a lighting that is put in front of
+        others does not make them other requests.
+        """
+        return [replace(request, seed=seed) for request in requests_from(catalogue, count, seed)]
 
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Ask for one picture.
@@ -208,7 +212,7 @@ class GptImage:
         if (height, width) != around.padded:
             asked = around.padded
             if abs(width / height * asked[0] / asked[1] - 1) > SAME_SHAPE:
-                raise InputError(
+                raise Refused(
                     f"{self._service}: expected a picture of {asked[1]} × {asked[0]} pixels, as "
                     f"was asked for, found {width} × {height}: no pixel is sure to be the photo's"
                 )

@@ -152,7 +152,10 @@ class Reviewer:
         self._photo = self._reduced(photo)
         self._edges = alignment.edges(self._photo, self._mask)
         if alignment.compare(self._edges, self._edges) is None:
-            raise InputError("photo: expected something with edges, found an even surface")
+            raise InputError(
+                "photo: expected something with edges to compare by, found an even surface; "
+                "--no-review (review=False) takes pictures as they come"
+            )
 
     def picture(self, pixels: NDArray[Any]) -> Verdict:
         """Judge one picture (H, W, 3), linear Rec.709, white = 1, against the photograph.
@@ -316,7 +319,8 @@ class Reviewer:
             known,
             LEAST_CHANGE,
             change >= LEAST_CHANGE,
-            f"a tone curve away from the photograph: only {known:.3f} in the logarithm is light"
+            f"the same light as in the photograph: beside a tone curve only {known:.3f} of the "
+            "logarithm differs"
             if change < LEAST_CHANGE
             else f"the light differs by {known:.2f} in the logarithm beside a tone curve",
         )
