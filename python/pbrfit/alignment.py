@@ -52,7 +52,7 @@ _MOVED = 1.0
 _SURE = 0.3
 _GAIN = 0.08
 """A tile has moved if its peak is more than `_MOVED` pixels away, `_SURE` high, and by `_GAIN`
-higher than the correlation in place. Chosen on scenes of seeds 2000 to 2013."""
+higher than the correlation in place. Chosen on scenes of seeds 2000 to 2104."""
 
 
 @dataclass(frozen=True)
