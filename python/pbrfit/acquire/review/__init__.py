@@ -39,6 +39,9 @@ from pbrfit.resampling import averaged, reduced_size
 LEAST_USABLE = 0.2
 """Share of pixels that must be neither clipped nor black."""
 
+_BLACK, _CLIPPED = 0.01, 0.98
+"""Of white, for the brightest channel: saturated colours are neither."""
+
 LEAST_CHANGE = 0.04
 """Standard deviation of the logarithm that must be left when a tone curve is taken out."""
 
@@ -285,9 +288,9 @@ class Reviewer:
         return plane.ravel() if self._mask is None else plane[self._mask]
 
     def _exposure(self, picture: NDArray[np.float32]) -> Check:
-        usable = self._inside(illumination.usable(picture))
-        share = float(usable.mean())
-        black = float((self._inside(picture.max(axis=-1)) < 0.01).mean())
+        bright = self._inside(picture.max(axis=-1))
+        share = float(((bright > _BLACK) & (bright < _CLIPPED)).mean())
+        black = float((bright <= _BLACK).mean())
         what = "black" if black > 0.5 * (1 - share) else "clipped"
         return Check(
             "exposure",
