@@ -427,21 +427,21 @@ def test_a_pixel_of_vanishing_weight_does_no_harm(solver: Solver) -> None:
     assert np.isfinite(result.lighting).all()
 
 
-def test_a_scene_with_weights_is_saved_as_far_as_a_folder_can_hold_it(tmp_path: Path) -> None:
+def test_a_scene_with_weights_is_saved_with_them(tmp_path: Path) -> None:
     scene = in_color()
     weights = np.ones((N, SIZE, SIZE))
     weights[:, 1] = 0  # no data at all
     weights[2, 5, 6] = 0  # one bad sample, written as it is
-    weights[3, 7, 8] = 0  # one that a file must not hold
+    weights[3, 7, 8] = 0  # one that a file must not hold, written as 0
     images = scene.images.copy()
     images[3, 7, 8, 0] = np.nan
     scene = dataclasses.replace(scene, images=images, weights=weights)
     scene.save(tmp_path / "scene")
     loaded = pbrfit.Scene.load(tmp_path / "scene")
-    assert loaded.weights is None
-    expected = np.ones((SIZE, SIZE), bool)
-    expected[1] = expected[7, 8] = False
-    np.testing.assert_array_equal(loaded.valid, expected)
+    assert loaded.weights is not None
+    np.testing.assert_array_equal(loaded.weights, scene.weights)
+    np.testing.assert_array_equal(loaded.valid, scene.valid)
+    assert loaded.images[3, 7, 8, 0] == 0
     result = pbrfit.decompose(scene, iterations=2)
     result.save(tmp_path / "result", scene=scene)
     np.testing.assert_array_equal(pbrfit.Result.load(tmp_path / "result").mask, scene.valid)
