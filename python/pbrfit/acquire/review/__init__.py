@@ -45,7 +45,7 @@ _BLACK, _CLIPPED = 0.01, 0.98
 LEAST_CHANGE = 0.04
 """Standard deviation of the logarithm that must be left when a tone curve is taken out."""
 
-LEAST_AGREEMENT = 0.22
+LEAST_AGREEMENT = 0.15
 LEAST_AGREEMENT_TOGETHER = 0.4
 """Correlation of edges with the photograph, and with what the others share, which relief under one
 lamp does not blur; see `pbrfit.alignment`."""
@@ -54,14 +54,14 @@ MOST_SHIFT = 1.0
 """Pixels at the size that is compared."""
 
 MOST_MOVED = 0.25
-MOST_MOVED_TOGETHER = 0.05
+MOST_MOVED_TOGETHER = 0.07
 """Share of the edges that lie in displaced tiles, likewise."""
 
 MOST_MIXED = (0.035, 0.425)
 """Unexplained light, up in one channel and down in another: a + b / N, since fewer pictures explain
 less of a light that is right; see `illumination`."""
 
-MOST_CHANGED = (1.2, 3.0)
+MOST_CHANGED = (1.47, 3.0)
 BRIGHTNESS = 4.5
 DETAIL = 1.6
 """Evidence that a place shows something else, a + b / N likewise: `DETAIL` times what is missing of

@@ -26,7 +26,7 @@ def add(suites: Subcommands) -> None:
         "--first-seed",
         metavar="SEED",
         type=whole_number,
-        help="of the first scene of each source (default: 5000)",
+        help="of the first scene of each source (default: 6000)",
     )
     add_cycles_cache(added)
     added.add_argument(

@@ -7,6 +7,7 @@ review judges them: alone, then with all others. Nothing here draws or writes.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,7 @@ from pbrfit.synthetic import SceneKind, make_scene
 
 Array = NDArray[np.float64]
 
-FIRST_SEED = 5000
+FIRST_SEED = 6000
 """Nothing was tuned on seeds from there on."""
 
 LEAST_CAUGHT = 0.95
@@ -68,17 +69,16 @@ FULL = Effort(
     "full",
     512,
     16,
-    4,
+    3,
     (
-        Source("furnished", "own", 4),
+        Source("furnished", "cycles-full", 1),
+        Source("furnished", "cycles", 4),
+        Source("detailed", "cycles", 2),
+        Source("furnished", "own", 3),
         Source("detailed", "own", 3),
         Source("textured", "own", 2),
-        Source("room", "own", 2),
-        Source("spheres", "own", 2),
-        Source("furnished", "cycles", 5),
-        Source("detailed", "cycles", 3),
-        Source("furnished", "cycles-full", 2),
-        Source("detailed", "cycles-full", 1),
+        Source("room", "own", 1),
+        Source("spheres", "own", 1),
     ),
 )
 
@@ -189,7 +189,9 @@ def work(task: Task, threads: int) -> dict[str, Any]:
 
     judge(pictures[1:], {})
     for k in range(task.sets):
-        rng = np.random.default_rng(np.random.SeedSequence([task.seed, 78, k]))
+        # By source too: scenes of one seed would all be damaged alike.
+        source = zlib.crc32(task.source.encode())
+        rng = np.random.default_rng(np.random.SeedSequence([task.seed, source, k]))
         members = list(pictures[1:])
         repaints = [REPAINTS[(2 * k + j) % len(REPAINTS)] for j in range(2)]
         chosen = rng.choice(len(members), 5, replace=False)
