@@ -85,8 +85,16 @@ class Alignment:
         return float(np.hypot(*self.shift))
 
 
-def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None, *, side: int = SIDE) -> Field:
-    """Field of edges of a picture, at most `side` pixels long.
+def gradient(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any]]:
+    """Central differences of (H, W, ...), right + i down; 0 where the border cuts them off."""
+    found = np.zeros(values.shape, np.result_type(values, np.complex64))
+    found[:, 1:-1] = (values[:, 2:] - values[:, :-2]) / 2
+    found[1:-1] += 1j * (values[2:] - values[:-2]) / 2
+    return found
+
+
+def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
+    """Field of edges of a picture, at most `SIDE` pixels long.
 
     Parameters
     ----------
@@ -94,8 +102,6 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None, *, side: i
         (H, W, 3) linear radiance in any unit.
     mask
         (H, W), False where there is no picture.
-    side
-        Longer side of the result.
 
     Returns
     -------
@@ -103,12 +109,11 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None, *, side: i
     """
     from scipy.ndimage import binary_erosion, gaussian_filter
 
-    size = reduced_size(image.shape, side)
+    size = reduced_size(image.shape, SIDE)
     used = np.isfinite(image).all(axis=-1)
     if mask is not None:
         used &= mask
     grey = np.where(used, np.asarray(image).clip(0).mean(axis=-1), 0.0)
-    share = None
     if size != image.shape[:2]:
         grey = averaged(grey, size)
         share = averaged(used.astype(np.float64), size)
@@ -118,9 +123,7 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None, *, side: i
         return np.zeros(size, np.complex64)
     bright = np.quantile(grey[used], 0.97)
     log = np.log(gaussian_filter(grey / max(bright, 1e-30), _BLUR).clip(0) + _FLOOR)
-    g = np.zeros(size, np.complex128)
-    g[:, 1:-1] = (log[:, 2:] - log[:, :-2]) / 2
-    g[1:-1] += 1j * (log[2:] - log[:-2]) / 2
+    g = gradient(log)
     inside = binary_erosion(used, iterations=3, border_value=1)
     field = np.where(inside, g * g / (np.abs(g) ** 2 + _WEAK**2), 0)
     return field.astype(np.complex64)

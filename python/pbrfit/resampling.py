@@ -39,6 +39,11 @@ def at_centres(ids: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
     return ids[np.ix_(rows, columns)]
 
 
+def averaged_channels(image: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
+    """Each channel of an image (H, W, C) `averaged`, (height, width, C)."""
+    return np.stack([averaged(image[..., c], size) for c in range(image.shape[-1])], axis=-1)
+
+
 def _shares(old: int, new: int) -> csr_array[np.float64]:
     """(new, old): which share of a new pixel each old one has, along one side."""
     from scipy.sparse import csr_array

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from pbrfit import images
 from pbrfit._core import InputError
-from pbrfit.resampling import averaged
+from pbrfit.resampling import averaged_channels
 
 Maps = NDArray[np.float32]
 
@@ -262,5 +262,4 @@ def _block_means(layer: NDArray[Any], factor: int) -> Maps:
 
 def _resized(layer: Maps, side: int) -> Maps:
     """Average over the squares of a (side, side) grid: texels are shared by area."""
-    planes = [averaged(layer[..., c], (side, side)) for c in range(layer.shape[-1])]
-    return np.stack(planes, axis=-1).astype(np.float32)
+    return averaged_channels(layer, (side, side)).astype(np.float32)

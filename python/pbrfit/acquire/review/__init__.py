@@ -34,7 +34,7 @@ from pbrfit import alignment
 from pbrfit._core import InputError
 from pbrfit.acquire.review import illumination, structure
 from pbrfit.alignment import Alignment
-from pbrfit.resampling import averaged, reduced_size
+from pbrfit.resampling import averaged, averaged_channels, reduced_size
 
 LEAST_USABLE = 0.2
 """Share of pixels that must be neither clipped nor black."""
@@ -147,7 +147,6 @@ class Reviewer:
 
     def __init__(self, photo: NDArray[Any], *, mask: NDArray[np.bool_] | None = None) -> None:
         self.shape = photo.shape
-        self._full_mask = mask
         size = reduced_size(photo.shape, alignment.SIDE)
         self._size = size
         self._pixel = max(photo.shape[:2]) / max(size)
@@ -225,15 +224,15 @@ class Reviewer:
             return verdicts
         # Beside pictures that do not fit, one that does may have looked wrong.
         for i in sorted(out, key=lambda i: verdicts[i].excess):
-            again = self._judge([photo, *(members[j] for j in left), members[i]])[-1]
+            again = self._judge([photo, *(members[j] for j in left), members[i]], len(left) + 1)[0]
             if again.accepted:
                 verdicts[i] = again
                 left.append(i)
         return verdicts
 
-    def _judge(self, members: Sequence[_Member]) -> list[Verdict]:
-        """Verdicts on all but the first, which is the photograph."""
-        others = alignment.of_the_others([member.edges for member in members])[1:]
+    def _judge(self, members: Sequence[_Member], first: int = 1) -> list[Verdict]:
+        """Verdicts on the members from `first` on; member 0 is the photograph."""
+        others = alignment.of_the_others([member.edges for member in members])
         lasting = structure.lasting([member.gradients for member in members])
         low = np.stack([member.low for member in members])
         used = illumination.usable(low)
@@ -247,7 +246,11 @@ class Reviewer:
         usual = max(float(np.median([found.max() for found in brightness])), _LEAST_BRIGHTNESS)
         verdicts = []
         for member, common, residual, bright in zip(
-            members[1:], others, residuals, brightness, strict=True
+            members[first:],
+            others[first:],
+            residuals[first - 1 :],
+            brightness[first - 1 :],
+            strict=True,
         ):
             found = alignment.compare(common, member.edges, pixel=self._pixel)
             kept = structure.kept(member.gradients, lasting, size)
@@ -274,8 +277,7 @@ class Reviewer:
             )
         if self._size == pixels.shape[:2]:
             return np.asarray(pixels, np.float32)
-        planes = [averaged(pixels[..., c], self._size) for c in range(3)]
-        return np.stack(planes, axis=-1).astype(np.float32)
+        return averaged_channels(pixels, self._size).astype(np.float32)
 
     @cached_property
     def _low_mask(self) -> NDArray[np.bool_] | None:
@@ -394,8 +396,7 @@ class _Member:
     def low(self) -> NDArray[np.float64]:
         """(P, 3)."""
         size = reduced_size(self._picture.shape, illumination.SIDE)
-        planes = [averaged(self._picture[..., c], size).ravel() for c in range(3)]
-        return np.stack(planes, axis=-1)
+        return averaged_channels(self._picture, size).reshape(-1, 3)
 
 
 def _aligned(

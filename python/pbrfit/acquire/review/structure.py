@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.alignment import gradient
 from pbrfit.resampling import averaged
 
 _FLOOR = 0.02  # ε, of white
@@ -65,9 +66,7 @@ def gradients(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Gra
     from scipy.ndimage import binary_erosion, gaussian_filter
 
     smooth = gaussian_filter(np.asarray(image, np.float32).clip(0), (_BLUR, _BLUR, 0))
-    g = np.zeros(smooth.shape, np.complex64)
-    g[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) / 2
-    g[1:-1] += 1j * (smooth[2:] - smooth[:-2]) / 2
+    g = gradient(smooth)
     sound = (image < _CLIPPED) & (image > _BLACK)
     if mask is not None:
         sound &= mask[..., None]
