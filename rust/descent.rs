@@ -1,4 +1,4 @@
-//! Levenberg–Marquardt on the materials of a block of pixels, each for itself.
+//! Levenberg–Marquardt on the materials, and free tilts, of a block of pixels, each for itself.
 //!
 //! With g half of the gradient and A the Gauss–Newton matrix of a pixel's squares, a step δ solves
 //!
@@ -7,18 +7,20 @@
 //! ```
 //!
 //! for the unknowns that are free, inside a box: the bounds \[0, 1\], and for roughness no further
-//! than [`REACH`]. Damping by the diagonal means that the unit of an unknown does not matter, so no
+//! than [`REACH`]. Tilts have no bounds, but both together a reach ([`within_reach`]). Damping by the diagonal means that the unit of an unknown does not matter, so no
 //! scaling is needed; an unknown that radiance does not depend on has a diagonal of 0 and is held,
 //! as is one on a bound whose gradient points outwards. A step that leaves the box is cut there and
 //! the other unknowns are solved for again with the cut ones where they are: cut alone, it would
 //! leave them where they make sense only with the rest of the step.
 //!
-//! Channels have nothing to do with each other but for roughness and metallic, so A is an arrow:
-//! its albedo part is diagonal, and what has to be factorised is two by two.
+//! Channels have nothing to do with each other but for roughness, metallic and the tilts, so A is an
+//! arrow: its albedo part is diagonal, and what has to be factorised is two by two, or four by four.
 
 use crate::block::{BLOCK, Materials, Plane};
-use crate::normal_matrix::{MAX_UNKNOWNS, Sums};
+use crate::samples::{Sums, UNKNOWNS};
 use crate::simd::{Instructions, Isa, Kernel};
+use crate::tilted::{TILTS, within_reach};
+use crate::turns::Tilts;
 
 /// Roughness at most moves so far in a step. Its derivative falls with r³ towards 0, so from there
 /// the step that Gauss–Newton proposes is far too long.
@@ -43,47 +45,58 @@ const LEAST_PIVOT: f64 = 1e-14;
 
 type Doubles = Plane<f64>;
 
-/// Squares of a block of pixels as a function of their materials.
-pub(crate) trait Squares<const C: usize> {
-    /// Squares, gradient and matrix at `materials`; what `sums` holds is overwritten.
-    fn take(&mut self, materials: &Materials<C>, sums: &mut Sums);
+/// Unknowns at most that all channels share: of U, those that are no albedo.
+const MAX_SHARED: usize = 2 + TILTS;
+
+/// How many these are.
+const fn shared(unknowns: usize) -> usize {
+    unknowns + 2 - UNKNOWNS
 }
 
-/// Σ_f precision (v_f − centre)² beside the squares, for f = roughness, metallic; zeros are none.
+/// Squares of a block of pixels as a function of their unknowns, U at most.
+pub(crate) trait Squares<const C: usize, const U: usize> {
+    /// Squares, gradient and matrix at materials and tilts; what `sums` holds is overwritten.
+    fn take(&mut self, materials: &Materials<C>, tilts: &Tilts, sums: &mut Sums<U>);
+}
+
+/// Σ_f precision (v_f − centre)² beside the squares, for f = roughness, metallic and the tilts; zeros
+/// are none.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Pull {
-    pub(crate) centre: [Doubles; 2],
-    pub(crate) precision: [Doubles; 2],
+    pub(crate) centre: [Doubles; MAX_SHARED],
+    pub(crate) precision: [Doubles; MAX_SHARED],
 }
 
 /// A point for each pixel, and what is known there.
 #[derive(Clone, Debug)]
-pub(crate) struct Point<const C: usize> {
+pub(crate) struct Point<const C: usize, const U: usize> {
     pub(crate) materials: Materials<C>,
-    pub(crate) sums: Sums,
+    pub(crate) tilts: Tilts,
+    pub(crate) sums: Sums<U>,
     /// Squares and pull.
     pub(crate) cost: Doubles,
 }
 
-impl<const C: usize> Default for Point<C> {
+impl<const C: usize, const U: usize> Default for Point<C, U> {
     fn default() -> Self {
         Self {
             materials: Materials::default(),
+            tilts: Tilts::default(),
             sums: Sums::default(),
             cost: Doubles::default(),
         }
     }
 }
 
-impl<const C: usize> Point<C> {
-    /// Works out what holds at the materials.
+impl<const C: usize, const U: usize> Point<C, U> {
+    /// Works out what holds at the materials and tilts.
     pub(crate) fn take(
         &mut self,
         isa: Instructions,
-        squares: &mut impl Squares<C>,
+        squares: &mut impl Squares<C, U>,
         pull: Option<&Pull>,
     ) {
-        squares.take(&self.materials, &mut self.sums);
+        squares.take(&self.materials, &self.tilts, &mut self.sums);
         self.cost = self.sums.squares;
         if let Some(pull) = pull {
             isa.run(AddPull { point: self, pull });
@@ -109,7 +122,7 @@ impl<const C: usize> Point<C> {
 }
 
 /// How a block descends.
-pub(crate) struct Descent<'a, const C: usize> {
+pub(crate) struct Descent<'a, const C: usize, const U: usize> {
     pub(crate) isa: Instructions,
     pub(crate) pull: Option<&'a Pull>,
     /// Where it is known, metallic stays.
@@ -118,16 +131,16 @@ pub(crate) struct Descent<'a, const C: usize> {
     pub(crate) floor: &'a Doubles,
     /// Before the first step.
     pub(crate) damping: f64,
-    pub(crate) trial: &'a mut Box<Point<C>>,
+    pub(crate) trial: &'a mut Box<Point<C, U>>,
 }
 
-impl<const C: usize> Descent<'_, C> {
+impl<const C: usize, const U: usize> Descent<'_, C, U> {
     /// At most `steps` steps from a point at which everything is known, for the pixels that are
     /// `active` (1, else 0).
     pub(crate) fn run(
         &mut self,
-        squares: &mut impl Squares<C>,
-        point: &mut Box<Point<C>>,
+        squares: &mut impl Squares<C, U>,
+        point: &mut Box<Point<C, U>>,
         mut active: Doubles,
         steps: usize,
     ) {
@@ -143,6 +156,7 @@ impl<const C: usize> Descent<'_, C> {
                 damping: &damping,
                 active: &active,
                 trial: &mut self.trial.materials,
+                tilts: &mut self.trial.tilts,
                 predicted: &mut predicted,
             });
             self.trial.take(self.isa, squares, self.pull);
@@ -171,19 +185,20 @@ impl<const C: usize> Descent<'_, C> {
     }
 }
 
-struct AddPull<'a, const C: usize> {
-    point: &'a mut Point<C>,
+struct AddPull<'a, const C: usize, const U: usize> {
+    point: &'a mut Point<C, U>,
     pull: &'a Pull,
 }
 
-impl<const C: usize> Kernel for AddPull<'_, C> {
+impl<const C: usize, const U: usize> Kernel for AddPull<'_, C, U> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
         let Self { point, pull } = self;
-        let finish = [&point.materials.roughness, &point.materials.metallic];
-        for (f, values) in finish.into_iter().enumerate() {
+        let (materials, [a, b]) = (&point.materials, &point.tilts);
+        let shared_values = [&materials.roughness, &materials.metallic, a, b];
+        for (f, values) in shared_values.into_iter().take(shared(U)).enumerate() {
             let unknown = C + f;
             for x in 0..BLOCK {
                 let precision = pull.precision[f].0[x];
@@ -197,13 +212,13 @@ impl<const C: usize> Kernel for AddPull<'_, C> {
 }
 
 /// Copies the pixels whose entry of `which` is 1.
-struct Take<'a, const C: usize> {
+struct Take<'a, const C: usize, const U: usize> {
     which: &'a Doubles,
-    from: &'a Point<C>,
-    to: &'a mut Point<C>,
+    from: &'a Point<C, U>,
+    to: &'a mut Point<C, U>,
 }
 
-impl<const C: usize> Kernel for Take<'_, C> {
+impl<const C: usize, const U: usize> Kernel for Take<'_, C, U> {
     type Output = ();
 
     #[inline(always)]
@@ -225,7 +240,10 @@ impl<const C: usize> Kernel for Take<'_, C> {
         }
         take(&from.materials.roughness, &mut to.materials.roughness);
         take(&from.materials.metallic, &mut to.materials.metallic);
-        for row in 0..C + 2 {
+        for tilt in 0..shared(U) - 2 {
+            take(&from.tilts[tilt], &mut to.tilts[tilt]);
+        }
+        for row in 0..C + shared(U) {
             take(&from.sums.gradient[row], &mut to.sums.gradient[row]);
             for column in 0..=row {
                 // Of the albedos with each other there is only the diagonal.
@@ -284,17 +302,18 @@ impl Kernel for Judge<'_> {
     }
 }
 
-/// One step: materials to be tried, and by how much the squares would fall were they quadratic.
-struct Step<'a, const C: usize> {
-    point: &'a Point<C>,
+/// One step: what is to be tried, and by how much the squares would fall were they quadratic.
+struct Step<'a, const C: usize, const U: usize> {
+    point: &'a Point<C, U>,
     metallic_known: bool,
     damping: &'a Doubles,
     active: &'a Doubles,
     trial: &'a mut Materials<C>,
+    tilts: &'a mut Tilts,
     predicted: &'a mut Doubles,
 }
 
-impl<const C: usize> Kernel for Step<'_, C> {
+impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
     type Output = ();
 
     #[inline(always)]
@@ -305,6 +324,7 @@ impl<const C: usize> Kernel for Step<'_, C> {
             damping,
             active,
             trial,
+            tilts,
             predicted,
         } = self;
         let Point {
@@ -312,15 +332,15 @@ impl<const C: usize> Kernel for Step<'_, C> {
         } = point;
         let metallic_free = if metallic_known { 0.0 } else { 1.0 };
         for x in 0..BLOCK {
-            let mut value = [0.0; MAX_UNKNOWNS];
+            let mut value = [0.0; U];
             for c in 0..C {
                 value[c] = materials.albedo[c].0[x];
             }
             value[C] = materials.roughness.0[x];
             value[C + 1] = materials.metallic.0[x];
-            let mut system = Arrow::<C>::of(sums, x);
-            let mut lowest = [0.0; MAX_UNKNOWNS];
-            let mut highest = [0.0; MAX_UNKNOWNS];
+            let mut system = Arrow::<C, U>::of(sums, x);
+            let mut lowest = [0.0; U];
+            let mut highest = [0.0; U];
             for j in 0..C + 2 {
                 lowest[j] = -value[j];
                 highest[j] = 1.0 - value[j];
@@ -332,9 +352,14 @@ impl<const C: usize> Kernel for Step<'_, C> {
                 let held = outwards | (system.diagonal[j] <= NOTHING);
                 system.free[j] = if held { 0.0 } else { active.0[x] };
             }
+            for j in C + 2..C + shared(U) {
+                let held = system.diagonal[j] <= NOTHING;
+                system.free[j] = if held { 0.0 } else { active.0[x] };
+            }
             system.free[C + 1] *= metallic_free;
             lowest[C] = lowest[C].max(-REACH);
             highest[C] = highest[C].min(REACH);
+            let tilt = [point.tilts[0].0[x], point.tilts[1].0[x]];
 
             let damped = 1.0 + damping.0[x];
             let mut step = system.solve(damped);
@@ -343,6 +368,19 @@ impl<const C: usize> Kernel for Step<'_, C> {
                 let inside = cut == step[j];
                 system.free[j] = if inside { system.free[j] } else { 0.0 };
                 system.fixed[j] = if inside { 0.0 } else { cut };
+            }
+            if U > UNKNOWNS {
+                let wanted = [step[C + 2], step[C + 3]];
+                let (share, there) = within_reach(tilt, wanted);
+                // Turned round or shortened, it leads elsewhere than the step.
+                let inside = (share == 1.0)
+                    & (there[0] == tilt[0] + wanted[0])
+                    & (there[1] == tilt[1] + wanted[1]);
+                for t in 0..TILTS {
+                    let j = C + 2 + t;
+                    system.free[j] = if inside { system.free[j] } else { 0.0 };
+                    system.fixed[j] = if inside { 0.0 } else { there[t] - tilt[t] };
+                }
             }
             step = system.solve(damped);
             for j in 0..C + 2 {
@@ -353,124 +391,186 @@ impl<const C: usize> Kernel for Step<'_, C> {
             }
             trial.roughness.0[x] = (value[C] + step[C]).clamp(0.0, 1.0);
             trial.metallic.0[x] = (value[C + 1] + step[C + 1]).clamp(0.0, 1.0);
+            if U > UNKNOWNS {
+                let (_, there) = within_reach(tilt, [step[C + 2], step[C + 3]]);
+                for t in 0..TILTS {
+                    step[C + 2 + t] = there[t] - tilt[t];
+                    tilts[t].0[x] = there[t];
+                }
+            }
             predicted.0[x] = system.decrease(&step);
         }
     }
 }
 
-/// The matrix and gradient of one pixel; albedos first, then roughness and metallic.
-struct Arrow<const C: usize> {
-    diagonal: [f64; MAX_UNKNOWNS],
-    /// Of roughness with the albedos.
-    roughness: [f64; C],
-    /// Of metallic with the albedos.
-    metallic: [f64; C],
-    /// Of roughness with metallic.
-    both: f64,
-    gradient: [f64; MAX_UNKNOWNS],
+/// The matrix and gradient of one pixel; albedos first, then what all channels share: roughness,
+/// metallic, tilts.
+struct Arrow<const C: usize, const U: usize> {
+    diagonal: [f64; U],
+    /// Of what is shared with the albedos.
+    arms: [[f64; C]; MAX_SHARED],
+    /// Of what is shared with each other, below the diagonal.
+    dense: [[f64; MAX_SHARED]; MAX_SHARED],
+    gradient: [f64; U],
     /// 1, or 0 for an unknown that moves by `fixed`.
-    free: [f64; MAX_UNKNOWNS],
-    fixed: [f64; MAX_UNKNOWNS],
+    free: [f64; U],
+    fixed: [f64; U],
 }
 
-impl<const C: usize> Arrow<C> {
+impl<const C: usize, const U: usize> Arrow<C, U> {
+    /// Unknowns that all channels share.
+    const SHARED: usize = shared(U);
+
     #[inline(always)]
-    fn of(sums: &Sums, x: usize) -> Self {
+    fn of(sums: &Sums<U>, x: usize) -> Self {
         let mut arrow = Self {
-            diagonal: [0.0; MAX_UNKNOWNS],
-            roughness: [0.0; C],
-            metallic: [0.0; C],
-            both: sums.matrix[C + 1][C].0[x],
-            gradient: [0.0; MAX_UNKNOWNS],
-            free: [0.0; MAX_UNKNOWNS],
-            fixed: [0.0; MAX_UNKNOWNS],
+            diagonal: [0.0; U],
+            arms: [[0.0; C]; MAX_SHARED],
+            dense: [[0.0; MAX_SHARED]; MAX_SHARED],
+            gradient: [0.0; U],
+            free: [0.0; U],
+            fixed: [0.0; U],
         };
-        for j in 0..C + 2 {
+        for j in 0..C + Self::SHARED {
             arrow.diagonal[j] = sums.matrix[j][j].0[x];
             arrow.gradient[j] = sums.gradient[j].0[x];
         }
-        for c in 0..C {
-            arrow.roughness[c] = sums.matrix[C][c].0[x];
-            arrow.metallic[c] = sums.matrix[C + 1][c].0[x];
+        for f in 0..Self::SHARED {
+            for c in 0..C {
+                arrow.arms[f][c] = sums.matrix[C + f][c].0[x];
+            }
+            for g in 0..f {
+                arrow.dense[f][g] = sums.matrix[C + f][C + g].0[x];
+            }
         }
         arrow
     }
 
     /// δ with (A + λ diag A) δ = −g in the free unknowns, where `damped` = 1 + λ.
     #[inline(always)]
-    fn solve(&self, damped: f64) -> [f64; MAX_UNKNOWNS] {
-        let (r, m) = (C, C + 1);
-        let Self { free, fixed, .. } = self;
+    fn solve(&self, damped: f64) -> [f64; U] {
+        let Self {
+            free, fixed, arms, ..
+        } = self;
         // Of a fixed unknown the equation is δ = fixed, and its share moves to the right side.
-        let mut right = [0.0; MAX_UNKNOWNS];
-        let mut pivot = [0.0; MAX_UNKNOWNS];
-        let (mut by_r, mut by_m) = (0.0, 0.0);
+        let mut right = [0.0; U];
+        let mut pivot = [0.0; U];
         for c in 0..C {
-            let share = self.roughness[c] * fixed[r] + self.metallic[c] * fixed[m];
+            let mut share = arms[0][c] * fixed[C];
+            for f in 1..Self::SHARED {
+                share += arms[f][c] * fixed[C + f];
+            }
             right[c] = free[c] * (-self.gradient[c] - share) + fixed[c];
-            by_r += self.roughness[c] * fixed[c];
-            by_m += self.metallic[c] * fixed[c];
         }
-        by_r += self.both * fixed[m];
-        by_m += self.both * fixed[r];
-        right[r] = free[r] * (-self.gradient[r] - by_r) + fixed[r];
-        right[m] = free[m] * (-self.gradient[m] - by_m) + fixed[m];
-        for j in 0..C + 2 {
+        for f in 0..Self::SHARED {
+            let mut share = 0.0;
+            for c in 0..C {
+                share += arms[f][c] * fixed[c];
+            }
+            for g in 0..Self::SHARED {
+                if g != f {
+                    share += self.dense[f.max(g)][f.min(g)] * fixed[C + g];
+                }
+            }
+            right[C + f] = free[C + f] * (-self.gradient[C + f] - share) + fixed[C + f];
+        }
+        for j in 0..C + Self::SHARED {
             pivot[j] = if free[j] > 0.0 {
                 damped * self.diagonal[j]
             } else {
                 1.0
             };
         }
-        let least = [LEAST_PIVOT * pivot[r], LEAST_PIVOT * pivot[m]];
-        let mut both = free[r] * free[m] * self.both;
-        let (mut of_r, mut of_m) = ([0.0; C], [0.0; C]);
+        // The albedos out of the way.
+        let mut least = [0.0; MAX_SHARED];
+        let mut dense = [[0.0; MAX_SHARED]; MAX_SHARED];
+        for f in 0..Self::SHARED {
+            least[f] = LEAST_PIVOT * pivot[C + f];
+            for g in 0..f {
+                dense[f][g] = free[C + f] * free[C + g] * self.dense[f][g];
+            }
+        }
+        let mut of_arms = [[0.0; C]; MAX_SHARED];
         for c in 0..C {
             let inverse = 1.0 / pivot[c];
-            let with_r = free[r] * free[c] * self.roughness[c];
-            let with_m = free[m] * free[c] * self.metallic[c];
-            of_r[c] = with_r * inverse;
-            of_m[c] = with_m * inverse;
-            pivot[r] -= of_r[c] * with_r;
-            pivot[m] -= of_m[c] * with_m;
-            both -= of_r[c] * with_m;
-            right[r] -= of_r[c] * right[c];
-            right[m] -= of_m[c] * right[c];
+            let mut with = [0.0; MAX_SHARED];
+            for f in 0..Self::SHARED {
+                with[f] = free[C + f] * free[c] * arms[f][c];
+                of_arms[f][c] = with[f] * inverse;
+                pivot[C + f] -= of_arms[f][c] * with[f];
+                for g in 0..f {
+                    dense[f][g] -= of_arms[g][c] * with[f];
+                }
+                right[C + f] -= of_arms[f][c] * right[c];
+            }
             right[c] *= inverse;
         }
-        let inverse = 1.0 / pivot[r].max(least[0]);
-        let of_both = both * inverse;
-        pivot[m] = (pivot[m] - of_both * both).max(least[1]);
-        let mut step = [0.0; MAX_UNKNOWNS];
-        step[m] = (right[m] - of_both * right[r]) / pivot[m];
-        step[r] = right[r] * inverse - of_both * step[m];
+        // L D Lᵀ of what is shared; L ends up in `dense`.
+        let mut inverse = [0.0; MAX_SHARED];
+        for f in 0..Self::SHARED {
+            pivot[C + f] = pivot[C + f].max(least[f]);
+            inverse[f] = 1.0 / pivot[C + f];
+            let column = dense.map(|row| row[f]);
+            for h in f + 1..Self::SHARED {
+                let of_column = column[h] * inverse[f];
+                pivot[C + h] -= of_column * column[h];
+                for g in f + 1..h {
+                    dense[h][g] -= of_column * column[g];
+                }
+                right[C + h] -= of_column * right[C + f];
+                dense[h][f] = of_column;
+            }
+        }
+        let mut step = [0.0; U];
+        for f in (0..Self::SHARED).rev() {
+            step[C + f] = if f + 1 < Self::SHARED {
+                right[C + f] * inverse[f]
+            } else {
+                right[C + f] / pivot[C + f]
+            };
+            for h in f + 1..Self::SHARED {
+                step[C + f] -= dense[h][f] * step[C + h];
+            }
+        }
         for c in 0..C {
-            step[c] = right[c] - of_r[c] * step[r] - of_m[c] * step[m];
+            step[c] = right[c];
+            for f in 0..Self::SHARED {
+                step[c] -= of_arms[f][c] * step[C + f];
+            }
         }
         step
     }
 
     /// By how much the squares fall with a step: −2gᵀδ − δᵀAδ.
     #[inline(always)]
-    fn decrease(&self, step: &[f64; MAX_UNKNOWNS]) -> f64 {
-        let (r, m) = (C, C + 1);
+    fn decrease(&self, step: &[f64; U]) -> f64 {
         let mut sum = 0.0;
-        for j in 0..C + 2 {
+        for j in 0..C + Self::SHARED {
             sum += step[j] * (2.0 * self.gradient[j] + self.diagonal[j] * step[j]);
         }
         for c in 0..C {
-            sum += 2.0 * step[c] * (self.roughness[c] * step[r] + self.metallic[c] * step[m]);
+            let mut by_shared = self.arms[0][c] * step[C];
+            for f in 1..Self::SHARED {
+                by_shared += self.arms[f][c] * step[C + f];
+            }
+            sum += 2.0 * step[c] * by_shared;
         }
-        -(sum + 2.0 * self.both * step[r] * step[m])
+        for f in 0..Self::SHARED {
+            for g in 0..f {
+                sum += 2.0 * self.dense[f][g] * step[C + g] * step[C + f];
+            }
+        }
+        -sum
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::samples::FREE_UNKNOWNS;
 
     /// A matrix of 4 samples a channel, a gradient, and who is free.
-    fn example(seed: u32) -> Arrow<3> {
+    fn example<const U: usize>(seed: u32) -> Arrow<3, U> {
         let mut state = seed;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -478,12 +578,12 @@ mod tests {
         };
         let mut sums = Sums::default();
         for sample in 0..12 {
-            let mut row = [0.0; MAX_UNKNOWNS];
-            for j in [sample % 3, 3, 4] {
+            let mut row = [0.0; U];
+            for j in std::iter::once(sample % 3).chain(3..U) {
                 row[j] = random();
             }
             let residual = random();
-            for i in 0..MAX_UNKNOWNS {
+            for i in 0..U {
                 sums.gradient[i].0[0] += row[i] * residual;
                 for j in 0..=i {
                     sums.matrix[i][j].0[0] += row[i] * row[j];
@@ -491,7 +591,7 @@ mod tests {
             }
         }
         let mut arrow = Arrow::of(&sums, 0);
-        for j in 0..MAX_UNKNOWNS {
+        for j in 0..U {
             let is_free = random() > -0.2;
             arrow.free[j] = if is_free { 1.0 } else { 0.0 };
             arrow.fixed[j] = if is_free { 0.0 } else { random() };
@@ -499,28 +599,32 @@ mod tests {
         arrow
     }
 
-    fn entry(arrow: &Arrow<3>, i: usize, j: usize) -> f64 {
+    fn entry<const U: usize>(arrow: &Arrow<3, U>, i: usize, j: usize) -> f64 {
         match (i.max(j), i.min(j)) {
             (a, b) if a == b => arrow.diagonal[a],
-            (4, 3) => arrow.both,
-            (3, c) => arrow.roughness[c],
-            (4, c) => arrow.metallic[c],
-            _ => 0.0,
+            (0..3, _) => 0.0,
+            (f, c) if c < 3 => arrow.arms[f - 3][c],
+            (f, g) => arrow.dense[f - 3][g - 3],
         }
     }
 
     #[test]
     fn a_step_solves_the_damped_equations_of_the_free_unknowns() {
+        solves_the_damped_equations::<UNKNOWNS>();
+        solves_the_damped_equations::<FREE_UNKNOWNS>();
+    }
+
+    fn solves_the_damped_equations<const U: usize>() {
         for seed in 0..200 {
-            let arrow = example(seed);
+            let arrow = example::<U>(seed);
             let step = arrow.solve(1.3);
-            for i in 0..MAX_UNKNOWNS {
+            for i in 0..U {
                 if arrow.free[i] == 0.0 {
                     assert_eq!(step[i], arrow.fixed[i]);
                     continue;
                 }
                 let mut left = 0.3 * arrow.diagonal[i] * step[i];
-                for j in 0..MAX_UNKNOWNS {
+                for j in 0..U {
                     left += entry(&arrow, i, j) * step[j];
                 }
                 assert!((left + arrow.gradient[i]).abs() < 1e-12, "{seed}: {i}");
@@ -530,13 +634,18 @@ mod tests {
 
     #[test]
     fn the_predicted_decrease_is_that_of_the_quadratic() {
+        predicts_the_quadratic::<UNKNOWNS>();
+        predicts_the_quadratic::<FREE_UNKNOWNS>();
+    }
+
+    fn predicts_the_quadratic<const U: usize>() {
         for seed in 0..20 {
-            let arrow = example(seed);
+            let arrow = example::<U>(seed);
             let step = arrow.solve(1.01);
             let mut decrease = 0.0;
-            for i in 0..MAX_UNKNOWNS {
+            for i in 0..U {
                 decrease -= 2.0 * arrow.gradient[i] * step[i];
-                for j in 0..MAX_UNKNOWNS {
+                for j in 0..U {
                     decrease -= step[i] * entry(&arrow, i, j) * step[j];
                 }
             }
@@ -546,7 +655,7 @@ mod tests {
 
     #[test]
     fn what_nothing_depends_on_stays_where_it_is() {
-        let mut point = Point {
+        let mut point = Point::<3, UNKNOWNS> {
             materials: Materials {
                 albedo: [Plane([0.5; BLOCK]); 3],
                 roughness: Plane([0.5; BLOCK]),
@@ -564,6 +673,7 @@ mod tests {
             damping: &Doubles::default(),
             active: &Plane([1.0; BLOCK]),
             trial: &mut trial,
+            tilts: &mut Tilts::default(),
             predicted: &mut predicted,
         });
         let found: Vec<f64> = trial.planes().map(|plane| plane.0[7]).collect();

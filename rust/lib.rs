@@ -44,16 +44,20 @@ pub mod penalties;
 pub mod pixel_fit;
 mod pool;
 pub mod problem;
+mod product_form;
 mod products;
 #[cfg(feature = "python")]
 mod python;
 pub mod reduced;
 mod remainders;
 pub mod render;
+mod residual_steps;
 pub mod robust;
+mod samples;
 pub mod sh;
 pub mod shade;
 pub mod simd;
 pub mod targets;
+mod tilted;
 
 pub use error::{Error, Result};

@@ -1,7 +1,8 @@
 //! Gauss–Newton: the normal matrix of each pixel's material, and how it is tied to the lights.
 //!
 //! With radiance I, targets T, weights ω of the samples (picture i, channel c) and θ the unknowns of
-//! a pixel, that is albedo by channel, roughness and, unless it is known, metallic:
+//! a pixel, that is albedo by channel, roughness, metallic unless it is known and, where normals are
+//! free, the two tilts:
 //!
 //! ```text
 //! J = ∂I/∂θ          A = Jᵀ Ω J          g = Jᵀ Ω (I − T)
@@ -16,26 +17,15 @@
 //! ⎝ B_pᵀ  G  ⎠       G[ick, ick']   = Σ_p ω_ic w_ck w_ck'
 //! ```
 //!
-//! A pixel sees five numbers of a light: Σ_k A_l Y_k(n) L_k and, for each band, Σ_{k in l}
-//! Y_k(mirror) L_k. Radiance and its derivatives are linear in them, with coefficients that no
-//! picture changes ([`FillResponses`]). All of this is float64: the matrices are differenced and
+//! All of this is float64 (see [`samples`](crate::samples)): the matrices are differenced and
 //! inverted afterwards.
 
-use crate::block::{
-    BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBands, FillBasis, FillFactors,
-    FillWeights, Materials, Plane, Radiance, SEEN, seen,
-};
-use crate::ggx::Bands;
+use crate::block::{BLOCK, Plane, Radiance};
 use crate::problem::Problem;
-use crate::sh::COEFFICIENTS;
-use crate::shade::{Factors, Material};
-use crate::simd::{Instructions, Isa, Kernel};
+use crate::samples::{Block, Sums, by_kind, handed_out, unknowns_of_channel};
+use crate::simd::{Isa, Kernel};
 use crate::{Error, Result, check, pool};
 
-/// By what radiance is derived in one channel: its albedo, roughness, metallic.
-pub const DERIVATIVES: usize = 3;
-/// Unknowns of a pixel at most.
-pub(crate) const MAX_UNKNOWNS: usize = 5;
 /// Blocks of pixels in a piece of work.
 const CHUNK: usize = 2;
 
@@ -55,8 +45,8 @@ pub struct NormalEquations {
 /// Derivatives of the radiance of some pixels.
 #[derive(Clone, Debug)]
 pub struct Derivatives {
-    /// By albedo (of the same channel), roughness and metallic, known or not: (pixel, picture,
-    /// channel, 3).
+    /// By albedo (of the same channel), roughness, metallic, known or not, and, where normals are
+    /// free, the two tilts: (pixel, picture, channel, 3 or 5).
     pub by_material: Vec<f64>,
     /// By the coefficients of the light, w_ck, the same for all pictures: (pixel, channel, K).
     pub by_light: Vec<f64>,
@@ -67,18 +57,12 @@ pub struct Derivatives {
 impl Problem {
     /// The normal equations of the materials of some pixels, with the lights held.
     pub fn normal_equations(&self, x: &[f64], pixels: &[usize]) -> Result<NormalEquations> {
-        match self.channels() {
-            1 => normal_equations::<1>(self, x, pixels),
-            _ => normal_equations::<3>(self, x, pixels),
-        }
+        by_kind!(self, normal_equations(self, x, pixels))
     }
 
     /// Derivatives of the radiance of some pixels by their materials and by the lights.
     pub fn derivatives(&self, x: &[f64], pixels: &[usize]) -> Result<Derivatives> {
-        match self.channels() {
-            1 => derivatives::<1>(self, x, pixels),
-            _ => derivatives::<3>(self, x, pixels),
-        }
+        by_kind!(self, derivatives(self, x, pixels))
     }
 
     /// How far the materials of some pixels move with the lights: (pixel, D).
@@ -93,20 +77,21 @@ impl Problem {
         covariances: &[f64],
         modes: &[f64],
     ) -> Result<Vec<f64>> {
-        match self.channels() {
-            1 => moves_with_lights::<1>(self, x, pixels, covariances, modes),
-            _ => moves_with_lights::<3>(self, x, pixels, covariances, modes),
-        }
+        by_kind!(
+            self,
+            moves_with_lights(self, x, pixels, covariances, modes)
+        )
     }
 }
 
-fn normal_equations<const C: usize>(
+fn normal_equations<const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
 ) -> Result<NormalEquations> {
     let (maps, lights) = problem.at(x, pixels)?;
-    let unknowns = problem.unknowns_of_pixel();
+    let rows = handed_out::<C, D>(problem);
+    let unknowns = rows.len();
     let mut matrices = zeros(pixels.len() * unknowns * unknowns)?;
     let mut gradient = zeros(pixels.len() * unknowns)?;
     let mut squares = zeros(pixels.len())?;
@@ -121,19 +106,16 @@ fn normal_equations<const C: usize>(
         problem.threads(),
         pieces,
         |(((pixels, matrices), gradient), squares)| {
-            let mut block = Block::<C>::new(problem);
+            let mut block = Block::<C, D>::new(problem);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
-                let mut sums = Sums::default();
+                let mut sums = Sums::<U>::default();
                 block.add_samples(&lights, &mut sums);
                 for x in 0..pixels.len() {
                     let p = i * BLOCK + x;
-                    sums.store_matrix(x, &mut matrices[p * unknowns * unknowns..], unknowns);
-                    for (to, from) in gradient[p * unknowns..][..unknowns]
-                        .iter_mut()
-                        .zip(&sums.gradient)
-                    {
-                        *to = from.0[x];
+                    sums.store_matrix(x, &rows, &mut matrices[p * unknowns * unknowns..]);
+                    for (to, &row) in gradient[p * unknowns..].iter_mut().zip(&rows) {
+                        *to = sums.gradient[row].0[x];
                     }
                     squares[p] = sums.squares.0[x];
                 }
@@ -147,7 +129,7 @@ fn normal_equations<const C: usize>(
     })
 }
 
-fn derivatives<const C: usize>(
+fn derivatives<const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
@@ -155,13 +137,13 @@ fn derivatives<const C: usize>(
     let (maps, lights) = problem.at(x, pixels)?;
     let samples = problem.pictures() * C;
     let k = problem.coefficients();
-    let mut by_material = zeros(pixels.len() * samples * DERIVATIVES)?;
+    let mut by_material = zeros(pixels.len() * samples * D)?;
     let mut by_light = zeros(pixels.len() * C * k)?;
     let mut weights = zeros(pixels.len() * samples)?;
     let size = CHUNK * BLOCK;
     let pieces = pixels
         .chunks(size)
-        .zip(by_material.chunks_mut(size * samples * DERIVATIVES))
+        .zip(by_material.chunks_mut(size * samples * D))
         .zip(by_light.chunks_mut(size * C * k))
         .zip(weights.chunks_mut(size * samples))
         .collect();
@@ -169,7 +151,7 @@ fn derivatives<const C: usize>(
         problem.threads(),
         pieces,
         |(((pixels, by_material), by_light), weights)| {
-            let mut block = Block::<C>::new(problem);
+            let mut block = Block::<C, D>::new(problem);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 block.fill_weights();
@@ -183,8 +165,8 @@ fn derivatives<const C: usize>(
                     for x in 0..pixels.len() {
                         let s = (i * BLOCK + x) * samples + picture * C + c;
                         weights[s] = sample.weight.0[x];
-                        for j in 0..DERIVATIVES {
-                            by_material[s * DERIVATIVES + j] = sample.derivatives[j].0[x];
+                        for j in 0..D {
+                            by_material[s * D + j] = sample.derivatives[j].0[x];
                         }
                     }
                 });
@@ -198,7 +180,7 @@ fn derivatives<const C: usize>(
     })
 }
 
-fn moves_with_lights<const C: usize>(
+fn moves_with_lights<const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
@@ -206,7 +188,8 @@ fn moves_with_lights<const C: usize>(
     modes: &[f64],
 ) -> Result<Vec<f64>> {
     let (maps, lights) = problem.at(x, pixels)?;
-    let unknowns = problem.unknowns_of_pixel();
+    let rows = handed_out::<C, D>(problem);
+    let unknowns = rows.len();
     let of_mode = problem.pictures() * problem.coefficients() * C;
     check::length(
         "covariances",
@@ -233,9 +216,10 @@ fn moves_with_lights<const C: usize>(
         problem.threads(),
         pieces,
         |((pixels, covariances), moves)| {
-            let mut block = Block::<C>::new(problem);
-            let mut weighted = vec![[Doubles::default(); DERIVATIVES]; C * problem.pictures()];
+            let mut block = Block::<C, D>::new(problem);
+            let mut weighted = vec![[Doubles::default(); D]; C * problem.pictures()];
             let mut radiance = Doubles::default();
+            let isa = problem.instructions();
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 block.fill_weights();
@@ -250,16 +234,16 @@ fn moves_with_lights<const C: usize>(
                 });
                 for mode in &modes {
                     // B v
-                    let mut product = [Doubles::default(); MAX_UNKNOWNS];
+                    let mut product = [Doubles::default(); U];
                     for (sample, (light, weighted)) in mode.iter().zip(&weighted).enumerate() {
                         let c = sample / problem.pictures();
-                        block.isa.run(Radiance {
+                        isa.run(Radiance {
                             weights: &block.weights[c],
                             light,
                             radiance: &mut radiance,
                         });
-                        for (j, row) in unknowns_of_channel::<C>(c).into_iter().enumerate() {
-                            block.isa.run(AddProduct {
+                        for (j, row) in unknowns_of_channel::<C, D>(c).into_iter().enumerate() {
+                            isa.run(AddProduct {
                                 a: &weighted[j],
                                 b: &radiance,
                                 sum: &mut product[row],
@@ -272,8 +256,8 @@ fn moves_with_lights<const C: usize>(
                             let covariance =
                                 &covariances[(p * unknowns + row) * unknowns..][..unknowns];
                             let mut moved = 0.0;
-                            for (c, product) in covariance.iter().zip(&product) {
-                                moved += c * product.0[x];
+                            for (c, &unknown) in covariance.iter().zip(&rows) {
+                                moved += c * product[unknown].0[x];
                             }
                             moves[p * unknowns + row] += moved * moved;
                         }
@@ -285,12 +269,6 @@ fn moves_with_lights<const C: usize>(
     Ok(moves)
 }
 
-/// Where the three derivatives of a channel belong among the unknowns of a pixel. Metallic is the
-/// last: where it is known, its row is left out of what is handed out.
-pub(crate) fn unknowns_of_channel<const C: usize>(channel: usize) -> [usize; DERIVATIVES] {
-    [channel, C, C + 1]
-}
-
 pub(crate) fn zeros(count: usize) -> Result<Vec<f64>> {
     let mut numbers = Vec::new();
     numbers
@@ -298,313 +276,6 @@ pub(crate) fn zeros(count: usize) -> Result<Vec<f64>> {
         .map_err(|_| Error::Memory("normal equations"))?;
     numbers.resize(count, 0.0);
     Ok(numbers)
-}
-
-/// Up to [`BLOCK`] pixels, picked from anywhere, and one of their samples at a time.
-pub(crate) struct Block<'a, const C: usize> {
-    problem: &'a Problem,
-    isa: Instructions,
-    /// Where the pixels come from.
-    places: Vec<usize>,
-    directions: Directions<f64>,
-    pub materials: Materials<C>,
-    basis: Basis<f64>,
-    bands: BlockBands,
-    factors: [ChannelFactors<f64>; C],
-    /// w_ck
-    pub weights: Vec<[Doubles; COEFFICIENTS]>,
-    responses: Vec<Responses>,
-    /// Targets and weights ω: (channel, picture).
-    given: Vec<[Doubles; 2]>,
-    sample: Sample,
-}
-
-/// By which the numbers that a pixel sees of a light become radiance and its derivatives.
-#[derive(Clone, Debug, Default)]
-struct Responses {
-    radiance: [Doubles; SEEN],
-    derivatives: [[Doubles; SEEN]; DERIVATIVES],
-}
-
-/// One channel of one picture.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Sample {
-    /// I − T
-    pub residual: Doubles,
-    /// ω; 0 where no pixel is.
-    pub weight: Doubles,
-    /// ∂I/∂(albedo, roughness, metallic)
-    pub derivatives: [Doubles; DERIVATIVES],
-}
-
-impl<'a, const C: usize> Block<'a, C> {
-    pub(crate) fn new(problem: &'a Problem) -> Self {
-        Self {
-            problem,
-            isa: problem.instructions(),
-            places: Vec::new(),
-            directions: Directions::default(),
-            materials: Materials::default(),
-            basis: Basis::default(),
-            bands: BlockBands::default(),
-            factors: std::array::from_fn(|_| ChannelFactors::default()),
-            weights: vec![[Doubles::default(); COEFFICIENTS]; C],
-            responses: vec![Responses::default(); C],
-            given: Vec::new(),
-            sample: Sample::default(),
-        }
-    }
-
-    /// Takes up pixels with their materials of `maps`.
-    pub(crate) fn load(&mut self, maps: &[f64], pixels: &[usize]) {
-        let mut materials = Materials::default();
-        for (x, &p) in pixels.iter().enumerate() {
-            materials.set(x, &self.problem.material(maps, p));
-        }
-        self.place(pixels);
-        self.take(&materials);
-    }
-
-    /// Takes up pixels, whose materials are still to come.
-    pub(crate) fn place(&mut self, pixels: &[usize]) {
-        self.places.clear();
-        self.places.extend(pixels);
-        self.directions = self.problem.picked_directions(pixels);
-        self.given.clear();
-        for c in 0..C {
-            for picture in 0..self.problem.pictures() {
-                self.given
-                    .push(self.problem.picked_samples(c, picture, pixels));
-            }
-        }
-        self.isa.run(FillBasis::<f64, COEFFICIENTS> {
-            directions: &self.directions,
-            basis: &mut self.basis,
-        });
-    }
-
-    /// Gives the pixels materials, and works out all that no picture changes.
-    pub(crate) fn take(&mut self, materials: &Materials<C>) {
-        self.materials = materials.clone();
-        self.isa.run(FillBands {
-            roughness: &self.materials.roughness,
-            bands: &mut self.bands,
-        });
-        for c in 0..C {
-            self.isa.run(FillResponses {
-                directions: &self.directions,
-                albedo: &self.materials.albedo[c],
-                roughness: &self.materials.roughness,
-                metallic: &self.materials.metallic,
-                bands: &self.bands,
-                responses: &mut self.responses[c],
-            });
-        }
-    }
-
-    /// Works out the derivatives by the lights.
-    pub(crate) fn fill_weights(&mut self) {
-        self.isa.run(FillFactors {
-            directions: &self.directions,
-            materials: &self.materials,
-            pixels: self.places.len(),
-            bands: &mut self.bands,
-            factors: &mut self.factors,
-        });
-        for (factors, weights) in self.factors.iter().zip(&mut self.weights) {
-            self.isa.run(FillWeights {
-                basis: &self.basis,
-                factors,
-                weights,
-            });
-        }
-    }
-
-    /// Adds all samples to the normal equations.
-    pub(crate) fn add_samples(&mut self, lights: &[[f64; COEFFICIENTS]], sums: &mut Sums) {
-        let isa = self.isa;
-        self.each_sample(lights, |c, _, sample| {
-            isa.run(AddSample {
-                sample,
-                unknowns: unknowns_of_channel::<C>(c),
-                sums,
-            });
-        });
-    }
-
-    /// Calls `f` with channel, picture and sample, channel by channel. Lights are (channel, picture).
-    pub fn each_sample(
-        &mut self,
-        lights: &[[f64; COEFFICIENTS]],
-        mut f: impl FnMut(usize, usize, &Sample),
-    ) {
-        for (c, of_channel) in lights.chunks(self.problem.pictures()).enumerate() {
-            for (picture, light) in of_channel.iter().enumerate() {
-                self.take_sample(c, picture, light);
-                f(c, picture, &self.sample);
-            }
-        }
-    }
-
-    /// Works out one channel of one picture.
-    fn take_sample(&mut self, channel: usize, picture: usize, light: &[f64; COEFFICIENTS]) {
-        let [target, weight] = &self.given[channel * self.problem.pictures() + picture];
-        self.sample.weight = *weight;
-        self.isa.run(TakeSample {
-            basis: &self.basis,
-            light,
-            target,
-            responses: &self.responses[channel],
-            sample: &mut self.sample,
-        });
-    }
-}
-
-/// Fills in the coefficients of one channel: what [`Factors`] make of each seen number alone.
-struct FillResponses<'a> {
-    directions: &'a Directions<f64>,
-    albedo: &'a Doubles,
-    roughness: &'a Doubles,
-    metallic: &'a Doubles,
-    bands: &'a BlockBands,
-    responses: &'a mut Responses,
-}
-
-impl Kernel for FillResponses<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        for x in 0..BLOCK {
-            let material = Material {
-                albedo: [self.albedo.0[x]],
-                roughness: self.roughness.0[x],
-                metallic: self.metallic.0[x],
-            };
-            let mut bands = Bands {
-                weight: [0.0; 4],
-                slope: [0.0; 4],
-            };
-            for l in 0..4 {
-                bands.weight[l] = self.bands[l].0[x];
-                bands.slope[l] = self.bands[4 + l].0[x];
-            }
-            let factors = Factors::new(self.directions.cosine(x), &material, bands);
-            // One call, in a loop: of several the compiler would make a function and no vector code.
-            for seen in 0..SEEN {
-                let mut alone = [0.0; SEEN];
-                alone[seen] = 1.0;
-                let [by_diffuse, by_band @ ..] = alone;
-                let derivatives = factors.pull_back(&material, &[by_diffuse], &[by_band]);
-                self.responses.radiance[seen].0[x] = if seen == 0 {
-                    factors.diffuse[0]
-                } else {
-                    factors.specular[0] * bands.weight[seen - 1]
-                };
-                self.responses.derivatives[0][seen].0[x] = derivatives.albedo[0];
-                self.responses.derivatives[1][seen].0[x] = derivatives.roughness;
-                self.responses.derivatives[2][seen].0[x] = derivatives.metallic;
-            }
-        }
-    }
-}
-
-/// Residual and derivatives of a sample.
-struct TakeSample<'a> {
-    basis: &'a Basis<f64>,
-    light: &'a [f64; COEFFICIENTS],
-    target: &'a Doubles,
-    responses: &'a Responses,
-    sample: &'a mut Sample,
-}
-
-impl Kernel for TakeSample<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            basis,
-            light,
-            target,
-            responses,
-            sample,
-        } = self;
-        let seen = seen(basis, light);
-        for x in 0..BLOCK {
-            sample.residual.0[x] = -target.0[x];
-        }
-        sample.derivatives = Default::default();
-        for s in 0..SEEN {
-            for x in 0..BLOCK {
-                sample.residual.0[x] += responses.radiance[s].0[x] * seen[s].0[x];
-            }
-            for j in 0..DERIVATIVES {
-                for x in 0..BLOCK {
-                    sample.derivatives[j].0[x] += responses.derivatives[j][s].0[x] * seen[s].0[x];
-                }
-            }
-        }
-    }
-}
-
-/// The normal equations of a block; of the matrix, the lower triangle.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Sums {
-    pub(crate) matrix: [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
-    pub(crate) gradient: [Doubles; MAX_UNKNOWNS],
-    pub(crate) squares: Doubles,
-}
-
-impl Sums {
-    /// Puts the matrix of one pixel, both halves of it, at the beginning of `matrix`.
-    fn store_matrix(&self, pixel: usize, matrix: &mut [f64], unknowns: usize) {
-        for row in 0..unknowns {
-            for column in 0..unknowns {
-                let lower = &self.matrix[row.max(column)][row.min(column)];
-                matrix[row * unknowns + column] = lower.0[pixel];
-            }
-        }
-    }
-}
-
-/// Adds a sample to the normal equations.
-pub(crate) struct AddSample<'a> {
-    pub sample: &'a Sample,
-    pub unknowns: [usize; DERIVATIVES],
-    pub sums: &'a mut Sums,
-}
-
-impl Kernel for AddSample<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            sample,
-            unknowns,
-            sums,
-        } = self;
-        let mut weighted = Doubles::default();
-        for x in 0..BLOCK {
-            weighted.0[x] = sample.weight.0[x] * sample.residual.0[x];
-            sums.squares.0[x] += weighted.0[x] * sample.residual.0[x];
-        }
-        for i in 0..DERIVATIVES {
-            let by_row = &sample.derivatives[i];
-            let gradient = &mut sums.gradient[unknowns[i]];
-            for x in 0..BLOCK {
-                gradient.0[x] += weighted.0[x] * by_row.0[x];
-            }
-            for j in 0..=i {
-                let by_column = &sample.derivatives[j];
-                let entry = &mut sums.matrix[unknowns[i]][unknowns[j]];
-                for x in 0..BLOCK {
-                    entry.0[x] += sample.weight.0[x] * by_row.0[x] * by_column.0[x];
-                }
-            }
-        }
-    }
 }
 
 /// sum += a b

@@ -4,32 +4,28 @@
 //! of them apart in roughness and metallic; so it descends from several starts, its own material
 //! and the best nodes of a grid ([`material_grid`](crate::material_grid)), and keeps the lowest.
 //!
-//! Most of the way costs the same for any number of pictures. With D, S = Σ_l h_l B_l, S' = Σ_l h'_l
-//! B_l and T as vectors over pictures,
+//! Most of the way costs the same for any number of pictures: squares come from products over them
+//! ([`product_form`](crate::product_form)), at the normals that x has. These know squares to 10⁻¹⁵ of
+//! Σ ω T², that is residuals to half of the digits; the last steps ([`residual_steps`]) therefore
+//! take the residuals one by one, in passes over the pictures. They also turn normals that are free.
 //!
-//! ```text
-//! I     = a D + b S               a = kd, b = ks
-//! ∂I/∂ρ = a_ρ D + b_ρ S           ∂I/∂m = a_m D + b_m S           ∂I/∂r = b_r S + b S'
-//! ```
-//!
-//! so squares, gradient and Gauss–Newton matrix follow from ten products a channel, which are small
-//! quadratic forms in h and h' of the [`products`](crate::products) ([`AddChannel`]). These forms
-//! know squares to 10⁻¹⁵ of Σ ω T², that is residuals to half of the digits; the last steps
-//! therefore take the residuals one by one, in passes over the pictures.
+//! [`residual_steps`]: crate::residual_steps
 //!
 //! Every pixel has its own damping, and once it is done it stays where it is: what it ends at does
 //! not depend on the pixels beside it.
 
-use crate::block::{BLOCK, BlockBands, Directions, FillBands, Materials, Plane};
-use crate::descent::{Descent, Point, Pull, Squares};
-use crate::ggx::Bands;
+use crate::block::{BLOCK, Materials, Plane};
+use crate::descent::{Descent, Point, Pull};
 use crate::material_grid;
-use crate::normal_matrix::{self, Sums};
 use crate::problem::Problem;
-use crate::products::{PixelProducts, Products};
+use crate::product_form::Form;
+use crate::residual_steps::ResidualSteps;
+use crate::samples::{
+    DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS, handed_out,
+};
 use crate::sh::COEFFICIENTS;
-use crate::shade::{Factors, Material};
 use crate::simd::{Instructions, Isa, Kernel};
+use crate::turns::Tilts;
 use crate::{Error, Result, check, pool};
 
 /// Blocks of pixels in a piece of work at most: a piece has a cost of its own.
@@ -40,11 +36,8 @@ const PIECES: usize = 64;
 const FORM_FLOOR: f64 = 1e-13;
 /// Of Σ ω T²: a difference that the products can tell for sure.
 const FORM_CLEAR: f64 = 1e-11;
-/// Of the squares: a decrease that sums of squares cannot tell from rounding.
-const EXACT_FLOOR: f64 = 1e-14;
-/// Damping of the first step on products, and on residuals.
+/// Damping of the first step on products.
 const FORM_DAMPING: f64 = 1e-3;
-const EXACT_DAMPING: f64 = 1e-9;
 /// Descents begin at least at this roughness: at 0 nothing depends on roughness, and they would
 /// never leave it. A material of x below it is still kept if nothing better is found.
 const LEAST_ROUGHNESS: f64 = 1e-3;
@@ -67,12 +60,14 @@ pub struct Search<'a> {
     pub steps: usize,
     /// Steps on residuals at most, of the best.
     pub exact_steps: usize,
+    /// Whether normals stay where x has them, though they are free.
+    pub held_normals: bool,
     /// What materials are drawn to, beside the pictures.
     pub pull: Option<Towards<'a>>,
 }
 
-/// Adds Σ_f precision_f (v_f − centre_f)² to the squares of a pixel, for f = roughness and, unless
-/// it is known, metallic.
+/// Adds Σ_f precision_f (v_f − centre_f)² to the squares of a pixel, for f = roughness, metallic
+/// unless it is known and, where normals are free, the two tilts.
 #[derive(Clone, Copy, Debug)]
 pub struct Towards<'a> {
     /// (pixel, f)
@@ -81,7 +76,8 @@ pub struct Towards<'a> {
     pub precision: &'a [f64],
 }
 
-/// Materials of D numbers: albedo by channel, roughness and, unless it is known, metallic.
+/// Materials of D numbers: albedo by channel, roughness, metallic unless it is known and, where
+/// normals are free, the two tilts.
 #[derive(Clone, Debug)]
 pub struct Fitted {
     /// (pixel, D)
@@ -94,7 +90,7 @@ impl Problem {
     /// The best material of each of `pixels` with the lights of x, never worse than that of x.
     ///
     /// What is compared is Σ ω (I − T)² and the pull; it is summed up residual by residual unless
-    /// `exact_steps` is 0, when it comes from products.
+    /// `exact_steps` is 0, when it comes from products. Free normals move in those steps only.
     pub fn fit_materials(&self, x: &[f64], pixels: &[usize], search: &Search) -> Result<Fitted> {
         check::unit_interval("roughness", search.roughness)?;
         check::unit_interval("metallic", search.metallic)?;
@@ -106,9 +102,14 @@ impl Problem {
             check::moderate("precision", pull.precision, LARGEST_PULL)?;
             check::not_negative("precision", pull.precision)?;
         }
-        match self.channels() {
-            1 => fit::<1>(self, x, pixels, search),
-            _ => fit::<3>(self, x, pixels, search),
+        match (
+            self.channels(),
+            self.free_normals() && !search.held_normals,
+        ) {
+            (1, false) => fit::<1, DERIVATIVES, UNKNOWNS>(self, x, pixels, search),
+            (_, false) => fit::<3, DERIVATIVES, UNKNOWNS>(self, x, pixels, search),
+            (1, true) => fit::<1, FREE_DERIVATIVES, FREE_UNKNOWNS>(self, x, pixels, search),
+            (_, true) => fit::<3, FREE_DERIVATIVES, FREE_UNKNOWNS>(self, x, pixels, search),
         }
     }
 }
@@ -116,7 +117,7 @@ impl Problem {
 /// Centres and precisions at most.
 const LARGEST_PULL: f64 = 1e100;
 
-fn fit<const C: usize>(
+fn fit<const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
@@ -132,7 +133,12 @@ fn fit<const C: usize>(
         metallic,
         ..*search
     };
-    let unknowns = problem.unknowns_of_pixel();
+    let rows = if problem.free_normals() {
+        handed_out::<C, FREE_DERIVATIVES>(problem)
+    } else {
+        handed_out::<C, DERIVATIVES>(problem)
+    };
+    let unknowns = rows.len();
     let mut fitted = Fitted {
         materials: zeros(pixels.len() * unknowns)?,
         squares: zeros(pixels.len())?,
@@ -148,16 +154,16 @@ fn fit<const C: usize>(
         problem.threads(),
         pieces,
         |(piece, ((pixels, materials), squares))| {
-            let mut block = Block::<C>::new(problem, &lights, &search);
+            let mut block = Block::<C, D, U>::new(problem, &lights, &search, &rows);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 let best = block.fit(maps, pixels, piece * size + i * BLOCK);
                 for x in 0..pixels.len() {
                     let p = i * BLOCK + x;
                     // Rounding may leave less than nothing of a sum of squares.
-                    squares[p] = best.sums.squares.0[x].max(0.0);
-                    let to = &mut materials[p * unknowns..][..unknowns];
-                    for (to, from) in to.iter_mut().zip(best.materials.planes()) {
-                        *to = from.0[x];
+                    squares[p] = best.squares.0[x].max(0.0);
+                    let planes: Vec<_> = best.materials.planes().chain(best.tilts).collect();
+                    for (to, &row) in materials[p * unknowns..].iter_mut().zip(&rows) {
+                        *to = planes[row].0[x];
                     }
                 }
             }
@@ -176,52 +182,65 @@ fn zeros(count: usize) -> Result<Vec<f64>> {
 }
 
 /// Up to [`BLOCK`] pixels.
-struct Block<'a, const C: usize> {
+struct Block<'a, const C: usize, const D: usize, const U: usize> {
     problem: &'a Problem,
     lights: &'a [[f64; COEFFICIENTS]],
     search: &'a Search<'a>,
+    /// The unknowns of a pixel, as they are handed out.
+    rows: &'a [usize],
     isa: Instructions,
     grid: material_grid::Block<'a>,
     /// A plane for each node.
     nodes: Vec<Doubles>,
-    samples: normal_matrix::Block<'a, C>,
-    own: Box<Point<C>>,
-    best: Box<Point<C>>,
-    candidate: Box<Point<C>>,
-    trial: Box<Point<C>>,
+    tilts: Tilts,
+    own: Box<Point<C, UNKNOWNS>>,
+    best: Box<Point<C, UNKNOWNS>>,
+    candidate: Box<Point<C, UNKNOWNS>>,
+    trial: Box<Point<C, UNKNOWNS>>,
+    steps: ResidualSteps<'a, C, D, U>,
 }
 
-impl<'a, const C: usize> Block<'a, C> {
+/// The best of a block of pixels.
+struct Best<'a, const C: usize> {
+    materials: &'a Materials<C>,
+    tilts: &'a Tilts,
+    squares: &'a Doubles,
+}
+
+impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
     fn new(
         problem: &'a Problem,
         lights: &'a [[f64; COEFFICIENTS]],
         search: &'a Search<'a>,
+        rows: &'a [usize],
     ) -> Self {
         let nodes = search.roughness.len() * search.metallic.len();
         Self {
             problem,
             lights,
             search,
+            rows,
             isa: problem.instructions(),
             grid: material_grid::Block::new(problem),
             nodes: vec![Doubles::default(); if search.starts > 0 { nodes } else { 0 }],
-            samples: normal_matrix::Block::new(problem),
+            tilts: Tilts::default(),
             own: Box::default(),
             best: Box::default(),
             candidate: Box::default(),
             trial: Box::default(),
+            steps: ResidualSteps::new(problem, lights),
         }
     }
 
-    /// The best materials of some pixels, the first of which is number `first` of all.
-    fn fit(&mut self, maps: &[f64], pixels: &[usize], first: usize) -> &Point<C> {
+    /// The best of some pixels, the first of which is number `first` of all.
+    fn fit(&mut self, maps: &[f64], pixels: &[usize], first: usize) -> Best<'_, C> {
         let (isa, search) = (self.isa, self.search);
-        let factors = self.problem.unknowns_of_pixel() - C;
         let pull = search
             .pull
-            .map(|pull| planes(&pull, factors, first, pixels.len()));
+            .map(|pull| planes(&pull, &self.rows[C..], C, first, pixels.len()));
         let pull = pull.as_ref();
-        self.grid.load(self.lights, pixels);
+        self.grid.load(maps, self.lights, pixels);
+        self.tilts = self.problem.picked_tilts(maps, pixels);
         self.own.materials = Materials::default();
         let mut used = Doubles::default();
         for (x, &p) in pixels.iter().enumerate() {
@@ -247,9 +266,18 @@ impl<'a, const C: usize> Block<'a, C> {
             self.descend(&active, &size, pull);
         }
         if search.exact_steps > 0 {
-            self.finish(pixels, &used, &size, pull);
+            let best = self.finish(maps, pixels, &used, &size, pull);
+            return Best {
+                materials: &best.materials,
+                tilts: if U > UNKNOWNS { &best.tilts } else { &self.tilts },
+                squares: &best.sums.squares,
+            };
         }
-        &self.best
+        Best {
+            materials: &self.best.materials,
+            tilts: &self.tilts,
+            squares: &self.best.sums.squares,
+        }
     }
 
     /// Descends from the candidate, on products, and keeps what is better than the best. Pixels that
@@ -329,58 +357,42 @@ impl<'a, const C: usize> Block<'a, C> {
     }
 
     /// The last steps, on residuals, from the best or the own material, whichever is better.
-    fn finish(&mut self, pixels: &[usize], used: &Doubles, size: &Doubles, pull: Option<&Pull>) {
-        let isa = self.isa;
+    fn finish(
+        &mut self,
+        maps: &[f64],
+        pixels: &[usize],
+        used: &Doubles,
+        size: &Doubles,
+        pull: Option<&Pull>,
+    ) -> &Point<C, U> {
         // Where products tell for sure, no pass over the pictures is needed to tell.
-        let mut unclear = false;
+        let mut unclear = Doubles::default();
         for x in 0..pixels.len() {
             let gained = self.own.cost.0[x] - self.best.cost.0[x];
             if gained <= FORM_CLEAR * size.0[x] {
-                unclear = true;
-            } else {
-                self.own.cost.0[x] = f64::INFINITY;
+                unclear.0[x] = 1.0;
             }
         }
-        self.samples.place(pixels);
-        let mut exact = Exact {
-            lights: self.lights,
-            block: &mut self.samples,
-        };
-        self.best.take(isa, &mut exact, pull);
-        if unclear {
-            let clear = self.own.cost;
-            self.own.take(isa, &mut exact, pull);
-            for x in 0..BLOCK {
-                if clear.0[x] == f64::INFINITY {
-                    self.own.cost.0[x] = f64::INFINITY;
-                }
-            }
-            self.best.keep_lower(isa, &self.own);
-        }
-        let mut floor = Doubles::default();
-        for x in 0..BLOCK {
-            floor.0[x] = EXACT_FLOOR * self.best.cost.0[x];
-        }
-        Descent {
-            isa,
+        self.steps.begin(
+            maps,
+            pixels,
+            &self.tilts,
             pull,
-            metallic_known: self.problem.known_metallic().is_some(),
-            floor: &floor,
-            damping: EXACT_DAMPING,
-            trial: &mut self.trial,
-        }
-        .run(&mut exact, &mut self.best, *used, self.search.exact_steps);
+            &self.best.materials,
+            (&self.own.materials, &unclear),
+        );
+        self.steps.run(used, pull, self.search.exact_steps)
     }
 }
 
-/// The pull of `count` pixels from `first` on, with `factors` of them a pixel.
-fn planes(pull: &Towards, factors: usize, first: usize, count: usize) -> Pull {
+/// The pull of `count` pixels from `first` on, at some unknowns of a pixel: those after its `albedos`.
+fn planes(pull: &Towards, unknowns: &[usize], albedos: usize, first: usize, count: usize) -> Pull {
     let mut planes = Pull::default();
-    for f in 0..factors {
+    for (f, unknown) in unknowns.iter().enumerate() {
         for x in 0..count {
-            let i = (first + x) * factors + f;
-            planes.centre[f].0[x] = pull.centre[i];
-            planes.precision[f].0[x] = pull.precision[i];
+            let i = (first + x) * unknowns.len() + f;
+            planes.centre[unknown - albedos].0[x] = pull.centre[i];
+            planes.precision[unknown - albedos].0[x] = pull.precision[i];
         }
     }
     planes
@@ -440,162 +452,6 @@ fn local_minimum(nodes: &[Doubles], columns: usize, x: usize, rank: usize) -> Op
     let mut minima: Vec<usize> = (0..nodes.len()).filter(is_minimum).collect();
     minima.sort_by(|&a, &b| nodes[a].0[x].total_cmp(&nodes[b].0[x]));
     minima.get(rank).copied()
-}
-
-/// Squares from products.
-struct Form<'a> {
-    isa: Instructions,
-    products: &'a PixelProducts,
-    bands: BlockBands,
-}
-
-impl<'a> Form<'a> {
-    fn new(isa: Instructions, products: &'a PixelProducts) -> Self {
-        Self {
-            isa,
-            products,
-            bands: BlockBands::default(),
-        }
-    }
-}
-
-impl<const C: usize> Squares<C> for Form<'_> {
-    fn take(&mut self, materials: &Materials<C>, sums: &mut Sums) {
-        self.isa.run(FillBands {
-            roughness: &materials.roughness,
-            bands: &mut self.bands,
-        });
-        *sums = Sums::default();
-        for c in 0..C {
-            self.isa.run(AddChannel {
-                directions: &self.products.directions,
-                products: &self.products.by_channel[c],
-                bands: &self.bands,
-                materials,
-                channel: c,
-                sums,
-            });
-        }
-    }
-}
-
-/// Squares from residuals.
-struct Exact<'a, 'b, const C: usize> {
-    lights: &'a [[f64; COEFFICIENTS]],
-    block: &'a mut normal_matrix::Block<'b, C>,
-}
-
-impl<const C: usize> Squares<C> for Exact<'_, '_, C> {
-    fn take(&mut self, materials: &Materials<C>, sums: &mut Sums) {
-        *sums = Sums::default();
-        self.block.take(materials);
-        self.block.add_samples(self.lights, sums);
-    }
-}
-
-/// Adds one channel's squares, gradient and matrix, from its products.
-struct AddChannel<'a, const C: usize> {
-    directions: &'a Directions<f64>,
-    products: &'a Products,
-    bands: &'a BlockBands,
-    materials: &'a Materials<C>,
-    channel: usize,
-    sums: &'a mut Sums,
-}
-
-/// Products of S and S' at the roughness of each pixel.
-#[derive(Default)]
-struct AtRoughness {
-    ss: Doubles,
-    sp: Doubles,
-    pp: Doubles,
-    ds: Doubles,
-    dp: Doubles,
-    st: Doubles,
-    pt: Doubles,
-}
-
-impl<const C: usize> Kernel for AddChannel<'_, C> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            directions,
-            products,
-            bands,
-            materials,
-            channel,
-            sums,
-        } = self;
-        let mut at = AtRoughness::default();
-        for x in 0..BLOCK {
-            let (mut h, mut slope) = ([0.0; 4], [0.0; 4]);
-            for l in 0..4 {
-                h[l] = bands[l].0[x];
-                slope[l] = bands[4 + l].0[x];
-            }
-            for l in 0..4 {
-                // Row l of the products of bands, times h and h'.
-                let (mut by_h, mut by_slope) = (0.0, 0.0);
-                for j in 0..4 {
-                    let (low, high) = if j < l { (j, l) } else { (l, j) };
-                    let product = products.band_band[high * (high + 1) / 2 + low].0[x];
-                    by_h += product * h[j];
-                    by_slope += product * slope[j];
-                }
-                at.ss.0[x] += h[l] * by_h;
-                at.sp.0[x] += slope[l] * by_h;
-                at.pp.0[x] += slope[l] * by_slope;
-                at.ds.0[x] += h[l] * products.diffuse_band[l].0[x];
-                at.dp.0[x] += slope[l] * products.diffuse_band[l].0[x];
-                at.st.0[x] += h[l] * products.band_target[l].0[x];
-                at.pt.0[x] += slope[l] * products.band_target[l].0[x];
-            }
-        }
-        let (r, m) = (C, C + 1);
-        for x in 0..BLOCK {
-            let material = Material {
-                albedo: [materials.albedo[channel].0[x]],
-                roughness: materials.roughness.0[x],
-                metallic: materials.metallic.0[x],
-            };
-            // S in the place of band 0, its weight 1 whatever the roughness: then the derivatives
-            // by roughness are those of b, and S' comes by hand.
-            let whole = Bands {
-                weight: [1.0, 0.0, 0.0, 0.0],
-                slope: [0.0; 4],
-            };
-            let factors = Factors::new(directions.cosine(x), &material, whole);
-            let (a, b) = (factors.diffuse[0], factors.specular[0]);
-            let of_a = factors.pull_back(&material, &[1.0], &[[0.0; 4]]);
-            let of_b = factors.pull_back(&material, &[0.0], &[[1.0, 0.0, 0.0, 0.0]]);
-            let (a_rho, a_m) = (of_a.albedo[0], of_a.metallic);
-            let (b_rho, b_m, b_r) = (of_b.albedo[0], of_b.metallic, of_b.roughness);
-            let dd = products.diffuse_diffuse.0[x];
-            let dt = products.diffuse_target.0[x];
-            let (ds, ss, st) = (at.ds.0[x], at.ss.0[x], at.st.0[x]);
-            let (dp, sp, pp, pt) = (at.dp.0[x], at.sp.0[x], at.pp.0[x], at.pt.0[x]);
-            // The residual e = a D + b S − T with D, S and S'.
-            let ed = a * dd + b * ds - dt;
-            let es = a * ds + b * ss - st;
-            let ep = a * dp + b * sp - pt;
-            sums.squares.0[x] += a * (ed - dt) + b * (es - st) + products.target_target.0[x];
-            sums.gradient[channel].0[x] += a_rho * ed + b_rho * es;
-            sums.gradient[r].0[x] += b_r * es + b * ep;
-            sums.gradient[m].0[x] += a_m * ed + b_m * es;
-            // ∂I/∂ρ, ∂I/∂m and ∂I/∂r with D, S and S', as far as they are needed.
-            let (rho_d, rho_s) = (a_rho * dd + b_rho * ds, a_rho * ds + b_rho * ss);
-            let (m_d, m_s) = (a_m * dd + b_m * ds, a_m * ds + b_m * ss);
-            let (rho_p, m_p) = (a_rho * dp + b_rho * sp, a_m * dp + b_m * sp);
-            sums.matrix[channel][channel].0[x] += a_rho * rho_d + b_rho * rho_s;
-            sums.matrix[m][channel].0[x] += a_m * rho_d + b_m * rho_s;
-            sums.matrix[m][m].0[x] += a_m * m_d + b_m * m_s;
-            sums.matrix[r][channel].0[x] += b_r * rho_s + b * rho_p;
-            sums.matrix[m][r].0[x] += b_r * m_s + b * m_p;
-            sums.matrix[r][r].0[x] += b_r * (b_r * ss + 2.0 * b * sp) + b * b * pp;
-        }
-    }
 }
 
 #[cfg(test)]

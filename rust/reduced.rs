@@ -1,8 +1,8 @@
 //! Lights with the materials of the pixels solved for: the Schur complement of the normal equations.
 //!
 //! The normal matrix of materials and lights is an arrow (see [`normal_matrix`](crate::normal_matrix)):
-//! pixels touch the lights only. So each pixel's five unknowns are eliminated by themselves, and what
-//! is left is a system of the lights' size, however many pixels there are:
+//! pixels touch the lights only. So each pixel's unknowns are eliminated by themselves, and what is
+//! left is a system of the lights' size, however many pixels there are:
 //!
 //! ```text
 //! S = G − Σ_p B_pᵀ A_p⁻¹ B_p              s = g_L − Σ_p B_pᵀ A_p⁻¹ g_p
@@ -18,21 +18,26 @@
 //!
 //! which needs no matrix, and costs about what an evaluation does; or, for some pixels, S itself as
 //! products of R W. The row of an albedo has entries in its own channel alone, so of five rows three
-//! cost a ninth.
+//! cost a ninth. Where normals are free two more rows are dense, those of the tilts.
 //!
 //! Damping adds a share of its diagonal to A. An unknown on a bound that its slope pushes against is
-//! held: its row is 0, and it does not move. So is one on which no radiance depends.
+//! held: its row is 0, and it does not move. So is one on which no radiance depends. Tilts have no
+//! bounds; they move no further than 0.3 at once. They are the last unknowns, and U is
+//! triangular, so what the tilts do is Uᵀ of their own rows: with these scaled down, −Uᵀ (U g + …)
+//! is the step that is best for the other unknowns with the shorter tilts.
 
 use ndarray::linalg::general_mat_mul;
 use ndarray::{ArrayView2, ArrayViewMut2};
 
 use crate::block::{BLOCK, Plane, Radiance};
-use crate::normal_matrix::{
-    AddSample, Block, DERIVATIVES, MAX_UNKNOWNS, Sums, unknowns_of_channel, zeros,
-};
+use crate::normal_matrix::zeros;
 use crate::problem::{Problem, add};
+use crate::samples::{
+    AddSample, Block, DERIVATIVES, Sums, by_kind, handed_out, unknowns_of_channel,
+};
 use crate::sh::COEFFICIENTS;
 use crate::simd::{Instructions, Isa, Kernel};
+use crate::tilted::{TILTS, within_reach};
 use crate::{Error, Result, check, pool};
 
 /// Added to the unit diagonal of scaled matrices: far below what data can tell.
@@ -55,16 +60,16 @@ pub struct Elimination<'a> {
     pub damping: f64,
     /// Whether all channels have the same light.
     pub mono: bool,
-    /// What pulls at roughness and, unless it is known, metallic.
+    /// What pulls at roughness, at metallic unless it is known, and at free tilts.
     pub pull: Option<Pull<'a>>,
 }
 
 /// Σ a (v − c)² beside the squares of the data.
 #[derive(Clone, Copy, Debug)]
 pub struct Pull<'a> {
-    /// a: (pixel, 1 or 2)
+    /// a: (pixel, F), for the F unknowns that are not albedo.
     pub precision: &'a [f64],
-    /// v − c: (pixel, 1 or 2)
+    /// v − c: (pixel, F)
     pub off: &'a [f64],
 }
 
@@ -89,10 +94,7 @@ pub struct ReducedProduct {
 impl Problem {
     /// S and s of some pixels at x.
     pub fn reduced(&self, x: &[f64], pixels: &[usize], how: &Elimination) -> Result<Reduced> {
-        match self.channels() {
-            1 => Lights::<1>::new(self, x, pixels, how)?.reduced(),
-            _ => Lights::<3>::new(self, x, pixels, how)?.reduced(),
-        }
+        by_kind!(self, reduced(self, x, pixels, how))
     }
 
     /// S v and s of some pixels at x, for v (light channel, picture, coefficient).
@@ -103,14 +105,12 @@ impl Problem {
         v: &[f64],
         how: &Elimination,
     ) -> Result<ReducedProduct> {
-        match self.channels() {
-            1 => Lights::<1>::new(self, x, pixels, how)?.product(v),
-            _ => Lights::<3>::new(self, x, pixels, how)?.product(v),
-        }
+        by_kind!(self, reduced_product(self, x, pixels, v, how))
     }
 
-    /// Where the materials of some pixels go when the lights move by v (light channel, picture,
-    /// coefficient), clipped to \[0, 1\]: (pixel, D).
+    /// Where the unknowns of some pixels go when the lights move by v (light channel, picture,
+    /// coefficient): (pixel, D). Materials are clipped to \[0, 1\]; tilts move by 0.3 at most, and
+    /// grow no longer than tan 60°.
     pub fn follow_lights(
         &self,
         x: &[f64],
@@ -118,15 +118,41 @@ impl Problem {
         v: &[f64],
         how: &Elimination,
     ) -> Result<Vec<f64>> {
-        match self.channels() {
-            1 => Lights::<1>::new(self, x, pixels, how)?.follow(v),
-            _ => Lights::<3>::new(self, x, pixels, how)?.follow(v),
-        }
+        by_kind!(self, follow_lights(self, x, pixels, v, how))
     }
 }
 
+fn reduced<const C: usize, const D: usize, const U: usize>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+    how: &Elimination,
+) -> Result<Reduced> {
+    Lights::<C, D, U>::new(problem, x, pixels, how)?.reduced()
+}
+
+fn reduced_product<const C: usize, const D: usize, const U: usize>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+    v: &[f64],
+    how: &Elimination,
+) -> Result<ReducedProduct> {
+    Lights::<C, D, U>::new(problem, x, pixels, how)?.product(v)
+}
+
+fn follow_lights<const C: usize, const D: usize, const U: usize>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+    v: &[f64],
+    how: &Elimination,
+) -> Result<Vec<f64>> {
+    Lights::<C, D, U>::new(problem, x, pixels, how)?.follow(v)
+}
+
 /// A call: the problem, where it stands, and which pixels take part.
-struct Lights<'a, const C: usize> {
+struct Lights<'a, const C: usize, const D: usize, const U: usize> {
     problem: &'a Problem,
     maps: &'a [f64],
     /// (channel, picture)
@@ -139,7 +165,7 @@ struct Lights<'a, const C: usize> {
     channels: usize,
 }
 
-impl<'a, const C: usize> Lights<'a, C> {
+impl<'a, const C: usize, const D: usize, const U: usize> Lights<'a, C, D, U> {
     fn new(
         problem: &'a Problem,
         x: &'a [f64],
@@ -199,7 +225,7 @@ impl<'a, const C: usize> Lights<'a, C> {
     }
 
     /// Takes up a block of pixels, the `block`th of the call, and solves for them.
-    fn eliminate(&self, block: usize, solved: &mut Solved<'a, C>) {
+    fn eliminate(&self, block: usize, solved: &mut Solved<'a, C, D, U>) {
         let first = block * BLOCK;
         let pixels = &self.pixels[first..self.pixels.len().min(first + BLOCK)];
         let finish = self.problem.unknowns_of_pixel() - C;
@@ -344,7 +370,7 @@ impl<'a, const C: usize> Lights<'a, C> {
                 let mut solved = Solved::new(self.problem);
                 for (i, out) in out.chunks_mut(BLOCK * unknowns).enumerate() {
                     self.eliminate(piece * CHUNK + i, &mut solved);
-                    solved.follow(&moves, unknowns, out);
+                    solved.follow(&moves, out);
                 }
             },
         );
@@ -361,8 +387,10 @@ struct Tile {
 
 /// A block's rows times its weights, and its share of G and s.
 struct Wide {
-    /// Of roughness and metallic: (M, unknown, pixel).
+    /// Of all but albedo: (M, unknown, pixel).
     finish: Vec<f64>,
+    /// How many these unknowns are.
+    unknowns: usize,
     /// Of albedo, in its own channel: (channel, picture, coefficient, pixel).
     albedo: Vec<f64>,
     /// (channel, 1 or picture, K, K)
@@ -372,19 +400,22 @@ struct Wide {
 }
 
 impl Wide {
-    fn of<const C: usize>(lights: &Lights<C>, solved: &mut Solved<C>) -> Self {
+    fn of<const C: usize, const D: usize, const U: usize>(
+        lights: &Lights<C, D, U>,
+        solved: &mut Solved<C, D, U>,
+    ) -> Self {
+        let unknowns = D - 1;
         let (n, k) = (lights.pictures, lights.coefficients);
         let (size, of_channel) = (lights.size(), lights.of_channel());
-        let mut finish = vec![0.0; size * 2 * BLOCK];
+        let mut finish = vec![0.0; size * unknowns * BLOCK];
         let mut albedo = vec![0.0; C * of_channel * BLOCK];
         for (sample, albedo) in albedo.chunks_mut(k * BLOCK).enumerate() {
             let (c, i) = (sample / n, sample % n);
-            let first = (c % lights.channels * of_channel + i * k) * 2 * BLOCK;
-            let finish = &mut finish[first..][..k * 2 * BLOCK];
+            let first = (c % lights.channels * of_channel + i * k) * unknowns * BLOCK;
+            let finish = &mut finish[first..][..k * unknowns * BLOCK];
             solved.isa().run(Widen {
                 weights: &solved.block.weights[c][..k],
-                rows: &solved.albedo[sample],
-                finish_rows: &solved.finish[sample],
+                rows: &solved.rows[sample],
                 albedo: albedo.as_chunks_mut().0,
                 finish: finish.as_chunks_mut().0,
             });
@@ -393,6 +424,7 @@ impl Wide {
         solved.add_gradient(&mut gradient);
         Self {
             finish,
+            unknowns,
             albedo,
             grams: solved.grams(),
             gradient: lights.collected(&gradient),
@@ -400,7 +432,12 @@ impl Wide {
     }
 
     /// Subtracts this block's Bᵀ A⁻¹ B from a tile.
-    fn subtract<const C: usize>(&self, lights: &Lights<C>, tile: &Tile, values: &mut [f64]) {
+    fn subtract<const C: usize, const D: usize, const U: usize>(
+        &self,
+        lights: &Lights<C, D, U>,
+        tile: &Tile,
+        values: &mut [f64],
+    ) {
         let of_channel = lights.of_channel();
         let shape = (tile.rows.1, tile.columns.1);
         let mut values = ArrayViewMut2::from_shape(shape, values).expect("a tile");
@@ -411,7 +448,11 @@ impl Wide {
             });
             general_mat_mul(-1.0, &left, &right.t(), 1.0, &mut values);
         };
-        subtract(&self.finish, 2 * BLOCK, (tile.rows.0, tile.columns.0));
+        subtract(
+            &self.finish,
+            self.unknowns * BLOCK,
+            (tile.rows.0, tile.columns.0),
+        );
         if let Some(channel) = tile.channel {
             let start = channel * of_channel;
             let first = (tile.rows.0 - start, tile.columns.0 - start);
@@ -428,43 +469,43 @@ impl Wide {
 struct Lanes([[f64; LANES]; COEFFICIENTS]);
 
 /// A block of pixels that are solved for. Samples are (channel, picture).
-struct Solved<'a, const C: usize> {
+struct Solved<'a, const C: usize, const D: usize, const U: usize> {
     problem: &'a Problem,
-    block: Block<'a, C>,
+    block: Block<'a, C, D>,
     /// Pixels in the block.
     count: usize,
-    /// Ω J, by albedo, roughness and metallic.
-    weighted: Vec<[Doubles; DERIVATIVES]>,
+    /// The unknowns that there are.
+    unknowns: Vec<usize>,
+    /// Ω J, by the channel's own albedo, roughness, metallic and what follows.
+    weighted: Vec<[Doubles; D]>,
     /// ω (I − T)
     slopes: Vec<Doubles>,
     /// ω
     omega: Vec<Doubles>,
-    sums: Sums,
+    sums: Sums<U>,
     /// U, lower triangular; 0 for what is held.
-    whiten: [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
+    whiten: [[Doubles; U]; U],
     /// U g
-    whitened: [Doubles; MAX_UNKNOWNS],
-    /// R of the channel's own albedo.
-    albedo: Vec<Doubles>,
-    /// R of roughness and metallic.
-    finish: Vec<[Doubles; 2]>,
+    whitened: [Doubles; U],
+    /// R, in the same order as J.
+    rows: Vec<[Doubles; D]>,
 }
 
-impl<'a, const C: usize> Solved<'a, C> {
+impl<'a, const C: usize, const D: usize, const U: usize> Solved<'a, C, D, U> {
     fn new(problem: &'a Problem) -> Self {
         let samples = C * problem.pictures();
         Self {
             problem,
             block: Block::new(problem),
             count: 0,
-            weighted: vec![Default::default(); samples],
+            unknowns: handed_out::<C, D>(problem),
+            weighted: vec![[Doubles::default(); D]; samples],
             slopes: vec![Doubles::default(); samples],
             omega: vec![Doubles::default(); samples],
             sums: Sums::default(),
-            whiten: Default::default(),
-            whitened: Default::default(),
-            albedo: vec![Doubles::default(); samples],
-            finish: vec![Default::default(); samples],
+            whiten: [[Doubles::default(); U]; U],
+            whitened: [Doubles::default(); U],
+            rows: vec![[Doubles::default(); D]; samples],
         }
     }
 
@@ -488,7 +529,7 @@ impl<'a, const C: usize> Solved<'a, C> {
             let i = c * n + picture;
             isa.run(AddSample {
                 sample,
-                unknowns: unknowns_of_channel::<C>(c),
+                unknowns: unknowns_of_channel::<C, D>(c),
                 sums,
             });
             omega[i] = sample.weight;
@@ -504,7 +545,7 @@ impl<'a, const C: usize> Solved<'a, C> {
         if let Some([precision, off]) = pull {
             let finish = precision.len() / pixels.len();
             for (i, (a, off)) in precision.iter().zip(off).enumerate() {
-                let (x, unknown) = (i / finish, C + i % finish);
+                let (x, unknown) = (i / finish, self.unknowns[C + i % finish]);
                 self.sums.matrix[unknown][unknown].0[x] += a;
                 self.sums.gradient[unknown].0[x] += a * off;
             }
@@ -512,11 +553,10 @@ impl<'a, const C: usize> Solved<'a, C> {
         self.whiten(damping);
         for (sample, weighted) in self.weighted.iter().enumerate() {
             isa.run(FillRows {
-                own: unknowns_of_channel::<C>(sample / n),
+                own: unknowns_of_channel::<C, D>(sample / n),
                 weighted,
                 whiten: &self.whiten,
-                albedo: &mut self.albedo[sample],
-                finish: &mut self.finish[sample],
+                rows: &mut self.rows[sample],
             });
         }
     }
@@ -528,29 +568,27 @@ impl<'a, const C: usize> Solved<'a, C> {
     /// θ of one kind.
     fn values(&self, unknown: usize) -> &Doubles {
         let materials = &self.block.materials;
-        match unknown {
-            c if c < C => &materials.albedo[c],
-            c if c == C => &materials.roughness,
+        match (unknown, &self.block.tilted) {
+            (c, _) if c < C => &materials.albedo[c],
+            (c, _) if c == C => &materials.roughness,
+            (c, Some(tilted)) if c > C + 1 => &tilted.tilts[c - C - 2],
             _ => &materials.metallic,
         }
     }
 
     /// Works out U, which is 0 for unknowns that are held, and U g.
     fn whiten(&mut self, damping: f64) {
-        let mut scale: [Doubles; MAX_UNKNOWNS] = Default::default();
-        for (unknown, scale) in scale
-            .iter_mut()
-            .enumerate()
-            .take(self.problem.unknowns_of_pixel())
-        {
+        let mut scale = [Doubles::default(); U];
+        for &unknown in &self.unknowns {
             let values = self.values(unknown);
             let gradient = &self.sums.gradient[unknown];
             let diagonal = &self.sums.matrix[unknown][unknown];
+            let bounded = unknown < C + 2;
             for x in 0..BLOCK {
                 let (value, slope, d) = (values.0[x], gradient.0[x], diagonal.0[x]);
                 let held = (value <= 0.0 && slope > 0.0) || (value >= 1.0 && slope < 0.0);
-                let used = !held && d > f64::MIN_POSITIVE;
-                scale.0[x] = if used { 1.0 / d.sqrt() } else { 0.0 };
+                let used = !(held && bounded) && d > f64::MIN_POSITIVE;
+                scale[unknown].0[x] = if used { 1.0 / d.sqrt() } else { 0.0 };
             }
         }
         self.isa().run(Whiten {
@@ -581,7 +619,7 @@ impl<'a, const C: usize> Solved<'a, C> {
     fn add_product(&mut self, moves: &[[f64; COEFFICIENTS]], sums: &mut [Lanes]) {
         let n = self.problem.pictures();
         let radiance = self.moved_radiance(moves);
-        let mut projected: [Doubles; MAX_UNKNOWNS] = Default::default();
+        let mut projected = [Doubles::default(); U];
         self.add_rows(&radiance, &mut projected);
         for (sample, sums) in sums.iter_mut().enumerate() {
             let c = sample / n;
@@ -598,20 +636,39 @@ impl<'a, const C: usize> Solved<'a, C> {
         }
     }
 
-    /// θ − Uᵀ (U g + R W v), clipped: (pixel, D).
-    fn follow(&mut self, moves: &[[f64; COEFFICIENTS]], unknowns: usize, out: &mut [f64]) {
+    /// θ − Uᵀ (U g + R W v), within bounds and reach: (pixel, D).
+    fn follow(&mut self, moves: &[[f64; COEFFICIENTS]], out: &mut [f64]) {
         let radiance = self.moved_radiance(moves);
         let mut whitened = self.whitened;
         self.add_rows(&radiance, &mut whitened);
-        for x in 0..self.count {
-            for unknown in 0..unknowns {
-                let mut value = self.values(unknown).0[x];
-                for row in unknown..unknowns {
-                    value -= self.whiten[row][unknown].0[x] * whitened[row].0[x];
+        let count = self.unknowns.len();
+        for (x, out) in out.chunks_mut(count).enumerate() {
+            if D > DERIVATIVES {
+                let tilts = &self.unknowns[count - TILTS..];
+                let before = [0, 1].map(|t| self.values(tilts[t]).0[x]);
+                let after = [0, 1].map(|t| self.stepped(tilts[t], &whitened, x));
+                let step = [0, 1].map(|t| after[t] - before[t]);
+                let (share, tilt) = within_reach(before, step);
+                for &row in tilts {
+                    whitened[row].0[x] *= share;
                 }
-                out[x * unknowns + unknown] = value.clamp(0.0, 1.0);
+                out[count - TILTS..].copy_from_slice(&tilt);
+            }
+            for (out, &unknown) in out.iter_mut().zip(&self.unknowns) {
+                if unknown < C + 2 {
+                    *out = self.stepped(unknown, &whitened, x).clamp(0.0, 1.0);
+                }
             }
         }
+    }
+
+    /// θ − Uᵀ `whitened` of one kind and pixel.
+    fn stepped(&self, unknown: usize, whitened: &[Doubles; U], x: usize) -> f64 {
+        let mut value = self.values(unknown).0[x];
+        for &row in self.unknowns.iter().filter(|&&row| row >= unknown) {
+            value -= self.whiten[row][unknown].0[x] * whitened[row].0[x];
+        }
+        value
     }
 
     /// W v of every sample.
@@ -629,13 +686,12 @@ impl<'a, const C: usize> Solved<'a, C> {
     }
 
     /// Adds R times `values`, one for each sample.
-    fn add_rows(&self, values: &[Doubles], sums: &mut [Doubles; MAX_UNKNOWNS]) {
+    fn add_rows(&self, values: &[Doubles], sums: &mut [Doubles; U]) {
         let n = self.problem.pictures();
         for (sample, values) in values.iter().enumerate() {
             self.isa().run(AddRows {
-                own: unknowns_of_channel::<C>(sample / n),
-                albedo: &self.albedo[sample],
-                finish: &self.finish[sample],
+                own: unknowns_of_channel::<C, D>(sample / n),
+                rows: &self.rows[sample],
                 values,
                 sums,
             });
@@ -647,14 +703,16 @@ impl<'a, const C: usize> Solved<'a, C> {
         &self,
         sample: usize,
         channel: usize,
-        whitened: &[Doubles; MAX_UNKNOWNS],
+        whitened: &[Doubles; U],
         left: &mut Doubles,
     ) {
-        let (albedo, [roughness, metallic]) = (&self.albedo[sample], &self.finish[sample]);
+        let rows = &self.rows[sample];
         for x in 0..BLOCK {
-            left.0[x] -= albedo.0[x] * whitened[channel].0[x]
-                + roughness.0[x] * whitened[C].0[x]
-                + metallic.0[x] * whitened[C + 1].0[x];
+            let mut sum = rows[0].0[x] * whitened[channel].0[x];
+            for j in 1..D {
+                sum += rows[j].0[x] * whitened[C + j - 1].0[x];
+            }
+            left.0[x] -= sum;
         }
     }
 
@@ -686,16 +744,16 @@ impl<'a, const C: usize> Solved<'a, C> {
 }
 
 /// Inverts the scaled and damped matrices' Cholesky factors: U = L⁻¹ D with L Lᵀ = D A D + damping.
-struct Whiten<'a> {
-    sums: &'a Sums,
+struct Whiten<'a, const U: usize> {
+    sums: &'a Sums<U>,
     /// D, the root of the inverse diagonal; 0 for what is held.
-    scale: &'a [Doubles; MAX_UNKNOWNS],
+    scale: &'a [Doubles; U],
     damping: f64,
-    whiten: &'a mut [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
-    whitened: &'a mut [Doubles; MAX_UNKNOWNS],
+    whiten: &'a mut [[Doubles; U]; U],
+    whitened: &'a mut [Doubles; U],
 }
 
-impl Kernel for Whiten<'_> {
+impl<const U: usize> Kernel for Whiten<'_, U> {
     type Output = ();
 
     #[inline(always)]
@@ -708,8 +766,8 @@ impl Kernel for Whiten<'_> {
             whitened,
         } = self;
         // L, with the inverse of its diagonal on the diagonal.
-        let mut lower: [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS] = Default::default();
-        for i in 0..MAX_UNKNOWNS {
+        let mut lower = [[Doubles::default(); U]; U];
+        for i in 0..U {
             for j in 0..=i {
                 let mut entry = Doubles::default();
                 for x in 0..BLOCK {
@@ -735,8 +793,8 @@ impl Kernel for Whiten<'_> {
             }
         }
         // Forward substitution of the unit vectors, column by column.
-        for column in 0..MAX_UNKNOWNS {
-            for row in 0..MAX_UNKNOWNS {
+        for column in 0..U {
+            for row in 0..U {
                 let mut entry = Doubles::default();
                 if row == column {
                     entry = scale[column];
@@ -755,7 +813,7 @@ impl Kernel for Whiten<'_> {
                 }
             }
         }
-        for row in 0..MAX_UNKNOWNS {
+        for row in 0..U {
             whitened[row] = Doubles::default();
             for column in 0..=row {
                 for x in 0..BLOCK {
@@ -767,53 +825,58 @@ impl Kernel for Whiten<'_> {
 }
 
 /// R = U (Ω J)ᵀ of one sample, whose derivatives are by the unknowns `own`.
-struct FillRows<'a> {
-    own: [usize; DERIVATIVES],
-    weighted: &'a [Doubles; DERIVATIVES],
-    whiten: &'a [[Doubles; MAX_UNKNOWNS]; MAX_UNKNOWNS],
-    albedo: &'a mut Doubles,
-    finish: &'a mut [Doubles; 2],
+struct FillRows<'a, const D: usize, const U: usize> {
+    own: [usize; D],
+    weighted: &'a [Doubles; D],
+    whiten: &'a [[Doubles; U]; U],
+    rows: &'a mut [Doubles; D],
 }
 
-impl Kernel for FillRows<'_> {
+impl<const D: usize, const U: usize> Kernel for FillRows<'_, D, U> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let [own, r, m] = self.own;
-        let [by_albedo, by_roughness, by_metallic] = self.weighted;
-        let u = self.whiten;
-        for x in 0..BLOCK {
-            let (a, b, c) = (by_albedo.0[x], by_roughness.0[x], by_metallic.0[x]);
-            self.albedo.0[x] = u[own][own].0[x] * a;
-            self.finish[0].0[x] = u[r][own].0[x] * a + u[r][r].0[x] * b;
-            self.finish[1].0[x] = u[m][own].0[x] * a + u[m][r].0[x] * b + u[m][m].0[x] * c;
+        let Self {
+            own,
+            weighted,
+            whiten,
+            rows,
+        } = self;
+        for i in 0..D {
+            let whiten = own.map(|unknown| &whiten[own[i]][unknown]);
+            for x in 0..BLOCK {
+                let mut sum = whiten[0].0[x] * weighted[0].0[x];
+                for j in 1..=i {
+                    sum += whiten[j].0[x] * weighted[j].0[x];
+                }
+                rows[i].0[x] = sum;
+            }
         }
     }
 }
 
 /// R W of one sample: its columns of the rows of a block.
-struct Widen<'a> {
+struct Widen<'a, const D: usize> {
     weights: &'a [Doubles],
-    rows: &'a Doubles,
-    finish_rows: &'a [Doubles; 2],
+    rows: &'a [Doubles; D],
     albedo: &'a mut [[f64; BLOCK]],
     /// Added to: lights that all channels have collect from all.
     finish: &'a mut [[f64; BLOCK]],
 }
 
-impl Kernel for Widen<'_> {
+impl<const D: usize> Kernel for Widen<'_, D> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
         for (k, weights) in self.weights.iter().enumerate() {
             for x in 0..BLOCK {
-                self.albedo[k][x] = self.rows.0[x] * weights.0[x];
+                self.albedo[k][x] = self.rows[0].0[x] * weights.0[x];
             }
-            for (unknown, rows) in self.finish_rows.iter().enumerate() {
+            for (unknown, rows) in self.rows[1..].iter().enumerate() {
                 for x in 0..BLOCK {
-                    self.finish[2 * k + unknown][x] += rows.0[x] * weights.0[x];
+                    self.finish[(D - 1) * k + unknown][x] += rows.0[x] * weights.0[x];
                 }
             }
         }
@@ -821,21 +884,19 @@ impl Kernel for Widen<'_> {
 }
 
 /// Adds R times the values of one sample.
-struct AddRows<'a> {
-    own: [usize; DERIVATIVES],
-    albedo: &'a Doubles,
-    finish: &'a [Doubles; 2],
+struct AddRows<'a, const D: usize, const U: usize> {
+    own: [usize; D],
+    rows: &'a [Doubles; D],
     values: &'a Doubles,
-    sums: &'a mut [Doubles; MAX_UNKNOWNS],
+    sums: &'a mut [Doubles; U],
 }
 
-impl Kernel for AddRows<'_> {
+impl<const D: usize, const U: usize> Kernel for AddRows<'_, D, U> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let rows = [self.albedo, &self.finish[0], &self.finish[1]];
-        for (unknown, rows) in self.own.into_iter().zip(rows) {
+        for (unknown, rows) in self.own.into_iter().zip(self.rows) {
             for x in 0..BLOCK {
                 self.sums[unknown].0[x] += rows.0[x] * self.values.0[x];
             }

@@ -1,0 +1,196 @@
+//! How the weights of a block of pixels change with the tilts of their normals.
+//!
+//! With the clamped x = n·v and the mirror direction R, the derivative of w_ck (see
+//! [`shade`](crate::shade)) by the tilt a is
+//!
+//! ```text
+//! ∂w_ck/∂a = kd_c A_l ∇Y_k(n)·∂n/∂a + (dkd_c/dx) (∂x/∂a) A_l Y_k(n)
+//!          + h_l (ks_c ∇Y_k(R)·∂R/∂a + (dks_c/dx) (∂x/∂a) Y_k(R))
+//! ```
+//!
+//! and the same for b. No picture changes it, so a sample costs a sum over k, as radiance does.
+
+use crate::block::{BLOCK, Basis, BlockBands, DIFFUSE, Directions, Materials, Plane};
+use crate::ggx::Bands;
+use crate::problem::Problem;
+use crate::sh::{BAND_OF, COEFFICIENTS};
+use crate::shade::{Factors, Material};
+use crate::simd::{Instructions, Isa, Kernel};
+use crate::turns::{FillBasisSlopes, GivenDirections, Tilts, Turn, Turns};
+
+/// Tilts of a pixel.
+pub(crate) const TILTS: usize = 2;
+/// A tilt moves no further in a step: 17 degrees from the given normal. Squares are far from
+/// quadratic beyond.
+pub(crate) const TILT_REACH: f64 = 0.3;
+/// Steps lead to tilts of at most tan 60°, or of the length that there was.
+pub(crate) const LONGEST_TILT: f64 = 1.732_050_807_568_877_2;
+
+type Doubles = Plane<f64>;
+
+/// The share of a step that is within reach, and where it leads.
+///
+/// Where it would lead too far from the given normal the tilt is shortened, its direction kept.
+#[inline(always)]
+pub(crate) fn within_reach(tilt: [f64; TILTS], step: [f64; TILTS]) -> (f64, [f64; TILTS]) {
+    let length = |v: [f64; TILTS]| (v[0] * v[0] + v[1] * v[1]).sqrt();
+    let share = shorter(length(step), TILT_REACH);
+    let (before, far) = (length(tilt), [0, 1].map(|t| tilt[t] + share * step[t]));
+    let longest = if before > LONGEST_TILT {
+        before
+    } else {
+        LONGEST_TILT
+    };
+    let kept = shorter(length(far), longest);
+    (share, far.map(|far| kept * far))
+}
+
+/// What makes a length at most `longest`: 1 or less.
+#[inline(always)]
+fn shorter(length: f64, longest: f64) -> f64 {
+    if length > longest {
+        longest / length
+    } else {
+        1.0
+    }
+}
+
+/// The normals of up to [`BLOCK`] pixels, and the derivatives of their weights.
+pub(crate) struct Tilted {
+    given: GivenDirections,
+    pub(crate) tilts: Tilts,
+    turns: Turns,
+    /// Derivatives of the basis functions, by tilt.
+    slopes: [Basis<f64>; TILTS],
+    /// ∂w_ck by each tilt, by channel.
+    pub(crate) weights: Vec<[[Doubles; COEFFICIENTS]; TILTS]>,
+}
+
+impl Tilted {
+    pub(crate) fn new(channels: usize) -> Self {
+        Self {
+            given: GivenDirections::default(),
+            tilts: Tilts::default(),
+            turns: Turns::default(),
+            slopes: Default::default(),
+            weights: vec![[[Doubles::default(); COEFFICIENTS]; TILTS]; channels],
+        }
+    }
+
+    /// Takes up pixels, whose tilts are still to come.
+    pub(crate) fn place(&mut self, problem: &Problem, pixels: &[usize]) {
+        self.given = problem.picked_given(pixels);
+    }
+
+    /// Gives the pixels tilts, and works out where they look.
+    pub(crate) fn turn(
+        &mut self,
+        isa: Instructions,
+        tilts: &Tilts,
+        directions: &mut Directions<f64>,
+    ) {
+        self.tilts = *tilts;
+        isa.run(Turn {
+            given: &self.given,
+            tilts,
+            directions,
+            turns: &mut self.turns,
+        });
+    }
+
+    /// Works out the derivatives of the weights.
+    pub(crate) fn fill<const C: usize>(
+        &mut self,
+        isa: Instructions,
+        directions: &Directions<f64>,
+        basis: &Basis<f64>,
+        materials: &Materials<C>,
+        bands: &BlockBands,
+    ) {
+        for (tilt, slopes) in self.slopes.iter_mut().enumerate() {
+            isa.run(FillBasisSlopes {
+                directions,
+                turns: &self.turns,
+                tilt,
+                slopes,
+            });
+        }
+        for (albedo, weights) in materials.albedo.iter().zip(&mut self.weights) {
+            isa.run(FillWeightSlopes {
+                directions,
+                basis,
+                turns: &self.turns,
+                slopes: &self.slopes,
+                albedo,
+                roughness: &materials.roughness,
+                metallic: &materials.metallic,
+                bands,
+                weights,
+            });
+        }
+    }
+}
+
+/// Fills in the derivatives of the weights of one channel.
+struct FillWeightSlopes<'a> {
+    directions: &'a Directions<f64>,
+    basis: &'a Basis<f64>,
+    turns: &'a Turns,
+    slopes: &'a [Basis<f64>; TILTS],
+    albedo: &'a Doubles,
+    roughness: &'a Doubles,
+    metallic: &'a Doubles,
+    bands: &'a BlockBands,
+    weights: &'a mut [[Doubles; COEFFICIENTS]; TILTS],
+}
+
+impl Kernel for FillWeightSlopes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        // kd and ks h_l, and their derivatives by the cosine.
+        let (mut diffuse, mut by_diffuse) = <(Doubles, Doubles)>::default();
+        let (mut specular, mut by_specular) = <([Doubles; 4], [Doubles; 4])>::default();
+        for x in 0..BLOCK {
+            let material = Material {
+                albedo: [self.albedo.0[x]],
+                roughness: self.roughness.0[x],
+                metallic: self.metallic.0[x],
+            };
+            let mut bands = Bands {
+                weight: [0.0; 4],
+                slope: [0.0; 4],
+            };
+            for l in 0..4 {
+                bands.weight[l] = self.bands[l].0[x];
+            }
+            let cosine = self.directions.cosine(x);
+            let factors = Factors::new(cosine, &material, bands);
+            let ([diffuse_slope], [specular_slope]) = factors.by_cosine(cosine, &material);
+            diffuse.0[x] = factors.diffuse[0];
+            by_diffuse.0[x] = diffuse_slope;
+            for l in 0..4 {
+                specular[l].0[x] = factors.specular[0] * bands.weight[l];
+                by_specular[l].0[x] = specular_slope * bands.weight[l];
+            }
+        }
+        for t in 0..TILTS {
+            let (cosine, slopes) = (&self.turns.cosine[t], &self.slopes[t]);
+            for k in 0..COEFFICIENTS {
+                let (ks, by_ks) = (&specular[BAND_OF[k]], &by_specular[BAND_OF[k]]);
+                let weights = &mut self.weights[t][k];
+                for x in 0..BLOCK {
+                    weights.0[x] = ks.0[x] * slopes.mirror[k].0[x]
+                        + cosine.0[x] * by_ks.0[x] * self.basis.mirror[k].0[x];
+                }
+                if k < DIFFUSE {
+                    for x in 0..BLOCK {
+                        weights.0[x] += diffuse.0[x] * slopes.diffuse[k].0[x]
+                            + cosine.0[x] * by_diffuse.0[x] * self.basis.diffuse[k].0[x];
+                    }
+                }
+            }
+        }
+    }
+}
