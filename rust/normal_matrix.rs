@@ -361,15 +361,15 @@ impl<'a, const C: usize> Block<'a, C> {
         for (x, &p) in pixels.iter().enumerate() {
             materials.set(x, &self.problem.material(maps, p));
         }
-        self.place(pixels);
+        self.place(maps, pixels);
         self.take(&materials);
     }
 
-    /// Takes up pixels, whose materials are still to come.
-    pub(crate) fn place(&mut self, pixels: &[usize]) {
+    /// Takes up pixels with the normals of `maps`; materials are still to come.
+    pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize]) {
         self.places.clear();
         self.places.extend(pixels);
-        self.directions = self.problem.picked_directions(pixels);
+        self.directions = self.problem.picked_directions(maps, pixels);
         self.given.clear();
         for c in 0..C {
             for picture in 0..self.problem.pictures() {

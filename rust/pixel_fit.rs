@@ -99,7 +99,7 @@ impl Problem {
         check::unit_interval("roughness", search.roughness)?;
         check::unit_interval("metallic", search.metallic)?;
         if let Some(pull) = &search.pull {
-            let count = pixels.len() * (self.unknowns_of_pixel() - self.channels());
+            let count = pixels.len() * (self.unknowns_of_material() - self.channels());
             check::length("centre", count, pull.centre.len())?;
             check::length("precision", count, pull.precision.len())?;
             check::moderate("centre", pull.centre, LARGEST_PULL)?;
@@ -216,12 +216,12 @@ impl<'a, const C: usize> Block<'a, C> {
     /// The best materials of some pixels, the first of which is number `first` of all.
     fn fit(&mut self, maps: &[f64], pixels: &[usize], first: usize) -> &Point<C> {
         let (isa, search) = (self.isa, self.search);
-        let factors = self.problem.unknowns_of_pixel() - C;
+        let factors = self.problem.unknowns_of_material() - C;
         let pull = search
             .pull
             .map(|pull| planes(&pull, factors, first, pixels.len()));
         let pull = pull.as_ref();
-        self.grid.load(self.lights, pixels);
+        self.grid.load(maps, self.lights, pixels);
         self.own.materials = Materials::default();
         let mut used = Doubles::default();
         for (x, &p) in pixels.iter().enumerate() {
@@ -247,7 +247,7 @@ impl<'a, const C: usize> Block<'a, C> {
             self.descend(&active, &size, pull);
         }
         if search.exact_steps > 0 {
-            self.finish(pixels, &used, &size, pull);
+            self.finish(maps, pixels, &used, &size, pull);
         }
         &self.best
     }
@@ -329,7 +329,14 @@ impl<'a, const C: usize> Block<'a, C> {
     }
 
     /// The last steps, on residuals, from the best or the own material, whichever is better.
-    fn finish(&mut self, pixels: &[usize], used: &Doubles, size: &Doubles, pull: Option<&Pull>) {
+    fn finish(
+        &mut self,
+        maps: &[f64],
+        pixels: &[usize],
+        used: &Doubles,
+        size: &Doubles,
+        pull: Option<&Pull>,
+    ) {
         let isa = self.isa;
         // Where products tell for sure, no pass over the pictures is needed to tell.
         let mut unclear = false;
@@ -341,7 +348,7 @@ impl<'a, const C: usize> Block<'a, C> {
                 self.own.cost.0[x] = f64::INFINITY;
             }
         }
-        self.samples.place(pixels);
+        self.samples.place(maps, pixels);
         let mut exact = Exact {
             lights: self.lights,
             block: &mut self.samples,

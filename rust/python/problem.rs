@@ -247,7 +247,8 @@ impl PyProblem {
                 return Ok(None);
             };
             let values = array::<f64, numpy::Ix2>(name, argument)?;
-            shape(name, &[q, d - self.problem.channels()], values.shape())?;
+            let factors = self.problem.unknowns_of_material() - self.problem.channels();
+            shape(name, &[q, factors], values.shape())?;
             PyResult::Ok(Some(try_copied(name, &values)?))
         };
         let (centre, precision) = (
