@@ -187,6 +187,7 @@ fn pixel_fit(c: &mut Criterion) {
             starts: 1,
             steps,
             exact_steps,
+            held_normals: false,
             pull: None,
         };
         group.bench_function(name, |b| {

@@ -116,6 +116,7 @@ impl<T: Real> Directions<T> {
     }
 
     /// Puts a pixel into the block from its clamped n·v, normal and mirror direction.
+    #[inline(always)]
     pub fn put(&mut self, pixel: usize, cosine: f64, normal: DVec3, mirror: DVec3) {
         self.cosine.0[pixel] = cosine;
         for axis in 0..3 {
@@ -129,9 +130,21 @@ impl<T: Real> Directions<T> {
         self.cosine.0[pixel]
     }
 
+    /// The normal of a pixel.
+    #[inline(always)]
+    pub fn normal(&self, pixel: usize) -> [T; 3] {
+        vector(&self.normal, pixel)
+    }
+
+    /// The mirror direction of a pixel.
+    #[inline(always)]
+    pub fn mirror(&self, pixel: usize) -> [T; 3] {
+        vector(&self.mirror, pixel)
+    }
+
     /// Normal and mirror direction of a pixel, as they were rounded.
     pub fn rounded(&self, pixel: usize) -> [DVec3; 2] {
-        [&self.normal, &self.mirror].map(|d| DVec3::from(vector(d, pixel).map(Real::to_f64)))
+        [self.normal(pixel), self.mirror(pixel)].map(|d| DVec3::from(d.map(Real::to_f64)))
     }
 }
 
@@ -250,13 +263,13 @@ impl<T: Real, const K: usize> Kernel for FillBasis<'_, T, K> {
     fn run<I: Isa>(self, _: I) {
         let Self { directions, basis } = self;
         for x in 0..BLOCK {
-            let y = sh::basis(vector(&directions.normal, x));
+            let y = sh::basis(directions.normal(x));
             for k in 0..DIFFUSE {
                 basis.diffuse[k].0[x] = T::from_f64(COSINE_TRANSFER[BAND_OF[k]]) * y[k];
             }
         }
         for x in 0..BLOCK {
-            let y = sh::basis(vector(&directions.mirror, x));
+            let y = sh::basis(directions.mirror(x));
             for k in 0..K {
                 basis.mirror[k].0[x] = y[k];
             }

@@ -124,7 +124,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
             known_metallic: problem.known_metallic(),
             materials: &mut materials,
         });
-        let directions = problem.directions(block);
+        let directions = problem.known_directions(block);
         isa.run(FillBasis::<f32, K> {
             directions,
             basis: &mut basis,
@@ -237,7 +237,7 @@ impl Piece<'_> {
                 }
             }
             if c == 1 % C {
-                ahead.push(std::slice::from_ref(self.problem.directions(next)));
+                ahead.push(std::slice::from_ref(self.problem.known_directions(next)));
             }
             if c == C - 1 {
                 let first = self.blocks.start * BLOCK;

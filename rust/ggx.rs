@@ -131,12 +131,30 @@ pub fn smith_g1(x: f64, r: f64) -> (f64, f64) {
     (x * inverse, -x * (1.0 - x) * inverse * inverse * 2.0 * r3)
 }
 
+/// dG₁/dx = k/(x(1−k)+k)². As x is raised to [`MIN_COSINE`], G₁ does not change with the normal
+/// where n·v ≤ [`MIN_COSINE`]: there callers take 0 instead.
+#[inline]
+pub fn smith_g1_by_cosine(x: f64, r: f64) -> f64 {
+    let r2 = r * r;
+    let k = 0.5 * r2 * r2;
+    let inverse = 1.0 / (x * (1.0 - k) + k);
+    k * inverse * inverse
+}
+
 /// Schlick's (1−x)⁵, so that F = F0 + (1−F0)(1−x)⁵ and dF/dF0 = 1 − (1−x)⁵.
 #[inline]
 pub fn schlick(x: f64) -> f64 {
     let y = 1.0 - x;
     let y2 = y * y;
     y2 * y2 * y
+}
+
+/// Its slope −5(1−x)⁴. Like [`smith_g1_by_cosine`] it is for n·v > [`MIN_COSINE`] only.
+#[inline]
+pub fn schlick_by_cosine(x: f64) -> f64 {
+    let y = 1.0 - x;
+    let y2 = y * y;
+    -5.0 * y2 * y2
 }
 
 const SERIES_FROM: f64 = 0.4;

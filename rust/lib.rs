@@ -13,9 +13,11 @@
 //! | [`sh`] | the basis Y_k and the cosine transfer A_l |
 //! | [`ggx`] | h_l(r), masking and Fresnel, with derivatives |
 //! | [`shade`] | one pixel: material → weights w_ck, and the adjoint |
+//! | [`tilt`] | a normal that turns away from the given one, and its derivatives |
 //! | [`band_table`] | h_l(r) from a table, for the fast path |
 //! | [`simd`] | the choice of vector instructions at run time |
 //! | [`block`] | the same for a block of pixels in float32, and the products with lights and residuals |
+//! | [`turns`] | blocks of pixels whose normals are free |
 //! | [`robust`] | losses that outliers pull less at |
 //! | [`problem`] | all pixels: loss and gradient |
 //! | [`material_grid`] | all pixels: how well materials explain them when the lights are known |
@@ -58,6 +60,8 @@ pub mod sh;
 pub mod shade;
 pub mod simd;
 pub mod targets;
+pub mod tilt;
 mod tilted;
+pub mod turns;
 
 pub use error::{Error, Result};

@@ -53,7 +53,7 @@ impl Problem {
     ) -> Result<Vec<f32>> {
         check::unit_interval("roughness", roughness)?;
         check::unit_interval("metallic", metallic)?;
-        let (_, lights) = self.at(x, pixels)?;
+        let (maps, lights) = self.at(x, pixels)?;
         let nodes = roughness.len() * metallic.len();
         let mut grid: Vec<f32> = Vec::new();
         grid.try_reserve_exact(pixels.len() * nodes)
@@ -70,7 +70,7 @@ impl Problem {
             let mut block = Block::new(self);
             let mut planes = vec![Doubles::default(); nodes];
             for (pixels, grid) in pixels.chunks(BLOCK).zip(grid.chunks_mut(BLOCK * nodes)) {
-                block.load(&lights, pixels);
+                block.load(maps, &lights, pixels);
                 block.fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut planes);
                 for (x, of_pixel) in grid.chunks_mut(nodes).enumerate() {
                     for (to, plane) in of_pixel.iter_mut().zip(&planes) {
@@ -93,7 +93,7 @@ impl Problem {
                 let mut block = Block::new(self);
                 let (mut albedo, mut squares) = (Vec::new(), Vec::new());
                 for pixels in pixels.chunks(BLOCK) {
-                    block.load(&lights, pixels);
+                    block.load(maps, &lights, pixels);
                     for (x, &p) in pixels.iter().enumerate() {
                         (block.roughness.0[x], block.metallic.0[x]) =
                             self.roughness_and_metallic(maps, p);
@@ -152,9 +152,9 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// Takes up pixels and sums their products over pictures.
-    pub(crate) fn load(&mut self, lights: &[[f64; COEFFICIENTS]], pixels: &[usize]) {
-        self.products.load(self.problem, lights, pixels);
+    /// Takes up pixels, with the normals of `maps`, and sums their products over pictures.
+    pub(crate) fn load(&mut self, maps: &[f64], lights: &[[f64; COEFFICIENTS]], pixels: &[usize]) {
+        self.products.load(self.problem, maps, lights, pixels);
         for x in 0..BLOCK {
             self.cosine.0[x] = self.products.directions.cosine(x);
             self.schlick.0[x] = ggx::schlick(self.cosine.0[x]);

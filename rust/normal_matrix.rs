@@ -77,10 +77,7 @@ impl Problem {
         covariances: &[f64],
         modes: &[f64],
     ) -> Result<Vec<f64>> {
-        by_kind!(
-            self,
-            moves_with_lights(self, x, pixels, covariances, modes)
-        )
+        by_kind!(self, moves_with_lights(self, x, pixels, covariances, modes))
     }
 }
 

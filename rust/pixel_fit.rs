@@ -20,9 +20,7 @@ use crate::material_grid;
 use crate::problem::Problem;
 use crate::product_form::Form;
 use crate::residual_steps::ResidualSteps;
-use crate::samples::{
-    DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS, handed_out,
-};
+use crate::samples::{DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS, handed_out};
 use crate::sh::COEFFICIENTS;
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::turns::Tilts;
@@ -102,10 +100,7 @@ impl Problem {
             check::moderate("precision", pull.precision, LARGEST_PULL)?;
             check::not_negative("precision", pull.precision)?;
         }
-        match (
-            self.channels(),
-            self.free_normals() && !search.held_normals,
-        ) {
+        match (self.channels(), self.free_normals() && !search.held_normals) {
             (1, false) => fit::<1, DERIVATIVES, UNKNOWNS>(self, x, pixels, search),
             (_, false) => fit::<3, DERIVATIVES, UNKNOWNS>(self, x, pixels, search),
             (1, true) => fit::<1, FREE_DERIVATIVES, FREE_UNKNOWNS>(self, x, pixels, search),
@@ -266,10 +261,11 @@ impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
             self.descend(&active, &size, pull);
         }
         if search.exact_steps > 0 {
-            let best = self.finish(maps, pixels, &used, &size, pull);
+            self.finish(maps, pixels, &used, &size, pull);
+            let best = &self.steps.best;
             return Best {
                 materials: &best.materials,
-                tilts: if U > UNKNOWNS { &best.tilts } else { &self.tilts },
+                tilts: &best.tilts,
                 squares: &best.sums.squares,
             };
         }
@@ -364,7 +360,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
         used: &Doubles,
         size: &Doubles,
         pull: Option<&Pull>,
-    ) -> &Point<C, U> {
+    ) {
         // Where products tell for sure, no pass over the pictures is needed to tell.
         let mut unclear = Doubles::default();
         for x in 0..pixels.len() {
@@ -381,7 +377,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
             &self.best.materials,
             (&self.own.materials, &unclear),
         );
-        self.steps.run(used, pull, self.search.exact_steps)
+        self.steps.run(used, pull, self.search.exact_steps);
     }
 }
 

@@ -13,7 +13,8 @@ use crate::sh::COEFFICIENTS;
 use crate::shade::{Frame, Material, shade};
 use crate::simd::Instructions;
 use crate::targets::{Targets, planes};
-use crate::{Error, Result, check, pool};
+use crate::turns::{GivenDirections, Tilts, Turn, Turns};
+use crate::{Error, Result, check, pool, tilt};
 
 /// At most so many pieces of work. Their borders depend on the pixel count alone, and their
 /// results are added in order, so every sum is the same at any number of threads.
@@ -22,8 +23,9 @@ const MAX_CHUNKS: usize = 64;
 const MIN_CHUNK: usize = 4;
 /// Pieces of work whose normal equations are held at once.
 const PIECES_AT_ONCE: usize = 16;
-/// The first part of x, in messages.
+/// The first parts of x, in messages.
 const MAPS_OF_X: &str = "x (albedo, roughness, metallic)";
+const TILTS_OF_X: &str = "x (tilt)";
 /// Samples (pixels times pictures) at most.
 pub(crate) const MAX_SAMPLES: usize = 1 << 31;
 
@@ -49,6 +51,8 @@ pub struct Options {
     pub metallic: Option<f64>,
     /// The lights, where they are no unknowns: (picture, coefficient, channel).
     pub lighting: Option<Vec<f64>>,
+    /// Whether the normals are unknowns too: x then has a [`tilt`] for each pixel.
+    pub free_normals: bool,
     /// 0 means one for each processor.
     pub threads: usize,
     /// The vector instructions to use.
@@ -56,12 +60,13 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Everything unknown, order 3, all processors, the widest vectors.
+    /// Everything unknown but the normals, order 3, all processors, the widest vectors.
     fn default() -> Self {
         Self {
             sh_order: 3,
             metallic: None,
             lighting: None,
+            free_normals: false,
             threads: 0,
             instructions: Instructions::best(),
         }
@@ -71,9 +76,9 @@ impl Default for Options {
 /// The pictures, prepared for repeated evaluation.
 ///
 /// Unknowns are one vector, x = \[albedo (a plane of `pixels` for each channel) | roughness |
-/// metallic | lighting (picture, coefficient, channel)\], without those that are known. The loss is
-/// the mean of φ(I − T) over pixels, pictures and channels, weighted if there are weights; φ is the
-/// square, or a [`Robust`] loss.
+/// metallic | tilt a | tilt b | lighting (picture, coefficient, channel)\], without those that are
+/// known; what comes before the lighting are its maps. The loss is the mean of φ(I − T) over pixels,
+/// pictures and channels, weighted if there are weights; φ is the square, or a [`Robust`] loss.
 #[derive(Debug)]
 pub struct Problem {
     pixels: usize,
@@ -87,11 +92,38 @@ pub struct Problem {
     evaluate: Evaluate,
     /// Sum of the weights of all samples and channels.
     total_weight: f64,
-    directions: Vec<Directions>,
-    direction_remainders: Vec<DirectionRemainders>,
+    geometry: Geometry,
     targets: Targets,
     /// (block, channel, picture), with one channel where all share a weight; or empty.
     weights: Vec<Plane>,
+}
+
+/// What is kept of normals and views, by block.
+#[derive(Debug)]
+enum Geometry {
+    Known {
+        directions: Vec<Directions>,
+        remainders: Vec<DirectionRemainders>,
+    },
+    Free(Vec<GivenDirections>),
+}
+
+impl Geometry {
+    fn known(normals: &[DVec3], views: &[DVec3]) -> Result<Self> {
+        let blocks = normals.len().div_ceil(BLOCK);
+        let mut directions = Vec::new();
+        directions
+            .try_reserve_exact(blocks)
+            .map_err(|_| Error::Memory("normals"))?;
+        directions.resize(blocks, Directions::default());
+        for (p, (&normal, &view)) in normals.iter().zip(views).enumerate() {
+            directions[p / BLOCK].set(p % BLOCK, normal, view);
+        }
+        Ok(Self::Known {
+            directions,
+            remainders: remainders::of_directions(normals, views)?,
+        })
+    }
 }
 
 /// The least-squares problem for the lights when materials are known, one channel.
@@ -151,14 +183,11 @@ impl Problem {
             }
         };
 
-        let mut directions = Vec::new();
-        directions
-            .try_reserve_exact(pixels.div_ceil(BLOCK))
-            .map_err(|_| Error::Memory("normals"))?;
-        directions.resize(pixels.div_ceil(BLOCK), Directions::default());
-        for p in 0..pixels {
-            directions[p / BLOCK].set(p % BLOCK, normals[p], views[p]);
-        }
+        let geometry = if options.free_normals {
+            Geometry::Free(GivenDirections::blocks(normals, views)?)
+        } else {
+            Geometry::known(normals, views)?
+        };
         Ok(Self {
             pixels,
             pictures,
@@ -175,8 +204,7 @@ impl Problem {
             threads: options.threads,
             instructions: options.instructions,
             total_weight,
-            directions,
-            direction_remainders: remainders::of_directions(normals, views)?,
+            geometry,
             targets,
             weights,
         })
@@ -213,9 +241,24 @@ impl Problem {
         self.maps() + if self.lighting.is_none() { lights } else { 0 }
     }
 
-    /// Unknowns of a pixel.
+    /// Unknowns of a pixel: those of its material, and its tilt where normals are free.
     pub(crate) fn unknowns_of_pixel(&self) -> usize {
+        self.unknowns_of_material() + if self.free_normals() { 2 } else { 0 }
+    }
+
+    /// Unknowns of a pixel's material: albedo, roughness and, unless it is known, metallic.
+    pub(crate) fn unknowns_of_material(&self) -> usize {
         self.channels + 1 + usize::from(self.metallic.is_none())
+    }
+
+    /// Whether normals are unknowns.
+    pub(crate) fn free_normals(&self) -> bool {
+        matches!(self.geometry, Geometry::Free(_))
+    }
+
+    /// Maps, in their planes of materials and of tilts; the latter empty where normals are known.
+    pub(crate) fn split_maps<'a>(&self, maps: &'a [f64]) -> (&'a [f64], &'a [f64]) {
+        maps.split_at(self.unknowns_of_material() * self.pixels)
     }
 
     /// The loss at x, of squares unless `robust` says otherwise; its gradient is written to
@@ -256,7 +299,7 @@ impl Problem {
         for partial in &partials {
             if !partial.in_range {
                 // Which entry it was is worth a second look only now.
-                check::unit_interval(MAPS_OF_X, maps)?;
+                self.check_maps(maps)?;
             }
             loss += partial.loss;
             add(&mut by_lights, &partial.by_lights);
@@ -273,7 +316,7 @@ impl Problem {
     /// `pixels`, channel).
     pub fn residuals(&self, x: &[f64], pixels: &[usize]) -> Result<Vec<f32>> {
         let (maps, lighting) = self.split(x)?;
-        check::unit_interval(MAPS_OF_X, maps)?;
+        self.check_maps(maps)?;
         check::indices("pixels", self.pixels, pixels)?;
         let pieces = pool::map(
             self.threads,
@@ -307,7 +350,7 @@ impl Problem {
         let mut residuals = vec![0.0; self.pictures * pixels.len() * C];
         for (j, &p) in pixels.iter().enumerate() {
             let (block, x) = (p / BLOCK, p % BLOCK);
-            let weights = shade(&self.frame(p), &self.material::<C>(maps, p));
+            let weights = shade(&self.frame(maps, p), &self.material::<C>(maps, p));
             for (c, w) in weights.iter().enumerate() {
                 for i in 0..self.pictures {
                     let light = lighting[i * k * C + c..].iter().step_by(C);
@@ -328,9 +371,16 @@ impl Problem {
         pixels: &[usize],
     ) -> Result<(&'a [f64], Vec<[f64; COEFFICIENTS]>)> {
         let (maps, lighting) = self.split(x)?;
-        check::unit_interval(MAPS_OF_X, maps)?;
+        self.check_maps(maps)?;
         check::indices("pixels", self.pixels, pixels)?;
         Ok((maps, self.padded_lights(lighting)))
+    }
+
+    /// Materials must lie in \[0, 1\]; tilts must be moderate.
+    fn check_maps(&self, maps: &[f64]) -> Result<()> {
+        let (materials, tilts) = self.split_maps(maps);
+        check::unit_interval(MAPS_OF_X, materials)?;
+        check::moderate(TILTS_OF_X, tilts, tilt::LARGEST)
     }
 
     /// The maps of x, and the lights, known or of x.
@@ -348,7 +398,9 @@ impl Problem {
     /// first part of x. Sums run in float64, because the lights' condition number squares here.
     pub fn light_equations(&self, maps: &[f64]) -> Result<Vec<LightEquations>> {
         check::length("maps", self.maps(), maps.len())?;
-        check::unit_interval("maps (albedo, roughness, metallic)", maps)?;
+        let (materials, tilts) = self.split_maps(maps);
+        check::unit_interval("maps (albedo, roughness, metallic)", materials)?;
+        check::moderate("maps (tilt)", tilts, tilt::LARGEST)?;
         let pieces: Vec<_> = self.chunks().collect();
         let mut total: Option<Vec<LightEquations>> = None;
         // A few pieces at a time: with weights each holds a matrix for every picture.
@@ -399,7 +451,7 @@ impl Problem {
         for p in blocks.start * BLOCK..(blocks.end * BLOCK).min(self.pixels) {
             let (block, x) = (p / BLOCK, p % BLOCK);
             let material = self.material::<C>(maps, p);
-            let weights = shade(&self.frame(p), &material);
+            let weights = shade(&self.frame(maps, p), &material);
             for (c, sum) in sums.iter_mut().enumerate() {
                 let w = &weights[c][..k];
                 let mut add_gram = |gram: usize, omega: f64| {
@@ -444,6 +496,15 @@ impl Problem {
         (plane(0), self.metallic.unwrap_or_else(|| plane(1)))
     }
 
+    /// The tilt of a pixel; none, where normals are known.
+    fn tilt(&self, maps: &[f64], p: usize) -> [f64; 2] {
+        if !self.free_normals() {
+            return [0.0; 2];
+        }
+        let (_, tilts) = self.split_maps(maps);
+        [tilts[p], tilts[self.pixels + p]]
+    }
+
     /// Lights in float32: (channel, picture, coefficient).
     fn by_channel(&self, lighting: &[f64]) -> Vec<f32> {
         let mut lights = Vec::with_capacity(lighting.len());
@@ -471,14 +532,18 @@ impl Problem {
         lights
     }
 
+    fn blocks(&self) -> usize {
+        self.pixels.div_ceil(BLOCK)
+    }
+
     /// Blocks in a piece of work.
     fn chunk(&self) -> usize {
-        self.directions.len().div_ceil(MAX_CHUNKS).max(MIN_CHUNK)
+        self.blocks().div_ceil(MAX_CHUNKS).max(MIN_CHUNK)
     }
 
     /// The pieces of work, as ranges of blocks.
     fn chunks(&self) -> impl Iterator<Item = Range<usize>> {
-        let (chunk, blocks) = (self.chunk(), self.directions.len());
+        let (chunk, blocks) = (self.chunk(), self.blocks());
         (0..blocks)
             .step_by(chunk)
             .map(move |first| first..(first + chunk).min(blocks))
@@ -496,8 +561,20 @@ impl Problem {
         self.metallic
     }
 
-    pub(crate) fn directions(&self, block: usize) -> &Directions {
-        &self.directions[block]
+    /// Where the pixels of a block look, in float32; where normals are known.
+    pub(crate) fn known_directions(&self, block: usize) -> &Directions {
+        match &self.geometry {
+            Geometry::Known { directions, .. } => &directions[block],
+            Geometry::Free(_) => unreachable!("normals are free"),
+        }
+    }
+
+    /// What tilts turn in a block; where normals are free.
+    pub(crate) fn given_directions(&self, block: usize) -> &GivenDirections {
+        match &self.geometry {
+            Geometry::Known { .. } => unreachable!("normals are known"),
+            Geometry::Free(given) => &given[block],
+        }
     }
 
     /// A plane for each picture.
@@ -505,32 +582,84 @@ impl Problem {
         self.targets.planes(block, channel)
     }
 
-    /// Where some pixels look, at most [`BLOCK`] of them, from anywhere.
-    pub(crate) fn picked_directions(&self, pixels: &[usize]) -> Directions<f64> {
-        let mut picked = Directions::default();
+    /// Where some pixels look, at most [`BLOCK`] of them, from anywhere; at the tilts of x.
+    pub(crate) fn picked_directions(&self, maps: &[f64], pixels: &[usize]) -> Directions<f64> {
+        match &self.geometry {
+            Geometry::Known { .. } => {
+                let mut picked = Directions::default();
+                for (x, &p) in pixels.iter().enumerate() {
+                    let (cosine, [normal, mirror]) = self.exact_directions(p);
+                    picked.put(x, cosine, normal, mirror);
+                }
+                picked
+            }
+            Geometry::Free(_) => self.picked_turns(maps, pixels).0,
+        }
+    }
+
+    /// The same where normals are free, and the derivatives by the tilts.
+    pub(crate) fn picked_turns(&self, maps: &[f64], pixels: &[usize]) -> (Directions<f64>, Turns) {
+        let (mut directions, mut turns) = (Directions::default(), Turns::default());
+        self.instructions.run(Turn {
+            given: &self.picked_given(pixels),
+            tilts: &self.picked_tilts(maps, pixels),
+            directions: &mut directions,
+            turns: &mut turns,
+        });
+        (directions, turns)
+    }
+
+    /// What the tilts of some pixels turn, at most [`BLOCK`] of them; where normals are free.
+    pub(crate) fn picked_given(&self, pixels: &[usize]) -> GivenDirections {
+        let mut picked = GivenDirections::default();
         for (x, &p) in pixels.iter().enumerate() {
-            let [normal, mirror] = self.exact_directions(p);
-            picked.put(
-                x,
-                self.directions[p / BLOCK].cosine(p % BLOCK),
-                normal,
-                mirror,
-            );
+            picked.copy(x, self.given_directions(p / BLOCK), p % BLOCK);
         }
         picked
     }
 
-    fn frame(&self, p: usize) -> Frame {
-        let [normal, mirror] = self.exact_directions(p);
-        Frame::at(self.directions[p / BLOCK].cosine(p % BLOCK), normal, mirror)
+    /// The tilts of some pixels; 0 where no pixel is, or normals are known.
+    pub(crate) fn picked_tilts(&self, maps: &[f64], pixels: &[usize]) -> Tilts {
+        let mut picked = Tilts::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            let tilt = self.tilt(maps, p);
+            for t in 0..2 {
+                picked[t].0[x] = tilt[t];
+            }
+        }
+        picked
     }
 
-    /// Normal and mirror direction of a pixel, to 48 bits.
-    fn exact_directions(&self, p: usize) -> [DVec3; 2] {
+    fn frame(&self, maps: &[f64], p: usize) -> Frame {
+        match &self.geometry {
+            Geometry::Known { .. } => {
+                let (cosine, [normal, mirror]) = self.exact_directions(p);
+                Frame::at(cosine, normal, mirror)
+            }
+            Geometry::Free(given) => {
+                let [normal, view] = given[p / BLOCK].get(p % BLOCK);
+                Frame::new(tilt::turn(normal, self.tilt(maps, p)).normal, view)
+            }
+        }
+    }
+
+    /// The clamped n·v of a pixel, and its normal and mirror direction to 48 bits; where normals are
+    /// known.
+    fn exact_directions(&self, p: usize) -> (f64, [DVec3; 2]) {
+        let Geometry::Known {
+            directions,
+            remainders,
+        } = &self.geometry
+        else {
+            unreachable!("normals are free");
+        };
         let (block, x) = (p / BLOCK, p % BLOCK);
-        let [normal, mirror] = self.directions[block].rounded(x);
-        let [of_normal, of_mirror] = self.direction_remainders[block].get(x);
-        [normal + of_normal, mirror + of_mirror]
+        let [normal, mirror] = directions[block].rounded(x);
+        let [of_normal, of_mirror] = remainders[block].get(x);
+        (
+            directions[block].cosine(x),
+            [normal + of_normal, mirror + of_mirror],
+        )
     }
 
     /// Targets and weights of some pixels in one channel of one picture; 0 where no pixel is.
@@ -555,7 +684,7 @@ impl Problem {
         if self.weights.is_empty() {
             return &[];
         }
-        let channels = self.weights.len() / (self.directions.len() * self.pictures);
+        let channels = self.weights.len() / (self.blocks() * self.pictures);
         let first = (block * channels + channel % channels) * self.pictures;
         &self.weights[first..][..self.pictures]
     }

@@ -51,15 +51,16 @@ impl PixelProducts {
         }
     }
 
-    /// Takes up pixels and sums their products over pictures.
+    /// Takes up pixels, with the normals of `maps`, and sums their products over pictures.
     pub(crate) fn load(
         &mut self,
         problem: &Problem,
+        maps: &[f64],
         lights: &[[f64; COEFFICIENTS]],
         pixels: &[usize],
     ) {
         let isa = problem.instructions();
-        self.directions = problem.picked_directions(pixels);
+        self.directions = problem.picked_directions(maps, pixels);
         isa.run(FillBasis::<f64, COEFFICIENTS> {
             directions: &self.directions,
             basis: &mut self.basis,

@@ -25,7 +25,8 @@ pub(crate) struct ResidualSteps<'a, const C: usize, const D: usize, const U: usi
     isa: Instructions,
     metallic_known: bool,
     squares: Exact<'a, C, D>,
-    best: Box<Point<C, U>>,
+    /// The best yet; its tilts stay where they were unless they are among the U unknowns.
+    pub(crate) best: Box<Point<C, U>>,
     trial: Box<Point<C, U>>,
 }
 
@@ -87,12 +88,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> ResidualSteps<'a, C, D,
     }
 
     /// At most `steps` steps of the `used` pixels.
-    pub(crate) fn run(
-        &mut self,
-        used: &Doubles,
-        pull: Option<&Pull>,
-        steps: usize,
-    ) -> &Point<C, U> {
+    pub(crate) fn run(&mut self, used: &Doubles, pull: Option<&Pull>, steps: usize) {
         let mut floor = Doubles::default();
         for x in 0..BLOCK {
             floor.0[x] = FLOOR * self.best.cost.0[x];
@@ -110,6 +106,5 @@ impl<'a, const C: usize, const D: usize, const U: usize> ResidualSteps<'a, C, D,
             trial: &mut self.trial,
         }
         .run(&mut self.squares, &mut self.best, *used, steps);
-        &self.best
     }
 }

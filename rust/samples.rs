@@ -430,4 +430,3 @@ impl<const D: usize, const U: usize> Kernel for AddSample<'_, D, U> {
         }
     }
 }
-

@@ -76,6 +76,59 @@ pub fn basis<T: Real>([x, y, z]: [T; 3]) -> [T; COEFFICIENTS] {
     ]
 }
 
+/// Calls `put` with k, an axis and ∂Y_k/∂axis, for all of these that are not 0 everywhere; of the
+/// polynomials as they stand in [`basis`].
+///
+/// Off the sphere these polynomials are one continuation of Y_k of many, so that only what lies in
+/// the tangent plane of the direction is a derivative of Y_k.
+#[inline(always)]
+pub fn each_slope<T: Real>([x, y, z]: [T; 3], mut put: impl FnMut(usize, usize, T)) {
+    const X: usize = 0;
+    const Y: usize = 1;
+    const Z: usize = 2;
+    let of = T::from_f64;
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let (one, five) = (of(1.0), of(5.0));
+    put(1, Y, of(C1));
+    put(2, Z, of(C1));
+    put(3, X, of(C1));
+    // xy, yz, 3z² − 1, xz, (x² − y²)/2
+    put(4, X, of(C2) * y);
+    put(4, Y, of(C2) * x);
+    put(5, Y, of(C2) * z);
+    put(5, Z, of(C2) * y);
+    put(6, Z, of(6.0 * C20) * z);
+    put(7, X, of(C2) * z);
+    put(7, Z, of(C2) * x);
+    put(8, X, of(C2) * x);
+    put(8, Y, of(-C2) * y);
+    // 3x²y − y³, and xyz
+    put(9, X, of(6.0 * C33) * x * y);
+    put(9, Y, of(3.0 * C33) * (xx - yy));
+    put(10, X, of(C32) * y * z);
+    put(10, Y, of(C32) * x * z);
+    put(10, Z, of(C32) * x * y);
+    // y (5z² − 1), 5z³ − 3z, x (5z² − 1)
+    put(11, Y, of(C31) * (five * zz - one));
+    put(11, Z, of(10.0 * C31) * y * z);
+    put(12, Z, of(3.0 * C30) * (five * zz - one));
+    put(13, X, of(C31) * (five * zz - one));
+    put(13, Z, of(10.0 * C31) * x * z);
+    // z (x² − y²)/2, and x³ − 3xy²
+    put(14, X, of(C32) * x * z);
+    put(14, Y, of(-C32) * y * z);
+    put(14, Z, of(0.5 * C32) * (xx - yy));
+    put(15, X, of(3.0 * C33) * (xx - yy));
+    put(15, Y, of(-6.0 * C33) * x * y);
+}
+
+/// ∇Y_k of the polynomials in [`basis`]; see [`each_slope`].
+pub fn slopes<T: Real>(direction: [T; 3]) -> [[T; 3]; COEFFICIENTS] {
+    let mut slopes = [[T::default(); 3]; COEFFICIENTS];
+    each_slope(direction, |k, axis, slope| slopes[k][axis] = slope);
+    slopes
+}
+
 // Normalisation constants to 17 digits.
 const C00: f64 = 0.282_094_791_773_878_14; // √(1/4π)
 const C1: f64 = 0.488_602_511_902_919_9; // √(3/4π)

@@ -71,6 +71,37 @@ impl Frame {
     }
 }
 
+/// A [`Frame`], and how it changes with the normal.
+#[derive(Clone, Copy, Debug)]
+pub struct TurningFrame {
+    /// At this normal.
+    pub frame: Frame,
+    normal: DVec3,
+    view: DVec3,
+    /// A_l ∇Y_k(n)
+    diffuse: [DVec3; COEFFICIENTS],
+    /// ∇Y_k(mirror)
+    mirror: [DVec3; COEFFICIENTS],
+}
+
+impl TurningFrame {
+    /// From unit normal and unit view direction (surface to camera).
+    pub fn new(normal: DVec3, view: DVec3) -> Self {
+        let (cosine, mirror) = Frame::directions(normal, view);
+        let mut diffuse = sh::slopes(normal.to_array()).map(DVec3::from);
+        for (slope, &l) in diffuse.iter_mut().zip(&BAND_OF) {
+            *slope *= COSINE_TRANSFER[l];
+        }
+        Self {
+            frame: Frame::at(cosine, normal, mirror),
+            normal,
+            view,
+            diffuse,
+            mirror: sh::slopes(mirror.to_array()).map(DVec3::from),
+        }
+    }
+}
+
 /// The factors of the weights that depend on the material, and what their derivatives need.
 #[derive(Clone, Copy, Debug)]
 pub struct Factors<const C: usize = 3> {
@@ -163,6 +194,34 @@ impl<const C: usize> Factors<C> {
         }
         gradient
     }
+
+    /// Derivatives of kd_c and of ks_c by n·v, at the cosine and material that these factors are of.
+    ///
+    /// ```text
+    /// dF_c  = −5(1−F0_c)(1−n·v)⁴
+    /// dkd_c = −(1−m)(ρ_c/π) dF_c              dks_c = (dF_c G₁ + F_c dG₁)/4
+    /// ```
+    ///
+    /// They hold for n·v > [`MIN_COSINE`]. Up to and at it the clamped cosine stays where it is
+    /// when the normal turns, and callers take 0 instead.
+    #[inline(always)]
+    pub fn by_cosine(&self, cosine: f64, material: &Material<C>) -> ([f64; C], [f64; C]) {
+        let Material {
+            albedo,
+            roughness,
+            metallic,
+        } = *material;
+        let schlick_slope = ggx::schlick_by_cosine(cosine);
+        let g1_slope = ggx::smith_g1_by_cosine(cosine, roughness);
+        let (mut diffuse, mut specular) = ([0.0; C], [0.0; C]);
+        for c in 0..C {
+            let f0 = DIELECTRIC_F0 * (1.0 - metallic) + metallic * albedo[c];
+            let fresnel_slope = (1.0 - f0) * schlick_slope;
+            diffuse[c] = -(1.0 - metallic) * albedo[c] * FRAC_1_PI * fresnel_slope;
+            specular[c] = 0.25 * (fresnel_slope * self.g1 + self.fresnel[c] * g1_slope);
+        }
+        (diffuse, specular)
+    }
 }
 
 /// The weights of one pixel in double precision.
@@ -185,17 +244,72 @@ pub fn shade_vjp<const C: usize>(
     material: &Material<C>,
     cotangent: &Weights<C>,
 ) -> Material<C> {
-    let mut by_diffuse = [0.0; C];
-    let mut band_sums = [[0.0; 4]; C];
+    let (by_diffuse, band_sums) = sums(frame, cotangent);
+    Factors::new(frame.cosine, material, ggx::bands(material.roughness)).pull_back(
+        material,
+        &by_diffuse,
+        &band_sums,
+    )
+}
+
+/// [`shade_vjp`], and the derivative by the normal: a vector in the normal's tangent plane, so that
+/// its product with a small turn dn of the normal is the change of the scalar.
+///
+/// With g_ck the cotangent and R the mirror direction, dR = 2(v·dn)n + 2(n·v)dn and d(n·v) = v·dn:
+///
+/// ```text
+/// g_R = Σ_ck g_ck ks_c h_l ∇Y_k(R)
+/// g_x = Σ_ck g_ck (dkd_c A_l Y_k(n) + dks_c h_l Y_k(R))          0 where n·v ≤ 10⁻⁴
+/// g_n = Σ_ck g_ck kd_c A_l ∇Y_k(n) + 2(g_R·n)v + 2(n·v)g_R + g_x v
+/// ```
+///
+/// of which the part along n is taken away. The mirror direction is not clamped, so g_R holds
+/// everywhere.
+pub fn shade_vjp_by_normal<const C: usize>(
+    turning: &TurningFrame,
+    material: &Material<C>,
+    cotangent: &Weights<C>,
+) -> (Material<C>, DVec3) {
+    let TurningFrame {
+        frame,
+        normal,
+        view,
+        diffuse,
+        mirror,
+    } = turning;
+    let (by_diffuse, band_sums) = sums(frame, cotangent);
+    let factors = Factors::new(frame.cosine, material, ggx::bands(material.roughness));
+    let h = factors.bands.weight;
+    let (mut by_normal, mut by_mirror) = (DVec3::ZERO, DVec3::ZERO);
+    for c in 0..C {
+        for k in 0..COEFFICIENTS {
+            by_normal += cotangent[c][k] * factors.diffuse[c] * diffuse[k];
+            by_mirror += cotangent[c][k] * factors.specular[c] * h[BAND_OF[k]] * mirror[k];
+        }
+    }
+    let cosine = normal.dot(*view);
+    by_normal += 2.0 * (by_mirror.dot(*normal) * *view + cosine * by_mirror);
+    if cosine > MIN_COSINE {
+        let (diffuse, specular) = factors.by_cosine(cosine, material);
+        for c in 0..C {
+            let by_specular: f64 = h.iter().zip(&band_sums[c]).map(|(h, sum)| h * sum).sum();
+            by_normal += (diffuse[c] * by_diffuse[c] + specular[c] * by_specular) * *view;
+        }
+    }
+    (
+        factors.pull_back(material, &by_diffuse, &band_sums),
+        by_normal - by_normal.dot(*normal) / normal.length_squared() * *normal,
+    )
+}
+
+/// Σ_k g_ck A_l Y_k(n), and for each band Σ_{k in l} g_ck Y_k(mirror).
+fn sums<const C: usize>(frame: &Frame, cotangent: &Weights<C>) -> ([f64; C], [[f64; 4]; C]) {
+    let (mut by_diffuse, mut band_sums) = ([0.0; C], [[0.0; 4]; C]);
     for c in 0..C {
         for k in 0..COEFFICIENTS {
             by_diffuse[c] += cotangent[c][k] * frame.diffuse[k];
             band_sums[c][BAND_OF[k]] += cotangent[c][k] * frame.mirror[k];
         }
     }
-    Factors::new(frame.cosine, material, ggx::bands(material.roughness)).pull_back(
-        material,
-        &by_diffuse,
-        &band_sums,
-    )
+    (by_diffuse, band_sums)
 }

@@ -11,7 +11,6 @@ use pyo3::prelude::*;
 use super::arrays::{Contiguous, array, copied, shape, try_copied, vectors};
 use super::images::Images;
 use super::model::{array3, matrix};
-use crate::normal_matrix::DERIVATIVES;
 use crate::pixel_fit::{Search, Towards};
 use crate::problem::{Options, Pictures, Problem};
 use crate::reduced::{Elimination, Pull};
@@ -43,7 +42,7 @@ impl PyProblem {
     #[new]
     #[pyo3(signature = (
         images, normals, views, threads = 0, *,
-        weights = None, sh_order = 3, metallic = None, lighting = None
+        weights = None, sh_order = 3, metallic = None, lighting = None, free_normals = false
     ))]
     #[expect(clippy::too_many_arguments)]
     fn new(
@@ -55,6 +54,7 @@ impl PyProblem {
         sh_order: usize,
         metallic: Option<f64>,
         lighting: Option<&Bound<'_, PyAny>>,
+        free_normals: bool,
     ) -> PyResult<Self> {
         let images = Images::of(images)?;
         let normals = array("normals", normals)?;
@@ -96,6 +96,7 @@ impl PyProblem {
             lighting: lighting
                 .map(|lighting| try_copied("lighting", &lighting))
                 .transpose()?,
+            free_normals,
             threads,
             ..Options::default()
         };
@@ -221,7 +222,8 @@ impl PyProblem {
 
     #[pyo3(signature = (
         x, pixels, roughness, metallic, *,
-        starts = 1, steps = 10, exact_steps = 1, centre = None, precision = None
+        starts = 1, steps = 10, exact_steps = 1, centre = None, precision = None,
+        held_normals = false
     ))]
     #[expect(clippy::too_many_arguments, clippy::type_complexity)]
     fn fit_materials<'py>(
@@ -236,6 +238,7 @@ impl PyProblem {
         exact_steps: usize,
         centre: Option<&Bound<'py, PyAny>>,
         precision: Option<&Bound<'py, PyAny>>,
+        held_normals: bool,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
         let x = x.values();
@@ -266,6 +269,7 @@ impl PyProblem {
             starts,
             steps,
             exact_steps,
+            held_normals,
             pull,
         };
         let fitted = py.detach(|| self.problem.fit_materials(x, &pixels, &search))?;
@@ -330,9 +334,10 @@ impl PyProblem {
         let found = py.detach(|| self.problem.derivatives(x, &pixels))?;
         let problem = &self.problem;
         let (p, n, c) = (pixels.len(), problem.pictures(), problem.channels());
+        let derivatives = if problem.free_normals() { 5 } else { 3 };
         let by_material =
-            numpy::ndarray::Array4::from_shape_vec([p, n, c, DERIVATIVES], found.by_material)
-                .expect("three derivatives of every sample");
+            numpy::ndarray::Array4::from_shape_vec([p, n, c, derivatives], found.by_material)
+                .expect("derivatives of every sample");
         Ok((
             by_material.into_pyarray(py),
             array3(found.by_light, [p, c, problem.coefficients()]).into_pyarray(py),

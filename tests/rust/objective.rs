@@ -79,6 +79,7 @@ impl Example {
             sh_order: self.sh_order,
             metallic: self.metallic,
             lighting: self.known_lights.then(|| self.lighting.clone()),
+            free_normals: false,
             threads,
             instructions,
         };
