@@ -13,7 +13,7 @@ use pbrfit::ggx;
 use pbrfit::pixel_fit::Search;
 use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::render::render;
-use pbrfit::shade::{Frame, Material, shade, shade_vjp};
+use pbrfit::shade::{Frame, Material, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
 use pbrfit::simd::{Instructions, Isa, Kernel};
 use pbrfit::targets::Targets;
 
@@ -64,6 +64,13 @@ fn pixel(c: &mut Criterion) {
     group.bench_function("shade", |b| b.iter(|| shade(black_box(&frame), &material)));
     group.bench_function("shade_vjp", |b| {
         b.iter(|| shade_vjp(black_box(&frame), &material, &cotangent));
+    });
+    let (normal, view) = (DVec3::new(0.0, 0.6, 0.8), DVec3::Z);
+    group.bench_function("TurningFrame, shade_vjp_by_normal", |b| {
+        b.iter(|| {
+            let turning = TurningFrame::new(black_box(normal), view);
+            shade_vjp_by_normal(&turning, &material, &cotangent)
+        });
     });
     group.finish();
 }
@@ -125,7 +132,20 @@ fn parts(c: &mut Criterion) {
         ..one()
     };
     full.bench(&mut group, "parts", "order 2", options);
+    let free_normals = || Options {
+        free_normals: true,
+        ..one()
+    };
+    let turned = full.turned();
+    turned.bench(&mut group, "parts", "free normals", free_normals());
     let grey = Example::with_channels(256 * 256, 16, 1);
+    let turned = grey.turned();
+    turned.bench(
+        &mut group,
+        "parts",
+        "one channel, free normals",
+        free_normals(),
+    );
     grey.bench(&mut group, "parts", "one channel", one());
     let weighted = Example {
         weights: Some(vec![1.0; 256 * 256 * 16 * 3]),
@@ -294,6 +314,16 @@ impl Example {
                 .map(|i| wave(i, 0.31))
                 .collect(),
         }
+    }
+
+    /// With tilts in x.
+    fn turned(&self) -> Self {
+        let pixels = self.normals.len();
+        let mut turned = self.clone();
+        let end = (self.channels + 2) * pixels;
+        let tilts = (0..2 * pixels).map(|i| 0.4 * (wave(i, 0.17) - 0.5));
+        turned.x.splice(end..end, tilts);
+        turned
     }
 
     /// Of three channels.

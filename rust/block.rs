@@ -79,15 +79,15 @@ pub type BlockBands = [Plane<f64>; FUNCTIONS];
 /// One channel's material factors, rounded once: kd and ks h_l.
 #[derive(Clone, Debug, Default)]
 pub struct ChannelFactors<T: Copy + Default = f32> {
-    diffuse: Plane<T>,
-    specular: [Plane<T>; 4],
+    pub(crate) diffuse: Plane<T>,
+    pub(crate) specular: [Plane<T>; 4],
 }
 
 /// The adjoint of [`ChannelFactors`]: derivatives by kd, and for each band Σ_k g_k Y_k(mirror).
 #[derive(Clone, Debug, Default)]
 pub struct ChannelSums {
-    diffuse: Plane,
-    bands: [Plane; 4],
+    pub(crate) diffuse: Plane,
+    pub(crate) bands: [Plane; 4],
 }
 
 /// A sum over pixels, in parts that are added up in float64 in the end.
@@ -185,8 +185,9 @@ impl<const C: usize> Materials<C> {
         }
     }
 
+    /// One pixel.
     #[inline(always)]
-    fn get(&self, pixel: usize) -> Material<C> {
+    pub fn get(&self, pixel: usize) -> Material<C> {
         let mut albedo = [0.0; C];
         for c in 0..C {
             albedo[c] = self.albedo[c].0[pixel];
@@ -394,7 +395,7 @@ impl<T: Real, const C: usize> Kernel for FillFactors<'_, T, C> {
 }
 
 #[inline(always)]
-fn factors_of<T: Real, const C: usize>(
+pub(crate) fn factors_of<T: Real, const C: usize>(
     directions: &Directions<T>,
     materials: &Materials<C>,
     bands: &BlockBands,
@@ -622,7 +623,7 @@ impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
 }
 
 /// Second product, reduced at once to the derivatives by kd and the band sums.
-pub struct Reduce<'a, const K: usize> {
+pub struct Reduce<'a, const K: usize, B: ByWeights = ()> {
     /// Whether to begin the sums, or add to them.
     pub begin: bool,
     /// The basis functions.
@@ -633,11 +634,38 @@ pub struct Reduce<'a, const K: usize> {
     pub residuals: &'a [Plane],
     /// Written or added to.
     pub sums: &'a mut ChannelSums,
+    /// What else the derivatives by the weights are for.
+    pub by_weights: B,
     /// What the next steps will need.
     pub ahead: &'a mut Ahead,
 }
 
-impl<const K: usize> Kernel for Reduce<'_, K> {
+/// Takes the derivatives by the weights as [`Reduce`] comes upon them; `()` does nothing with them.
+pub trait ByWeights {
+    /// Those by coefficient k, of V vectors of pixels from number `v` on,
+    /// summed over some pictures.
+    fn take<I: Vectors<f32>, const V: usize>(
+        &mut self,
+        isa: I,
+        k: usize,
+        v: usize,
+        by_weights: &[I::Vector; V],
+    );
+}
+
+impl ByWeights for () {
+    #[inline(always)]
+    fn take<I: Vectors<f32>, const V: usize>(
+        &mut self,
+        _: I,
+        _: usize,
+        _: usize,
+        _: &[I::Vector; V],
+    ) {
+    }
+}
+
+impl<const K: usize, B: ByWeights> Kernel for Reduce<'_, K, B> {
     type Output = ();
 
     #[inline(always)]
@@ -660,7 +688,31 @@ impl<const K: usize> Kernel for Reduce<'_, K> {
     }
 }
 
-impl<const K: usize> Reduce<'_, K> {
+impl<'a, const K: usize> Reduce<'a, K> {
+    /// The same, with another use for the derivatives by the weights.
+    pub fn giving<B: ByWeights>(self, by_weights: B) -> Reduce<'a, K, B> {
+        let Self {
+            begin,
+            basis,
+            lights,
+            residuals,
+            sums,
+            ahead,
+            ..
+        } = self;
+        Reduce {
+            begin,
+            basis,
+            lights,
+            residuals,
+            sums,
+            by_weights,
+            ahead,
+        }
+    }
+}
+
+impl<const K: usize, B: ByWeights> Reduce<'_, K, B> {
     /// `COUNT` coefficients from `FIRST`, V vectors at a time.
     #[inline(always)]
     fn some<I: Vectors<f32>, const FIRST: usize, const COUNT: usize, const V: usize>(
@@ -684,6 +736,7 @@ impl<const K: usize> Reduce<'_, K> {
             let mut diffuse = [isa.splat(0.0); V];
             let mut bands = [[isa.splat(0.0); V]; 4];
             for k in 0..COUNT {
+                self.by_weights.take(isa, FIRST + k, v, &by_weights[k]);
                 let mirror = &I::of(&self.basis.mirror[FIRST + k].0)[v..v + V];
                 let band = &mut bands[BAND_OF[FIRST + k]];
                 for i in 0..V {

@@ -1,18 +1,19 @@
 //! Loss and gradient of one piece of work, in a version for every kind of problem.
 //!
 //! What a problem does not have (a second and third channel, the third band, sample weights,
-//! unknown lights) is not in its version at all, so it costs nothing and no loop asks for it.
+//! unknown lights, unknown normals) is not in its version at all, so it costs nothing and no loop asks for it.
 
 use std::ops::Range;
 
 use crate::block::{
-    self, BLOCK, Basis, BlockBands, ByLights, ChannelFactors, ChannelSums, FillBasis, FillFactors,
-    FillWeights, Flush, GROUP, Load, Materials, Parts, Plane, PullBack, Reduce, Residuals,
-    WideParts,
+    self, BLOCK, Basis, BlockBands, ByLights, ChannelFactors, ChannelSums, Directions, FillBasis,
+    FillFactors, FillWeights, Flush, GROUP, Load, Materials, Parts, Plane, PullBack, Reduce,
+    Residuals, WideParts,
 };
 use crate::problem::Problem;
 use crate::robust::{Robust, Tame};
 use crate::simd::Ahead;
+use crate::turns::{ByBasis, LoadTilts, PullBackTurns, Tilts, Turn, Turns};
 
 /// Blocks whose light derivatives are summed in float32 before float64 takes over.
 const FLUSH: usize = 16;
@@ -42,44 +43,72 @@ pub struct Partial {
     pub loss: f64,
     /// Derivatives of ½ Σ ω φ(I − T) by the lights: (channel, picture, coefficient).
     pub by_lights: Vec<f64>,
-    /// Whether all materials lay in \[0, 1\].
+    /// Whether all materials lay in \[0, 1\], and all tilts were moderate.
     pub in_range: bool,
 }
 
+/// Parts that a problem has or has not.
+#[derive(Clone, Copy, Debug)]
+pub struct Has {
+    /// Weights of samples.
+    pub weights: bool,
+    /// Unknown lights.
+    pub free_lights: bool,
+    /// Unknown normals.
+    pub free_normals: bool,
+}
+
 /// The version for a problem.
-pub fn choose(channels: usize, coefficients: usize, weighted: bool, free_lights: bool) -> Evaluate {
-    match channels {
-        1 => with_channels::<1>(coefficients, weighted, free_lights),
-        _ => with_channels::<3>(coefficients, weighted, free_lights),
+pub fn choose(channels: usize, coefficients: usize, has: Has) -> Evaluate {
+    match (channels, coefficients) {
+        (1, 9) => with::<1, 9>(has),
+        (1, _) => with::<1, 16>(has),
+        (_, 9) => with::<3, 9>(has),
+        _ => with::<3, 16>(has),
     }
 }
 
-fn with_channels<const C: usize>(
-    coefficients: usize,
-    weighted: bool,
-    free_lights: bool,
-) -> Evaluate {
-    match coefficients {
-        9 => with_coefficients::<C, 9>(weighted, free_lights),
-        _ => with_coefficients::<C, 16>(weighted, free_lights),
+fn with<const C: usize, const K: usize>(has: Has) -> Evaluate {
+    if has.free_normals {
+        with_normals::<C, K, true>(has)
+    } else {
+        with_normals::<C, K, false>(has)
     }
 }
 
-fn with_coefficients<const C: usize, const K: usize>(
-    weighted: bool,
-    free_lights: bool,
-) -> Evaluate {
-    match (weighted, free_lights) {
-        (false, true) => evaluate::<C, K, false, true>,
-        (false, false) => evaluate::<C, K, false, false>,
-        (true, true) => evaluate::<C, K, true, true>,
-        (true, false) => evaluate::<C, K, true, false>,
+fn with_normals<const C: usize, const K: usize, const FREE_NORMALS: bool>(has: Has) -> Evaluate {
+    match (has.weights, has.free_lights) {
+        (false, true) => evaluate::<C, K, false, true, FREE_NORMALS>,
+        (false, false) => evaluate::<C, K, false, false, FREE_NORMALS>,
+        (true, true) => evaluate::<C, K, true, true, FREE_NORMALS>,
+        (true, false) => evaluate::<C, K, true, false, FREE_NORMALS>,
     }
+}
+
+/// Where the pixels of a block look at their tilts.
+#[derive(Default)]
+struct Turned {
+    tilts: Tilts,
+    directions: Directions,
+    turns: Turns,
+}
+
+/// Derivatives by the normals of a block.
+#[derive(Default)]
+struct ByNormals {
+    basis: Basis,
+    tilts: Tilts,
 }
 
 /// A block at a time: basis functions and factors of its pixels; then, channel by channel and
-/// group of pictures by group, the matrix products; then the material derivatives.
-fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIGHTS: bool>(
+/// group of pictures by group, the matrix products; then the derivatives by material and normal.
+fn evaluate<
+    const C: usize,
+    const K: usize,
+    const WEIGHTED: bool,
+    const FREE_LIGHTS: bool,
+    const FREE_NORMALS: bool,
+>(
     piece: &Piece,
     gradient: &mut [&mut [f64]],
 ) -> Partial {
@@ -93,6 +122,8 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
     } = piece;
     let (isa, pixels, pictures) = (problem.instructions(), problem.pixels(), problem.pictures());
     let lights: &[[f32; K]] = lights.as_chunks().0;
+    let (of_materials, of_tilts) = problem.split_maps(maps);
+    let materials_of_gradient = problem.unknowns_of_material();
     let mut partial = Partial {
         loss: 0.0,
         by_lights: Vec::new(),
@@ -111,20 +142,41 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
     let mut weights = [Plane::default(); K];
     let mut residuals = [Plane::default(); GROUP];
 
+    let mut turned = FREE_NORMALS.then(Box::<Turned>::default);
+    let mut by_normals = FREE_NORMALS.then(Box::<ByNormals>::default);
+
     let mut ahead = Ahead::default();
     let first_pixel = blocks.start * BLOCK;
     for block in blocks.clone() {
         let first = block * BLOCK;
         let count = BLOCK.min(pixels - first);
         partial.in_range &= isa.run(Load {
-            maps,
+            maps: of_materials,
             pixels,
             first,
             count,
             known_metallic: problem.known_metallic(),
             materials: &mut materials,
         });
-        let directions = problem.known_directions(block);
+        if let Some(turned) = &mut turned {
+            partial.in_range &= isa.run(LoadTilts {
+                maps: of_tilts,
+                pixels,
+                first,
+                count,
+                tilts: &mut turned.tilts,
+            });
+            isa.run(Turn {
+                given: problem.given_directions(block),
+                tilts: &turned.tilts,
+                directions: &mut turned.directions,
+                turns: &mut turned.turns,
+            });
+        }
+        let directions = match &turned {
+            None => problem.known_directions(block),
+            Some(turned) => &turned.directions,
+        };
         isa.run(FillBasis::<f32, K> {
             directions,
             basis: &mut basis,
@@ -142,7 +194,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
                 factors: &factors[c],
                 weights: &mut weights,
             });
-            piece.look_ahead::<C>(gradient, block, c, &mut ahead);
+            piece.look_ahead::<C, FREE_NORMALS>(gradient, block, c, &mut ahead);
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
             for group in block::groups(pictures) {
@@ -173,14 +225,23 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
                         })
                     }
                 };
-                isa.run(Reduce {
+                let step = Reduce {
                     begin: group.start == 0,
                     basis: &basis,
                     lights,
                     residuals,
                     sums: &mut sums[c],
+                    by_weights: (),
                     ahead: &mut ahead,
-                });
+                };
+                match &mut by_normals {
+                    None => isa.run(step),
+                    Some(by_normals) => isa.run(step.giving(ByBasis {
+                        begin: c == 0 && group.start == 0,
+                        factors: &factors[c],
+                        sums: &mut by_normals.basis,
+                    })),
+                }
                 if FREE_LIGHTS {
                     isa.run(ByLights {
                         weights: &weights,
@@ -199,7 +260,24 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
             scale,
             gradient: &mut by_materials,
         });
-        by_materials.store(gradient, first - first_pixel, count);
+        let to = first - first_pixel;
+        by_materials.store(&mut gradient[..materials_of_gradient], to, count);
+        if let (Some(turned), Some(by_normals)) = (&turned, &mut by_normals) {
+            isa.run(PullBackTurns::<C, K> {
+                directions,
+                turns: &turned.turns,
+                materials: &materials,
+                bands: &bands,
+                sums: &sums,
+                by_basis: &by_normals.basis,
+                scale,
+                gradient: &mut by_normals.tilts,
+            });
+            let planes = gradient[materials_of_gradient..].iter_mut();
+            for (plane, own) in planes.zip(&by_normals.tilts) {
+                plane[to..][..count].copy_from_slice(&own.0[..count]);
+            }
+        }
 
         if FREE_LIGHTS && ((block + 1) % FLUSH == 0 || block + 1 == blocks.end) {
             isa.run(Flush {
@@ -219,7 +297,7 @@ fn evaluate<const C: usize, const K: usize, const WEIGHTED: bool, const FREE_LIG
 impl Piece<'_> {
     /// While channel c of a block is worked on: the next channel's targets, and a share of what the
     /// next block needs else.
-    fn look_ahead<const C: usize>(
+    fn look_ahead<const C: usize, const FREE_NORMALS: bool>(
         &self,
         gradient: &[&mut [f64]],
         block: usize,
@@ -237,7 +315,11 @@ impl Piece<'_> {
                 }
             }
             if c == 1 % C {
-                ahead.push(std::slice::from_ref(self.problem.known_directions(next)));
+                if FREE_NORMALS {
+                    ahead.push(std::slice::from_ref(self.problem.given_directions(next)));
+                } else {
+                    ahead.push(std::slice::from_ref(self.problem.known_directions(next)));
+                }
             }
             if c == C - 1 {
                 let first = self.blocks.start * BLOCK;

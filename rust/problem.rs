@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::block::{BLOCK, Directions, Plane};
 use crate::check::LARGEST_F32;
-use crate::evaluate::{self, Evaluate, Piece};
+use crate::evaluate::{self, Evaluate, Has, Piece};
 use crate::remainders::{self, DirectionRemainders};
 use crate::robust::Robust;
 use crate::sh::COEFFICIENTS;
@@ -196,8 +196,11 @@ impl Problem {
             evaluate: evaluate::choose(
                 channels,
                 coefficients,
-                !weights.is_empty(),
-                options.lighting.is_none(),
+                Has {
+                    weights: !weights.is_empty(),
+                    free_lights: options.lighting.is_none(),
+                    free_normals: options.free_normals,
+                },
             ),
             metallic: options.metallic,
             lighting: options.lighting,

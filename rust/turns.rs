@@ -2,10 +2,13 @@
 
 use glam::DVec3;
 
-use crate::block::{BLOCK, Basis, DIFFUSE, Directions, Plane};
+use crate::block::{
+    BLOCK, Basis, BlockBands, ByWeights, ChannelFactors, ChannelSums, DIFFUSE, Directions,
+    Materials, Plane, factors_of,
+};
 use crate::ggx::MIN_COSINE;
 use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
-use crate::simd::{Isa, Kernel};
+use crate::simd::{Isa, Kernel, Vectors};
 use crate::{Error, Result, tilt};
 
 type Doubles = Plane<f64>;
@@ -181,6 +184,175 @@ impl Kernel for FillBasisSlopes<'_> {
             });
             for k in 0..COEFFICIENTS {
                 slopes.mirror[k].0[x] = along[k];
+            }
+        }
+    }
+}
+
+/// Takes the tilts of `count` pixels from planes of `pixels` values each, starting at `first`.
+/// Returns whether all are finite and up to [`tilt::LARGEST`] in size.
+pub struct LoadTilts<'a> {
+    /// Two planes.
+    pub maps: &'a [f64],
+    /// Pixels in a plane.
+    pub pixels: usize,
+    /// First pixel of the block.
+    pub first: usize,
+    /// Pixels of the block that are used; the others get 0.
+    pub count: usize,
+    /// To be written.
+    pub tilts: &'a mut Tilts,
+}
+
+impl Kernel for LoadTilts<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) -> bool {
+        let mut moderate = true;
+        for (to, plane) in self.tilts.iter_mut().zip(self.maps.chunks(self.pixels)) {
+            to.0[self.count..].fill(0.0);
+            for (to, &from) in to.0.iter_mut().zip(&plane[self.first..][..self.count]) {
+                moderate &= from.abs() <= tilt::LARGEST; // NaN is not
+                *to = from;
+            }
+        }
+        moderate
+    }
+}
+
+/// Sums up derivatives by the basis functions, of all channels: Σ_c kd_c g_ck is that by A_l Y_k(n),
+/// and Σ_c ks_c h_l g_ck that by Y_k(mirror), for k > 0. Y₀ does not change.
+pub struct ByBasis<'a> {
+    /// Whether to begin the sums, or add to them.
+    pub begin: bool,
+    /// The channel's factors.
+    pub factors: &'a ChannelFactors,
+    /// Written or added to.
+    pub sums: &'a mut Basis,
+}
+
+impl ByWeights for ByBasis<'_> {
+    #[inline(always)]
+    fn take<I: Vectors<f32>, const V: usize>(
+        &mut self,
+        isa: I,
+        k: usize,
+        v: usize,
+        by_weights: &[I::Vector; V],
+    ) {
+        let Self {
+            begin,
+            factors,
+            sums,
+        } = self;
+        let add = |factor: &Plane, sum: &mut Plane| {
+            let factor = &I::of(&factor.0)[v..v + V];
+            let sum = &mut I::of_mut(&mut sum.0)[v..v + V];
+            for i in 0..V {
+                sum[i] = if *begin {
+                    isa.mul(factor[i], by_weights[i])
+                } else {
+                    isa.mul_add(factor[i], by_weights[i], sum[i])
+                };
+            }
+        };
+        if k > 0 {
+            add(&factors.specular[BAND_OF[k]], &mut sums.mirror[k]);
+            if k < DIFFUSE {
+                add(&factors.diffuse, &mut sums.diffuse[k]);
+            }
+        }
+    }
+}
+
+/// The last step: from the sums over pictures to the derivatives by the tilts, times `scale`.
+///
+/// With g_D and g_B what [`ByBasis`] found, and x = n·v,
+///
+/// ```text
+/// g_n = Σ_k g_Dk A_l ∇Y_k(n)          g_R = Σ_k g_Bk ∇Y_k(mirror)
+/// g_x = Σ_c dkd_c/dx g_kd_c + dks_c/dx g_ks_c
+/// g_a = g_n·∂n/∂a + g_R·∂mirror/∂a + g_x ∂x/∂a
+/// ```
+pub struct PullBackTurns<'a, const C: usize, const K: usize> {
+    /// Where the pixels look.
+    pub directions: &'a Directions,
+    /// How that changes with their tilts.
+    pub turns: &'a Turns,
+    /// What they are made of.
+    pub materials: &'a Materials<C>,
+    /// The bands of their roughness.
+    pub bands: &'a BlockBands,
+    /// The adjoint of the factors.
+    pub sums: &'a [ChannelSums; C],
+    /// The adjoint of the basis functions.
+    pub by_basis: &'a Basis,
+    /// Factor on all derivatives.
+    pub scale: f64,
+    /// To be written.
+    pub gradient: &'a mut Tilts,
+}
+
+impl<const C: usize, const K: usize> Kernel for PullBackTurns<'_, C, K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self {
+            directions,
+            turns,
+            materials,
+            bands,
+            sums,
+            by_basis,
+            scale,
+            gradient,
+        } = self;
+        let mut by_normal: [Plane; 3] = Default::default();
+        for x in 0..BLOCK {
+            let mut by = [0.0; 3];
+            sh::each_slope(directions.normal(x), |k, axis, slope| {
+                if k < DIFFUSE {
+                    by[axis] +=
+                        COSINE_TRANSFER[BAND_OF[k]] as f32 * slope * by_basis.diffuse[k].0[x];
+                }
+            });
+            for axis in 0..3 {
+                by_normal[axis].0[x] = by[axis];
+            }
+        }
+        let mut by_mirror: [Plane; 3] = Default::default();
+        for x in 0..BLOCK {
+            let mut by = [0.0; 3];
+            sh::each_slope(directions.mirror(x), |k, axis, slope| {
+                if k < K {
+                    by[axis] += slope * by_basis.mirror[k].0[x];
+                }
+            });
+            for axis in 0..3 {
+                by_mirror[axis].0[x] = by[axis];
+            }
+        }
+        for x in 0..BLOCK {
+            let factors = factors_of(directions, materials, bands, x);
+            let (diffuse, specular) = factors.by_cosine(directions.cosine(x), &materials.get(x));
+            let mut by_cosine = 0.0;
+            for c in 0..C {
+                let mut by_specular = 0.0;
+                for l in 0..4 {
+                    by_specular += factors.bands.weight[l] * f64::from(sums[c].bands[l].0[x]);
+                }
+                by_cosine +=
+                    diffuse[c] * f64::from(sums[c].diffuse.0[x]) + specular[c] * by_specular;
+            }
+            for t in 0..2 {
+                let mut by_tilt = by_cosine * turns.cosine[t].0[x];
+                for axis in 0..3 {
+                    by_tilt += f64::from(by_normal[axis].0[x]) * turns.normal[t][axis].0[x]
+                        + f64::from(by_mirror[axis].0[x]) * turns.mirror[t][axis].0[x];
+                }
+                gradient[t].0[x] = scale * by_tilt;
             }
         }
     }

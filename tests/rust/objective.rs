@@ -7,9 +7,10 @@ use pbrfit::ggx;
 use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::render::render;
 use pbrfit::robust::Robust;
-use pbrfit::shade::{Frame, Material, shade, shade_vjp};
+use pbrfit::shade::{Frame, Material, TurningFrame, shade, shade_vjp_by_normal};
 use pbrfit::simd::{Instructions, Isa, Kernel};
 use pbrfit::targets::Targets;
+use pbrfit::tilt;
 
 #[derive(Clone)]
 struct Example {
@@ -19,12 +20,15 @@ struct Example {
     metallic: Option<f64>,
     known_lights: bool,
     robust: Option<Robust>,
+    free_normals: bool,
     normals: Vec<DVec3>,
     views: Vec<DVec3>,
     images: Vec<f32>,
     weights: Option<Vec<f32>>,
     /// All maps, then all lights, known or not.
     maps: Vec<f64>,
+    /// Two planes; not read unless normals are free.
+    tilts: Vec<f64>,
     lighting: Vec<f64>,
 }
 
@@ -49,6 +53,7 @@ impl Example {
             metallic: None,
             known_lights: false,
             robust: None,
+            free_normals: false,
             normals: (0..pixels).map(|p| direction(p, 0.7)).collect(),
             views: (0..pixels).map(|p| direction(p, 0.011)).collect(),
             images: (0..pictures * pixels * channels)
@@ -58,6 +63,7 @@ impl Example {
             maps: (0..(channels + 2) * pixels)
                 .map(|i| wave(i, 0.313))
                 .collect(),
+            tilts: (0..2 * pixels).map(|i| wave(i, 0.417) - 0.5).collect(),
             lighting: (0..pictures * coefficients * channels)
                 .map(|i| wave(i, 0.517))
                 .collect(),
@@ -79,7 +85,7 @@ impl Example {
             sh_order: self.sh_order,
             metallic: self.metallic,
             lighting: self.known_lights.then(|| self.lighting.clone()),
-            free_normals: false,
+            free_normals: self.free_normals,
             threads,
             instructions,
         };
@@ -105,13 +111,26 @@ impl Example {
         (self.sh_order + 1).pow(2)
     }
 
-    /// Entries of x that are maps.
-    fn free_maps(&self) -> usize {
+    /// Entries of x that are materials.
+    fn free_materials(&self) -> usize {
         (self.channels + 1 + usize::from(self.metallic.is_none())) * self.pixels()
     }
 
+    /// Entries of x that are maps.
+    fn free_maps(&self) -> usize {
+        self.free_materials()
+            + if self.free_normals {
+                self.tilts.len()
+            } else {
+                0
+            }
+    }
+
     fn x(&self) -> Vec<f64> {
-        let mut x = self.maps[..self.free_maps()].to_vec();
+        let mut x = self.maps[..self.free_materials()].to_vec();
+        if self.free_normals {
+            x.extend(&self.tilts);
+        }
         if !self.known_lights {
             x.extend(&self.lighting);
         }
@@ -141,6 +160,11 @@ impl Example {
         }
     }
 
+    fn turned(&self, p: usize) -> tilt::Turned {
+        let [a, b] = [0, 1].map(|t| self.tilts[t * self.pixels() + p]);
+        tilt::turn(self.normals[p], [a, b])
+    }
+
     /// φ and φ', as textbooks have them.
     fn of_residual(&self, e: f64) -> (f64, f64) {
         match self.robust {
@@ -161,10 +185,17 @@ impl Example {
         let mut total = 0.0;
         let mut loss = 0.0;
         let mut by_maps = vec![0.0; self.maps.len()];
+        let mut by_tilts = vec![0.0; self.tilts.len()];
         let mut by_lighting = vec![0.0; self.lighting.len()];
         for p in 0..pixels {
-            let frame = Frame::new(self.normals[p], self.views[p]);
-            let w = shade(&frame, &self.material(p));
+            let turned = self.turned(p);
+            let normal = if self.free_normals {
+                turned.normal
+            } else {
+                self.normals[p]
+            };
+            let frame = TurningFrame::new(normal, self.views[p]);
+            let w = shade(&frame.frame, &self.material(p));
             let mut by_weights = [[0.0; 16]; 3];
             for i in 0..self.pictures {
                 for c in 0..channels {
@@ -181,14 +212,20 @@ impl Example {
                     }
                 }
             }
-            let g = shade_vjp(&frame, &self.material(p), &by_weights);
+            let (g, by_normal) = shade_vjp_by_normal(&frame, &self.material(p), &by_weights);
+            for t in 0..2 {
+                by_tilts[t * pixels + p] = by_normal.dot(turned.by_tilt[t]);
+            }
             for c in 0..channels {
                 by_maps[c * pixels + p] = g.albedo[c];
             }
             by_maps[channels * pixels + p] = g.roughness;
             by_maps[(channels + 1) * pixels + p] = g.metallic;
         }
-        by_maps.truncate(self.free_maps());
+        by_maps.truncate(self.free_materials());
+        if self.free_normals {
+            by_maps.append(&mut by_tilts);
+        }
         if !self.known_lights {
             by_maps.append(&mut by_lighting);
         }
@@ -213,10 +250,11 @@ impl Example {
             0,
             self.channels * n,
             (self.channels + 1) * n,
+            self.free_materials(),
             self.free_maps(),
             x.len(),
         ];
-        for (i, name) in ["albedo", "roughness", "metallic", "lighting"]
+        for (i, name) in ["albedo", "roughness", "metallic", "tilts", "lighting"]
             .iter()
             .enumerate()
         {
@@ -248,8 +286,12 @@ fn agrees_with_the_definition_at_any_size() {
         (200, 35),
         (4_500, 9),
     ] {
-        let what = format!("{pixels} pixels, {pictures} pictures");
-        Example::new(pixels, pictures).check(Instructions::best(), &what);
+        for free_normals in [false, true] {
+            let mut example = Example::new(pixels, pictures);
+            example.free_normals = free_normals;
+            let what = format!("{pixels} pixels, {pictures} pictures, normals free {free_normals}");
+            example.check(Instructions::best(), &what);
+        }
     }
 }
 
@@ -267,7 +309,7 @@ fn every_version_agrees_with_the_definition_of_robust_losses() {
 
 fn every_version_agrees(robust: Option<Robust>) {
     for instructions in Instructions::all() {
-        for bits in 0..64 {
+        for bits in 0..128 {
             let bit = |i: usize| bits >> i & 1 == 1;
             let (channels, order) = (if bit(0) { 1 } else { 3 }, if bit(1) { 2 } else { 3 });
             // More pictures than go through the products together.
@@ -275,6 +317,7 @@ fn every_version_agrees(robust: Option<Robust>) {
             example.robust = robust;
             example.metallic = bit(2).then_some(0.3);
             example.known_lights = bit(3);
+            example.free_normals = bit(6);
             if bit(4) {
                 let of_sample = if bit(5) { channels } else { 1 };
                 example.weights = Some(
@@ -284,10 +327,11 @@ fn every_version_agrees(robust: Option<Robust>) {
                 );
             }
             let what = format!(
-                "{}: {robust:?}, {channels} channels, order {order}, metallic {:?}, lights known {}, weights {:?}",
+                "{}: {robust:?}, {channels} channels, order {order}, metallic {:?}, lights known {}, normals free {}, weights {:?}",
                 instructions.name(),
                 example.metallic,
                 example.known_lights,
+                example.free_normals,
                 example.weights.as_ref().map(Vec::len),
             );
             example.check(instructions, &what);
@@ -325,11 +369,12 @@ fn robust_losses_hold_at_extremes() {
 
 #[test]
 fn residuals_are_those_of_the_loss() {
-    for bits in 0..8 {
+    for bits in 0..16 {
         let bit = |i: usize| bits >> i & 1 == 1;
         let (channels, order) = (if bit(0) { 1 } else { 3 }, if bit(1) { 2 } else { 3 });
         let mut example = Example::with(700, 5, channels, order);
         example.known_lights = bit(2);
+        example.free_normals = bit(3);
         let (x, problem) = (example.x(), example.problem(2));
         let all: Vec<usize> = (0..700).collect();
         let of_all = problem.residuals(&x, &all).unwrap();
@@ -357,7 +402,14 @@ fn residuals_are_those_of_the_loss() {
 
 #[test]
 fn same_bits_at_any_thread_count() {
-    let example = Example::new(20_000, 3);
+    for free_normals in [false, true] {
+        let mut example = Example::new(20_000, 3);
+        example.free_normals = free_normals;
+        same_bits(&example);
+    }
+}
+
+fn same_bits(example: &Example) {
     let x = example.x();
     let evaluate = |threads: usize| {
         let problem = example.problem(threads);
@@ -366,7 +418,7 @@ fn same_bits_at_any_thread_count() {
         let mut tamed = vec![0.0; x.len()];
         let robust = Some(Robust::Cauchy(0.5));
         let tamed_loss = problem.value_and_grad(&x, robust, &mut tamed).unwrap();
-        let equations = problem.light_equations(&x[..example.maps.len()]).unwrap();
+        let equations = problem.light_equations(&x[..problem.maps()]).unwrap();
         let residuals = problem.residuals(&x, &[3, 19_999, 1_000]).unwrap();
         (loss, gradient, tamed_loss, tamed, equations, residuals)
     };
@@ -639,6 +691,82 @@ fn refusals_name_the_array() {
     assert!(evaluate(&bad).starts_with("x (lighting): expected finite numbers"));
     bad[100] = 1e17;
     assert!(evaluate(&bad).starts_with("x (lighting): expected numbers up to 1e16 in size"));
+}
+
+/// To the rounding of float32, of which a problem with known normals has more in its directions.
+#[test]
+fn tilts_of_zero_are_the_given_normals() {
+    for robust in [None, Some(Robust::Huber(0.7))] {
+        let mut example = Example::new(700, 5);
+        example.robust = robust;
+        let evaluate = |example: &Example| {
+            let (x, problem) = (example.x(), example.problem(1));
+            let mut gradient = vec![0.0; x.len()];
+            let loss = problem.value_and_grad(&x, robust, &mut gradient).unwrap();
+            let equations = problem.light_equations(&x[..problem.maps()]).unwrap();
+            let residuals = problem.residuals(&x, &[3, 699]).unwrap();
+            (loss, gradient, equations, residuals)
+        };
+        let known = evaluate(&example);
+        example.free_normals = true;
+        example.tilts.fill(0.0);
+        let mut free = evaluate(&example);
+        let tilts = example.free_materials()..example.free_maps();
+        assert!(free.1.drain(tilts).any(|g| g != 0.0));
+        assert!((free.0 / known.0 - 1.0).abs() < 1e-7);
+        let off = |a: &[f64], b: &[f64]| {
+            norm(a.iter().zip(b).map(|(a, b)| a - b)) / norm(a.iter().copied())
+        };
+        assert!(off(&free.1, &known.1) < 1e-6);
+        for (free, known) in free.2.iter().zip(&known.2) {
+            assert!(off(&free.gram, &known.gram) < 1e-13);
+            assert!(off(&free.right, &known.right) < 1e-13);
+        }
+        assert_eq!(free.3, known.3);
+    }
+}
+
+#[test]
+fn refusals_name_tilts() {
+    let mut example = Example::new(20, 2);
+    example.free_normals = true;
+    for metallic in [None, Some(0.3)] {
+        example.metallic = metallic;
+        let (x, problem) = (example.x(), example.problem(1));
+        let first = example.free_materials();
+        for (value, reason) in [
+            (f64::NAN, "expected finite numbers, found NaN at 21"),
+            (f64::INFINITY, "expected finite numbers, found inf at 21"),
+            (
+                -1.1e3,
+                "expected numbers up to 1e3 in size, found -1.1e3 at 21",
+            ),
+        ] {
+            let mut bad = x.clone();
+            bad[first + 21] = value;
+            let refusals = [
+                problem.value_and_grad(&bad, None, &mut vec![0.0; x.len()]),
+                problem.residuals(&bad, &[0]).map(|_| 0.0),
+            ];
+            for refusal in refusals {
+                assert_eq!(
+                    refusal.unwrap_err().to_string(),
+                    format!("x (tilt): {reason}")
+                );
+            }
+            let refusal = problem.light_equations(&bad[..problem.maps()]).unwrap_err();
+            assert_eq!(refusal.to_string(), format!("maps (tilt): {reason}"));
+        }
+        let mut bad = x.clone();
+        bad[first - 1] = 1.5;
+        let refusal = problem.residuals(&bad, &[0]).unwrap_err().to_string();
+        assert!(refusal.starts_with("x (albedo, roughness, metallic): expected numbers in [0, 1]"));
+        let mut largest = x;
+        largest[first..][..40].fill(-tilt::LARGEST);
+        let mut gradient = vec![0.0; largest.len()];
+        let loss = problem.value_and_grad(&largest, None, &mut gradient);
+        assert!(loss.unwrap().is_finite() && gradient.iter().all(|g| g.is_finite()));
+    }
 }
 
 /// Matrices, gradients and moves of every second pixel, one after the other.
