@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import reference
+import tilts
 from pbrfit import _core
 from pbrfit._core import InputError
 
@@ -19,6 +20,9 @@ Pixels = NDArray[np.uint64]
 
 PIXELS, PICTURES = 170, 8
 """More pixels than are worked on side by side."""
+
+REACH = 0.3
+"""Tilts move no further at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,10 +38,15 @@ class Kind:
     pull: bool = False
     bounds: bool = False
     known_lights: bool = False
+    free_normals: bool = False
+
+    @property
+    def of_material(self) -> int:
+        return self.channels + (2 if self.metallic is None else 1)
 
     @property
     def unknowns(self) -> int:
-        return self.channels + (2 if self.metallic is None else 1)
+        return self.of_material + (2 if self.free_normals else 0)
 
     @property
     def coefficients(self) -> int:
@@ -66,6 +75,18 @@ KINDS = {
     "weights of pixels": Kind(weights=2),
     "weights of samples": Kind(weights=3, bounds=True),
     "known lights": Kind(known_lights=True),
+    "free normals": Kind(free_normals=True, damping=1e-3),
+    "free normals, pulled": Kind(free_normals=True, pull=True),
+    "free normals, held at bounds, mono": Kind(
+        free_normals=True, bounds=True, mono=True, damping=1e-2
+    ),
+    "free normals, known metallic, weighted": Kind(
+        free_normals=True, metallic=0.3, weights=3, damping=1e-3
+    ),
+    "free normals, grey, pulled, known metallic": Kind(
+        free_normals=True, channels=1, sh_order=2, metallic=0.6, weights=2, pull=True
+    ),
+    "free normals, grey": Kind(free_normals=True, channels=1, damping=1e-3),
 }
 
 
@@ -76,7 +97,7 @@ class Example:
         self.kind = kind
         rng = np.random.default_rng(seed)
         n, c, k = PICTURES, kind.channels, kind.coefficients
-        self.normals = reference.unit(rng.normal(size=(PIXELS, 3)) * 0.5 + (0, 0, 1))
+        self.given = reference.unit(rng.normal(size=(PIXELS, 3)) * 0.5 + (0, 0, 1))
         self.views = reference.unit(rng.normal(size=(PIXELS, 3)) * 0.1 + (0, 0, 1))
         self.materials = rng.uniform(0.05, 0.95, (PIXELS, c + 2))
         if kind.bounds:
@@ -100,22 +121,31 @@ class Example:
         self.precision = rng.uniform(0, 30, (PIXELS, kind.unknowns - c)) if kind.pull else None
         self.off = rng.uniform(-0.5, 0.5, (PIXELS, kind.unknowns - c)) if kind.pull else None
         self.pixels = rng.permutation(PIXELS)[:150].astype(np.uint64)
+        self.tilts = 0.2 * rng.normal(size=(PIXELS, 2)) if kind.free_normals else np.zeros((PIXELS, 2))
+        self.normals = tilts.turn(self.given, self.tilts) if kind.free_normals else self.given
 
     def problem(self, threads: int = 1) -> _core.Problem:
         return _core.Problem(
             self.images,
-            self.normals,
+            self.given,
             self.views,
             threads,
             weights=self.weights,
             sh_order=self.kind.sh_order,
             metallic=self.kind.metallic,
             lighting=self.lights if self.kind.known_lights else None,
+            free_normals=self.kind.free_normals,
         )
 
     @property
+    def values(self) -> Array:
+        """All unknowns of the pixels, (P, D)."""
+        materials = self.materials[:, : self.kind.of_material]
+        return np.hstack([materials, self.tilts]) if self.kind.free_normals else materials
+
+    @property
     def x(self) -> Array:
-        maps = self.materials[:, : self.kind.unknowns].T.ravel()
+        maps = self.values.T.ravel()
         return maps if self.kind.known_lights else np.concatenate([maps, self.lights.ravel()])
 
     @property
@@ -138,13 +168,28 @@ class Example:
 class Dense:
     """The whole normal equations of some pixels and the lights, with pixels eliminated.
 
-    `forward` (P', D) is A⁻¹ g and `follow` (P', D, M) is A⁻¹ B, 0 for unknowns that are held.
+    `forward` (P', D) is A⁻¹ g and `follow` (P', D, M) is A⁻¹ B, 0 for unknowns that are held, and
+    `curvature` (P', D, D) is A with 0 in their rows.
     """
 
     matrix: Array
     gradient: Array
     forward: Array
     follow: Array
+    curvature: Array
+
+    def steps(self, moves: Array, of_material: int) -> Array:
+        """Of the pixels (P', D) when the lights move; tilts within reach, the others best with them."""
+        steps = -self.forward - self.follow @ moves
+        for a, step in zip(self.curvature, steps, strict=True):
+            length = np.linalg.norm(step[of_material:])
+            if length > REACH:
+                free = np.flatnonzero(np.diag(a)[:of_material])
+                cut = (REACH / length - 1) * step[of_material:]
+                step[of_material:] += cut
+                moved = a[free, of_material:] @ cut
+                step[free] -= np.linalg.solve(a[np.ix_(free, free)], moved)
+        return steps
 
 
 def dense(example: Example, pixels: Pixels) -> Dense:
@@ -156,13 +201,19 @@ def dense(example: Example, pixels: Pixels) -> Dense:
     where = example.normals[pixels], example.views[pixels]
     at = colour, materials[:, c], materials[:, c + 1]
     weights = reference.shade(*where, *at)[:, :c, :k]
-    slopes = reference.shade_derivatives(*where, *at)
+    slopes = [*reference.shade_derivatives(*where, *at)]
+    if kind.metallic is not None:
+        del slopes[2]
+    if kind.free_normals:
+        given = example.given[pixels], example.views[pixels], example.tilts[pixels]
+        slopes += tilts.weights_by_tilts(*given, *at)
     of_unknowns = [np.einsum("pck,nkc->pnc", s[:, :c, :k], example.lights) for s in slopes]
     targets = example.images[:, pixels].astype(np.float64).swapaxes(0, 1)
     residuals = np.einsum("pck,nkc->pnc", weights, example.lights) - targets
 
     matrix, gradient = np.zeros((example.size,) * 2), np.zeros(example.size)
     forward, follow = np.zeros((len(pixels), d)), np.zeros((len(pixels), d, example.size))
+    curvature = np.zeros((len(pixels), d, d))
     for i, pixel in enumerate(pixels):
         by_material = np.zeros((PICTURES, c, d))
         for channel in range(c):
@@ -182,14 +233,17 @@ def dense(example: Example, pixels: Pixels) -> Dense:
             a[np.arange(c, d), np.arange(c, d)] += example.precision[pixel]
             g[c:] += example.precision[pixel] * example.off[pixel]
         a += kind.damping * np.diag(np.diag(a))
-        values = materials[i, :d]
-        held = ((values <= 0) & (g > 0)) | ((values >= 1) & (g < 0)) | (np.diag(a) == 0)
+        values = example.values[pixel]
+        held = ((values <= 0) & (g > 0)) | ((values >= 1) & (g < 0))
+        held[kind.of_material :] = False
+        held |= np.diag(a) == 0
         free = np.flatnonzero(~held)
         solved = np.linalg.solve(a[np.ix_(free, free)], np.column_stack([g, b])[free])
         forward[i, free], follow[i, free] = solved[:, 0], solved[:, 1:]
+        curvature[i][np.ix_(free, free)] = a[np.ix_(free, free)]
         matrix += w.T @ (omega[:, None] * w) - b[free].T @ solved[:, 1:]
         gradient += w.T @ (omega * left) - b[free].T @ solved[:, 0]
-    return Dense(matrix, gradient, forward, follow)
+    return Dense(matrix, gradient, forward, follow, curvature)
 
 
 @cache
@@ -234,21 +288,48 @@ def test_pixels_follow_the_lights_as_the_whole_system_says(kind: str) -> None:
     example, expected = expected_of(kind)
     moves = example.moves()
     found = example.problem().follow_lights(example.x, example.pixels, moves, **example.options())
-    before = example.materials[example.pixels, : example.kind.unknowns]
-    after = before - expected.forward - expected.follow @ moves
+    of_material = example.kind.of_material
+    before = example.values[example.pixels]
+    steps = expected.steps(moves, of_material)
+    if example.kind.free_normals:
+        lengths = np.linalg.norm(steps[:, of_material:], axis=1)
+        assert 0.02 < np.mean(lengths > REACH - 1e-9) < 0.98
+    after = before + steps
     if example.kind.bounds:
         held = (expected.forward == 0) & ~expected.follow.any(axis=2)
         assert 10 < np.count_nonzero(held) < held.size / 4
         np.testing.assert_array_equal(found[held], before[held])
-    assert (found >= 0).all()
-    assert (found <= 1).all()
+    assert (found[:, :of_material] >= 0).all()
+    assert (found[:, :of_material] <= 1).all()
     # What leaves its bounds far behind comes of a nearly singular pixel; it is clipped.
-    np.testing.assert_allclose(found, np.clip(after, 0, 1), rtol=0, atol=1e-7)
+    after[:, :of_material] = np.clip(after[:, :of_material], 0, 1)
+    np.testing.assert_allclose(found, after, rtol=0, atol=1e-7)
+
+
+def test_tilts_grow_no_longer_than_tan_60_degrees() -> None:
+    example = Example(KINDS["free normals"])
+    longest = np.sqrt(3)
+    angles = np.random.default_rng(1).uniform(0, 2 * np.pi, PIXELS)
+    lengths = np.where(np.arange(PIXELS) % 2, longest - 0.1, longest + 0.5)
+    example.tilts = lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    pixels = np.arange(PIXELS, dtype=np.uint64)
+    # Moves that are large for the lights, so that all steps are as long as they may be.
+    found = example.problem().follow_lights(
+        example.x, pixels, 1e3 * example.moves(), damping=1e-3
+    )[:, -2:]
+    after = np.linalg.norm(found, axis=1)
+    assert (after <= np.maximum(longest, lengths) * (1 + 1e-12)).all()
+    assert np.count_nonzero(after > np.maximum(longest, lengths) * (1 - 1e-12)) > PIXELS / 5
+    assert np.linalg.norm(found - example.tilts, axis=1).max() < REACH * (1 + 1e-12)
 
 
 def test_a_step_solves_the_whole_system() -> None:
     """The lights' step, and what pixels do with it, is the step of all unknowns at once."""
-    example = Example(KINDS["damped"])
+    step_lowers_squares(Example(KINDS["damped"]))
+    step_lowers_squares(Example(KINDS["free normals"]))
+
+
+def step_lowers_squares(example: Example) -> None:
     problem, x, pixels, how = example.problem(), example.x, example.pixels, example.options()
     matrix, gradient = problem.reduced(x, pixels, **how)
     # Not all directions of the lights are told by these pixels.
@@ -287,7 +368,15 @@ def test_the_order_of_pixels_changes_rounding_alone(kind: str) -> None:
     np.testing.assert_array_equal(one_by_one[order], shuffled)
 
 
-@pytest.mark.parametrize("kind", ["held at bounds, pulled and damped", "mono, damped, weighted"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "held at bounds, pulled and damped",
+        "mono, damped, weighted",
+        "free normals, pulled",
+        "free normals, known metallic, weighted",
+    ],
+)
 def test_the_same_bits_at_any_number_of_threads(kind: str) -> None:
     example = Example(KINDS[kind])
     # So many that there is work for several threads.
