@@ -25,6 +25,10 @@ use crate::turns::Tilts;
 /// Roughness at most moves so far in a step. Its derivative falls with r³ towards 0, so from there
 /// the step that Gauss–Newton proposes is far too long.
 const REACH: f64 = 0.25;
+/// Steps that turn normals more than double roughness as little as they more than halve it, down to
+/// this: with a wrong normal it is mostly the normal that asks for a mirror, and a mirror does not
+/// say how rough it should be.
+const LEAST_ROUGHNESS: f64 = 1e-3;
 /// Damping after a rejected step is at least this.
 const RESTRAINED: f64 = 1e-3;
 /// Damping never falls below: it keeps the pivots positive.
@@ -357,6 +361,11 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
                 system.free[j] = if held { 0.0 } else { active.0[x] };
             }
             system.free[C + 1] *= metallic_free;
+            if U > UNKNOWNS {
+                let down = 0.5 * (LEAST_ROUGHNESS - value[C]);
+                lowest[C] = lowest[C].max(down);
+                highest[C] = highest[C].min(value[C] + LEAST_ROUGHNESS);
+            }
             lowest[C] = lowest[C].max(-REACH);
             highest[C] = highest[C].min(REACH);
             let tilt = [point.tilts[0].0[x], point.tilts[1].0[x]];

@@ -369,15 +369,13 @@ impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
                 unclear.0[x] = 1.0;
             }
         }
-        self.steps.begin(
-            maps,
-            pixels,
-            &self.tilts,
+        self.steps.place(maps, pixels, &self.tilts);
+        self.steps.run(
+            [&self.own.materials, &self.best.materials],
+            [used, &unclear],
             pull,
-            &self.best.materials,
-            (&self.own.materials, &unclear),
+            self.search.exact_steps,
         );
-        self.steps.run(used, pull, self.search.exact_steps);
     }
 }
 

@@ -1,7 +1,9 @@
 //! The last steps of a pixel's fit, on its residuals one by one, in passes over the pictures.
 //!
-//! Where normals are free they turn here: each trial makes directions, basis functions and
-//! derivatives anew.
+//! Where normals are given they only finish what products began. Free normals turn here: each trial
+//! makes directions, basis functions and derivatives anew. What is best at the normals of x may lie
+//! in another valley than what is best with better normals, so pixels descend twice then, from the
+//! material of x and from the best that products found, and the lower one is kept.
 
 use crate::block::{BLOCK, Materials, Plane};
 use crate::descent::{Descent, Point, Pull, Squares};
@@ -17,16 +19,25 @@ const FLOOR: f64 = 1e-14;
 /// normals, which are not.
 const DAMPING: f64 = 1e-9;
 const TURNING_DAMPING: f64 = 1e-3;
+/// Turning begins at least at this roughness: far below, radiance hardly depends on roughness, and a
+/// pixel whose wrong normal made it a mirror would stay one.
+const TURNING_ROUGHNESS: f64 = 0.05;
 
 type Doubles = Plane<f64>;
 
 /// Up to [`BLOCK`] pixels, and where they stand.
 pub(crate) struct ResidualSteps<'a, const C: usize, const D: usize, const U: usize> {
+    pub(crate) best: Box<Point<C, U>>,
+    /// Where normals turn: what descends.
+    candidate: Option<Box<Point<C, U>>>,
+    walk: Walk<'a, C, D, U>,
+}
+
+/// What a descent needs beside the point that it moves.
+struct Walk<'a, const C: usize, const D: usize, const U: usize> {
     isa: Instructions,
     metallic_known: bool,
     squares: Exact<'a, C, D>,
-    /// The best yet; its tilts stay where they were unless they are among the U unknowns.
-    pub(crate) best: Box<Point<C, U>>,
     trial: Box<Point<C, U>>,
 }
 
@@ -47,64 +58,133 @@ impl<const C: usize, const D: usize, const U: usize> Squares<C, U> for Exact<'_,
 impl<'a, const C: usize, const D: usize, const U: usize> ResidualSteps<'a, C, D, U> {
     pub(crate) fn new(problem: &'a Problem, lights: &'a [[f64; COEFFICIENTS]]) -> Self {
         Self {
-            isa: problem.instructions(),
-            metallic_known: problem.known_metallic().is_some(),
-            squares: Exact {
-                lights,
-                block: Block::new(problem),
-            },
             best: Box::default(),
-            trial: Box::default(),
+            candidate: (U > UNKNOWNS).then(Box::default),
+            walk: Walk {
+                isa: problem.instructions(),
+                metallic_known: problem.known_metallic().is_some(),
+                squares: Exact {
+                    lights,
+                    block: Block::new(problem),
+                },
+                trial: Box::default(),
+            },
         }
     }
 
-    /// Takes up pixels with the tilts of `maps` and materials: `materials`, or the `other` ones where
-    /// these are better. They are tried only where their plane is 1.
-    pub(crate) fn begin(
+    /// Takes up pixels with the normals of `maps`; where they are free, these have the `tilts`.
+    pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], tilts: &Tilts) {
+        self.walk.squares.block.place(maps, pixels);
+        self.best.tilts = *tilts;
+    }
+
+    /// Leaves in `best` where at most `steps` steps of the `used` pixels lead from their `own`
+    /// materials or those that were `found`, whichever is better. Where it is not `unclear`, that is
+    /// what was found.
+    pub(crate) fn run(
         &mut self,
-        maps: &[f64],
-        pixels: &[usize],
-        tilts: &Tilts,
+        [own, found]: [&Materials<C>; 2],
+        [used, unclear]: [&Doubles; 2],
         pull: Option<&Pull>,
-        materials: &Materials<C>,
-        (other, tried): (&Materials<C>, &Doubles),
+        steps: usize,
     ) {
-        self.squares.block.place(maps, pixels);
-        for (point, materials) in [(&mut self.best, materials), (&mut self.trial, other)] {
-            point.materials.clone_from(materials);
-            point.tilts = *tilts;
-        }
-        self.best.take(self.isa, &mut self.squares, pull);
-        if tried.0.iter().all(|&tried| tried == 0.0) {
+        let Self {
+            best,
+            candidate,
+            walk,
+        } = self;
+        if let Some(candidate) = candidate {
+            let tilts = best.tilts;
+            best.materials.clone_from(own);
+            walk.take(best, pull);
+            let others = differing(own, found, used);
+            for (start, active) in [(own, used), (found, &others)] {
+                if active.0.iter().any(|&active| active > 0.0) {
+                    candidate.materials.clone_from(start);
+                    candidate.tilts = tilts;
+                    walk.turn(candidate, active, pull, steps);
+                    best.keep_lower(walk.isa, candidate);
+                }
+            }
             return;
         }
-        self.trial.take(self.isa, &mut self.squares, pull);
-        for x in 0..BLOCK {
-            if tried.0[x] == 0.0 {
-                self.trial.cost.0[x] = f64::INFINITY;
-            }
+        best.materials.clone_from(found);
+        walk.take(best, pull);
+        if unclear.0.iter().any(|&unclear| unclear > 0.0) {
+            let trial = &mut walk.trial;
+            trial.materials.clone_from(own);
+            trial.take(walk.isa, &mut walk.squares, pull);
+            ignore_others(&mut trial.cost, unclear);
+            best.keep_lower(walk.isa, trial);
         }
-        self.best.keep_lower(self.isa, &self.trial);
+        walk.descend(best, used, pull, DAMPING, steps);
+    }
+}
+
+impl<const C: usize, const D: usize, const U: usize> Walk<'_, C, D, U> {
+    fn take(&mut self, point: &mut Point<C, U>, pull: Option<&Pull>) {
+        point.take(self.isa, &mut self.squares, pull);
     }
 
-    /// At most `steps` steps of the `used` pixels.
-    pub(crate) fn run(&mut self, used: &Doubles, pull: Option<&Pull>, steps: usize) {
+    /// Turns the normals of the `active` pixels, and moves their materials; other pixels cost more
+    /// than anything then.
+    fn turn(
+        &mut self,
+        candidate: &mut Box<Point<C, U>>,
+        active: &Doubles,
+        pull: Option<&Pull>,
+        steps: usize,
+    ) {
+        for r in &mut candidate.materials.roughness.0 {
+            *r = r.max(TURNING_ROUGHNESS);
+        }
+        self.take(candidate, pull);
+        self.descend(candidate, active, pull, TURNING_DAMPING, steps);
+        ignore_others(&mut candidate.cost, active);
+    }
+
+    fn descend(
+        &mut self,
+        point: &mut Box<Point<C, U>>,
+        active: &Doubles,
+        pull: Option<&Pull>,
+        damping: f64,
+        steps: usize,
+    ) {
         let mut floor = Doubles::default();
         for x in 0..BLOCK {
-            floor.0[x] = FLOOR * self.best.cost.0[x];
+            floor.0[x] = FLOOR * point.cost.0[x];
         }
         Descent {
             isa: self.isa,
             pull,
             metallic_known: self.metallic_known,
             floor: &floor,
-            damping: if U > UNKNOWNS {
-                TURNING_DAMPING
-            } else {
-                DAMPING
-            },
+            damping,
             trial: &mut self.trial,
         }
-        .run(&mut self.squares, &mut self.best, *used, steps);
+        .run(&mut self.squares, point, *active, steps);
+    }
+}
+
+/// 1 for the `used` pixels whose materials are not the same.
+fn differing<const C: usize>(one: &Materials<C>, other: &Materials<C>, used: &Doubles) -> Doubles {
+    let mut differing = Doubles::default();
+    for (one, other) in one.planes().zip(other.planes()) {
+        for x in 0..BLOCK {
+            if one.0[x] != other.0[x] {
+                differing.0[x] = used.0[x];
+            }
+        }
+    }
+    differing
+}
+
+/// Pixels that are not active cost more than anything.
+fn ignore_others(cost: &mut Doubles, active: &Doubles) {
+    for x in 0..BLOCK {
+        if active.0[x] == 0.0 {
+            cost.0[x] = f64::INFINITY;
+        }
     }
 }
