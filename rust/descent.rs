@@ -75,6 +75,7 @@ pub(crate) struct Pull {
 #[derive(Clone, Debug)]
 pub(crate) struct Point<const C: usize, const U: usize> {
     pub(crate) materials: Materials<C>,
+    /// Where they are among the U unknowns; else not looked at.
     pub(crate) tilts: Tilts,
     pub(crate) sums: Sums<U>,
     /// Squares and pull.

@@ -265,7 +265,11 @@ impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
             let best = &self.steps.best;
             return Best {
                 materials: &best.materials,
-                tilts: &best.tilts,
+                tilts: if U > UNKNOWNS {
+                    &best.tilts
+                } else {
+                    &self.tilts
+                },
                 squares: &best.sums.squares,
             };
         }

@@ -28,6 +28,8 @@ type Doubles = Plane<f64>;
 /// Up to [`BLOCK`] pixels, and where they stand.
 pub(crate) struct ResidualSteps<'a, const C: usize, const D: usize, const U: usize> {
     pub(crate) best: Box<Point<C, U>>,
+    /// Of the pixels, as they were given.
+    tilts: Tilts,
     /// Where normals turn: what descends.
     candidate: Option<Box<Point<C, U>>>,
     walk: Walk<'a, C, D, U>,
@@ -59,6 +61,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> ResidualSteps<'a, C, D,
     pub(crate) fn new(problem: &'a Problem, lights: &'a [[f64; COEFFICIENTS]]) -> Self {
         Self {
             best: Box::default(),
+            tilts: Tilts::default(),
             candidate: (U > UNKNOWNS).then(Box::default),
             walk: Walk {
                 isa: problem.instructions(),
@@ -72,10 +75,10 @@ impl<'a, const C: usize, const D: usize, const U: usize> ResidualSteps<'a, C, D,
         }
     }
 
-    /// Takes up pixels with the normals of `maps`; where they are free, these have the `tilts`.
+    /// Takes up pixels with the normals of `maps`, whose tilts are `tilts`.
     pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], tilts: &Tilts) {
         self.walk.squares.block.place(maps, pixels);
-        self.best.tilts = *tilts;
+        self.tilts = *tilts;
     }
 
     /// Leaves in `best` where at most `steps` steps of the `used` pixels lead from their `own`
@@ -90,18 +93,19 @@ impl<'a, const C: usize, const D: usize, const U: usize> ResidualSteps<'a, C, D,
     ) {
         let Self {
             best,
+            tilts,
             candidate,
             walk,
         } = self;
         if let Some(candidate) = candidate {
-            let tilts = best.tilts;
             best.materials.clone_from(own);
+            best.tilts = *tilts;
             walk.take(best, pull);
             let others = differing(own, found, used);
             for (start, active) in [(own, used), (found, &others)] {
                 if active.0.iter().any(|&active| active > 0.0) {
                     candidate.materials.clone_from(start);
-                    candidate.tilts = tilts;
+                    candidate.tilts = *tilts;
                     walk.turn(candidate, active, pull, steps);
                     best.keep_lower(walk.isa, candidate);
                 }

@@ -275,7 +275,7 @@ def test_materials_and_normals_are_found_from_normals_5_degrees_off(kind: Kind) 
     assert found.shape == (300, kind.of_material + 2)
     np.testing.assert_allclose(squares, example.total(found), rtol=1e-6, atol=1e-24)
     error = np.abs(found - np.hstack([example.truth[:, : kind.of_material], example.tilts]))
-    assert np.mean(error.max(axis=1) < 1e-7) > 0.9
+    assert np.mean(error.max(axis=1) < 1e-7) > 0.95
     assert np.median(example.degrees(found)) < 1e-9
 
 
@@ -338,7 +338,8 @@ def test_a_stiff_pull_draws_tilts_to_its_centre() -> None:
     centre = np.hstack([np.zeros((300, 2)), 0.5 * example.tilts])
     precision = np.hstack([np.zeros((300, 2)), np.full((300, 2), 1e12)])
     found, _ = fit(example, example.x(example.truth), centre=centre, precision=precision)
-    np.testing.assert_allclose(found[:, -2:], 0.5 * example.tilts, atol=1e-9)
+    # A decrease of 1e-14 of what there was to begin with is taken for rounding.
+    np.testing.assert_allclose(found[:, -2:], 0.5 * example.tilts, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", [KINDS[0], KINDS[2]], ids=str)
