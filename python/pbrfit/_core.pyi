@@ -49,7 +49,7 @@ def shade_vjp(
     roughness: NDArray[np.float64],
     metallic: NDArray[np.float64],
     cotangent: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 def render(
     normals: NDArray[np.float64],
     views: NDArray[np.float64],
@@ -85,9 +85,10 @@ class Problem:
     normals, views (P, 3) float64 unit vectors; weights (N, P) or (N, P, C) float32; lighting
     (N, K, C) float64, known; metallic a number, known; threads 0 = all. K = (sh_order + 1)²,
     sh_order 2 or 3.
-    Unknowns x = [albedo (C planes of P) | roughness | metallic | lighting (N, K, C)], without
-    those that are known. The loss is the (weighted) mean of the squared residuals, or of a robust
-    loss of them.
+    Unknowns x = [albedo (C planes of P) | roughness | metallic | tilts (2 planes) | lighting
+    (N, K, C)], without those that are known; normals are unless `free_normals`. A tilt (a, b), at
+    most 1e3 in size, turns the given normal to (normal + a t₁ + b t₂)/√(1 + a² + b²). The loss is the
+    (weighted) mean of the squared residuals, or of a robust loss of them.
     """
 
     def __new__(
@@ -101,6 +102,7 @@ class Problem:
         sh_order: int = 3,
         metallic: float | None = None,
         lighting: NDArray[np.float64] | None = None,
+        free_normals: bool = False,
     ) -> Problem: ...
     @property
     def size(self) -> int: ...
@@ -125,6 +127,8 @@ class Problem:
 
         `pixels` are indices below P, in any order.
         """
+    def normals(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit normals (P, 3) at the tilts of `maps`, which is x without its lighting."""
     def light_equations(
         self, maps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -2,15 +2,16 @@
 
 use std::sync::{Mutex, MutexGuard};
 
+use glam::DVec3;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyUntypedArrayMethods,
     get_array_module,
 };
 use pyo3::prelude::*;
 
-use super::arrays::{Contiguous, array, copied, shape, try_copied, vectors};
+use super::arrays::{Contiguous, array, collect, copied, shape, try_copied, vectors};
 use super::images::Images;
-use super::model::{array3, matrix};
+use super::model::{array2, array3, matrix};
 use crate::normal_matrix::DERIVATIVES;
 use crate::pixel_fit::{Search, Towards};
 use crate::problem::{Options, Pictures, Problem};
@@ -43,7 +44,7 @@ impl PyProblem {
     #[new]
     #[pyo3(signature = (
         images, normals, views, threads = 0, *,
-        weights = None, sh_order = 3, metallic = None, lighting = None
+        weights = None, sh_order = 3, metallic = None, lighting = None, free_normals = false
     ))]
     #[expect(clippy::too_many_arguments)]
     fn new(
@@ -55,6 +56,7 @@ impl PyProblem {
         sh_order: usize,
         metallic: Option<f64>,
         lighting: Option<&Bound<'_, PyAny>>,
+        free_normals: bool,
     ) -> PyResult<Self> {
         let images = Images::of(images)?;
         let normals = array("normals", normals)?;
@@ -96,6 +98,7 @@ impl PyProblem {
             lighting: lighting
                 .map(|lighting| try_copied("lighting", &lighting))
                 .transpose()?,
+            free_normals,
             threads,
             ..Options::default()
         };
@@ -176,6 +179,24 @@ impl PyProblem {
             self.problem.channels(),
         ];
         Ok(array3(residuals, shape).into_pyarray(py))
+    }
+
+    fn normals<'py>(
+        &self,
+        py: Python<'py>,
+        maps: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let maps = self.copied("maps", maps, self.problem.maps())?;
+        let maps = maps.values();
+        let rows = py.detach(|| {
+            let normals = self.problem.normals(maps)?;
+            collect(
+                "normals",
+                normals.len(),
+                normals.iter().map(DVec3::to_array),
+            )
+        })?;
+        Ok(array2(rows).into_pyarray(py))
     }
 
     #[expect(clippy::type_complexity)]
