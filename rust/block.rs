@@ -116,12 +116,30 @@ impl<T: Real> Directions<T> {
     }
 
     /// Puts a pixel into the block from its clamped n·v, normal and mirror direction.
-    #[inline(always)]
     pub fn put(&mut self, pixel: usize, cosine: f64, normal: DVec3, mirror: DVec3) {
         self.cosine.0[pixel] = cosine;
         for axis in 0..3 {
             self.normal[axis].0[pixel] = T::from_f64(normal[axis]);
             self.mirror[axis].0[pixel] = T::from_f64(mirror[axis]);
+        }
+    }
+
+    /// Puts in all pixels, from planes of the same.
+    #[inline(always)]
+    pub fn fill(
+        &mut self,
+        cosine: &Plane<f64>,
+        normal: &[Plane<f64>; 3],
+        mirror: &[Plane<f64>; 3],
+    ) {
+        self.cosine = *cosine;
+        for axis in 0..3 {
+            for x in 0..BLOCK {
+                self.normal[axis].0[x] = T::from_f64(normal[axis].0[x]);
+            }
+            for x in 0..BLOCK {
+                self.mirror[axis].0[x] = T::from_f64(mirror[axis].0[x]);
+            }
         }
     }
 

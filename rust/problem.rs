@@ -366,6 +366,21 @@ impl Problem {
         residuals
     }
 
+    /// The normals of all pixels; `maps` is the first part of x.
+    pub fn normals(&self, maps: &[f64]) -> Result<Vec<DVec3>> {
+        check::length("maps", self.maps(), maps.len())?;
+        check::moderate("maps (tilt)", self.split_maps(maps).1, tilt::LARGEST)?;
+        let mut normals = Vec::new();
+        normals
+            .try_reserve_exact(self.pixels)
+            .map_err(|_| Error::Memory("normals"))?;
+        normals.extend((0..self.pixels).map(|p| match &self.geometry {
+            Geometry::Known { .. } => self.exact_directions(p).1[0],
+            Geometry::Free(_) => self.turned(maps, p)[0],
+        }));
+        Ok(normals)
+    }
+
     /// x where some pixels are asked for, checked: its maps, and its lights, known or of x, as
     /// (channel, picture, coefficient), with zeros where a band is left out.
     pub(crate) fn at<'a>(
@@ -639,11 +654,17 @@ impl Problem {
                 let (cosine, [normal, mirror]) = self.exact_directions(p);
                 Frame::at(cosine, normal, mirror)
             }
-            Geometry::Free(given) => {
-                let [normal, view] = given[p / BLOCK].get(p % BLOCK);
-                Frame::new(tilt::turn(normal, self.tilt(maps, p)).normal, view)
+            Geometry::Free(_) => {
+                let [normal, view] = self.turned(maps, p);
+                Frame::new(normal, view)
             }
         }
+    }
+
+    /// Normal and view direction of a pixel at its tilt; where normals are free.
+    fn turned(&self, maps: &[f64], p: usize) -> [DVec3; 2] {
+        let [normal, view] = self.given_directions(p / BLOCK).get(p % BLOCK);
+        [tilt::turn(normal, self.tilt(maps, p)).normal, view]
     }
 
     /// The clamped n·v of a pixel, and its normal and mirror direction to 48 bits; where normals are

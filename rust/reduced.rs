@@ -36,7 +36,7 @@ use crate::samples::{
     AddSample, Block, DERIVATIVES, Sums, by_kind, handed_out, unknowns_of_channel,
 };
 use crate::sh::COEFFICIENTS;
-use crate::simd::{Instructions, Isa, Kernel};
+use crate::simd::{Instructions, Isa, Kernel, Vectors};
 use crate::tilted::{TILTS, within_reach};
 use crate::{Error, Result, check, pool};
 
@@ -642,33 +642,39 @@ impl<'a, const C: usize, const D: usize, const U: usize> Solved<'a, C, D, U> {
         let mut whitened = self.whitened;
         self.add_rows(&radiance, &mut whitened);
         let count = self.unknowns.len();
-        for (x, out) in out.chunks_mut(count).enumerate() {
-            if D > DERIVATIVES {
-                let tilts = &self.unknowns[count - TILTS..];
-                let before = [0, 1].map(|t| self.values(tilts[t]).0[x]);
-                let after = [0, 1].map(|t| self.stepped(tilts[t], &whitened, x));
-                let step = [0, 1].map(|t| after[t] - before[t]);
+        if D > DERIVATIVES {
+            let tilts = &self.unknowns[count - TILTS..];
+            let before = [0, 1].map(|t| self.values(tilts[t]));
+            let after = [0, 1].map(|t| self.stepped(tilts[t], &whitened));
+            for (x, out) in out.chunks_mut(count).enumerate() {
+                let before = before.map(|plane| plane.0[x]);
+                let step = [0, 1].map(|t| after[t].0[x] - before[t]);
                 let (share, tilt) = within_reach(before, step);
                 for &row in tilts {
                     whitened[row].0[x] *= share;
                 }
                 out[count - TILTS..].copy_from_slice(&tilt);
             }
-            for (out, &unknown) in out.iter_mut().zip(&self.unknowns) {
-                if unknown < C + 2 {
-                    *out = self.stepped(unknown, &whitened, x).clamp(0.0, 1.0);
-                }
+        }
+        let of_material = self.unknowns.iter().filter(|&&unknown| unknown < C + 2);
+        for (i, &unknown) in of_material.enumerate() {
+            let after = self.stepped(unknown, &whitened);
+            for (out, value) in out.chunks_mut(count).zip(after.0) {
+                out[i] = value.clamp(0.0, 1.0);
             }
         }
     }
 
-    /// θ − Uᵀ `whitened` of one kind and pixel.
-    fn stepped(&self, unknown: usize, whitened: &[Doubles; U], x: usize) -> f64 {
-        let mut value = self.values(unknown).0[x];
+    /// θ − Uᵀ `whitened` of one kind.
+    fn stepped(&self, unknown: usize, whitened: &[Doubles; U]) -> Doubles {
+        let mut values = *self.values(unknown);
         for &row in self.unknowns.iter().filter(|&&row| row >= unknown) {
-            value -= self.whiten[row][unknown].0[x] * whitened[row].0[x];
+            let whiten = &self.whiten[row][unknown];
+            for x in 0..BLOCK {
+                values.0[x] -= whiten.0[x] * whitened[row].0[x];
+            }
         }
-        value
+        values
     }
 
     /// W v of every sample.
@@ -836,21 +842,28 @@ impl<const D: usize, const U: usize> Kernel for FillRows<'_, D, U> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
+    fn run<I: Isa>(self, isa: I) {
+        self.all(isa);
+    }
+}
+
+impl<const D: usize, const U: usize> FillRows<'_, D, U> {
+    #[inline(always)]
+    fn all<I: Vectors<f64>>(self, isa: I) {
         let Self {
             own,
             weighted,
             whiten,
             rows,
         } = self;
-        for i in 0..D {
-            let whiten = own.map(|unknown| &whiten[own[i]][unknown]);
-            for x in 0..BLOCK {
-                let mut sum = whiten[0].0[x] * weighted[0].0[x];
+        for v in 0..BLOCK / I::LANES {
+            for i in 0..D {
+                let whiten = |j: usize| I::of(&whiten[own[i]][own[j]].0)[v];
+                let mut sum = isa.mul(whiten(0), I::of(&weighted[0].0)[v]);
                 for j in 1..=i {
-                    sum += whiten[j].0[x] * weighted[j].0[x];
+                    sum = isa.add(sum, isa.mul(whiten(j), I::of(&weighted[j].0)[v]));
                 }
-                rows[i].0[x] = sum;
+                I::of_mut(&mut rows[i].0)[v] = sum;
             }
         }
     }

@@ -114,30 +114,36 @@ impl<T: Real> Kernel for Turn<'_, T> {
             directions,
             turns,
         } = self;
+        // Planes of their own, which overlap nothing: else the compiler makes no vector code.
+        let mut cosines = Doubles::default();
+        let [mut normals, mut mirrors] = <[[Doubles; 3]; 2]>::default();
+        let mut slopes = Turns::default();
         for x in 0..BLOCK {
             let [normal, view] = given.get(x);
             let turned = tilt::turn(normal, [tilts[0].0[x], tilts[1].0[x]]);
             let normal = turned.normal;
             let cosine = normal.dot(view);
-            // Not `max`, which the compiler makes no vector code of.
-            let clamped = if cosine > MIN_COSINE {
-                cosine
-            } else {
-                MIN_COSINE
-            };
-            let slope = if cosine > MIN_COSINE { 1.0 } else { 0.0 };
-            directions.put(x, clamped, normal, 2.0 * cosine * normal - view);
+            let mirror = 2.0 * cosine * normal - view;
+            // Not `max`, which treats NaN in a way of its own.
+            let free = cosine > MIN_COSINE;
+            cosines.0[x] = if free { cosine } else { MIN_COSINE };
+            for axis in 0..3 {
+                normals[axis].0[x] = normal[axis];
+                mirrors[axis].0[x] = mirror[axis];
+            }
             for t in 0..2 {
                 let by = turned.by_tilt[t];
                 let by_cosine = view.dot(by);
                 let mirror = 2.0 * (by_cosine * normal + cosine * by);
                 for axis in 0..3 {
-                    turns.normal[t][axis].0[x] = by[axis];
-                    turns.mirror[t][axis].0[x] = mirror[axis];
+                    slopes.normal[t][axis].0[x] = by[axis];
+                    slopes.mirror[t][axis].0[x] = mirror[axis];
                 }
-                turns.cosine[t].0[x] = slope * by_cosine;
+                slopes.cosine[t].0[x] = if free { by_cosine } else { 0.0 };
             }
         }
+        directions.fill(&cosines, &normals, &mirrors);
+        turns.clone_from(&slopes);
     }
 }
 
@@ -334,26 +340,33 @@ impl<const C: usize, const K: usize> Kernel for PullBackTurns<'_, C, K> {
                 by_mirror[axis].0[x] = by[axis];
             }
         }
+        // Planes of their own, which overlap nothing: else the compiler makes no vector code.
+        let mut by_cosine = Doubles::default();
         for x in 0..BLOCK {
             let factors = factors_of(directions, materials, bands, x);
             let (diffuse, specular) = factors.by_cosine(directions.cosine(x), &materials.get(x));
-            let mut by_cosine = 0.0;
+            let mut by = 0.0;
             for c in 0..C {
                 let mut by_specular = 0.0;
                 for l in 0..4 {
                     by_specular += factors.bands.weight[l] * f64::from(sums[c].bands[l].0[x]);
                 }
-                by_cosine +=
-                    diffuse[c] * f64::from(sums[c].diffuse.0[x]) + specular[c] * by_specular;
+                by += diffuse[c] * f64::from(sums[c].diffuse.0[x]) + specular[c] * by_specular;
             }
-            for t in 0..2 {
-                let mut by_tilt = by_cosine * turns.cosine[t].0[x];
+            by_cosine.0[x] = by;
+        }
+        for t in 0..2 {
+            let (normal, mirror) = (&turns.normal[t], &turns.mirror[t]);
+            let mut by_tilt = Doubles::default();
+            for x in 0..BLOCK {
+                let mut by = by_cosine.0[x] * turns.cosine[t].0[x];
                 for axis in 0..3 {
-                    by_tilt += f64::from(by_normal[axis].0[x]) * turns.normal[t][axis].0[x]
-                        + f64::from(by_mirror[axis].0[x]) * turns.mirror[t][axis].0[x];
+                    by += f64::from(by_normal[axis].0[x]) * normal[axis].0[x]
+                        + f64::from(by_mirror[axis].0[x]) * mirror[axis].0[x];
                 }
-                gradient[t].0[x] = scale * by_tilt;
+                by_tilt.0[x] = scale * by;
             }
+            gradient[t] = by_tilt;
         }
     }
 }

@@ -49,7 +49,7 @@ def shade_vjp(
     roughness: NDArray[np.float64],
     metallic: NDArray[np.float64],
     cotangent: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 def render(
     normals: NDArray[np.float64],
     views: NDArray[np.float64],
@@ -85,9 +85,10 @@ class Problem:
     normals, views (P, 3) float64 unit vectors; weights (N, P) or (N, P, C) float32; lighting
     (N, K, C) float64, known; metallic a number, known; threads 0 = all. K = (sh_order + 1)²,
     sh_order 2 or 3.
-    Unknowns x = [albedo (C planes of P) | roughness | metallic | lighting (N, K, C)], without
-    those that are known. The loss is the (weighted) mean of the squared residuals, or of a robust
-    loss of them.
+    Unknowns x = [albedo (C planes of P) | roughness | metallic | tilts (2 planes) | lighting
+    (N, K, C)], without those that are known; normals are unless `free_normals`. A tilt (a, b), at
+    most 1e3 in size, turns the given normal to (normal + a t₁ + b t₂)/√(1 + a² + b²). The loss is the
+    (weighted) mean of the squared residuals, or of a robust loss of them.
     """
 
     def __new__(
@@ -101,6 +102,7 @@ class Problem:
         sh_order: int = 3,
         metallic: float | None = None,
         lighting: NDArray[np.float64] | None = None,
+        free_normals: bool = False,
     ) -> Problem: ...
     @property
     def size(self) -> int: ...
@@ -125,6 +127,8 @@ class Problem:
 
         `pixels` are indices below P, in any order.
         """
+    def normals(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit normals (P, 3) at the tilts of `maps`, which is x without its lighting."""
     def light_equations(
         self, maps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -153,6 +157,7 @@ class Problem:
         exact_steps: int = 1,
         centre: NDArray[np.float64] | None = None,
         precision: NDArray[np.float64] | None = None,
+        held_normals: bool = False,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Materials (P', D) that fit best with the lights of x, and Σω(I−T)² (P',) with them.
 
@@ -160,9 +165,11 @@ class Problem:
         `starts` lowest local minima of the grid roughness × metallic (no grid if one is empty;
         metallic is not read where it is known), by `steps` Levenberg-Marquardt steps on products
         over pictures. Then `exact_steps` on residuals; without, squares have half of the digits.
-        Never worse than in x. `centre` and `precision` (P', 1 or 2) of roughness and metallic add
+        Never worse than in x. `centre` and `precision` (P', F) of the F unknowns after albedo add
         Σ precision (v − centre)² to what is minimised, not to the squares that are returned.
-        The D unknowns of a pixel: albedo by channel, roughness and, unless it is known, metallic.
+        The D unknowns of a pixel: albedo by channel, roughness, metallic unless it is known and, if
+        normals are free, both tilts. Tilts move in the steps on residuals alone, from the material
+        of x and from the best found at its normals; not if they are held.
         """
     def best_albedo(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
@@ -173,15 +180,16 @@ class Problem:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """JᵀΩJ (P', D, D), JᵀΩ(I−T) (P', D) and Σω(I−T)² (P',) of some pixels, the lights held.
 
-        The D unknowns of a pixel: albedo by channel, roughness and, unless it is known, metallic.
+        The D unknowns of a pixel: albedo by channel, roughness, metallic unless it is known and, if
+        normals are free, both tilts.
         """
     def derivatives(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Derivatives of the radiance of some pixels, and the weights of the samples (P', N, C).
 
-        By the channel's albedo, roughness and metallic (P', N, C, 3); and by the light, the same
-        for all pictures, (P', C, K).
+        By the channel's albedo, roughness, metallic and, if normals are free, both tilts, (P', N,
+        C, 3 or 5); and by the light, the same for all pictures, (P', C, K).
         """
     def moves_with_lights(
         self,
@@ -208,7 +216,7 @@ class Problem:
 
         The M unknowns are (light channel, picture, coefficient); one light channel if `mono`. A
         share `damping` of its diagonal is added to the matrix of each pixel. precision a and off =
-        v − c, both (P', F), are of a pull Σ a (v − c)² at roughness and, if it is free, metallic.
+        v − c, both (P', F), are of a pull Σ a (v − c)² at the F unknowns of a pixel after albedo.
         """
     def reduced_product(
         self,
@@ -233,7 +241,11 @@ class Problem:
         precision: NDArray[np.float64] | None = None,
         off: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
-        """Materials (P', D) that a Gauss-Newton step leads to when the lights move by v (M,)."""
+        """Unknowns (P', D) that a Gauss-Newton step leads to when the lights move by v (M,).
+
+        Materials are clipped to [0, 1]. Tilts move by 0.3 at most, the other unknowns as is best
+        with that, and grow no longer than tan 60°.
+        """
 
 @final
 class Neighbours:

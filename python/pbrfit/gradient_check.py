@@ -64,11 +64,15 @@ def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientChec
     """Derivatives along random directions, for each kind of unknown apart.
 
     First of the loss, then of each penalty on its own, which beside the data may be too small to
-    show an error. Materials are drawn from [0.25, 0.75], lights are the ones that fit them.
+    show an error. Materials are drawn from [0.25, 0.75], tilts, where there are, from [-0.2, 0.2];
+    lights are the ones that fit them.
     Directions follow the signs of the gradient, so that contributions do not cancel.
     """
     rng = np.random.default_rng(seed)
-    x = objective.with_best_lights(rng.uniform(0.25, 0.75, objective.size))
+    x = rng.uniform(0.25, 0.75, objective.size)
+    if objective.tilts is not None:
+        x[objective.tilts] = 0.8 * (x[objective.tilts] - 0.5)
+    x = objective.with_best_lights(x)
     if objective.lighting is not None:
         # Away from the best lights, where their gradient is zero.
         lights = x[objective.lighting]
@@ -92,7 +96,7 @@ def _along_blocks(
 ) -> list[GradientCheck]:
     _, gradient = value_and_grad(x)
     checks = []
-    for unknowns in ("albedo", "roughness", "metallic", "lighting"):
+    for unknowns in ("albedo", "roughness", "metallic", "tilts", "lighting"):
         block: slice | None = getattr(objective, unknowns)
         if block is None:
             continue  # known, no unknown

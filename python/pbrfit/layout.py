@@ -20,8 +20,8 @@ ORDER_2 = 9
 class Layout:
     """Where the unknowns of a scene lie in x.
 
-    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | lighting
-    (N, K, light_channels)], without what is known.
+    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts (two
+    planes) | lighting (N, K, light_channels)], without what is known.
 
     Attributes
     ----------
@@ -40,6 +40,8 @@ class Layout:
         Whether these are no unknowns.
     weighted
         Whether samples of valid pixels have different weights.
+    free_normals
+        Whether the normals are unknowns: then x has a tilt (a, b) for each pixel.
     """
 
     valid: NDArray[np.bool_]
@@ -52,6 +54,7 @@ class Layout:
     metallic_known: bool
     lighting_known: bool
     weighted: bool = False
+    free_normals: bool = False
 
     @classmethod
     def of(
@@ -61,6 +64,7 @@ class Layout:
         sh_order: int = 3,
         metallic_known: bool = False,
         mono_light: bool = False,
+        free_normals: bool = False,
     ) -> Layout:
         """Of the fit of `scene` with these options; see `Objective`.
 
@@ -84,6 +88,7 @@ class Layout:
             metallic_known=metallic_known,
             lighting_known=scene.lighting is not None,
             weighted=_different(scene.weights, scene.valid),
+            free_normals=free_normals,
         )
 
     @cached_property
@@ -118,9 +123,20 @@ class Layout:
         return (self.roughness,) if self.metallic is None else (self.roughness, self.metallic)
 
     @property
+    def materials(self) -> slice:
+        """Albedo, roughness and metallic: the maps that lie in [0, 1]."""
+        return slice(0, (self.metallic or self.roughness).stop)
+
+    @property
+    def tilts(self) -> slice | None:
+        """Two planes, a and b; None where normals are known."""
+        end = self.materials.stop
+        return slice(end, end + 2 * self.pixels) if self.free_normals else None
+
+    @property
     def maps(self) -> slice:
         """All that are no lights."""
-        return slice(0, (self.metallic or self.roughness).stop)
+        return slice(0, (self.tilts or self.materials).stop)
 
     @property
     def lighting(self) -> slice | None:

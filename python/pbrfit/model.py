@@ -104,8 +104,8 @@ def shade_vjp(
     roughness: ArrayLike,
     metallic: ArrayLike,
     cotangent: ArrayLike,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Adjoint of `shade`: derivatives of a scalar by the material from those by the weights.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Adjoint of `shade`: derivatives of a scalar by material and normal from those by the weights.
 
     Parameters
     ----------
@@ -116,8 +116,10 @@ def shade_vjp(
 
     Returns
     -------
-    d_albedo, d_roughness, d_metallic
-        (..., 3), (...,) and (...,) float64, one entry for each pixel after broadcasting.
+    d_albedo, d_roughness, d_metallic, d_normal
+        (..., 3), (...,), (...,) and (..., 3) float64, one entry for each pixel after broadcasting.
+        `d_normal` is orthogonal to the normal: its product with a small turn of the normal is how
+        much the scalar changes. Where n·v ≤ 1e-4, Fresnel and masking stand still.
 
     Raises
     ------
@@ -132,8 +134,13 @@ def shade_vjp(
         metallic=metallic,
         cotangent=cotangent,
     )
-    d_albedo, d_roughness, d_metallic = _core.shade_vjp(n, v, rho, r, m, g)
-    return d_albedo.reshape(*shape, 3), d_roughness.reshape(shape), d_metallic.reshape(shape)
+    d_albedo, d_roughness, d_metallic, d_normal = _core.shade_vjp(n, v, rho, r, m, g)
+    return (
+        d_albedo.reshape(*shape, 3),
+        d_roughness.reshape(shape),
+        d_metallic.reshape(shape),
+        d_normal.reshape(*shape, 3),
+    )
 
 
 def render(

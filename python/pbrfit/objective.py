@@ -51,14 +51,17 @@ SH_ORDERS = (2, 3)
 class Objective:
     """Mean squared error of the pictures as a function of x, with its gradient, plus penalties.
 
-    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | lighting
-    (N, K, C)], float64, without what is known: metallic where it is fixed, and known lights. What
-    a scene does not need is not computed: grey pictures have C = 1, lights of order 2 have K = 9
+    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts |
+    lighting (N, K, C)], float64, without what is known: metallic where it is fixed, known lights,
+    and normals unless they are free. What a scene does not need is not computed: grey pictures have C = 1, lights of order 2 have K = 9
     coefficients instead of 16, lights that are the same in all channels are there once, (N, K).
     Samples count as much as `scene.weights` says. Inside, pictures are divided by one scene scale
     that makes their mean valid radiance 0.4, and where exposures are far apart each by its own
     (`pbrfit.exposure`); `pack` and `unpack` convert between x and maps and lights of three channels
     in the scene's own units.
+
+    The tilt (a, b) of a pixel turns its given normal n₀ to n = (n₀ + a t₁ + b t₂)/√(1 + a² + b²),
+    with tangents t₁ and t₂ at n₀ (docs/model.md has them).
 
     Parameters
     ----------
@@ -77,6 +80,8 @@ class Objective:
         (`Priors.material`) is left to the solver, and `Priors.monochrome` is 0 if not given.
     equal_exposures
         Whether pictures are divided by their exposures; None = where these are far apart.
+    free_normals
+        Whether the scene's normals are where unknown ones start, instead of what is known.
 
     Attributes
     ----------
@@ -109,8 +114,8 @@ class Objective:
         K, of one light in one channel: 9 or 16.
     albedo, roughness
         Slices of x: where they lie.
-    metallic, lighting
-        Slices of x, or None where they are known.
+    metallic, tilts, lighting
+        Slices of x, or None where they are known; `tilts` are a plane of a and one of b.
     scale
         The scene scale, in picture units.
     exposures
@@ -133,6 +138,7 @@ class Objective:
         mono_light: bool = False,
         priors: Priors | None = None,
         equal_exposures: bool | None = None,
+        free_normals: bool = False,
     ) -> None:
         threads = whole_number("threads", threads)
         sh_order = whole_number("sh_order", sh_order)
@@ -144,6 +150,7 @@ class Objective:
             sh_order=sh_order,
             metallic_known=metallic is not None,
             mono_light=mono_light,
+            free_normals=free_normals,
         )
         self.channels, self.coefficients = layout.channels, layout.coefficients
         self._lay_out(layout)
@@ -172,24 +179,30 @@ class Objective:
     def _lay_out(self, layout: Layout) -> None:
         self.layout, self.pixels, self.size = layout, layout.pixels, layout.size
         self.albedo, self.roughness = layout.albedo, layout.roughness
-        self.metallic, self.lighting = layout.metallic, layout.lighting
+        self.metallic, self.tilts = layout.metallic, layout.tilts
+        self.lighting = layout.lighting
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """(size, 2): [0, 1] for materials, infinite for lights. Made anew: it is large."""
+        """(size, 2): [0, 1] for materials, infinite for the rest. Made anew: it is large."""
         bounds = np.empty((self.size, 2))
-        bounds[self.layout.maps] = (0.0, 1.0)
-        bounds[self.layout.maps.stop :] = (-np.inf, np.inf)
+        bounds[self.layout.materials] = (0.0, 1.0)
+        bounds[self.layout.materials.stop :] = (-np.inf, np.inf)
         return bounds
 
     def start(self) -> NDArray[np.float64]:
-        """Albedo from the mean picture, constant roughness and metallic, best lights for them."""
+        """Albedo from the mean picture, constant roughness and metallic, best lights for them.
+
+        Where normals are free they are the given ones.
+        """
         maps = np.empty(self.layout.maps.stop)
         albedo = START_MEAN_ALBEDO / MEAN_RADIANCE * self._mean_image()
         maps[self.albedo] = np.clip(albedo, *START_ALBEDO_RANGE).T.ravel()
         maps[self.roughness] = START_ROUGHNESS
         if self.metallic is not None:
             maps[self.metallic] = START_METALLIC
+        if self.tilts is not None:
+            maps[self.tilts] = 0.0
         return self.with_best_lights(maps)
 
     def with_best_lights(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -313,7 +326,7 @@ class Objective:
     def restricted(self, pixels: NDArray[np.uint64]) -> Objective:
         """The objective of some pixels alone, in the same units; squares, without penalties.
 
-        Its x has the materials of these pixels in their order, and all lights: what `part_of` takes
+        Its x has the maps of these pixels in their order, and all lights: what `part_of` takes
         from an x of this objective. `pack` and `unpack` are not for it, for it has no picture.
         """
         found = copy.copy(self)
@@ -341,7 +354,7 @@ class Objective:
     def put_part(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64], part: NDArray[np.float64]
     ) -> None:
-        """Undo `part_of`: give x the materials of these pixels, and the lights, of `part`."""
+        """Undo `part_of`: give x the maps of these pixels, and the lights, of `part`."""
         maps = x[self.layout.maps].reshape(-1, self.pixels)
         of_pixels, lights = np.split(part, [len(maps) * len(pixels)])
         maps[:, pixels] = of_pixels.reshape(len(maps), -1)
@@ -366,7 +379,7 @@ class Objective:
 
         Without `lighting` the lights that fit the maps best are taken. What x does not have is
         dropped: known metallic, known lights, band 3; where x has one channel for three, their mean
-        is taken.
+        is taken. Free normals are the given ones.
         """
         given = {"albedo": albedo, "roughness": roughness, "metallic": metallic}
         maps = []
@@ -382,6 +395,8 @@ class Objective:
                 values = _channels(values, self.channels).T.ravel()
             if name != "metallic" or self.metallic is not None:
                 maps.append(values)
+        if self.tilts is not None:
+            maps.append(np.zeros(2 * self.pixels))
         x = np.concatenate(maps)
         if lighting is None or self.lighting is None:
             return self.with_best_lights(x)
@@ -415,6 +430,12 @@ class Objective:
             -1, self.coefficients, self.layout.light_channels
         )
         return materials, lighting
+
+    def normals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(P, 3): the unit normals of x, in camera space; the given ones where they are known."""
+        if self.tilts is None:
+            return self._rows(self._scene.normals)
+        return self.problem.normals(x[self.layout.maps])
 
     def _image(self, i: int) -> NDArray[np.float64]:
         """(P, C): a picture in the unit of x."""
@@ -467,6 +488,7 @@ class Objective:
             sh_order=self.layout.sh_order,
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
+            free_normals=self.layout.free_normals,
         )
 
     def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

@@ -12,7 +12,9 @@ use super::arrays::{array, collect, materials, shape, try_copied, vectors};
 use crate::directional::{DirectionalLight, render_directional as render_directional_pixels};
 use crate::problem::MAX_SAMPLES;
 use crate::render::render as render_pixels;
-use crate::shade::{Frame, Material, shade as shade_pixel, shade_vjp as pull_back_pixel};
+use crate::shade::{
+    Frame, Material, TurningFrame, shade as shade_pixel, shade_vjp_by_normal as pull_back_pixel,
+};
 use crate::{Error, Result, check, ggx, sh};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -79,7 +81,9 @@ fn shade<'py>(
     )?;
     let weights = py.detach(|| {
         pixels.check()?;
-        let weights = pixels.frames().map(|(frame, m)| shade_pixel(&frame, m));
+        let weights = pixels
+            .each()
+            .map(|(n, v, m)| shade_pixel(&Frame::new(n, v), m));
         collect("normal", pixels.count(), weights)
     })?;
     let shape = [pixels.count(), 3, sh::COEFFICIENTS];
@@ -101,6 +105,7 @@ fn shade_vjp<'py>(
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray2<f64>>,
 )> {
     let pixels = Pixels::new(
         ("normal", normal),
@@ -121,17 +126,23 @@ fn shade_vjp<'py>(
             .0
             .as_chunks::<3>()
             .0;
-        let pairs = pixels.frames().zip(weights);
-        let gradients = pairs.map(|((frame, m), w)| pull_back_pixel(&frame, m, w));
+        let pairs = pixels.each().zip(weights);
+        let gradients = pairs.map(|((n, v, m), w)| pull_back_pixel(&TurningFrame::new(n, v), m, w));
         collect("normal", pixels.count(), gradients)
     })?;
-    let albedo = collect("albedo", pixels.count(), gradients.iter().map(|g| g.albedo))?;
-    let roughness: Array1<f64> = gradients.iter().map(|g| g.roughness).collect();
-    let metallic: Array1<f64> = gradients.iter().map(|g| g.metallic).collect();
+    let (materials, normals) = (
+        || gradients.iter().map(|g| g.0),
+        gradients.iter().map(|g| g.1),
+    );
+    let albedo = collect("albedo", pixels.count(), materials().map(|g| g.albedo))?;
+    let roughness: Array1<f64> = materials().map(|g| g.roughness).collect();
+    let metallic: Array1<f64> = materials().map(|g| g.metallic).collect();
+    let normal = collect("normal", pixels.count(), normals.map(|g| g.to_array()))?;
     Ok((
         array2(albedo).into_pyarray(py),
         roughness.into_pyarray(py),
         metallic.into_pyarray(py),
+        array2(normal).into_pyarray(py),
     ))
 }
 
@@ -264,14 +275,16 @@ impl Pixels {
         check::unit_vectors(self.names[1], &self.views)
     }
 
-    fn frames(&self) -> impl Iterator<Item = (Frame, &Material)> {
+    /// Normal, view direction and material.
+    fn each(&self) -> impl Iterator<Item = (DVec3, DVec3, &Material)> {
         let directions = self.normals.iter().zip(&self.views);
-        let frames = directions.map(|(&n, &v)| Frame::new(n, v));
-        frames.zip(&self.materials)
+        directions
+            .zip(&self.materials)
+            .map(|((&n, &v), m)| (n, v, m))
     }
 }
 
-fn array2<const N: usize>(rows: Vec<[f64; N]>) -> Array2<f64> {
+pub(super) fn array2<const N: usize>(rows: Vec<[f64; N]>) -> Array2<f64> {
     Array2::from(rows)
 }
 

@@ -2,15 +2,16 @@
 
 use std::sync::{Mutex, MutexGuard};
 
+use glam::DVec3;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyUntypedArrayMethods,
     get_array_module,
 };
 use pyo3::prelude::*;
 
-use super::arrays::{Contiguous, array, copied, shape, try_copied, vectors};
+use super::arrays::{Contiguous, array, collect, copied, shape, try_copied, vectors};
 use super::images::Images;
-use super::model::{array3, matrix};
+use super::model::{array2, array3, matrix};
 use crate::pixel_fit::{Search, Towards};
 use crate::problem::{Options, Pictures, Problem};
 use crate::reduced::{Elimination, Pull};
@@ -177,6 +178,24 @@ impl PyProblem {
             self.problem.channels(),
         ];
         Ok(array3(residuals, shape).into_pyarray(py))
+    }
+
+    fn normals<'py>(
+        &self,
+        py: Python<'py>,
+        maps: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let maps = self.copied("maps", maps, self.problem.maps())?;
+        let maps = maps.values();
+        let rows = py.detach(|| {
+            let normals = self.problem.normals(maps)?;
+            collect(
+                "normals",
+                normals.len(),
+                normals.iter().map(DVec3::to_array),
+            )
+        })?;
+        Ok(array2(rows).into_pyarray(py))
     }
 
     #[expect(clippy::type_complexity)]

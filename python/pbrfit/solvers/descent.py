@@ -149,7 +149,7 @@ def rusts(
     objective = run.objective
     bounds = Bounds.of_slices(
         objective.size,
-        (objective.layout.maps, 0.0, 1.0),
+        (objective.layout.materials, 0.0, 1.0),
         (objective.roughness, lowest_roughness, 1.0),
     )
 

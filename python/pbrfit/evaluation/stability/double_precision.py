@@ -147,7 +147,7 @@ def evaluate(case: Case) -> Evaluation:
         losses.append(float(np.sum(residual * residual)))
         loss_scales.append(float(np.sum(np.abs(residual) * size)))
         by_weights = factor * (residual @ lights)
-        d_albedo, d_roughness, d_metallic = shade_vjp(
+        d_albedo, d_roughness, d_metallic, _ = shade_vjp(
             piece.normals,
             piece.views,
             piece.albedo,
