@@ -20,6 +20,7 @@ from mpmath import mp, mpf
 DIGITS = 25
 WORKING_DIGITS = 80
 CLAMP = "1e-4"  # least n·v in G1 and Fresnel
+NEAR_CLAMP = "1e-12"  # closer to it, rounding decides on which side a slope by the normal is taken
 
 
 # --- Band weights -------------------------------------------------------------------------------
@@ -235,7 +236,42 @@ def shading_outputs(case: dict[str, Any]) -> dict[str, Any]:
         out["d_metallic"].append((radiance(0, step) - radiance(0, -step)) / (2 * step))
         out["d_roughness"].append(lit(d_roughness))
         out["weights"].append(weights)
+    cosine = sum(a * b for a, b in zip(normal, view, strict=True))
+    if abs(cosine - mpf(CLAMP)) > mpf(NEAR_CLAMP):
+        out["d_normal"] = by_normal(normal, view, albedo, roughness, metallic, lighting)
     return out
+
+
+def by_normal(
+    normal: list[mpf],
+    view: list[mpf],
+    albedo: list[mpf],
+    roughness: mpf,
+    metallic: mpf,
+    lighting: list[list[mpf]],
+) -> list[list[mpf]]:
+    """dI_c/dn as a vector in the tangent plane, for each channel.
+
+    Its entry along an axis is the derivative of I_c(n/|n|) along that axis. Central differences,
+    exact to the square of their step.
+    """
+    step = mpf(10) ** -25
+
+    def radiance(channel: int, axis: int, change: mpf) -> mpf:
+        turned = list(normal)
+        turned[axis] += change
+        length = mp.sqrt(sum(a * a for a in turned))
+        turned = [a / length for a in turned]
+        weights, _ = shade(turned, view, albedo[channel], roughness, metallic)
+        return mp.fsum(w * light[channel] for w, light in zip(weights, lighting, strict=True))
+
+    return [
+        [
+            (radiance(channel, axis, step) - radiance(channel, axis, -step)) / (2 * step)
+            for axis in range(3)
+        ]
+        for channel in range(3)
+    ]
 
 
 def unit(vector: list[float | mpf]) -> list[mpf]:
@@ -322,6 +358,9 @@ def write(path: Path, about: str, key: str, rows: list[dict[str, Any]]) -> None:
     path.write_text(f'{{"about":{json.dumps(about)},\n"{key}":[\n{lines}\n]}}\n', encoding="utf-8")
 
 
+ROWS = ("weights", "d_normal")  # lists of lists in shading.json
+
+
 def write_all(folder: Path) -> None:
     rows = []
     for r in band_roughnesses():
@@ -337,7 +376,7 @@ def write_all(folder: Path) -> None:
     cases = [
         case
         | {
-            key: [strings(row) for row in value] if key == "weights" else strings(value)
+            key: [strings(row) for row in value] if key in ROWS else strings(value)
             for key, value in shading_outputs(case).items()
         }
         for case in shading_inputs()
@@ -346,7 +385,8 @@ def write_all(folder: Path) -> None:
         folder / "shading.json",
         "One pixel under one SH light. lighting[k][c], index k = l(l+1)+m, real SH without "
         "Condon-Shortley phase; radiance[c]; d_albedo[c] = dI_c/d albedo_c; d_roughness[c], "
-        "d_metallic[c]; weights[c][k] = dI_c/dL_kc. n.v is clamped to at least 1e-4 in G1 and "
+        "d_metallic[c]; weights[c][k] = dI_c/dL_kc; d_normal[c] = dI_c/dn, in the tangent plane of "
+        "n, not stated where n.v is within 1e-12 of the clamp. n.v is clamped to at least 1e-4 in G1 and "
         f"Fresnel, not in the mirror direction. Decimal strings of {DIGITS} digits. "
         "Made by make_golden.py.",
         "cases",
@@ -370,9 +410,9 @@ def compare(folder: Path) -> None:
     shading = json.loads((folder / "shading.json").read_text(encoding="utf-8"))
     for index, case in enumerate(shading["cases"]):
         for key, value in shading_outputs(case).items():
-            if key == "weights":
+            if key in ROWS:
                 for found, stated in zip(value, case[key], strict=True):
-                    note("shading weights", index, found, stated)
+                    note(f"shading {key}", index, found, stated)
             else:
                 note(f"shading {key}", index, value, case[key])
     for key, (difference, index) in largest.items():

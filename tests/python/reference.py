@@ -1,7 +1,8 @@
 """The model again: slow, plain, float64, written from the equations and not from the package.
 
 Derivatives are taken by complex step: f'(r) = Im f(r + ih)/h with h = 1e-30 has no truncation
-and no cancellation error, and everything below is rational in albedo, roughness and metallic.
+and no cancellation error, and everything below is analytic in albedo, roughness, metallic and the
+normal.
 """
 
 from __future__ import annotations
@@ -25,17 +26,38 @@ STEP = 1e-30
 CLAMP = 1e-4  # least n·v in G1 and Fresnel
 
 
+def turned(normal: Array, tilts: RealOrComplex) -> RealOrComplex:
+    """Normals (P, 3) turned by tilts (2, P): u/|u| with u = n + a t₁ + b t₂.
+
+    t₁ and t₂ are the x and y axes under the smallest rotation that takes z to n,
+    R = 1 + [w] + [w]²/(1 + n_z) with w = z × n; where n_z <= -0.99, those of n mirrored in z = 0,
+    mirrored back.
+    """
+    mirrored = np.where(normal[:, 2] > -0.99, 1, -1)[:, None] ** np.array([0, 0, 1])
+    x, y, z = (mirrored * normal).T
+    none = np.zeros_like(x)
+    cross = np.array([[none, none, x], [none, none, y], [-x, -y, none]]).transpose(2, 0, 1)
+    rotation = np.eye(3) + cross + cross @ cross / (1 + z)[:, None, None]
+    u = normal + np.einsum("tp,pit->pi", tilts, mirrored[..., None] * rotation[..., :2])
+    return np.asarray(u / np.sqrt(np.sum(u * u, axis=-1, keepdims=True)))
+
+
 def unit(vectors: Array) -> NDArray[np.float64]:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / length, dtype=np.float64)
 
 
-def sh_basis(directions: Array) -> Array:
+def sh_basis(directions: RealOrComplex) -> RealOrComplex:
     """Real SH l <= 3 without Condon–Shortley phase, index l(l+1)+m: (..., 3) -> (..., 16).
 
-    Y_lm = N · dᵐP_l/dzᵐ(z) · {√2 Re, 1, √2 Im}(x + iy)^|m|, since sinᵐθ·cos mφ = Re(x + iy)ᵐ.
+    Y_lm = N · dᵐP_l/dzᵐ(z) · {√2 Re, 1, √2 Im}(x + iy)^|m|, since sinᵐθ·cos mφ = Re(x + iy)ᵐ. Real
+    and imaginary part are kept apart, so that directions may be complex themselves.
     """
-    x, y, z = np.moveaxis(np.asarray(directions, dtype=np.float64), -1, 0)
+    x, y, z = np.moveaxis(np.asarray(directions), -1, 0)
+    powers = [(np.ones_like(x), np.zeros_like(x))]
+    for _ in range(3):
+        real, imaginary = powers[-1]
+        powers.append((x * real - y * imaginary, x * imaginary + y * real))
     columns = []
     for degree in range(4):
         for m in range(-degree, degree + 1):
@@ -48,8 +70,7 @@ def sh_basis(directions: Array) -> Array:
             )
             legendre = Legendre.basis(degree)
             polar = legendre.deriv(order)(z) if order else legendre(z)
-            power = (x + 1j * y) ** order
-            azimuth = np.ones_like(z) if m == 0 else math.sqrt(2) * np.imag(power * 1j ** (m > 0))
+            azimuth = powers[order][m < 0] * (math.sqrt(2) if m else 1.0)
             columns.append(norm * polar * azimuth)
     return np.stack(columns, axis=-1)
 
@@ -106,12 +127,16 @@ def smith_g1(cosine: RealOrComplex, r: RealOrComplex) -> RealOrComplex:
 
 
 def _weights(
-    normal: Array, view: Array, albedo: RealOrComplex, r: RealOrComplex, metallic: RealOrComplex
+    normal: RealOrComplex,
+    view: Array,
+    albedo: RealOrComplex,
+    r: RealOrComplex,
+    metallic: RealOrComplex,
 ) -> RealOrComplex:
     """Eqs. 6 and 12: w_k = kd A_l Y_k(n) + ks h_l Y_k(mirror), (..., 3, 16)."""
     cosine = np.sum(normal * view, axis=-1)
     mirror = 2 * cosine[..., None] * normal - view
-    clamped = np.maximum(cosine, CLAMP)
+    clamped = np.where(np.real(cosine) > CLAMP, cosine, CLAMP)
     rho, m = albedo, metallic[..., None]
     f0 = 0.04 * (1 - m) + m * rho
     fresnel = f0 + (1 - f0) * (1 - clamped[..., None]) ** 5
@@ -138,6 +163,19 @@ def shade_derivatives(
     by_roughness = _weights(normal, view, albedo, roughness + step, metallic)
     by_metallic = _weights(normal, view, albedo, roughness, metallic + step)
     return by_albedo.imag / STEP, by_roughness.imag / STEP, by_metallic.imag / STEP
+
+
+def by_turning(
+    normal: Array,
+    view: Array,
+    albedo: Array,
+    roughness: Array,
+    metallic: Array,
+    direction: Array,
+) -> Array:
+    """Derivatives of the weights while the normal turns in a direction in its tangent plane."""
+    stepped = normal + 1j * STEP * direction
+    return np.asarray(_weights(stepped, view, albedo, roughness, metallic).imag / STEP)
 
 
 def unpack(x: NDArray[Any], pixels: int) -> tuple[NDArray[Any], ...]:
@@ -183,11 +221,16 @@ def value_and_grad(
     x: Array,
     sample_weights: Array | None = None,
     loss: Loss = squares,
+    tilts: Array | None = None,
 ) -> tuple[float, Array]:
     """Mean over pictures, pixels and channels of φ(I − T), and its gradient.
 
-    `sample_weights`, (N, P, 3) or with one channel for all three, make it a weighted mean.
+    `sample_weights`, (N, P, 3) or with one channel for all three, make it a weighted mean. With
+    `tilts`, (2, P), which turn the normals, the gradient has theirs before that of the lights.
     """
+    given = normal
+    if tilts is not None:
+        normal = turned(given, tilts)
     albedo, roughness, metallic, lighting = unpack(x, len(normal))
     residual = render(normal, view, x) - images
     omega = np.ones_like(residual)
@@ -203,6 +246,13 @@ def value_and_grad(
         np.sum(by_weight * d_albedo, axis=-1).T,
         np.sum(by_weight * d_roughness, axis=(-1, -2)),
         np.sum(by_weight * d_metallic, axis=(-1, -2)),
+    ]
+    for tilt in range(0 if tilts is None else 2):
+        step = 1j * STEP * (np.arange(2) == tilt)[:, None]
+        direction = turned(given, tilts + step).imag / STEP
+        moved = by_turning(normal, view, albedo, roughness, metallic, direction)
+        gradient.append(np.sum(by_weight * moved, axis=(-1, -2)))
+    gradient += [
         np.einsum("npc,pck->nkc", scaled, weights, optimize=True),
     ]
     return (
@@ -225,6 +275,8 @@ class Unknowns:
         Of all pixels, where it is known.
     lighting
         (N, K, C), where it is known.
+    free_normals
+        Whether there are tilts.
     """
 
     pixels: int
@@ -233,15 +285,21 @@ class Unknowns:
     sh_order: int = 3
     metallic: float | None = None
     lighting: Array | None = None
+    free_normals: bool = False
 
     @property
     def coefficients(self) -> int:
         return (self.sh_order + 1) ** 2
 
     @property
+    def materials(self) -> int:
+        """Unknowns of materials."""
+        return (self.channels + 1 + (self.metallic is None)) * self.pixels
+
+    @property
     def maps(self) -> int:
         """Unknowns that are not lights."""
-        return (self.channels + 1 + (self.metallic is None)) * self.pixels
+        return self.materials + 2 * self.pixels * self.free_normals
 
     @property
     def blocks(self) -> dict[str, slice]:
@@ -251,6 +309,7 @@ class Unknowns:
             "albedo": self.channels * self.pixels,
             "roughness": self.pixels,
             "metallic": self.pixels if self.metallic is None else 0,
+            "tilts": 2 * self.pixels * self.free_normals,
             "lighting": lights if self.lighting is None else 0,
         }
         ends = np.cumsum([0, *lengths.values()])
@@ -261,8 +320,12 @@ class Unknowns:
     def size(self) -> int:
         return max(int(block.stop) for block in self.blocks.values())
 
+    def tilts(self, x: NDArray[Any]) -> NDArray[Any] | None:
+        """(2, P), where there are."""
+        return x[self.blocks["tilts"]].reshape(2, -1) if self.free_normals else None
+
     def expand(self, x: NDArray[Any]) -> NDArray[Any]:
-        """All unknowns, from those that there are."""
+        """All unknowns but tilts, from those that there are."""
         shape = (self.pictures, self.coefficients, self.channels)
         lighting = x[self.maps :].reshape(shape) if self.lighting is None else self.lighting
         whole = np.zeros((self.pictures, 16, 3))
@@ -276,13 +339,18 @@ class Unknowns:
 
     def restrict(self, gradient: NDArray[Any]) -> NDArray[Any]:
         """Derivatives by the unknowns that there are, from those by all."""
-        albedo, roughness, metallic, lighting = unpack(gradient, self.pixels)
+        ends = [5 * self.pixels, (5 + 2 * self.free_normals) * self.pixels]
+        of_materials, tilts, of_lights = np.split(gradient, ends)
+        albedo, roughness, metallic, lighting = unpack(
+            np.concatenate([of_materials, of_lights]), self.pixels
+        )
         lighting = lighting[:, : self.coefficients]
         if self.channels == 1:
             albedo, lighting = albedo.sum(-1, keepdims=True), lighting.sum(-1, keepdims=True)
         parts = [albedo.T, roughness]
         if self.metallic is None:
             parts.append(metallic)
+        parts.append(tilts)
         if self.lighting is None:
             parts.append(lighting)
         return np.concatenate([np.ravel(part) for part in parts])

@@ -53,10 +53,14 @@ def test_band_weights(folder: Path, column: str, bar: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "quantity", ["weights", "radiance", "d_albedo", "d_roughness", "d_metallic"]
+    "quantity", ["weights", "radiance", "d_albedo", "d_roughness", "d_metallic", "d_normal"]
 )
 def test_shading(folder: Path, quantity: str) -> None:
-    cases = read(folder / "shading.json", "cases")
+    # d_normal is not stated where rounding decides on which side of the clamp n·v is, and in older
+    # files nowhere.
+    cases = [case for case in read(folder / "shading.json", "cases") if quantity in case]
+    if not cases and folder != OWN_DATA:
+        pytest.skip(f"{folder} does not state {quantity}")
 
     def stacked(key: str) -> Array:
         return np.array([np.array(case[key], dtype=np.float64) for case in cases])
@@ -67,7 +71,7 @@ def test_shading(folder: Path, quantity: str) -> None:
     weights = pbrfit.shade(**pixels)
     # One cotangent a channel, so that the derivatives come out channel by channel.
     cotangent = np.eye(3)[:, :, None] * lighting[:, None]
-    d_albedo, d_roughness, d_metallic = pbrfit.shade_vjp(
+    d_albedo, d_roughness, d_metallic, d_normal = pbrfit.shade_vjp(
         **{name: array[:, None] for name, array in pixels.items()}, cotangent=cotangent
     )
     other_channels = d_albedo * (1 - np.eye(3))
@@ -78,6 +82,7 @@ def test_shading(folder: Path, quantity: str) -> None:
         "d_albedo": d_albedo.sum(axis=-1),
         "d_roughness": d_roughness,
         "d_metallic": d_metallic,
+        "d_normal": d_normal,
     }[quantity]
     error = errors(found, [case[quantity] for case in cases]).reshape(len(cases), -1).max(axis=1)
     exact = np.abs(stacked(quantity)).reshape(len(cases), -1).max(axis=1)

@@ -79,9 +79,17 @@ def test_shade_vjp() -> None:
         np.sum(cotangent * d_roughness, axis=(-1, -2)),
         np.sum(cotangent * d_metallic, axis=(-1, -2)),
     )
-    found = pbrfit.shade_vjp(**pixels, cotangent=cotangent)
+    *found, d_normal = pbrfit.shade_vjp(**pixels, cotangent=cotangent)
     for a, b, what in zip(found, expected, ("albedo", "roughness", "metallic"), strict=True):
         assert_close(a, b, 1e-12, f"derivative by {what}")
+    # By the normal: the change while it turns, in any direction of its tangent plane.
+    assert_close(np.sum(d_normal * pixels["normal"], axis=-1), np.zeros(3000), 1e-13, "along n")
+    turn = unit(np.cross(pixels["normal"], np.random.default_rng(4).normal(size=(3000, 3))))
+    changed = np.sum(cotangent * reference.by_turning(**pixels, direction=turn), axis=(-1, -2))
+    scale = np.maximum(1, np.linalg.norm(d_normal, axis=-1))
+    assert_close(
+        np.sum(d_normal * turn, axis=-1) / scale, changed / scale, 1e-12, "derivative by normal"
+    )
 
 
 # --- Against finite differences, at random places and at every branch and bound ---
@@ -106,7 +114,7 @@ PLACES = [
 def jacobian(normal: Array, view: Array, materials: dict[str, Array]) -> dict[str, Array]:
     """Derivatives of every weight by every material, (3, 16) each, from the adjoint."""
     unit_cotangents = np.eye(48).reshape(3, 16, 3, 16)
-    d_albedo, d_roughness, d_metallic = pbrfit.shade_vjp(
+    d_albedo, d_roughness, d_metallic, _ = pbrfit.shade_vjp(
         normal, view, **materials, cotangent=unit_cotangents
     )
     return {"albedo": d_albedo.sum(-1), "roughness": d_roughness, "metallic": d_metallic}
@@ -138,6 +146,42 @@ def test_adjoint_against_finite_differences(
     assert_close(jacobian(normal, view, materials)[name], numerical, 1e-10, f"d weights/d {name}")
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(("roughness", "metallic", "albedo", "cosine"), PLACES)
+def test_adjoint_by_the_normal_against_finite_differences(
+    axis: int, roughness: float, metallic: float, albedo: float, cosine: float
+) -> None:
+    """On both sides of the clamp of n·v and beyond it; at it, from the side that is clamped.
+
+    What is checked is the analytic derivative: of these places it is within 1e-6 of the slope that
+    differences find, relative to the largest of all weights' slopes there.
+    """
+    normal, view = seen_at(cosine)
+    material = {
+        "albedo": np.full(3, albedo),
+        "roughness": np.array(roughness),
+        "metallic": np.array(metallic),
+    }
+    tangent = np.eye(3)[axis]  # of a normal along z
+
+    def weights(change: float) -> Array:
+        return pbrfit.shade(unit(normal + change * tangent), view, **material)
+
+    # Steps that stay on one side of the clamp: n·v changes by at most as much as the normal.
+    room = abs(cosine - 1e-4)
+    if room > 0:
+        numerical, _ = ridders(weights, min(2e-3, room / 2))
+    else:  # n·v falls where the normal turns away from the view
+        numerical, _ = ridders(weights, -1e-4 if axis == 0 else 1e-4, one_sided=True)
+    d_normal = pbrfit.shade_vjp(
+        normal, view, **material, cotangent=np.eye(48).reshape(3, 16, 3, 16)
+    )[3]
+    found = d_normal[..., axis]
+    assert not d_normal[..., 2].any()
+    scale = max(1.0, float(np.abs(numerical).max()))
+    assert_close(found / scale, numerical / scale, 1e-6, "d weights/d normal")
+
+
 def test_adjoint_by_dot_product() -> None:
     # ⟨J v, w⟩ = ⟨v, Jᵀ w⟩ for random v and w over many pixels at once.
     pixels = random_pixels(500, 4)
@@ -154,7 +198,7 @@ def test_adjoint_by_dot_product() -> None:
     numerical, _ = ridders(contracted, 1e-3)
     adjoint = sum(
         float(np.sum(d * v[name]))
-        for d, name in zip(pbrfit.shade_vjp(**pixels, cotangent=w), v, strict=True)
+        for d, name in zip(pbrfit.shade_vjp(**pixels, cotangent=w)[:3], v, strict=True)
     )
     assert adjoint == pytest.approx(float(numerical), rel=1e-8)
 
@@ -201,7 +245,7 @@ def test_leading_dimensions_broadcast(
     cotangent = rng.normal(size=(3, 16))
     found = pbrfit.shade_vjp(**pixels, cotangent=cotangent)
     expected = pbrfit.shade_vjp(**full, cotangent=np.tile(cotangent, (*shape, 1, 1)))
-    assert [d.shape for d in found] == [(*shape, 3), shape, shape]
+    assert [d.shape for d in found] == [(*shape, 3), shape, shape, (*shape, 3)]
     for a, b in zip(found, expected, strict=True):
         np.testing.assert_array_equal(a, b)
 

@@ -44,6 +44,7 @@ class Planted:
             "sh_order": self.unknowns.sh_order,
             "metallic": self.unknowns.metallic,
             "lighting": self.unknowns.lighting,
+            "free_normals": self.unknowns.free_normals,
         }
         arguments |= changes
         return Problem(arguments.pop("images"), self.normals, self.views, threads, **arguments)
@@ -59,20 +60,23 @@ class Planted:
             self.views,
             self.unknowns.expand(x),
             None if weights is None else weights.astype(np.float64),
+            tilts=self.unknowns.tilts(x),
         )
         return loss, self.unknowns.restrict(gradient)
 
     def render(self, x: Array, threads: int = 1) -> Array:
         """(N, P, C), by the core's float64 renderer."""
         albedo, r, m, lighting = reference.unpack(self.unknowns.expand(x), self.unknowns.pixels)
-        images = render(self.normals, self.views, albedo, r, m, lighting, threads)
+        tilts = self.unknowns.tilts(x)
+        normals = self.normals if tilts is None else reference.turned(self.normals, tilts)
+        images = render(normals, self.views, albedo, r, m, lighting, threads)
         return images[..., : self.unknowns.channels]
 
     def inside(self) -> NDArray[np.float64]:
         """X with materials in [0.2, 0.8]: room for steps on both sides."""
         x = self.x.copy()
-        maps = x[: self.unknowns.maps]
-        maps[:] = 0.2 + 0.6 * maps
+        materials = x[: self.unknowns.materials]
+        materials[:] = 0.2 + 0.6 * materials
         return x
 
 
@@ -85,16 +89,20 @@ def planted(
     weights: str = "none",
     lights: str = "free",
     metallic: float | None = None,
+    normals: str = "known",
 ) -> Planted:
     """Random pixels, one in ten seen from behind; materials on the bounds here and there.
 
     `weights` are of "none", each "sample", or each "channel" of a sample, some of them 0; `lights`
-    are "free" or "known".
+    are "free" or "known"; normals are "known" or "free", or "free" and "in front": then none is seen
+    at a grazing angle, where finite steps lead across the clamp of n·v.
     """
     rng = np.random.default_rng([pixels, pictures])
-    normals, views = unit(rng.normal(size=(2, pixels, 3)))
+    given, views = unit(rng.normal(size=(2, pixels, 3)))
     facing = np.where(np.arange(pixels) % 10 == 9, -1, 1)[:, None]
-    views *= facing * np.sign(np.sum(normals * views, axis=-1, keepdims=True))
+    views *= facing * np.sign(np.sum(given * views, axis=-1, keepdims=True))
+    if normals == "in front":
+        views = unit(views + 2 * given)
     coefficients = (sh_order + 1) ** 2
 
     def lighting() -> NDArray[np.float64]:
@@ -103,7 +111,7 @@ def planted(
         return values
 
     def materials(unknowns: reference.Unknowns) -> NDArray[np.float64]:
-        values = rng.random(unknowns.maps)
+        values = rng.random(unknowns.materials)
         values[rng.random(values.size) < 0.05] = 0
         values[rng.random(values.size) < 0.05] = 1
         return values
@@ -111,7 +119,16 @@ def planted(
     kind: dict[str, Any] = {"channels": channels, "sh_order": sh_order, "metallic": metallic}
     free = reference.Unknowns(pixels, pictures, **kind)
     truth, x = (np.concatenate([materials(free), lighting().ravel()]) for _ in range(2))
-    images = reference.render(normals, views, free.expand(truth))[..., :channels]
+    turned = given
+    if normals != "known":
+        tilts = 0.2 * np.random.default_rng([pixels, pictures, 1]).normal(size=(2, 2, pixels))
+        turned = reference.turned(given, tilts[0])
+        truth, x = (
+            np.insert(place, free.materials, tilt.ravel())
+            for place, tilt in zip((truth, x), tilts, strict=True)
+        )
+        free = dataclasses.replace(free, free_normals=True)
+    images = reference.render(turned, views, free.expand(truth))[..., :channels]
     unknowns = free
     if lights == "known":
         known = x[free.maps :].reshape(pictures, coefficients, channels)
@@ -123,7 +140,7 @@ def planted(
         of_samples = rng.random(shape, dtype=np.float32)
         of_samples[rng.random(shape) < 0.1] = 0
         of_samples[0] = np.maximum(of_samples[0], 0.01)  # no picture of one pixel without any
-    return Planted(images.astype(np.float32), normals, views, of_samples, unknowns, truth, x)
+    return Planted(images.astype(np.float32), given, views, of_samples, unknowns, truth, x)
 
 
 def assert_agrees(found: tuple[float, Array], expected: tuple[float, Array], case: Planted) -> None:
@@ -162,13 +179,15 @@ def test_loss_and_gradient(pixels: int, pictures: int) -> None:
     assert_agrees(problem.value_and_grad(case.x), case.expected(case.x), case)
 
 
-KINDS = [
+KINDS: list[dict[str, Any]] = [
     {"channels": channels, "sh_order": order, "weights": weights, "lights": lights, "metallic": m}
+    | {"normals": normals}
     for channels in (1, 3)
     for order in (2, 3)
     for weights in ("none", "sample", "channel")
     for lights in ("free", "known")
     for m in (None, 0.0, 0.3)
+    for normals in ("known", "free")
 ]
 
 
@@ -176,7 +195,7 @@ def label(kind: dict[str, Any]) -> str:
     metallic = "free" if kind["metallic"] is None else kind["metallic"]
     return (
         f"{kind['channels']} channels, order {kind['sh_order']}, weights {kind['weights']}, "
-        f"lights {kind['lights']}, metallic {metallic}"
+        f"lights {kind['lights']}, normals {kind['normals']}, metallic {metallic}"
     )
 
 
@@ -351,6 +370,9 @@ SLOPES: list[dict[str, Any]] = [
     {"pixels": 300, "pictures": 17, "sh_order": 2, "weights": "sample"},
     {"pixels": 300, "pictures": 5, "channels": 1, "weights": "channel"},
     {"pixels": 300, "pictures": 5, "lights": "known", "metallic": 0.0},
+    {"pixels": 300, "pictures": 5, "normals": "in front"},
+    {"pixels": 300, "pictures": 17, "sh_order": 2, "weights": "sample", "normals": "in front"},
+    {"pixels": 300, "pictures": 5, "channels": 1, "lights": "known", "normals": "in front"},
 ]
 
 
@@ -414,6 +436,7 @@ MANY: list[dict[str, Any]] = [
     {"pixels": 300, "pictures": 3},
     {"pixels": 5000, "pictures": 5},
     {"pixels": 5000, "pictures": 17, "weights": "sample", "sh_order": 2, "channels": 1},
+    {"pixels": 5000, "pictures": 5, "normals": "free"},
 ]
 
 
@@ -424,7 +447,7 @@ def test_thread_count_does_not_change_a_bit(kind: dict[str, Any]) -> None:
     loss, gradient = case.problem(1).value_and_grad(case.x)
     equations = case.problem(1).light_equations(maps)
     images = case.render(case.x)
-    for threads in (2, 3, 5):
+    for threads in (2, 3, 5, 8):
         problem = case.problem(threads)
         for _ in range(3):
             other_loss, other_gradient = problem.value_and_grad(case.x)
