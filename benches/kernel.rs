@@ -12,6 +12,7 @@ use pbrfit::directional::{DirectionalLight, render_directional};
 use pbrfit::ggx;
 use pbrfit::pixel_fit::Search;
 use pbrfit::problem::{Options, Pictures, Problem};
+use pbrfit::reduced::Elimination;
 use pbrfit::render::render;
 use pbrfit::shade::{Frame, Material, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
 use pbrfit::simd::{Instructions, Isa, Kernel};
@@ -217,6 +218,61 @@ fn pixel_fit(c: &mut Criterion) {
     group.finish();
 }
 
+/// What second order needs of the pixels, with given normals and with free ones: these have two
+/// unknowns more, and each trial of a fit makes directions and basis functions anew.
+fn free_normals_of_pixels(c: &mut Criterion) {
+    let mut group =
+        c.benchmark_group("pixels with given or free normals, 128², 16 pictures, 1 thread");
+    group.sample_size(10);
+    let example = Example::new(128 * 128, 16);
+    let everything: Vec<usize> = (0..example.normals.len()).collect();
+    let few: Vec<usize> = everything.iter().copied().step_by(16).collect();
+    let moves: Vec<f64> = (0..16 * 16 * 3).map(|i| wave(i, 0.9) - 0.5).collect();
+    let how = Elimination {
+        damping: 1e-3,
+        ..Elimination::default()
+    };
+    let search = Search {
+        roughness: &[],
+        metallic: &[],
+        starts: 0,
+        steps: 0,
+        exact_steps: 8,
+        held_normals: false,
+        pull: None,
+    };
+    for (name, example, free_normals) in [
+        ("given", example.clone(), false),
+        ("free", example.turned(), true),
+    ] {
+        let problem = example.problem(Options {
+            threads: 1,
+            free_normals,
+            ..Options::default()
+        });
+        let x = &example.x;
+        group.throughput(Throughput::Elements(everything.len() as u64));
+        group.bench_function(BenchmarkId::new("normal equations", name), |b| {
+            b.iter(|| problem.normal_equations(x, &everything).unwrap());
+        });
+        group.bench_function(BenchmarkId::new("reduced product", name), |b| {
+            b.iter(|| {
+                problem
+                    .reduced_product(x, &everything, &moves, &how)
+                    .unwrap()
+            });
+        });
+        group.bench_function(BenchmarkId::new("8 steps of materials", name), |b| {
+            b.iter(|| problem.fit_materials(x, &everything, &search).unwrap());
+        });
+        group.throughput(Throughput::Elements(few.len() as u64));
+        group.bench_function(BenchmarkId::new("reduced, of 1024 pixels", name), |b| {
+            b.iter(|| problem.reduced(x, &few, &how).unwrap());
+        });
+    }
+    group.finish();
+}
+
 /// Forward only, in double precision.
 fn forward(c: &mut Criterion) {
     let mut group = c.benchmark_group("render");
@@ -378,6 +434,7 @@ criterion_group!(
     pictures,
     parts,
     pixel_fit,
+    free_normals_of_pixels,
     forward,
     directional
 );

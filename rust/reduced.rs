@@ -712,14 +712,12 @@ impl<'a, const C: usize, const D: usize, const U: usize> Solved<'a, C, D, U> {
         whitened: &[Doubles; U],
         left: &mut Doubles,
     ) {
-        let rows = &self.rows[sample];
-        for x in 0..BLOCK {
-            let mut sum = rows[0].0[x] * whitened[channel].0[x];
-            for j in 1..D {
-                sum += rows[j].0[x] * whitened[C + j - 1].0[x];
-            }
-            left.0[x] -= sum;
-        }
+        self.isa().run(SubtractRows {
+            own: unknowns_of_channel::<C, D>(channel),
+            rows: &self.rows[sample],
+            whitened,
+            left,
+        });
     }
 
     /// Σ ω w_ck w_cl over the pixels: (channel, 1 or picture, K, K).
@@ -913,6 +911,30 @@ impl<const D: usize, const U: usize> Kernel for AddRows<'_, D, U> {
             for x in 0..BLOCK {
                 self.sums[unknown].0[x] += rows.0[x] * self.values.0[x];
             }
+        }
+    }
+}
+
+/// Subtracts Rᵀ of one sample times values of the unknowns.
+struct SubtractRows<'a, const D: usize, const U: usize> {
+    own: [usize; D],
+    rows: &'a [Doubles; D],
+    whitened: &'a [Doubles; U],
+    left: &'a mut Doubles,
+}
+
+impl<const D: usize, const U: usize> Kernel for SubtractRows<'_, D, U> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let whitened = self.own.map(|unknown| &self.whitened[unknown]);
+        for x in 0..BLOCK {
+            let mut sum = self.rows[0].0[x] * whitened[0].0[x];
+            for j in 1..D {
+                sum += self.rows[j].0[x] * whitened[j].0[x];
+            }
+            self.left.0[x] -= sum;
         }
     }
 }
