@@ -30,6 +30,7 @@
 //! | [`directional`] | the same under light from single directions, with the full reflection model |
 //! | [`image_file`] | picture files |
 
+mod arrow;
 pub mod band_table;
 pub mod block;
 mod check;

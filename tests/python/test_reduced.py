@@ -121,8 +121,10 @@ class Example:
         self.precision = rng.uniform(0, 30, (PIXELS, kind.unknowns - c)) if kind.pull else None
         self.off = rng.uniform(-0.5, 0.5, (PIXELS, kind.unknowns - c)) if kind.pull else None
         self.pixels = rng.permutation(PIXELS)[:150].astype(np.uint64)
-        self.tilts = 0.2 * rng.normal(size=(PIXELS, 2)) if kind.free_normals else np.zeros((PIXELS, 2))
-        self.normals = tilts.turn(self.given, self.tilts) if kind.free_normals else self.given
+        self.tilts, self.normals = np.zeros((PIXELS, 2)), self.given
+        if kind.free_normals:
+            self.tilts = 0.2 * rng.normal(size=(PIXELS, 2))
+            self.normals = tilts.turn(self.given, self.tilts)
 
     def problem(self, threads: int = 1) -> _core.Problem:
         return _core.Problem(
@@ -179,7 +181,7 @@ class Dense:
     curvature: Array
 
     def steps(self, moves: Array, of_material: int) -> Array:
-        """Of the pixels (P', D) when the lights move; tilts within reach, the others best with them."""
+        """Of the pixels (P', D) when the lights move; with tilts within reach, the best others."""
         steps = -self.forward - self.follow @ moves
         for a, step in zip(self.curvature, steps, strict=True):
             length = np.linalg.norm(step[of_material:])
@@ -314,9 +316,8 @@ def test_tilts_grow_no_longer_than_tan_60_degrees() -> None:
     example.tilts = lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
     pixels = np.arange(PIXELS, dtype=np.uint64)
     # Moves that are large for the lights, so that all steps are as long as they may be.
-    found = example.problem().follow_lights(
-        example.x, pixels, 1e3 * example.moves(), damping=1e-3
-    )[:, -2:]
+    moves = 1e3 * example.moves()
+    found = example.problem().follow_lights(example.x, pixels, moves, damping=1e-3)[:, -2:]
     after = np.linalg.norm(found, axis=1)
     assert (after <= np.maximum(longest, lengths) * (1 + 1e-12)).all()
     assert np.count_nonzero(after > np.maximum(longest, lengths) * (1 - 1e-12)) > PIXELS / 5

@@ -372,5 +372,6 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
 def test_a_pull_without_tilts_is_refused() -> None:
     example = Example(pixels=3)
     two = np.full((3, 2), 0.5)
-    with pytest.raises(InputError, match=r"^centre: expected shape \[3, 4\], found shape \[3, 2\]$"):
+    message = r"^centre: expected shape \[3, 4\], found shape \[3, 2\]$"
+    with pytest.raises(InputError, match=message):
         fit(example, example.x(example.truth), centre=two, precision=two)

@@ -44,8 +44,8 @@ def weights_by_tilts(
 ) -> tuple[Array, Array]:
     """Derivatives of the reference's weights by both tilts: (P, 3, 16) each.
 
-    Central differences of sixth order. Masking bends the more the nearer n·v is to 0, and has a kink
-    at the clamp: steps are short there, and stay on their side.
+    Central differences of sixth order. Masking bends the more the nearer n·v is to 0, and has a
+    kink at the clamp: steps are short there, and stay on their side.
     """
     cosine = np.sum(turn(normals, tilts) * views, axis=1)
     step = np.minimum(3e-3, 0.02 * np.abs(cosine - reference.CLAMP))[:, None]

@@ -5,6 +5,7 @@ use glam::DVec3;
 use pbrfit::band_table::TABLE;
 use pbrfit::ggx;
 use pbrfit::problem::{Options, Pictures, Problem};
+use pbrfit::reduced::Elimination;
 use pbrfit::render::render;
 use pbrfit::robust::Robust;
 use pbrfit::shade::{Frame, Material, TurningFrame, shade, shade_vjp_by_normal};
@@ -783,6 +784,12 @@ fn normal_equations(example: &Example, problem: &Problem) -> Vec<f64> {
     let equations = problem.normal_equations(&x, &pixels).unwrap();
     let moves = problem.moves_with_lights(&x, &pixels, &covariances, &modes);
     let derivatives = problem.derivatives(&x, &pixels).unwrap();
+    let how = Elimination {
+        damping: 0.1,
+        ..Elimination::default()
+    };
+    let reduced = problem.reduced(&x, &pixels, &how).unwrap();
+    let follow = problem.follow_lights(&x, &pixels, &modes[..modes.len() / 2], &how);
     [
         equations.matrices,
         equations.gradient,
@@ -790,24 +797,33 @@ fn normal_equations(example: &Example, problem: &Problem) -> Vec<f64> {
         derivatives.by_material,
         derivatives.by_light,
         moves.unwrap(),
+        reduced.matrix,
+        reduced.gradient,
+        follow.unwrap(),
     ]
     .concat()
 }
 
 #[test]
 fn normal_equations_have_the_same_bits_at_any_thread_count() {
-    let example = Example::new(2_000, 3);
-    let one = normal_equations(&example, &example.problem(1));
-    for threads in [2, 3, 8] {
-        let many = normal_equations(&example, &example.problem(threads));
-        assert!(one == many, "{threads} threads differ from one");
+    for free_normals in [false, true] {
+        let mut example = Example::new(2_000, 3);
+        example.free_normals = free_normals;
+        let one = normal_equations(&example, &example.problem(1));
+        for threads in [2, 3, 8] {
+            let many = normal_equations(&example, &example.problem(threads));
+            assert!(one == many, "{threads} threads differ from one");
+        }
     }
 }
 
 #[test]
 fn normal_equations_agree_in_every_instruction_set() {
-    for (channels, sh_order) in [(1, 3), (3, 2)] {
-        let example = Example::with(300, 3, channels, sh_order);
+    for (channels, sh_order, free_normals) in
+        [(1, 3, false), (3, 2, false), (1, 2, true), (3, 3, true)]
+    {
+        let mut example = Example::with(300, 3, channels, sh_order);
+        example.free_normals = free_normals;
         let best = normal_equations(&example, &example.problem(1));
         let size = norm(best.iter().copied());
         for instructions in Instructions::all() {
