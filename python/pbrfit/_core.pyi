@@ -87,8 +87,8 @@ class Problem:
     sh_order 2 or 3.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | tilts (2 planes) | lighting
     (N, K, C)], without those that are known; normals are unless `free_normals`. A tilt (a, b), at
-    most 1e3 in size, turns the given normal to (normal + a t₁ + b t₂)/√(1 + a² + b²). The loss is the
-    (weighted) mean of the squared residuals, or of a robust loss of them.
+    most 1e3 in size, turns the given normal to (normal + a t₁ + b t₂)/√(1 + a² + b²). The loss is
+    the (weighted) mean of the squared residuals, or of a robust loss of them.
     """
 
     def __new__(

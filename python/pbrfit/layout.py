@@ -20,8 +20,8 @@ ORDER_2 = 9
 class Layout:
     """Where the unknowns of a scene lie in x.
 
-    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts (two
-    planes) | lighting (N, K, light_channels)], without what is known.
+    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts
+    (two planes) | lighting (N, K, light_channels)], without what is known.
 
     Attributes
     ----------

@@ -53,12 +53,12 @@ class Objective:
 
     x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts |
     lighting (N, K, C)], float64, without what is known: metallic where it is fixed, known lights,
-    and normals unless they are free. What a scene does not need is not computed: grey pictures have C = 1, lights of order 2 have K = 9
-    coefficients instead of 16, lights that are the same in all channels are there once, (N, K).
-    Samples count as much as `scene.weights` says. Inside, pictures are divided by one scene scale
-    that makes their mean valid radiance 0.4, and where exposures are far apart each by its own
-    (`pbrfit.exposure`); `pack` and `unpack` convert between x and maps and lights of three channels
-    in the scene's own units.
+    and normals unless they are free. What a scene does not need is not computed: grey pictures have
+    C = 1, lights of order 2 have K = 9 coefficients instead of 16, lights that are the same in all
+    channels are there once, (N, K). Samples count as much as `scene.weights` says. Inside, pictures
+    are divided by one scene scale that makes their mean valid radiance 0.4, and where exposures are
+    far apart each by its own (`pbrfit.exposure`); `pack` and `unpack` convert between x and maps
+    and lights of three channels in the scene's own units.
 
     The tilt (a, b) of a pixel turns its given normal n₀ to n = (n₀ + a t₁ + b t₂)/√(1 + a² + b²),
     with tangents t₁ and t₂ at n₀ (docs/model.md has them).

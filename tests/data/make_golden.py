@@ -385,9 +385,9 @@ def write_all(folder: Path) -> None:
         folder / "shading.json",
         "One pixel under one SH light. lighting[k][c], index k = l(l+1)+m, real SH without "
         "Condon-Shortley phase; radiance[c]; d_albedo[c] = dI_c/d albedo_c; d_roughness[c], "
-        "d_metallic[c]; weights[c][k] = dI_c/dL_kc; d_normal[c] = dI_c/dn, in the tangent plane of "
-        "n, not stated where n.v is within 1e-12 of the clamp. n.v is clamped to at least 1e-4 in G1 and "
-        f"Fresnel, not in the mirror direction. Decimal strings of {DIGITS} digits. "
+        "d_metallic[c]; weights[c][k] = dI_c/dL_kc; d_normal[c] = dI_c/dn in the tangent plane, "
+        "not stated where n.v is within 1e-12 of the clamp. n.v is clamped to at least 1e-4 in G1 "
+        f"and Fresnel, not in the mirror direction. Decimal strings of {DIGITS} digits. "
         "Made by make_golden.py.",
         "cases",
         cases,

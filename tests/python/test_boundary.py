@@ -48,6 +48,7 @@ class Kind:
     weights: str
     known_lights: bool
     metallic: float | None
+    free_normals: bool = False
 
     @property
     def coefficients(self) -> int:
@@ -63,6 +64,7 @@ kinds = st.builds(
     weights=st.sampled_from(["none", "sample", "channel"]),
     known_lights=st.booleans(),
     metallic=st.sampled_from([None, 0.0, 0.7]),
+    free_normals=st.booleans(),
 )
 
 
@@ -87,6 +89,7 @@ def problem_of(kind: Kind, rng: np.random.Generator) -> Arguments:
         "threads": 1,
         "sh_order": kind.sh_order,
         "metallic": kind.metallic,
+        "free_normals": kind.free_normals,
     }
     if kind.weights != "none":
         of_samples = shape[: 2 if kind.weights == "sample" else 3]
@@ -98,7 +101,8 @@ def problem_of(kind: Kind, rng: np.random.Generator) -> Arguments:
 
 
 def maps_of(kind: Kind, rng: np.random.Generator) -> Array:
-    return rng.random((kind.channels + 1 + (kind.metallic is None)) * kind.pixels)
+    planes = kind.channels + 1 + (kind.metallic is None) + 2 * kind.free_normals
+    return rng.random(planes * kind.pixels)
 
 
 def x_of(kind: Kind, rng: np.random.Generator) -> Array:

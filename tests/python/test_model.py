@@ -151,11 +151,7 @@ def test_adjoint_against_finite_differences(
 def test_adjoint_by_the_normal_against_finite_differences(
     axis: int, roughness: float, metallic: float, albedo: float, cosine: float
 ) -> None:
-    """On both sides of the clamp of n·v and beyond it; at it, from the side that is clamped.
-
-    What is checked is the analytic derivative: of these places it is within 1e-6 of the slope that
-    differences find, relative to the largest of all weights' slopes there.
-    """
+    """On both sides of the clamp of n·v and beyond it; at it, from the side that is clamped."""
     normal, view = seen_at(cosine)
     material = {
         "albedo": np.full(3, albedo),

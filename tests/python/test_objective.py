@@ -94,8 +94,8 @@ def planted(
     """Random pixels, one in ten seen from behind; materials on the bounds here and there.
 
     `weights` are of "none", each "sample", or each "channel" of a sample, some of them 0; `lights`
-    are "free" or "known"; normals are "known" or "free", or "free" and "in front": then none is seen
-    at a grazing angle, where finite steps lead across the clamp of n·v.
+    are "free" or "known"; normals are "known", "free", or free and "in front": then none is seen at
+    a grazing angle, where finite steps lead across the clamp of n·v.
     """
     rng = np.random.default_rng([pixels, pictures])
     given, views = unit(rng.normal(size=(2, pixels, 3)))
