@@ -728,6 +728,34 @@ fn tilts_of_zero_are_the_given_normals() {
 }
 
 #[test]
+fn normals_are_the_given_ones_at_their_tilts() {
+    for metallic in [None, Some(0.3)] {
+        let mut example = Example::new(300, 2);
+        example.metallic = metallic;
+        for free_normals in [false, true] {
+            example.free_normals = free_normals;
+            let (x, problem) = (example.x(), example.problem(1));
+            let found = problem.normals(&x[..problem.maps()]).unwrap();
+            assert_eq!(found.len(), 300);
+            for (p, normal) in found.iter().enumerate() {
+                let expected = if free_normals {
+                    example.turned(p).normal
+                } else {
+                    example.normals[p]
+                };
+                // Of known normals 48 bits are kept.
+                assert!(
+                    normal.distance(expected) < 1e-13,
+                    "{normal} is not {expected}"
+                );
+            }
+            let refusal = problem.normals(&x[1..problem.maps()]).unwrap_err();
+            assert!(refusal.to_string().starts_with("maps: expected"));
+        }
+    }
+}
+
+#[test]
 fn refusals_name_tilts() {
     let mut example = Example::new(20, 2);
     example.free_normals = true;
