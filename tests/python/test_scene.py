@@ -177,7 +177,9 @@ def test_a_warning_is_due_above_5_percent(
     normals = np.zeros((10, 10, 3))
     normals[..., 2] = 1.0
     normals.reshape(-1, 3)[:away, 2] = -1.0
+    normals[..., 0] = np.linspace(-0.5, 0.5, 10)  # not all equal, which has a warning of its own
     Scene(images=np.ones((2, 10, 10, 3)), normals=normals)
+    assert [r for r in caplog.records if "face away" in r.getMessage()] == caplog.records
     assert bool(caplog.records) == warned
 
 
