@@ -58,6 +58,16 @@ class Refinement:
             },
         )
 
+    def in_words(self) -> str:
+        """What was done and why, to follow "normals: " or "the normals were "."""
+        if not self.refined:
+            return f"left as given: {self.why}"
+        mean, largest = (
+            self.figures.get(f"{which}_change_degrees", math.nan) for which in ("mean", "largest")
+        )
+        how_far = f" by {mean:.1f} degrees in the mean, {largest:.1f} at most"
+        return f"refined{how_far if math.isfinite(mean) else ''}: {self.why}"
+
     def as_json(self) -> dict[str, Any]:
         """What `result.json` holds under `normals`."""
         figures = {name: _finite(value) for name, value in self.figures.items()}

@@ -13,12 +13,17 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from page_reader import Page
 from pbrfit import InputError, Result, Scene, decompose, relight
+from pbrfit.commands.fit_options import print_result
+from pbrfit.differences import PALETTE, turned
 from pbrfit.export import export_result
 from pbrfit.model import render
 from pbrfit.refinement import CHOICES, NOT_ASKED, Refinement, hindrance
+from pbrfit.report import write_report
 from pbrfit.synthetic import make_scene
 from refined import LARGEST, degrees_of, refined
+from scene_files import run
 
 SIZE = 12
 
@@ -36,7 +41,7 @@ def result() -> Result:
     return refined(decompose(scene(), iterations=5))
 
 
-# --------------------------------------------------------------------------------------- decision
+# ----------------------------------------------------------------------------------------- decision
 
 
 def test_two_pictures_cannot_determine_normals_and_three_can() -> None:
@@ -68,7 +73,7 @@ def test_two_pictures_leave_normals_as_given(asked: str, caplog: pytest.LogCaptu
     reason = "not asked for" if asked == "off" else hindrance(made)
     assert found.refinement.why == reason
     said = [record.getMessage() for record in caplog.records]
-    # Who asks for it by name is told in time; by default it is in the summary.
+    # Who asks for it by name is told before the fit; by default it is in the summary.
     assert said == ([f"normals are not refined: {reason}"] if asked == "on" else [])
 
 
@@ -82,7 +87,7 @@ def test_another_choice_is_refused(asked: Any) -> None:
         decompose(scene(), refine_normals=asked)
 
 
-# ------------------------------------------------------------------------------------------ result
+# ------------------------------------------------------------------------------------------- result
 
 
 def test_the_change_is_the_angle_between_given_and_refined_normals(result: Result) -> None:
@@ -228,7 +233,7 @@ def test_missing_layers_of_given_normals_are_named(result: Result, tmp_path: Pat
         Result.load(tmp_path / "out")
 
 
-# -------------------------------------------------------------------------------------- downstream
+# --------------------------------------------------------------------------------------- downstream
 
 
 def test_relighting_and_export_take_the_refined_normals(result: Result, tmp_path: Path) -> None:
@@ -254,3 +259,142 @@ def test_relighting_and_export_take_the_refined_normals(result: Result, tmp_path
 def test_a_decision_is_the_same_in_a_file_and_out_of_it() -> None:
     made = Refinement("on", True, "asked for", {"noise": 0.5})
     assert Refinement.from_json(json.loads(json.dumps(made.as_json()))) == made
+
+
+# -------------------------------------------------------------------------------------- bad normals
+
+
+def test_normals_that_are_all_equal_are_fitted(caplog: pytest.LogCaptureFixture) -> None:
+    flat = np.broadcast_to([0.0, 0.0, 1.0], (SIZE, SIZE, 3))
+    found = decompose(scene(normals=flat), iterations=3)
+    assert [r.getMessage().split(",")[0] for r in caplog.records] == ["normals: all equal"]
+    assert np.isfinite(found.albedo[found.mask]).all()
+    assert found.refinement.asked == "auto"
+
+
+def test_patches_that_face_away_are_fitted(caplog: pytest.LogCaptureFixture) -> None:
+    normals = scene().normals.copy()
+    normals[7:9, 7:9] *= -1  # 3 % of the pixels, too few for a warning
+    found = decompose(scene(normals=normals), iterations=3)
+    assert not caplog.records
+    for values in (found.albedo, found.roughness, found.metallic, found.lighting):
+        assert np.isfinite(values[found.mask] if values.shape[0] == SIZE else values).all()
+
+
+# ----------------------------------------------------------------------------------------- commands
+
+
+def folder_of(path: Path, pictures: int, **changes: Any) -> Path:
+    scene(pictures, mask=None, **changes).save(path)
+    return path
+
+
+def test_the_command_refines_if_need_be_unless_it_is_told_otherwise(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = folder_of(tmp_path / "scene", 2), tmp_path / "out"
+    reason = hindrance(scene(2))
+    for options, asked in (((), "auto"), (("--refine-normals", "off"), "off")):
+        assert (
+            run("decompose", folder, "--out", out, "--iterations", 1, "--overwrite", *options) == 0
+        )
+        why = "not asked for" if asked == "off" else reason
+        assert f"\nnormals ({asked}): left as given: {why}\n" in capsys.readouterr().out
+        content = json.loads((out / "result.json").read_text("utf-8"))
+        assert content["options"]["refine_normals"] == content["normals"]["asked"] == asked
+        assert content["normals"]["why"] == why
+
+
+def test_the_command_says_early_that_what_was_asked_for_cannot_be_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = folder_of(tmp_path / "scene", 2), tmp_path / "out"
+    options = ("--iterations", 1, "--refine-normals", "on")
+    assert run("decompose", folder, "--out", out, *options) == 0
+    assert f"normals are not refined: {hindrance(scene(2))}\n" in capsys.readouterr().err
+    assert run("decompose", folder, "--out", out, "--refine-normals", "perhaps") == 2
+
+
+def test_the_summary_tells_what_was_refined(
+    result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    print_result(result, scene(), tmp_path)
+    inside = degrees_of(result.mask)[result.mask]
+    line = (
+        f"\nnormals (auto): refined by {inside.mean():.1f} degrees in the mean, {LARGEST:.1f} at "
+        f"most: {result.refinement.why}\n"
+    )
+    assert line in capsys.readouterr().out
+
+
+def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two = folder_of(tmp_path / "two", 2)
+    assert run("inspect", two) == 0
+    said = capsys.readouterr().out
+    assert "normals off by    unknown\n" in said
+    assert f"refine normals    not possible: {hindrance(scene(2))}\n" in said
+    three = folder_of(tmp_path / "three", 3, normal_sigma=np.full((SIZE, SIZE), 7.25))
+    assert run("inspect", three) == 0
+    said = capsys.readouterr().out
+    assert "normals off by    7.2 degrees (median), 7.2 (95 %), as uncertainty.Y says\n" in said
+    assert "refine normals    possible\n" in said
+
+
+# ----------------------------------------------------------------------------------------- the page
+
+
+def page_of(result: Result, path: Path) -> Page:
+    write_report(result, path, overwrite=True)
+    return Page(path.read_text("utf-8"))
+
+
+def test_the_page_shows_given_and_refined_normals_and_the_decision(
+    result: Result, tmp_path: Path
+) -> None:
+    page = page_of(result, tmp_path / "page.html")
+    given, change = result.given_normals, result.normal_change
+    assert given is not None
+    assert change is not None
+    for alt, normals in (
+        ("Normals as colours", result.normals),
+        ("Normals as colours, given", given),
+        ("Normals as colours, refined", result.normals),
+    ):
+        found = np.asarray(page.picture(alt))[..., :3]
+        expected = np.rint(255 * (0.5 + 0.5 * normals))
+        np.testing.assert_array_equal(found[result.mask], expected[result.mask])
+    found = np.asarray(page.picture("Angle between given and refined normals").convert("RGBA"))
+    expected = np.rint(255 * PALETTE[turned(change).indices()])
+    np.testing.assert_array_equal(found[result.mask][:, :3], expected[result.mask])
+    assert (found[~result.mask][:, 3] == 0).all()
+    words = f"The normals were {result.refinement.in_words()}."
+    assert page.text.count(words) == 2  # at the top, and beside the pictures
+    assert "refined, in camera space" in page.text
+    values = {float(e.attributes["value"]) for e in page.all("data")}
+    assert set(result.refinement.figures.values()) <= values
+
+
+def test_the_page_says_why_normals_are_as_given(result: Result, tmp_path: Path) -> None:
+    figures = {"noise": 0.01, "something_new": 3.0, "residual_before": math.nan}
+    left = Refinement("auto", False, "the pictures are explained to their noise", figures)
+    plain = dataclasses.replace(result, refinement=left, given_normals=None)
+    page = page_of(plain, tmp_path / "page.html")
+    words = "The normals were left as given: the pictures are explained to their noise."
+    assert page.text.count(words) == 2
+    assert "something new" in page.text
+    assert "not known" in page.text
+    assert "Angle between" not in page.content
+    off = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
+    page = page_of(off, tmp_path / "page.html")
+    assert "The normals were" not in page.text
+    assert "as given, in camera space" in page.text
+
+
+def test_given_normals_that_all_face_the_camera_stay_a_doubt(
+    result: Result, tmp_path: Path
+) -> None:
+    facing = np.where(result.mask[..., None], [0.0, 0.0, 1.0], np.nan)
+    flat = dataclasses.replace(result, given_normals=facing)
+    assert "all given normals face the camera" in page_of(flat, tmp_path / "page.html").text

@@ -159,22 +159,9 @@ def print_result(result: Result, scene: Scene, output: Path) -> None:
             known = key in result.history.columns
             at_start = _error(result.history[key][0]) if known else ""
             print(f"{name:<22}{at_start:>10}{_error(result.metrics[key]):>10}")
-    print(f"\nnormals: {normals_in_words(result)}")
+    print(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
     if result.left_out:
         print(f"left out: {'; '.join(result.left_out)}")
-
-
-def normals_in_words(result: Result) -> str:
-    """Whether normals were refined, how far they were turned, and why."""
-    asked, why = result.refinement.asked, result.refinement.why
-    change = result.normal_change
-    if change is None:
-        return f"as given ({asked}): {why}"
-    inside = change[result.mask]
-    return (
-        f"refined ({asked}) by {inside.mean():.1f} degrees in the mean, at most "
-        f"{inside.max():.1f}: {why}"
-    )
 
 
 def _error(value: float) -> str:
