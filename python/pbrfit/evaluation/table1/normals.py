@@ -77,12 +77,6 @@ def disturbed(
     return _unit(turned + missing[..., None] * views)
 
 
-def angles(found: Floats, true: Floats) -> Array:
-    """Angle between unit vectors (..., 3), in degrees; NaN stays NaN."""
-    chord = np.linalg.norm(found - true, axis=-1)  # arccos of n·n' would lose half the digits
-    return np.asarray(np.degrees(2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0))))
-
-
 def _smooth(x: Array, y: Array, scale: float, rng: Generator) -> Array:
     """Gaussian random field of variance 1 and correlation exp(-d²/(2 scale²)) over distances d.
 
