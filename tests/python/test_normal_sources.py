@@ -16,7 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, depth, estimate, weights_of
 from pbrfit.acquire.normals.marigold import mean_and_spread
 from pbrfit.acquire.scene_picture import shown
-from pbrfit.evaluation.table1.normals import angles
+from pbrfit.evaluation.normal_errors import angles
 from pbrfit.geometry import facing_away, view_directions
 from pbrfit.metrics import display, white_of
 from pbrfit.normal_files import UNCERTAINTY, Convention, read_normals

@@ -16,11 +16,12 @@ from pbrfit import images
 from pbrfit.cli import main
 from pbrfit.evaluation import recipes
 from pbrfit.evaluation.jobs import Record
+from pbrfit.evaluation.normal_errors import LOWEST_COSINE, angles
 from pbrfit.evaluation.page import Cell, Table, markdown
 from pbrfit.evaluation.scores import Scores
 from pbrfit.evaluation.table1 import measure, report
 from pbrfit.evaluation.table1.measure import Task
-from pbrfit.evaluation.table1.normals import LOWEST_COSINE, angles, disturbed
+from pbrfit.evaluation.table1.normals import disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, COLUMNS, PLAIN, ROWS
 from pbrfit.synthetic import make_scene
 

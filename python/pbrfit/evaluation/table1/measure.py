@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.evaluation.normal_errors import angles
 from pbrfit.evaluation.recipes import explain
 from pbrfit.evaluation.scores import METAL, score
-from pbrfit.evaluation.table1.normals import angles, disturbed
+from pbrfit.evaluation.table1.normals import disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, Row
 from pbrfit.normal_files import read_normals
 from pbrfit.scene import Scene, unit_normals

@@ -1,0 +1,70 @@
+"""What the parts share: scenes, the fit with and without refinement, and what is told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.evaluation.normal_errors import Floats, angles
+from pbrfit.result import Result
+from pbrfit.scene import Scene
+from pbrfit.solve import decompose
+from pbrfit.synthetic import SceneKind, make_scene
+
+Refine = Literal["off", "auto", "on"]
+REFINE: tuple[Refine, ...] = get_args(Refine)
+
+FIRST_SEED = 7000
+"""Nothing was tuned on seeds from there on."""
+
+PICTURES = 16
+
+NOISE = 0.01
+"""In radiance: 1 % of a radiance of 1, 2.5 % of the mean."""
+
+DETAILED_EVERY = 4
+"""One scene in so many has textures on everything; the others are furnished rooms."""
+
+
+def room_kind(number: int) -> SceneKind:
+    """Kind of the scene with this number, from 0."""
+    return "detailed" if number % DETAILED_EVERY == DETAILED_EVERY - 1 else "furnished"
+
+
+def room(kind: SceneKind, seed: int, size: int, *, noise: float, held_out: int = PICTURES) -> Scene:
+    """Render a scene with true normals: 16 pictures of mean radiance 0.4, as many held out."""
+    return make_scene(kind, size=size, lights=PICTURES, held_out=held_out, seed=seed, noise=noise)
+
+
+def fit(scene: Scene, refine: Refine, *, iterations: int, threads: int) -> Result:
+    """`pbrfit.decompose` as it is, but for whether normals are refined."""
+    return decompose(scene, iterations=iterations, threads=threads, refine_normals=refine)
+
+
+@dataclass(frozen=True)
+class Off:
+    """Angles between normals and the true ones, in degrees: mean and median over valid pixels."""
+
+    mean: float
+    median: float
+
+    @classmethod
+    def of(cls, found: Floats, true: Floats, valid: NDArray[np.bool_]) -> Off:
+        """Measure normals (H, W, 3)."""
+        off = angles(found, true)[valid]
+        return cls(float(off.mean()), float(np.median(off)))
+
+    def as_json(self) -> dict[str, float]:
+        """For a record."""
+        return asdict(self)
+
+
+def decision(result: Result) -> dict[str, Any]:
+    """What was decided about the normals and why, and the figures it rests on."""
+    found = result.refinement
+    figures: Mapping[str, float] = found.figures
+    return {"refined": found.refined, "why": found.why, "figures": dict(figures)}
