@@ -25,6 +25,9 @@ SCALE = (0.001, 1.0)
 TICKS = {0.001: "0.001", 0.003: "", 0.01: "0.01", 0.03: "", 0.1: "0.1", 0.3: "", 1.0: "1"}
 """Labels by value."""
 
+DEGREE_TICKS = {0.1: "0.1°", 0.3: "", 1.0: "1°", 3.0: "", 10.0: "10°", 30.0: "30°"}
+"""Labels by angle in degrees."""
+
 STEPS = 251
 """Colours on the scale."""
 
@@ -76,6 +79,13 @@ def on_scale(values: Map | float) -> NDArray[np.float64]:
     return np.asarray((np.log(clipped) - low) / (high - low))
 
 
+def tick_places(*, degrees: bool = False) -> dict[float, str]:
+    """Labels by their place on the scale, from 0 to 1: of plain numbers, or of degrees."""
+    if degrees:
+        return {float(on_scale(math.radians(t))): label for t, label in DEGREE_TICKS.items()}
+    return {float(on_scale(t)): label for t, label in TICKS.items()}
+
+
 def residual(
     rendered: Map, picture: Map, weights: NDArray[np.floating[Any]] | None = None
 ) -> Difference:
@@ -97,6 +107,15 @@ def residual(
     difference[counted] = np.sqrt(np.mean(np.square(both), axis=-1)) / size
     difference[~used] = np.nan
     return Difference(difference, white=left_out)
+
+
+def turned(degrees: Map) -> Difference:
+    """Angles (H, W) between normals, by radians; white = left as it was.
+
+    A small angle in radians is how far apart the unit vectors are, so it has the place on the scale
+    that a difference of that size has. `DEGREE_TICKS` are for its key.
+    """
+    return Difference(np.radians(degrees), white=degrees == 0)
 
 
 def rms(values: Map) -> float:

@@ -70,6 +70,17 @@ def facing_away(normals: NDArray[Any], views: NDArray[Any]) -> NDArray[np.bool_]
     return np.asarray(np.einsum("...i,...i->...", normals, views) <= 0)
 
 
+def angles_between(
+    found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]
+) -> NDArray[np.float64]:
+    """Angle between unit vectors (..., 3), (...,) in degrees; NaN stays NaN.
+
+    2 asin(|n - n'| / 2): arccos of n·n' would lose half of the digits of small angles.
+    """
+    chord = np.linalg.norm(found - true, axis=-1)
+    return np.asarray(np.degrees(2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0))))
+
+
 def likely_convention_error(normals: NDArray[Any], views: NDArray[Any]) -> str | None:
     """Name the flip of an axis that would turn most of the normals that face away to the camera.
 

@@ -7,7 +7,9 @@ import numpy as np
 from pbrfit import alignment, geometry, memory
 from pbrfit.layout import Layout
 from pbrfit.needs import Needs
+from pbrfit.normal_files import UNCERTAINTY
 from pbrfit.priors import Priors
+from pbrfit.refinement import hindrance
 from pbrfit.scene import Scene
 
 
@@ -26,6 +28,19 @@ def _aligned(scene: Scene) -> list[tuple[str, str]]:
     return [("line up", f"NO: {found[0]}"), *(("", complaint) for complaint in found[1:])]
 
 
+def _normal_sigma(scene: Scene) -> str:
+    """How far off the given normals are said to be."""
+    if scene.normal_sigma is None:
+        return "unknown"
+    middle, high = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
+    return f"{middle:.1f} degrees (median), {high:.1f} (95 %), as {UNCERTAINTY} says"
+
+
+def _refinable(scene: Scene) -> str:
+    reason = hindrance(scene)
+    return "possible" if reason is None else f"not possible: {reason}"
+
+
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     layout = Layout.of(scene)
@@ -41,6 +56,8 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ),
         ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
         ("facing away", f"{100 * away.mean():.1f} % of the normals"),
+        ("normals off by", _normal_sigma(scene)),
+        ("refine normals", _refinable(scene)),
         (
             "segments",
             "none" if layout.segments is None else f"{layout.segment_count} ids",

@@ -19,7 +19,8 @@ from pbrfit._core import InputError
 NORMAL_FILES = ("normals.exr", "normals.png")
 
 UNCERTAINTY = "uncertainty.Y"
-"""Channel of `normals.exr`: how far off each normal may be, in degrees, where somebody said so."""
+"""Channel of `normals.exr`: how far off each normal may be, in degrees, where somebody said so;
+`Scene.normal_sigma` says what it means."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,17 @@ def read_normals(path: Path) -> NDArray[np.float64]:
     if data.shape[-1] < 3:
         raise InputError(f"{path}: expected three channels, found {data.shape[-1]}")
     return 2.0 * data[..., :3] - 1.0
+
+
+def read_uncertainty(path: Path) -> NDArray[np.float32] | None:
+    """(H, W), degrees: `UNCERTAINTY` of a file with normals as it is stored; None if it has none.
+
+    Raises
+    ------
+    InputError, OSError
+        If the file cannot be read.
+    """
+    return images.read_channels(path).get(UNCERTAINTY) if path.suffix.lower() == ".exr" else None
 
 
 def write_normals(

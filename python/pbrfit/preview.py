@@ -26,13 +26,15 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
 
     The first row shows a picture (with `scene`), its reconstruction and what is between them, the
     second the maps; with ground truth there is a row of the truth and one of the errors; where the
-    result has an uncertainty, a row of the marginal deviations. Residuals, errors and deviations
-    share one scale.
+    result has an uncertainty, a row of the marginal deviations; where normals were refined, a row
+    of the given ones, the refined ones and the angle between them. Residuals, errors and deviations
+    share one scale, and angles have the same by radians.
     """
     rows: list[Row] = [_pictures(result, scene)]
     labels = ["", "recovered"]
     # Names of the maps stand above the first row of them alone.
-    rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, "normals")])
+    of_normals = "normals" if result.normal_change is None else "normals, refined"
+    rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, of_normals)])
     on_scale = ["residual, as a share of the picture's RMS"] if scene is not None else []
     white = ["not used"] if scene is not None and scene.weights is not None else []
     marks: dict[str, tuple[float, float, float]] = {}
@@ -51,21 +53,27 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
         marks["not determined"] = _color(differences.VERMILLION)
     if white:
         marks = {" or ".join(white): _color(differences.WHITE)} | marks
-    key = None
+    keys = []
     if on_scale:
-        key = Key(
-            "; ".join(on_scale),
-            PALETTE[: differences.STEPS],
-            {float(differences.on_scale(t)): label for t, label in differences.TICKS.items()},
-            marks,
+        keys.append(_key("; ".join(on_scale), differences.tick_places(), marks))
+    if result.given_normals is not None and result.normal_change is not None:
+        rows.append(
+            [
+                _normals(result.given_normals, "given"),
+                _normals(result.normals, "refined"),
+                Panel("change", _painted(differences.turned(result.normal_change))),
+            ]
         )
+        labels.append("normals")
+        as_it_was = {"left as given": _color(differences.WHITE)}
+        keys.append(_key("change of the normals", differences.tick_places(degrees=True), as_it_was))
     height, width = result.mask.shape
     # No run time: the same input gives the same bits.
     title = (
         f"{len(result.pictures)} pictures of {width} x {height}, "
         f"{result.history.iterations} iterations"
     )
-    return sheet(rows, title=title, labels=labels, key=key)
+    return sheet(rows, title=title, labels=labels, keys=keys)
 
 
 def normals_preview(scene: Scene) -> NDArray[np.uint8]:
@@ -132,6 +140,12 @@ def _normals(normals: NDArray[np.float64], caption: str) -> Panel:
 
 def _differences(maps: Mapping[str, Difference]) -> Row:
     return [Panel("", _painted(maps[name])) for name in PARAMETERS]
+
+
+def _key(
+    caption: str, ticks: Mapping[float, str], marks: Mapping[str, tuple[float, float, float]]
+) -> Key:
+    return Key(caption, PALETTE[: differences.STEPS], ticks, marks)
 
 
 def _painted(difference: Difference) -> NDArray[np.float64]:

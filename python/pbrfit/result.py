@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
@@ -17,16 +17,22 @@ from numpy.typing import NDArray
 from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.color import ColorSpace
+from pbrfit.geometry import angles_between
 from pbrfit.history import History
 from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.metrics import PROTOCOL
 from pbrfit.output import new_folder
+from pbrfit.refinement import NOT_ASKED, Refinement
 from pbrfit.scene import Scene, Source
 from pbrfit.uncertainty import Uncertainty, layer_names
 
 CONTAINS = ("result.json", "materials.exr")
 """Files by which a folder is known for a result."""
+
+GIVEN_NORMALS = tuple(f"normal_given.{name}" for name in "XYZ")
+NORMAL_CHANGE = "normal_change.Y"
+"""Layers of `materials.exr` where normals were refined."""
 
 
 class Status(StrEnum):
@@ -64,6 +70,8 @@ class Options:
         Loss of the residuals, "none" for their squares.
     equal_exposures
         Whether pictures are divided by their exposures; None = where these are far apart.
+    refine_normals
+        "off", "auto" or "on".
     """
 
     solver: str
@@ -76,6 +84,7 @@ class Options:
     robust: str = "none"
     equal_exposures: bool | None = None
     seed: int = 0
+    refine_normals: str = "off"
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +98,8 @@ class Result:
     lighting
         (N, 16, 3) float64 SH lights of the pictures, in picture units, linear Rec.709.
     normals
-        (H, W, 3) unit vectors, camera space; NaN outside the mask.
+        (H, W, 3) unit vectors, camera space, that belong to the materials: the refined ones where
+        normals were refined, else the given ones. NaN outside the mask.
     mask
         (H, W) bool: pixels that were fitted.
     fov
@@ -115,6 +125,15 @@ class Result:
         need, sha256 of the files.
     source
         Where the scene was read from and how; None where it was made of arrays.
+    refinement
+        Whether normals were refined, why, and the figures of that decision.
+    given_normals
+        (H, W, 3), the scene's normals where they were refined; else None. NaN outside the mask.
+
+    Raises
+    ------
+    InputError
+        If `refinement` tells of refined normals and there are no given ones, or the reverse.
     """
 
     materials: Materials
@@ -136,6 +155,20 @@ class Result:
     uncertainty: Uncertainty | None = None
     source: Source | None = None
     stages: tuple[Stage, ...] = ()
+    refinement: Refinement = NOT_ASKED
+    given_normals: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.refinement.refined != (self.given_normals is not None):
+            expected = "the normals before" if self.refinement.refined else "none without"
+            raise InputError(f"given_normals: expected {expected} their refinement")
+
+    @property
+    def normal_change(self) -> NDArray[np.float64] | None:
+        """(H, W): degrees between given and refined normals; None where none were refined."""
+        if self.given_normals is None:
+            return None
+        return angles_between(self.normals, self.given_normals)
 
     @property
     def albedo(self) -> NDArray[np.floating[Any]]:
@@ -151,6 +184,18 @@ class Result:
     def metallic(self) -> NDArray[np.floating[Any]]:
         """(H, W)."""
         return self.materials.metallic
+
+    def further_layers(self) -> dict[str, NDArray[Any]]:
+        """Layers (H, W) of `materials.exr` beside materials, normals and mask, by channel."""
+        layers: dict[str, NDArray[Any]] = {}
+        if self.given_normals is not None:
+            layers |= {name: self.given_normals[..., i] for i, name in enumerate(GIVEN_NORMALS)}
+            # Of the normals as they are stored: what is read back and saved again is the same.
+            stored = (one.astype(np.float32) for one in (self.normals, self.given_normals))
+            layers[NORMAL_CHANGE] = angles_between(*(one.astype(np.float64) for one in stored))
+        if self.uncertainty is not None:
+            layers |= self.uncertainty.layers()
+        return layers
 
     def save(
         self, path: str | Path, *, scene: Scene | None = None, overwrite: bool = False
@@ -184,7 +229,7 @@ class Result:
             self.materials,
             self.normals,
             self.mask,
-            None if uncertainty is None else uncertainty.layers(),
+            self.further_layers(),
         )
         Lighting(self.pictures, self.lighting).save(folder / "lighting.json")
         self.history.save(folder / "history.csv")
@@ -199,6 +244,7 @@ class Result:
             "protocol": PROTOCOL,
             "metrics": dict(self.metrics),
             "uncertainty": None if uncertainty is None else uncertainty.summary(),
+            "normals": self.refinement.as_json(),
             "options": asdict(self.options),
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
@@ -228,7 +274,9 @@ class Result:
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
             summary = content.get("uncertainty")
-            source = content.get("scene")  # which earlier versions did not write
+            # Earlier versions wrote neither of these.
+            source, of_normals = content.get("scene"), content.get("normals")
+            refinement = NOT_ASKED if of_normals is None else Refinement.from_json(of_normals)
             return cls(
                 materials=materials,
                 lighting=lighting.coefficients,
@@ -249,6 +297,8 @@ class Result:
                 stages=tuple(Stage(**stage) for stage in content.get("stages", ())),
                 uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
                 source=None if source is None else _source(source, folder),
+                refinement=refinement,
+                given_normals=_given_normals(folder, mask) if refinement.refined else None,
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, InputError):
@@ -310,12 +360,23 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
 
 
 def _uncertainty(folder: Path, mask: NDArray[np.bool_], summary: Mapping[str, Any]) -> Uncertainty:
+    return Uncertainty.of(_layers(folder, layer_names(), "an uncertainty"), mask, summary)
+
+
+def _given_normals(folder: Path, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    channels = _layers(folder, GIVEN_NORMALS, "refined normals")
+    given = np.stack([channels[name] for name in GIVEN_NORMALS], axis=-1).astype(np.float64)
+    return np.where(mask[..., None], given, np.nan)
+
+
+def _layers(folder: Path, names: Sequence[str], told: str) -> dict[str, NDArray[np.float32]]:
+    """All channels of `materials.exr`, of which `names` have to be there."""
     file = folder / "materials.exr"
     channels = images.read_channels(file)
-    missing = [name for name in layer_names() if name not in channels]
+    missing = [name for name in names if name not in channels]
     if missing:
         raise InputError(
-            f"{file}: expected channel {missing[0]}, because result.json tells of an uncertainty, "
+            f"{file}: expected channel {missing[0]}, because result.json tells of {told}, "
             f"found {', '.join(sorted(channels))}"
         )
-    return Uncertainty.of(channels, mask, summary)
+    return channels

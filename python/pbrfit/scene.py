@@ -91,6 +91,10 @@ class Scene:
         (N, H, W), or (H, W) for all pictures alike: how much each sample counts, 0 or more; None =
         all the same. Kept as float32. Only their ratios matter. Samples of weight 0 are no data:
         they may be NaN or infinite.
+    normal_sigma
+        (H, W), degrees, 0 or more: how far off the given normals may be, the root mean square
+        angle to the true ones; each of the two directions that a normal can tilt in has 1/√2 of
+        it. None = nobody said. Kept as float32, NaN outside the mask.
     names
         One a picture; `picture_00`, ... when left out.
     truth
@@ -115,6 +119,7 @@ class Scene:
     segments: NDArray[np.integer[Any]] | None = None
     lighting: NDArray[np.float64] | None = None
     weights: NDArray[np.floating[Any]] | None = None
+    normal_sigma: NDArray[np.floating[Any]] | None = None
     names: tuple[str, ...] = ()
     truth: Truth | None = None
     assumed: Mapping[str, str] = field(default_factory=dict)
@@ -166,7 +171,9 @@ class Scene:
             if not np.isfinite(self.truth.materials.albedo[valid]).any():
                 raise InputError("truth: expected materials of some valid pixels, found only NaN")
         normals = unit_normals(self.normals, valid)
+        normal_sigma = _sigma(self.normal_sigma, valid)
         _warn_if_facing_away(normals[valid], fov, valid)
+        _warn_if_flat(normals[valid])
         values = {
             "images": images,
             "normals": normals,
@@ -175,6 +182,7 @@ class Scene:
             "segments": segments,
             "lighting": lighting,
             "weights": weights,
+            "normal_sigma": normal_sigma,
             "names": names,
         }
         for name, value in values.items():
@@ -414,6 +422,25 @@ def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.
     return np.where(valid[..., None], normals / length[..., None], np.nan)
 
 
+def _sigma(given: Any, valid: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    """Standard deviations of normals as float32, NaN where not `valid`."""
+    if given is None:
+        return None
+    degrees = _floats("normal_sigma", given)
+    if degrees.shape != valid.shape:
+        raise InputError(f"normal_sigma: expected shape {valid.shape}, found {degrees.shape}")
+    with np.errstate(over="ignore"):  # what float32 cannot hold is infinite then, and refused
+        sigma: NDArray[np.float32] = np.where(valid, degrees, np.nan).astype(np.float32)
+    bad = valid & ~(np.isfinite(sigma) & (sigma >= 0))
+    if bad.any():
+        row, column = map(int, np.argwhere(bad)[0])
+        raise InputError(
+            "normal_sigma: expected finite degrees, 0 or more, found "
+            f"{degrees[row, column]:g} at row {row}, column {column}"
+        )
+    return sigma
+
+
 def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:
     found: dict[str, tuple[Any, tuple[int, ...]]] = {
         "albedo": (truth.materials.albedo, (height, width, 3)),
@@ -443,4 +470,15 @@ def _warn_if_facing_away(
             "normals: %.0f %% face away from the camera; %s",
             100 * share,
             f"likely {cause}" if cause else "check their frame, the mask and the field of view",
+        )
+
+
+def _warn_if_flat(normals: NDArray[np.float64]) -> None:
+    """Normals (M, 3) that are all the same may be right, but mostly nobody knew any."""
+    if len(normals) > 1 and (normals == normals[0]).all():
+        x, y, z = normals[0].tolist()
+        log.warning(
+            "normals: all equal, (%.3g, %.3g, %.3g); on anything but a flat surface shape is taken "
+            "for material and light",
+            *(x, y, z),
         )

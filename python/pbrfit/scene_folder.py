@@ -20,9 +20,11 @@ from pbrfit.lighting import Lighting
 from pbrfit.materials import read_materials, write_materials
 from pbrfit.normal_files import (
     NORMAL_FILES,
+    UNCERTAINTY,
     Convention,
     find_normals,
     read_normals,
+    read_uncertainty,
     write_normals,
 )
 from pbrfit.output import new_folder
@@ -127,9 +129,12 @@ def load(
     mask &= _read_mask(folder / "mask.png", full_size, inputs)
     if not mask.any():
         raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
-    normals = _read_normals(folder, settings, mask, inputs, assumed)
+    normals, sigma = _read_normals(folder, settings, mask, inputs, assumed)
     segments = _read_segments(folder / "segments.png", full_size, inputs)
     if full_size != size:
+        if sigma is not None:
+            # Errors of neighbouring normals are much alike, so their mean is no more certain.
+            sigma = averaged(np.where(mask, sigma, 0.0), size).astype(np.float32)
         normals, mask, segments = _averaged(normals, mask, segments, size)
     weights = _exposure_weights(read, mask, paths, code_range, assumed)
     given = _read_weights(folder / WEIGHT_FILE, names, mask, full_size, inputs, assumed)
@@ -155,6 +160,7 @@ def load(
             segments=segments,
             lighting=lighting,
             weights=weights,
+            normal_sigma=sigma,
             names=names,
             truth=truth,
             assumed=assumed,
@@ -172,7 +178,9 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
         for name, image in zip(scene.names, scene.images, strict=True):
             _write_picture(folder / "images" / f"{name}.exr", image)
         normals = np.where(scene.valid[..., None], scene.normals, 0.0).astype(np.float32)
-        write_normals(folder / "normals.exr", normals)
+        sigma = scene.normal_sigma
+        uncertainty = None if sigma is None else np.where(scene.valid, sigma, np.float32(0))
+        write_normals(folder / "normals.exr", normals, uncertainty)
         (folder / "scene.toml").write_text(f"fov = {float(scene.fov)!r}\n", encoding="utf-8")
         if not scene.valid.all():
             images.write_png(
@@ -563,7 +571,8 @@ def _read_normals(
     mask: NDArray[np.bool_],
     inputs: dict[str, str],
     assumed: dict[str, str],
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
+    """Unit normals in camera space, and how far off they may be, in degrees, where that is told."""
     found = find_normals(folder)
     if not found:
         raise InputError(f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals")
@@ -578,10 +587,23 @@ def _read_normals(
     except InputError as error:
         raise InputError(f"{folder / 'scene.toml'}: {error}") from None
     assumed["normals"] = f"{path.name}, {settings.convention}"
+    sigma = read_uncertainty(path)
+    if sigma is not None:
+        _check_sigma(path, sigma[mask])
+        low, middle, high = np.percentile(sigma[mask], [0, 50, 100])
+        assumed["normals"] += f", uncertain by {low:.2g} to {high:.2g} degrees, median {middle:.2g}"
     try:
-        return unit_normals(normals, mask)
+        return unit_normals(normals, mask), sigma
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _check_sigma(path: Path, sigma: NDArray[np.float32]) -> None:
+    bad = ~(np.isfinite(sigma) & (sigma >= 0))
+    if bad.any():
+        raise InputError(
+            f"{path}: expected {UNCERTAINTY} of finite degrees, 0 or more, found {sigma[bad][0]:g}"
+        )
 
 
 def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> Truth | None:

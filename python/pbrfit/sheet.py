@@ -84,7 +84,11 @@ def caption_height(width: int) -> int:
 
 
 def sheet(
-    rows: Sequence[Row], *, title: str = "", labels: Sequence[str] = (), key: Key | None = None
+    rows: Sequence[Row],
+    *,
+    title: str = "",
+    labels: Sequence[str] = (),
+    keys: Sequence[Key] = (),
 ) -> NDArray[np.uint8]:
     """Panels in a grid, captions above: (H, W, 3) uint8.
 
@@ -96,8 +100,8 @@ def sheet(
         A line above all.
     labels
         What stands at the left of each row.
-    key
-        At the bottom.
+    keys
+        At the bottom, one below the other.
     """
     first = next(panel for row in rows for panel in row if panel is not None)
     height, width = first.pixels.shape[:2]
@@ -122,8 +126,8 @@ def sheet(
     columns = max(len(row) for row in rows)
     top = MARGIN + (round(1.5 * line) if title else 0)
     whole = gutter + columns * (column + MARGIN) + MARGIN
-    below = _key_height(letters) if key is not None else 0
-    canvas = Image.new("RGB", (whole, top + sum(heights) + below), color=PAPER)
+    below = _key_height(letters)
+    canvas = Image.new("RGB", (whole, top + sum(heights) + below * len(keys)), color=PAPER)
     draw = ImageDraw.Draw(canvas)
     if title:
         large = _font([title], whole - 2 * MARGIN, round(1.25 * letters))
@@ -149,8 +153,8 @@ def sheet(
                 at = (x, below_caption + size[1] + 4 + k * note_line)
                 draw.text(at, text, fill=REFUSED if panel.crossed else INK, font=note_font)
         y += heights[i]
-    if key is not None:
-        _draw_key(draw, key, (MARGIN + gutter, y), letters)
+    for i, key in enumerate(keys):
+        _draw_key(draw, key, (MARGIN + gutter, y + i * below), letters)
     return np.asarray(canvas)
 
 

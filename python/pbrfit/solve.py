@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pbrfit import exposure, memory, metrics
 from pbrfit._core import InputError
+from pbrfit.geometry import angles_between
 from pbrfit.history import History
 from pbrfit.layout import Layout
 from pbrfit.materials import Materials
@@ -23,6 +24,7 @@ from pbrfit.model import render, whole_number
 from pbrfit.needs import Needs
 from pbrfit.objective import Objective
 from pbrfit.priors import Priors
+from pbrfit.refinement import Refinement, RefineNormals, check_choice, hindrance
 from pbrfit.result import Options, Result
 from pbrfit.robust import check_loss
 from pbrfit.scene import Scene
@@ -54,6 +56,7 @@ def decompose(
     uncertainty: bool = True,
     robust: Loss = "none",
     equal_exposures: bool | None = None,
+    refine_normals: RefineNormals = "auto",
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
 ) -> Result:
@@ -96,6 +99,11 @@ def decompose(
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
+    refine_normals
+        Whether to refine the given normals together with materials and lights (docs/normals.md):
+        `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
+        three pictures cannot say it, then normals stay as they are. `Result.refinement` tells what
+        was decided and why.
     seed
         Of what is drawn at random: the pixels on which Gauss-Newton finds the lights.
     progress
@@ -113,6 +121,7 @@ def decompose(
     """
     check_solver(solver)
     check_loss(robust)
+    check_choice(refine_normals)
     seed, sh_order = whole_number("seed", seed), whole_number("sh_order", sh_order)
     iterations = whole_number("iterations", iterations)
     if time_limit is not None:
@@ -148,6 +157,9 @@ def decompose(
     x, status, stop_reason = solve(
         run, solver, _start(objective, start), start_given=start is not None
     )
+    # ==== NORMALS: refinement happens here, and nowhere else ====
+    normals, refinement = _refined_normals(scene, refine_normals)
+    # ============================================================
     needs = Needs.of(
         scene,
         objective.layout,
@@ -159,6 +171,11 @@ def decompose(
     seconds = time.perf_counter() - began - run.unmeasured
     deviations = estimate(objective, x, priors=priors != Priors.none()) if uncertainty else None
     materials, lighting = objective.unpack(x)
+    given = np.asarray(scene.normals, dtype=np.float64)
+    if refinement.refined:
+        refinement = refinement.with_change(angles_between(normals, given))
+    elif refine_normals == "on":
+        log.warning("normals are not refined: %s", refinement.why)
     exposures, assumed = objective.exposures, _assumed(scene, objective)
     history, evaluations, stages = History(tuple(run.rows)), run.evaluations, tuple(run.stages)
     iteration = run.iteration
@@ -166,7 +183,7 @@ def decompose(
     result = Result(
         materials=materials,
         lighting=lighting,
-        normals=np.asarray(scene.normals, dtype=np.float64),
+        normals=normals,
         mask=scene.valid.copy(),
         fov=scene.fov,
         pictures=scene.names,
@@ -175,7 +192,7 @@ def decompose(
         history=history,
         evaluations=evaluations,
         seconds=seconds,
-        metrics=_metrics(scene, materials, lighting, threads, exposures),
+        metrics=_metrics(scene, normals, materials, lighting, threads, exposures),
         options=Options(
             solver=solver,
             iterations=iterations,
@@ -187,6 +204,7 @@ def decompose(
             robust=robust,
             equal_exposures=equal_exposures,
             seed=seed,
+            refine_normals=refine_normals,
         ),
         assumed=assumed,
         left_out=needs.left_out,
@@ -194,6 +212,8 @@ def decompose(
         source=scene.source,
         stages=stages,
         uncertainty=deviations,
+        refinement=refinement,
+        given_normals=given if refinement.refined else None,
     )
     log.info("%s after %d iterations, %.1f s: %s", status, iteration, seconds, stop_reason)
     return result
@@ -209,6 +229,14 @@ def _check_memory(
     memory.check(solver, memory.of_fit(scene, layout, solver))
 
 
+def _refined_normals(scene: Scene, asked: RefineNormals) -> tuple[NDArray[np.float64], Refinement]:
+    """(H, W, 3) normals that the materials belong to, and what was decided about them."""
+    why = "not asked for" if asked == "off" else hindrance(scene)
+    # Nothing refines normals yet, so they are those of the scene in any case.
+    why = why or "this version cannot refine normals"
+    return np.asarray(scene.normals, dtype=np.float64), Refinement(asked, False, why)
+
+
 def _start(
     objective: Objective, start: Materials | tuple[Materials, NDArray[Any]] | None
 ) -> NDArray[np.float64]:
@@ -221,6 +249,7 @@ def _start(
 
 def _metrics(
     scene: Scene,
+    normals: NDArray[np.float64],
     materials: Materials,
     lighting: NDArray[np.float64],
     threads: int,
@@ -233,7 +262,7 @@ def _metrics(
     totals = [1.0 if w is None else float(w.sum(dtype=np.float64)) for w in weights]
     # One picture at a time: all at once would be held in float64.
     of_pictures = [
-        metrics.rmse(render(materials, scene.normals, light, scene.fov, threads), image, w)
+        metrics.rmse(render(materials, normals, light, scene.fov, threads), image, w)
         for image, light, w in zip(scene.images, lighting, weights, strict=True)
     ]
     if exposures is not None:
@@ -247,7 +276,7 @@ def _metrics(
     scaled = metrics.scaled_per_channel(materials.albedo, truth.materials.albedo)
     found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
     if truth.relight_images is not None and truth.relight_lighting is not None:
-        rendered = render(materials, scene.normals, truth.relight_lighting, scene.fov, threads)
+        rendered = render(materials, normals, truth.relight_lighting, scene.fov, threads)
         found["relight_rmse"] = metrics.rmse(rendered, truth.relight_images)
     return found
 

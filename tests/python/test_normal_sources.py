@@ -16,8 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, depth, estimate, weights_of
 from pbrfit.acquire.normals.marigold import mean_and_spread
 from pbrfit.acquire.scene_picture import shown
-from pbrfit.evaluation.normal_errors import angles
-from pbrfit.geometry import facing_away, view_directions
+from pbrfit.geometry import angles_between, facing_away, view_directions
 from pbrfit.metrics import display, white_of
 from pbrfit.normal_files import UNCERTAINTY, Convention, read_normals
 from pbrfit.scene import Scene
@@ -57,9 +56,8 @@ def test_planes_are_exact_at_any_tilt(fov: float, size: tuple[int, int], kind: A
             given = {"z": z, "ray": along, "disparity": np.where(seen, 1 / z, 0.0)}[kind]
         found = depth.from_depth(7.0 * given, fov=fov, kind=kind)  # up to scale
         np.testing.assert_array_equal(found.known, seen)
-        assert (
-            angles(found.normals, np.broadcast_to(normal, found.normals.shape))[seen].max() < 1e-5
-        )
+        wrong = angles_between(found.normals, np.broadcast_to(normal, found.normals.shape))
+        assert wrong[seen].max() < 1e-5
         assert (found.normals[~seen] == [0, 0, 1]).all()
 
 
@@ -72,7 +70,7 @@ def test_orthographic_planes_are_exact(size: tuple[int, int]) -> None:
     z = 10 + (normal[0] * x + normal[1] * y) / normal[2]
     for kind in ("z", "ray"):  # the same where rays are parallel
         found = depth.from_depth(z, fov=0.0, kind=kind, view_width=5.0)
-        assert angles(found.normals, np.broadcast_to(normal, (*size, 3))).max() < 1e-6
+        assert angles_between(found.normals, np.broadcast_to(normal, (*size, 3))).max() < 1e-6
     with pytest.raises(InputError, match="expected the width of the view"):
         depth.from_depth(z, fov=0.0)
     with pytest.raises(InputError, match="disparity: expected a field of view above 0"):
@@ -91,7 +89,7 @@ def test_a_sphere_is_right_to_second_order(size: int, bound: float) -> None:
     points = r / length[..., None] * distance[..., None]
     normals = points - np.array([0, 0, -3.0])
     found = depth.from_depth(distance / length, fov=30.0)
-    wrong = angles(found.normals, normals)[found.known]
+    wrong = angles_between(found.normals, normals)[found.known]
     assert np.mean(found.known) > 0.9
     assert np.median(wrong) < bound
 
@@ -110,7 +108,7 @@ def world(kind: Any, seed: int, height: int, width: int, fov: float) -> tuple[Ar
 def test_rooms_are_right_but_for_what_is_a_pixel_wide(kind: Any, size: tuple[int, int]) -> None:
     z, true, there = world(kind, 5, *size, 60.0)
     found = depth.from_depth(z, fov=60.0)
-    wrong = angles(found.normals, true)[there & found.known]
+    wrong = angles_between(found.normals, true)[there & found.known]
     assert np.median(wrong) < 1e-4
     assert wrong.mean() < 1.0
     assert np.mean(wrong > 5) < 0.03
@@ -124,7 +122,7 @@ def test_noise_does_not_choose_the_noisier_side() -> None:
     z = np.full((128, 128), 2.0)
     noisy = z * (1 + 1e-3 * np.random.default_rng(0).normal(size=z.shape))
     found = depth.from_depth(noisy, fov=60.0).normals[48:80, 48:80]  # near the axis
-    wrong = angles(found, np.array([0, 0, 1.0]))
+    wrong = angles_between(found, np.array([0, 0, 1.0]))
     # tan θ of each component has the deviation 1e-3 sqrt(1/2) W / (2 tan 30°).
     expected = np.degrees(np.arctan(1e-3 * np.sqrt(0.5) * 128 / (2 * np.tan(np.pi / 6))))
     assert np.sqrt(np.mean(wrong**2) / 2) == pytest.approx(expected, rel=0.05)
@@ -135,7 +133,7 @@ def test_holes_in_the_depth_are_no_surface() -> None:
     z[2, 3], z[5, 6], z[8, 9], z[11, 12], z[14, 15] = 0, np.nan, np.inf, 1e10, -1
     found = depth.from_depth(z, fov=50.0)
     assert np.count_nonzero(~found.known) == 5
-    assert angles(found.normals, np.array([0, 0, 1.0])).max() < 1e-6
+    assert angles_between(found.normals, np.array([0, 0, 1.0])).max() < 1e-6
     alone = np.full((9, 9), np.nan)
     alone[4, 4] = 1.0  # no neighbour: no slope
     assert not depth.from_depth(alone, fov=50.0).known.any()
@@ -157,7 +155,7 @@ def test_depth_files(tmp_path: Path, suffix: str) -> None:
     z, true, _ = world("room", 3, 48, 64, 60.0)
     path = depth_file(tmp_path / f"z{suffix}", z)
     found = estimate(f"depth:{path}", np.zeros((48, 64, 3), np.uint8), fov=60.0)
-    assert np.median(angles(found.normals, true)) < (0.05 if suffix == ".png" else 1e-3)
+    assert np.median(angles_between(found.normals, true)) < (0.05 if suffix == ".png" else 1e-3)
     assert found.weights is None
     assert found.record["kind"] == "z"
     smaller = estimate(f"depth:{path}", np.zeros((24, 32, 3), np.uint8), fov=60.0)
@@ -226,7 +224,7 @@ def test_files_in_each_convention(
     convention = Convention(axes)
     path = write_map(tmp_path / f"n{suffix}", convention.from_camera(true), kind)
     found = estimate(str(path), np.zeros((SIZE, SIZE, 3), np.uint8), fov=60, convention=convention)
-    assert angles(found.normals, true).max() < bound
+    assert angles_between(found.normals, true).max() < bound
     assert found.weights is None
 
 
@@ -261,7 +259,7 @@ def test_larger_files_are_averaged(tmp_path: Path) -> None:
     true = room().normals
     path = write_map(tmp_path / "n.exr", np.repeat(np.repeat(true, 3, 0), 3, 1))
     found = estimate(str(path), np.zeros((SIZE, SIZE, 3), np.uint8), fov=60)
-    assert angles(found.normals, true).max() < 1e-4
+    assert angles_between(found.normals, true).max() < 1e-4
     other_form = np.zeros((SIZE * 2, SIZE, 3), np.uint8)
     too_large = np.zeros((SIZE * 4, SIZE * 4, 3), np.uint8)
     for sized in (other_form, too_large):
@@ -311,7 +309,7 @@ def test_the_spread_of_an_ensemble_is_that_of_its_members() -> None:
         mean, spread = mean_and_spread(members)
         np.testing.assert_allclose(np.linalg.norm(mean, axis=-1), 1)
         assert np.sqrt(np.mean(spread**2)) == pytest.approx(3.0, rel=0.02)
-        wrong = angles(mean, np.broadcast_to(direction, mean.shape))
+        wrong = angles_between(mean, np.broadcast_to(direction, mean.shape))
         assert np.sqrt(np.mean(wrong**2)) == pytest.approx(3.0 / np.sqrt(count), rel=0.02)
 
 
@@ -366,7 +364,7 @@ def test_the_command_writes_what_the_scene_reads_back(
     assert "field of view 50 degrees" in said
     assert "12 % of the pixels have none" in said
     scene = Scene.load(folder)
-    assert angles(scene.normals, np.array([0, 0, 1.0]))[scene.valid].max() < 1e-4
+    assert angles_between(scene.normals, np.array([0, 0, 1.0]))[scene.valid].max() < 1e-4
     assert np.count_nonzero(~scene.valid) == 2 * SIZE
 
     true = room().normals
@@ -374,7 +372,7 @@ def test_the_command_writes_what_the_scene_reads_back(
     assert run("normals", folder, "--from", path, "--frame", "camera", "--overwrite") == 0
     assert "directx axes, camera space" in capsys.readouterr().out
     assert not (folder / "weights.exr").exists()
-    assert angles(Scene.load(folder).normals, true).max() < 0.01
+    assert angles_between(Scene.load(folder).normals, true).max() < 0.01
 
 
 def test_nothing_is_replaced_unasked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit import Scene, decompose
+from pbrfit import Scene, decompose, differences
 from pbrfit.preview import normals_preview, plot_history, preview
 from pbrfit.sheet import MARGIN, PANEL_SIDE, Key, Panel, Row, caption_height, sheet
 from pbrfit.synthetic import make_scene
+from refined import degrees_of, refined
 
 LINE = caption_height(PANEL_SIDE[0])
 SIZES = [(1, 1), (1, 24), (24, 1), (7, 24), (24, 24)]
@@ -92,6 +94,34 @@ def test_uncertainty_adds_a_row() -> None:
     assert preview(result, scene).shape[0] == without.shape[0] + PANEL_SIDE[0] + MARGIN
 
 
+def test_refined_normals_add_a_row_and_a_key() -> None:
+    scene = part(24, 24)
+    result = decompose(scene, iterations=1, uncertainty=False)
+    found, without = preview(refined(result), scene), preview(result, scene)
+    row = PANEL_SIDE[0] + LINE + MARGIN
+    assert row + LINE < found.shape[0] - without.shape[0] < row + 6 * LINE
+    assert preview(refined(result)).shape[0] == found.shape[0] - (
+        without.shape[0] - preview(result).shape[0]
+    )
+
+
+def test_the_change_of_normals_is_white_where_they_are_as_given() -> None:
+    scene = part(24, 24)
+    result = refined(decompose(scene, iterations=1, uncertainty=False))
+    assert result.normal_change is not None
+    indices = differences.turned(result.normal_change).indices()
+    unchanged = degrees_of(result.mask) == 0
+    np.testing.assert_array_equal(indices == differences.WHITE, unchanged)
+    # The same place on the scale as a difference of that many radians.
+    radians = np.radians(degrees_of(result.mask))
+    expected = differences.Difference(radians).indices()
+    np.testing.assert_array_equal(indices[~unchanged], expected[~unchanged])
+    ticks = differences.tick_places(degrees=True)
+    assert list(ticks) == sorted(ticks)
+    [ten] = [place for place, label in ticks.items() if label == "10°"]
+    assert ten == pytest.approx(float(differences.on_scale(math.pi / 18)))
+
+
 def test_panels_lie_where_they_should_and_large_ones_are_averaged() -> None:
     red, blue = np.zeros((2, 24, 24, 3))
     red[..., 0] = blue[..., 2] = 1.0
@@ -134,7 +164,7 @@ def test_a_key_shows_its_bar_from_left_to_right_and_its_patches() -> None:
     bar = np.linspace((0.0, 0.0, 1.0), (1.0, 1.0, 0.0), 256)
     key = Key("what", bar, {0.0: "0", 1.0: "1"}, {"other": (1.0, 0.0, 0.0)})
     row: Row = [Panel("", grey)] * 4
-    below = sheet([row], key=key)[PANEL_SIDE[0] + MARGIN :]
+    below = sheet([row], keys=[key])[PANEL_SIDE[0] + MARGIN :]
     blue, yellow, red = (
         np.argwhere((below == color).all(axis=-1))[:, 1]
         for color in ((0, 0, 255), (255, 255, 0), (255, 0, 0))

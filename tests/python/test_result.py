@@ -15,6 +15,7 @@ from PIL import Image
 
 from pbrfit import InputError, Result, Scene, Status, decompose
 from pbrfit.priors import Priors
+from pbrfit.refinement import NOT_ASKED
 from pbrfit.synthetic import make_scene
 
 SIZE = 12
@@ -35,8 +36,8 @@ LAYERS = {
 }
 KEYS = [
     *("version", "status", "stop_reason", "fov", "iterations", "evaluations", "seconds"),
-    *("protocol", "metrics", "uncertainty", "options", "assumed", "left_out", "stages", "inputs"),
-    "scene",
+    *("protocol", "metrics", "uncertainty", "normals", "options", "assumed", "left_out"),
+    *("stages", "inputs", "scene"),
 ]
 HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
 ERRORS = ["albedo_rmse", "roughness_rmse", "metallic_rmse"]
@@ -110,6 +111,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "robust": "none",
         "equal_exposures": None,
         "seed": 0,
+        "refine_normals": "auto",
     }
     assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]
     assert {type(stage["seconds"]) for stage in content["stages"]} == {float}
@@ -158,7 +160,7 @@ def test_save_and_load_give_the_same_result(result: Result, tmp_path: Path) -> N
         np.testing.assert_array_equal(loaded.history[name], result.history[name])
     for name in (
         *("fov", "pictures", "stop_reason", "evaluations", "seconds", "metrics", "options"),
-        *("assumed", "left_out", "stages", "inputs"),
+        *("assumed", "left_out", "stages", "inputs", "refinement"),
     ):
         assert getattr(loaded, name) == getattr(result, name), name
     loaded.save(tmp_path / "again")
@@ -173,13 +175,15 @@ def test_a_result_from_before_the_options_were_added_is_read(
     result.save(tmp_path / "out")
     file = tmp_path / "out" / "result.json"
     content = json.loads(file.read_text("utf-8"))
-    for name in ("sh_order", "metallic", "seed"):
+    for name in ("sh_order", "metallic", "seed", "refine_normals"):
         del content["options"][name]
-    del content["stages"]
+    del content["stages"], content["normals"]
     file.write_text(json.dumps(content), encoding="utf-8")
     loaded = Result.load(tmp_path / "out")
     options = loaded.options
     assert (options.sh_order, options.metallic, options.seed) == (3, None, 0)
+    assert options.refine_normals == "off"
+    assert (loaded.refinement, loaded.given_normals) == (NOT_ASKED, None)
     assert loaded.stages == ()
 
 

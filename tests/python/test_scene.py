@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from typing import Any
 
@@ -177,7 +178,9 @@ def test_a_warning_is_due_above_5_percent(
     normals = np.zeros((10, 10, 3))
     normals[..., 2] = 1.0
     normals.reshape(-1, 3)[:away, 2] = -1.0
+    normals[..., 0] = np.linspace(-0.5, 0.5, 10)  # not all equal, which has a warning of its own
     Scene(images=np.ones((2, 10, 10, 3)), normals=normals)
+    assert [r for r in caplog.records if "face away" in r.getMessage()] == caplog.records
     assert bool(caplog.records) == warned
 
 
@@ -219,3 +222,64 @@ def test_weights_outside_the_mask_need_not_be_sound() -> None:
     made = scene(mask=mask, weights=weights)
     np.testing.assert_array_equal(made.valid, mask)
     np.testing.assert_array_equal(made.weights, np.broadcast_to(mask, (N, H, W)))
+
+
+def test_how_far_off_normals_are_is_kept_in_degrees() -> None:
+    mask = np.ones((H, W), bool)
+    mask[1, 2] = False
+    for unsound in (np.nan, -1.0, np.inf, 1e300):
+        sigma = np.full((H, W), 2.5)
+        sigma[1, 2], sigma[0, 0] = unsound, 0.0
+        found = scene(mask=mask, normal_sigma=sigma).normal_sigma
+        assert found is not None
+        assert found.dtype == np.float32
+        np.testing.assert_array_equal(found[mask], sigma[mask].astype(np.float32))
+        assert np.isnan(found[~mask]).all()
+    assert scene().normal_sigma is None
+    assert dataclasses.replace(scene(normal_sigma=np.ones((H, W), int))).normal_sigma is not None
+
+
+@pytest.mark.parametrize(
+    ("sigma", "message"),
+    [
+        (np.ones((H, W + 1)), r"normal_sigma: expected shape \(3, 4\), found \(3, 5\)"),
+        (3.0, r"normal_sigma: expected shape \(3, 4\), found \(\)"),
+        (np.ones((H, W, 3)), "normal_sigma: expected shape"),
+        (np.ones((H, W), complex), "normal_sigma: expected real numbers, found complex128"),
+        (
+            with_value((H, W), (1, 2), -0.5),
+            "normal_sigma: expected finite degrees, 0 or more, found -0.5 at row 1, column 2",
+        ),
+        (with_value((H, W), (2, 3), np.nan), "normal_sigma: .*found nan at row 2, column 3"),
+        (with_value((H, W), (0, 1), np.inf), "normal_sigma: .*found inf at row 0, column 1"),
+        (np.full((H, W), 1e39), r"normal_sigma: .*found 1e\+39 at row 0, column 0"),
+    ],
+)
+def test_an_uncertainty_of_normals_that_means_nothing_is_refused(sigma: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        scene(normal_sigma=sigma)
+    assert "\n" not in str(caught.value)
+
+
+def test_normals_that_are_all_equal_are_used_with_a_warning(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    mask = np.zeros((H, W), bool)
+    mask[1:, 1:] = True
+    normals = np.arange(H * W * 3.0).reshape(H, W, 3) + 1
+    normals[mask] = (0.0, 0.6, 0.8)
+    assert not caplog.records
+    made = scene(normals=normals, mask=mask)
+    [record] = caplog.records
+    assert record.getMessage() == (
+        "normals: all equal, (0, 0.6, 0.8); on anything but a flat surface shape is taken for "
+        "material and light"
+    )
+    np.testing.assert_allclose(made.normals[mask], [[0, 0.6, 0.8]] * 6)
+    caplog.clear()
+    normals[1, 1] = (0.0, 0.601, 0.8)
+    scene(normals=normals, mask=mask)
+    one = np.zeros((H, W), bool)
+    one[0, 0] = True  # a single pixel has a single normal
+    scene(normals=normals, mask=one)
+    assert not caplog.records

@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit import InputError, Scene, Truth, images
+from pbrfit import InputError, Scene, Truth, images, normal_files
 from pbrfit.geometry import view_directions
 from pbrfit.lighting import Lighting
 from pbrfit.synthetic import make_scene
@@ -798,3 +798,72 @@ def test_a_file_name_that_no_text_file_can_hold_is_refused(folder: Path) -> None
     picture.rename(picture.with_name(os.fsdecode(b"caf\xe9.exr")))
     with pytest.raises(InputError, match=r"images: expected file names in UTF-8, found 'caf.*exr'"):
         Scene.load(folder)
+
+
+# ------------------------------------------------------------------------ how far off normals are
+
+
+def write_uncertain(folder: Path, uncertainty: NDArray[np.float64]) -> None:
+    """The room's normals with `uncertainty.Y`, as `pbrfit normals` writes it."""
+    normal_files.write_normals(folder / "normals.exr", room().normals, uncertainty)
+
+
+def test_the_uncertainty_of_normals_is_read_and_saved_again(folder: Path, tmp_path: Path) -> None:
+    uncertainty = np.linspace(0, 20, SIZE * SIZE).reshape(SIZE, SIZE)
+    write_uncertain(folder, uncertainty)
+    scene = Scene.load(folder)
+    assert scene.normal_sigma is not None
+    np.testing.assert_array_equal(scene.normal_sigma, uncertainty.astype(np.float32))
+    assert scene.assumed["normals"] == (
+        "normals.exr, opengl axes, camera space, uncertain by 0 to 20 degrees, median 10"
+    )
+    scene.save(tmp_path / "saved")
+    channels = images.read_channels(tmp_path / "saved" / "normals.exr")
+    np.testing.assert_array_equal(channels["uncertainty.Y"], scene.normal_sigma)
+    loaded = Scene.load(tmp_path / "saved")
+    assert loaded.normal_sigma is not None
+    np.testing.assert_array_equal(loaded.normal_sigma, scene.normal_sigma)
+
+
+def test_normals_without_uncertainty_are_saved_without(folder: Path, tmp_path: Path) -> None:
+    scene = Scene.load(folder)
+    assert scene.normal_sigma is None
+    scene.save(tmp_path / "saved")
+    assert set(images.read_channels(tmp_path / "saved" / "normals.exr")) == {"X", "Y", "Z"}
+
+
+def test_the_uncertainty_of_normals_is_averaged_as_they_are(folder: Path) -> None:
+    uncertainty = np.arange(SIZE * SIZE, dtype=np.float64).reshape(SIZE, SIZE)
+    uncertainty[0, 0] = np.nan  # outside the mask
+    write_uncertain(folder, uncertainty)
+    white = np.ones((SIZE, SIZE), bool)
+    white[0, 0] = False
+    write_mask(folder / "mask.png", white)
+    scene = Scene.load(folder, max_size=SIZE // 2)
+    assert scene.normal_sigma is not None
+    expected = uncertainty.reshape(SIZE // 2, 2, SIZE // 2, 2).mean(axis=(1, 3))
+    assert not scene.valid[0, 0]
+    np.testing.assert_allclose(scene.normal_sigma, expected, rtol=1e-6)  # NaN where it is NaN
+
+
+def test_uncertainty_outside_the_mask_is_saved_as_a_number(tmp_path: Path) -> None:
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[:3] = False
+    sigma = np.where(mask, 4.0, np.nan)
+    dataclasses.replace(room(), mask=mask, normal_sigma=sigma).save(tmp_path / "saved")
+    stored = images.read_channels(tmp_path / "saved" / "normals.exr")["uncertainty.Y"]
+    np.testing.assert_array_equal(stored, np.where(mask, 4.0, 0.0))
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
+def test_uncertainty_of_normals_that_means_nothing_is_refused(folder: Path, bad: float) -> None:
+    uncertainty = np.ones((SIZE, SIZE))
+    uncertainty[2, 3] = bad
+    write_uncertain(folder, uncertainty)
+    with pytest.raises(
+        InputError,
+        match=rf"normals\.exr: expected uncertainty\.Y of finite degrees, 0 or more, found {bad:g}",
+    ):
+        Scene.load(folder)
+    write_mask(folder / "mask.png", np.isfinite(uncertainty) & (uncertainty > 0))
+    assert Scene.load(folder).normal_sigma is not None

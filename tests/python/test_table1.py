@@ -16,13 +16,14 @@ from pbrfit import images
 from pbrfit.cli import main
 from pbrfit.evaluation import recipes
 from pbrfit.evaluation.jobs import Record
-from pbrfit.evaluation.normal_errors import LOWEST_COSINE, angles
+from pbrfit.evaluation.normal_errors import LOWEST_COSINE
 from pbrfit.evaluation.page import Cell, Table, markdown
 from pbrfit.evaluation.scores import Scores
 from pbrfit.evaluation.table1 import measure, report
 from pbrfit.evaluation.table1.measure import Task
 from pbrfit.evaluation.table1.normals import disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, COLUMNS, PLAIN, ROWS
+from pbrfit.geometry import angles_between
 from pbrfit.synthetic import make_scene
 
 TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
@@ -46,7 +47,7 @@ def errors_of(size: int, seed: int) -> NDArray[np.float64]:
     np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1.0, rtol=1e-12)
     facing = np.einsum("...i,...i->...", found, scene.views)
     assert facing.min() >= 0.9 * LOWEST_COSINE
-    return angles(found, scene.normals)
+    return angles_between(found, scene.normals)
 
 
 def test_simulated_normals_err_as_published_estimators_do() -> None:
@@ -73,14 +74,6 @@ def test_neighbours_err_alike() -> None:
     shuffled = np.random.default_rng(1).permutation(error.reshape(-1, 3))
     apart = np.linalg.norm(shuffled[1:] - shuffled[:-1], axis=-1)
     assert step.mean() < 0.35 * apart.mean()
-
-
-def test_angles_by_hand() -> None:
-    x, y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    tiny = np.array([1.0, 1e-9, 0.0])
-    found = angles(np.stack([x, x, x, tiny]), np.stack([x, y, -x, x]))
-    np.testing.assert_allclose(found, [0, 90, 180, np.degrees(1e-9)], rtol=1e-6, atol=1e-12)
-    assert np.isnan(angles(np.full((1, 3), np.nan), x[None])).all()
 
 
 # ------------------------------------------------------------------------------------------ rows

@@ -22,7 +22,14 @@ from pbrfit.arguments import (
     message_of,
     unread_is_no_failure,
 )
-from pbrfit.commands.fit_options import add_model, add_seed, add_solver, fit, print_result
+from pbrfit.commands.fit_options import (
+    add_model,
+    add_refinement,
+    add_seed,
+    add_solver,
+    fit,
+    print_result,
+)
 from pbrfit.commands.scene_options import add_input, load
 
 log = logging.getLogger("pbrfit")
@@ -39,6 +46,7 @@ def add(commands: Subcommands) -> None:
     add_solver(added)
     add_seed(added)
     add_model(added, "of the lights; 2 leaves out band 3")
+    add_refinement(added)
     add_priors(added)
     add_quiet(added)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit.arguments import DONE, Subcommands, add_command, add_priors, add_quiet
-from pbrfit.commands.fit_options import add_model, add_solver, fit, print_result
+from pbrfit.commands.fit_options import add_model, add_refinement, add_solver, fit, print_result
 from pbrfit.commands.synth import add_synthetic, make_scene
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ def add(commands: Subcommands) -> None:
     add_synthetic(added, "of scene, lights and noise, and of what the fit draws at random")
     add_solver(added)
     add_model(added, "of the lights, true and fitted")
+    add_refinement(added)
     add_priors(added)
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
     add_quiet(added)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit.arguments import add_threads, given_priors, progress_bar, whole_number
+from pbrfit.refinement import CHOICES
 from pbrfit.robust import LOSSES
 from pbrfit.solvers import SOLVERS
 
@@ -81,6 +82,17 @@ def add_model(parser: argparse.ArgumentParser, what_order: str) -> None:
     )
 
 
+def add_refinement(parser: argparse.ArgumentParser) -> None:
+    """Add `--refine-normals`."""
+    parser.add_argument(
+        "--refine-normals",
+        choices=CHOICES,
+        default="auto",
+        help="fit the normals too, from three pictures on; auto: where the pictures say that the "
+        "given ones are wrong (default: %(default)s)",
+    )
+
+
 def add_sh_order(parser: argparse.ArgumentParser, what: str) -> None:
     """Add `--sh-order`."""
     parser.add_argument("--sh-order", type=int, choices=(2, 3), default=3, help=what)
@@ -113,6 +125,7 @@ def fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
             priors=given_priors(options),
             robust=options.robust,
             equal_exposures=EXPOSURES[options.exposures],
+            refine_normals=options.refine_normals,
             seed=options.seed,
             progress=show,
         )
@@ -146,8 +159,9 @@ def print_result(result: Result, scene: Scene, output: Path) -> None:
             known = key in result.history.columns
             at_start = _error(result.history[key][0]) if known else ""
             print(f"{name:<22}{at_start:>10}{_error(result.metrics[key]):>10}")
+    print(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
     if result.left_out:
-        print(f"\nleft out: {'; '.join(result.left_out)}")
+        print(f"left out: {'; '.join(result.left_out)}")
 
 
 def _error(value: float) -> str:

@@ -1,4 +1,4 @@
-"""What suites that disturb normals share: smooth random fields, turns, angles between normals."""
+"""What makes normals wrong, for several suites: smooth random fields, turns, what cameras see."""
 
 from __future__ import annotations
 
@@ -15,12 +15,6 @@ LOWEST_COSINE = 0.05
 """Of normal and view direction: normals that are given face the camera."""
 
 WAVES = 256
-
-
-def angles(found: Floats, true: Floats) -> Array:
-    """Angle between unit vectors (..., 3), in degrees; NaN stays NaN."""
-    chord = np.linalg.norm(found - true, axis=-1)  # arccos of n·n' would lose half the digits
-    return np.asarray(np.degrees(2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0))))
 
 
 def smooth(shape: tuple[int, int], scale: float, rng: Generator) -> Array:

@@ -53,13 +53,15 @@ def explain(
     sh_order, threads
         As for `pbrfit.decompose`.
     """
-    fixed = partial(decompose, scene, sh_order=sh_order, threads=threads)
+    ours = partial(decompose, scene, sh_order=sh_order, threads=threads, iterations=iterations)
+    # The paper and guesses take normals as they are.
+    fixed = partial(decompose, scene, sh_order=sh_order, threads=threads, refine_normals="off")
     by_lbfgsb = partial(fixed, solver="lbfgsb", iterations=iterations)
     match recipe:
         case "default":
-            return fixed(iterations=iterations)
+            return ours()
         case "plain":
-            return fixed(iterations=iterations, priors=None)
+            return ours(priors=None)
         case "paper":
             return by_lbfgsb(start=paper_start(scene), priors=None)
         case "paper-priors":

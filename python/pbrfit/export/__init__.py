@@ -156,7 +156,7 @@ def _write_gltf(folder: Path, job: _Job) -> Iterator[ExportedFile]:
 def _write_exr(folder: Path, job: _Job) -> Iterator[ExportedFile]:
     (folder / "exr").mkdir()
     result, path = job.result, "exr/materials.exr"
-    more = None if result.uncertainty is None else result.uncertainty.layers()
+    more = result.further_layers()
     write_materials(folder / path, result.materials, result.normals, result.mask, more)
     yield _file(folder, path, "all maps as layers; normals as vectors, Y up", _LINEAR)
     for texture in job.plan.textures:

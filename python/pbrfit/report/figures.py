@@ -38,14 +38,15 @@ def grid(figures: Iterable[str], look: str) -> str:
     return f'<div class="grid {look}">{"".join(figures)}</div>'
 
 
-def difference_key(what: str, marks: Mapping[str, int]) -> str:
-    """Key to residuals, errors and deviations; `marks` are entries of the palette by label."""
+def difference_key(what: str, marks: Mapping[str, int], *, degrees: bool = False) -> str:
+    """Key to residuals, errors and deviations; `marks` are entries of the palette by label.
+
+    With `degrees` that of angles between normals.
+    """
     stops = ", ".join(
         _css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int)
     )
-    ticks = {
-        float(differences.on_scale(value)): label for value, label in differences.TICKS.items()
-    }
+    ticks = differences.tick_places(degrees=degrees)
     patches = {label: _css(PALETTE[index]) for label, index in marks.items()}
     return _key(what, stops, ticks, patches)
 
@@ -61,9 +62,12 @@ def outside_patch() -> str:
 
 
 def _key(what: str, stops: str, ticks: Mapping[float, str], patches: Mapping[str, str]) -> str:
-    places = {f"left:{100 * share:.4g}%": label for share, label in ticks.items()}
-    marks = "".join(f'<i style="{place}"></i>' for place in places) + "".join(
-        f'<span style="{place}">{escape(label)}</span>' for place, label in places.items() if label
+    # Labels at the ends of the bar do not stick out of it.
+    ends = {0.0: ' class="first"', 1.0: ' class="last"'}
+    marks = "".join(f'<i style="{_place(share)}"></i>' for share in ticks) + "".join(
+        f'<span{ends.get(share, "")} style="{_place(share)}">{escape(label)}</span>'
+        for share, label in ticks.items()
+        if label
     )
     beside = "".join(
         f'<span class="mark"><span class="patch" style="background:{color}"></span> '
@@ -75,6 +79,10 @@ def _key(what: str, stops: str, ticks: Mapping[float, str], patches: Mapping[str
         f'<div class="bar" style="background:linear-gradient(90deg, {stops})"></div>'
         f'<div class="ticks">{marks}</div></div>{beside}</div>'
     )
+
+
+def _place(share: float) -> str:
+    return f"left:{100 * share:.4g}%"
 
 
 def _css(color: np.ndarray) -> str:

@@ -74,21 +74,17 @@ def _block(block: Block, side: int, size: tuple[int, int]) -> str:
         figures.figure(figures.picture(one.draw(side), size, one.alt), one.title, one.remark)
         for one in block.pictures
     )
-    return f"<h3>{block.title}</h3>{block.text}{block.key}{figures.grid(shown, 'maps')}"
+    grid = figures.grid(shown, "maps") if block.pictures else ""
+    return f"<h3>{block.title}</h3>{block.text}{block.key}{grid}"
 
 
 def _recovered(result: Result) -> Block:
-    normals = result.normals
+    which = "as given" if result.given_normals is None else "refined"
     remarks = {name: f"median {_median(getattr(result, name))}" for name in PARAMETERS}
     remarks["albedo"] += ", linear"
     pictures = [
         *_maps(result.materials, "recovered", remarks),
-        Shown(
-            lambda side: raster.picture_png(0.5 + 0.5 * raster.reduced(normals, side)),
-            "normals",
-            "as given, in camera space",
-            "Normals as colours",
-        ),
+        normals_shown(result.normals, "normals", f"{which}, in camera space"),
     ]
     outside = ""
     if not result.mask.all():
@@ -176,6 +172,15 @@ def _maps(materials: Materials, which: str, remarks: Mapping[str, str]) -> Itera
         )
 
 
+def normals_shown(normals: NDArray[np.float64], title: str, remark: str) -> Shown:
+    """Normals (H, W, 3) as colours."""
+    alt = "Normals as colours" if title == "normals" else f"Normals as colours, {title}"
+    return Shown(
+        lambda side: raster.picture_png(0.5 + 0.5 * raster.reduced(normals, side)),
+        *(title, remark, alt),
+    )
+
+
 def _grey(values: NDArray[np.float64]) -> Draw:
     return lambda side: raster.picture_png(raster.reduced(values, side))
 
@@ -184,10 +189,11 @@ def _differences(
     of_maps: Mapping[str, Difference], what: str, remarks: Mapping[str, str]
 ) -> Iterator[Shown]:
     for name in PARAMETERS:
-        yield Shown(_difference(of_maps[name]), name, remarks[name], f"{what} {name}")
+        yield Shown(difference_shown(of_maps[name]), name, remarks[name], f"{what} {name}")
 
 
-def _difference(difference: Difference) -> Draw:
+def difference_shown(difference: Difference) -> Draw:
+    """A map of differences in its colours."""
     return lambda side: raster.difference_png(raster.reduced_difference(difference, side))
 
 

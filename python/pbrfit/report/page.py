@@ -16,7 +16,7 @@ from pbrfit.history_plot import draw_history
 from pbrfit.html import Cell, Table, document, paragraph, table
 from pbrfit.metrics import PROTOCOL
 from pbrfit.notation import percent, plain
-from pbrfit.report import budget, figures, maps, verdict, viewer
+from pbrfit.report import budget, figures, maps, normals, verdict, viewer
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
 from pbrfit.report.originals import Originals
@@ -61,7 +61,10 @@ def page(result: Result, originals: Originals) -> str:
     truth = originals.scene.truth if originals.scene is not None else None
     known = truth is not None and "albedo_rmse" in result.metrics
     shown_maps = maps.section(
-        maps.blocks(result, truth.materials if truth is not None and known else None),
+        [
+            *maps.blocks(result, truth.materials if truth is not None and known else None),
+            *normals.blocks(result),
+        ],
         result,
         budget.MAPS_SHARE * (budget.LIMIT - view.bytes),
     )

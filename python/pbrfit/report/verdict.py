@@ -8,6 +8,7 @@ import numpy as np
 
 from pbrfit.html import Cell, Table
 from pbrfit.notation import percent, plain
+from pbrfit.report import normals
 from pbrfit.report.pictures import Picture, median_share, worst
 from pbrfit.result import Result, Status
 from pbrfit.uncertainty import PARAMETERS
@@ -47,7 +48,16 @@ def sentences(result: Result, pictures: Sequence[Picture]) -> list[str]:
     """How the fit ended, how well it explains the pictures, what is uncertain."""
     return [
         f"{_ended(result)} {_explained(result, pictures)}",
-        *(line for line in (_truth(result), _uncertain(result), _doubts(result, pictures)) if line),
+        *(
+            line
+            for line in (
+                _truth(result),
+                normals.sentence(result),
+                _uncertain(result),
+                _doubts(result, pictures),
+            )
+            if line
+        ),
     ]
 
 
@@ -125,8 +135,14 @@ def _doubts(result: Result, pictures: Sequence[Picture]) -> str:
     fov = result.assumed.get("fov", "")
     if "neither" in fov:
         doubts.append(f"the field of view is a guess ({result.fov:g} degrees)")
-    if (result.normals[result.mask] == (0.0, 0.0, 1.0)).all():
-        doubts.append("all normals face the camera, so shape is taken for material and light")
+    given = result.normals if result.given_normals is None else result.given_normals
+    if (given[result.mask] == (0.0, 0.0, 1.0)).all():
+        doubts.append(
+            "all normals face the camera, so shape is taken for material and light"
+            if result.given_normals is None
+            else "all given normals face the camera, and refined ones may still be far from the "
+            "shape"
+        )
     negative = float(np.median([one.light.negative for one in pictures]))
     if negative > NEGATIVE_LIGHT:
         doubts.append(

@@ -35,12 +35,13 @@ class Configuration:
     robust: Robust = "none"
 
     def fit(self, scene: Scene, *, iterations: int, threads: int) -> Result:
-        """Decompose a scene with these options."""
+        """Decompose a scene with these options and its normals as they are."""
         return decompose(
             scene,
             iterations=iterations,
             priors=self.priors,
             robust=self.robust,
+            refine_normals="off",
             threads=threads,
         )
 

@@ -56,7 +56,6 @@ def add(suites: Subcommands) -> None:
         metavar="NAME",
         nargs="+",
         choices=NAMES,
-        default=NAMES,
         help=f"only these parts (default: all): {', '.join(NAMES)}",
     )
     added.add_argument(
@@ -71,7 +70,7 @@ def add(suites: Subcommands) -> None:
         metavar="THETA",
         nargs="+",
         type=float,
-        help="sizes of the disturbance (default: 1 2 5 10 15 20 25, with --quick 5 10 20); true "
+        help="sizes of the disturbance (default: 1 2 5 10 15 20 25, with --quick 10); true "
         "normals are always there",
     )
     added.add_argument(
@@ -102,7 +101,7 @@ def _run(options: argparse.Namespace) -> int:
     from pbrfit.evaluation.real import find_data
 
     effort = _effort(options)
-    parts: list[Part] = [part for part in normals.PARTS if part in options.part]
+    parts: list[Part] = [part for part in normals.PARTS if part in (options.part or NAMES)]
     notes: dict[Part, str] = {}
     given = options.folders or os.environ.get("PBRFIT_DATA")
     sources = real.find(find_data(options.folders, os.environ)) if given else []

@@ -107,6 +107,7 @@ def fit_with_ours(
         start=None if start is None else start(scene),
         threads=threads,
         priors=None,
+        refine_normals="off",
         progress=visit,
     )
     iterations = int(result.history["iteration"][-1])

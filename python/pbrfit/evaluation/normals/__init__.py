@@ -75,10 +75,10 @@ QUICK = Effort(
     scenes=2,
     size=32,
     disturbances=DISTURBANCES,
-    degrees=(5.0, 10.0, 20.0),
+    degrees=(10.0,),
     real_degrees=(10.0,),
-    real_size=64,
-    repeats={32: 3, 64: 1},
+    real_size=48,
+    repeats={32: 1, 64: 1},
     iterations=100,
 )
 

@@ -13,7 +13,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pbrfit.evaluation.normals.disturbances import disturbed
-from pbrfit.evaluation.normals.fits import NOISE, Refine, fit, room
+from pbrfit.evaluation.normals.fits import NOISE, fit, room
+from pbrfit.refinement import RefineNormals
 from pbrfit.scene import Scene
 
 DEGREES = 10.0
@@ -28,7 +29,7 @@ REHEARSAL_SIZE = 32
 Case = Literal["refined", "declined"]
 CASES: tuple[Case, ...] = get_args(Case)
 
-COMPARED: dict[Case, Refine] = {"refined": "on", "declined": "auto"}
+COMPARED: dict[Case, RefineNormals] = {"refined": "on", "declined": "auto"}
 """With which option the seconds of "off" are compared."""
 
 
@@ -59,7 +60,7 @@ def plan(repeats: Mapping[int, int], iterations: int, first_seed: int) -> list[T
 
 def work(task: Task, threads: int) -> dict[str, Any]:
     """Seconds of every fit, after small ones that load libraries and wake threads."""
-    refines: tuple[Refine, Refine] = ("off", COMPARED[task.case])
+    refines: tuple[RefineNormals, RefineNormals] = ("off", COMPARED[task.case])
     rehearsal = replace(task, size=REHEARSAL_SIZE)
     for refine in refines:
         fit(_given(rehearsal), refine, iterations=5, threads=threads)

@@ -25,8 +25,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.normal_errors import Array, Floats, angles, facing, smooth, turned
+from pbrfit.evaluation.normal_errors import Array, Floats, facing, smooth, turned
 from pbrfit.evaluation.table1 import normals as estimator
+from pbrfit.geometry import angles_between
 from pbrfit.scene import Scene
 
 Disturbance = Literal["correlated", "biased", "estimator"]
@@ -100,7 +101,7 @@ def _estimated(scene: Scene, normals: Array, views: Array, degrees: float, seed:
         return estimator.disturbed(normals, views, segments, rng, strength=strength)
 
     def above(strength: float) -> float:
-        return float(angles(by(strength), normals)[valid].mean()) - aim
+        return float(angles_between(by(strength), normals)[valid].mean()) - aim
 
     high = 1.0
     while above(high) < 0 and high < STRONGEST:

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.evaluation.normal_errors import Array, Floats, angles
+from pbrfit.evaluation.normal_errors import Array, Floats
 from pbrfit.evaluation.normals.disturbances import Disturbance, disturbed
 from pbrfit.evaluation.normals.fits import Off, decision, fit, room, room_kind
 from pbrfit.evaluation.scores import score
+from pbrfit.geometry import angles_between
 from pbrfit.materials import Materials
 from pbrfit.result import Result
 from pbrfit.scene import Scene
@@ -102,7 +103,7 @@ def wrong(scene: Scene, result: Result) -> dict[str, Any]:
     """
     assert scene.truth is not None
     valid = scene.valid
-    off = angles(result.normals, scene.normals)[valid]
+    off = angles_between(result.normals, scene.normals)[valid]
     errors = _errors(result.materials, scene.truth.materials, valid)
     best = {name: _rms(_best(error)) for name, error in errors.items()}
     best["angle"] = float(_best(off).mean())
@@ -122,7 +123,7 @@ def aligned_angles(found: Floats, true: Floats) -> Array:
     from scipy.spatial.transform import Rotation
 
     turn, _ = Rotation.align_vectors(true, found)
-    return angles(turn.apply(found), true)
+    return angles_between(turn.apply(found), true)
 
 
 def _errors(found: Materials, true: Materials, valid: Any) -> dict[str, Array]:

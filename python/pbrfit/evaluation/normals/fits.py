@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.normal_errors import Floats, angles
+from pbrfit.evaluation.normal_errors import Floats
+from pbrfit.geometry import angles_between
+from pbrfit.refinement import CHOICES, RefineNormals
 from pbrfit.result import Result
 from pbrfit.scene import Scene
 from pbrfit.solve import decompose
 from pbrfit.synthetic import SceneKind, make_scene
 
-Refine = Literal["off", "auto", "on"]
-REFINE: tuple[Refine, ...] = get_args(Refine)
+REFINE = CHOICES
+"""Fits of a scene, the one that the others are compared with first."""
 
 FIRST_SEED = 7000
 """Nothing was tuned on seeds from there on."""
@@ -40,7 +41,7 @@ def room(kind: SceneKind, seed: int, size: int, *, noise: float, held_out: int =
     return make_scene(kind, size=size, lights=PICTURES, held_out=held_out, seed=seed, noise=noise)
 
 
-def fit(scene: Scene, refine: Refine, *, iterations: int, threads: int) -> Result:
+def fit(scene: Scene, refine: RefineNormals, *, iterations: int, threads: int) -> Result:
     """`pbrfit.decompose` as it is, but for whether normals are refined."""
     return decompose(scene, iterations=iterations, threads=threads, refine_normals=refine)
 
@@ -55,7 +56,7 @@ class Off:
     @classmethod
     def of(cls, found: Floats, true: Floats, valid: NDArray[np.bool_]) -> Off:
         """Measure normals (H, W, 3)."""
-        off = angles(found, true)[valid]
+        off = angles_between(found, true)[valid]
         return cls(float(off.mean()), float(np.median(off)))
 
     def as_json(self) -> dict[str, float]:
@@ -65,6 +66,8 @@ class Off:
 
 def decision(result: Result) -> dict[str, Any]:
     """What was decided about the normals and why, and the figures it rests on."""
-    found = result.refinement
-    figures: Mapping[str, float] = found.figures
-    return {"refined": found.refined, "why": found.why, "figures": dict(figures)}
+    return {
+        "refined": result.refinement.refined,
+        "why": result.refinement.why,
+        "figures": dict(result.refinement.figures),
+    }

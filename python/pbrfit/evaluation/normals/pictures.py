@@ -9,17 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit import metrics
-from pbrfit.colormap import blue_to_yellow
-from pbrfit.evaluation.normal_errors import Array, Floats, angles
+from pbrfit import differences, metrics
+from pbrfit.differences import PALETTE, Difference
+from pbrfit.evaluation.normal_errors import Array, Floats
 from pbrfit.evaluation.real.pictures import masked, used_part
+from pbrfit.geometry import angles_between
 from pbrfit.scene import Scene
 from pbrfit.sheet import Key, Panel, Row, as_png, displayed, outside_grey, sheet
-
-LARGEST = 30.0
-"""Degrees that have the last colour."""
-
-TICKS = (0, 5, 10, 20, 30)
 
 
 def draw_panels(scene: Scene, given: Floats, refined: Floats) -> dict[str, bytes]:
@@ -40,8 +36,8 @@ def draw_panels(scene: Scene, given: Floats, refined: Floats) -> dict[str, bytes
         "true": outside_grey(0.5 + 0.5 * true),
         "given": outside_grey(0.5 + 0.5 * given),
         "refined": outside_grey(0.5 + 0.5 * refined),
-        "error given": _colours(angles(given, true)),
-        "error refined": _colours(angles(refined, true)),
+        "error given": _painted(angles_between(given, true)),
+        "error refined": _painted(angles_between(refined, true)),
     }
     return {
         name: as_png(np.rint(255 * np.clip(values[used], 0, 1)).astype(np.uint8))
@@ -53,9 +49,9 @@ def _brightness(scene: Scene) -> Array:
     return np.array([float(image[scene.valid].mean()) for image in scene.images])
 
 
-def _colours(degrees: Array) -> Array:
-    scaled = blue_to_yellow(np.nan_to_num(degrees) / LARGEST)
-    return np.asarray(outside_grey(np.where(np.isnan(degrees)[..., None], np.nan, scaled)))
+def _painted(degrees: Array) -> Array:
+    """Angles on the scale of all differences, by radians."""
+    return np.asarray(PALETTE[Difference(np.radians(degrees)).indices()])
 
 
 def draw_sheet(
@@ -84,10 +80,9 @@ def draw_sheet(
                 Panel(after, _pixels(panels["error refined"])),
             ]
         )
-    bar = blue_to_yellow(np.linspace(0, 1, 256))
-    ticks = {tick / LARGEST: f"{tick}°{' and more' if tick == LARGEST else ''}" for tick in TICKS}
-    key = Key("angle to the true normals", bar, ticks)
-    return as_png(sheet(rows, title=title, labels=["", *starts], key=key))
+    ticks = differences.tick_places(degrees=True)
+    key = Key("angle to the true normals", PALETTE[: differences.STEPS], ticks)
+    return as_png(sheet(rows, title=title, labels=["", *starts], keys=[key]))
 
 
 def _pixels(png: bytes) -> NDArray[np.float64]:

@@ -17,9 +17,10 @@ import numpy as np
 
 from pbrfit.evaluation.normal_errors import Array
 from pbrfit.evaluation.normals.disturbances import Disturbance, disturbed
-from pbrfit.evaluation.normals.fits import REFINE, Off, Refine, decision, fit
+from pbrfit.evaluation.normals.fits import REFINE, Off, decision, fit
 from pbrfit.evaluation.normals.pictures import draw_panels
 from pbrfit.evaluation.real.sources import Source, check_names, find_sources, load
+from pbrfit.refinement import RefineNormals
 from pbrfit.scene import Scene
 
 KINDS = ("bunny_ps", "maxcrous_sphere_color")
@@ -28,7 +29,7 @@ KINDS = ("bunny_ps", "maxcrous_sphere_color")
 Start = Disturbance | Literal["true", "flat"]
 """Normals that a fit is given: disturbed; the true ones; or all +Z."""
 
-SHOWN: Refine = "on"
+SHOWN: RefineNormals = "on"
 """What pictures show."""
 
 

@@ -144,11 +144,16 @@ def work(task: Task, threads: int) -> dict[str, Any]:
         maps = peer(shown_picture(scene, at), task.seed, effort)
         # Lights that fit the maps best, for the error of the pictures; materials stay.
         result = decompose(
-            scene, iterations=0, start=maps.materials(scene.valid), priors=None, threads=threads
+            scene,
+            iterations=0,
+            start=maps.materials(scene.valid),
+            priors=None,
+            refine_normals="off",
+            threads=threads,
         )
     found: dict[str, Any] = {"scores": score(result, scene, threads).as_json(), "picture": at}
     if task.seed < FIRST_SEED + effort.shown:
-        panels = draw_panels(scene, result.materials, at, threads)
+        panels = draw_panels(scene, result, at, threads)
         found["panels"] = {
             name: base64.b64encode(png).decode("ascii") for name, png in panels.items()
         }

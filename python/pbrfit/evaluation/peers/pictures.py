@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit import metrics
-from pbrfit.materials import Materials
 from pbrfit.model import render
+from pbrfit.result import Result
 from pbrfit.scene import Scene
 from pbrfit.sheet import Panel, as_png, displayed, outside_grey, sheet
 
@@ -24,7 +24,7 @@ MAPS = {
 """What is shown of each method, and how it is called."""
 
 
-def draw_panels(scene: Scene, found: Materials, picture: int, threads: int = 0) -> dict[str, bytes]:
+def draw_panels(scene: Scene, result: Result, picture: int, threads: int = 0) -> dict[str, bytes]:
     """PNGs of a method's maps by name, those of the truth under ``true ...``, and the picture."""
     truth = scene.truth
     assert truth is not None
@@ -33,7 +33,8 @@ def draw_panels(scene: Scene, found: Materials, picture: int, threads: int = 0) 
     valid = scene.valid[..., None]
     relit = np.where(valid, truth.relight_images[0], np.nan)
     white = metrics.white_of(relit)
-    [rendered] = render(found, scene.normals, truth.relight_lighting[:1], scene.fov, threads)
+    found, lights = result.materials, truth.relight_lighting[:1]
+    [rendered] = render(found, result.normals, lights, result.fov, threads)
     shown = np.where(valid, scene.images[picture], np.nan)
     panels = {"picture": displayed(shown, metrics.white_of(shown))}
     for prefix, materials, light in (("", found, rendered), ("true ", truth.materials, relit)):

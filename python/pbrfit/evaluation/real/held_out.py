@@ -20,6 +20,7 @@ from pbrfit.evaluation.real.lights import best_combination, fit_lights
 from pbrfit.evaluation.recipes import explain
 from pbrfit.materials import Materials
 from pbrfit.model import render
+from pbrfit.result import Result
 from pbrfit.scene import Scene
 
 Explanation = Literal["default", "plain", "paper", "lambertian", "start", "constant", "combination"]
@@ -160,6 +161,7 @@ def part(scene: Scene, pictures: tuple[int, ...]) -> Scene:
         mask=scene.mask,
         segments=scene.segments,
         weights=None if scene.weights is None else scene.weights[of],
+        normal_sigma=scene.normal_sigma,
         names=tuple(scene.names[i] for i in of),
     )
 
@@ -185,18 +187,20 @@ def explain_held_out(
     fitted = explain(kept, "default", iterations=iterations, threads=threads)
     plain = explain(kept, "plain", iterations=iterations, threads=threads)
     of_paper = explain(kept, "paper", iterations=iterations, threads=threads)
-    start = explain(kept, "start", threads=threads).materials
-    candidates: tuple[tuple[Explanation, Materials, float], ...] = (
-        ("default", fitted.materials, fitted.seconds),
-        ("plain", plain.materials, plain.seconds),
-        ("paper", of_paper.materials, of_paper.seconds),
-        ("lambertian", _same(fitted.materials, roughness=1.0), 0.0),
-        ("start", start, 0.0),
-        ("constant", _constant(start), 0.0),
+    start = explain(kept, "start", threads=threads)
+    candidates: tuple[tuple[Explanation, Materials, Result, float], ...] = (
+        ("default", fitted.materials, fitted, fitted.seconds),
+        ("plain", plain.materials, plain, plain.seconds),
+        ("paper", of_paper.materials, of_paper, of_paper.seconds),
+        ("lambertian", _same(fitted.materials, roughness=1.0), fitted, 0.0),
+        ("start", start.materials, start, 0.0),
+        ("constant", _constant(start.materials), start, 0.0),
     )
-    for name, materials, seconds in candidates:
-        rendered = explained_by(materials, scene, which.held_out, threads)
-        of_kept = explained_by(materials, scene, which.kept, threads)
+    for name, materials, fit, seconds in candidates:
+        rendered, of_kept = (
+            explained_by(materials, scene, pictures, threads, normals=fit.normals)
+            for pictures in (which.held_out, which.kept)
+        )
         found.append(
             Explained(
                 name,
@@ -219,13 +223,22 @@ def explain_held_out(
 
 
 def explained_by(
-    materials: Materials, scene: Scene, pictures: tuple[int, ...], threads: int = 0
+    materials: Materials,
+    scene: Scene,
+    pictures: tuple[int, ...],
+    threads: int = 0,
+    *,
+    normals: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """(M, H, W, 3): some pictures of a scene as the materials explain them, lights fitted."""
+    """(M, H, W, 3): some pictures of a scene as the materials explain them, lights fitted.
+
+    `normals` are those that belong to the materials; None = the scene's.
+    """
+    normals = np.asarray(scene.normals, np.float64) if normals is None else normals
     of = list(pictures)
     weights = None if scene.weights is None else scene.weights[of]
-    lights = fit_lights(scene.images[of], weights, materials, scene.normals, scene.fov)
-    return render(materials, scene.normals, lights, scene.fov, threads)
+    lights = fit_lights(scene.images[of], weights, materials, normals, scene.fov)
+    return render(materials, normals, lights, scene.fov, threads)
 
 
 def picture_scores(

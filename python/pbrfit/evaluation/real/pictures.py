@@ -52,7 +52,7 @@ def draw_sheet(scene: Scene, which: Split, explained: Sequence[Explained]) -> by
         panel("albedo", displayed(maps.albedo, 1.0)),
         panel("roughness, white = 1", outside_grey(maps.roughness)),
         panel("metallic, white = 1", outside_grey(maps.metallic)),
-        panel("normals", outside_grey(0.5 + 0.5 * scene.normals)),
+        panel("normals, as given", outside_grey(0.5 + 0.5 * scene.normals)),
     ]
     second: Row = [panel(f"held out: {scene.names[held_out]}", displayed(true, white))]
     third: Row = [None]

@@ -111,6 +111,7 @@ def load(source: Source, max_size: int | None = None) -> Scene:
         fov=scene.fov,
         mask=scene.mask,
         weights=scene.weights,
+        normal_sigma=scene.normal_sigma,
         names=scene.names,
         assumed=scene.assumed,
         inputs=scene.inputs,

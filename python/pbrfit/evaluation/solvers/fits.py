@@ -31,9 +31,9 @@ PICTURES = 16
 
 
 def fit(scene: Scene, solver: Name, **options: Any) -> Result:
-    """Run `pbrfit.decompose` by one of the solvers."""
+    """Run `pbrfit.decompose` by one of the solvers, with the normals held."""
     chosen: Any = solver
-    return decompose(scene, solver=chosen, **options)
+    return decompose(scene, solver=chosen, refine_normals="off", **options)
 
 
 def room(seed: int, size: int, *, noise: float = 0.0, held_out: int = PICTURES) -> Scene:

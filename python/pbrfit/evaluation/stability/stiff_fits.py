@@ -133,7 +133,7 @@ def _fit(case: StiffScene, name: str, solver: str, options: Mapping[str, Any]) -
 
 def _decompose(scene: Scene, solver: str, **options: Any) -> Result:
     chosen: Any = solver
-    return decompose(scene, solver=chosen, **options)
+    return decompose(scene, solver=chosen, refine_normals="off", **options)
 
 
 def _numbers(result: Result) -> list[Array]:

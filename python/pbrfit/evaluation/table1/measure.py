@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.evaluation.normal_errors import angles
 from pbrfit.evaluation.recipes import explain
 from pbrfit.evaluation.scores import METAL, score
 from pbrfit.evaluation.table1.normals import disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, Row
+from pbrfit.geometry import angles_between
 from pbrfit.normal_files import read_normals
 from pbrfit.scene import Scene, unit_normals
 from pbrfit.synthetic import cycles, draw, make_scene
@@ -136,7 +136,7 @@ def _as_given(scene: Scene, task: Task, row: Row) -> tuple[Scene, dict[str, floa
         facts["condition"] = condition(truth.lighting)
     if row.normals == "predicted":
         normals = _predicted(scene, task)
-        off = angles(normals, scene.normals)[valid]
+        off = angles_between(normals, scene.normals)[valid]
         facts |= {"normals_mean": float(off.mean()), "normals_median": float(np.median(off))}
         scene = replace(scene, normals=normals)
     if row.fov != scene.fov:

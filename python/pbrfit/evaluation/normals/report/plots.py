@@ -9,9 +9,10 @@ import numpy as np
 
 from pbrfit.drawing import AMBER, BLUE, GREEN, GREY, as_png, new_figure
 from pbrfit.evaluation.normals import cost
-from pbrfit.evaluation.normals.fits import REFINE, Refine
+from pbrfit.evaluation.normals.fits import REFINE
 from pbrfit.evaluation.normals.report.verdicts import at, errors, refined_seconds
 from pbrfit.evaluation.normals.rooms import MAPS_AND_RELIGHT, TRUE
+from pbrfit.refinement import RefineNormals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,12 +26,12 @@ BAND = (10, 90)
 DPI = 100
 
 # Markers and dashes are for those who see no colours.
-LOOKS: dict[Refine, tuple[str, str, str]] = {
+LOOKS: dict[RefineNormals, tuple[str, str, str]] = {
     "off": (AMBER, "s", "-"),
     "auto": (BLUE, "o", "-"),
     "on": (GREEN, "^", "--"),
 }
-LABELS: dict[Refine, str] = {
+LABELS: dict[RefineNormals, str] = {
     "off": "not refined",
     "auto": "refined where it is decided to (auto)",
     "on": "refined (on)",
@@ -79,7 +80,7 @@ def draw_errors(found: Found) -> bytes:
     return as_png(figure, DPI)
 
 
-def _values(found: Found, refine: Refine, column: str) -> list[float]:
+def _values(found: Found, refine: RefineNormals, column: str) -> list[float]:
     if column == "angle":
         return [float(values[refine]["angle"]["mean"]) for _, values in found]
     return list(errors(found, refine, column).values())

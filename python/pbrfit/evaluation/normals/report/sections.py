@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pbrfit.evaluation.normals import Measured, Part, cost, exact
-from pbrfit.evaluation.normals.fits import NOISE, PICTURES, REFINE, Refine
+from pbrfit.evaluation.normals.fits import NOISE, PICTURES, REFINE
 from pbrfit.evaluation.normals.pictures import draw_sheet
 from pbrfit.evaluation.normals.report import plots
 from pbrfit.evaluation.normals.report.verdicts import (
@@ -22,11 +22,12 @@ from pbrfit.evaluation.normals.report.verdicts import (
 from pbrfit.evaluation.normals.rooms import MAPS_AND_RELIGHT, METRICS, TRUE
 from pbrfit.evaluation.page import Cell, Figure, Section, Table
 from pbrfit.notation import percent
+from pbrfit.refinement import RefineNormals
 
 Values = Mapping[str, Any]
 Found = Sequence[tuple[Any, Values]]
 
-IN_WORDS: dict[Refine, str] = {"off": "not refined", "auto": "auto", "on": "on"}
+IN_WORDS: dict[RefineNormals, str] = {"off": "not refined", "auto": "auto", "on": "on"}
 
 TABLED = (5.0, 10.0, 20.0)
 """θ whose figures are in the table of what is won back; the plot has all."""
@@ -115,7 +116,7 @@ def _errors(found: Found) -> Table:
     return Table(columns, rows, caption)
 
 
-def _seconds(found: Found, refine: Refine) -> list[float]:
+def _seconds(found: Found, refine: RefineNormals) -> list[float]:
     return [float(values[refine]["scores"]["seconds"]) for _, values in found]
 
 

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from pbrfit.evaluation.normals import Measured, Part, cost, exact
-from pbrfit.evaluation.normals.fits import Refine
 from pbrfit.evaluation.normals.rooms import MAPS_AND_RELIGHT, METRICS, TRUE
 from pbrfit.notation import scientific
+from pbrfit.refinement import RefineNormals
 
 Values = Mapping[str, Any]
 Found = Sequence[tuple[Any, Values]]
 
-JUDGED: Refine = "auto"
+JUDGED: RefineNormals = "auto"
 """What people get who say nothing."""
 
 WON_BACK: dict[float, dict[str, float]] = {
@@ -103,7 +103,7 @@ def at(found: Found, disturbance: str, degrees: float = 0.0) -> list[tuple[Any, 
     ]
 
 
-def errors(found: Found, refine: Refine, metric: str) -> dict[tuple[str, int], float]:
+def errors(found: Found, refine: RefineNormals, metric: str) -> dict[tuple[str, int], float]:
     """Of every scene of `found`, by kind and seed."""
     return {
         (task.scene, task.seed): float(values[refine]["scores"][metric]) for task, values in found
@@ -111,7 +111,7 @@ def errors(found: Found, refine: Refine, metric: str) -> dict[tuple[str, int], f
 
 
 def won_back(
-    found: Found, disturbance: str, degrees: float, metric: str, refine: Refine
+    found: Found, disturbance: str, degrees: float, metric: str, refine: RefineNormals
 ) -> tuple[float, float]:
     """Share of what wrong normals cost that refining wins back: of means, and median of scenes.
 
@@ -136,7 +136,7 @@ def won_back(
     return float((off.mean() - found_errors.mean()) / (off.mean() - floor.mean())), median
 
 
-def mean_angle(found: Found, refine: Refine | None = None) -> float:
+def mean_angle(found: Found, refine: RefineNormals | None = None) -> float:
     """Mean over scenes of the mean angle, of given normals or after a fit; NaN of no scene."""
     values = [v["given"] if refine is None else v[refine]["angle"] for _, v in found]
     return float(np.mean([value["mean"] for value in values])) if values else math.nan
