@@ -24,7 +24,7 @@ TIMES = 4.0
 EXPONENT = 1.1
 """Of seconds over pixels, at most: more would not be linear."""
 
-REHEARSAL_SIZE = 32
+REHEARSAL_SIZE = 12
 
 Case = Literal["refined", "declined"]
 CASES: tuple[Case, ...] = get_args(Case)

@@ -61,10 +61,10 @@ def draw_errors(found: Found) -> bytes:
             if of_true and column != "angle":
                 floor = float(np.mean(_values(of_true, "off", column)))
                 axes.axhline(floor, color=GREY, linewidth=1.2, linestyle=(0, (1, 2)))
-            axes.set_ylim(0, None)
             _tidy(axes)
         row[0].set_ylabel(f"{kind}", fontweight="bold")
     for axes, column in zip(grid[0], columns, strict=True):
+        axes.set_ylim(0, None)  # of the whole column, and only now that all of it is drawn
         title = "mean angle of normals, degrees" if column == "angle" else f"{column}, RMSE"
         axes.set_title(title, fontsize=10.5)
     for axes in grid[-1]:
@@ -118,6 +118,8 @@ def draw_real(found: Found) -> bytes:
 
 def draw_cost(found: Found) -> bytes:
     """Seconds against pixels, both on logarithmic scales; bars of a factor of `cost.TIMES`."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     figure = new_figure(7.5, 4.6)
     axes = figure.subplots()
     looks = {"refined": (GREEN, "^", "--"), "declined": (BLUE, "o", "-")}
@@ -140,7 +142,7 @@ def draw_cost(found: Found) -> bytes:
         for at_pixels, before, after in of_case:
             axes.annotate(
                 f"{after / before:.1f} ×",
-                (at_pixels, after),
+                (at_pixels, max(before, after)),
                 xytext=(0, 7),
                 textcoords="offset points",
                 ha="center",
@@ -148,9 +150,16 @@ def draw_cost(found: Found) -> bytes:
                 color=color,
             )
     exponent = cost.exponent(*refined_seconds(found))
-    said = f"; refined: exponent {exponent:.2f}" if np.isfinite(exponent) else ""
-    axes.set(xscale="log", yscale="log", xlabel="pixels", ylabel=f"seconds of a fit{said}")
+    if np.isfinite(exponent):
+        axes.set_title(f"seconds of what is refined grow as pixels^{exponent:.2f}", fontsize=10)
+    axes.set(xscale="log", yscale="log", xlabel="pixels", ylabel="seconds of a fit")
     axes.margins(0.08, 0.12)
+    sides = {task.size: float(values["pixels"]) for task, values in found}
+    axes.set_xticks(list(sides.values()), [f"{side}²" for side in sides])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     _tidy(axes)
     axes.legend(frameon=False)
     return as_png(figure, DPI)
