@@ -16,6 +16,8 @@ from pbrfit.evaluation.tables import write_csv
 
 MARKDOWN, SCENES = "normals.md", "scenes.csv"
 
+FAILS = "does\N{NO-BREAK SPACE}not\N{NO-BREAK SPACE}hold"
+
 PROTOCOL = "pbrfit-normals-1"
 """Under one name and effort, the same scenes, seeds and measures."""
 
@@ -70,7 +72,7 @@ def _must_hold(judged: list[Verdict]) -> Section:
                 Cell(verdict.what),
                 Cell(digits(verdict.value), "number", verdict.value),
                 Cell(_bar(verdict), "number"),
-                Cell("holds", "pass") if verdict.holds else Cell("does not hold", "fail"),
+                Cell("holds", "pass") if verdict.holds else Cell(FAILS, "fail"),
                 Cell(verdict.where, "why"),
             ]
         )

@@ -156,16 +156,19 @@ def _rooms(measured: Measured) -> Iterator[Verdict]:
                     f"{kind} {degrees:g}°: share of the {metric} loss won back",
                     share,
                     bar,
-                    f"median of scenes {digits(median)}",
+                    f"median of scenes {digits(median)}"
+                    if math.isfinite(share)
+                    else "wrong normals cost nothing here, or the floor is missing",
                     at_least=True,
                 )
             before, after = mean_angle(of_case), mean_angle(of_case, JUDGED)
+            refined = sum(values[JUDGED]["decision"]["refined"] for _, values in of_case)
             yield Verdict(
                 "rooms",
                 f"{kind} {degrees:g}°: mean angle, after over before",
                 after / before,
                 ANGLE_LEFT[degrees],
-                f"{before:.1f}° before, {after:.2f}° after",
+                f"{before:.1f}° before, {after:.2f}° after, refined in {refined} of {len(of_case)}",
             )
     of_true = at(found, TRUE)
     if not of_true:
