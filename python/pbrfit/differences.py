@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pbrfit.colormap import blue_to_yellow
 from pbrfit.materials import Materials
+from pbrfit.refinement import LEAST_CHANGE
 from pbrfit.uncertainty import PARAMETERS, Uncertainty
 
 Map = NDArray[np.floating[Any]]
@@ -110,12 +111,12 @@ def residual(
 
 
 def turned(degrees: Map) -> Difference:
-    """Angles (H, W) between normals, by radians; white = left as it was.
+    """Angles (H, W) between given and refined normals, by radians; white = as given.
 
     A small angle in radians is how far apart the unit vectors are, so it has the place on the scale
     that a difference of that size has. `DEGREE_TICKS` are for its key.
     """
-    return Difference(np.radians(degrees), white=degrees == 0)
+    return Difference(np.radians(degrees), white=degrees < LEAST_CHANGE)
 
 
 def rms(values: Map) -> float:

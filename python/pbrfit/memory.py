@@ -90,8 +90,7 @@ def of_fit(scene: Scene, layout: Layout, method: Method) -> FitMemory:
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
     held = scene.images.nbytes + scene.normals.nbytes
-    if scene.weights is not None:
-        held += scene.weights.nbytes
+    held += sum(one.nbytes for one in (scene.weights, scene.normal_sigma) if one is not None)
     blocks = BLOCK * -(-pixels // BLOCK)
     driver = "scipy" if method == "lbfgsb" else choose(layout.size)
     of_unknown = SCIPY_BYTES if driver == "scipy" else PROJECTED_BYTES

@@ -77,21 +77,28 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
 
 
 def normals_preview(scene: Scene) -> NDArray[np.uint8]:
-    """Sheet for checking normals: first picture, normals, and n·v; (H, W, 3) uint8 sRGB."""
+    """Sheet for checking normals: (H, W, 3) uint8 sRGB.
+
+    The first picture, the normals, n·v, and how far off they may be, where the scene says it.
+    """
     cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
     facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
     facing[cosine <= 0] = (0.84, 0.37, 0.0)  # vermillion, told apart by all common colour vision
     weights = None if scene.weights is None else scene.weights[0]
     image, white = metrics.showable(scene.images[0], scene.valid, weights)
     image = np.where(scene.valid[..., None], image, np.nan)
+    row: Row = [
+        Panel(f"picture {scene.names[0]}", displayed(image, white)),
+        Panel("normals: R right, G up", outside_grey(0.5 + 0.5 * scene.normals)),
+        Panel("n·v, orange faces away", facing),
+    ]
+    if scene.normal_sigma is None:
+        return sheet([row])
+    sigma = Difference(np.radians(scene.normal_sigma))
+    ticks = differences.tick_places(degrees=True)
     return sheet(
-        [
-            [
-                Panel(f"picture {scene.names[0]}", displayed(image, white)),
-                Panel("normals: R right, G up", outside_grey(0.5 + 0.5 * scene.normals)),
-                Panel("n·v, orange faces away", facing),
-            ]
-        ]
+        [[*row, Panel("may be off by", _painted(sigma))]],
+        keys=[_key("how far off normals may be (standard deviation)", ticks, {})],
     )
 
 

@@ -132,6 +132,9 @@ def decompose(
     # Here and not above: scipy.optimize would double the time of `import pbrfit`. Before the clock
     # starts: loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
+    hindered = None if refine_normals == "off" else hindrance(scene)
+    if hindered and refine_normals == "on":
+        log.warning("normals are not refined: %s", hindered)
     began = time.perf_counter()
     priors = priors or Priors.none()
     _check_memory(scene, solver, sh_order, metallic, mono_light)
@@ -158,7 +161,7 @@ def decompose(
         run, solver, _start(objective, start), start_given=start is not None
     )
     # ==== NORMALS: refinement happens here, and nowhere else ====
-    normals, refinement = _refined_normals(scene, refine_normals)
+    normals, refinement = _refined_normals(scene, refine_normals, hindered)
     # ============================================================
     needs = Needs.of(
         scene,
@@ -174,8 +177,6 @@ def decompose(
     given = np.asarray(scene.normals, dtype=np.float64)
     if refinement.refined:
         refinement = refinement.with_change(angles_between(normals, given))
-    elif refine_normals == "on":
-        log.warning("normals are not refined: %s", refinement.why)
     exposures, assumed = objective.exposures, _assumed(scene, objective)
     history, evaluations, stages = History(tuple(run.rows)), run.evaluations, tuple(run.stages)
     iteration = run.iteration
@@ -229,9 +230,11 @@ def _check_memory(
     memory.check(solver, memory.of_fit(scene, layout, solver))
 
 
-def _refined_normals(scene: Scene, asked: RefineNormals) -> tuple[NDArray[np.float64], Refinement]:
+def _refined_normals(
+    scene: Scene, asked: RefineNormals, hindered: str | None
+) -> tuple[NDArray[np.float64], Refinement]:
     """(H, W, 3) normals that the materials belong to, and what was decided about them."""
-    why = "not asked for" if asked == "off" else hindrance(scene)
+    why = "not asked for" if asked == "off" else hindered
     # Nothing refines normals yet, so they are those of the scene in any case.
     why = why or "this version cannot refine normals"
     return np.asarray(scene.normals, dtype=np.float64), Refinement(asked, False, why)

@@ -194,3 +194,17 @@ def test_a_history_plot_even_of_no_iterations(tmp_path: Path, truth: bool) -> No
         plot_history(result, tmp_path / "plot.png")
         with Image.open(tmp_path / "plot.png") as picture:
             assert picture.size == (960, 540)
+
+
+def test_how_far_off_normals_may_be_is_a_panel_with_a_key() -> None:
+    scene = part(24, 24)
+    sigma = np.full((24, 24), 90.0)  # beyond the upper end of the scale
+    sigma[:, :12] = 0.01  # beyond the lower
+    without = normals_preview(scene)
+    found = normals_preview(dataclasses.replace(scene, normal_sigma=sigma))
+    assert found.shape[1] == without.shape[1] + PANEL_SIDE[0] + MARGIN
+    assert found.shape[0] > without.shape[0] + LINE
+    panel = found[LINE + MARGIN :, MARGIN + 3 * (PANEL_SIDE[0] + MARGIN) :]
+    low, high = (tuple(np.rint(255 * differences.PALETTE[i])) for i in (0, differences.STEPS - 1))
+    assert tuple(panel[90, 40]) == low
+    assert tuple(panel[90, 150]) == high

@@ -16,10 +16,11 @@ import pytest
 from page_reader import Page
 from pbrfit import InputError, Result, Scene, decompose, relight
 from pbrfit.commands.fit_options import print_result
-from pbrfit.differences import PALETTE, turned
+from pbrfit.differences import PALETTE, WHITE, turned
 from pbrfit.export import export_result
+from pbrfit.geometry import angles_between
 from pbrfit.model import render
-from pbrfit.refinement import CHOICES, NOT_ASKED, Refinement, hindrance
+from pbrfit.refinement import CHOICES, LEAST_CHANGE, NOT_ASKED, Refinement, hindrance
 from pbrfit.report import write_report
 from pbrfit.synthetic import make_scene
 from refined import LARGEST, degrees_of, refined
@@ -101,6 +102,16 @@ def test_the_change_is_the_angle_between_given_and_refined_normals(result: Resul
     assert figures["mean_change_degrees"] == pytest.approx(inside.mean())
     assert figures["largest_change_degrees"] == pytest.approx(LARGEST)
     assert figures["changed_share"] == np.mean(inside > 0)
+
+
+def test_what_rounding_turns_is_as_given(result: Result) -> None:
+    change = np.array([[0.0, 0.9 * LEAST_CHANGE, LEAST_CHANGE, np.nan, 3.0]])
+    assert result.refinement.with_change(change).figures["changed_share"] == 0.5
+    assert (turned(change).indices() == WHITE).tolist() == [[True, True, False, False, False]]
+    # A normal that was made anew from a tilt of 0, and stored.
+    stored = result.normals[result.mask].astype(np.float32).astype(np.float64)
+    again = stored / np.linalg.norm(stored, axis=-1, keepdims=True)
+    assert angles_between(again.astype(np.float32), stored).max() < LEAST_CHANGE
 
 
 def test_refined_normals_without_given_ones_are_refused_and_the_reverse(result: Result) -> None:

@@ -19,7 +19,8 @@ def add(commands: Subcommands) -> None:
         "--preview",
         metavar="FILE",
         type=Path,
-        help="write a PNG with a picture, the normals and which of them face the camera",
+        help="write a PNG with a picture, the normals, which of them face the camera, and how far "
+        "off they may be, where the scene says it",
     )
     add_input(added)
 
