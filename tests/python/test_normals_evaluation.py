@@ -6,6 +6,7 @@ the way to the true ones, so that what the suite has to find is known.
 
 from __future__ import annotations
 
+import ast
 import csv
 import json
 import math
@@ -495,6 +496,20 @@ def test_command_refuses_angles_that_make_no_sense(
     assert main(arguments) == 2
     assert "--degrees: expected more than 0 and at most 45, found" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_every_suite_says_whether_normals_are_refined() -> None:
+    """The default may change, and with it figures that are compared with older ones."""
+    folder = Path(normals.__file__).parents[1]
+    calls = [
+        (path.relative_to(folder), node)
+        for path in folder.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "decompose"
+    ]
+    assert len(calls) >= 6
+    for path, call in calls:
+        assert "refine_normals" in {keyword.arg for keyword in call.keywords}, path
 
 
 def test_results_of_a_fit_say_what_was_decided() -> None:
