@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.evaluation.normal_errors import Array, Floats
+from pbrfit.evaluation.normal_errors import Array
 from pbrfit.evaluation.normals.disturbances import Disturbance, disturbed
 from pbrfit.evaluation.normals.fits import Off, decision, fit, room, room_kind
 from pbrfit.evaluation.scores import score
@@ -96,10 +96,9 @@ def wrong(scene: Scene, result: Result) -> dict[str, Any]:
     Returns
     -------
     dict
-        "aligned": mean angle after the best turn of all normals together. "best": RMSE of the maps
-        and mean angle over the best `BEST` of the pixels, each for itself. "share": of pixels that
-        are wrong. "kinds": of what kind those are, as shares of them; "kinds_of_all": the same of
-        all pixels.
+        "best": RMSE of the maps and mean angle over the best `BEST` of the pixels, each for itself.
+        "share": of pixels that are wrong. "kinds": of what kind those are, as shares of them;
+        "kinds_of_all": the same of all pixels.
     """
     assert scene.truth is not None
     valid = scene.valid
@@ -110,20 +109,11 @@ def wrong(scene: Scene, result: Result) -> dict[str, Any]:
     bad = (off > WRONG_DEGREES) | (np.max(list(errors.values()), axis=0) > WRONG_MATERIAL)
     kinds = _kinds(scene)
     return {
-        "aligned": float(aligned_angles(result.normals[valid], scene.normals[valid]).mean()),
         "best": best,
         "share": float(bad.mean()),
         "kinds": {name: float(of[bad].mean()) if bad.any() else 0.0 for name, of in kinds.items()},
         "kinds_of_all": {name: float(of.mean()) for name, of in kinds.items()},
     }
-
-
-def aligned_angles(found: Floats, true: Floats) -> Array:
-    """Angles of unit vectors (P, 3) after the turn that brings them nearest in least squares."""
-    from scipy.spatial.transform import Rotation
-
-    turn, _ = Rotation.align_vectors(true, found)
-    return angles_between(turn.apply(found), true)
 
 
 def _errors(found: Materials, true: Materials, valid: Any) -> dict[str, Array]:

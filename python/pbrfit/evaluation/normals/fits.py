@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.normal_errors import Floats
+from pbrfit.evaluation.normal_errors import Array, Floats
 from pbrfit.geometry import angles_between
 from pbrfit.refinement import CHOICES, RefineNormals
 from pbrfit.result import Result
@@ -48,20 +48,43 @@ def fit(scene: Scene, refine: RefineNormals, *, iterations: int, threads: int) -
 
 @dataclass(frozen=True)
 class Off:
-    """Angles between normals and the true ones, in degrees: mean and median over valid pixels."""
+    """Angles between normals and the true ones over valid pixels, in degrees.
+
+    Attributes
+    ----------
+    mean, median
+        Of the angles.
+    aligned
+        Mean after the turn of all normals together that brings them nearest to the true ones. Such
+        a turn is hard to see, because lights can turn along.
+    """
 
     mean: float
     median: float
+    aligned: float
 
     @classmethod
     def of(cls, found: Floats, true: Floats, valid: NDArray[np.bool_]) -> Off:
         """Measure normals (H, W, 3)."""
         off = angles_between(found, true)[valid]
-        return cls(float(off.mean()), float(np.median(off)))
+        aligned = aligned_angles(found[valid], true[valid])
+        return cls(float(off.mean()), float(np.median(off)), float(aligned.mean()))
 
     def as_json(self) -> dict[str, float]:
         """For a record."""
         return asdict(self)
+
+
+def aligned_angles(found: Floats, true: Floats) -> Array:
+    """Angles of unit vectors (P, 3) after the turn that brings them nearest in least squares.
+
+    With H = Σ f tᵀ = U S Vᵀ it is R = V diag(1, 1, det VUᵀ) Uᵀ (Kabsch 1976). Where several turns
+    are as good, such as for vectors that are all equal, it is one of them.
+    """
+    u, _, vt = np.linalg.svd(np.asarray(found, np.float64).T @ np.asarray(true, np.float64))
+    handed = np.array([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+    turn = (vt.T * handed) @ u.T
+    return angles_between(found @ turn.T, true)
 
 
 def decision(result: Result) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """Part "real": pictures of others whose normals are known, started from wrong ones.
 
-The two bunnies come from another renderer under single lights, whose attached shadows lights of
-order 3 do not hold; their normals are those of the mesh. The brick sphere has the normals of a
-sphere. Neither is of our model, so normals are not found to the last digit even without any noise.
+The two bunnies come from another renderer under single lights; their normals are those of the mesh.
+The brick sphere has the normals of a sphere. Highlights under single lights are beyond lights of
+order 3, so the glossy bunny shows what refinement does where the model is wrong.
 """
 
 from __future__ import annotations
