@@ -262,10 +262,10 @@ def _real(measured: Measured) -> Section:
         "Pictures of others whose normals are known",
         [
             "Two bunnies, rendered elsewhere under single lights, with the normals of their mesh, "
-            "and a brick sphere with those of a sphere. Lights of order 3 do not hold the highlights "
-            "of the glossy bunny. Angles to the true normals, before and after; flat: all normals "
-            "are +Z. A turn of all normals of a matt surface together cannot be seen: “all turned "
-            "back” is the mean angle after the best such turn.",
+            "and a brick sphere with those of a sphere. Lights of order 3 do not hold the "
+            "highlights of the glossy bunny. Angles to the true normals, before and after; flat: "
+            "all normals are +Z. A turn of all normals of a matt surface together cannot be seen: "
+            "“all turned back” is the mean angle after the best such turn.",
         ],
         [Table(columns, rows)],
         figures,
