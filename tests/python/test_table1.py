@@ -16,11 +16,12 @@ from pbrfit import images
 from pbrfit.cli import main
 from pbrfit.evaluation import recipes
 from pbrfit.evaluation.jobs import Record
+from pbrfit.evaluation.normal_errors import LOWEST_COSINE
 from pbrfit.evaluation.page import Cell, Table, markdown
 from pbrfit.evaluation.scores import Scores
 from pbrfit.evaluation.table1 import measure, report
 from pbrfit.evaluation.table1.measure import Task
-from pbrfit.evaluation.table1.normals import LOWEST_COSINE, disturbed
+from pbrfit.evaluation.table1.normals import disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, COLUMNS, PLAIN, ROWS
 from pbrfit.geometry import angles_between
 from pbrfit.synthetic import make_scene
@@ -95,7 +96,38 @@ def test_only_one_row_of_the_paper_has_priors() -> None:
     assert all("paper-priors" not in row.recipes for row in ROWS if row.key != "regularized")
 
 
-@pytest.mark.parametrize("key", ["base", "sh2", "fov90", "normals", "detailed", "regularized"])
+def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> None:
+    [refined] = [row for row in ROWS if row.refine_normals != "off"]
+    assert refined.key == "normals-refined"
+    scenes = [measure.given(Task(key, 1001, 16, 4, 2), 1) for key in ("normals", refined.key)]
+    np.testing.assert_array_equal(scenes[0][0].normals, scenes[1][0].normals)
+    np.testing.assert_array_equal(scenes[0][0].images, scenes[1][0].images)
+    assert scenes[0][1] == scenes[1][1]
+
+
+def test_recipes_hold_normals_unless_told_and_the_papers_always(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = make_scene("room", size=8, lights=4, held_out=1, seed=3)
+    asked: list[str] = []
+
+    def watch(_: Any, **options: Any) -> None:
+        asked.append(options["refine_normals"])
+
+    monkeypatch.setattr(recipes, "decompose", watch)
+    for recipe in recipes.RECIPES:
+        recipes.explain(scene, recipe)
+    assert set(asked) == {"off"}
+    asked.clear()
+    for recipe in recipes.RECIPES:
+        recipes.explain(scene, recipe, refine_normals="auto")
+    by_recipe = dict(zip(recipes.RECIPES, asked, strict=True))
+    assert [name for name, refine in by_recipe.items() if refine == "auto"] == ["plain", "default"]
+
+
+@pytest.mark.parametrize(
+    "key", ["base", "sh2", "fov90", "normals", "normals-refined", "detailed", "regularized"]
+)
 def test_work_changes_what_the_row_says_and_nothing_else(
     key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,10 +146,16 @@ def test_work_changes_what_the_row_says_and_nothing_else(
     for scene, _, options in asked:
         np.testing.assert_array_equal(scene.images, truth.images)
         assert scene.fov == row.fov
-        assert options == {"iterations": 2, "sh_order": row.sh_order, "threads": 1}
+        assert options == {
+            "iterations": 2,
+            "sh_order": row.sh_order,
+            "refine_normals": row.refine_normals,
+            "threads": 1,
+        }
         same = np.array_equal(scene.normals, truth.normals)
         assert same == (row.normals == "true")
-    assert ("normals_mean" in found["facts"]) == (key == "normals")
+    assert ("normals_mean" in found["facts"]) == (row.normals == "predicted")
+    assert ("refined_mean" in found["facts"]) == (key == "normals-refined")
     assert found["facts"]["metal_share"] > 0
     assert set(found["recipes"]["default"]) == set(report.METRICS)
     json.dumps(found)
@@ -198,7 +236,7 @@ def test_columns_of_scores_have_names() -> None:
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    rows = ("--rows", "base", "normals", "regularized", "cycles-panorama")
+    rows = ("--rows", "base", "normals", "normals-refined", "regularized", "cycles-panorama")
     assert run("evaluate", "table1", "--out", out, "--quick", "--scenes", 2, *rows, *TINY) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
@@ -207,7 +245,8 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = {path.name for path in out.iterdir()}
     assert names == {
         "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv",
-        "summary.json", "example-base.png", "example-normals.png", "example-regularized.png",
+        "summary.json", "example-base.png", "example-normals.png", "example-normals-refined.png",
+        "example-regularized.png",
     }  # fmt: skip
     content = json.loads((out / "summary.json").read_text("utf-8"))
     status = {row["name"]: row["status"] for row in content["rows"]}
@@ -219,7 +258,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
         scenes = list(csv.DictReader(file))
     assert len(scenes) == 2 * sum(
-        len(BY_KEY[key].recipes) for key in ("base", "normals", "regularized")
+        len(BY_KEY[key].recipes) for key in ("base", "normals", "normals-refined", "regularized")
     )
     albedo = [float(s["albedo"]) for s in scenes if s["scene"].startswith("base") and
               s["recipe"] == "plain"]  # fmt: skip

@@ -12,6 +12,7 @@ from pbrfit._core import InputError
 from pbrfit.materials import Materials
 from pbrfit.objective import MEAN_RADIANCE
 from pbrfit.priors import Priors
+from pbrfit.refinement import RefineNormals
 from pbrfit.result import Result
 from pbrfit.scene import Scene
 from pbrfit.solve import decompose
@@ -35,7 +36,13 @@ noisy rooms of seeds 2000 and 2001 with true segments; ten times the sparsity ra
 
 
 def explain(
-    scene: Scene, recipe: Recipe, *, iterations: int = 500, sh_order: int = 3, threads: int = 0
+    scene: Scene,
+    recipe: Recipe,
+    *,
+    iterations: int = 500,
+    sh_order: int = 3,
+    refine_normals: RefineNormals = "off",
+    threads: int = 0,
 ) -> Result:
     """Explain a scene by one of the recipes.
 
@@ -52,10 +59,13 @@ def explain(
         Of all but the last two.
     sh_order, threads
         As for `pbrfit.decompose`.
+    refine_normals
+        Likewise, but for `"default"` and `"plain"` alone: the paper and guesses take normals as
+        they are. "off", other than there, so that recipes compare.
     """
-    ours = partial(decompose, scene, sh_order=sh_order, threads=threads, iterations=iterations)
-    # The paper and guesses take normals as they are.
-    fixed = partial(decompose, scene, sh_order=sh_order, threads=threads, refine_normals="off")
+    common = partial(decompose, scene, sh_order=sh_order, threads=threads)
+    ours = partial(common, iterations=iterations, refine_normals=refine_normals)
+    fixed = partial(common, refine_normals="off")
     by_lbfgsb = partial(fixed, solver="lbfgsb", iterations=iterations)
     match recipe:
         case "default":

@@ -7,6 +7,7 @@ from pbrfit.evaluation.commands import (
     ablation,
     convergence,
     gap,
+    normals,
     peers,
     real,
     review,
@@ -16,7 +17,19 @@ from pbrfit.evaluation.commands import (
     uncertainty,
 )
 
-SUITES = (table1, ablation, convergence, gap, peers, real, review, solvers, stability, uncertainty)
+SUITES = (
+    table1,
+    ablation,
+    convergence,
+    gap,
+    normals,
+    peers,
+    real,
+    review,
+    solvers,
+    stability,
+    uncertainty,
+)
 
 
 def add_suites(suites: Subcommands) -> None:

@@ -137,7 +137,14 @@ def work(task: Task, threads: int) -> dict[str, Any]:
     scene = given(effort, task.seed)
     at = evenly_lit(scene)
     if task.method == "pbrfit":
-        result = explain(scene, "default", iterations=effort.iterations, threads=threads)
+        # As people run it: the normals are those of an estimator, and may be refined.
+        result = explain(
+            scene,
+            "default",
+            iterations=effort.iterations,
+            refine_normals="auto",
+            threads=threads,
+        )
     elif task.method == "constant":
         result = explain(scene, "constant", threads=threads)
     else:

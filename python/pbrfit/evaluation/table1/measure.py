@@ -76,13 +76,22 @@ class Task:
 def work(task: Task, threads: int) -> dict[str, Any]:
     """Scores of the row's recipes, facts about the scene, and perhaps a preview."""
     row = BY_KEY[task.row]
-    scene, facts = given(task, threads)
+    exact = _scene(task, row, threads)
+    scene, facts = _as_given(exact, task, row)
     found: dict[str, Any] = {"facts": facts, "recipes": {}}
     for recipe in row.recipes:
         result = explain(
-            scene, recipe, iterations=task.iterations, sh_order=row.sh_order, threads=threads
+            scene,
+            recipe,
+            iterations=task.iterations,
+            sh_order=row.sh_order,
+            refine_normals=row.refine_normals,
+            threads=threads,
         )
         found["recipes"][recipe] = score(result, scene, threads).as_json()
+        if recipe == "default" and row.refine_normals != "off":
+            facts |= _off("refined", result.normals, exact)
+            facts["refined_scenes"] = float(result.refinement.refined)
         if recipe == "default" and task.preview:
             found["preview"] = _preview(result, scene)
     return found
@@ -136,12 +145,17 @@ def _as_given(scene: Scene, task: Task, row: Row) -> tuple[Scene, dict[str, floa
         facts["condition"] = condition(truth.lighting)
     if row.normals == "predicted":
         normals = _predicted(scene, task)
-        off = angles_between(normals, scene.normals)[valid]
-        facts |= {"normals_mean": float(off.mean()), "normals_median": float(np.median(off))}
+        facts |= _off("normals", normals, scene)
         scene = replace(scene, normals=normals)
     if row.fov != scene.fov:
         scene = replace(scene, fov=row.fov)
     return scene, facts
+
+
+def _off(name: str, normals: NDArray[np.float64], scene: Scene) -> dict[str, float]:
+    """Angles of some normals to those of a scene, in degrees: mean and median."""
+    off = angles_between(normals, scene.normals)[scene.valid]
+    return {f"{name}_mean": float(off.mean()), f"{name}_median": float(np.median(off))}
 
 
 def predicted_files(folder: Path, seed: int) -> list[Path]:

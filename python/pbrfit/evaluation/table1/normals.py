@@ -24,8 +24,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.floating[Any]]
+from pbrfit.evaluation.normal_errors import Array, Floats, facing, smooth, turned, unit
 
 BLUR = 0.025
 OBJECT_DEGREES, OBJECT_FREEDOM, LARGEST_TURN = 2.0, 2.0, 60.0
@@ -34,12 +33,14 @@ WHOLE, WHOLE_DEGREES = 0.4, 2.0
 """Lengths in shares of the width. Angles in degrees: the standard deviation of a component of ω,
 for objects the factor of Student's t, which is cut off at `LARGEST_TURN`."""
 
-LOWEST_COSINE = 0.05
-WAVES = 256
-
 
 def disturbed(
-    normals: Floats, views: Floats, segments: NDArray[np.integer[Any]], rng: Generator
+    normals: Floats,
+    views: Floats,
+    segments: NDArray[np.integer[Any]],
+    rng: Generator,
+    *,
+    strength: float = 1.0,
 ) -> Array:
     """True normals with the errors of an estimator.
 
@@ -54,6 +55,8 @@ def disturbed(
     rng
         Source of randomness; the same state gives the same errors at any picture size, but for
         what a coarser picture does not show.
+    strength
+        Factor of all angles and of the blur, but not of the lengths over which errors are alike.
 
     Returns
     -------
@@ -61,35 +64,13 @@ def disturbed(
         (H, W, 3) unit vectors that face the camera.
     """
     from scipy.ndimage import gaussian_filter
-    from scipy.spatial.transform import Rotation
 
-    height, width = segments.shape
-    y, x = np.mgrid[:height, :width] / width
-    blurred = gaussian_filter(normals, BLUR * width, axes=(0, 1), mode="nearest")
-    turns = OBJECT_DEGREES * rng.standard_t(OBJECT_FREEDOM, size=(int(segments.max()) + 1, 3))
-    omega = np.clip(turns, -LARGEST_TURN, LARGEST_TURN)[segments]
+    width = segments.shape[1]
+    blurred = gaussian_filter(normals, strength * BLUR * width, axes=(0, 1), mode="nearest")
+    turns = rng.standard_t(OBJECT_FREEDOM, size=(int(segments.max()) + 1, 3))
+    turns = np.clip(strength * OBJECT_DEGREES * turns, -LARGEST_TURN, LARGEST_TURN)
+    omega = turns[segments]
     for scale, degrees in ((PATCH, PATCH_DEGREES), (WHOLE, WHOLE_DEGREES)):
-        omega += degrees * np.stack([_smooth(x, y, scale, rng) for _ in range(3)], axis=-1)
-    rotation = Rotation.from_rotvec(omega.reshape(-1, 3), degrees=True)
-    turned = rotation.apply(_unit(blurred).reshape(-1, 3)).reshape(normals.shape)
-    # n + (c - n·v) v has a cosine of c before it is normalised, and of more than 0 after.
-    missing = np.maximum(LOWEST_COSINE - np.einsum("...i,...i->...", turned, views), 0.0)
-    return _unit(turned + missing[..., None] * views)
-
-
-def _smooth(x: Array, y: Array, scale: float, rng: Generator) -> Array:
-    """Gaussian random field of variance 1 and correlation exp(-d²/(2 scale²)) over distances d.
-
-    A sum of plane waves whose wave vectors have the field's spectrum, a Gaussian of standard
-    deviation 1/scale in each component.
-    """
-    kx, ky = rng.normal(scale=1 / scale, size=(2, WAVES))
-    phase = rng.uniform(0, 2 * np.pi, size=WAVES)
-    total = np.zeros_like(x)
-    for wave in zip(kx, ky, phase, strict=True):
-        total += np.cos(wave[0] * x + wave[1] * y + wave[2])
-    return np.asarray(np.sqrt(2 / WAVES) * total)
-
-
-def _unit(vectors: Floats) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+        fields = [smooth(segments.shape, scale, rng) for _ in range(3)]
+        omega += strength * degrees * np.stack(fields, axis=-1)
+    return facing(turned(unit(blurred), omega), views)

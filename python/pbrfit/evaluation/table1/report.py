@@ -335,10 +335,18 @@ def with_interval(mean: Mean, form: Callable[[float], str] = _three_digits) -> s
 def _rows_in_words(found: Sequence[Outcome]) -> Section:
     columns = [Cell("Setup"), Cell("What it is"), Cell("Metal\npixels", "number")]
     columns += [Cell("Condition\nof the lights", "number"), Cell("Normals off by\nmean", "number")]
+    columns += [Cell("Refined\nto", "number"), Cell("Scenes\nrefined", "number")]
     rows = []
     for outcome in found:
-        metal, condition, off = (
-            outcome.fact(name) for name in ("metal_share", "condition", "normals_mean")
+        metal, condition, off, refined, share = (
+            outcome.fact(name)
+            for name in (
+                "metal_share",
+                "condition",
+                "normals_mean",
+                "refined_mean",
+                "refined_scenes",
+            )
         )
         rows.append(
             [
@@ -347,6 +355,8 @@ def _rows_in_words(found: Sequence[Outcome]) -> Section:
                 Cell(f"{100 * metal.mean:.0f} %" if metal.count else "", "number"),
                 Cell(f"{condition.mean:.0f}" if condition.count else "", "number"),
                 Cell(f"{off.mean:.1f}°" if off.count else "", "number"),
+                Cell(f"{refined.mean:.1f}°" if refined.count else "", "number"),
+                Cell(f"{100 * share.mean:.0f} %" if share.count else "", "number"),
             ]
         )
     return Section("The setups", [], [Table(columns, rows)])

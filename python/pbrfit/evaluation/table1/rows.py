@@ -7,12 +7,16 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from pbrfit.evaluation.recipes import Recipe
+from pbrfit.refinement import RefineNormals
 
 COLUMNS = ("recon", "albedo", "roughness", "metallic", "relight")
 """What the paper reports."""
 
 PLAIN: tuple[Recipe, ...] = ("plain", "default", "paper", "constant", "start")
 """The paper has no priors in any row but one, so ours without priors come first."""
+
+REFINED: tuple[Recipe, ...] = ("plain", "default")
+"""The paper's recipe and guesses cannot refine normals."""
 
 REGULARIZED: tuple[Recipe, ...] = ("default", "paper-priors", "constant", "start")
 
@@ -38,6 +42,8 @@ class Row:
         Of Cycles: see `pbrfit.synthetic.cycles.render_scene`.
     normals
         The true ones, or those of a simulated or given estimator.
+    refine_normals
+        As for `pbrfit.decompose`.
     sh_order
         That the decomposition fits; the true lights have order 3.
     fov
@@ -58,6 +64,7 @@ class Row:
     light: Literal["panorama", "points"] = "panorama"
     transport: Literal["brdf", "shadows", "full"] = "full"
     normals: NormalSource = "true"
+    refine_normals: RefineNormals = "off"
     sh_order: int = 3
     fov: float = 60.0
     recipes: tuple[Recipe, ...] = PLAIN
@@ -92,6 +99,14 @@ ROWS = (
         normals="predicted",
         paper=_paper(0.016, 0.160, 0.341, 0.446, 0.201),
         paper_row="Pred. normals",
+    ),
+    Row(
+        "normals-refined",
+        "Predicted normals, refined",
+        "The same scenes and normals, refined where the pictures say that they are wrong.",
+        normals="predicted",
+        refine_normals="auto",
+        recipes=REFINED,
     ),
     Row(
         "fov90",
