@@ -190,6 +190,29 @@ def learn(
     return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight)
 
 
+def pull_at(
+    objective: Objective, x: Array, labels: Labels, floor: float, variance: float, metallic: Array
+) -> Pull:
+    """The pull of all pixels of a small objective at x, learnt from all of them.
+
+    Parameters
+    ----------
+    labels
+        (P,) of segments; 0 = unclassified.
+    floor
+        Smallest standard deviation of the pull.
+    variance
+        s², of samples of weight 1, in units of x.
+    metallic
+        Of the nodes; not read where it is known.
+    """
+    pixels = np.arange(objective.pixels, dtype=np.uint64)
+    grid = _Grid(objective, x, pixels, variance, metallic)
+    likelihood = grid.likelihood(pixels)
+    posterior = _Learnt.of(likelihood, labels, grid).posterior(likelihood, labels)
+    return _pull(posterior, floor, variance, len(objective.layout.finish))
+
+
 def _with_lights(
     objective: Objective,
     x: Array,
@@ -254,13 +277,21 @@ class _Grid:
         Of the nodes, (nodes,).
     """
 
-    def __init__(self, objective: Objective, x: Array, pixels: NDArray[np.uint64]) -> None:
+    def __init__(
+        self,
+        objective: Objective,
+        x: Array,
+        pixels: NDArray[np.uint64],
+        variance: float | None = None,
+        metallic: Array = METALLIC_NODES,
+    ) -> None:
         layout = objective.layout
+        self._known_variance = variance
         self._planes = len(layout.finish)
         self._problem = objective.problem
         self._given, self._x = x, objective.for_core(x)
         known = objective.known_metallic
-        self._metallic = METALLIC_NODES if known is None else np.array([known])
+        self._metallic = metallic if known is None else np.array([known])
         roughness, metallic = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
         self.roughness, self.metallic = roughness.ravel(), metallic.ravel()
         self._objective, self._noise_pixels = objective, pixels
@@ -271,6 +302,8 @@ class _Grid:
 
         From the residuals that are left at the given pixels and their degrees of freedom.
         """
+        if self._known_variance is not None:
+            return self._known_variance
         objective, layout, pixels = self._objective, self._objective.layout, self._noise_pixels
         _, squares = objective.with_best_albedo(self._given, pixels)
         samples = objective.samples * len(pixels) / layout.pixels

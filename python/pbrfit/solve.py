@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import exposure, memory, metrics
+from pbrfit import exposure, memory, metrics, refined_fit
 from pbrfit._core import InputError
 from pbrfit.geometry import angles_between
 from pbrfit.history import History
@@ -138,15 +138,20 @@ def decompose(
     began = time.perf_counter()
     priors = priors or Priors.none()
     _check_memory(scene, solver, sh_order, metallic, mono_light)
-    objective = Objective(
-        scene,
-        threads=threads,
-        sh_order=sh_order,
-        metallic=metallic,
-        mono_light=mono_light,
-        priors=priors,
-        equal_exposures=equal_exposures,
-    )
+
+    def make(of: Scene, free_normals: bool) -> Objective:
+        return Objective(
+            of,
+            threads=threads,
+            sh_order=sh_order,
+            metallic=metallic,
+            mono_light=mono_light,
+            priors=None if free_normals else priors,
+            equal_exposures=equal_exposures,
+            free_normals=free_normals,
+        )
+
+    objective = make(scene, False)
     run = Run(
         scene,
         objective,
@@ -157,12 +162,19 @@ def decompose(
         progress=progress,
         began=began,
     )
-    x, status, stop_reason = solve(
-        run, solver, _start(objective, start), start_given=start is not None
+    found, refinement = refined_fit.fit(
+        run,
+        _start(objective, start),
+        make,
+        solver=solver,
+        start_given=start is not None,
+        asked=refine_normals,
+        hindered=hindered,
     )
-    # ==== NORMALS: refinement happens here, and nowhere else ====
-    normals, refinement = _refined_normals(scene, refine_normals, hindered)
-    # ============================================================
+    run, x, status, stop_reason = found.run, found.x, found.status, found.reason
+    objective = run.objective
+    normals = np.asarray(run.scene.normals, dtype=np.float64)
+    del found
     needs = Needs.of(
         scene,
         objective.layout,
@@ -228,16 +240,6 @@ def _check_memory(
         scene, sh_order=sh_order, metallic_known=metallic is not None, mono_light=mono_light
     )
     memory.check(solver, memory.of_fit(scene, layout, solver))
-
-
-def _refined_normals(
-    scene: Scene, asked: RefineNormals, hindered: str | None
-) -> tuple[NDArray[np.float64], Refinement]:
-    """(H, W, 3) normals that the materials belong to, and what was decided about them."""
-    why = "not asked for" if asked == "off" else hindered
-    # Nothing refines normals yet, so they are those of the scene in any case.
-    why = why or "this version cannot refine normals"
-    return np.asarray(scene.normals, dtype=np.float64), Refinement(asked, False, why)
 
 
 def _start(

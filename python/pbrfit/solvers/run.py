@@ -86,6 +86,7 @@ class Run:
         self.scene, self.objective = scene, objective
         self.priors, self.robust = priors, robust
         self.limits, self.seed = limits, seed
+        self._iterations = limits.iterations
         self.measured_lighting: Array | None = None
         self._truth = None if scene.truth is None else scene.truth.materials
         self._progress = progress
@@ -95,6 +96,24 @@ class Run:
         self._last = math.nan, math.nan  # loss and its data term, of the last evaluation
         self.rows: list[HistoryRow] = []
         self.stages: list[Stage] = []
+
+    def again(self, scene: Scene, objective: Objective) -> Run:
+        """A run that goes on with another scene and objective, and has all iterations again."""
+        later = Run(
+            scene,
+            objective,
+            priors=self.priors,
+            robust=self.robust,
+            limits=Limits(self.iteration + self._iterations, self.limits.seconds),
+            seed=self.seed,
+            progress=self._progress,
+            began=self._began,
+        )
+        later._iterations = self._iterations
+        later.iteration, later.evaluations = self.iteration, self.evaluations
+        later.unmeasured = self.unmeasured
+        later.rows, later.stages = self.rows, self.stages
+        return later
 
     @property
     def left(self) -> int:

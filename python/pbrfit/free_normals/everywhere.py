@@ -1,0 +1,147 @@
+"""All pixels' normals, from lights that a lattice found, or that a fit with held normals had.
+
+Each pixel turns its normal by itself, drawn to where its neighbours are; then joint steps of all
+pixels and the lights (`pbrfit.second_order.polish`). Neighbours are seen where they were before, so
+what is drawn to is made anew a few times: at the end that is the same as all together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.free_normals.lattice import Neighbourhood, numbered
+from pbrfit.free_normals.search import Found, degrees_of_freedom
+from pbrfit.free_normals.tilt_prior import TiltPrior
+from pbrfit.material_prior import LEAST_VARIANCE
+from pbrfit.objective import Objective
+from pbrfit.second_order.pixels import Towards, chunks, fit_all
+from pbrfit.second_order.polish import polish
+
+Array = NDArray[np.float64]
+
+ROUNDS = 3
+
+GATHERED = 0.03
+"""Standard deviation of roughness and metallic around those of a fit with the learnt prior."""
+
+
+def whole(layout_valid: NDArray[np.bool_], values: Array, fill: float = np.nan) -> Array:
+    """(H, W, ...) of (P, ...)."""
+    found = np.full((*layout_valid.shape, *values.shape[1:]), fill)
+    found[layout_valid] = values
+    return found
+
+
+def spread_out(objective: Objective, x: Array, found: Found) -> None:
+    """Give all pixels the unknowns of the lattice's nearest one, and its lights; x changes."""
+    layout = objective.layout
+    rows, columns = np.nonzero(layout.valid)
+    lattice_rows, lattice_columns = np.nonzero(found.index >= 0)
+    chosen = found.pixels.astype(np.intp)
+    from scipy.spatial import KDTree
+
+    places = np.stack([rows[chosen], columns[chosen]], axis=-1)
+    _, nearest = KDTree(places).query(np.stack([rows, columns], axis=-1))
+    del lattice_rows, lattice_columns
+    of_lattice = found.x[found.few.layout.maps].reshape(-1, found.few.pixels)
+    x[layout.maps] = of_lattice[:, nearest].ravel()
+    x[layout.maps.stop :] = found.x[found.few.layout.maps.stop :]
+
+
+def prior_of(objective: Objective, given: Array, sigma: Array | None, spread: float) -> TiltPrior:
+    """The prior on the tilts of all pixels."""
+    around = Neighbourhood.of(numbered(objective.layout), given, sigma)
+    return TiltPrior(around, spread=spread)
+
+
+def turn(
+    objective: Objective,
+    x: Array,
+    prior: TiltPrior,
+    finish: Array | None,
+    starts: int,
+    stop: Callable[[], bool],
+) -> tuple[TiltPrior, Array | None]:
+    """Turn the normals of all pixels, with their materials and the lights; x changes.
+
+    Parameters
+    ----------
+    objective
+        With free normals.
+    prior
+        Of the tilts.
+    finish
+        (P, F): roughness and metallic to stay near; None = none.
+    starts
+        Nodes from which pixels start, in the first round.
+
+    Returns
+    -------
+    prior
+        With the spread that was found.
+    squares
+        (P,); None if time ran out before all pixels had turned.
+    """
+    layout = objective.layout
+    assert layout.tilts is not None
+    squares = None
+    for number in range(ROUNDS):
+        tilts = x[layout.tilts].reshape(2, -1).T
+        variance = _variance(objective, _squares(objective, x))
+        towards = _towards(prior, tilts, variance, finish, len(layout.finish))
+        first = number == 0
+        squares = fit_all(
+            objective,
+            x,
+            starts=starts if first else 0,
+            steps=12 if first and starts else 0,
+            towards=towards,
+            stop=stop,
+        )
+        if squares is None:
+            return prior, None
+        if objective.lighting is not None:
+            polish(objective, x, squares, lambda *_: stop(), stop, towards)
+        prior = prior.learnt(
+            x[layout.tilts].reshape(2, -1).T, _uncertain(objective, x, towards, variance)
+        )
+    return prior, squares
+
+
+def _squares(objective: Objective, x: Array) -> Array:
+    squares = np.empty(objective.pixels)
+    for chunk in chunks(objective.pixels):
+        squares[chunk] = objective.problem.normal_equations(objective.for_core(x), chunk)[2]
+    return squares
+
+
+def _variance(objective: Objective, squares: Array) -> float:
+    return max(float(np.median(squares)) / degrees_of_freedom(objective), LEAST_VARIANCE)
+
+
+def _towards(
+    prior: TiltPrior, tilts: Array, variance: float, finish: Array | None, factors: int
+) -> Towards:
+    centre, precision = prior.beside_others(tilts, variance)
+    drawn, by = np.zeros((2, len(tilts), factors))
+    if finish is not None:
+        drawn, by = finish, np.full_like(finish, variance / GATHERED**2)
+    return Towards(np.concatenate([drawn, centre], axis=1), np.concatenate([by, precision], axis=1))
+
+
+def _uncertain(objective: Objective, x: Array, towards: Towards, variance: float) -> Array:
+    """Tr V of each pixel's tilt, its other unknowns free and its neighbours held, (P,)."""
+    found = np.empty(objective.pixels)
+    channels = objective.channels
+    for chunk in chunks(objective.pixels):
+        matrices, _, _ = objective.problem.normal_equations(objective.for_core(x), chunk)
+        diagonal = np.einsum("pii->pi", matrices)
+        diagonal[:, channels:] += towards.precision[chunk]
+        diagonal *= 1 + 1e-9
+        diagonal += np.finfo(np.float64).tiny + 1e-12 * diagonal.max()
+        covariance = np.linalg.inv(matrices)
+        found[chunk] = variance * np.einsum("pii->p", covariance[:, -2:, -2:])
+    return found

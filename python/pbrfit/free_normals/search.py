@@ -1,0 +1,340 @@
+"""Lights and normals from the pixels of a lattice, from given normals that are wrong.
+
+With wrong normals held, lights bend to them, and materials to both; a fit that starts there stays
+there. So normals are free from the beginning, but alike nearby, and metallic is drawn to 0 in the
+first rounds: metal with a broad lobe and normals turned half way to the camera shows what a
+dielectric shows, and where both are free most pixels would choose wrongly together. Later rounds
+draw roughness and metallic to what their segment has been found to be made of instead. Without
+that, the many numbers of each pixel take up noise in a way that does not cancel out over pixels,
+and lights end up beside the true ones however many there are.
+
+A round tries all finishes for each pixel by itself, and then takes joint steps. Pixels that are in
+a wrong minimum have little weight in these: a bounded loss ρ(c) = τ c / (τ + c), with τ from the
+pixels' own squares, has w = ρ' = (τ / (τ + c))².
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import material_prior
+from pbrfit.free_normals import joint_step
+from pbrfit.free_normals.joint_step import State
+from pbrfit.free_normals.lattice import Neighbourhood, lattice
+from pbrfit.free_normals.tilt_prior import TiltPrior
+from pbrfit.objective import Objective
+from pbrfit.pulled_steps import OFFSET_PULL, Pull
+from pbrfit.second_order.pixels import METALLIC, ROUGHNESS, place, taken
+
+Array = NDArray[np.float64]
+
+PIXELS = 1024
+"""Of the lattice, at most."""
+
+DIELECTRIC_ROUNDS = 3
+DIELECTRIC = 0.2
+"""Rounds in which metallic is drawn to 0, and the standard deviation of that."""
+
+ROUNDS = 12
+"""At most."""
+
+FLOORS = (0.1, 0.06, 0.036, 0.02)
+"""Smallest deviation of the pull to what was learnt, by round."""
+
+PURE = np.array([0.0, 1.0])
+"""Metallic of the nodes that materials are learnt on: there is hardly anything between dielectrics
+and metals, and with normals free the pictures alone do not say so."""
+
+STEPS = 4
+"""Joint steps of a round."""
+
+NODES = 2
+"""From which a pixel starts in every other round."""
+
+OUTLYING = 4.0
+QUANTILE = 0.8
+"""τ is so many times this quantile of the pixels' squares."""
+
+FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
+FAILURES = 4
+SHARES = (1.0, 0.4)
+
+STALLED = 1e-4
+"""A step that lowers the sum by less than this share is the last of its round."""
+
+SETTLED = 1e-3
+"""A round that does is the last."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the lattice knows.
+
+    Attributes
+    ----------
+    few
+        Its objective, with free normals.
+    pixels, index
+        Which of the whole's pixels it has, and where they stand (`lattice`).
+    x
+        Of `few`.
+    prior
+        Of its tilts.
+    variance
+        Of the noise.
+    """
+
+    few: Objective
+    pixels: NDArray[np.uint64]
+    index: NDArray[np.intp]
+    x: Array
+    prior: TiltPrior
+    variance: float
+
+
+def degrees_of_freedom(objective: Objective) -> float:
+    """Samples of a pixel, less its own unknowns."""
+    layout = objective.layout
+    of_pixel = objective.samples / objective.pixels
+    return max(of_pixel - layout.maps.stop / objective.pixels, 0.1 * of_pixel)
+
+
+def find(
+    objective: Objective,
+    x: Array,
+    given: Array,
+    sigma: Array | None,
+    stop: Callable[[], bool],
+) -> Found:
+    """Lights, tilts and materials of a lattice, from the lights of x.
+
+    Parameters
+    ----------
+    objective
+        With free normals and unknown lights.
+    x
+        Where to start.
+    given, sigma
+        (P, 3) and (P,): the normals that tilts are from, and how sure these are.
+    stop
+        Asked after each round.
+    """
+    pixels, index = lattice(objective.layout, PIXELS)
+    few = objective.restricted(pixels)
+    chosen = pixels.astype(np.intp)
+    around = Neighbourhood.of(index, given[chosen], None if sigma is None else sigma[chosen])
+    search = _Search(few, TiltPrior(around), objective.part_of(x, pixels))
+    last = np.inf
+    for number in range(ROUNDS):
+        total = search.round(number)
+        settled = number > DIELECTRIC_ROUNDS + len(FLOORS) and total > (1 - SETTLED) * last
+        if settled or stop():
+            break
+        last = total
+    return Found(few, pixels, index, search.state.x, search.prior, search.variance)
+
+
+class _Search:
+    """A lattice on its way."""
+
+    def __init__(self, few: Objective, prior: TiltPrior, x: Array) -> None:
+        self.few, self.prior = few, prior
+        self._pixels = np.arange(few.pixels, dtype=np.uint64)
+        segments = few.layout.segments
+        self._labels = np.zeros(few.pixels, np.intp) if segments is None else segments
+        self._damping = FIRST_DAMPING
+        finish = len(few.layout.finish)
+        nothing = np.zeros((few.pixels, finish))
+        self._pull = Pull(nothing, nothing, np.zeros(few.pixels, np.intp), 1)
+        self.state = State(x, np.zeros((1, finish)))
+
+    @property
+    def variance(self) -> float:
+        """Of the noise, as the better half of the pixels has it."""
+        return self._variance(self._squares(self.state.x))
+
+    def round(self, number: int) -> float:
+        """Finishes tried, and joint steps; the sum at the end, in units of the noise."""
+        self._draw(number)
+        if number % 2 == 0:
+            self._try_finishes(turn=number > 0)
+        if number > DIELECTRIC_ROUNDS:
+            self.prior = self.prior.learnt(self._tilts(self.state.x), self._uncertain())
+        for _ in range(STEPS):
+            if not self._joint():
+                break
+        squares = self._squares(self.state.x)
+        return self._bounded(self._with_pull(self.state, squares), squares) + self.prior.cost(
+            self._tilts(self.state.x), self._variance(squares)
+        )
+
+    def _squares(self, x: Array) -> Array:
+        return np.asarray(self.few.problem.normal_equations(self.few.for_core(x), self._pixels)[2])
+
+    def _variance(self, squares: Array) -> float:
+        typical = float(np.median(squares)) / degrees_of_freedom(self.few)
+        return max(typical, material_prior.LEAST_VARIANCE)
+
+    def _tilts(self, x: Array) -> Array:
+        tilts = self.few.layout.tilts
+        assert tilts is not None
+        return x[tilts].reshape(2, -1).T
+
+    def _finish(self, x: Array) -> Array:
+        return np.stack([x[block] for block in self.few.layout.finish], axis=-1)
+
+    def _draw(self, number: int) -> None:
+        """What roughness and metallic are drawn to in this round."""
+        finish = len(self.few.layout.finish)
+        variance = self.variance
+        if number < DIELECTRIC_ROUNDS:
+            centre, precision = np.zeros((2, self.few.pixels, finish))
+            if finish == 2:
+                precision[:, 1] = variance / DIELECTRIC**2
+            clusters = np.zeros(self.few.pixels, np.intp)
+            self._pull = Pull(centre, precision, clusters, 1)
+            self.state = State(self.state.x, np.zeros((1, finish)))
+            return
+        floor = FLOORS[min(number - DIELECTRIC_ROUNDS, len(FLOORS) - 1)]
+        self._pull = material_prior.pull_at(
+            self.few, self.state.x, self._labels, floor, variance, PURE
+        )
+        self.state = State(self.state.x, np.zeros((self._pull.clusters, finish)))
+
+    def _with_pull(self, state: State, squares: Array) -> Array:
+        """Squares and pull of each pixel, (P,)."""
+        off = self._finish(state.x) - self._pull.centre - state.offsets[self._pull.cluster]
+        return np.asarray(squares + (self._pull.precision * off**2).sum(axis=1))
+
+    def _bounded(self, costs: Array, squares: Array) -> float:
+        bound = self._bound(squares)
+        return float((bound * costs / (bound + costs)).sum())
+
+    @staticmethod
+    def _bound(squares: Array) -> float:
+        typical = float(np.quantile(squares, QUANTILE))
+        return max(OUTLYING * typical, float(np.finfo(np.float64).tiny))
+
+    def _towards(self, state: State, x: Array, variance: float) -> tuple[Array, Array]:
+        """Centres and precisions (P, F + 2) that a pixel by itself feels."""
+        centre, precision = self.prior.beside_others(self._tilts(x), variance)
+        shifted = self._pull.centre + state.offsets[self._pull.cluster]
+        return (
+            np.concatenate([shifted, centre], axis=1),
+            np.concatenate([self._pull.precision, precision], axis=1),
+        )
+
+    def _fitted(
+        self, state: State, x: Array, *, starts: int, steps: int, exact_steps: int, turn: bool
+    ) -> tuple[Array, Array]:
+        """X with each pixel's best unknowns, its tilt held unless `turn`, and their squares."""
+        few = self.few
+        centre, precision = self._towards(state, x, self.variance if turn else 0.0)
+        if not turn:
+            finish = len(few.layout.finish)
+            centre[:, finish:], precision[:, finish:] = 0.0, 0.0
+        nodes = _nodes(few) if starts else (np.empty(0), np.empty(0))
+        found, squares = few.problem.fit_materials(
+            few.for_core(x),
+            self._pixels,
+            *nodes,
+            starts=starts,
+            steps=steps,
+            exact_steps=exact_steps,
+            centre=centre,
+            precision=precision,
+            held_normals=not turn,
+        )
+        x = x.copy()
+        place(few, x, self._pixels, found)
+        return x, squares
+
+    def _try_finishes(self, *, turn: bool) -> None:
+        state = self.state
+        x, _ = self._fitted(state, state.x, starts=NODES, steps=12, exact_steps=4, turn=False)
+        if turn:
+            x, _ = self._fitted(state, x, starts=NODES, steps=12, exact_steps=4, turn=True)
+        self.state = State(x, state.offsets)
+
+    def _joint(self) -> bool:
+        """A joint step; whether another is worth while."""
+        state = self.state
+        squares = self._squares(state.x)
+        variance, bound = self._variance(squares), self._bound(squares)
+        costs = self._with_pull(state, squares)
+        before = self._total(state, costs, bound, variance)
+        weights = np.square(bound / (bound + costs))
+        for _ in range(FAILURES):
+            try:
+                taken = joint_step.moves(
+                    self.few, state, self._pull, self.prior, variance, weights, self._damping
+                )
+            except np.linalg.LinAlgError:
+                self._damping = max(10 * self._damping, 1e-6)
+                continue
+            for share in SHARES:
+                trial, costs = self._followed(state, taken(share))
+                after = self._total(trial, costs, bound, variance)
+                if after < before:
+                    self.state = trial
+                    self._damping = max(self._damping / 5, LEAST_DAMPING)
+                    return after < (1 - STALLED) * before
+            self._damping = max(10 * self._damping, 1e-6)
+        return False
+
+    def _total(self, state: State, costs: Array, bound: float, variance: float) -> float:
+        tilts = self._tilts(state.x)
+        held = self._pull.sums(self._pull.precision) * state.offsets**2
+        return (
+            float((bound * costs / (bound + costs)).sum())
+            + OFFSET_PULL * float(held.sum())
+            + self.prior.cost(tilts, variance)
+        )
+
+    def _followed(self, before: State, trial: State) -> tuple[State, Array]:
+        """Pixels after a step, each from where it led and from where they were; and their costs."""
+        moved, squares = self._fitted(trial, trial.x, starts=0, steps=0, exact_steps=2, turn=False)
+        stayed = trial.x.copy()
+        materials = taken(self.few, before.x, slice(None)).copy()
+        materials[:, -2:] = taken(self.few, trial.x, slice(None))[:, -2:]
+        place(self.few, stayed, slice(None), materials)
+        stayed, squares_then = self._fitted(
+            trial, stayed, starts=0, steps=0, exact_steps=3, turn=False
+        )
+        states = [State(x, trial.offsets) for x in (moved, stayed)]
+        costs = [
+            self._with_pull(state, left)
+            for state, left in zip(states, (squares, squares_then), strict=True)
+        ]
+        better = costs[1] < costs[0]
+        chosen = np.where(
+            better[:, None],
+            taken(self.few, stayed, slice(None)),
+            taken(self.few, moved, slice(None)),
+        )
+        place(self.few, moved, slice(None), chosen)
+        return State(moved, trial.offsets), np.where(better, costs[1], costs[0])
+
+    def _uncertain(self) -> Array:
+        """Tr V of each pixel's tilt, the other unknowns of the pixel free and its neighbours held."""
+        few, x = self.few, self.state.x
+        matrices, _, squares = few.problem.normal_equations(few.for_core(x), self._pixels)
+        variance = self._variance(squares)
+        finish = self._pull.precision.shape[1]
+        diagonal = np.einsum("pii->pi", matrices)
+        channels = few.layout.channels
+        diagonal[:, channels : channels + finish] += self._pull.precision
+        diagonal[:, -2:] += self.prior.diagonal(variance)[:, None]
+        diagonal *= 1 + 1e-9
+        diagonal += 1e-12 * diagonal.max()
+        covariance = np.linalg.inv(matrices)
+        return np.asarray(variance * np.einsum("pii->p", covariance[:, -2:, -2:]))
+
+
+def _nodes(objective: Objective) -> tuple[Array, Array]:
+    known = objective.known_metallic
+    return ROUGHNESS, METALLIC if known is None else np.array([known])

@@ -1,0 +1,224 @@
+"""A fit whose normals may be refined: when, in which order, and what is kept of it.
+
+With `auto` the first fit holds the given normals. Where they are right, neighbouring pixels have
+nothing in common in what it leaves of them, and that is the end of it. Else normals are refined, and
+the refined fit has to earn its place: it must leave noise, or far less than the held one did.
+Shadows, interreflections and a wrong field of view leave residuals that normals can bend to as well,
+but never explain.
+
+At the end every part of the picture has to have gained: where given normals explain the pictures as
+well as the refined ones, given that these have two numbers a pixel more to do it with, the given
+ones are put back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import free_normals
+from pbrfit.free_normals.everywhere import whole
+from pbrfit.free_normals.search import degrees_of_freedom
+from pbrfit.model_gap import NOISE_SHARED, Neighbours
+from pbrfit.objective import Objective
+from pbrfit.refinement import Refinement
+from pbrfit.result import Status
+from pbrfit.scene import Scene
+from pbrfit.second_order.pixels import chunks, taken
+from pbrfit.solvers import Run, Solver, solve
+
+Array = NDArray[np.float64]
+
+RIGHT = 0.03
+"""Mean cosine between residuals of neighbours up to which the given normals are right."""
+
+MUCH_LESS = 0.1
+"""Of the squares with given normals: what leaves no more explains the pictures, whatever it
+leaves."""
+
+PASSES = 2
+"""Of turning all normals, and fitting with them held."""
+
+WINDOW = 5
+"""Pixels in each direction over which a gain is averaged."""
+
+FREE_GAIN = 2.0
+"""Of squares in units of the noise: what two numbers more a pixel gain on noise alone."""
+
+SURE = 3.0
+"""Standard deviations beyond that a gain has to be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where a fit ended: its run, whose scene has the normals, and x of the run's objective."""
+
+    run: Run
+    x: Array
+    status: Status
+    reason: str
+
+
+def fit(
+    run: Run,
+    x: Array,
+    make: Callable[[Scene, bool], Objective],
+    *,
+    solver: Solver,
+    start_given: bool,
+    asked: str,
+    hindered: str | None,
+) -> tuple[Fit, Refinement]:
+    """Fit the scene of `run` from x, and refine its normals where that is asked for and helps.
+
+    Parameters
+    ----------
+    make
+        The objective of a scene, with free normals or without.
+    asked
+        "off", "auto" or "on".
+    hindered
+        Why refinement cannot be done; None if it can.
+    """
+    why = "not asked for" if asked == "off" else hindered
+    if why is not None:
+        return Fit(run, *solve(run, solver, x, start_given=start_given)), Refinement(
+            asked, False, why
+        )
+    held, figures = None, dict[str, float]()
+    if asked == "auto":
+        held = Fit(run, *solve(run, solver, x.copy(), start_given=start_given))
+        objective = run.objective
+        shared = Neighbours(objective).shared(held.x)
+        before = objective.data_value_and_grad(held.x)[0]
+        figures = {
+            "residual_before": objective.residual_rmse(before),
+            "shared_before": shared,
+        }
+        if shared <= RIGHT:
+            why = "the given normals explain the pictures up to noise"
+            return held, Refinement(asked, False, why, figures)
+        if run.out_of_time():
+            return held, Refinement(asked, False, "the time limit came first", figures)
+    found = _refined(run, x if held is None else held.x, make, solver)
+    if found is None:
+        assert held is not None or run.out_of_time()
+        held = held or Fit(run, *solve(run, solver, x, start_given=start_given))
+        return held, Refinement(asked, False, "the time limit came first", figures)
+    refined, spread = found
+    objective = refined.run.objective
+    after = objective.data_value_and_grad(refined.x)[0]
+    shared = Neighbours(objective).shared(refined.x)
+    figures |= {
+        "residual_after": objective.residual_rmse(after),
+        "shared_after": shared,
+        "spread_degrees": float(np.degrees(spread)),
+    }
+    if held is None:
+        return refined, Refinement(asked, True, "asked for", figures)
+    if after <= MUCH_LESS * before:
+        why = "with other normals the pictures are explained far better"
+        return refined, Refinement(asked, True, why, figures)
+    if after < before and shared <= NOISE_SHARED:
+        why = "only with other normals are the pictures explained up to noise"
+        return refined, Refinement(asked, True, why, figures)
+    why = "other normals do not explain what the given ones leave of the pictures"
+    held = replace(held, run=replace_stages(held.run, refined.run))
+    return held, Refinement(asked, False, why, figures)
+
+
+def replace_stages(run: Run, later: Run) -> Run:
+    """The run with the stages of a later one that came to nothing."""
+    run.stages = later.stages
+    run.evaluations = later.evaluations
+    return run
+
+
+def _refined(
+    run: Run, x: Array, make: Callable[[Scene, bool], Objective], solver: Solver
+) -> tuple[Fit, float] | None:
+    """The fit with refined normals, and the spread of their changes; None if time ran out."""
+    from threadpoolctl import threadpool_limits
+
+    scene, valid = run.scene, run.scene.valid
+    given = np.asarray(scene.normals, dtype=np.float64)[valid]
+    sigma = None if scene.normal_sigma is None else scene.normal_sigma[valid].astype(np.float64)
+    free = make(scene, True)
+    layout = free.layout
+    moving = free.start()
+    starts = 1
+    # Sums split over threads would round differently on a machine with more processors.
+    with threadpool_limits(1, user_api="blas"):
+        if free.lighting is not None:
+            with run.stage("normals and lights from a lattice") as notes:
+                lattice = free_normals.find(free, moving, given, sigma, run.out_of_time)
+                free_normals.spread_out(free, moving, lattice)
+                spread = lattice.prior.spread
+                notes.append(f"{len(lattice.pixels)} pixels")
+        else:
+            spread = free_normals.FIRST_SPREAD
+        prior = free_normals.prior_of(free, given, sigma, spread)
+        found: Fit | None = None
+        finish = None
+        for number in range(PASSES):
+            with run.stage("normals of all pixels"):
+                prior, squares = free_normals.turn(
+                    free, moving, prior, finish, starts, run.out_of_time
+                )
+                if squares is None:
+                    return None if found is None else (found, prior.spread)
+                if number == PASSES - 1:
+                    _put_back(free, moving, squares)
+            turned = replace(scene, normals=whole(valid, free.normals(moving)), truth=scene.truth)
+            later = run.again(turned, make(turned, False))
+            start = np.concatenate([moving[layout.materials], moving[layout.maps.stop :]])
+            found = Fit(later, *solve(later, solver, start, start_given=True))
+            run = later
+            moving[layout.materials] = found.x[later.objective.layout.materials]
+            moving[layout.maps.stop :] = found.x[later.objective.layout.maps.stop :]
+            finish = np.stack([moving[block] for block in layout.finish], axis=-1)
+            starts = 0
+            if run.out_of_time():
+                break
+    assert found is not None
+    return found, prior.spread
+
+
+def _put_back(free: Objective, x: Array, squares: Array) -> None:
+    """Give pixels their given normals back around which nothing has been gained; x changes."""
+    from scipy.ndimage import uniform_filter
+
+    layout = free.layout
+    assert layout.tilts is not None
+    nowhere = x.copy()
+    nowhere[layout.tilts] = 0.0
+    as_given = np.empty(free.pixels)
+    own = np.empty((free.pixels, layout.maps.stop // free.pixels))
+    empty = np.empty(0)
+    for chunk in chunks(free.pixels):
+        own[chunk], as_given[chunk] = free.problem.fit_materials(
+            free.for_core(nowhere),
+            chunk,
+            empty,
+            empty,
+            starts=0,
+            steps=12,
+            exact_steps=2,
+            held_normals=True,
+        )
+    degrees = degrees_of_freedom(free)
+    variance = max(float(np.median(squares)) / degrees, np.finfo(np.float64).tiny)
+    gain = np.minimum((as_given - squares) / variance, 10 * degrees)
+    inside = uniform_filter(layout.valid.astype(np.float64), WINDOW, mode="constant")
+    around = uniform_filter(whole(layout.valid, gain, 0.0), WINDOW, mode="constant")
+    counted = np.maximum(inside[layout.valid] * WINDOW**2, 1.0)
+    mean = around[layout.valid] * WINDOW**2 / counted
+    # Squares of a normal number have mean 1 and variance 2.
+    needed = FREE_GAIN * (1 + SURE * np.sqrt(1 / counted))
+    back = mean < needed
+    turned = taken(free, x, slice(None)).copy()
+    turned[back] = own[back]
+    x[layout.maps] = turned.T.ravel()
