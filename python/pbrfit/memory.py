@@ -12,7 +12,6 @@ from pbrfit._core import InputError
 from pbrfit.layout import Layout
 from pbrfit.projected_lbfgs import CORRECTIONS, choose
 from pbrfit.scene import Scene
-from pbrfit.second_order.pixels import AT_ONCE
 
 log = logging.getLogger("pbrfit")
 
@@ -39,14 +38,10 @@ DIRECTION_BYTES = 32
 GIVEN_DIRECTION_BYTES = 48
 """The same where normals are free: given normal and view direction in float64."""
 
-REFINING_ARRAYS_BYTES = 8 * (7 + 3 * 5) + 64 + 3 * 24 + 2 * 32
-"""Of a pixel while its normal is refined: its unknowns with tilts, and those of three states
-without; pairs of neighbours and their weights; normals in three states; what two fits were drawn
-to."""
-
-PIXEL_MATRIX_BYTES = 8 * 7 * 7
-"""Of a pixel's normal equations with free normals. Three are there at a time (a matrix, its
-inverse, a copy in LAPACK), for as many pixels as are taken at once; the allocator may keep them."""
+REFINING_BYTES = 1000
+"""Of a pixel while its normal is refined, beside cores, measured on whole fits of 512² and 1024²
+with 16 pictures: its unknowns with tilts, and without in the fits before; normals in three states;
+pairs of neighbours; what fits were drawn to; and what the allocator keeps of work that is done."""
 
 VECTOR_BYTES = 5 * 24
 """Of a pixel while the core is made: view directions, and two copies of those and of normals."""
@@ -120,8 +115,7 @@ def of_fit(
     if refine_normals:
         # The first fit, the one before the last, and free normals.
         refining = 3 * core + (GIVEN_DIRECTION_BYTES - DIRECTION_BYTES) * blocks
-        refining += REFINING_ARRAYS_BYTES * pixels
-        refining += 3 * PIXEL_MATRIX_BYTES * min(pixels, AT_ONCE)
+        refining += REFINING_BYTES * pixels
     return FitMemory(
         scene=held,
         core=core,
