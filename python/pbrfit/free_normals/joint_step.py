@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from pbrfit.free_normals.tilt_prior import TiltPrior
 from pbrfit.normal_equations import RIDGE, Cholesky, as_in_x
 from pbrfit.objective import Objective
-from pbrfit.pulled_steps import OFFSET_PULL, Pull
+from pbrfit.pulled_steps import Pull
 
 Array = NDArray[np.float64]
 
@@ -66,6 +66,7 @@ def moves(
     prior: TiltPrior,
     variance: float,
     weights: Array,
+    offset_pull: Array,
     damping: float,
 ) -> Callable[[float], State]:
     """The step at `state`, as a function of the share of it that is taken.
@@ -78,6 +79,8 @@ def moves(
         Of roughness and metallic, of the tilts, and the noise's.
     weights
         (P,): w.
+    offset_pull
+        (F,): s of roughness and, where it is free, metallic.
     damping
         Share of their diagonals that is added to the pixels' matrices.
     """
@@ -147,7 +150,7 @@ def moves(
         for other in range(finish):
             np.add.at(dense, (place[:, f], place[:, other]), own[:, 2 + f, 2 + other])
     dense[:size, size:] = dense[size:, :size].T
-    totals = OFFSET_PULL * pull.sums(pull.precision * weights[:, None])
+    totals = offset_pull * pull.sums(pull.precision * weights[:, None])
     np.einsum("ii->i", dense)[size:] += totals.ravel() + np.finfo(float).tiny
     right = np.zeros(len(dense))
     right[:size] = by_lights
