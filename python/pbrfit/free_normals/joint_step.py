@@ -143,7 +143,7 @@ def moves(
     dense[:size, :size] = of_lights
     place = size + pull.cluster[:, None] * finish + np.arange(finish)
     for f in range(finish):
-        np.add.at(dense, (place[:, f], slice(0, size)), ties[:, 2 + f])
+        np.add.at(dense[:, :size], place[:, f], ties[:, 2 + f])
         for other in range(finish):
             np.add.at(dense, (place[:, f], place[:, other]), own[:, 2 + f, 2 + other])
     dense[:size, size:] = dense[size:, :size].T
