@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -236,7 +237,7 @@ def check_lattice(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int]:
         places = {int(k): set(place[of_lattice == k]) for k in np.unique(of_lattice)}
         assert all(len(found) == 1 for found in places.values())
         known = sorted((k, found.pop()) for k, found in places.items())
-        steps += [(b[1] - a[1]) / (b[0] - a[0]) for a, b in zip(known, known[1:], strict=False)]
+        steps += [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(known)]
     assert len(set(steps)) <= 1
     step = int(steps[0]) if steps else 1
     first = rows[order[0]] - step * i[0], columns[order[0]] - step * j[0]
@@ -248,7 +249,7 @@ def check_lattice(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int]:
 
 def test_a_lattice_of_more_pixels_than_there_are_is_all_of_them() -> None:
     for valid in (holed(7, 9), np.ones((1, 1), bool), np.ones((1, 5), bool), holed(6, 4)):
-        assert check_lattice(valid, 1024) == (np.count_nonzero(valid), 1)
+        assert check_lattice(valid, 1024) == (int(np.count_nonzero(valid)), 1)
 
 
 def test_a_lattice_keeps_clear_of_holes() -> None:
