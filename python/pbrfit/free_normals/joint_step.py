@@ -10,7 +10,8 @@ each pixel, which is in the weights here: w_p = ρ'.
 
 Materials touch nothing but their own pixel, so they are solved for first (Schur complement). With
 J_m, J_q the derivatives of a pixel's residuals r (pulls are residuals too) by its materials and by
-all else that it feels, q = (its tilt, the offsets of its cluster, the lights), and P = J_m A⁻¹ J_mᵀ,
+all else that it feels, q = (its tilt, the offsets of its cluster, the lights), A = J_mᵀ J_m and
+P = J_m A⁻¹ J_mᵀ,
 
     H = J_qᵀ (1 − P) J_q          h = J_qᵀ (1 − P) r
 
@@ -85,7 +86,8 @@ def moves(
         Share of their diagonals that is added to the pixels' matrices.
     """
     layout, x = few.layout, state.x
-    assert layout.tilts is not None and layout.lighting is not None
+    assert layout.tilts is not None
+    assert layout.lighting is not None
     count, channels = few.pixels, layout.channels
     unknowns = layout.materials.stop // count
     finish = unknowns - channels
@@ -146,7 +148,7 @@ def moves(
     dense[:size, :size] = of_lights
     place = size + pull.cluster[:, None] * finish + np.arange(finish)
     for f in range(finish):
-        np.add.at(dense, (place[:, f], slice(0, size)), ties[:, 2 + f])
+        np.add.at(dense[:, :size], place[:, f], ties[:, 2 + f])
         for other in range(finish):
             np.add.at(dense, (place[:, f], place[:, other]), own[:, 2 + f, 2 + other])
     dense[:size, size:] = dense[size:, :size].T
@@ -208,7 +210,7 @@ def _whitened(materials: Array, damping: float) -> Array:
 
 
 def _onto_lights(values: Array, by_light: Array, few: Objective) -> Array:
-    """(P, Q, M): sums over samples of `values` (P, Q, samples) times their weights in the lights."""
+    """(P, Q, M): sums over samples of `values` (P, Q, samples) times their light's weights."""
     layout = few.layout
     count, queries, _ = values.shape
     by_channel = values.reshape(count, queries, layout.pictures, layout.channels)
