@@ -174,31 +174,20 @@ def learn(
             x = x.copy()
 
         grid = _Grid(objective, x, few)
-        many = spread_over(labels, LEARNING_PIXELS_GIVEN_LIGHTS)
-        learnt = _Learnt.of(grid.likelihood(many), labels[many], grid)
         everything = np.arange(layout.pixels, dtype=np.uint64)
-        parts = [
-            learnt.posterior(grid.likelihood(everything[chunk]), labels[chunk])
-            for chunk in _pieces(layout.pixels)
-        ]
-        posterior = _Posterior.joined(parts)
-        del parts
-        pull = _pull(posterior, FLOORS[-1], strength * grid.variance, len(layout.finish))
-        del posterior
+        pull = _of_all(grid, labels, FLOORS[-1], strength * grid.variance, len(layout.finish))
         _put(objective, x, everything, pull.centre)
         objective.put_best_albedo(x, everything)
     return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight)
 
 
 def pull_at(
-    objective: Objective, x: Array, labels: Labels, floor: float, variance: float, metallic: Array
+    objective: Objective, x: Array, floor: float, variance: float, metallic: Array
 ) -> Pull:
-    """The pull of all pixels of a small objective at x, learnt from all of them.
+    """The pull of all pixels at x, learnt from an even share of them; lights stay.
 
     Parameters
     ----------
-    labels
-        (P,) of segments; 0 = unclassified.
     floor
         Smallest standard deviation of the pull.
     variance
@@ -206,11 +195,24 @@ def pull_at(
     metallic
         Of the nodes; not read where it is known.
     """
-    pixels = np.arange(objective.pixels, dtype=np.uint64)
-    grid = _Grid(objective, x, pixels, variance, metallic)
-    likelihood = grid.likelihood(pixels)
-    posterior = _Learnt.of(likelihood, labels, grid).posterior(likelihood, labels)
-    return _pull(posterior, floor, variance, len(objective.layout.finish))
+    layout = objective.layout
+    labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
+    grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
+    return _of_all(grid, labels, floor, variance, len(layout.finish))
+
+
+def _of_all(grid: _Grid, labels: Labels, floor: float, variance: float, planes: int) -> Pull:
+    """The pull of all pixels of a grid's objective; `variance` is s² times the strength."""
+    many = spread_over(labels, LEARNING_PIXELS_GIVEN_LIGHTS)
+    learnt = _Learnt.of(grid.likelihood(many), labels[many], grid)
+    everything = np.arange(len(labels), dtype=np.uint64)
+    parts = [
+        learnt.posterior(grid.likelihood(everything[chunk]), labels[chunk])
+        for chunk in _pieces(len(labels))
+    ]
+    posterior = _Posterior.joined(parts)
+    del parts
+    return _pull(posterior, floor, variance, planes)
 
 
 def _with_lights(

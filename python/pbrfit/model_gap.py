@@ -42,8 +42,10 @@ class Neighbours:
         """Mean cosine between the residuals of neighbours at x; 0 where nothing is left of any.
 
         Each pair counts as much as any other: a few pixels that are still in a wrong minimum do not
-        decide.
+        decide. 0 where no two pixels are neighbours, too.
         """
+        if not self.pixels.size:
+            return 0.0
         residuals = self._objective.problem.residuals(self._objective.for_core(x), self.pixels)
         of_pixels = residuals.transpose(1, 0, 2).reshape(len(self.pixels), -1).astype(np.float64)
         size = np.sqrt(np.einsum("ps,ps->p", of_pixels, of_pixels))

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.free_normals.lattice import Neighbourhood, numbered
-from pbrfit.free_normals.search import Found, degrees_of_freedom
+from pbrfit import material_prior
+from pbrfit.free_normals.search import PURE, Found, degrees_of_freedom
 from pbrfit.free_normals.tilt_prior import TiltPrior
 from pbrfit.material_prior import LEAST_VARIANCE
 from pbrfit.objective import Objective
@@ -24,8 +25,8 @@ Array = NDArray[np.float64]
 
 ROUNDS = 3
 
-GATHERED = 0.03
-"""Standard deviation of roughness and metallic around those of a fit with the learnt prior."""
+GATHERED = 0.1
+"""Smallest standard deviation of roughness and metallic around what was learnt."""
 
 
 def whole(layout_valid: NDArray[np.bool_], values: Array, fill: float = np.nan) -> Array:
@@ -61,7 +62,6 @@ def turn(
     objective: Objective,
     x: Array,
     prior: TiltPrior,
-    finish: Array | None,
     starts: int,
     stop: Callable[[], bool],
 ) -> tuple[TiltPrior, Array | None]:
@@ -73,8 +73,6 @@ def turn(
         With free normals.
     prior
         Of the tilts.
-    finish
-        (P, F): roughness and metallic to stay near; None = none.
     starts
         Nodes from which pixels start, in the first round.
 
@@ -91,7 +89,11 @@ def turn(
     for number in range(ROUNDS):
         tilts = x[layout.tilts].reshape(2, -1).T
         variance = _variance(objective, _squares(objective, x))
-        towards = _towards(prior, tilts, variance, finish, len(layout.finish))
+        centre, precision = prior.beside_others(tilts, variance)
+        nothing = np.zeros((len(tilts), len(layout.finish)))
+        towards = Towards(
+            np.concatenate([nothing, centre], axis=1), np.concatenate([nothing, precision], axis=1)
+        )
         first = number == 0
         squares = fit_all(
             objective,
@@ -120,16 +122,6 @@ def _squares(objective: Objective, x: Array) -> Array:
 
 def _variance(objective: Objective, squares: Array) -> float:
     return max(float(np.median(squares)) / degrees_of_freedom(objective), LEAST_VARIANCE)
-
-
-def _towards(
-    prior: TiltPrior, tilts: Array, variance: float, finish: Array | None, factors: int
-) -> Towards:
-    centre, precision = prior.beside_others(tilts, variance)
-    drawn, by = np.zeros((2, len(tilts), factors))
-    if finish is not None:
-        drawn, by = finish, np.full_like(finish, variance / GATHERED**2)
-    return Towards(np.concatenate([drawn, centre], axis=1), np.concatenate([by, precision], axis=1))
 
 
 def _uncertain(objective: Objective, x: Array, towards: Towards, variance: float) -> Array:

@@ -10,7 +10,8 @@ each pixel, which is in the weights here: w_p = ρ'.
 
 Materials touch nothing but their own pixel, so they are solved for first (Schur complement). With
 J_m, J_q the derivatives of a pixel's residuals r (pulls are residuals too) by its materials and by
-all else that it feels, q = (its tilt, the offsets of its cluster, the lights), and P = J_m A⁻¹ J_mᵀ,
+all else that it feels, q = (its tilt, the offsets of its cluster, the lights), A = J_mᵀ J_m and
+P = J_m A⁻¹ J_mᵀ,
 
     H = J_qᵀ (1 − P) J_q          h = J_qᵀ (1 − P) r
 
@@ -30,7 +31,7 @@ from numpy.typing import NDArray
 from pbrfit.free_normals.tilt_prior import TiltPrior
 from pbrfit.normal_equations import RIDGE, Cholesky, as_in_x
 from pbrfit.objective import Objective
-from pbrfit.pulled_steps import OFFSET_PULL, Pull
+from pbrfit.pulled_steps import Pull
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,7 @@ def moves(
     prior: TiltPrior,
     variance: float,
     weights: Array,
+    offset_pull: Array,
     damping: float,
 ) -> Callable[[float], State]:
     """The step at `state`, as a function of the share of it that is taken.
@@ -78,11 +80,14 @@ def moves(
         Of roughness and metallic, of the tilts, and the noise's.
     weights
         (P,): w.
+    offset_pull
+        (F,): s of roughness and, where it is free, metallic.
     damping
         Share of their diagonals that is added to the pixels' matrices.
     """
     layout, x = few.layout, state.x
-    assert layout.tilts is not None and layout.lighting is not None
+    assert layout.tilts is not None
+    assert layout.lighting is not None
     count, channels = few.pixels, layout.channels
     unknowns = layout.materials.stop // count
     finish = unknowns - channels
@@ -143,11 +148,11 @@ def moves(
     dense[:size, :size] = of_lights
     place = size + pull.cluster[:, None] * finish + np.arange(finish)
     for f in range(finish):
-        np.add.at(dense, (place[:, f], slice(0, size)), ties[:, 2 + f])
+        np.add.at(dense[:, :size], place[:, f], ties[:, 2 + f])
         for other in range(finish):
             np.add.at(dense, (place[:, f], place[:, other]), own[:, 2 + f, 2 + other])
     dense[:size, size:] = dense[size:, :size].T
-    totals = OFFSET_PULL * pull.sums(pull.precision * weights[:, None])
+    totals = offset_pull * pull.sums(pull.precision * weights[:, None])
     np.einsum("ii->i", dense)[size:] += totals.ravel() + np.finfo(float).tiny
     right = np.zeros(len(dense))
     right[:size] = by_lights
@@ -205,7 +210,7 @@ def _whitened(materials: Array, damping: float) -> Array:
 
 
 def _onto_lights(values: Array, by_light: Array, few: Objective) -> Array:
-    """(P, Q, M): sums over samples of `values` (P, Q, samples) times their weights in the lights."""
+    """(P, Q, M): sums over samples of `values` (P, Q, samples) times their light's weights."""
     layout = few.layout
     count, queries, _ = values.shape
     by_channel = values.reshape(count, queries, layout.pictures, layout.channels)

@@ -93,20 +93,37 @@ def lattice(layout: Layout, at_most: int) -> tuple[NDArray[np.uint64], NDArray[n
     Returns
     -------
     pixels
-        (Q,) indices in the order of x, about `at_most` at most.
+        (Q,) indices in the order of x, about `at_most` at most, and at least one.
     index
         (rows, columns): position in `pixels`, or −1 where the pixel there is not valid.
     """
     step = max(1, math.ceil(math.sqrt(layout.pixels / at_most)))
+    # A picture or mask that is long and narrow has more pixels on a lattice than a square has.
+    while (places := _places(layout.valid, step))[0] > 1.25 * at_most:
+        step += 1
+    _, row, column = places
     height, width = layout.valid.shape
-    rows = np.arange(min(step // 2, height - 1), height, step)
-    columns = np.arange(min(step // 2, width - 1), width, step)
     everywhere = numbered(layout)
-    found = everywhere[np.ix_(rows, columns)]
+    found = everywhere[np.ix_(np.arange(row, height, step), np.arange(column, width, step))]
     inside = found >= 0
     index = np.full(found.shape, -1)
     index[inside] = np.arange(np.count_nonzero(inside))
     return found[inside].astype(np.uint64), index
+
+
+def _places(valid: NDArray[np.bool_], step: int) -> tuple[int, int, int]:
+    """How many valid pixels a lattice has, and its first row and column.
+
+    It begins half a step from the border, unless a mask with a pattern of its own (every other
+    row, say) leaves it less than half of its share there.
+    """
+    rows, columns = np.nonzero(valid)
+    counts = np.bincount(rows % step * step + columns % step, minlength=step**2)
+    middle = [min(step // 2, size - 1) for size in valid.shape]
+    place = middle[0] * step + middle[1]
+    if 2 * step**2 * counts[place] < len(rows):
+        place = int(counts.argmax())
+    return int(counts[place]), place // step, place % step
 
 
 def numbered(layout: Layout) -> NDArray[np.intp]:

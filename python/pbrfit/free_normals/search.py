@@ -45,6 +45,26 @@ ROUNDS = 12
 FLOORS = (0.1, 0.06, 0.036, 0.02)
 """Smallest deviation of the pull to what was learnt, by round."""
 
+PURE_ROUNDS = 8
+HELD = 1e3
+"""From this round on clusters have no offset in metallic: what it is drawn to is 0 or 1. Before,
+they are free to move together, which lights need to find their scale."""
+
+FLIP_ROUNDS = (5, 8)
+FLIPPED = 12
+FEWEST = 8
+FLIP_STEPS = 2
+"""After these rounds segments that are neither dielectric nor metal become one or the other, each as
+a whole, if all is explained better for it: at most so many, of so many pixels at least, with so many
+joint steps each. What is in between has been bent there by wrong normals, and its own way back is
+uphill."""
+
+BETWEEN = (0.04, 0.96)
+"""Mean metallic of what is neither."""
+
+SCALES = (1.2, 1 / 1.2, 1.05, 1 / 1.05)
+"""Factors on all lights that are tried after each round, with albedo divided by them."""
+
 PURE = np.array([0.0, 1.0])
 """Metallic of the nodes that materials are learnt on: there is hardly anything between dielectrics
 and metals, and with normals free the pictures alone do not say so."""
@@ -144,12 +164,11 @@ class _Search:
     def __init__(self, few: Objective, prior: TiltPrior, x: Array) -> None:
         self.few, self.prior = few, prior
         self._pixels = np.arange(few.pixels, dtype=np.uint64)
-        segments = few.layout.segments
-        self._labels = np.zeros(few.pixels, np.intp) if segments is None else segments
         self._damping = FIRST_DAMPING
         finish = len(few.layout.finish)
         nothing = np.zeros((few.pixels, finish))
         self._pull = Pull(nothing, nothing, np.zeros(few.pixels, np.intp), 1)
+        self._offset_pull = np.full(finish, OFFSET_PULL)
         self.state = State(x, np.zeros((1, finish)))
 
     @property
@@ -160,6 +179,8 @@ class _Search:
     def round(self, number: int) -> float:
         """Finishes tried, and joint steps; the sum at the end, in units of the noise."""
         self._draw(number)
+        if number >= PURE_ROUNDS:
+            self._offset_pull[1:] = HELD
         if number % 2 == 0:
             self._try_finishes(turn=number > 0)
         if number > DIELECTRIC_ROUNDS:
@@ -167,6 +188,10 @@ class _Search:
         for _ in range(STEPS):
             if not self._joint():
                 break
+        if number >= DIELECTRIC_ROUNDS:
+            self._scale()
+        if number in FLIP_ROUNDS:
+            self._flip()
         squares = self._squares(self.state.x)
         return self._bounded(self._with_pull(self.state, squares), squares) + self.prior.cost(
             self._tilts(self.state.x), self._variance(squares)
@@ -201,7 +226,7 @@ class _Search:
             return
         floor = FLOORS[min(number - DIELECTRIC_ROUNDS, len(FLOORS) - 1)]
         self._pull = material_prior.pull_at(
-            self.few, self.state.x, self._labels, floor, variance, PURE
+            self.few, self.state.x, floor, variance, PURE
         )
         self.state = State(self.state.x, np.zeros((self._pull.clusters, finish)))
 
@@ -271,7 +296,14 @@ class _Search:
         for _ in range(FAILURES):
             try:
                 taken = joint_step.moves(
-                    self.few, state, self._pull, self.prior, variance, weights, self._damping
+                    self.few,
+                    state,
+                    self._pull,
+                    self.prior,
+                    variance,
+                    weights,
+                    self._offset_pull,
+                    self._damping,
                 )
             except np.linalg.LinAlgError:
                 self._damping = max(10 * self._damping, 1e-6)
@@ -286,12 +318,79 @@ class _Search:
             self._damping = max(10 * self._damping, 1e-6)
         return False
 
+    def _flip(self) -> None:
+        """Try segments that are neither dielectric nor metal as either."""
+        few = self.few
+        labels, metallic = few.layout.segments, few.layout.metallic
+        if labels is None or metallic is None:
+            return
+        counts = np.bincount(labels)
+        means = np.bincount(labels, self.state.x[metallic]) / np.maximum(counts, 1)
+        between = (means > BETWEEN[0]) & (means < BETWEEN[1]) & (counts >= FEWEST)
+        between[0] = False  # unclassified pixels have nothing in common
+        candidates = np.flatnonzero(between)
+        for label in candidates[np.argsort(-counts[candidates])][:FLIPPED]:
+            squares = self._squares(self.state.x)
+            variance, bound = self._variance(squares), self._bound(squares)
+            least = self._alone(self.state, squares, bound, variance)
+            before = self.state, self._pull, self._damping
+            best = least, *before
+            total = self._as(labels == label, 0.0, bound, variance)
+            if total < best[0]:
+                best = total, self.state, self._pull, self._damping
+            _, self.state, self._pull, self._damping = best
+
+    def _as(self, there: NDArray[np.bool_], pure: float, bound: float, variance: float) -> float:
+        """Make metallic of some pixels `pure`, and let all else follow; the sum then."""
+        few, pull = self.few, self._pull
+        metallic = few.layout.metallic
+        assert metallic is not None
+        centre, precision = pull.centre.copy(), pull.precision.copy()
+        centre[there, 1], precision[there, 1] = pure, variance / FLOORS[-1] ** 2
+        precision[there, 0] = 0.0
+        cluster = np.where(there, pull.clusters, pull.cluster)
+        self._pull = Pull(centre, precision, cluster, pull.clusters + 1)
+        offsets = np.concatenate([self.state.offsets, np.zeros((1, centre.shape[1]))])
+        x = self.state.x.copy()
+        x[metallic][there] = pure
+        state = State(x, offsets)
+        x, squares = self._fitted(state, x, starts=NODES, steps=12, exact_steps=6, turn=True)
+        self.state = State(x, offsets)
+        for _ in range(FLIP_STEPS):
+            if not self._joint():
+                break
+        return self._alone(self.state, self._squares(self.state.x), bound, variance)
+
+    def _alone(self, state: State, squares: Array, bound: float, variance: float) -> float:
+        return float((bound * squares / (bound + squares)).sum()) + self.prior.cost(
+            self._tilts(state.x), variance
+        )
+
+    def _scale(self) -> None:
+        """Try other scales between albedo and lights: the loss is flat along them, and curved."""
+        few, state = self.few, self.state
+        assert few.lighting is not None
+        squares = self._squares(state.x)
+        variance, bound = self._variance(squares), self._bound(squares)
+        least = self._total(state, self._with_pull(state, squares), bound, variance)
+        for factor in SCALES:
+            trial = state.x.copy()
+            trial[few.lighting] *= factor
+            trial[few.albedo] = np.clip(trial[few.albedo] / factor, 0, 1)
+            trial, squares = self._fitted(
+                state, trial, starts=0, steps=0, exact_steps=6, turn=True
+            )
+            scaled = State(trial, state.offsets)
+            total = self._total(scaled, self._with_pull(scaled, squares), bound, variance)
+            if total < least:
+                least, self.state = total, scaled
+
     def _total(self, state: State, costs: Array, bound: float, variance: float) -> float:
         tilts = self._tilts(state.x)
-        held = self._pull.sums(self._pull.precision) * state.offsets**2
+        held = self._offset_pull * self._pull.sums(self._pull.precision) * state.offsets**2
         return (
             float((bound * costs / (bound + costs)).sum())
-            + OFFSET_PULL * float(held.sum())
+            + float(held.sum())
             + self.prior.cost(tilts, variance)
         )
 

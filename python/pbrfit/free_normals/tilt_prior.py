@@ -65,7 +65,7 @@ class TiltPrior:
     def cost(self, tilts: Array, variance: float) -> float:
         """The penalty for noise of this variance s²."""
         alike = float(self._weights @ self.around.squares(tilts))
-        return variance * (alike + float(np.square(tilts).sum()) / LOOSEST**2)
+        return float(variance * (alike + np.square(tilts).sum() / LOOSEST**2))
 
     def slope(self, tilts: Array, variance: float) -> Array:
         """Half of its gradient, (P, 2)."""

@@ -32,6 +32,10 @@ NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 STEPS = 12
 """Of a descent from a node."""
 
+EXACT_STEPS = 1
+TURNING_STEPS = 4
+"""Of a descent on residuals, in which alone normals turn where they are free."""
+
 AT_ONCE = 1 << 17
 """Pixels in one call, so that Python has its turn several times a second."""
 
@@ -78,7 +82,7 @@ def descended(
     pixels: Pixels,
     *,
     steps: int,
-    exact_steps: int = 1,
+    exact_steps: int | None = None,
     starts: int = 0,
     nodes: tuple[Array, Array] = (ROUGHNESS, METALLIC),
     towards: Towards | None = None,
@@ -89,12 +93,14 @@ def descended(
     ----------
     steps, exact_steps
         Of Levenberg and Marquardt's method: on sums over pictures made once, which know squares to
-        half their digits, and then on residuals.
+        half their digits, and then on residuals. None = as many of the latter as it takes.
     starts
         Beside their own material, pixels start from so many of the best `nodes`.
     towards
         A pull, with rows of `pixels`.
     """
+    if exact_steps is None:
+        exact_steps = EXACT_STEPS if objective.tilts is None else TURNING_STEPS
     roughness, metallic = nodes
     if objective.known_metallic is not None:
         metallic = np.array([objective.known_metallic])
