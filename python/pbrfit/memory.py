@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+import numpy as np
+
 from pbrfit._core import InputError
 from pbrfit.layout import Layout
 from pbrfit.projected_lbfgs import CORRECTIONS, choose
@@ -32,16 +34,17 @@ pictures, is what the stages before it and the history hold."""
 BLOCK = 128
 """Pixels are padded to whole blocks of so many in the Rust core."""
 
-DIRECTION_BYTES = 32
-"""Of a pixel in the Rust core: normal and mirror direction in float32, n·v in float64."""
+DIRECTION_BYTES = 32 + 24
+"""Of a pixel in the Rust core: normal and mirror direction in float32 and what that leaves of them,
+n·v in float64."""
 
 GIVEN_DIRECTION_BYTES = 48
 """The same where normals are free: given normal and view direction in float64."""
 
-REFINING_BYTES = 1000
-"""Of a pixel while its normal is refined, beside cores, measured on whole fits of 512² and 1024²
-with 16 pictures: its unknowns with tilts, and without in the fits before; normals in three states;
-pairs of neighbours; what fits were drawn to; and what the allocator keeps of work that is done."""
+REFINING_BYTES = 8 * (7 + 3 * 5) + 64 + 3 * 24 + 2 * 32
+"""Of a pixel while its normal is refined, beside cores: its unknowns with tilts, and without them
+in three states; pairs of neighbours and their weights; normals in three states; what two fits were
+drawn to. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 beside the rest."""
 
 VECTOR_BYTES = 5 * 24
 """Of a pixel while the core is made: view directions, and two copies of those and of normals."""
@@ -62,7 +65,7 @@ class FitMemory:
     scene
         Its arrays, which are there already.
     core
-        Pictures and directions in the Rust core, and the mean picture.
+        Pictures and directions in the Rust core.
     making
         For a while, beside these, while the core is made: pictures in the unit of x.
     solver
@@ -110,16 +113,19 @@ def of_fit(
     blocks = BLOCK * -(-pixels // BLOCK)
     driver = "scipy" if method == "lbfgsb" else choose(layout.size)
     of_unknown = SCIPY_BYTES if driver == "scipy" else PROJECTED_BYTES
-    core = (4 * planes + DIRECTION_BYTES) * blocks + 8 * channels * pixels
+    # Pictures that came in float64 are there in 48 bits.
+    exact = scene.images.dtype != np.float32
+    samples = 4 * (planes + exact * pictures * channels)
+    core = (samples + DIRECTION_BYTES) * blocks
     refining = 0
     if refine_normals:
         # The first fit, the one before the last, and free normals.
-        refining = 3 * core + (GIVEN_DIRECTION_BYTES - DIRECTION_BYTES) * blocks
+        refining = 2 * core + (samples + GIVEN_DIRECTION_BYTES) * blocks
         refining += REFINING_BYTES * pixels
     return FitMemory(
         scene=held,
         core=core,
-        making=(4 * planes + VECTOR_BYTES) * pixels,
+        making=(samples + VECTOR_BYTES) * pixels,
         solver=of_unknown * layout.size,
         refining=refining,
     )
