@@ -103,6 +103,7 @@ def fit(
             return held, Refinement(asked, False, why, figures)
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
+    rows = len(run.rows)
     found = _refined(run, x if held is None else held.x, make, solver)
     if found is None:
         assert held is not None or run.out_of_time()
@@ -126,15 +127,15 @@ def fit(
         why = "only with other normals are the pictures explained up to noise"
         return refined, Refinement(asked, True, why, figures)
     why = "other normals do not explain what the given ones leave of the pictures"
-    held = replace(held, run=replace_stages(held.run, refined.run))
-    return held, Refinement(asked, False, why, figures)
+    return _after(held, refined.run, rows), Refinement(asked, False, why, figures)
 
 
-def replace_stages(run: Run, later: Run) -> Run:
-    """The run with the stages of a later one that came to nothing."""
-    run.stages = later.stages
-    run.evaluations = later.evaluations
-    return run
+def _after(held: Fit, later: Run, rows: int) -> Fit:
+    """A fit with what a later run that came to nothing has cost; of its history the first rows."""
+    run = held.run
+    run.stages, run.evaluations, run.unmeasured = later.stages, later.evaluations, later.unmeasured
+    del run.rows[rows:]
+    return held
 
 
 def _refined(
