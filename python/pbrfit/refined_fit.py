@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from pbrfit import free_normals
 from pbrfit.free_normals.everywhere import whole
 from pbrfit.free_normals.search import degrees_of_freedom
+from pbrfit.geometry import angles_between
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
-from pbrfit.refinement import Refinement
+from pbrfit.refinement import LEAST_CHANGE, Refinement
 from pbrfit.result import Status
 from pbrfit.scene import Scene
 from pbrfit.second_order.pixels import chunks, taken
@@ -118,6 +119,15 @@ def fit(
         "shared_after": shared,
         "spread_degrees": float(np.degrees(spread)),
     }
+    change = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid]
+    if change.max() < LEAST_CHANGE:
+        # All pixels were given theirs back, or found that they had been right. What the fit gained
+        # it gained by going on.
+        why = "no other normals explain the pictures better"
+        if held is not None:
+            return _after(held, refined.run, rows), Refinement(asked, False, why, figures)
+        refined.run.scene = run.scene
+        return refined, Refinement(asked, False, why, figures)
     if held is None:
         return refined, Refinement(asked, True, "asked for", figures)
     if after <= MUCH_LESS * before:
@@ -165,9 +175,7 @@ def _refined(
         found: Fit | None = None
         for number in range(PASSES):
             with run.stage("normals of all pixels"):
-                prior, squares = free_normals.turn(
-                    free, moving, prior, starts, run.out_of_time
-                )
+                prior, squares = free_normals.turn(free, moving, prior, starts, run.out_of_time)
                 if squares is None:
                     return None if found is None else (found, prior.spread)
                 if number == PASSES - 1:

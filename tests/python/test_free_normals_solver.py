@@ -222,6 +222,22 @@ def test_the_history_ends_with_the_fit_that_is_kept(
         assert result.history["recon_rmse"][-1] == pytest.approx(recon, rel=1e-3, abs=1e-7)
 
 
+@pytest.mark.parametrize("asked", ["on", "auto"])
+@pytest.mark.parametrize("size", [16, 24])
+def test_true_normals_that_are_found_again_are_not_called_refined(
+    asked: RefineNormals, size: int
+) -> None:
+    """A fit that was stopped early leaves what looks like wrong normals, but none are better."""
+    scene = right(size, 8)
+    options: dict[str, Any] = {"solver": "lbfgsb", "iterations": 40, "uncertainty": False}
+    found = decompose(scene, refine_normals=asked, **options)
+    check(found, scene)
+    assert not found.refinement.refined
+    assert found.refinement.figures["residual_after"] > 0
+    if asked == "auto":
+        same(found, decompose(scene, refine_normals="off", **options))
+
+
 # --------------------------------------------------------------------------------- other options
 
 
@@ -321,7 +337,7 @@ SCENES = scenes()
 def test_scenes_of_all_kinds_have_a_finite_answer(asked: RefineNormals, name: str) -> None:
     result = decompose(SCENES[name], refine_normals=asked, iterations=5)
     check(result, SCENES[name])
-    assert result.refinement.refined or asked == "auto"
+    assert result.refinement.asked == asked
 
 
 @pytest.mark.parametrize("asked", ["on", "auto"])
