@@ -13,9 +13,20 @@ from pbrfit.refinement import hindrance
 from pbrfit.scene import Scene
 
 
-def fit_memory(scene: Scene, layout: Layout, solver: memory.Method) -> int:
-    """Bytes that `decompose` needs at its peak, beside the interpreter and its libraries."""
-    return memory.of_fit(scene, layout, solver).peak
+def _needed(scene: Scene, layout: Layout) -> str:
+    """Memory that `decompose` needs at its peak, beside the interpreter and its libraries."""
+    refinable = hindrance(scene) is None
+    of_solver = {
+        solver: memory.of_fit(scene, layout, solver, refine_normals=refinable)
+        for solver in memory.METHODS
+    }
+    found = "; ".join(
+        f"about {memory.size(needed.peak)} for solver {solver}"
+        for solver, needed in of_solver.items()
+    )
+    if refinable:
+        found += f"; {memory.size(of_solver['auto'].refining)} less with normals held"
+    return found
 
 
 def _aligned(scene: Scene) -> list[tuple[str, str]]:
@@ -78,12 +89,8 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("unknowns", f"{layout.size}"),
     ]
     free = memory.available()
-    needed = [
-        f"about {memory.size(fit_memory(scene, layout, solver))} for solver {solver}"
-        for solver in memory.METHODS
-    ]
     found += [
-        ("memory needed", "; ".join(needed)),
+        ("memory needed", _needed(scene, layout)),
         ("memory free", "unknown" if free is None else memory.size(free)),
     ]
     return found

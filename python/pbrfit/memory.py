@@ -35,6 +35,14 @@ BLOCK = 128
 DIRECTION_BYTES = 32
 """Of a pixel in the Rust core: normal and mirror direction in float32, n·v in float64."""
 
+GIVEN_DIRECTION_BYTES = 48
+"""The same where normals are free: given normal and view direction in float64."""
+
+REFINING_BYTES = 1000
+"""Of a pixel while its normal is refined, beside cores, measured on whole fits of 512² and 1024²
+with 16 pictures: its unknowns with tilts, and without in the fits before; normals in three states;
+pairs of neighbours; what fits were drawn to; and what the allocator keeps of work that is done."""
+
 VECTOR_BYTES = 5 * 24
 """Of a pixel while the core is made: view directions, and two copies of those and of normals."""
 
@@ -59,17 +67,21 @@ class FitMemory:
         For a while, beside these, while the core is made: pictures in the unit of x.
     solver
         Beside scene and core while the solver runs: its vectors.
+    refining
+        Beside all of these while the solver fits refined normals: cores of the fits before and of
+        free normals, and states of all pixels; 0 where normals are held.
     """
 
     scene: int
     core: int
     making: int
     solver: int
+    refining: int = 0
 
     @property
     def further(self) -> int:
         """That are not there yet."""
-        return self.core + max(self.making, self.solver)
+        return self.core + max(self.making, self.solver) + self.refining
 
     @property
     def peak(self) -> int:
@@ -77,7 +89,9 @@ class FitMemory:
         return self.scene + self.further
 
 
-def of_fit(scene: Scene, layout: Layout, method: Method) -> FitMemory:
+def of_fit(
+    scene: Scene, layout: Layout, method: Method, *, refine_normals: bool = False
+) -> FitMemory:
     """What `decompose` needs of memory with a solver.
 
     Parameters
@@ -86,6 +100,8 @@ def of_fit(scene: Scene, layout: Layout, method: Method) -> FitMemory:
         What is fitted.
     method
         "lbfgsb", or "auto", whose largest part is the L-BFGS at its end.
+    refine_normals
+        Whether normals may be refined.
     """
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
@@ -94,11 +110,18 @@ def of_fit(scene: Scene, layout: Layout, method: Method) -> FitMemory:
     blocks = BLOCK * -(-pixels // BLOCK)
     driver = "scipy" if method == "lbfgsb" else choose(layout.size)
     of_unknown = SCIPY_BYTES if driver == "scipy" else PROJECTED_BYTES
+    core = (4 * planes + DIRECTION_BYTES) * blocks + 8 * channels * pixels
+    refining = 0
+    if refine_normals:
+        # The first fit, the one before the last, and free normals.
+        refining = 3 * core + (GIVEN_DIRECTION_BYTES - DIRECTION_BYTES) * blocks
+        refining += REFINING_BYTES * pixels
     return FitMemory(
         scene=held,
-        core=(4 * planes + DIRECTION_BYTES) * blocks + 8 * channels * pixels,
+        core=core,
         making=(4 * planes + VECTOR_BYTES) * pixels,
         solver=of_unknown * layout.size,
+        refining=refining,
     )
 
 
@@ -113,6 +136,8 @@ def check(method: Method, needed: FitMemory) -> None:
     free = available()
     if free is not None and needed.further > free:
         advice = "; solver auto needs less" if method == "lbfgsb" else ""
+        if needed.refining:
+            advice += f"; refine_normals off needs {size(needed.refining)} less"
         raise InputError(
             f"solver {method}: expected {size(needed.further)} of memory to be available, "
             f"found {size(free)}; use smaller or fewer pictures{advice}"
@@ -120,6 +145,14 @@ def check(method: Method, needed: FitMemory) -> None:
     if needed.further > WORTH_SAYING:
         known = "" if free is None else f"; {size(free)} are available"
         log.warning("solver %s needs about %s of memory%s", method, size(needed.further), known)
+
+
+def missing(needed: FitMemory) -> str | None:
+    """In words, that there is not so much memory; None if there is, or that cannot be told."""
+    free = available()
+    if free is None or needed.further <= free:
+        return None
+    return f"it needs {size(needed.further)} of memory, and {size(free)} are available"
 
 
 def available() -> int | None:

@@ -24,11 +24,11 @@ from pbrfit.model import render, whole_number
 from pbrfit.needs import Needs
 from pbrfit.objective import Objective
 from pbrfit.priors import Priors
-from pbrfit.refinement import Refinement, RefineNormals, check_choice, hindrance
+from pbrfit.refinement import RefineNormals, check_choice, hindrance
 from pbrfit.result import Options, Result
 from pbrfit.robust import check_loss
 from pbrfit.scene import Scene
-from pbrfit.solvers import Limits, Progress, Run, Solver, check_solver, solve
+from pbrfit.solvers import Limits, Progress, Run, Solver, check_solver
 from pbrfit.solvers.run import material_errors
 from pbrfit.uncertainty import estimate
 
@@ -102,8 +102,8 @@ def decompose(
     refine_normals
         Whether to refine the given normals together with materials and lights (docs/normals.md):
         `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
-        three pictures cannot say it, then normals stay as they are. `Result.refinement` tells what
-        was decided and why.
+        three pictures cannot say it, then normals stay as they are; with `"auto"` also where there
+        is not enough memory. `Result.refinement` tells what was decided and why.
     seed
         Of what is drawn at random: the pixels on which Gauss-Newton finds the lights.
     progress
@@ -137,7 +137,17 @@ def decompose(
         log.warning("normals are not refined: %s", hindered)
     began = time.perf_counter()
     priors = priors or Priors.none()
-    _check_memory(scene, solver, sh_order, metallic, mono_light)
+    layout = Layout.of(
+        scene, sh_order=sh_order, metallic_known=metallic is not None, mono_light=mono_light
+    )
+    refining = refine_normals != "off" and hindered is None
+    needed = memory.of_fit(scene, layout, solver, refine_normals=refining)
+    if refining and refine_normals == "auto":
+        # A fit with held normals is what was asked for too, if it takes no more.
+        hindered = memory.missing(needed)
+        if hindered is not None:
+            needed = memory.of_fit(scene, layout, solver)
+    memory.check(solver, needed)  # before anything large is made
 
     def make(of: Scene, free_normals: bool) -> Objective:
         return Objective(
@@ -230,16 +240,6 @@ def decompose(
     )
     log.info("%s after %d iterations, %.1f s: %s", status, iteration, seconds, stop_reason)
     return result
-
-
-def _check_memory(
-    scene: Scene, solver: Solver, sh_order: int, metallic: float | None, mono_light: bool
-) -> None:
-    """Refuse what there is not enough memory for, before any of it is taken."""
-    layout = Layout.of(
-        scene, sh_order=sh_order, metallic_known=metallic is not None, mono_light=mono_light
-    )
-    memory.check(solver, memory.of_fit(scene, layout, solver))
 
 
 def _start(

@@ -62,7 +62,8 @@ class Uncertainty:
     Two kinds: *conditional*, if the lights were known to be those of the fit, from a pixel's own
     samples; and *marginal*, with the lights and the scale between them and albedo as uncertain as
     they are. They are equal where the lights are known. Neither knows of errors in the model or the
-    normals, nor of priors.
+    normals, nor of priors. Normals that were refined are held as they were found, so their own
+    uncertainty is in neither.
 
     Attributes
     ----------

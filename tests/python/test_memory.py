@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -165,6 +166,30 @@ class TestCheck:
         assert "available" not in caplog.text
 
 
+class TestRefiningNormals:
+    """With less memory than refining takes."""
+
+    @pytest.fixture
+    def scene(self, system: Path) -> pbrfit.Scene:
+        scene = scene_of(16, 4)
+        layout = Layout.of(scene)
+        held = memory.of_fit(scene, layout, "auto").further
+        both = memory.of_fit(scene, layout, "auto", refine_normals=True).further
+        assert held < both
+        write(system / "proc/meminfo", f"MemAvailable: {(held + both) // 2048} kB\n")
+        return scene
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_is_left_out_where_it_is_optional(self, scene: pbrfit.Scene) -> None:
+        found = pbrfit.decompose(scene, iterations=2, uncertainty=False).refinement
+        assert not found.refined
+        assert re.fullmatch(r"it needs .* of memory, and .* are available", found.why)
+
+    def test_is_refused_where_it_was_asked_for(self, scene: pbrfit.Scene) -> None:
+        with pytest.raises(InputError, match=r"; refine_normals off needs \d+ MiB less$"):
+            pbrfit.decompose(scene, iterations=2, refine_normals="on")
+
+
 class TestPrediction:
     def test_adds_up(self) -> None:
         scene = scene_of(64, 4)
@@ -182,6 +207,20 @@ class TestPrediction:
         assert needed.peak < 8 * own
         assert needed.peak * (2048 / size) ** 2 < 8 * GIB
         assert memory.of_fit(scene, Layout.of(scene), "lbfgsb").peak > 1.5 * needed.peak
+
+    @pytest.mark.parametrize("method", ["lbfgsb", "auto"])
+    def test_counts_refining_normals_apart(self, method: Method) -> None:
+        """2 MP with 16 pictures within 8 GiB."""
+        size = 512
+        scene = scene_of(size, 16)
+        layout = Layout.of(scene)
+        held = memory.of_fit(scene, layout, method)
+        refined = memory.of_fit(scene, layout, method, refine_normals=True)
+        assert held.refining == 0
+        assert refined.refining > 2 * held.core
+        assert refined.peak == held.peak + refined.refining
+        if method == "auto":
+            assert refined.peak * 2e6 / size**2 < 8 * GIB
 
     @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
     @pytest.mark.parametrize("method", ["lbfgsb", "auto"])

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 import pbrfit
 import reference
 from pbrfit import _core, light_spectrum, normal_equations, uncertainty
+from pbrfit.evaluation.normal_errors import facing, turned
 from pbrfit.images import read_channels, write_exr
 from pbrfit.objective import Objective
 from pbrfit.synthetic import make_scene
@@ -415,6 +416,27 @@ def test_fewer_samples_than_unknowns_determine_nothing() -> None:
     assert found.undetermined[inside].all()
     assert found.marginal.albedo[inside][0].tolist() == [0, 1, 1]
     assert found.summary()["noise"] is None
+
+
+def test_refined_normals_are_held_as_they_were_found() -> None:
+    """Deviations of a refined fit are those of a fit to which its normals were given."""
+    made = make_scene("room", size=16, lights=6, held_out=1, noise=0.004, seed=5)
+    wrong = facing(turned(made.normals, np.full(made.normals.shape, 6.0)), made.views)
+    scene = dataclasses.replace(made, normals=wrong)
+    result = pbrfit.decompose(scene, iterations=3, priors=None, refine_normals="on")
+    assert result.refinement.refined
+    assert result.uncertainty is not None
+    objective = Objective(dataclasses.replace(scene, normals=result.normals))
+    x = objective.pack(result.albedo, result.roughness, result.metallic, result.lighting)
+    given = uncertainty.estimate(objective, x)
+    assert result.uncertainty.noise == pytest.approx(given.noise)
+    for name in ("albedo", "roughness", "metallic"):
+        found = getattr(result.uncertainty.marginal, name)
+        np.testing.assert_allclose(found, getattr(given.marginal, name), rtol=1e-6, atol=1e-9)
+    as_given = uncertainty.estimate(Objective(scene), x)
+    assert as_given.noise is not None
+    assert given.noise is not None
+    assert as_given.noise > 2 * given.noise
 
 
 def test_deviations_grow_with_the_noise_alone() -> None:
