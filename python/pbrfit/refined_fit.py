@@ -1,10 +1,10 @@
 """A fit whose normals may be refined: when, in which order, and what is kept of it.
 
 With `auto` the first fit holds the given normals. Where they are right, neighbouring pixels have
-nothing in common in what it leaves of them, and that is the end of it. Else normals are refined, and
-the refined fit has to earn its place: it must leave noise, or far less than the held one did.
-Shadows, interreflections and a wrong field of view leave residuals that normals can bend to as well,
-but never explain.
+nothing in common in what it leaves of them, and that is the end of it. Else normals are refined,
+and the refined fit has to earn its place: it must leave noise, or far less than the held one did.
+Shadows, interreflections and a wrong field of view leave residuals that normals can bend to as
+well, but never explain.
 
 At the end every part of the picture has to have gained: where given normals explain the pictures as
 well as the refined ones, given that these have two numbers a pixel more to do it with, the given
@@ -105,7 +105,7 @@ def fit(
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
     rows = len(run.rows)
-    found = _refined(run, x if held is None else held.x, make, solver)
+    found = _refined(run, make, solver)
     if found is None:
         assert held is not None or run.out_of_time()
         held = held or Fit(run, *solve(run, solver, x, start_given=start_given))
@@ -149,7 +149,7 @@ def _after(held: Fit, later: Run, rows: int) -> Fit:
 
 
 def _refined(
-    run: Run, x: Array, make: Callable[[Scene, bool], Objective], solver: Solver
+    run: Run, make: Callable[[Scene, bool], Objective], solver: Solver
 ) -> tuple[Fit, float] | None:
     """The fit with refined normals, and the spread of their changes; None if time ran out."""
     from threadpoolctl import threadpool_limits
