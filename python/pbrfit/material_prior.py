@@ -181,9 +181,7 @@ def learn(
     return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight)
 
 
-def pull_at(
-    objective: Objective, x: Array, floor: float, variance: float, metallic: Array
-) -> Pull:
+def pull_at(objective: Objective, x: Array, floor: float, variance: float, metallic: Array) -> Pull:
     """The pull of all pixels at x, learnt from an even share of them; lights stay.
 
     Parameters

@@ -1,10 +1,10 @@
 """A fit whose normals may be refined: when, in which order, and what is kept of it.
 
 With `auto` the first fit holds the given normals. Where they are right, neighbouring pixels have
-nothing in common in what it leaves of them, and that is the end of it. Else normals are refined, and
-the refined fit has to earn its place: it must leave noise, or far less than the held one did.
-Shadows, interreflections and a wrong field of view leave residuals that normals can bend to as well,
-but never explain.
+nothing in common in what it leaves of them, and that is the end of it. Else normals are refined,
+and the refined fit has to earn its place: it must leave noise, or far less than the held one did.
+Shadows, interreflections and a wrong field of view leave residuals that normals can bend to as
+well, but never explain.
 
 At the end every part of the picture has to have gained: where given normals explain the pictures as
 well as the refined ones, given that these have two numbers a pixel more to do it with, the given
@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from pbrfit import free_normals
 from pbrfit.free_normals.everywhere import whole
 from pbrfit.free_normals.search import degrees_of_freedom
+from pbrfit.geometry import angles_between
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
-from pbrfit.refinement import Refinement
+from pbrfit.refinement import LEAST_CHANGE, Refinement
 from pbrfit.result import Status
 from pbrfit.scene import Scene
 from pbrfit.second_order.pixels import chunks, taken
@@ -103,7 +104,8 @@ def fit(
             return held, Refinement(asked, False, why, figures)
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
-    found = _refined(run, x if held is None else held.x, make, solver)
+    rows = len(run.rows)
+    found = _refined(run, make, solver)
     if found is None:
         assert held is not None or run.out_of_time()
         held = held or Fit(run, *solve(run, solver, x, start_given=start_given))
@@ -117,6 +119,15 @@ def fit(
         "shared_after": shared,
         "spread_degrees": float(np.degrees(spread)),
     }
+    change = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid]
+    if change.max() < LEAST_CHANGE:
+        # All pixels were given theirs back, or found that they had been right. What the fit gained
+        # it gained by going on.
+        why = "no other normals explain the pictures better"
+        if held is not None:
+            return _after(held, refined.run, rows), Refinement(asked, False, why, figures)
+        refined.run.scene = run.scene
+        return refined, Refinement(asked, False, why, figures)
     if held is None:
         return refined, Refinement(asked, True, "asked for", figures)
     if after <= MUCH_LESS * before:
@@ -126,19 +137,19 @@ def fit(
         why = "only with other normals are the pictures explained up to noise"
         return refined, Refinement(asked, True, why, figures)
     why = "other normals do not explain what the given ones leave of the pictures"
-    held = replace(held, run=replace_stages(held.run, refined.run))
-    return held, Refinement(asked, False, why, figures)
+    return _after(held, refined.run, rows), Refinement(asked, False, why, figures)
 
 
-def replace_stages(run: Run, later: Run) -> Run:
-    """The run with the stages of a later one that came to nothing."""
-    run.stages = later.stages
-    run.evaluations = later.evaluations
-    return run
+def _after(held: Fit, later: Run, rows: int) -> Fit:
+    """A fit with what a later run that came to nothing has cost; of its history the first rows."""
+    run = held.run
+    run.stages, run.evaluations, run.unmeasured = later.stages, later.evaluations, later.unmeasured
+    del run.rows[rows:]
+    return held
 
 
 def _refined(
-    run: Run, x: Array, make: Callable[[Scene, bool], Objective], solver: Solver
+    run: Run, make: Callable[[Scene, bool], Objective], solver: Solver
 ) -> tuple[Fit, float] | None:
     """The fit with refined normals, and the spread of their changes; None if time ran out."""
     from threadpoolctl import threadpool_limits
@@ -164,9 +175,7 @@ def _refined(
         found: Fit | None = None
         for number in range(PASSES):
             with run.stage("normals of all pixels"):
-                prior, squares = free_normals.turn(
-                    free, moving, prior, starts, run.out_of_time
-                )
+                prior, squares = free_normals.turn(free, moving, prior, starts, run.out_of_time)
                 if squares is None:
                     return None if found is None else (found, prior.spread)
                 if number == PASSES - 1:

@@ -16,12 +16,13 @@ from pbrfit.free_normals.joint_step import REACH, ROUGHNESS_REACH, State, moves
 from pbrfit.free_normals.lattice import Neighbourhood, numbered
 from pbrfit.free_normals.tilt_prior import TiltPrior
 from pbrfit.objective import Objective
-from pbrfit.pulled_steps import OFFSET_PULL, Pull
+from pbrfit.pulled_steps import Pull
 
 Array = NDArray[np.float64]
 
 HEIGHT, WIDTH, PICTURES = 7, 8, 8
 VARIANCE = 0.02
+OFFSET_PULL = np.array([0.002, 0.7])
 CLUSTERS = 3
 
 KINDS: dict[str, dict[str, Any]] = {
@@ -169,7 +170,7 @@ def dense(case: Case) -> tuple[Array, Array]:
     for g, f in np.ndindex(CLUSTERS, finish):
         of_cluster = pull.cluster == g
         total = (pull.precision[of_cluster, f] * case.weights[of_cluster]).sum()
-        root = np.sqrt(OFFSET_PULL * total)
+        root = np.sqrt(OFFSET_PULL[f] * total)
         add(root * case.state.offsets[g, f], {len(x) + g * finish + f: root})
     # The prior of the tilts, read off its cost: what a pair adds, and what a pixel adds.
     for (first, second), coupling in zip(prior.around.pairs, prior.coupling(VARIANCE), strict=True):
@@ -206,7 +207,16 @@ def solution(case: Case) -> tuple[Array, Array]:
 
 
 def taken(case: Case, damping: float = 0.0, share: float = 1.0) -> State:
-    step = moves(case.few, case.state, case.pull, case.prior, VARIANCE, case.weights, damping)
+    step = moves(
+        case.few,
+        case.state,
+        case.pull,
+        case.prior,
+        VARIANCE,
+        case.weights,
+        OFFSET_PULL[: case.state.offsets.shape[1]],
+        damping,
+    )
     return step(share)
 
 

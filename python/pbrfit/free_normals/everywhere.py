@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.free_normals.lattice import Neighbourhood, numbered
-from pbrfit import material_prior
-from pbrfit.free_normals.search import PURE, Found, degrees_of_freedom
+from pbrfit.free_normals.search import Found, degrees_of_freedom
 from pbrfit.free_normals.tilt_prior import TiltPrior
 from pbrfit.material_prior import LEAST_VARIANCE
 from pbrfit.objective import Objective

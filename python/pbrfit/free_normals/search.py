@@ -54,10 +54,10 @@ FLIP_ROUNDS = (5, 8)
 FLIPPED = 12
 FEWEST = 8
 FLIP_STEPS = 2
-"""After these rounds segments that are neither dielectric nor metal become one or the other, each as
-a whole, if all is explained better for it: at most so many, of so many pixels at least, with so many
-joint steps each. What is in between has been bent there by wrong normals, and its own way back is
-uphill."""
+"""After these rounds segments that are neither dielectric nor metal are tried as dielectrics, each
+as a whole: at most so many, of so many pixels at least, with so many joint steps each. They stay so
+if all is explained better for it. What is in between has been bent there by wrong normals, and its
+own way back is uphill."""
 
 BETWEEN = (0.04, 0.96)
 """Mean metallic of what is neither."""
@@ -120,7 +120,7 @@ def degrees_of_freedom(objective: Objective) -> float:
     """Samples of a pixel, less its own unknowns."""
     layout = objective.layout
     of_pixel = objective.samples / objective.pixels
-    return max(of_pixel - layout.maps.stop / objective.pixels, 0.1 * of_pixel)
+    return float(max(of_pixel - layout.maps.stop / objective.pixels, 0.1 * of_pixel))
 
 
 def find(
@@ -225,9 +225,7 @@ class _Search:
             self.state = State(self.state.x, np.zeros((1, finish)))
             return
         floor = FLOORS[min(number - DIELECTRIC_ROUNDS, len(FLOORS) - 1)]
-        self._pull = material_prior.pull_at(
-            self.few, self.state.x, floor, variance, PURE
-        )
+        self._pull = material_prior.pull_at(self.few, self.state.x, floor, variance, PURE)
         self.state = State(self.state.x, np.zeros((self._pull.clusters, finish)))
 
     def _with_pull(self, state: State, squares: Array) -> Array:
@@ -319,7 +317,7 @@ class _Search:
         return False
 
     def _flip(self) -> None:
-        """Try segments that are neither dielectric nor metal as either."""
+        """Try segments that are neither dielectric nor metal as dielectrics."""
         few = self.few
         labels, metallic = few.layout.segments, few.layout.metallic
         if labels is None or metallic is None:
@@ -341,7 +339,7 @@ class _Search:
             _, self.state, self._pull, self._damping = best
 
     def _as(self, there: NDArray[np.bool_], pure: float, bound: float, variance: float) -> float:
-        """Make metallic of some pixels `pure`, and let all else follow; the sum then."""
+        """Make metallic of some pixels `pure`, and let all else follow; what `_alone` says then."""
         few, pull = self.few, self._pull
         metallic = few.layout.metallic
         assert metallic is not None
@@ -354,7 +352,7 @@ class _Search:
         x = self.state.x.copy()
         x[metallic][there] = pure
         state = State(x, offsets)
-        x, squares = self._fitted(state, x, starts=NODES, steps=12, exact_steps=6, turn=True)
+        x, _ = self._fitted(state, x, starts=NODES, steps=12, exact_steps=6, turn=True)
         self.state = State(x, offsets)
         for _ in range(FLIP_STEPS):
             if not self._joint():
@@ -362,6 +360,7 @@ class _Search:
         return self._alone(self.state, self._squares(self.state.x), bound, variance)
 
     def _alone(self, state: State, squares: Array, bound: float, variance: float) -> float:
+        """The sum without what roughness and metallic are drawn to."""
         return float((bound * squares / (bound + squares)).sum()) + self.prior.cost(
             self._tilts(state.x), variance
         )
@@ -377,9 +376,7 @@ class _Search:
             trial = state.x.copy()
             trial[few.lighting] *= factor
             trial[few.albedo] = np.clip(trial[few.albedo] / factor, 0, 1)
-            trial, squares = self._fitted(
-                state, trial, starts=0, steps=0, exact_steps=6, turn=True
-            )
+            trial, squares = self._fitted(state, trial, starts=0, steps=0, exact_steps=6, turn=True)
             scaled = State(trial, state.offsets)
             total = self._total(scaled, self._with_pull(scaled, squares), bound, variance)
             if total < least:
@@ -419,7 +416,7 @@ class _Search:
         return State(moved, trial.offsets), np.where(better, costs[1], costs[0])
 
     def _uncertain(self) -> Array:
-        """Tr V of each pixel's tilt, the other unknowns of the pixel free and its neighbours held."""
+        """Tr V of each pixel's tilt, its other unknowns free and its neighbours held."""
         few, x = self.few, self.state.x
         matrices, _, squares = few.problem.normal_equations(few.for_core(x), self._pixels)
         variance = self._variance(squares)
