@@ -24,7 +24,7 @@ from pbrfit.free_normals.everywhere import whole
 from pbrfit.free_normals.search import degrees_of_freedom
 from pbrfit.geometry import angles_between
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
-from pbrfit.objective import Objective
+from pbrfit.objective import MEAN_RADIANCE, Objective
 from pbrfit.refinement import LEAST_CHANGE, Refinement
 from pbrfit.result import Status
 from pbrfit.scene import Scene
@@ -35,6 +35,10 @@ Array = NDArray[np.float64]
 
 RIGHT = 0.03
 """Mean cosine between residuals of neighbours up to which the given normals are right."""
+
+ROUNDING = 1e-6
+"""Root mean square residual, as a share of the mean radiance, of which nothing is to be made: that of
+float32 pictures is 6e-8 at most, and neighbours of one colour may be rounded alike."""
 
 MUCH_LESS = 0.1
 """Of the squares with given normals: what leaves no more explains the pictures, whatever it
@@ -101,6 +105,9 @@ def fit(
         }
         if shared <= RIGHT:
             why = "the given normals explain the pictures up to noise"
+            return held, Refinement(asked, False, why, figures)
+        if before <= (ROUNDING * MEAN_RADIANCE) ** 2:
+            why = "the given normals explain the pictures up to rounding"
             return held, Refinement(asked, False, why, figures)
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import Result, Scene, Status, Truth, decompose, refined_fit
+from pbrfit import Progress, Result, Scene, Status, Truth, decompose, refined_fit
 from pbrfit.evaluation.normals.disturbances import disturbed
 from pbrfit.geometry import angles_between
 from pbrfit.refinement import RefineNormals
-from pbrfit.solvers import Solver
+from pbrfit.solvers import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 
 Array = NDArray[np.float64]
@@ -192,6 +192,24 @@ def test_history_and_stages_go_on_over_all_fits() -> None:
     assert (np.diff(iterations) >= 0).all()
     assert (np.diff(seconds) >= 0).all()
     assert sum(stage.seconds for stage in result.stages) <= result.seconds
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("iterations", [1, 3, 12])
+def test_each_fit_has_its_iterations_and_no_more(solver: Solver, iterations: int) -> None:
+    seen: list[Progress] = []
+    result = decompose(
+        wrong(right()),
+        solver=solver,
+        iterations=iterations,
+        refine_normals="on",
+        uncertainty=False,
+        progress=seen.append,
+    )
+    assert result.history.iterations <= refined_fit.PASSES * iterations
+    told = [progress.iteration for progress in seen]
+    assert told == sorted(told)
+    assert all(progress.iteration <= progress.iterations for progress in seen)
 
 
 @pytest.mark.parametrize("solver", ["auto", "lbfgsb"])

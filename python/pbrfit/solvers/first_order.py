@@ -21,9 +21,7 @@ def lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
     """X of the fit, and why it ended."""
     with run.stage("L-BFGS-B"):
         share = FIRST_SHARE if learns(run) else 1.0
-        x, _, kept = staged(
-            run, x, loss, share * run.limits.iterations, SCIPYS, start_given=start_given
-        )
+        x, _, kept = staged(run, x, loss, share * run.left, SCIPYS, start_given=start_given)
     if learns(run) and not run.out_of_time():
         kept = ""
         x, _ = learnt(run, x)

@@ -23,7 +23,7 @@ class _Watch:
 
     def __init__(self, run: Run, x: Array) -> None:
         self._run, self._x = run, x
-        self._steps_of_few = 0
+        self._steps_of_few, self._most_of_few = 0, run.left
 
     def stop(self) -> bool:
         return self._run.out_of_time()
@@ -42,7 +42,7 @@ class _Watch:
             return x
 
         run.tell(run.objective.residual_rmse(share), state)
-        return self._steps_of_few >= run.limits.iterations or run.out_of_time()
+        return self._steps_of_few >= self._most_of_few or run.out_of_time()
 
     def visit(self, x: Array, squares: Array) -> bool:
         run = self._run
