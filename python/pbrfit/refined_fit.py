@@ -112,7 +112,7 @@ def fit(
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
     rows = len(run.rows)
-    found = _refined(run, make, solver)
+    found = _refined(run, x, make, solver)
     if found is None:
         assert held is not None or run.out_of_time()
         held = held or Fit(run, *solve(run, solver, x, start_given=start_given))
@@ -156,7 +156,7 @@ def _after(held: Fit, later: Run, rows: int) -> Fit:
 
 
 def _refined(
-    run: Run, make: Callable[[Scene, bool], Objective], solver: Solver
+    run: Run, x: Array, make: Callable[[Scene, bool], Objective], solver: Solver
 ) -> tuple[Fit, float] | None:
     """The fit with refined normals, and the spread of their changes; None if time ran out."""
     from threadpoolctl import threadpool_limits
@@ -167,6 +167,8 @@ def _refined(
     free = make(scene, True)
     layout = free.layout
     moving = free.start()
+    moving[layout.materials] = x[run.objective.layout.materials]
+    moving[layout.maps.stop :] = x[run.objective.layout.maps.stop :]
     starts = 1
     # Sums split over threads would round differently on a machine with more processors.
     with threadpool_limits(1, user_api="blas"):

@@ -24,9 +24,6 @@ Array = NDArray[np.float64]
 
 ROUNDS = 3
 
-GATHERED = 0.1
-"""Smallest standard deviation of roughness and metallic around what was learnt."""
-
 
 def whole(layout_valid: NDArray[np.bool_], values: Array, fill: float = np.nan) -> Array:
     """(H, W, ...) of (P, ...)."""
@@ -39,13 +36,11 @@ def spread_out(objective: Objective, x: Array, found: Found) -> None:
     """Give all pixels the unknowns of the lattice's nearest one, and its lights; x changes."""
     layout = objective.layout
     rows, columns = np.nonzero(layout.valid)
-    lattice_rows, lattice_columns = np.nonzero(found.index >= 0)
     chosen = found.pixels.astype(np.intp)
     from scipy.spatial import KDTree
 
     places = np.stack([rows[chosen], columns[chosen]], axis=-1)
     _, nearest = KDTree(places).query(np.stack([rows, columns], axis=-1))
-    del lattice_rows, lattice_columns
     of_lattice = found.x[found.few.layout.maps].reshape(-1, found.few.pixels)
     x[layout.maps] = of_lattice[:, nearest].ravel()
     x[layout.maps.stop :] = found.x[found.few.layout.maps.stop :]
