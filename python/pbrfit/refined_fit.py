@@ -37,12 +37,12 @@ RIGHT = 0.03
 """Mean cosine between residuals of neighbours up to which the given normals are right."""
 
 ROUNDING = 1e-6
-"""Root mean square residual, as a share of the mean radiance, of which nothing is to be made: that of
-float32 pictures is 6e-8 at most, and neighbours of one colour may be rounded alike."""
+"""Root mean square residual, as a share of the mean radiance, of which nothing is to be made: that
+of float32 pictures is 6e-8 at most, and neighbours of one colour may be rounded alike."""
 
 MUCH_LESS = 0.1
-"""Of the squares with given normals: what leaves no more explains the pictures, whatever it
-leaves."""
+"""Of the squares with given normals, each by its degrees of freedom: what leaves no more explains
+the pictures, whatever it leaves."""
 
 PASSES = 2
 """Of turning all normals, and fitting with them held."""
@@ -137,7 +137,7 @@ def fit(
         return refined, Refinement(asked, False, why, figures)
     if held is None:
         return refined, Refinement(asked, True, "asked for", figures)
-    if after <= MUCH_LESS * before:
+    if after <= MUCH_LESS * _left_of_degrees(objective) * before:
         why = "with other normals the pictures are explained far better"
         return refined, Refinement(asked, True, why, figures)
     if after < before and shared <= NOISE_SHARED:
@@ -145,6 +145,12 @@ def fit(
         return refined, Refinement(asked, True, why, figures)
     why = "other normals do not explain what the given ones leave of the pictures"
     return _after(held, refined.run, rows), Refinement(asked, False, why, figures)
+
+
+def _left_of_degrees(objective: Objective) -> float:
+    """Share of the degrees of freedom of a held fit that two numbers more a pixel leave it."""
+    held = objective.samples - objective.size
+    return max(0.0, held - 2 * objective.pixels) / held if held > 0 else 0.0
 
 
 def _after(held: Fit, later: Run, rows: int) -> Fit:

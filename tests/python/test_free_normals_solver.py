@@ -159,7 +159,7 @@ def test_the_number_of_threads_changes_no_bit(options: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("limit", [0.0, 1e-3, 0.05, 0.3])
-@pytest.mark.parametrize("asked", ["on", "auto"])
+@pytest.mark.parametrize("asked", ["on"])
 def test_a_short_time_leaves_a_finite_answer_that_says_so(
     asked: RefineNormals, limit: float
 ) -> None:
@@ -172,7 +172,7 @@ def test_a_short_time_leaves_a_finite_answer_that_says_so(
         assert result.refinement.why == "the time limit came first"
 
 
-@pytest.mark.parametrize("asked", ["on", "auto"])
+@pytest.mark.parametrize("asked", ["on"])
 @pytest.mark.parametrize("iterations", [0, 5])
 def test_few_iterations_leave_a_finite_answer(asked: RefineNormals, iterations: int) -> None:
     scene = small()
