@@ -40,9 +40,16 @@ ROUNDING = 1e-6
 """Root mean square residual, as a share of the mean radiance, of which nothing is to be made: that
 of float32 pictures is 6e-8 at most, and neighbours of one colour may be rounded alike."""
 
+EXPLAINED = 0.1
+LESS_SHARED = 0.5
+"""And with refined ones: what they leave is noise up to so much, if it is at most half of what the
+given ones left. Noise that seven numbers a pixel were fitted to shares less."""
+
 MUCH_LESS = 0.1
+NOTHING = 0.01
 """Of the squares with given normals, each by its degrees of freedom: what leaves no more explains
-the pictures, whatever it leaves."""
+the pictures, if neighbours share little of it, or if it is next to nothing. Normals that bend to
+shadows leave little too, but neighbours share that."""
 
 PASSES = 2
 """Of turning all normals, and fitting with them held."""
@@ -137,10 +144,11 @@ def fit(
         return refined, Refinement(asked, False, why, figures)
     if held is None:
         return refined, Refinement(asked, True, "asked for", figures)
-    if after <= MUCH_LESS * _left_of_degrees(objective) * before:
+    far_less = _left_of_degrees(objective) * before
+    if after <= NOTHING * far_less or (after <= MUCH_LESS * far_less and shared <= NOISE_SHARED):
         why = "with other normals the pictures are explained far better"
         return refined, Refinement(asked, True, why, figures)
-    if after < before and shared <= NOISE_SHARED:
+    if after < before and shared <= min(EXPLAINED, LESS_SHARED * figures["shared_before"]):
         why = "only with other normals are the pictures explained up to noise"
         return refined, Refinement(asked, True, why, figures)
     why = "other normals do not explain what the given ones leave of the pictures"

@@ -62,6 +62,9 @@ def work(task: Task, threads: int) -> dict[str, Any]:
         given = replace(scene, normals=normals)
     found: dict[str, Any] = {"given": Off.of(given.normals, scene.normals, scene.valid).as_json()}
     for refine in REFINE:
+        if refine == "on" and found["auto"]["decision"]["refined"]:
+            found[refine] = found["auto"]  # the same fit, but for the time before it
+            continue
         result = fit(given, refine, iterations=task.iterations, threads=threads)
         found[refine] = {
             "scores": score(result, scene, threads).as_json(),
