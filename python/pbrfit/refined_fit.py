@@ -196,9 +196,12 @@ def _refined(
             spread = free_normals.FIRST_SPREAD
         prior = free_normals.prior_of(free, given, sigma, spread)
         found: Fit | None = None
+        finish = None
         for number in range(PASSES):
             with run.stage("normals of all pixels"):
-                prior, squares = free_normals.turn(free, moving, prior, starts, run.out_of_time)
+                prior, squares = free_normals.turn(
+                    free, moving, prior, finish, starts, run.out_of_time
+                )
                 if squares is None:
                     return None if found is None else (found, prior.spread)
                 if number == PASSES - 1:
@@ -210,6 +213,7 @@ def _refined(
             run = later
             moving[layout.materials] = found.x[later.objective.layout.materials]
             moving[layout.maps.stop :] = found.x[later.objective.layout.maps.stop :]
+            finish = np.stack([moving[block] for block in layout.finish], axis=-1)
             starts = 0
             if run.out_of_time():
                 break

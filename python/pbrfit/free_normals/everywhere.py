@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 ROUNDS = 3
 
+GATHERED = 0.03
+"""Standard deviation of roughness and metallic around those of a fit with the learnt prior."""
+
 
 def whole(layout_valid: NDArray[np.bool_], values: Array, fill: float = np.nan) -> Array:
     """(H, W, ...) of (P, ...)."""
@@ -56,6 +59,7 @@ def turn(
     objective: Objective,
     x: Array,
     prior: TiltPrior,
+    finish: Array | None,
     starts: int,
     stop: Callable[[], bool],
 ) -> tuple[TiltPrior, Array | None]:
@@ -67,6 +71,8 @@ def turn(
         With free normals.
     prior
         Of the tilts.
+    finish
+        (P, F): roughness and metallic to stay near; None = none.
     starts
         Nodes from which pixels start, in the first round.
 
@@ -84,9 +90,11 @@ def turn(
         tilts = x[layout.tilts].reshape(2, -1).T
         variance = _variance(objective, _squares(objective, x))
         centre, precision = prior.beside_others(tilts, variance)
-        nothing = np.zeros((len(tilts), len(layout.finish)))
+        drawn, by = np.zeros((2, len(tilts), len(layout.finish)))
+        if finish is not None:
+            drawn, by = finish, by + variance / GATHERED**2
         towards = Towards(
-            np.concatenate([nothing, centre], axis=1), np.concatenate([nothing, precision], axis=1)
+            np.concatenate([drawn, centre], axis=1), np.concatenate([by, precision], axis=1)
         )
         first = number == 0
         squares = fit_all(
