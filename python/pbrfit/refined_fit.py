@@ -145,14 +145,22 @@ def fit(
     if held is None:
         return refined, Refinement(asked, True, "asked for", figures)
     far_less = _left_of_degrees(objective) * before
-    if after <= NOTHING * far_less or (after <= MUCH_LESS * far_less and shared <= NOISE_SHARED):
-        why = "with other normals the pictures are explained far better"
-        return refined, Refinement(asked, True, why, figures)
-    if after < before and shared <= min(EXPLAINED, LESS_SHARED * figures["shared_before"]):
-        why = "only with other normals are the pictures explained up to noise"
-        return refined, Refinement(asked, True, why, figures)
+    reason = _explained(after, before, far_less, shared, figures["shared_before"])
+    if reason is not None:
+        return refined, Refinement(asked, True, reason, figures)
     why = "other normals do not explain what the given ones leave of the pictures"
     return _after(held, refined.run, rows), Refinement(asked, False, why, figures)
+
+
+def _explained(
+    after: float, before: float, far_less: float, shared: float, shared_before: float
+) -> str | None:
+    """Why refined normals are kept, by what they leave and what of it neighbours share; or None."""
+    if after <= NOTHING * far_less or (after <= MUCH_LESS * far_less and shared <= NOISE_SHARED):
+        return "with other normals the pictures are explained far better"
+    if after < before and shared <= min(EXPLAINED, LESS_SHARED * shared_before):
+        return "only with other normals are the pictures explained up to noise"
+    return None
 
 
 def _left_of_degrees(objective: Objective) -> float:

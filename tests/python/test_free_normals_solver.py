@@ -219,11 +219,10 @@ def test_the_history_ends_with_the_fit_that_is_kept(
     scene = wrong(right())
     options: dict[str, Any] = {"solver": solver, "iterations": 10, "uncertainty": False}
     # However little, and however well, others explain the pictures.
-    monkeypatch.setattr(refined_fit, "MUCH_LESS", np.inf)
+    monkeypatch.setattr(refined_fit, "_explained", lambda *_: "it is to be")
     refined = decompose(scene, **options)
     assert refined.refinement.refined
-    monkeypatch.setattr(refined_fit, "MUCH_LESS", 0.0)
-    monkeypatch.setattr(refined_fit, "NOISE_SHARED", -2.0)
+    monkeypatch.setattr(refined_fit, "_explained", lambda *_: None)
     kept = decompose(scene, **options)
     assert not kept.refinement.refined
     assert kept.refinement.figures["residual_after"] > 0
@@ -242,17 +241,17 @@ def test_the_history_ends_with_the_fit_that_is_kept(
 
 @pytest.mark.parametrize("asked", ["on", "auto"])
 @pytest.mark.parametrize("size", [16, 24])
-def test_true_normals_that_are_found_again_are_not_called_refined(
-    asked: RefineNormals, size: int
-) -> None:
+def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
     """A fit that was stopped early leaves what looks like wrong normals, but none are better."""
     scene = right(size, 8)
     options: dict[str, Any] = {"solver": "lbfgsb", "iterations": 40, "uncertainty": False}
     found = decompose(scene, refine_normals=asked, **options)
     check(found, scene)
-    assert not found.refinement.refined
     assert found.refinement.figures["residual_after"] > 0
+    if found.normal_change is not None:
+        assert np.nanmean(found.normal_change) < 0.3
     if asked == "auto":
+        assert not found.refinement.refined
         same(found, decompose(scene, refine_normals="off", **options))
 
 
