@@ -163,7 +163,14 @@ def test_auto_does_not_end_above_lbfgsb(case: str, priors: Priors | None) -> Non
     ours, paper = (
         objective_at(
             scene,
-            decompose(scene, solver=solver, priors=priors, uncertainty=False, **options),
+            decompose(
+                scene,
+                solver=solver,
+                priors=priors,
+                uncertainty=False,
+                refine_normals="off",
+                **options,
+            ),
             priors=priors,
             **options,
         )
