@@ -388,7 +388,9 @@ def test_doubts_about_the_field_of_view_and_flat_normals_are_said(tmp_path: Path
         normals=flat, assumed={"fov": "60 degrees: neither --fov, scene.toml nor EXIF says"}
     )
     text = written(result, tmp_path / "page.html", scene).text
-    assert "Beware: the field of view is a guess (60 degrees); all normals face the camera" in text
+    whose = "all normals" if result.given_normals is None else "all given normals"
+    doubts = f"Beware: the field of view is a guess (60 degrees); {whose} face the camera"
+    assert doubts in text
     assert "Beware" not in written(in_memory()[1], tmp_path / "other.html").text
 
 
