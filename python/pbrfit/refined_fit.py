@@ -54,6 +54,10 @@ shadows leave little too, but neighbours share that."""
 PASSES = 2
 """Of turning all normals, and fitting with them held."""
 
+ENOUGH = 2.0
+"""Samples for each unknown of a pixel, its normal's included, from which on `auto` refines: with
+fewer almost anything can be explained."""
+
 WINDOW = 5
 """Pixels in each direction over which a gain is averaged."""
 
@@ -115,6 +119,10 @@ def fit(
             return held, Refinement(asked, False, why, figures)
         if before <= (ROUNDING * MEAN_RADIANCE) ** 2:
             why = "the given normals explain the pictures up to rounding"
+            return held, Refinement(asked, False, why, figures)
+        unknowns = objective.layout.maps.stop / objective.pixels + 2
+        if objective.samples < ENOUGH * unknowns * objective.pixels:
+            why = "too few pictures to tell wrong normals from materials"
             return held, Refinement(asked, False, why, figures)
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
