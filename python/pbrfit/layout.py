@@ -96,6 +96,12 @@ class Layout:
         """P, the number of valid pixels."""
         return int(np.count_nonzero(self.valid))
 
+    def whole(self, values: NDArray[np.float64], fill: float = np.nan) -> NDArray[np.float64]:
+        """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
+        found = np.full(self.valid.shape + values.shape[1:], fill)
+        found[self.valid] = values
+        return found
+
     @property
     def sh_order(self) -> int:
         """Highest band of the lights."""

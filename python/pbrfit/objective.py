@@ -419,9 +419,9 @@ class Objective:
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
         metallic = self.known_metallic if self.metallic is None else x[self.metallic]
         materials = Materials(
-            self._map(albedo),
-            self._map(x[self.roughness]),
-            self._map(np.broadcast_to(np.asarray(metallic), self.pixels)),
+            self.layout.whole(albedo),
+            self.layout.whole(x[self.roughness]),
+            self.layout.whole(np.broadcast_to(np.asarray(metallic), self.pixels)),
         )
         if self._scene.lighting is not None:
             return materials, self._scene.lighting.copy()
@@ -501,11 +501,6 @@ class Objective:
     def _by_picture(self) -> NDArray[np.float64]:
         """Units of the pictures, beside lights (N, K, C)."""
         return self._units[:, None, None]
-
-    def _map(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        whole = np.full(self.layout.valid.shape + values.shape[1:], np.nan)
-        whole[self.layout.valid] = values
-        return whole
 
     def _reduced(self, known: NDArray[np.float64]) -> NDArray[np.float64]:
         """Known lights as the core takes them: in units of x, with its bands and channels."""

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import free_normals
-from pbrfit.free_normals.everywhere import whole
-from pbrfit.free_normals.search import degrees_of_freedom
+from pbrfit.free_normals.noise import degrees_of_freedom, noise_variance
 from pbrfit.geometry import angles_between
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import MEAN_RADIANCE, Objective
@@ -222,7 +221,7 @@ def _refined(
                     return None if found is None else (found, prior.spread)
                 if number == PASSES - 1:
                     _put_back(free, moving, squares)
-            turned = replace(scene, normals=whole(valid, free.normals(moving)), truth=scene.truth)
+            turned = replace(scene, normals=layout.whole(free.normals(moving)))
             later = run.again(turned, make(turned, False))
             start = np.concatenate([moving[layout.materials], moving[layout.maps.stop :]])
             found = Fit(later, *solve(later, solver, start, start_given=True))
@@ -259,11 +258,10 @@ def _put_back(free: Objective, x: Array, squares: Array) -> None:
             exact_steps=2,
             held_normals=True,
         )
-    degrees = degrees_of_freedom(free)
-    variance = max(float(np.median(squares)) / degrees, np.finfo(np.float64).tiny)
-    gain = np.minimum((as_given - squares) / variance, 10 * degrees)
+    gain = (as_given - squares) / noise_variance(free, squares)
+    gain = np.minimum(gain, 10 * degrees_of_freedom(free))
     inside = uniform_filter(layout.valid.astype(np.float64), WINDOW, mode="constant")
-    around = uniform_filter(whole(layout.valid, gain, 0.0), WINDOW, mode="constant")
+    around = uniform_filter(layout.whole(gain, 0.0), WINDOW, mode="constant")
     counted = np.maximum(inside[layout.valid] * WINDOW**2, 1.0)
     mean = around[layout.valid] * WINDOW**2 / counted
     # Squares of a normal number have mean 1 and variance 2.

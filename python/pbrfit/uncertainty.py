@@ -379,9 +379,9 @@ def _materials(values: Array, layout: Layout) -> Materials:
     c = layout.channels
     metallic = np.zeros(layout.pixels) if layout.metallic_known else values[:, c + 1]
     return Materials(
-        _map(np.broadcast_to(values[:, :c], (layout.pixels, 3)), layout),
-        _map(values[:, c], layout),
-        _map(metallic, layout),
+        layout.whole(np.broadcast_to(values[:, :c], (layout.pixels, 3))),
+        layout.whole(values[:, c]),
+        layout.whole(metallic),
     )
 
 
@@ -394,9 +394,3 @@ def _flags(values: NDArray[np.bool_], layout: Layout) -> NDArray[np.bool_]:
     of_pixels[:, 1 : 1 + values.shape[1] - c] = values[:, c:]
     flags[layout.valid] = of_pixels
     return flags
-
-
-def _map(values: Array, layout: Layout) -> Array:
-    whole = np.full(layout.valid.shape + values.shape[1:], np.nan)
-    whole[layout.valid] = values
-    return whole

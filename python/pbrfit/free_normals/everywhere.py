@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.free_normals.lattice import Neighbourhood, numbered
-from pbrfit.free_normals.search import Found, degrees_of_freedom
+from pbrfit.free_normals.noise import noise_variance, pixel_squares, uncertain_tilts
+from pbrfit.free_normals.search import Found
 from pbrfit.free_normals.tilt_prior import TiltPrior
-from pbrfit.material_prior import LEAST_VARIANCE
 from pbrfit.objective import Objective
-from pbrfit.second_order.pixels import Towards, chunks, fit_all
+from pbrfit.second_order.pixels import Towards, fit_all
 from pbrfit.second_order.polish import polish
 
 Array = NDArray[np.float64]
@@ -26,13 +26,6 @@ ROUNDS = 3
 
 GATHERED = 0.03
 """Standard deviation of roughness and metallic around those of a fit with the learnt prior."""
-
-
-def whole(layout_valid: NDArray[np.bool_], values: Array, fill: float = np.nan) -> Array:
-    """(H, W, ...) of (P, ...)."""
-    found = np.full((*layout_valid.shape, *values.shape[1:]), fill)
-    found[layout_valid] = values
-    return found
 
 
 def spread_out(objective: Objective, x: Array, found: Found) -> None:
@@ -88,7 +81,7 @@ def turn(
     squares = None
     for number in range(ROUNDS):
         tilts = x[layout.tilts].reshape(2, -1).T
-        variance = _variance(objective, _squares(objective, x))
+        variance = noise_variance(objective, pixel_squares(objective, x))
         centre, precision = prior.beside_others(tilts, variance)
         drawn, by = np.zeros((2, len(tilts), len(layout.finish)))
         if finish is not None:
@@ -110,32 +103,7 @@ def turn(
         if objective.lighting is not None:
             polish(objective, x, squares, lambda *_: stop(), stop, towards)
         prior = prior.learnt(
-            x[layout.tilts].reshape(2, -1).T, _uncertain(objective, x, towards, variance)
+            x[layout.tilts].reshape(2, -1).T,
+            uncertain_tilts(objective, x, towards.precision, variance),
         )
     return prior, squares
-
-
-def _squares(objective: Objective, x: Array) -> Array:
-    squares = np.empty(objective.pixels)
-    for chunk in chunks(objective.pixels):
-        squares[chunk] = objective.problem.normal_equations(objective.for_core(x), chunk)[2]
-    return squares
-
-
-def _variance(objective: Objective, squares: Array) -> float:
-    return max(float(np.median(squares)) / degrees_of_freedom(objective), LEAST_VARIANCE)
-
-
-def _uncertain(objective: Objective, x: Array, towards: Towards, variance: float) -> Array:
-    """Tr V of each pixel's tilt, its other unknowns free and its neighbours held, (P,)."""
-    found = np.empty(objective.pixels)
-    channels = objective.channels
-    for chunk in chunks(objective.pixels):
-        matrices, _, _ = objective.problem.normal_equations(objective.for_core(x), chunk)
-        diagonal = np.einsum("pii->pi", matrices)
-        diagonal[:, channels:] += towards.precision[chunk]
-        diagonal *= 1 + 1e-9
-        diagonal += np.finfo(np.float64).tiny + 1e-12 * diagonal.max()
-        covariance = np.linalg.inv(matrices)
-        found[chunk] = variance * np.einsum("pii->p", covariance[:, -2:, -2:])
-    return found

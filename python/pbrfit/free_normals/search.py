@@ -25,6 +25,7 @@ from pbrfit import material_prior
 from pbrfit.free_normals import joint_step
 from pbrfit.free_normals.joint_step import State
 from pbrfit.free_normals.lattice import Neighbourhood, lattice
+from pbrfit.free_normals.noise import noise_variance, pixel_squares, uncertain_tilts
 from pbrfit.free_normals.tilt_prior import TiltPrior
 from pbrfit.objective import Objective
 from pbrfit.pulled_steps import OFFSET_PULL, Pull
@@ -98,29 +99,18 @@ class Found:
     ----------
     few
         Its objective, with free normals.
-    pixels, index
-        Which of the whole's pixels it has, and where they stand (`lattice`).
+    pixels
+        Which of the whole's pixels it has.
     x
         Of `few`.
     prior
         Of its tilts.
-    variance
-        Of the noise.
     """
 
     few: Objective
     pixels: NDArray[np.uint64]
-    index: NDArray[np.intp]
     x: Array
     prior: TiltPrior
-    variance: float
-
-
-def degrees_of_freedom(objective: Objective) -> float:
-    """Samples of a pixel, less its own unknowns."""
-    layout = objective.layout
-    of_pixel = objective.samples / objective.pixels
-    return float(max(of_pixel - layout.maps.stop / objective.pixels, 0.1 * of_pixel))
 
 
 def find(
@@ -155,7 +145,7 @@ def find(
         if settled or stop():
             break
         last = total
-    return Found(few, pixels, index, search.state.x, search.prior, search.variance)
+    return Found(few, pixels, search.state.x, search.prior)
 
 
 class _Search:
@@ -173,8 +163,8 @@ class _Search:
 
     @property
     def variance(self) -> float:
-        """Of the noise, as the better half of the pixels has it."""
-        return self._variance(self._squares(self.state.x))
+        """Of the noise."""
+        return noise_variance(self.few, self._squares(self.state.x))
 
     def round(self, number: int) -> float:
         """Finishes tried, and joint steps; the sum at the end, in units of the noise."""
@@ -184,7 +174,10 @@ class _Search:
         if number % 2 == 0:
             self._try_finishes(turn=number > 0)
         if number > DIELECTRIC_ROUNDS:
-            self.prior = self.prior.learnt(self._tilts(self.state.x), self._uncertain())
+            x, variance = self.state.x, self.variance
+            _, precision = self._towards(self.state, x, variance)
+            uncertain = uncertain_tilts(self.few, x, precision, variance)
+            self.prior = self.prior.learnt(self._tilts(x), uncertain)
         for _ in range(STEPS):
             if not self._joint():
                 break
@@ -193,16 +186,12 @@ class _Search:
         if number in FLIP_ROUNDS:
             self._flip()
         squares = self._squares(self.state.x)
-        return self._bounded(self._with_pull(self.state, squares), squares) + self.prior.cost(
-            self._tilts(self.state.x), self._variance(squares)
-        )
+        return _bounded(
+            self._with_pull(self.state, squares), self._bound(squares)
+        ) + self.prior.cost(self._tilts(self.state.x), noise_variance(self.few, squares))
 
     def _squares(self, x: Array) -> Array:
-        return np.asarray(self.few.problem.normal_equations(self.few.for_core(x), self._pixels)[2])
-
-    def _variance(self, squares: Array) -> float:
-        typical = float(np.median(squares)) / degrees_of_freedom(self.few)
-        return max(typical, material_prior.LEAST_VARIANCE)
+        return pixel_squares(self.few, x)
 
     def _tilts(self, x: Array) -> Array:
         tilts = self.few.layout.tilts
@@ -232,10 +221,6 @@ class _Search:
         """Squares and pull of each pixel, (P,)."""
         off = self._finish(state.x) - self._pull.centre - state.offsets[self._pull.cluster]
         return np.asarray(squares + (self._pull.precision * off**2).sum(axis=1))
-
-    def _bounded(self, costs: Array, squares: Array) -> float:
-        bound = self._bound(squares)
-        return float((bound * costs / (bound + costs)).sum())
 
     @staticmethod
     def _bound(squares: Array) -> float:
@@ -287,7 +272,7 @@ class _Search:
         """A joint step; whether another is worth while."""
         state = self.state
         squares = self._squares(state.x)
-        variance, bound = self._variance(squares), self._bound(squares)
+        variance, bound = noise_variance(self.few, squares), self._bound(squares)
         costs = self._with_pull(state, squares)
         before = self._total(state, costs, bound, variance)
         weights = np.square(bound / (bound + costs))
@@ -329,28 +314,25 @@ class _Search:
         candidates = np.flatnonzero(between)
         for label in candidates[np.argsort(-counts[candidates])][:FLIPPED]:
             squares = self._squares(self.state.x)
-            variance, bound = self._variance(squares), self._bound(squares)
+            variance, bound = noise_variance(self.few, squares), self._bound(squares)
             least = self._alone(self.state, squares, bound, variance)
             before = self.state, self._pull, self._damping
-            best = least, *before
-            total = self._as(labels == label, 0.0, bound, variance)
-            if total < best[0]:
-                best = total, self.state, self._pull, self._damping
-            _, self.state, self._pull, self._damping = best
+            if not self._as_dielectric(labels == label, bound, variance) < least:
+                self.state, self._pull, self._damping = before
 
-    def _as(self, there: NDArray[np.bool_], pure: float, bound: float, variance: float) -> float:
-        """Make metallic of some pixels `pure`, and let all else follow; what `_alone` says then."""
+    def _as_dielectric(self, there: NDArray[np.bool_], bound: float, variance: float) -> float:
+        """Make some pixels dielectric, and let all else follow; what `_alone` says then."""
         few, pull = self.few, self._pull
         metallic = few.layout.metallic
         assert metallic is not None
         centre, precision = pull.centre.copy(), pull.precision.copy()
-        centre[there, 1], precision[there, 1] = pure, variance / FLOORS[-1] ** 2
+        centre[there, 1], precision[there, 1] = 0.0, variance / FLOORS[-1] ** 2
         precision[there, 0] = 0.0
         cluster = np.where(there, pull.clusters, pull.cluster)
         self._pull = Pull(centre, precision, cluster, pull.clusters + 1)
         offsets = np.concatenate([self.state.offsets, np.zeros((1, centre.shape[1]))])
         x = self.state.x.copy()
-        x[metallic][there] = pure
+        x[metallic][there] = 0.0
         state = State(x, offsets)
         x, _ = self._fitted(state, x, starts=NODES, steps=12, exact_steps=6, turn=True)
         self.state = State(x, offsets)
@@ -361,16 +343,14 @@ class _Search:
 
     def _alone(self, state: State, squares: Array, bound: float, variance: float) -> float:
         """The sum without what roughness and metallic are drawn to."""
-        return float((bound * squares / (bound + squares)).sum()) + self.prior.cost(
-            self._tilts(state.x), variance
-        )
+        return _bounded(squares, bound) + self.prior.cost(self._tilts(state.x), variance)
 
     def _scale(self) -> None:
         """Try other scales between albedo and lights: the loss is flat along them, and curved."""
         few, state = self.few, self.state
         assert few.lighting is not None
         squares = self._squares(state.x)
-        variance, bound = self._variance(squares), self._bound(squares)
+        variance, bound = noise_variance(self.few, squares), self._bound(squares)
         least = self._total(state, self._with_pull(state, squares), bound, variance)
         for factor in SCALES:
             trial = state.x.copy()
@@ -385,11 +365,7 @@ class _Search:
     def _total(self, state: State, costs: Array, bound: float, variance: float) -> float:
         tilts = self._tilts(state.x)
         held = self._offset_pull * self._pull.sums(self._pull.precision) * state.offsets**2
-        return (
-            float((bound * costs / (bound + costs)).sum())
-            + float(held.sum())
-            + self.prior.cost(tilts, variance)
-        )
+        return _bounded(costs, bound) + float(held.sum()) + self.prior.cost(tilts, variance)
 
     def _followed(self, before: State, trial: State) -> tuple[State, Array]:
         """Pixels after a step, each from where it led and from where they were; and their costs."""
@@ -415,20 +391,10 @@ class _Search:
         place(self.few, moved, slice(None), chosen)
         return State(moved, trial.offsets), np.where(better, costs[1], costs[0])
 
-    def _uncertain(self) -> Array:
-        """Tr V of each pixel's tilt, its other unknowns free and its neighbours held."""
-        few, x = self.few, self.state.x
-        matrices, _, squares = few.problem.normal_equations(few.for_core(x), self._pixels)
-        variance = self._variance(squares)
-        finish = self._pull.precision.shape[1]
-        diagonal = np.einsum("pii->pi", matrices)
-        channels = few.layout.channels
-        diagonal[:, channels : channels + finish] += self._pull.precision
-        diagonal[:, -2:] += self.prior.diagonal(variance)[:, None]
-        diagonal *= 1 + 1e-9
-        diagonal += 1e-12 * diagonal.max()
-        covariance = np.linalg.inv(matrices)
-        return np.asarray(variance * np.einsum("pii->p", covariance[:, -2:, -2:]))
+
+def _bounded(costs: Array, bound: float) -> float:
+    """Σ ρ(c), with τ = `bound`."""
+    return float((bound * costs / (bound + costs)).sum())
 
 
 def _nodes(objective: Objective) -> tuple[Array, Array]:
