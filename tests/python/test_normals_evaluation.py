@@ -25,10 +25,22 @@ from pbrfit.cli import main
 from pbrfit.evaluation import normals
 from pbrfit.evaluation.jobs import Record
 from pbrfit.evaluation.normal_errors import LOWEST_COSINE, facing, smooth, turned, unit
-from pbrfit.evaluation.normals import FULL, QUICK, Measured, cost, exact, fits, real, report, rooms
+from pbrfit.evaluation.normals import (
+    FULL,
+    QUICK,
+    Measured,
+    Part,
+    cost,
+    exact,
+    fits,
+    real,
+    report,
+    rooms,
+)
 from pbrfit.evaluation.normals.disturbances import DISTURBANCES, MEAN_OF_THETA, disturbed
-from pbrfit.evaluation.normals.report.verdicts import Verdict, digits, verdicts, won_back
+from pbrfit.evaluation.normals.report.verdicts import verdicts, won_back
 from pbrfit.evaluation.real import sources
+from pbrfit.evaluation.verdicts import Verdict, digits
 from pbrfit.geometry import angles_between
 from pbrfit.materials import Materials
 from pbrfit.refinement import Refinement
@@ -331,7 +343,7 @@ def of_rooms(*pairs: Any) -> Measured:
     return Measured(QUICK, 1, {"rooms": pairs}, {})
 
 
-def by_what(judged: list[Verdict], words: str) -> Verdict:
+def by_what(judged: list[Verdict[Part]], words: str) -> Verdict[Part]:
     [found] = [verdict for verdict in judged if words in verdict.what]
     return found
 

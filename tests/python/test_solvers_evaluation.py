@@ -23,6 +23,7 @@ from pbrfit.evaluation.solvers import (
     PARTS,
     QUICK,
     Measured,
+    Part,
     exact,
     fits,
     gap,
@@ -34,8 +35,9 @@ from pbrfit.evaluation.solvers import (
     report,
     start,
 )
-from pbrfit.evaluation.solvers.report.verdicts import Verdict, digits, speeds, verdicts
+from pbrfit.evaluation.solvers.report.verdicts import speeds, verdicts
 from pbrfit.evaluation.table1 import measure as table1
+from pbrfit.evaluation.verdicts import Verdict, digits
 from pbrfit.objective import Objective
 from pbrfit.priors import Priors
 from pbrfit.result import Result
@@ -221,7 +223,7 @@ def test_the_command_names_all_parts() -> None:
 # Verdicts
 
 
-def of(judged: list[Verdict], start_of_what: str) -> Verdict:
+def of(judged: list[Verdict[Part]], start_of_what: str) -> Verdict[Part]:
     [found] = [verdict for verdict in judged if verdict.what.startswith(start_of_what)]
     return found
 

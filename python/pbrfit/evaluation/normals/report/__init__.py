@@ -8,24 +8,29 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit.evaluation import page, summary
-from pbrfit.evaluation.normals import Measured
+from pbrfit.evaluation.normals import Measured, Part
 from pbrfit.evaluation.normals.report.sections import SECTIONS
-from pbrfit.evaluation.normals.report.verdicts import JUDGED, Verdict, digits, verdicts
+from pbrfit.evaluation.normals.report.verdicts import JUDGED, verdicts
 from pbrfit.evaluation.page import Cell, Section, Table
 from pbrfit.evaluation.tables import write_csv
+from pbrfit.evaluation.verdicts import Verdict, must_hold
+from pbrfit.evaluation.verdicts import lines as said
 
 MARKDOWN, SCENES = "normals.md", "scenes.csv"
 
-FAILS = "does\N{NO-BREAK SPACE}not\N{NO-BREAK SPACE}hold"
-
 PROTOCOL = "pbrfit-normals-1"
 """Under one name and effort, the same scenes, seeds and measures."""
+
+JUDGING = (
+    f"Judged is “{JUDGED}”, the default; without noise “on”. Won back: (not refined − refined) / "
+    "(not refined − floor), of means over scenes."
+)
 
 
 def write(folder: Path, measured: Measured) -> None:
     """Write `report.html`, its figures, `normals.md`, `scenes.csv` and `summary.json`."""
     judged = verdicts(measured)
-    sections = [_must_hold(judged)] if judged else []
+    sections = [must_hold(judged, [JUDGING])] if judged else []
     sections += [make(measured) for part, make in SECTIONS.items() if measured.finished(part)]
     if measured.failed:
         rows = [[Cell(r.key), Cell(r.error or "", "why")] for r in measured.failed]
@@ -43,48 +48,10 @@ def write(folder: Path, measured: Measured) -> None:
 
 def lines(measured: Measured) -> list[str]:
     """The verdicts, for a terminal."""
-    return [
-        f"{'holds' if v.holds else 'FAILS':<7}{digits(v.value):>12} {_bar(v):>8}  {v.what}"
-        + (f"  ({v.where})" if v.where else "")
-        for v in verdicts(measured)
-    ]
+    return said(verdicts(measured))
 
 
-def _bar(verdict: Verdict) -> str:
-    return f"{'≥' if verdict.at_least else '≤'} {digits(verdict.bar)}"
-
-
-def _must_hold(judged: list[Verdict]) -> Section:
-    columns = [
-        Cell("Part", "name"),
-        Cell("What"),
-        Cell("Found", "number"),
-        Cell("Must be", "number"),
-        Cell("Verdict"),
-        Cell(""),
-    ]
-    rows = []
-    part = ""
-    for verdict in judged:
-        rows.append(
-            [
-                Cell("" if verdict.part == part else verdict.part, "name"),
-                Cell(verdict.what),
-                Cell(digits(verdict.value), "number", verdict.value),
-                Cell(_bar(verdict), "number"),
-                Cell("holds", "pass") if verdict.holds else Cell(FAILS, "fail"),
-                Cell(verdict.where, "why"),
-            ]
-        )
-        part = verdict.part
-    said = (
-        f"Judged is “{JUDGED}”, the default; without noise “on”. Won back: (not refined − refined) "
-        "/ (not refined − floor), of means over scenes."
-    )
-    return Section("What must hold", [said], [Table(columns, rows)])
-
-
-def _opening(measured: Measured, judged: list[Verdict]) -> list[str]:
+def _opening(measured: Measured, judged: list[Verdict[Part]]) -> list[str]:
     held = sum(verdict.holds for verdict in judged)
     on = summary.machine()
     effort = measured.effort
@@ -123,7 +90,7 @@ def _leaves(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
             yield path, value
 
 
-def _rows(measured: Measured, judged: list[Verdict]) -> Iterator[summary.Row]:
+def _rows(measured: Measured, judged: list[Verdict[Part]]) -> Iterator[summary.Row]:
     for verdict in judged:
         yield summary.Row(
             f"{verdict.part}: {verdict.what}",

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pbrfit.evaluation.normals import Measured, Part, cost, exact
 from pbrfit.evaluation.normals.rooms import MAPS_AND_RELIGHT, METRICS, TRUE
-from pbrfit.notation import scientific
+from pbrfit.evaluation.verdicts import Verdict, digits
 from pbrfit.refinement import RefineNormals
 
 Values = Mapping[str, Any]
@@ -40,47 +39,9 @@ MOST = 0.5
 """More than this share of the scenes without noise must come back."""
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """A figure and what it has to be.
-
-    Attributes
-    ----------
-    part
-        Of the suite.
-    what
-        In words.
-    value
-        The figure.
-    bar
-        At most this; at least, where `at_least`.
-    where
-        What else belongs to the figure.
-    """
-
-    part: Part
-    what: str
-    value: float
-    bar: float
-    where: str = ""
-    at_least: bool = False
-
-    @property
-    def holds(self) -> bool:
-        """A figure that is not a number holds nothing."""
-        return self.value >= self.bar if self.at_least else self.value <= self.bar
-
-
-def digits(value: float) -> str:
-    """Three digits, so that 1.02 is told from 1; powers of ten for what is small or large."""
-    if value == 0 or (math.isfinite(value) and 0.01 <= abs(value) < 1e4):
-        return f"{value:.3g}"
-    return scientific(value)
-
-
-def verdicts(measured: Measured) -> list[Verdict]:
+def verdicts(measured: Measured) -> list[Verdict[Part]]:
     """All that can be said of the parts that were run."""
-    of_part: dict[Part, Callable[[Measured], Iterator[Verdict]]] = {
+    of_part: dict[Part, Callable[[Measured], Iterator[Verdict[Part]]]] = {
         "rooms": _rooms,
         "exact": _exact,
         "cost": _cost,
@@ -142,7 +103,7 @@ def mean_angle(found: Found, refine: RefineNormals | None = None) -> float:
     return float(np.mean([value["mean"] for value in values])) if values else math.nan
 
 
-def _rooms(measured: Measured) -> Iterator[Verdict]:
+def _rooms(measured: Measured) -> Iterator[Verdict[Part]]:
     found = measured.finished("rooms")
     for kind in dict.fromkeys(task.disturbance for task, _ in found if task.disturbance != TRUE):
         for degrees, bars in WON_BACK.items():
@@ -204,7 +165,7 @@ def spoilt(of_true: Found, metric: str) -> tuple[float, str]:
 # ------------------------------------------------------------------------------------ exact, cost
 
 
-def _exact(measured: Measured) -> Iterator[Verdict]:
+def _exact(measured: Measured) -> Iterator[Verdict[Part]]:
     found = measured.finished("exact")
     for kind in dict.fromkeys(task.disturbance for task, _ in found):
         of_kind = [pair for pair in found if pair[0].disturbance == kind]
@@ -221,7 +182,7 @@ def _exact(measured: Measured) -> Iterator[Verdict]:
         )
 
 
-def _cost(measured: Measured) -> Iterator[Verdict]:
+def _cost(measured: Measured) -> Iterator[Verdict[Part]]:
     found = measured.finished("cost")
     for task, values in found:
         off, refined = cost.medians(values)

@@ -9,10 +9,12 @@ from typing import Any
 
 from pbrfit.evaluation import page, summary
 from pbrfit.evaluation.page import Cell, Section, Table
-from pbrfit.evaluation.solvers import Measured
+from pbrfit.evaluation.solvers import Measured, Part
 from pbrfit.evaluation.solvers.report.sections import SECTIONS
-from pbrfit.evaluation.solvers.report.verdicts import Verdict, digits, verdicts
+from pbrfit.evaluation.solvers.report.verdicts import verdicts
 from pbrfit.evaluation.tables import write_csv
+from pbrfit.evaluation.verdicts import Verdict, must_hold
+from pbrfit.evaluation.verdicts import lines as said
 
 MARKDOWN, SCENES = "solvers.md", "scenes.csv"
 
@@ -23,7 +25,7 @@ PROTOCOL = "pbrfit-solvers-1"
 def write(folder: Path, measured: Measured) -> None:
     """Write `report.html`, its plots, `solvers.md`, `scenes.csv` and `summary.json`."""
     judged = verdicts(measured)
-    sections = [_must_hold(judged)]
+    sections = [must_hold(judged)]
     sections += [make(measured) for part, make in SECTIONS.items() if measured.found.get(part)]
     if measured.failed:
         rows = [[Cell(r.key), Cell(r.error or "", "why")] for r in measured.failed]
@@ -41,48 +43,10 @@ def write(folder: Path, measured: Measured) -> None:
 
 def lines(measured: Measured) -> list[str]:
     """The verdicts, for a terminal."""
-    return [
-        f"{_mark(v):<7}{digits(v.value):>12} {_bar(v):>10}  {v.what}"
-        + (f"  ({v.where})" if v.where else "")
-        for v in verdicts(measured)
-    ]
+    return said(verdicts(measured))
 
 
-def _mark(verdict: Verdict) -> str:
-    return "holds" if verdict.holds else "FAILS"
-
-
-def _bar(verdict: Verdict) -> str:
-    return f"{'≥' if verdict.at_least else '≤'} {digits(verdict.bar)}"
-
-
-def _must_hold(judged: list[Verdict]) -> Section:
-    columns = [
-        Cell("Part", "name"),
-        Cell("What"),
-        Cell("Found", "number"),
-        Cell("Must be", "number"),
-        Cell("Verdict"),
-        Cell("Where"),
-    ]
-    rows = []
-    part = ""
-    for verdict in judged:
-        rows.append(
-            [
-                Cell("" if verdict.part == part else verdict.part, "name"),
-                Cell(verdict.what),
-                Cell(digits(verdict.value), "number", verdict.value),
-                Cell(_bar(verdict), "number"),
-                Cell("holds", "pass") if verdict.holds else Cell("does not hold", "fail"),
-                Cell(verdict.where, "why"),
-            ]
-        )
-        part = verdict.part
-    return Section("What must hold", [], [Table(columns, rows)])
-
-
-def _opening(measured: Measured, judged: list[Verdict]) -> list[str]:
+def _opening(measured: Measured, judged: list[Verdict[Part]]) -> list[str]:
     held = sum(verdict.holds for verdict in judged)
     on = summary.machine()
     effort = measured.effort
@@ -120,7 +84,7 @@ def _numbers(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str,
             yield path, float(value)
 
 
-def _rows(measured: Measured, judged: list[Verdict]) -> Iterator[summary.Row]:
+def _rows(measured: Measured, judged: list[Verdict[Part]]) -> Iterator[summary.Row]:
     for verdict in judged:
         yield summary.Row(
             f"{verdict.part}: {verdict.what}",

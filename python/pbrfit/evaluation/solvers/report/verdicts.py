@@ -12,7 +12,7 @@ import numpy as np
 from pbrfit.evaluation.ablation.demands import Demand, judge
 from pbrfit.evaluation.solvers import Measured, Part, exact, gap, memory, noise, priors, race, start
 from pbrfit.evaluation.table1.rows import BY_KEY, COLUMNS
-from pbrfit.notation import scientific
+from pbrfit.evaluation.verdicts import Verdict
 
 Values = Mapping[str, Any]
 
@@ -20,47 +20,9 @@ EXACT_SHARE = 64 / 67
 """Of the rooms without noise that have to be exact."""
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """A figure and what it has to be.
-
-    Attributes
-    ----------
-    part
-        Of the suite.
-    what
-        In words.
-    value
-        The figure.
-    bar
-        At most this; at least, where `at_least`.
-    where
-        The worst case, or what else belongs to the figure.
-    """
-
-    part: Part
-    what: str
-    value: float
-    bar: float
-    where: str = ""
-    at_least: bool = False
-
-    @property
-    def holds(self) -> bool:
-        """A figure that is not a number holds nothing."""
-        return self.value >= self.bar if self.at_least else self.value <= self.bar
-
-
-def digits(value: float) -> str:
-    """Three digits, so that 1.02 is told from 1; powers of ten for what is small or large."""
-    if math.isfinite(value) and 0.01 <= abs(value) < 1e4:
-        return f"{value:.3g}"
-    return scientific(value)
-
-
-def verdicts(measured: Measured) -> list[Verdict]:
+def verdicts(measured: Measured) -> list[Verdict[Part]]:
     """All that can be said of the parts that were run."""
-    of_part: dict[Part, Callable[[Measured], Iterator[Verdict]]] = {
+    of_part: dict[Part, Callable[[Measured], Iterator[Verdict[Part]]]] = {
         "exact": _exact,
         "noise": _noise,
         "start": _start,
@@ -77,7 +39,7 @@ def verdicts(measured: Measured) -> list[Verdict]:
     ]
 
 
-def _exact(measured: Measured) -> Iterator[Verdict]:
+def _exact(measured: Measured) -> Iterator[Verdict[Part]]:
     found = measured.finished("exact")
     bar = math.ceil(EXACT_SHARE * len(found) - 1e-9)
     for name, recon, pictures in (
@@ -110,7 +72,7 @@ def _exact(measured: Measured) -> Iterator[Verdict]:
     )
 
 
-def _noise(measured: Measured) -> Iterator[Verdict]:
+def _noise(measured: Measured) -> Iterator[Verdict[Part]]:
     for level in noise.LEVELS:
         found = [pair for pair in measured.finished("noise") if pair[0].noise == level]
         if not found:
@@ -145,7 +107,7 @@ def _mean_score(found: Sequence[tuple[Any, Values]], name: str, metric: str) -> 
     return float(np.mean([values[name]["scores"][metric] for _, values in found]))
 
 
-def _start(measured: Measured) -> Iterator[Verdict]:
+def _start(measured: Measured) -> Iterator[Verdict[Part]]:
     for setting in start.SETTINGS:
         above = {
             task.key.removeprefix("start_"): values[setting]["auto"] / values[setting]["lbfgsb"] - 1
@@ -182,7 +144,7 @@ def gap_rows(measured: Measured) -> dict[str, list[tuple[Any, Values]]]:
     }
 
 
-def _gap(measured: Measured) -> Iterator[Verdict]:
+def _gap(measured: Measured) -> Iterator[Verdict[Part]]:
     for row, found in gap_rows(measured).items():
         name, ratios = BY_KEY[row].name, gap_ratios(found)
         worst = max(ratios, key=lambda column: ratios[column])
@@ -192,7 +154,7 @@ def _gap(measured: Measured) -> Iterator[Verdict]:
         yield Verdict("gap", f"{name}: worst column", ratios[worst], gap.WORST_COLUMN, worst)
 
 
-def _priors(measured: Measured) -> Iterator[Verdict]:
+def _priors(measured: Measured) -> Iterator[Verdict[Part]]:
     for case, limit in priors.ROUGHNESS.items():
         found = [values for task, values in measured.finished("priors") if task.case == case]
         if not found:
@@ -256,7 +218,7 @@ def _reached(values: Values) -> float:
     return math.inf if values["reached"] is None else float(values["reached"])
 
 
-def _race(measured: Measured) -> Iterator[Verdict]:
+def _race(measured: Measured) -> Iterator[Verdict[Part]]:
     for solver in ("gauss-newton", "auto"):
         for other, bar in (("lbfgsb", race.OVER_LBFGSB), ("torch", race.OVER_TORCH)):
             found = speeds(measured, solver, other)
@@ -277,7 +239,7 @@ def _race(measured: Measured) -> Iterator[Verdict]:
             )
 
 
-def _memory(measured: Measured) -> Iterator[Verdict]:
+def _memory(measured: Measured) -> Iterator[Verdict[Part]]:
     for task, values in measured.finished("memory"):
         if values["peak"] is None or task.solver not in memory.BARS:
             continue
