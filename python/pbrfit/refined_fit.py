@@ -57,6 +57,10 @@ ENOUGH = 2.0
 """Samples for each unknown of a pixel, its normal's included, from which on `auto` refines: with
 fewer almost anything can be explained."""
 
+LOOK = 50
+"""Iterations at which a fit that was stopped by their number is a look, not a fit: what it leaves
+may be gone with the next ones."""
+
 WINDOW = 5
 """Pixels in each direction over which a gain is averaged."""
 
@@ -122,6 +126,9 @@ def fit(
         unknowns = objective.layout.maps.stop / objective.pixels + 2
         if objective.samples < ENOUGH * unknowns * objective.pixels:
             why = "too few pictures to tell wrong normals from materials"
+            return held, Refinement(asked, False, why, figures)
+        if held.status is Status.ITERATION_LIMIT and run.iteration <= LOOK:
+            why = "too few iterations to tell wrong normals from what is not fitted yet"
             return held, Refinement(asked, False, why, figures)
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)

@@ -132,7 +132,14 @@ def test_one_bright_picture_hardly_changes_the_materials() -> None:
     scene = make_scene("spheres", size=16, lights=6, seed=2003, held_out=1)
     exposed = brighter(scene, 2, 16.0)
     plain, fitted, as_is = (
-        pbrfit.decompose(s, solver="lbfgsb", iterations=150, equal_exposures=equal, priors=None)
+        pbrfit.decompose(
+            s,
+            solver="lbfgsb",
+            iterations=150,
+            equal_exposures=equal,
+            priors=None,
+            refine_normals="off",
+        )
         for s, equal in ((scene, True), (exposed, None), (exposed, False))
     )
     # The pictures are the same but for rounding once they are divided.
@@ -154,7 +161,7 @@ def test_one_bright_picture_does_not_change_an_exact_fit(solver: Solver) -> None
     scene = make_scene("spheres", size=16, lights=8, seed=2003, held_out=1, noise=0.01)
     exposed = brighter(scene, 2, 16.0)
     plain, fitted = (
-        pbrfit.decompose(s, solver=solver, equal_exposures=equal, priors=None)
+        pbrfit.decompose(s, solver=solver, equal_exposures=equal, priors=None, refine_normals="off")
         for s, equal in ((scene, True), (exposed, None))
     )
     for name in ("albedo", "roughness", "metallic"):

@@ -182,9 +182,18 @@ def test_few_iterations_leave_a_finite_answer(asked: RefineNormals, iterations: 
     assert result.refinement.asked == asked
 
 
+@pytest.mark.parametrize("iterations", [0, 5, refined_fit.LOOK])
+def test_auto_does_not_refine_what_is_not_fitted_yet(iterations: int) -> None:
+    result = decompose(wrong(small()), solver="lbfgsb", iterations=iterations, uncertainty=False)
+    assert result.status == Status.ITERATION_LIMIT
+    assert not result.refinement.refined
+    why = "too few iterations to tell wrong normals from what is not fitted yet"
+    assert result.refinement.why == why
+
+
 def test_history_and_stages_go_on_over_all_fits() -> None:
     scene = wrong(right())
-    result = decompose(scene, refine_normals="auto", iterations=10, uncertainty=False)
+    result = decompose(scene, refine_normals="auto", iterations=60, uncertainty=False)
     names = [stage.name for stage in result.stages]
     assert "normals and lights from a lattice" in names
     assert "normals of all pixels" in names
@@ -217,7 +226,7 @@ def test_the_history_ends_with_the_fit_that_is_kept(
     solver: Solver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = wrong(right())
-    options: dict[str, Any] = {"solver": solver, "iterations": 10, "uncertainty": False}
+    options: dict[str, Any] = {"solver": solver, "iterations": 60, "uncertainty": False}
     # However little, and however well, others explain the pictures.
     monkeypatch.setattr(refined_fit, "_explained", lambda *_: "it is to be")
     refined = decompose(scene, **options)
@@ -229,7 +238,7 @@ def test_the_history_ends_with_the_fit_that_is_kept(
     check(kept, scene)
     plain = decompose(scene, refine_normals="off", **options)
     same(kept, plain)
-    assert kept.history.iterations == plain.history.iterations <= 10
+    assert kept.history.iterations == plain.history.iterations <= 60
     assert kept.evaluations > plain.evaluations
     assert kept.stages[: len(plain.stages)] != kept.stages
     for result in (refined, kept):
@@ -244,7 +253,7 @@ def test_the_history_ends_with_the_fit_that_is_kept(
 def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
     """A fit that was stopped early leaves what looks like wrong normals, but none are better."""
     scene = right(size, 8)
-    options: dict[str, Any] = {"solver": "lbfgsb", "iterations": 40, "uncertainty": False}
+    options: dict[str, Any] = {"solver": "lbfgsb", "iterations": 60, "uncertainty": False}
     found = decompose(scene, refine_normals=asked, **options)
     check(found, scene)
     assert found.refinement.figures["residual_after"] > 0

@@ -67,7 +67,16 @@ sys.exit(main(sys.argv[1:]))
 def test_results_do_not_depend_on_threads_or_processors(
     scene: Path, tmp_path: Path, solver: str
 ) -> None:
-    options = ("--solver", solver, "--iterations", "80", "--quiet", "--out")
+    options = (
+        "--solver",
+        solver,
+        "--iterations",
+        "80",
+        "--refine-normals",
+        "off",
+        "--quiet",
+        "--out",
+    )
     arguments = ("decompose", str(scene), *options)
     for threads in ("1", "2", "3", "0"):
         assert run(*arguments, tmp_path / threads, "--threads", threads) == 0
