@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.lazy import lazy
 from pbrfit.scene import Scene
 from pbrfit.segments import consecutive_labels
 
@@ -91,7 +91,7 @@ class Layout:
             free_normals=free_normals,
         )
 
-    @cached_property
+    @lazy
     def pixels(self) -> int:
         """P, the number of valid pixels."""
         return int(np.count_nonzero(self.valid))

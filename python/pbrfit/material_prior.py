@@ -28,12 +28,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import pulled_steps
+from pbrfit.lazy import lazy
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
 from pbrfit.pulled_steps import OFFSET_PULL, Pull
@@ -296,7 +296,7 @@ class _Grid:
         self.roughness, self.metallic = roughness.ravel(), metallic.ravel()
         self._objective, self._noise_pixels = objective, pixels
 
-    @cached_property
+    @lazy
     def variance(self) -> float:
         """s², of samples of weight 1, in units of x.
 

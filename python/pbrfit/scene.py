@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from pbrfit import geometry
 from pbrfit._core import InputError
 from pbrfit.images import CODE_RANGE
+from pbrfit.lazy import lazy
 from pbrfit.materials import Materials
 
 if TYPE_CHECKING:
@@ -198,12 +198,12 @@ class Scene:
         """Columns of a picture."""
         return int(self.images.shape[2])
 
-    @cached_property
+    @lazy
     def valid(self) -> NDArray[np.bool_]:
         """(H, W) bool: the pixels that are fitted, in the mask and of some weight."""
         return _valid(self.mask, self.weights, (self.height, self.width))
 
-    @cached_property
+    @lazy
     def grey(self) -> bool:
         """Whether the pictures, and the lights if they are known, have three equal channels."""
         if self.lighting is not None and not equal_channels(self.lighting):
