@@ -217,30 +217,65 @@ def _refined(
         else:
             spread = free_normals.FIRST_SPREAD
         prior = free_normals.prior_of(free, given, sigma, spread)
-        found: Fit | None = None
+        ended: tuple[Status, str] | None = None
         finish = None
         for number in range(PASSES):
+            before = moving.copy()
             with run.stage("normals of all pixels"):
                 prior, squares = free_normals.turn(
                     free, moving, prior, finish, starts, run.out_of_time
                 )
                 if squares is None:
-                    return None if found is None else (found, prior.spread)
+                    moving = before
+                    break
                 if number == PASSES - 1:
                     _put_back(free, moving, squares)
-            turned = replace(scene, normals=layout.whole(free.normals(moving)))
-            later = run.again(turned, make(turned, False))
-            start = np.concatenate([moving[layout.materials], moving[layout.maps.stop :]])
-            found = Fit(later, *solve(later, solver, start, start_given=True))
-            run = later
-            moving[layout.materials] = found.x[later.objective.layout.materials]
-            moving[layout.maps.stop :] = found.x[later.objective.layout.maps.stop :]
+            run, ended = _fit_held(run, scene, free, moving, make, solver)
             finish = np.stack([moving[block] for block in layout.finish], axis=-1)
             starts = 0
             if run.out_of_time():
                 break
-    assert found is not None
-    return found, prior.spread
+    if ended is None:
+        return None
+    if run.objective.lighting is None and free.lighting is not None:
+        turned = replace(run.scene, lighting=None)
+        run = run.again(turned, make(turned, False))
+    return Fit(run, _of_held(free, moving, run.objective), *ended), prior.spread
+
+
+def _fit_held(
+    run: Run,
+    scene: Scene,
+    free: Objective,
+    moving: Array,
+    make: Callable[[Scene, bool], Objective],
+    solver: Solver,
+) -> tuple[Run, tuple[Status, str]]:
+    """Fit materials with all priors, normals and lights held at those of an x of `free`.
+
+    That x changes. Lights are held because a fit to held normals that are a degree off takes
+    blurred highlights for weak ones, and makes lights too bright for albedo by a tenth and more.
+    Those of the joint steps, whose normals move along, are not drawn so. But joint steps know
+    squares only: where more was asked of lights, they are fitted once more.
+    """
+    turned = replace(scene, normals=free.layout.whole(free.normals(moving)))
+    if free.lighting is not None and run.robust == "none" and not run.priors.monochrome:
+        turned = replace(turned, lighting=free.unpack(moving)[1])
+    run = run.again(turned, make(turned, False))
+    objective = run.objective
+    start = _of_held(free, moving, objective)
+    found, status, reason = solve(run, solver, start, start_given=True)
+    moving[free.layout.materials] = found[objective.layout.materials]
+    if objective.lighting is not None:
+        moving[free.layout.maps.stop :] = found[objective.lighting]
+    return run, (status, reason)
+
+
+def _of_held(free: Objective, x: Array, held: Objective) -> Array:
+    """What an objective with held normals, and perhaps lights, has of an x of `free`."""
+    lights = free.layout.lighting if held.lighting is not None else None
+    parts = [x[free.layout.materials]] + ([] if lights is None else [x[lights]])
+    return np.concatenate(parts)
 
 
 def _put_back(free: Objective, x: Array, squares: Array) -> None:

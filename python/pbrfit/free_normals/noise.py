@@ -24,6 +24,17 @@ def noise_variance(objective: Objective, squares: Array) -> float:
     return max(float(np.median(squares)) / degrees_of_freedom(objective), LEAST_VARIANCE)
 
 
+def mean_over_median(objective: Objective, squares: Array) -> float:
+    """How far the mean of squares (P,) is above their median, beside those of noise alone.
+
+    For noise it is 1: squares of k numbers have a median of k (1 − 2/(9k))³ (Wilson and Hilferty
+    1931). Pixels that are not explained raise the mean and leave the median.
+    """
+    of_noise = (1 - 2 / (9 * max(degrees_of_freedom(objective), 1.0))) ** 3
+    median = max(float(np.median(squares)), float(np.finfo(np.float64).tiny))
+    return float(np.mean(squares)) * of_noise / median
+
+
 def pixel_squares(objective: Objective, x: Array) -> Array:
     """Σ ω (I − T)² of each pixel, (P,)."""
     squares = np.empty(objective.pixels)

@@ -25,9 +25,14 @@ from pbrfit import material_prior
 from pbrfit.free_normals import joint_step
 from pbrfit.free_normals.joint_step import State
 from pbrfit.free_normals.lattice import Neighbourhood, lattice
-from pbrfit.free_normals.noise import noise_variance, pixel_squares, uncertain_tilts
+from pbrfit.free_normals.noise import (
+    mean_over_median,
+    noise_variance,
+    pixel_squares,
+    uncertain_tilts,
+)
 from pbrfit.free_normals.tilt_prior import TiltPrior
-from pbrfit.objective import Objective
+from pbrfit.objective import MEAN_RADIANCE, Objective
 from pbrfit.pulled_steps import OFFSET_PULL, Pull
 from pbrfit.second_order.pixels import METALLIC, ROUGHNESS, place, taken
 
@@ -42,6 +47,16 @@ DIELECTRIC = 0.2
 
 ROUNDS = 12
 """At most."""
+
+STARTS = (1.0, 2.0, 1.4)
+"""Factors on the lights that the search starts from, the next only where the one before has not
+ended well: which of several ways lights and normals go is decided in the first rounds."""
+
+WELL = 1.25
+"""Mean of the pixels' squares over their median, beside that of noise, up to which a search has."""
+
+PERFECT = 1e-4
+"""Or a root mean square residual of this share of the mean radiance."""
 
 FLOORS = (0.1, 0.06, 0.036, 0.02)
 """Smallest deviation of the pull to what was learnt, by round."""
@@ -137,7 +152,21 @@ def find(
     few = objective.restricted(pixels)
     chosen = pixels.astype(np.intp)
     around = Neighbourhood.of(index, given[chosen], None if sigma is None else sigma[chosen])
-    search = _Search(few, TiltPrior(around), objective.part_of(x, pixels))
+    x = objective.part_of(x, pixels)
+    best: tuple[_Search, Array] | None = None
+    for factor in STARTS:
+        search = _searched(few, TiltPrior(around), _scaled(few, x, factor), stop)
+        squares = pixel_squares(few, search.state.x)
+        if best is None or _nearer(squares, best[1]):
+            best = search, squares
+        if _ended_well(few, squares) or stop():
+            break
+    assert best is not None
+    return Found(few, pixels, best[0].state.x, best[0].prior)
+
+
+def _searched(few: Objective, prior: TiltPrior, x: Array, stop: Callable[[], bool]) -> _Search:
+    search = _Search(few, prior, x)
     last = np.inf
     for number in range(ROUNDS):
         total = search.round(number)
@@ -145,7 +174,27 @@ def find(
         if settled or stop():
             break
         last = total
-    return Found(few, pixels, search.state.x, search.prior)
+    return search
+
+
+def _scaled(few: Objective, x: Array, factor: float) -> Array:
+    """X with brighter lights and darker albedo."""
+    x = x.copy()
+    x[few.layout.lighting] *= factor
+    x[few.albedo] = np.clip(x[few.albedo] / factor, 0, 1)
+    return x
+
+
+def _ended_well(few: Objective, squares: Array) -> bool:
+    """Whether a search left noise, or nothing."""
+    residual = np.sqrt(squares.sum() / few.samples)
+    return bool(residual <= PERFECT * MEAN_RADIANCE or mean_over_median(few, squares) <= WELL)
+
+
+def _nearer(squares: Array, others: Array) -> bool:
+    """Whether one search explains more than another, in the same bounded loss."""
+    bound = min(_bound(squares), _bound(others))
+    return _bounded(squares, bound) < _bounded(others, bound)
 
 
 class _Search:
@@ -186,9 +235,9 @@ class _Search:
         if number in FLIP_ROUNDS:
             self._flip()
         squares = self._squares(self.state.x)
-        return _bounded(
-            self._with_pull(self.state, squares), self._bound(squares)
-        ) + self.prior.cost(self._tilts(self.state.x), noise_variance(self.few, squares))
+        return _bounded(self._with_pull(self.state, squares), _bound(squares)) + self.prior.cost(
+            self._tilts(self.state.x), noise_variance(self.few, squares)
+        )
 
     def _squares(self, x: Array) -> Array:
         return pixel_squares(self.few, x)
@@ -221,11 +270,6 @@ class _Search:
         """Squares and pull of each pixel, (P,)."""
         off = self._finish(state.x) - self._pull.centre - state.offsets[self._pull.cluster]
         return np.asarray(squares + (self._pull.precision * off**2).sum(axis=1))
-
-    @staticmethod
-    def _bound(squares: Array) -> float:
-        typical = float(np.quantile(squares, QUANTILE))
-        return max(OUTLYING * typical, float(np.finfo(np.float64).tiny))
 
     def _towards(self, state: State, x: Array, variance: float) -> tuple[Array, Array]:
         """Centres and precisions (P, F + 2) that a pixel by itself feels."""
@@ -272,7 +316,7 @@ class _Search:
         """A joint step; whether another is worth while."""
         state = self.state
         squares = self._squares(state.x)
-        variance, bound = noise_variance(self.few, squares), self._bound(squares)
+        variance, bound = noise_variance(self.few, squares), _bound(squares)
         costs = self._with_pull(state, squares)
         before = self._total(state, costs, bound, variance)
         weights = np.square(bound / (bound + costs))
@@ -314,7 +358,7 @@ class _Search:
         candidates = np.flatnonzero(between)
         for label in candidates[np.argsort(-counts[candidates])][:FLIPPED]:
             squares = self._squares(self.state.x)
-            variance, bound = noise_variance(self.few, squares), self._bound(squares)
+            variance, bound = noise_variance(self.few, squares), _bound(squares)
             least = self._alone(self.state, squares, bound, variance)
             before = self.state, self._pull, self._damping
             if not self._as_dielectric(labels == label, bound, variance) < least:
@@ -350,7 +394,7 @@ class _Search:
         few, state = self.few, self.state
         assert few.lighting is not None
         squares = self._squares(state.x)
-        variance, bound = noise_variance(self.few, squares), self._bound(squares)
+        variance, bound = noise_variance(self.few, squares), _bound(squares)
         least = self._total(state, self._with_pull(state, squares), bound, variance)
         for factor in SCALES:
             trial = state.x.copy()
@@ -390,6 +434,12 @@ class _Search:
         )
         place(self.few, moved, slice(None), chosen)
         return State(moved, trial.offsets), np.where(better, costs[1], costs[0])
+
+
+def _bound(squares: Array) -> float:
+    """τ."""
+    typical = float(np.quantile(squares, QUANTILE))
+    return max(OUTLYING * typical, float(np.finfo(np.float64).tiny))
 
 
 def _bounded(costs: Array, bound: float) -> float:

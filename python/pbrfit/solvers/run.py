@@ -110,6 +110,7 @@ class Run:
             began=self._began,
         )
         later._iterations = self._iterations
+        later.measured_lighting = self.measured_lighting
         later.iteration, later.evaluations = self.iteration, self.evaluations
         later.unmeasured = self.unmeasured
         later.rows, later.stages = self.rows, self.stages
