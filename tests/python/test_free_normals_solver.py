@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import Progress, Result, Scene, Status, Truth, decompose, refined_fit
+from pbrfit import (
+    Priors,
+    Progress,
+    Result,
+    Scene,
+    Status,
+    Truth,
+    decompose,
+    refined_fit,
+    render,
+)
 from pbrfit.evaluation.normals.disturbances import disturbed
 from pbrfit.geometry import angles_between
 from pbrfit.refinement import RefineNormals
@@ -246,6 +256,38 @@ def test_the_history_ends_with_the_fit_that_is_kept(
             assert result.history[name][-1] == pytest.approx(result.metrics[name], rel=1e-9)
         recon = result.metrics["recon_rmse"]
         assert result.history["recon_rmse"][-1] == pytest.approx(recon, rel=1e-3, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("options", "held"),
+    [
+        ({}, True),
+        ({"priors": None}, True),
+        ({"robust": "huber"}, False),
+        ({"priors": Priors(monochrome=1e-3)}, False),
+    ],
+    ids=["plain", "no priors", "robust", "monochrome"],
+)
+def test_lights_are_those_of_the_joint_steps_unless_more_is_asked_of_them(
+    options: dict[str, Any], held: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known: list[bool] = []
+    solve = refined_fit.solve
+
+    def watched(run: Any, *arguments: Any, **named: Any) -> Any:
+        known.append(run.objective.lighting is None)
+        return solve(run, *arguments, **named)
+
+    monkeypatch.setattr(refined_fit, "solve", watched)
+    scene = wrong(right(16, 8))
+    result = decompose(scene, refine_normals="on", iterations=5, **options)
+    assert known == refined_fit.PASSES * [held]
+    check(result, scene)
+    assert not any("known" in entry for entry in result.left_out)
+    assert result.uncertainty is not None
+    rendered = render(result.materials, result.normals, result.lighting, result.fov)
+    recon = np.sqrt(np.mean(np.square(rendered - scene.images)[:, scene.valid]))
+    assert recon == pytest.approx(result.metrics["recon_rmse"], rel=1e-6)
 
 
 @pytest.mark.parametrize("asked", ["on", "auto"])

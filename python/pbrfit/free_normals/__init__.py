@@ -7,7 +7,7 @@ and with its normal seven unknowns.
 1. `search`: the pixels of a lattice find lights and normals, from the given normals
    (`joint_step`, `tilt_prior`).
 2. `everywhere`: all pixels turn their normals in these lights, then with the lights.
-3. A fit with these normals held (`pbrfit.solvers`) finds materials and lights with all priors.
+3. A fit with these normals and lights held (`pbrfit.solvers`) finds materials with all priors.
 4. All pixels turn again, near the materials of that fit, and 3. once more.
 
 `pbrfit.refinement` says whether this is worth while, and what of it is kept.
