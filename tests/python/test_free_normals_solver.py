@@ -20,6 +20,7 @@ from pbrfit import (
     decompose,
     refined_fit,
     render,
+    solvers,
 )
 from pbrfit.evaluation.normals.disturbances import disturbed
 from pbrfit.geometry import angles_between
@@ -272,7 +273,7 @@ def test_lights_are_those_of_the_joint_steps_unless_more_is_asked_of_them(
     options: dict[str, Any], held: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known: list[bool] = []
-    solve = refined_fit.solve
+    solve = solvers.solve
 
     def watched(run: Any, *arguments: Any, **named: Any) -> Any:
         known.append(run.objective.lighting is None)
