@@ -179,8 +179,9 @@ def _searched(few: Objective, prior: TiltPrior, x: Array, stop: Callable[[], boo
 
 def _scaled(few: Objective, x: Array, factor: float) -> Array:
     """X with brighter lights and darker albedo."""
+    assert few.lighting is not None
     x = x.copy()
-    x[few.layout.lighting] *= factor
+    x[few.lighting] *= factor
     x[few.albedo] = np.clip(x[few.albedo] / factor, 0, 1)
     return x
 
