@@ -48,6 +48,41 @@ SH_ORDERS = (2, 3)
 """Highest bands that the lights may have."""
 
 
+@dataclass(frozen=True, eq=False)
+class Units:
+    """What pictures and their weights are divided by before they are fitted.
+
+    Attributes
+    ----------
+    scale
+        The scene scale, in picture units.
+    exposures
+        (N,), beside it; None = nothing.
+    largest_weight
+        Of a valid sample; 1 where all are the same.
+    """
+
+    scale: float
+    exposures: NDArray[np.float64] | None
+    largest_weight: float
+
+    @classmethod
+    def of(cls, scene: Scene, equal_exposures: bool | None = None) -> Units:
+        """Of a scene; `equal_exposures` as for `Objective`.
+
+        Raises
+        ------
+        InputError
+            If the pictures are black on the whole.
+        """
+        exposures = relative_exposures(scene, equal_exposures)
+        largest = 1.0
+        if scene.weights is not None and scene.weighted:
+            largest = max(float(of_picture[scene.valid].max()) for of_picture in scene.weights)
+        divided_by = np.ones(len(scene.images)) if exposures is None else exposures
+        return cls(_scene_scale(scene, largest, divided_by), exposures, largest)
+
+
 class Objective:
     """Mean squared error of the pictures as a function of x, with its gradient, plus penalties.
 
@@ -82,6 +117,9 @@ class Objective:
         Whether pictures are divided by their exposures; None = where these are far apart.
     free_normals
         Whether the scene's normals are where unknown ones start, instead of what is known.
+    units
+        What to divide pictures by, then `equal_exposures` is not asked; None = found from them. A
+        part of a scene has the units of the whole.
 
     Attributes
     ----------
@@ -139,6 +177,7 @@ class Objective:
         priors: Priors | None = None,
         equal_exposures: bool | None = None,
         free_normals: bool = False,
+        units: Units | None = None,
     ) -> None:
         threads = whole_number("threads", threads)
         sh_order = whole_number("sh_order", sh_order)
@@ -154,7 +193,10 @@ class Objective:
         )
         self.channels, self.coefficients = layout.channels, layout.coefficients
         self._lay_out(layout)
-        self.weights = weights = _weights(scene) if layout.weighted else None
+        units = units or Units.of(scene, equal_exposures)
+        self.weights = weights = (
+            _weights(scene, units.largest_weight) if layout.weighted else None
+        )
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
         )
@@ -163,9 +205,8 @@ class Objective:
             if weights is None
             else self.channels * float(weights.sum(dtype=np.float64))
         )
-        self.exposures = relative_exposures(scene, equal_exposures)
+        self.scale, self.exposures = units.scale, units.exposures
         exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
-        self.scale = _scene_scale(scene, weights, exposures)
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
 
@@ -565,25 +606,26 @@ def _real_numbers(x: ArrayLike) -> NDArray[np.float64]:
         raise InputError(f"x: expected real numbers, found {error}") from None
 
 
-def _weights(scene: Scene) -> NDArray[np.float32]:
+def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
     """(N, P) weights of the samples, at most 1: only their ratios matter."""
     assert scene.weights is not None
     weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
-    weights /= weights.max()  # so that float32 neither overflows nor loses digits
+    weights /= np.float32(largest)  # so that float32 neither overflows nor loses digits
     return weights
 
 
-def _scene_scale(
-    scene: Scene, weights: NDArray[np.float32] | None, exposures: NDArray[np.float64]
-) -> float:
+def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.float64]) -> float:
     total = count = 0.0
+    given = scene.weights if scene.weighted else None
     for i in range(len(scene.images)):
         samples = scene.samples(i).mean(axis=-1, dtype=np.float64)
-        if weights is not None:
+        weights = None
+        if given is not None:
+            weights = given[i][scene.valid] / np.float32(largest_weight)
             # No dot product: BLAS rounds differently on a machine with another processor count.
-            samples *= weights[i]
+            samples *= weights
         total += float(samples.sum()) / exposures[i]
-        count += samples.size if weights is None else float(weights[i].sum(dtype=np.float64))
+        count += samples.size if weights is None else float(weights.sum(dtype=np.float64))
     mean = total / count
     if not 0 < mean < np.inf:
         raise InputError(

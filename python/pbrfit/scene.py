@@ -16,6 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.images import CODE_RANGE
 from pbrfit.lazy import lazy
 from pbrfit.materials import Materials
+from pbrfit.segments import consecutive_labels
 
 if TYPE_CHECKING:
     from pbrfit.color import ColorSpace
@@ -210,6 +211,22 @@ class Scene:
             return False
         # The first picture in colour ends it.
         return all(equal_channels(self.samples(i)) for i in range(len(self.images)))
+
+    @lazy
+    def weighted(self) -> bool:
+        """Whether samples of valid pixels have different weights."""
+        if self.weights is None:
+            return False
+        first = self.weights[0][self.valid][0]
+        return any((of_picture[self.valid] != first).any() for of_picture in self.weights)
+
+    @lazy
+    def labels(self) -> tuple[NDArray[np.intp], int] | None:
+        """(P,) labels of the valid pixels' segments, 1 … S in the order of their ids, and S.
+
+        0 is unclassified. None without segments.
+        """
+        return None if self.segments is None else consecutive_labels(self.segments[self.valid])
 
     def samples(self, picture: int) -> NDArray[np.floating[Any]]:
         """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight."""
