@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -14,6 +14,7 @@ from pbrfit._core import InputError
 from pbrfit.layout import Layout
 from pbrfit.projected_lbfgs import CORRECTIONS, choose
 from pbrfit.scene import Scene
+from pbrfit.tiles.tiling import FEW
 
 log = logging.getLogger("pbrfit")
 
@@ -49,8 +50,15 @@ drawn to. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 besid
 VECTOR_BYTES = 5 * 24
 """Of a pixel while the core is made: view directions, and two copies of those and of normals."""
 
+WHOLE = 1 << 21
+"""Valid pixels up to which the solver auto fits all of them at once; larger pictures are fitted in
+tiles."""
+
 WORTH_SAYING = 2**30
 """A fit that needs more bytes says so."""
+
+MAPS_BYTES = 300
+"""Of a pixel: what a fit in tiles finds, and what is made of it when it is done."""
 
 ROOT = Path("/")
 """Where the system's files are; tests have their own."""
@@ -131,6 +139,20 @@ def of_fit(
     )
 
 
+def of_tiles(scene: Scene, layout: Layout, *, refine_normals: bool) -> FitMemory:
+    """The same where the scene is fitted in tiles."""
+    whole = of_fit(scene, layout, "auto", refine_normals=refine_normals)
+    few = replace(layout, valid=np.ones((1, min(FEW, layout.pixels)), dtype=bool), segments=None)
+    lattice = of_fit(scene, few, "auto", refine_normals=refine_normals)
+    return FitMemory(
+        scene=whole.scene,
+        core=lattice.core,
+        making=lattice.making,
+        solver=lattice.solver + MAPS_BYTES * layout.pixels,
+        refining=lattice.refining,
+    )
+
+
 def check(method: Method, needed: FitMemory) -> None:
     """Say how much memory a fit needs if that is much, and refuse it if there is not so much.
 
@@ -153,12 +175,27 @@ def check(method: Method, needed: FitMemory) -> None:
         log.warning("solver %s needs about %s of memory%s", method, size(needed.further), known)
 
 
-def missing(needed: FitMemory) -> str | None:
-    """In words, that there is not so much memory; None if there is, or that cannot be told."""
+@dataclass(frozen=True)
+class Plan:
+    """How a scene is fitted: as a whole or in tiles, and what that needs."""
+
+    tiled: bool
+    needed: FitMemory
+
+
+def plan(scene: Scene, layout: Layout, solver: Method, refine_normals: bool) -> Plan:
+    """How a scene is fitted.
+
+    The solver auto fits it in tiles where it has more than `WHOLE` valid pixels, or where there is
+    not enough memory for a fit of all at once.
+    """
+    whole = of_fit(scene, layout, solver, refine_normals=refine_normals)
+    if solver != "auto":
+        return Plan(False, whole)
+    in_tiles = of_tiles(scene, layout, refine_normals=refine_normals)
     free = available()
-    if free is None or needed.further <= free:
-        return None
-    return f"it needs {size(needed.further)} of memory, and {size(free)} are available"
+    short = free is not None and whole.further > free and in_tiles.further < whole.further
+    return Plan(True, in_tiles) if short or layout.pixels > WHOLE else Plan(False, whole)
 
 
 def available() -> int | None:

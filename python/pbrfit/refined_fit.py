@@ -90,6 +90,7 @@ def fit(
     start_given: bool,
     asked: str,
     hindered: str | None,
+    tilts: Array | None = None,
 ) -> tuple[Fit, Refinement]:
     """Fit the scene of `run` from x, and refine its normals where that is asked for and helps.
 
@@ -101,6 +102,8 @@ def fit(
         "off", "auto" or "on".
     hindered
         Why refinement cannot be done; None if it can.
+    tilts
+        (P, 2) of normals to start from; None = the given ones.
     """
     why = "not asked for" if asked == "off" else hindered
     if why is not None:
@@ -133,7 +136,7 @@ def fit(
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
     rows = len(run.rows)
-    found = _refined(run, x, make, solver)
+    found = _refined(run, x, make, solver, tilts)
     if found is None:
         assert held is not None or run.out_of_time()
         held = held or Fit(run, *solve(run, solver, x, start_given=start_given))
@@ -192,7 +195,11 @@ def _after(held: Fit, later: Run, rows: int) -> Fit:
 
 
 def _refined(
-    run: Run, x: Array, make: Callable[[Scene, bool], Objective], solver: Solver
+    run: Run,
+    x: Array,
+    make: Callable[[Scene, bool], Objective],
+    solver: Solver,
+    tilts: Array | None,
 ) -> tuple[Fit, float] | None:
     """The fit with refined normals, and the spread of their changes; None if time ran out."""
     from threadpoolctl import threadpool_limits
@@ -205,6 +212,9 @@ def _refined(
     moving = free.start()
     moving[layout.materials] = x[run.objective.layout.materials]
     moving[layout.maps.stop :] = x[run.objective.layout.maps.stop :]
+    if tilts is not None:
+        assert layout.tilts is not None
+        moving[layout.tilts] = tilts.T.ravel()
     starts = 1
     # Sums split over threads would round differently on a machine with more processors.
     with threadpool_limits(1, user_api="blas"):
@@ -215,7 +225,8 @@ def _refined(
                 spread = lattice.prior.spread
                 notes.append(f"{len(lattice.pixels)} pixels")
         else:
-            spread = free_normals.FIRST_SPREAD
+            taught = None if run.taught is None else run.taught.spread
+            spread = taught or free_normals.FIRST_SPREAD
         prior = free_normals.prior_of(free, given, sigma, spread)
         ended: tuple[Status, str] | None = None
         finish = None

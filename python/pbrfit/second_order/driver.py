@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.material_prior import MaterialPull
+from pbrfit.material_prior import HeldPull, MaterialPull
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
 from pbrfit.second_order import subsample
@@ -205,7 +205,9 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
     return Fit(x, squares)
 
 
-def fit_pulled(objective: Objective, x: Array, pull: MaterialPull, watch: Watch) -> None:
+def fit_pulled(
+    objective: Objective, x: Array, pull: MaterialPull | HeldPull, watch: Watch
+) -> None:
     """Squares and pull together as low as they get from x, which changes.
 
     The pull's offsets are put to their best values in turns with all else. Where time runs out

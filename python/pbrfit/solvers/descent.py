@@ -80,7 +80,7 @@ def robust_around(run: Run, best: tuple[float, Array]) -> tuple[float, Array]:
     if run.robust == "none":
         return best
     _, x = best
-    run.objective.robust = run.objective.robust_around(x, run.robust)
+    run.objective.robust = run.robust_around(x)
     return run.evaluate(x)[0], x
 
 
