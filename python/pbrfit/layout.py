@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,7 @@ class Layout:
         """P, the number of valid pixels."""
         return int(np.count_nonzero(self.valid))
 
-    def whole(self, values: NDArray[np.float64], fill: float = np.nan) -> NDArray[np.float64]:
+    def whole(self, values: NDArray[np.floating[Any]], fill: float = np.nan) -> NDArray[np.float64]:
         """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
         found = np.full(self.valid.shape + values.shape[1:], fill)
         found[self.valid] = values

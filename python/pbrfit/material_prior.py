@@ -534,9 +534,7 @@ def _mixture(
     return probabilities
 
 
-def _pull(
-    posterior: _Posterior, floor: float, variance: float, planes: int
-) -> tuple[Pull, Labels]:
+def _pull(posterior: _Posterior, floor: float, variance: float, planes: int) -> tuple[Pull, Labels]:
     """The pull, and the numbers of its clusters as the posterior has them; see `_drawn`."""
     clusters, cluster = np.unique(posterior.cluster, return_inverse=True)
     centre, precision = _drawn(posterior, floor, variance, planes)

@@ -194,9 +194,7 @@ class Objective:
         self.channels, self.coefficients = layout.channels, layout.coefficients
         self._lay_out(layout)
         units = units or Units.of(scene, equal_exposures)
-        self.weights = weights = (
-            _weights(scene, units.largest_weight) if layout.weighted else None
-        )
+        self.weights = weights = _weights(scene, units.largest_weight) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
         )

@@ -90,7 +90,7 @@ def fit(
     start_given: bool,
     asked: str,
     hindered: str | None,
-    tilts: Array | None = None,
+    turned: Array | None = None,
 ) -> tuple[Fit, Refinement]:
     """Fit the scene of `run` from x, and refine its normals where that is asked for and helps.
 
@@ -102,8 +102,8 @@ def fit(
         "off", "auto" or "on".
     hindered
         Why refinement cannot be done; None if it can.
-    tilts
-        (P, 2) of normals to start from; None = the given ones.
+    turned
+        (P, 3): unit normals that pixels may start from, beside the given ones; None = none.
     """
     why = "not asked for" if asked == "off" else hindered
     if why is not None:
@@ -136,7 +136,7 @@ def fit(
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
     rows = len(run.rows)
-    found = _refined(run, x, make, solver, tilts)
+    found = _refined(run, x, make, solver, turned)
     if found is None:
         assert held is not None or run.out_of_time()
         held = held or Fit(run, *solve(run, solver, x, start_given=start_given))
@@ -199,7 +199,7 @@ def _refined(
     x: Array,
     make: Callable[[Scene, bool], Objective],
     solver: Solver,
-    tilts: Array | None,
+    turned: Array | None,
 ) -> tuple[Fit, float] | None:
     """The fit with refined normals, and the spread of their changes; None if time ran out."""
     from threadpoolctl import threadpool_limits
@@ -212,9 +212,8 @@ def _refined(
     moving = free.start()
     moving[layout.materials] = x[run.objective.layout.materials]
     moving[layout.maps.stop :] = x[run.objective.layout.maps.stop :]
-    if tilts is not None:
-        assert layout.tilts is not None
-        moving[layout.tilts] = tilts.T.ravel()
+    if turned is not None:
+        free_normals.start_nearer(free, moving, free_normals.tilts_between(given, turned))
     starts = 1
     # Sums split over threads would round differently on a machine with more processors.
     with threadpool_limits(1, user_api="blas"):
@@ -225,8 +224,7 @@ def _refined(
                 spread = lattice.prior.spread
                 notes.append(f"{len(lattice.pixels)} pixels")
         else:
-            taught = None if run.taught is None else run.taught.spread
-            spread = taught or free_normals.FIRST_SPREAD
+            spread = free_normals.FIRST_SPREAD
         prior = free_normals.prior_of(free, given, sigma, spread)
         ended: tuple[Status, str] | None = None
         finish = None

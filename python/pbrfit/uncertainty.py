@@ -251,7 +251,10 @@ class Variances:
 
     def put(self, pixels: NDArray[np.intp], other: Variances, of_other: NDArray[np.bool_]) -> None:
         """Give some pixels what some of another's have."""
-        for name in ("conditional", "marginal", "singular", "held", "squares"):
+        largest = np.finfo(np.float32).max
+        for name in ("conditional", "marginal"):
+            getattr(self, name)[pixels] = np.minimum(getattr(other, name)[of_other], largest)
+        for name in ("singular", "held", "squares"):
             getattr(self, name)[pixels] = getattr(other, name)[of_other]
 
 
@@ -311,7 +314,8 @@ def of_variances(
         of_noise = np.sqrt(variances, out=variances)
         of_noise *= noise or 0.0
         of_noise[found.singular | (not degrees > 0) & ~held] = LARGEST
-        return np.minimum(of_noise, LARGEST, out=of_noise)
+        np.minimum(of_noise, LARGEST, out=of_noise)
+        return of_noise
 
     albedo_scale = np.zeros(3)
     if lights is not None:

@@ -14,7 +14,7 @@ from pbrfit.layout import Layout
 from pbrfit.materials import Materials
 from pbrfit.objective import Objective, Units
 from pbrfit.priors import Priors
-from pbrfit.refinement import RefineNormals, Refinement
+from pbrfit.refinement import Refinement, RefineNormals
 from pbrfit.result import Stage, Status
 from pbrfit.scene import Scene
 from pbrfit.solvers import Limits, Progress, Run, Solver

@@ -205,9 +205,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
     return Fit(x, squares)
 
 
-def fit_pulled(
-    objective: Objective, x: Array, pull: MaterialPull | HeldPull, watch: Watch
-) -> None:
+def fit_pulled(objective: Objective, x: Array, pull: MaterialPull | HeldPull, watch: Watch) -> None:
     """Squares and pull together as low as they get from x, which changes.
 
     The pull's offsets are put to their best values in turns with all else. Where time runs out

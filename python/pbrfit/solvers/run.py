@@ -75,14 +75,11 @@ class Taught:
     cohesion
         (S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
         each pixel is pulled to it with; None where the prior has no weight.
-    spread
-        Of the change of neighbouring normals, in radians; None where normals stay.
     """
 
     material: Lesson | None = None
     robust: tuple[str, float] | None = None
     cohesion: tuple[Array, float] | None = None
-    spread: float | None = None
 
     def penalties(self, layout: Layout) -> list[Penalty]:
         """Those that hold from the start."""

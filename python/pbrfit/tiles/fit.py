@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import refined_fit, uncertainty
-from pbrfit.free_normals.tilts import tilts_between
 from pbrfit.history import HistoryRow
 from pbrfit.objective import Objective, Units
-from pbrfit.priors import Priors, penalties
+from pbrfit.priors import Priors
 from pbrfit.result import Stage, Status
 from pbrfit.scene import Scene
 from pbrfit.solvers import Run
@@ -77,9 +76,7 @@ def fit_tiles(
         errors = material_errors(canvas.materials, scene.truth.materials)
     seconds = clock.elapsed
     clock.rows.append(
-        HistoryRow(
-            seconds, clock.iteration, clock.evaluations, whole.mean, whole.rmse, **errors
-        )
+        HistoryRow(seconds, clock.iteration, clock.evaluations, whole.mean, whole.rmse, **errors)
     )
     status, reason = known.status, known.reason
     if late:
@@ -173,20 +170,17 @@ def _fit_tile(
     run = asked.run(part, objective, priors=priors, taught=known.taught, told=False)
     run.unmeasured = known.run.unmeasured
     x = objective.pack(near.albedo, near.roughness, near.metallic)
+    objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
     if run.out_of_time():
         return run, x, False
-    tilts, refined = None, known.refinement.refined
-    if refined:
-        given = np.asarray(part.normals, dtype=np.float64)[part.valid]
-        tilts = tilts_between(given, normals[part.valid])
     found, _ = refined_fit.fit(
         run,
         x,
         lambda of, free: objective_of(of, priors, free),
         solver="auto",
         start_given=True,
-        asked="on" if refined else "off",
+        asked="on" if known.refinement.refined else "off",
         hindered=None,
-        tilts=tilts,
+        turned=normals[part.valid] if known.refinement.refined else None,
     )
     return found.run, found.x, found.status is not Status.TIME_LIMIT

@@ -94,12 +94,10 @@ def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start:
     if run.lesson is not None:
         learnt, pull = run.lesson
         lesson = learnt.moved(pull, x)
-    figures = refinement.figures
     taught = Taught(
         material=lesson,
         robust=objective.robust,
         cohesion=_means_of_segments(objective, x, asked.priors.cohesion),
-        spread=float(np.radians(figures["spread_degrees"])) if refinement.refined else None,
     )
     return Lattice(
         run=run,

@@ -1,4 +1,4 @@
-"""What the nearest pixel of a lattice has, for each pixel of a window."""
+"""What the nearest pixel of a lattice is like, for each pixel of a window."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from pbrfit.materials import Materials
 from pbrfit.tiles.part import Window
-
-Array = NDArray[np.float64]
 
 
 class Nearest:
@@ -29,34 +27,28 @@ class Nearest:
         lattice: Window,
         valid: NDArray[np.bool_],
         materials: Materials,
-        normals: Array,
+        normals: NDArray[np.float64],
     ) -> None:
         from scipy.ndimage import distance_transform_edt
 
         self._lattice, self._shape = lattice, valid.shape
         maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
-        self._maps = np.concatenate([*maps, normals], axis=-1).astype(np.float32)
+        self._maps = np.concatenate([*maps, normals], axis=-1)
         missing = ~lattice.of(valid)
         if missing.any():
-            nearest = distance_transform_edt(
-                missing, return_distances=False, return_indices=True
-            )
+            nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
             self._maps = self._maps[tuple(nearest)]
 
-    def at(self, window: Window) -> tuple[Materials, Array]:
+    def at(self, window: Window) -> tuple[Materials, NDArray[np.float64]]:
         """Materials and normals (h, w, ...) of the pixels of a window."""
-        rows = _nearest(self._shape[0], window.rows, self._lattice.rows, self._maps.shape[0])
-        columns = _nearest(
-            self._shape[1], window.columns, self._lattice.columns, self._maps.shape[1]
-        )
-        maps = self._maps[np.ix_(rows, columns)].astype(np.float64)
-        materials = np.clip(maps[..., :5], 0.0, 1.0)
-        normals = maps[..., 5:]
-        normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-        return Materials(materials[..., :3], materials[..., 3], materials[..., 4]), normals
+        rows = _nearest(self._shape[0], window.rows, self._lattice.rows)
+        columns = _nearest(self._shape[1], window.columns, self._lattice.columns)
+        maps = self._maps[np.ix_(rows, columns)]
+        return Materials(maps[..., :3], maps[..., 3], maps[..., 4]), maps[..., 5:]
 
 
-def _nearest(length: int, wanted: slice, lattice: slice, count: int) -> NDArray[np.intp]:
-    first, _, step = lattice.indices(length)
-    found = np.rint((np.arange(length)[wanted] - first) / step).astype(np.intp)
-    return np.clip(found, 0, count - 1)
+def _nearest(length: int, wanted: slice, lattice: slice) -> NDArray[np.intp]:
+    """Which of the lattice's rows is nearest to each of the wanted rows, of `length`."""
+    found = np.rint((np.arange(length)[wanted] - lattice.start) / lattice.step).astype(np.intp)
+    last = len(range(lattice.start, length, lattice.step)) - 1
+    return np.minimum(np.maximum(found, 0), last)

@@ -90,9 +90,7 @@ class Parts:
             segments=None if self._labels is None else window.of(self._labels),
             lighting=scene.lighting if lighting is None else lighting,
             weights=(
-                None
-                if scene.weights is None
-                else scene.weights[:, window.rows, window.columns]
+                None if scene.weights is None else scene.weights[:, window.rows, window.columns]
             ),
             normal_sigma=None if scene.normal_sigma is None else window.of(scene.normal_sigma),
             names=scene.names,

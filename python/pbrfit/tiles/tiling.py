@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,7 @@ def lattice(valid: NDArray[np.bool_], few: int = FEW) -> Window:
     while True:
         window = Window(*(slice(step // 2, None, step) for _ in range(2)))
         found = np.count_nonzero(window.of(valid))
-        if step == 1 or FEWEST <= found:
+        if step == 1 or found >= FEWEST:
             # Counts of a lattice differ a little from the share of all.
             return window
         step -= 1
@@ -64,8 +65,8 @@ def tiles(valid: NDArray[np.bool_], margin: int, side: int = TILE) -> Iterator[T
     """Tiles that have valid pixels, row by row."""
     height, width = valid.shape
     rows, columns = (_cuts(length, side) for length in (height, width))
-    for top, bottom in zip(rows[:-1], rows[1:], strict=True):
-        for left, right in zip(columns[:-1], columns[1:], strict=True):
+    for top, bottom in pairwise(rows):
+        for left, right in pairwise(columns):
             inner = Window(slice(top, bottom), slice(left, right))
             if not inner.of(valid).any():
                 continue
