@@ -177,25 +177,53 @@ def check(method: Method, needed: FitMemory) -> None:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a scene is fitted: as a whole or in tiles, and what that needs."""
-
-    tiled: bool
-    needed: FitMemory
-
-
-def plan(scene: Scene, layout: Layout, solver: Method, refine_normals: bool) -> Plan:
     """How a scene is fitted.
 
-    The solver auto fits it in tiles where it has more than `WHOLE` valid pixels, or where there is
-    not enough memory for a fit of all at once.
+    Attributes
+    ----------
+    tiled
+        In tiles, or all pixels at once.
+    refine_normals
+        Whether normals may be refined.
+    needed
+        What that takes.
+    hindered
+        Why normals are not refined for lack of memory; else None.
     """
-    whole = of_fit(scene, layout, solver, refine_normals=refine_normals)
-    if solver != "auto":
-        return Plan(False, whole)
-    in_tiles = of_tiles(scene, layout, refine_normals=refine_normals)
+
+    tiled: bool
+    refine_normals: bool
+    needed: FitMemory
+    hindered: str | None = None
+
+
+def plan(
+    scene: Scene, layout: Layout, solver: Method, *, refine_normals: bool, optional: bool = False
+) -> Plan:
+    """How a scene is fitted: the first of these ways that there is memory for.
+
+    The solver auto fits it at once, or in tiles where it has more than `WHOLE` valid pixels; or in
+    tiles all the same; or without refining normals, where that is `optional`. The other solvers
+    have no tiles. Where there is memory for none, it is the way that needs least.
+    """
+    ways = []
+    for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
+        if solver != "auto" or layout.pixels <= WHOLE:
+            needed = of_fit(scene, layout, solver, refine_normals=refining)
+            ways.append(Plan(False, refining, needed))
+        if solver == "auto":
+            needed = of_tiles(scene, layout, refine_normals=refining)
+            ways.append(Plan(True, refining, needed))
     free = available()
-    short = free is not None and whole.further > free and in_tiles.further < whole.further
-    return Plan(True, in_tiles) if short or layout.pixels > WHOLE else Plan(False, whole)
+    fit = [way for way in ways if free is None or way.needed.further <= free]
+    chosen = fit[0] if fit else min(ways, key=lambda way: way.needed.further)
+    if chosen.refine_normals == refine_normals or free is None:
+        return chosen
+    least = min(way.needed.further for way in ways if way.refine_normals)
+    return replace(
+        chosen,
+        hindered=f"it needs {size(least)} of memory, and {size(free)} are available",
+    )
 
 
 def available() -> int | None:

@@ -247,8 +247,8 @@ def _refined(
     if ended is None:
         return None
     if run.objective.lighting is None and free.lighting is not None:
-        turned = replace(run.scene, lighting=None)
-        run = run.again(turned, make(turned, False))
+        unlit = replace(run.scene, lighting=None)
+        run = run.again(unlit, make(unlit, False))
     return Fit(run, _of_held(free, moving, run.objective), *ended), prior.spread
 
 

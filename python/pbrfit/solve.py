@@ -8,7 +8,7 @@ import math
 import operator
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -152,10 +152,16 @@ def decompose(
         began=time.perf_counter(),
     )
     layout = asked.layout(scene)
-    refining = refine_normals != "off" and hindered is None
-    way = memory.plan(scene, layout, solver, refining)
-    memory.check(solver, way.needed)  # before anything large is made
-    found = (fit_tiles if way.tiled else fit_whole)(scene, asked, start)
+    plan = memory.plan(
+        scene,
+        layout,
+        solver,
+        refine_normals=refine_normals != "off" and hindered is None,
+        optional=refine_normals == "auto",
+    )
+    memory.check(solver, plan.needed)  # before anything large is made
+    asked = replace(asked, hindered=hindered or plan.hindered)
+    found = (fit_tiles if plan.tiled else fit_whole)(scene, asked, start)
     needs = Needs.of(
         scene,
         layout,

@@ -311,11 +311,11 @@ def of_variances(
 
     def deviations(variances: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """In their place."""
-        of_noise = np.sqrt(variances, out=variances)
-        of_noise *= noise or 0.0
-        of_noise[found.singular | (not degrees > 0) & ~held] = LARGEST
-        np.minimum(of_noise, LARGEST, out=of_noise)
-        return of_noise
+        np.sqrt(variances, out=variances)
+        variances *= noise or 0.0
+        variances[found.singular | (not degrees > 0) & ~held] = LARGEST
+        np.minimum(variances, LARGEST, out=variances)
+        return variances
 
     albedo_scale = np.zeros(3)
     if lights is not None:

@@ -51,4 +51,5 @@ def _nearest(length: int, wanted: slice, lattice: slice) -> NDArray[np.intp]:
     """Which of the lattice's rows is nearest to each of the wanted rows, of `length`."""
     found = np.rint((np.arange(length)[wanted] - lattice.start) / lattice.step).astype(np.intp)
     last = len(range(lattice.start, length, lattice.step)) - 1
-    return np.minimum(np.maximum(found, 0), last)
+    nearest: NDArray[np.intp] = np.clip(found, 0, last)
+    return nearest
