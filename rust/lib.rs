@@ -36,6 +36,7 @@ pub mod block;
 mod check;
 mod descent;
 pub mod directional;
+mod ending;
 pub mod error;
 mod evaluate;
 pub mod ggx;

@@ -5,6 +5,7 @@
 //! keeps the lock instead.
 
 mod arrays;
+mod ending;
 mod image_file;
 mod images;
 mod lbfgs;
@@ -60,5 +61,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     problem::register(module)?;
     penalties::register(module)?;
     lbfgs::register(module)?;
+    ending::register(module)?;
     image_file::register(module)
 }
