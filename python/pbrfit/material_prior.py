@@ -144,8 +144,10 @@ def learn(
     x: Array,
     strength: float,
     out_of_time: Callable[[], bool] = lambda: False,
-) -> tuple[Array, MaterialPull]:
+) -> tuple[Array, MaterialPull] | None:
     """Learn the prior around x; returns x for all pixels with the lights found, and the penalty.
+
+    None if time ran out before all pixels had theirs.
 
     Parameters
     ----------
@@ -156,7 +158,7 @@ def learn(
     strength
         `Priors.material`: 1 is Bayes' rule.
     out_of_time
-        Asked between rounds.
+        Asked between rounds, and then between pieces of the pixels.
     """
     # One BLAS thread: sums split over threads would round differently on a machine with another
     # number of processors.
@@ -175,7 +177,10 @@ def learn(
 
         grid = _Grid(objective, x, few)
         everything = np.arange(layout.pixels, dtype=np.uint64)
-        pull = _of_all(grid, labels, FLOORS[-1], strength * grid.variance, len(layout.finish))
+        variance = strength * grid.variance
+        pull = _of_all(grid, labels, FLOORS[-1], variance, len(layout.finish), out_of_time)
+        if pull is None:
+            return None
         _put(objective, x, everything, pull.centre)
         objective.put_best_albedo(x, everything)
     return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight)
@@ -196,18 +201,31 @@ def pull_at(objective: Objective, x: Array, floor: float, variance: float, metal
     layout = objective.layout
     labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
     grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
-    return _of_all(grid, labels, floor, variance, len(layout.finish))
+    pull = _of_all(grid, labels, floor, variance, len(layout.finish), lambda: False)
+    assert pull is not None
+    return pull
 
 
-def _of_all(grid: _Grid, labels: Labels, floor: float, variance: float, planes: int) -> Pull:
-    """The pull of all pixels of a grid's objective; `variance` is s² times the strength."""
+def _of_all(
+    grid: _Grid,
+    labels: Labels,
+    floor: float,
+    variance: float,
+    planes: int,
+    stop: Callable[[], bool],
+) -> Pull | None:
+    """The pull of all pixels of a grid's objective; `variance` is s² times the strength.
+
+    None if stopped before all pixels had theirs.
+    """
     many = spread_over(labels, LEARNING_PIXELS_GIVEN_LIGHTS)
     learnt = _Learnt.of(grid.likelihood(many), labels[many], grid)
     everything = np.arange(len(labels), dtype=np.uint64)
-    parts = [
-        learnt.posterior(grid.likelihood(everything[chunk]), labels[chunk])
-        for chunk in _pieces(len(labels))
-    ]
+    parts = []
+    for chunk in _pieces(len(labels)):
+        if stop():
+            return None
+        parts.append(learnt.posterior(grid.likelihood(everything[chunk]), labels[chunk]))
     posterior = _Posterior.joined(parts)
     del parts
     return _pull(posterior, floor, variance, planes)

@@ -45,7 +45,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[Array]:
     """Where searches began; none of them goes anywhere."""
     starts: list[Array] = []
 
-    def stay(_: Objective, prior: Any, x: Array, __: Any) -> Any:
+    def stay(_: Objective, prior: Any, x: Array, *__: Any) -> Any:
         starts.append(x.copy())
         return SimpleNamespace(state=State(x, np.zeros((1, 2))), prior=prior)
 

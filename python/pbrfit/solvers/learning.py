@@ -19,16 +19,22 @@ def learns(run: Run) -> bool:
     return run.priors.material > 0
 
 
-def learnt(run: Run, x: Array) -> tuple[Array, MaterialPull]:
+def learnt(run: Run, x: Array) -> tuple[Array, MaterialPull | None]:
     """X with the material prior learnt around it, which is a penalty from here on; one iteration.
+
+    Where time runs out before, x is as it was and there is no prior.
 
     Weights that are chosen by rule are chosen by the lights that were found with it.
     """
     objective = run.objective
-    with run.stage("material prior"):
-        x, pull = material_prior.learn(
+    with run.stage("material prior") as notes:
+        found = material_prior.learn(
             objective.reweighted(x), x, run.priors.material, out_of_time=run.out_of_time
         )
+        if found is None:
+            notes.append("stopped before all pixels had theirs")
+            return x, None
+        x, pull = found
         run.measured_lighting = objective.unpack(x)[1]
         needs = Needs.of(
             run.scene, objective.layout, priors=run.priors, lighting=run.measured_lighting
