@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pbrfit
-from pbrfit import Priors, Result, Scene, Status, material_prior, objective
+from pbrfit import Priors, Result, Scene, Status, _core, material_prior
 from pbrfit.second_order import pixels, polish
 from pbrfit.solvers import SOLVERS, Run, Solver
 from pbrfit.synthetic import make_scene
@@ -63,9 +63,9 @@ class Clock:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, at: float) -> None:
         self.looks, self.done, self.done_after = 0, 0, 0
         self._at = at
-        problem = objective._core.Problem
+        problem = _core.Problem
         monkeypatch.setattr(
-            objective._core, "Problem", lambda *a, **k: Counting(problem(*a, **k), self.count)
+            _core, "Problem", lambda *a, **k: Counting(problem(*a, **k), self.count)
         )
         monkeypatch.setattr(Run, "out_of_time", lambda _run: self.look())
 
@@ -80,7 +80,12 @@ class Clock:
 
 
 def fit(**options: Any) -> Result:
-    given = {"refine_normals": "off", "time_limit": 1e6, "uncertainty": False, "priors": Priors()}
+    given: dict[str, Any] = {
+        "refine_normals": "off",
+        "time_limit": 1e6,
+        "uncertainty": False,
+        "priors": Priors(),
+    }
     return pbrfit.decompose(room(), **(given | options))
 
 

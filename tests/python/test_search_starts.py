@@ -92,8 +92,8 @@ def test_what_explains_most_is_kept(monkeypatch: pytest.MonkeyPatch, begun: list
     stay = search._searched
     truth, x = true_x(), unexplained()
 
-    def second_is_right(few: Objective, prior: Any, start: Array, stop: Any) -> Any:
-        return stay(few, prior, truth if len(begun) == 1 else start, stop)
+    def second_is_right(few: Objective, prior: Any, start: Array, *others: Any) -> Any:
+        return stay(few, prior, truth if len(begun) == 1 else start, *others)
 
     monkeypatch.setattr(search, "_searched", second_is_right)
     np.testing.assert_array_equal(find(x).x, truth)
