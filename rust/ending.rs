@@ -94,7 +94,6 @@ fn lock() -> MutexGuard<'static, State> {
 }
 
 /// Take away what is unfinished. Those who hold up the end are waited for, but not for long.
-#[cfg_attr(not(all(unix, feature = "python")), expect(dead_code))]
 fn tidy() -> MutexGuard<'static, State> {
     let mut state = lock();
     state.ending = true;

@@ -359,7 +359,7 @@ def _names(names: Any) -> tuple[Any, ...]:
     except TypeError:
         found = (names,)
     if not all(isinstance(name, str) for name in found):
-        raise InputError(f"names: expected names of pictures, found {of_what(names)}")
+        raise InputError(f"names: expected file names, found {of_what(names)}")
     return found
 
 

@@ -74,6 +74,7 @@ def large_scene(folder: Path, size: int) -> Path:
     def tiled(plane: np.ndarray) -> np.ndarray:
         return np.tile(plane, (times, times, 1))[:size, :size]
 
+    assert room.segments is not None
     scene = Scene(
         images=np.stack([tiled(image) for image in room.images]).astype(np.float32),
         normals=tiled(room.normals),

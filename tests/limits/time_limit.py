@@ -60,7 +60,7 @@ def measure(scene: Scene, options: dict[str, Any]) -> tuple[Looks, float, float]
         looks.look()
         return plain(run)
 
-    Run.out_of_time = watched  # type: ignore[method-assign]
+    Run.out_of_time = watched  # type: ignore[method-assign,assignment]
     try:
         decompose(scene, **options)
     finally:
