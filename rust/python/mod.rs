@@ -57,8 +57,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     // Under the interpreter lock, without which nobody forks: a child that was forked while another
     // thread makes the table would wait for it for ever.
     LazyLock::force(&TABLE);
-    // Numpy's functions are looked up when first used, and a Ctrl-C that comes then is a panic. While
-    // a module is imported it is what it should be.
+    // Numpy's functions are looked up when first used, where a Ctrl-C would become a panic.
+    module.py().import("numpy")?;
     PyArray1::<f64>::zeros(module.py(), 0, false);
     module.add("InputError", module.py().get_type::<InputError>())?;
     model::register(module)?;
