@@ -3,6 +3,10 @@
 # make bench-lbfgs: our bounded L-BFGS beside scipy's
 # make test-acquire: the tests that need PyTorch, diffusers, transformers and openai, in .venv-acquire
 #   (5 GB); they download no weights
+# make test-arrays: any arrays for any argument, EXAMPLES of them for each call, others in each run
+# make test-limits: Ctrl-C at random times of every command on a large scene; how long a fit goes on
+#   between two looks at its clock (an hour)
+# make test-soak: 500 small scenes in one process and in a pool: memory, open files, what is left
 # make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
@@ -19,8 +23,10 @@ DEMO ?= out/demo
 # of bench-peers: threads of every peer, and what else `python -m peers --help` lists
 THREADS ?= 2
 PEERS_OPTIONS ?=
+# of test-arrays
+EXAMPLES ?= 2000
 
-.PHONY: demo test test-acquire lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-acquire test-arrays test-limits test-soak lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -31,6 +37,17 @@ test: $(VENV)/tools lint
 
 test-acquire: $(ACQUIRE)/installed
 	$(ACQUIRE)/bin/pytest tests/acquire
+
+test-arrays: $(VENV)/tools
+	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/test_array_interface.py
+
+test-limits: $(VENV)/tools
+	$(BIN)/python tests/limits/interrupts.py
+	$(BIN)/python tests/limits/time_limit.py
+
+test-soak: $(VENV)/tools
+	$(BIN)/python tests/soak/soak.py
+	$(BIN)/python tests/soak/soak.py --jobs 2
 
 lint: $(VENV)/tools
 	cargo fmt --check

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.checks import real_number
 
 DIAGONAL_35MM = math.hypot(36.0, 24.0)
 """Diagonal in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
@@ -60,7 +61,7 @@ def view_directions(
 
 def check_fov(fov: float) -> None:
     """Raise InputError unless 0 <= fov < 180."""
-    if not 0 <= fov < 180:
+    if not 0 <= real_number("fov", fov, "degrees in [0, 180)") < 180:
         raise InputError(f"fov: expected degrees in [0, 180), found {fov}")
 
 

@@ -208,12 +208,19 @@ class Lesson:
         """With the offsets that the penalty, made by this lesson, has at x."""
         return replace(self, offsets=penalty.offsets(x))
 
-    def applied(self, objective: Objective, x: Array) -> tuple[Array, HeldPull]:
-        """X with all pixels where they are pulled, each with its best albedo; and the penalty."""
+    def applied(
+        self, objective: Objective, x: Array, out_of_time: Callable[[], bool]
+    ) -> tuple[Array, HeldPull] | None:
+        """X with all pixels where they are pulled, each with its best albedo; and the penalty.
+
+        None if time ran out before all pixels had theirs.
+        """
         layout = objective.layout
         labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
         grid = _Grid(objective, x, np.empty(0, np.uint64), self.variance)
-        posterior = self.learnt.of_all(grid, labels)
+        posterior = self.learnt.of_all(grid, labels, out_of_time)
+        if posterior is None:
+            return None
         variance = self.strength * self.variance
         centre, precision = _drawn(posterior, FLOORS[-1], variance, len(layout.finish))
         # Clusters that nobody has met stay where they are.
@@ -234,10 +241,12 @@ def learn(
     x: Array,
     strength: float,
     out_of_time: Callable[[], bool] = lambda: False,
-) -> tuple[Array, MaterialPull, Lesson]:
+) -> tuple[Array, MaterialPull, Lesson] | None:
     """Learn the prior around x.
 
     Returned are x for all pixels with the lights found, the penalty, and what was learnt.
+
+    None if time ran out before all pixels had theirs.
 
     Parameters
     ----------
@@ -248,7 +257,7 @@ def learn(
     strength
         `Priors.material`: 1 is Bayes' rule.
     out_of_time
-        Asked between rounds.
+        Asked between rounds, and then between pieces of the pixels.
     """
     # One BLAS thread: sums split over threads would round differently on a machine with another
     # number of processors.
@@ -268,9 +277,11 @@ def learn(
         grid = _Grid(objective, x, few)
         everything = np.arange(layout.pixels, dtype=np.uint64)
         learnt = _learnt(grid, labels)
-        pull, clusters = _pull(
-            learnt.of_all(grid, labels), FLOORS[-1], strength * grid.variance, len(layout.finish)
-        )
+        posterior = learnt.of_all(grid, labels, out_of_time)
+        if posterior is None:
+            return None
+        variance = strength * grid.variance
+        pull, clusters = _pull(posterior, FLOORS[-1], variance, len(layout.finish))
         _put(objective, x, everything, pull.centre)
         objective.put_best_albedo(x, everything)
     lesson = Lesson(learnt, grid.variance, strength, clusters, np.zeros_like(pull.centre[:0]))
@@ -293,6 +304,7 @@ def pull_at(objective: Objective, x: Array, floor: float, variance: float, metal
     labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
     grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
     posterior = _learnt(grid, labels).of_all(grid, labels)
+    assert posterior is not None
     return _pull(posterior, floor, variance, len(layout.finish))[0]
 
 
@@ -491,13 +503,19 @@ class _Learnt:
         nodes = np.stack([grid.roughness, grid.metallic], axis=-1).astype(np.float32)
         return cls(probabilities, groups.astype(np.intp), row, nodes)
 
-    def of_all(self, grid: _Grid, labels: Labels) -> _Posterior:
-        """Of all pixels of the grid's objective, `labels` (P,)."""
+    def of_all(
+        self, grid: _Grid, labels: Labels, stop: Callable[[], bool] = lambda: False
+    ) -> _Posterior | None:
+        """Of all pixels of the grid's objective, `labels` (P,).
+
+        None if stopped before all pixels had theirs.
+        """
         everything = np.arange(len(labels), dtype=np.uint64)
-        parts = [
-            self.posterior(grid.likelihood(everything[chunk]), labels[chunk])
-            for chunk in _pieces(len(labels))
-        ]
+        parts = []
+        for chunk in _pieces(len(labels)):
+            if stop():
+                return None
+            parts.append(self.posterior(grid.likelihood(everything[chunk]), labels[chunk]))
         return _Posterior.joined(parts)
 
     def posterior(self, likelihood: NDArray[np.float32], labels: Labels) -> _Posterior:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.checks import real_array, real_number
 from pbrfit.exposure import relative_exposures
 from pbrfit.layout import Layout
 from pbrfit.materials import Materials
@@ -296,7 +297,7 @@ class Objective:
         InputError
             If x has another length, is not finite, or leaves its bounds.
         """
-        x = _real_numbers(x)
+        x = real_array("x", x)
         data, gradient = self.data_value_and_grad(x)
         return data + self.add_penalties(x, gradient), gradient
 
@@ -317,7 +318,7 @@ class Objective:
 
     def for_core(self, x: ArrayLike) -> NDArray[np.float64]:
         """X as `_core.Problem` takes it: with lights of every channel."""
-        x = _real_numbers(x)
+        x = real_array("x", x)
         if self.layout.light_channels == self.channels:
             return x
         if x.shape != (self.size,):
@@ -423,7 +424,7 @@ class Objective:
         given = {"albedo": albedo, "roughness": roughness, "metallic": metallic}
         maps = []
         for name, values in given.items():
-            values = np.asarray(values, dtype=np.float64)
+            values = real_array(name, values)
             shape = self.layout.valid.shape + ((3,) if name == "albedo" else ())
             if values.shape != shape:
                 raise InputError(f"{name}: expected shape {shape}, found {values.shape}")
@@ -439,10 +440,12 @@ class Objective:
         x = np.concatenate(maps)
         if lighting is None or self.lighting is None:
             return self.with_best_lights(x)
-        lighting = np.asarray(lighting, dtype=np.float64)
+        lighting = real_array("lighting", lighting)
         expected = (self.layout.pictures, 16, 3)
         if lighting.shape != expected:
             raise InputError(f"lighting: expected shape {expected}, found {lighting.shape}")
+        if not np.isfinite(lighting).all():
+            raise InputError("lighting: expected finite coefficients, found NaN or infinity")
         lighting = _channels(lighting[:, : self.coefficients], self.layout.light_channels)
         return np.concatenate([x, (lighting / self._by_picture).ravel()])
 
@@ -452,9 +455,11 @@ class Objective:
         Whatever x holds, there are three channels and 16 coefficients: one channel comes three
         times, and band 3 is 0 where it is left out.
         """
-        x = np.asarray(x)
+        x = real_array("x", x)
         if x.shape != (self.size,):
             raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        if not np.isfinite(x).all():
+            raise InputError("x: expected finite numbers, found NaN or infinity")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
         metallic = self.known_metallic if self.metallic is None else x[self.metallic]
         materials = Materials(
@@ -465,9 +470,12 @@ class Objective:
         if self._scene.lighting is not None:
             return materials, self._scene.lighting.copy()
         lighting = np.zeros((self.layout.pictures, 16, 3))
-        lighting[:, : self.coefficients] = self._by_picture * x[self.lighting].reshape(
-            -1, self.coefficients, self.layout.light_channels
-        )
+        with np.errstate(over="ignore"):
+            lighting[:, : self.coefficients] = self._by_picture * x[self.lighting].reshape(
+                -1, self.coefficients, self.layout.light_channels
+            )
+        if not np.isfinite(lighting).all():
+            raise InputError("x: expected lights that float64 can hold in picture units")
         return materials, lighting
 
     def normals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -586,22 +594,10 @@ def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]
 
 
 def _unit_interval(name: str, value: float) -> float:
-    try:
-        number = np.nan if isinstance(value, (bool, str)) else float(value)
-    except (TypeError, ValueError):
-        number = np.nan
+    number = real_number(name, value, "None or a number in [0, 1]")
     if not 0 <= number <= 1:
         raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
     return number
-
-
-def _real_numbers(x: ArrayLike) -> NDArray[np.float64]:
-    try:
-        if np.iscomplexobj(x):
-            raise TypeError("complex numbers")
-        return np.asarray(x, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"x: expected real numbers, found {error}") from None
 
 
 def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:

@@ -106,6 +106,8 @@ def fit(
         (P, 3): unit normals that pixels may start from, beside the given ones; None = none.
     """
     why = "not asked for" if asked == "off" else hindered
+    if why is None and run.left <= 0:
+        why = "0 iterations asked for"
     if why is not None:
         return Fit(run, *solve(run, solver, x, start_given=start_given)), Refinement(
             asked, False, why
@@ -219,7 +221,9 @@ def _refined(
     with threadpool_limits(1, user_api="blas"):
         if free.lighting is not None:
             with run.stage("normals and lights from a lattice") as notes:
-                lattice = free_normals.find(free, moving, given, sigma, run.out_of_time)
+                lattice = free_normals.find(
+                    free, moving, given, sigma, run.out_of_time, rounds=run.left
+                )
                 free_normals.spread_out(free, moving, lattice)
                 spread = lattice.prior.spread
                 notes.append(f"{len(lattice.pixels)} pixels")
@@ -246,6 +250,8 @@ def _refined(
                 break
     if ended is None:
         return None
+    if run.out_of_time():  # perhaps after the fit that has ended
+        ended = run.ended("")
     if run.objective.lighting is None and free.lighting is not None:
         unlit = replace(run.scene, lighting=None)
         run = run.again(unlit, make(unlit, False))

@@ -187,7 +187,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
         squares = fit_all(objective, x, starts=1, stop=watch.stop)
         if squares is None:
             return None
-        retry(objective, x, squares)
+        retry(objective, x, squares, watch.stop)
         stop = watch.visit(x, squares)
         if objective.lighting is None:
             return Fit(x, squares)
@@ -196,7 +196,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
                 break
             polish(objective, x, squares, watch.visit, watch.stop)
             before = float(squares.sum())
-            retry(objective, x, squares)
+            retry(objective, x, squares, watch.stop)
             left = float(squares.sum())
             if left < before:
                 stop = watch.visit(x, squares)
