@@ -37,7 +37,7 @@ LAYERS = {
 KEYS = [
     *("version", "status", "stop_reason", "fov", "iterations", "evaluations", "seconds"),
     *("protocol", "metrics", "uncertainty", "normals", "options", "assumed", "left_out"),
-    *("stages", "inputs", "scene"),
+    *("stages", "inputs", "scene", "files"),
 ]
 HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
 ERRORS = ["albedo_rmse", "roughness_rmse", "metallic_rmse"]
