@@ -95,7 +95,7 @@ class Cluster:
         return max(1, workers if self._jobs is None else min(workers, self._jobs))
 
     def stop(self) -> None:
-        """Give back what waits. Workers of its own end; others are told by the files of their task."""
+        """Give back what waits. Workers of its own end; others see it by the files of a task."""
         if self._executor is not None:
             self._executor.shutdown(wait=False)
         if hasattr(self, "_client"):

@@ -38,7 +38,11 @@ def of_batch(folder: Path) -> Iterator[Path]:
     try:
         with making(folder, "folder"):
             place.mkdir(parents=True, exist_ok=True)
-            lock = _locked(place / LOCK, folder)
+            lock = _locked(place / LOCK)
+        if lock is None:
+            raise FileExistsError(
+                f"{folder}: expected no other batch that writes there, found one at work"
+            )
         try:
             _clear(place)
             yield place
@@ -83,14 +87,13 @@ def _clear(place: Path) -> None:
             left.unlink()
 
 
-def _locked(path: Path, folder: Path) -> IO[bytes]:
+def _locked(path: Path) -> IO[bytes] | None:
+    """Open a file that nobody else has locked, and lock it; None if somebody has."""
     while True:
         file = path.open("ab")
         if not _lock(file):
             file.close()
-            raise FileExistsError(
-                f"{folder}: expected no other batch that writes there, found one at work"
-            )
+            return None
         # Who held it may have removed it meanwhile; then it is no longer what others will open.
         with suppress(OSError):
             if sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.stat()):

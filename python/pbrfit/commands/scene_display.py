@@ -64,7 +64,8 @@ class SceneDisplay:
                 elif outcome is not None and not self._quiet:
                     print(outcome.table)
         if self._bar is not None:
-            if outcome is not None and outcome.status == "kept":
+            kept = outcome is not None and outcome.status == "kept"
+            if kept and not self._bar.disable:
                 self._bar.initial += 1  # it took no time, and so says nothing about the time left
             self._bar.set_postfix_str(task.name, refresh=False)
             self._bar.update()
