@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -17,8 +19,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evaluation_tasks import Task, work
 from pbrfit import Scene, images, memory, scene_folder
 from pbrfit.batch import place, scenes
+from pbrfit.batch.driver import Attempt, drive
+from pbrfit.batch.executors import Processes
 from pbrfit.batch.prediction import of_scene, picture_size
 from pbrfit.batch.scenes import SceneTask, decompose_scene
 from pbrfit.batch.settings import Fitting, Reading
@@ -158,6 +163,51 @@ def test_an_interrupted_batch_leaves_whole_results_and_no_process(
         )
     until(lambda: not any(alive(worker) for worker in workers))
     assert sorted(path.name for path in out.iterdir()) == sorted(set(NAMES) - {"two"})
+
+
+def test_a_full_disk_is_one_line_that_names_the_result(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))  # processes inherit it
+    try:
+        arguments = ("decompose", folder, "--out", tmp_path / "out", *FEW, "--jobs", 2, "--quiet")
+        assert run(*arguments) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    told = capsys.readouterr().err.splitlines()
+    for name in NAMES:
+        assert any(re.match(f"pbrfit: {tmp_path / 'out' / name}: .*large", line) for line in told)
+    assert len(told) == len(NAMES) + 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("act", ["no pickle", "no pickle raised"])
+def test_what_no_process_can_send_fails_its_task_alone(tmp_path: Path, act: str) -> None:
+    tasks = [Task("a", tmp_path, act), Task("b", tmp_path), Task("c", tmp_path)]
+    found: dict[str, Attempt[Any]] = {}
+    drive(tasks, work, Processes(2), ended=lambda task, one: found.setdefault(task.key, one))
+    assert {key: one.error is None for key, one in found.items()} == {
+        "a": False,
+        "b": True,
+        "c": True,
+    }
+    words = "TypeError: cannot pickle" if act == "no pickle" else "Strange: as it is"
+    assert str(found["a"].error).startswith(words)
+
+
+def test_a_cluster_needs_dask(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if importlib.util.find_spec("distributed") is not None:
+        pytest.skip("it is there; tests/cluster uses it")
+    assert run("decompose", folder, "--out", tmp_path / "out", "--cluster", "local") == 2
+    line = capsys.readouterr().err
+    assert line.startswith("pbrfit: --cluster: expected dask.distributed, found ")
+    assert line.endswith("pip install 'pbrfit[cluster]' gets it\n")
+    assert line.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 # Resuming
@@ -326,11 +376,9 @@ def test_fitted_in_another_way_is_done_again(result: Path, name: str) -> None:
     assert not is_kept(result, fitting=replace(FITTING, **{name: OTHERWISE[name]}))
 
 
-def test_a_result_says_what_was_asked_for(whole: Path) -> None:
-    scene = Scene.load(whole / "scene")
-    fitting = replace(
-        FITTING, **{**OTHERWISE, "iterations": 1, "sh_order": 3, "refine_normals": "auto"}
-    )
+def test_a_result_says_what_was_asked_for() -> None:
+    scene = make_scene("room", size=8, lights=4)
+    fitting = Fitting(**{**OTHERWISE, "iterations": 1, "refine_normals": "auto"})
     assert fitting.fit(scene, 0, lambda _: None).options == fitting.options()
 
 

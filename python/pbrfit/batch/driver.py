@@ -50,6 +50,7 @@ def drive(
     workers: Workers,
     *,
     ended: Callable[[T, Attempt[R]], None],
+    meanwhile: Callable[[int], None] = lambda _: None,
     memory: Callable[[T], int] | None = None,
     available: int | None = None,
 ) -> None:
@@ -70,6 +71,8 @@ def drive(
         Where tasks run. They are stopped in the end, also by Ctrl-C.
     ended
         Called in this thread with each task as it ends.
+    meanwhile
+        Called with how many tasks run, when that changes and while nothing ends.
     memory, available
         Bytes that a task will take, and that there are. A task waits while it and those running
         would take more; one runs always.
@@ -83,6 +86,7 @@ def drive(
                 work,
                 workers,
                 ended,
+                meanwhile,
                 suspects=None if alone else suspects,
                 room=_Room(memory, available),
             )
@@ -95,6 +99,7 @@ def _one_pool(
     work: Callable[[T, int], R],
     workers: Workers,
     ended: Callable[[T, Attempt[R]], None],
+    meanwhile: Callable[[int], None],
     *,
     suspects: deque[T] | None,
     room: _Room[T],
@@ -115,6 +120,7 @@ def _one_pool(
                 room.take(task)
         if not running:
             continue
+        meanwhile(len(running))
         done, _ = wait(running, timeout=workers.patience, return_when=FIRST_COMPLETED)
         for future in sorted(done, key=_has_failed):
             task = running.pop(future)

@@ -28,7 +28,8 @@ class Workers(Protocol):
     deaths
         What a future raises when the process of its task died, beside `BrokenExecutor`.
     patience
-        Seconds after which `slots` is asked again though nothing has ended; None = never.
+        Seconds to wait for a task to end before looking around: whether there are more slots, and
+        to tell that work goes on. None = until one ends.
     """
 
     apart: bool
@@ -115,7 +116,7 @@ class Processes:
 
     apart = True
     deaths: tuple[type[BaseException], ...] = ()
-    patience: float | None = None
+    patience: float | None = 1.0
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs

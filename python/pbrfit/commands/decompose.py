@@ -157,6 +157,7 @@ def _run_all(
                     _work(done_by, options),
                     done_by,
                     ended=display.tell,
+                    meanwhile=display.show if done_by.apart else lambda _: None,
                     memory=None if elsewhere or options.jobs == 1 else memory_of,
                     available=memory.available(),
                 )

@@ -67,8 +67,12 @@ class SceneDisplay:
             kept = outcome is not None and outcome.status == "kept"
             if kept and not self._bar.disable:
                 self._bar.initial += 1  # it took no time, and so says nothing about the time left
-            self._bar.set_postfix_str(task.name, refresh=False)
             self._bar.update()
+
+    def show(self, running: int) -> None:
+        """Tell that so many scenes are at work."""
+        if self._bar is not None:
+            self._bar.set_postfix_str(f"{running} at work")
 
     def summary(self) -> None:
         """Say what failed."""
