@@ -38,10 +38,10 @@ def work(task: Task, threads: int) -> dict[str, Any]:
         return {"name": (name for name in [task.key])}
     if task.act == "no pickle raised":
 
-        class Strange(Exception):
+        class StrangeError(Exception):
             pass
 
-        raise Strange("as it is")
+        raise StrangeError("as it is")
     if task.act == "no JSON":
         return {"name": {task.key}}
     return {"name": task.key, "threads": threads}

@@ -134,12 +134,11 @@ def test_what_is_not_there_can_be_read_nor_written_is_one_line_a_scene(
 def test_an_interrupted_batch_leaves_whole_results_and_no_process(
     folder: Path, tmp_path: Path, signal_number: int
 ) -> None:
-    """The second and third scene would take for ever."""
+    """One scene waits for ever for its mask."""
     out = tmp_path / "out"
     assert run("decompose", folder / "one", folder / "two", "--out", out, *FEW, "--quiet") == 0
     shutil.rmtree(out / "two")
-    (folder / "two" / "images" / "light_02.exr").symlink_to(tmp_path / "fifo.exr")
-    os.mkfifo(tmp_path / "fifo.exr")
+    os.mkfifo(folder / "two" / "mask.png")
     arguments = ["decompose", folder, "--out", out, *FEW, "--jobs", 2, "--resume", "--json"]
     batch = subprocess.Popen(
         [sys.executable, "-m", "pbrfit", *map(str, arguments)],
@@ -187,13 +186,17 @@ def test_a_full_disk_is_one_line_that_names_the_result(
 def test_what_no_process_can_send_fails_its_task_alone(tmp_path: Path, act: str) -> None:
     tasks = [Task("a", tmp_path, act), Task("b", tmp_path), Task("c", tmp_path)]
     found: dict[str, Attempt[Any]] = {}
-    drive(tasks, work, Processes(2), ended=lambda task, one: found.setdefault(task.key, one))
+
+    def keep(task: Task, one: Attempt[Any]) -> None:
+        found[task.key] = one
+
+    drive(tasks, work, Processes(2), ended=keep)
     assert {key: one.error is None for key, one in found.items()} == {
         "a": False,
         "b": True,
         "c": True,
     }
-    words = "TypeError: cannot pickle" if act == "no pickle" else "Strange: as it is"
+    words = "TypeError: cannot pickle" if act == "no pickle" else "StrangeError: as it is"
     assert str(found["a"].error).startswith(words)
 
 
