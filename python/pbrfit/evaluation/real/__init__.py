@@ -254,9 +254,9 @@ def find_data(folders: Sequence[Path], environment: Mapping[str, str]) -> list[P
         If there is neither.
     """
     if folders:
-        return list(folders)
+        return [folder.absolute() for folder in folders]  # workers may work elsewhere
     if environment.get("PBRFIT_DATA"):
-        return [Path(environment["PBRFIT_DATA"])]
+        return [Path(environment["PBRFIT_DATA"]).absolute()]
     raise InputError(
         "FOLDER: expected scene folders or a folder of public sets, found none, and PBRFIT_DATA is "
         "not set"
