@@ -227,7 +227,7 @@ def test_a_scheduler_that_goes_ends_the_batch_in_one_line(
     run.stdout.readline()
     machines.scheduler.kill()
     _, errors = run.communicate(timeout=120)
-    assert run.returncode == 1
+    assert run.returncode == 1, errors
     lines = [line for line in errors.splitlines() if line.startswith("pbrfit: ")]
     assert len(lines) == 1
     assert "expected the scheduler to stay, found it gone; --resume goes on" in lines[0]

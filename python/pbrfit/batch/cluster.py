@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from importlib.metadata import version
@@ -51,10 +52,13 @@ class Cluster:
                 f"--cluster: expected dask.distributed, found {error}; "
                 "pip install 'pbrfit[cluster]' gets it"
             ) from None
+        # What it logs is for those who run the cluster, pages of it; here all ends in one line.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self.deaths: tuple[type[BaseException], ...] = (KilledWorker,)
         self._address, self._jobs = address, jobs
         self._executor: Executor | None = None
         self._cluster: Any = None
+        self._others = set(multiprocessing.active_children())
         if address == LOCAL:
             jobs = jobs or share(1)
             self.threads = share(jobs)
@@ -91,11 +95,19 @@ class Cluster:
     def slots(self) -> int:
         """As many as there are workers, if not fewer were asked for."""
         self._check()
-        workers = len(self._client.nthreads())
+        try:
+            workers = len(self._client.nthreads())
+        except (OSError, TimeoutError):
+            raise self._gone() from None
         return max(1, workers if self._jobs is None else min(workers, self._jobs))
 
     def stop(self) -> None:
         """Give back what waits. Workers of its own end; others see it by the files of a task."""
+        if self._cluster is not None:
+            for nanny in self._cluster.workers.values():
+                nanny.auto_restart = False
+            for process in set(multiprocessing.active_children()) - self._others:
+                process.kill()  # in the midst of a task they would take seconds to close
         if self._executor is not None:
             self._executor.shutdown(wait=False)
         if hasattr(self, "_client"):
@@ -105,10 +117,13 @@ class Cluster:
 
     def _check(self) -> None:
         if self._client.status != "running":
-            raise ConnectionError(
-                f"--cluster {self._address}: expected the scheduler to stay, found it gone; "
-                "--resume goes on from there"
-            )
+            raise self._gone()
+
+    def _gone(self) -> ConnectionError:
+        return ConnectionError(
+            f"--cluster {self._address}: expected the scheduler to stay, found it gone; --resume "
+            "goes on from there"
+        )
 
 
 class _Checking(Executor):
