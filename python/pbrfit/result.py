@@ -222,8 +222,12 @@ class Result:
         with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
             self.write(folder, scene)
 
-    def write(self, folder: Path, scene: Scene | None = None) -> None:
-        """Write the files of a result into an existing folder, which may be renamed afterwards."""
+    def write(self, folder: Path, scene: Scene | None = None, place: Path | None = None) -> None:
+        """Write the files of a result into an existing folder.
+
+        The folder may be moved to `place` afterwards, from where `result.json` says the way to the
+        scene; None = it stays, or is renamed where it is.
+        """
         from pbrfit.preview import preview
 
         uncertainty = self.uncertainty
@@ -254,11 +258,14 @@ class Result:
             "left_out": list(self.left_out),
             "stages": [asdict(stage) for stage in self.stages],
             "inputs": dict(self.inputs),
-            "scene": None if self.source is None else _source_as_json(self.source, folder),
+            "scene": None if self.source is None else _source_as_json(self.source, place or folder),
             "files": {name: digest(folder / name) for name in FILES},
         }
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+        # What no UTF-8 can hold, of a path to the scene, becomes what JSON escapes it by.
+        (folder / "result.json").write_text(
+            text + "\n", encoding="utf-8", errors="backslashreplace"
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Result:

@@ -69,6 +69,22 @@ def marks(out: Path) -> dict[str, tuple[int, int]]:
     }
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="file systems there refuse such names")
+def test_names_that_are_no_utf_8_come_back_as_they_were(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [os.fsdecode(b"bad \xff\xfe"), "new\nline", "-dash", "%s {x}"]
+    for name in names:
+        write_folder(tmp_path / "scenes" / name)
+    arguments = ("decompose", tmp_path / "scenes", "--out", tmp_path / "o o", *FEW, "--resume")
+    for status in ("done", "kept"):
+        assert run(*arguments, "--json") == 0
+        assert statuses(capsys) == dict.fromkeys(names, status)
+    source = Result.load(tmp_path / "o o" / names[0]).source
+    assert source is not None
+    assert source.path == tmp_path / "scenes" / names[0]
+
+
 # Processes
 
 
@@ -78,6 +94,9 @@ def test_processes_give_the_same_bits_as_one_after_the_other(folder: Path, tmp_p
     for out in ("alone", "pool"):
         assert sorted(path.name for path in (tmp_path / out).iterdir()) == sorted(NAMES)
     for name in NAMES:
+        source = Result.load(tmp_path / "pool" / name).source
+        assert source is not None
+        assert source.path == folder / name
         for file in ("materials.exr", "lighting.json"):
             found = (tmp_path / out / name / file for out in ("alone", "pool"))
             assert next(found).read_bytes() == next(found).read_bytes(), (name, file)

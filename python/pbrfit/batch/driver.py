@@ -32,6 +32,8 @@ class Attempt(Generic[R]):
         What its function returned; None if it failed.
     error
         In one line why it failed, else None.
+    raised
+        The type of what its function raised, by name.
     seconds
         That it took.
     said
@@ -40,6 +42,7 @@ class Attempt(Generic[R]):
 
     value: R | None
     error: str | None
+    raised: str | None = None
     seconds: float = 0.0
     said: tuple[tuple[int, str], ...] = ()
 
@@ -142,16 +145,16 @@ def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bo
 
         threads = threads_of_worker()
     began = time.perf_counter()
-    value, error = None, None
+    value, error, raised = None, None, None
     with _listening(apart) as said:
         try:
             # Small matrices: more threads only get into each other's way.
             with threadpool_limits(1):
                 value = work(task, threads)
         except Exception as failure:  # whatever it is, the other tasks are no worse for it
-            error = in_one_line(failure)
+            error, raised = in_one_line(failure), type(failure).__name__
             log.debug("%s", error, exc_info=True)
-    return Attempt(value, error, time.perf_counter() - began, tuple(said))
+    return Attempt(value, error, raised, time.perf_counter() - began, tuple(said))
 
 
 def in_one_line(failure: BaseException) -> str:

@@ -124,9 +124,9 @@ def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
             message = message_of(error)
             if not options.json:
                 raise
-            display.tell(task, Attempt(None, message, time.perf_counter() - began))
+            display.tell(task, Attempt(None, message, seconds=time.perf_counter() - began))
             return UNUSABLE
-        display.tell(task, Attempt(outcome, None, time.perf_counter() - began))
+        display.tell(task, Attempt(outcome, None, seconds=time.perf_counter() - began))
     return DONE
 
 

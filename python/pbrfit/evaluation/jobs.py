@@ -111,7 +111,10 @@ def run(
 
     def end(task: T, attempt: Attempt[Values]) -> None:
         repeat_log(attempt.said)
-        keep(task, Record(task.key, attempt.value, attempt.error, attempt.seconds))
+        error, raised = attempt.error, attempt.raised
+        if error and raised and not error.startswith(raised):
+            error = f"{raised}: {error}"
+        keep(task, Record(task.key, attempt.value, error, attempt.seconds))
 
     if missing:
         done_by = workers(jobs, cluster, most=len(missing))

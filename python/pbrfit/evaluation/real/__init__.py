@@ -254,9 +254,9 @@ def find_data(folders: Sequence[Path], environment: Mapping[str, str]) -> list[P
         If there is neither.
     """
     if folders:
-        return [folder.absolute() for folder in folders]  # workers may work elsewhere
+        return list(folders)
     if environment.get("PBRFIT_DATA"):
-        return [Path(environment["PBRFIT_DATA"]).absolute()]
+        return [Path(environment["PBRFIT_DATA"])]
     raise InputError(
         "FOLDER: expected scene folders or a folder of public sets, found none, and PBRFIT_DATA is "
         "not set"
