@@ -73,7 +73,9 @@ class Cluster:
                 )
         try:
             self._client = Client(
-                address if self._cluster is None else self._cluster, timeout=ANSWERS_WITHIN
+                address if self._cluster is None else self._cluster,
+                timeout=ANSWERS_WITHIN,
+                set_as_default=False,
             )
             self._client.wait_for_workers(1, timeout=ANSWERS_WITHIN)
         except (OSError, ValueError, TimeoutError) as error:

@@ -149,7 +149,7 @@ def _run_all(
             for path, output in zip(scenes, outputs, strict=True)
         ]
         done_by = workers(options.jobs, options.cluster, most=len(tasks))
-        elsewhere = options.cluster not in (None, LOCAL)
+        beside = done_by.apart and options.cluster in (None, LOCAL)
         try:
             with display:
                 drive(
@@ -158,7 +158,7 @@ def _run_all(
                     done_by,
                     ended=display.tell,
                     meanwhile=display.show if done_by.apart else lambda _: None,
-                    memory=None if elsewhere or options.jobs == 1 else memory_of,
+                    memory=memory_of if beside else None,
                     available=memory.available(),
                 )
         except ConnectionError as error:
