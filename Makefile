@@ -3,6 +3,8 @@
 # make bench-lbfgs: our bounded L-BFGS beside scipy's
 # make test-acquire: the tests that need PyTorch, diffusers, transformers and openai, in .venv-acquire
 #   (5 GB); they download no weights
+# make test-cluster: the tests that need dask.distributed, in .venv-cluster; schedulers and workers are
+#   processes of this machine
 # make test-arrays: any arrays for any argument, EXAMPLES of them for each call, others in each run
 # make test-limits: Ctrl-C at random times of every command on a large scene; how long a fit goes on
 #   between two looks at its clock (an hour)
@@ -15,6 +17,7 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 CYCLES := .venv-cycles
 ACQUIRE := .venv-acquire
+CLUSTER := .venv-cluster
 CYCLES_PYTHON ?= python3.11
 CYCLES_NEEDS := python/pbrfit/synthetic/cycles/requirements.txt
 SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find rust -name '*.rs')
@@ -26,7 +29,7 @@ PEERS_OPTIONS ?=
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-acquire test-arrays test-limits test-soak lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -38,6 +41,8 @@ test: $(VENV)/tools lint
 test-acquire: $(ACQUIRE)/installed
 	$(ACQUIRE)/bin/pytest tests/acquire
 
+test-cluster: $(CLUSTER)/installed
+	$(CLUSTER)/bin/pytest tests/cluster
 test-arrays: $(VENV)/tools
 	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/test_array_interface.py
 
@@ -78,7 +83,7 @@ wheel: $(VENV)/tools
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) target dist out
+	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) $(CLUSTER) target dist out
 
 $(VENV)/installed: $(SOURCES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pbrfit needs Python 3.11 or later; set PYTHON=...")'
@@ -107,6 +112,11 @@ $(ACQUIRE)/installed: $(SOURCES)
 	test -d $(ACQUIRE) || $(PYTHON) -m venv $(ACQUIRE)
 	@echo "installing PyTorch, diffusers, transformers and openai: 5 GB"
 	$(ACQUIRE)/bin/pip install --quiet --editable '.[test,diffusion,openai,segment]'
+	touch $@
+
+$(CLUSTER)/installed: $(SOURCES)
+	test -d $(CLUSTER) || $(PYTHON) -m venv $(CLUSTER)
+	$(CLUSTER)/bin/pip install --quiet --editable '.[test,cluster]'
 	touch $@
 
 $(CYCLES)/installed: $(CYCLES_NEEDS)

@@ -114,15 +114,37 @@ def of_fit(
     refine_normals
         Whether normals may be refined.
     """
-    pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
-    planes = pictures * (channels + layout.weighted)
     held = scene.images.nbytes + scene.normals.nbytes
     held += sum(one.nbytes for one in (scene.weights, scene.normal_sigma) if one is not None)
+    # Pictures that came in float64 are there in 48 bits.
+    exact = scene.images.dtype != np.float32
+    return of_layout(layout, method, held=held, exact=exact, refine_normals=refine_normals)
+
+
+def of_layout(
+    layout: Layout,
+    method: Method,
+    *,
+    held: int,
+    exact: bool = False,
+    refine_normals: bool = False,
+) -> FitMemory:
+    """What a fit of some layout needs of memory with a solver.
+
+    Parameters
+    ----------
+    layout, method, refine_normals
+        As of `of_fit`.
+    held
+        Bytes of the scene's arrays.
+    exact
+        Whether pictures are in float64.
+    """
+    pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
+    planes = pictures * (channels + layout.weighted)
     blocks = BLOCK * -(-pixels // BLOCK)
     driver = "scipy" if method == "lbfgsb" else choose(layout.size)
     of_unknown = SCIPY_BYTES if driver == "scipy" else PROJECTED_BYTES
-    # Pictures that came in float64 are there in 48 bits.
-    exact = scene.images.dtype != np.float32
     samples = 4 * (planes + exact * pictures * channels)
     core = (samples + DIRECTION_BYTES) * blocks
     refining = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import secrets
 import shutil
 import tempfile
@@ -90,12 +91,18 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 @contextmanager
 def new_folder(
-    path: Path, *, overwrite: bool = False, contains: Collection[str] = ()
+    path: Path,
+    *,
+    overwrite: bool = False,
+    contains: Collection[str] = (),
+    temporaries: Path | None = None,
 ) -> Iterator[Path]:
     """Give a temporary folder beside `path` that takes its name when the block ends well.
 
     When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
-    parent folders, and a folder that was to be replaced still there.
+    parent folders, and a folder that was to be replaced still there. `temporaries` is a folder on
+    the same file system that takes the place of that beside `path`; a folder that is replaced lies
+    in it for an instant as `*-old/NAME`.
 
     Raises
     ------
@@ -106,10 +113,12 @@ def new_folder(
     """
     check_free(path, overwrite=overwrite, contains=contains)
     target = path.resolve()  # of a link to a folder, the folder is replaced and the link stays
-    temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}")
-    old = temporary.with_name(f"{temporary.name}-old")
+    token = secrets.token_hex(6)
+    temporary = target.with_name(f".pbrfit-{token}") if temporaries is None else temporaries / token
+    aside = temporary.with_name(f"{temporary.name}-old")
+    old = aside / target.name
     new_parents = [parent for parent in target.parents if not parent.exists()]
-    with unfinished(temporary, aside=(old, target), parents=new_parents):
+    with unfinished(temporary, aside=(old, target), parents=[aside, *new_parents]):
         try:
             with making(path, "folder"):
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -122,6 +131,7 @@ def new_folder(
             with undisturbed():
                 if target.exists():
                     # Two renames: the old folder is gone for an instant, but never half replaced.
+                    aside.mkdir()
                     target.rename(old)
                 temporary.rename(target)
         except BaseException:
@@ -129,7 +139,7 @@ def new_folder(
                 old.rename(target)
             raise
         finally:
-            for leftover in (temporary, old):
+            for leftover in (temporary, aside):
                 shutil.rmtree(leftover, ignore_errors=True)
             with suppress(OSError):  # one that is not empty stays, and so do those above it
                 for parent in new_parents:
@@ -168,6 +178,12 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
             with suppress(OSError):
                 for parent in new_parents:
                     parent.rmdir()
+
+
+def digest(path: Path) -> str:
+    """sha256 of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_free_file(path: Path, *, overwrite: bool) -> None:

@@ -60,7 +60,7 @@ class Source:
     ----------
     path
         The scene folder, absolute.
-    color_space, max_size, code_range
+    color_space, max_size, code_range, fov
         As given to `Scene.load`.
     """
 
@@ -68,6 +68,7 @@ class Source:
     color_space: ColorSpace | None = None
     max_size: int | None = None
     code_range: tuple[int, int] = CODE_RANGE
+    fov: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.evaluation import process_memory
+from pbrfit import process_memory
 from pbrfit.evaluation.solvers.fits import (
     AUTO,
     FIRST_SEED,
