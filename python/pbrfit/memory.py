@@ -114,11 +114,19 @@ def of_fit(
     refine_normals
         Whether normals may be refined.
     """
-    held = scene.images.nbytes + scene.normals.nbytes
-    held += sum(one.nbytes for one in (scene.weights, scene.normal_sigma) if one is not None)
-    # Pictures that came in float64 are there in 48 bits.
-    exact = scene.images.dtype != np.float32
-    return of_layout(layout, method, held=held, exact=exact, refine_normals=refine_normals)
+    return of_layout(
+        layout,
+        method,
+        held=bytes_of(scene),
+        exact=scene.images.dtype != np.float32,
+        refine_normals=refine_normals,
+    )
+
+
+def bytes_of(scene: Scene) -> int:
+    """Of the arrays of a scene."""
+    arrays = scene.images, scene.normals, scene.weights, scene.normal_sigma
+    return sum(array.nbytes for array in arrays if array is not None)
 
 
 def of_layout(
@@ -138,7 +146,7 @@ def of_layout(
     held
         Bytes of the scene's arrays.
     exact
-        Whether pictures are in float64.
+        Whether pictures are in float64; then the core has them in 48 bits.
     """
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
@@ -161,18 +169,13 @@ def of_layout(
     )
 
 
-def of_tiles(scene: Scene, layout: Layout, *, refine_normals: bool) -> FitMemory:
-    """The same where the scene is fitted in tiles."""
-    whole = of_fit(scene, layout, "auto", refine_normals=refine_normals)
+def of_tiles(
+    layout: Layout, *, held: int, exact: bool = False, refine_normals: bool = False
+) -> FitMemory:
+    """The same where the scene is fitted in tiles: as of a lattice, and maps of all pixels."""
     few = replace(layout, valid=np.ones((1, min(FEW, layout.pixels)), dtype=bool), segments=None)
-    lattice = of_fit(scene, few, "auto", refine_normals=refine_normals)
-    return FitMemory(
-        scene=whole.scene,
-        core=lattice.core,
-        making=lattice.making,
-        solver=lattice.solver + MAPS_BYTES * layout.pixels,
-        refining=lattice.refining,
-    )
+    lattice = of_layout(few, "auto", held=held, exact=exact, refine_normals=refine_normals)
+    return replace(lattice, solver=lattice.solver + MAPS_BYTES * layout.pixels)
 
 
 def check(method: Method, needed: FitMemory) -> None:
@@ -220,21 +223,28 @@ class Plan:
 
 
 def plan(
-    scene: Scene, layout: Layout, solver: Method, *, refine_normals: bool, optional: bool = False
+    layout: Layout,
+    solver: Method,
+    *,
+    held: int,
+    exact: bool = False,
+    refine_normals: bool,
+    optional: bool = False,
 ) -> Plan:
     """How a scene is fitted: the first of these ways that there is memory for.
 
     The solver auto fits it at once, or in tiles where it has more than `WHOLE` valid pixels; or in
     tiles all the same; or without refining normals, where that is `optional`. The other solvers
-    have no tiles. Where there is memory for none, it is the way that needs least.
+    have no tiles. Where there is memory for none, it is the way that needs least. Other arguments
+    are those of `of_layout`.
     """
     ways = []
     for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
         if solver != "auto" or layout.pixels <= WHOLE:
-            needed = of_fit(scene, layout, solver, refine_normals=refining)
+            needed = of_layout(layout, solver, held=held, exact=exact, refine_normals=refining)
             ways.append(Plan(False, refining, needed))
         if solver == "auto":
-            needed = of_tiles(scene, layout, refine_normals=refining)
+            needed = of_tiles(layout, held=held, exact=exact, refine_normals=refining)
             ways.append(Plan(True, refining, needed))
     free = available()
     fit = [way for way in ways if free is None or way.needed.further <= free]

@@ -153,9 +153,10 @@ def decompose(
     )
     layout = asked.layout(scene)
     plan = memory.plan(
-        scene,
         layout,
         solver,
+        held=memory.bytes_of(scene),
+        exact=scene.images.dtype != np.float32,
         refine_normals=refine_normals != "off" and hindered is None,
         optional=refine_normals == "auto",
     )

@@ -57,9 +57,10 @@ def of_scene(folder: Path, reading: Reading, fitting: Fitting) -> memory.FitMemo
     # Pictures and weights in float32, normals in float64, how far off they may be.
     held = pixels * (4 * pictures * (3 + weighted) + 24 + 4 * (folder / "normals.exr").exists())
     refining = fitting.refine_normals != "off" and pictures >= LEAST_PICTURES
-    found = memory.of_layout(layout, fitting.solver, held=held, refine_normals=refining)
-    if refining and fitting.refine_normals == "auto" and memory.missing(found):
-        found = memory.of_layout(layout, fitting.solver, held=held)  # as `decompose` decides
+    optional = fitting.refine_normals == "auto"
+    found = memory.plan(
+        layout, fitting.solver, held=held, refine_normals=refining, optional=optional
+    ).needed
     reading_takes = held + 2 * pictures * pixels + DECODING_BYTES * full[0] * full[1]
     return found if found.peak >= reading_takes else memory.FitMemory(reading_takes, 0, 0, 0)
 
