@@ -46,6 +46,7 @@ class Cluster:
         try:
             import dask
             from distributed import Client, LocalCluster
+            from distributed.comm import get_address_host_port
             from distributed.scheduler import KilledWorker
         except ImportError as error:
             raise InputError(
@@ -72,6 +73,8 @@ class Cluster:
                     silence_logs=logging.CRITICAL,
                 )
         try:
+            if self._cluster is None:
+                get_address_host_port(address)  # a client that fails at it never quite ends
             self._client = Client(
                 address if self._cluster is None else self._cluster,
                 timeout=ANSWERS_WITHIN,
