@@ -81,7 +81,7 @@ class Cluster:
                 set_as_default=False,
             )
             self._client.wait_for_workers(1, timeout=ANSWERS_WITHIN)
-        except (OSError, ValueError, TimeoutError) as error:
+        except (OSError, ValueError, TypeError, TimeoutError) as error:
             there = hasattr(self, "_client")
             self.stop()
             expected = "a worker" if there else "a dask scheduler"
