@@ -46,6 +46,7 @@ class Cluster:
         try:
             import dask
             from distributed import Client, LocalCluster
+            from distributed.comm import get_address_host_port
             from distributed.scheduler import KilledWorker
         except ImportError as error:
             raise InputError(
@@ -72,13 +73,15 @@ class Cluster:
                     silence_logs=logging.CRITICAL,
                 )
         try:
+            if self._cluster is None:
+                get_address_host_port(address)  # a client that fails at it never quite ends
             self._client = Client(
                 address if self._cluster is None else self._cluster,
                 timeout=ANSWERS_WITHIN,
                 set_as_default=False,
             )
             self._client.wait_for_workers(1, timeout=ANSWERS_WITHIN)
-        except (OSError, ValueError, TimeoutError) as error:
+        except (OSError, ValueError, TypeError, TimeoutError) as error:
             there = hasattr(self, "_client")
             self.stop()
             expected = "a worker" if there else "a dask scheduler"
