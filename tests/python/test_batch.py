@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -484,6 +485,7 @@ def test_a_scene_that_is_no_longer_wanted_is_given_up(folder: Path, tmp_path: Pa
     def show(_: object) -> None:
         nonlocal told
         told += 1
+        time.sleep(0.001)  # a thousand of them take longer than it takes to look
         if told == 1:
             shutil.rmtree(temporaries)
         if told > 1000:
