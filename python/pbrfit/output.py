@@ -13,7 +13,6 @@ from pathlib import Path
 
 from pbrfit import _core
 
-
 ASIDE = "-old"
 """Ending of a folder in which something lies that is being replaced, by its name."""
 

@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -71,7 +72,7 @@ def test_what_a_straggler_sets_aside_meanwhile_is_put_back(
     aside = tmp_path / "out" / ".pbrfit" / "1234-old"
     aside.mkdir(parents=True)
     looked = Path.iterdir
-    told = []
+    told: list[Path] = []
 
     def iterdir(folder: Path) -> object:
         found = list(looked(folder))
@@ -110,7 +111,7 @@ def test_the_end_of_a_batch_leaves_the_next_one_alone(
     """Another may begin as soon as the lock is gone, before the folder is."""
     out = tmp_path / "out"
     unlinked = Path.unlink
-    began = []
+    began: list[AbstractContextManager[Path]] = []
 
     def unlink(path: Path, missing_ok: bool = False) -> None:
         unlinked(path, missing_ok)

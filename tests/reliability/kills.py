@@ -53,14 +53,17 @@ OPTIONS = ("--iterations", "150", "--jobs", "2", "--json", "--quiet")
 MOST_STEPS = 40
 """On disk, of a process, after which one of dying.py may kill it."""
 
-A_ROUND = 10
-"""Kills."""
+A_ROUND = 8
+"""Kills, at most."""
 
 ORPHANS_WITHIN = 5.0
 """Seconds after the batch's own process has died that its workers may have."""
 
 MOST_RENAMES = 6
 """As above; two of them replace a result."""
+
+MOST_OF_ONE = 10
+"""As above, of a worker."""
 
 WHO = ("group", "group", "batch")
 
@@ -147,7 +150,9 @@ class Test:
     def _killed(self, now: Round, *, overwriting: bool = False, ending: bool = False) -> None:
         who = "worker" if ending else self.chance.choice(WHO)
         kind, most = self.chance.choice([("", MOST_STEPS), ("os.rename", MOST_RENAMES)])
-        step = self.chance.randint(1, most) if ending or self.chance.random() < 0.5 else 0
+        step = self.chance.randint(1, most) if self.chance.random() < 0.5 else 0
+        if ending:
+            step = self.chance.randint(1, MOST_OF_ONE)  # there is not much left to do
         at = self.chance.uniform(0, 1.1 * self.seconds)
         once = self.folder / "died"
         once.unlink(missing_ok=True)
@@ -281,7 +286,7 @@ def main() -> int:
     number = 0
     while len(test.kills) < options.kills and not test.faults:
         before = len(test.kills)
-        test.round(number, min(A_ROUND, options.kills - before))
+        test.round(number, min(test.chance.randint(1, A_ROUND), options.kills - before))
         for kill in test.kills[before:]:
             print(
                 f"round {kill.round}  {kill.who:7} {kill.at:>9}  {kill.stage:24} "
