@@ -160,16 +160,17 @@ def test_a_disk_that_fills_up_costs_the_scenes_that_found_no_room(
 
 
 @NEEDS_ROOT
-def test_a_disk_without_any_room_ends_a_batch_before_the_work(scenes: Path, tmp_path: Path) -> None:
+def test_a_disk_without_any_room_costs_a_line_a_scene(scenes: Path, tmp_path: Path) -> None:
     with disk(tmp_path / "disk", "16k"):
         out = tmp_path / "disk" / "out"
         with suppress(OSError), (tmp_path / "disk" / "full").open("wb", buffering=0) as full:
             while full.write(bytes(4096)):
                 pass
         code, told, errors = ended(arguments(scenes, out))
-        print(code, errors)
-        assert (code, told) in ((1, ""), (2, ""))
-        assert all("No space left on device" in line for line in errors.splitlines()[:-1])
+        assert (code, told) == (2, "")
+        *each, last = errors.splitlines()
+        assert sorted(each) == [f"pbrfit: {out / name}: No space left on device" for name in NAMES]
+        assert last.startswith("pbrfit: 6 of 6 scenes failed: ")
         assert names(tmp_path / "disk") == ["full"]
 
 
@@ -312,9 +313,12 @@ def test_a_worker_that_gets_no_memory_costs_its_scene_alone(scenes: Path, tmp_pa
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
         env=environment(tmp_path, OPENBLAS_NUM_THREADS=1),
     )
-    print(code, told, errors)
     assert code == 1
-    assert errors.splitlines()[-1] == f"pbrfit: 1 of 7 scenes failed: {scenes / 'large'}"
+    first, last = errors.splitlines()
+    assert first.startswith(f"pbrfit: {scenes / 'large'}: ")
+    assert "memory" in first  # whichever step found too little
+    assert last == f"pbrfit: 1 of 7 scenes failed: {scenes / 'large'}"
+    assert dict(statuses(told)) == {**dict.fromkeys(NAMES, "done"), "large": "failed"}
     assert names(tmp_path / "out") == NAMES
 
 
