@@ -5,6 +5,7 @@ Faults that take whole batches of processes are in `tests/reliability/`.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -182,3 +183,25 @@ def test_a_folder_of_the_file_system_is_no_scene(
     (tmp_path / "scenes" / "lost+found" / "images").mkdir(parents=True)
     assert run("decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW, "--quiet") == 0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize("how", ["full", "closed"])
+def test_a_batch_goes_on_where_nobody_can_be_told_of_a_failure(tmp_path: Path, how: str) -> None:
+    """Its messages go to a disk that is full, or nowhere."""
+    for name in ("one", "two"):
+        write_folder(tmp_path / "scenes" / name)
+    (tmp_path / "scenes" / "one" / "normals.exr").unlink()
+    arguments = ["decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW, "--json"]
+    with Path("/dev/full").open("w") as full:
+        found = subprocess.run(
+            [sys.executable, "-m", "pbrfit", *map(str, arguments), "--quiet"],
+            stdout=subprocess.PIPE,
+            stderr=full,
+            text=True,
+            check=False,
+            preexec_fn=(lambda: os.close(2)) if how == "closed" else None,
+        )
+    assert found.returncode == 1
+    assert [json.loads(line)["status"] for line in found.stdout.splitlines()] == ["failed", "done"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["two"]
