@@ -6,19 +6,26 @@ Faults that take whole batches of processes are in `tests/reliability/`.
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
+import time
 from contextlib import AbstractContextManager
+from multiprocessing import util
 from pathlib import Path
 
 import pytest
 
 from pbrfit.batch import place
+from pbrfit.batch.executors import Processes
 from pbrfit.output import new_folder
 from pbrfit.result import CONTAINS
 from scene_files import run, write_folder
+from test_evaluation import alive, until
 
 FEW = ("--iterations", 2, "--refine-normals", "off")
 
@@ -205,3 +212,36 @@ def test_a_batch_goes_on_where_nobody_can_be_told_of_a_failure(tmp_path: Path, h
     assert found.returncode == 1
     assert [json.loads(line)["status"] for line in found.stdout.splitlines()] == ["failed", "done"]
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["two"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
+def test_a_signal_while_a_worker_starts_waits_until_somebody_knows_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Another thread gets it, though this one has blocked it."""
+    over = threading.Event()
+    other = threading.Thread(target=over.wait)
+    other.start()
+    processes: list[int] = []
+    spawn = util.spawnv_passfds
+
+    def spawn_and_tell(path: bytes, arguments: list[bytes], files: list[int]) -> int:
+        process: int = spawn(path, arguments, files)
+        if any(b"spawn_main" in os.fsencode(one) for one in arguments):
+            processes.append(process)
+            signal.pthread_kill(other.ident or 0, signal.SIGINT)
+            for _ in range(100):
+                time.sleep(0.001)  # here Python would raise
+        return process
+
+    monkeypatch.setattr(util, "spawnv_passfds", spawn_and_tell)
+    workers = Processes(2)
+    pool = workers.start()
+    with pytest.raises(KeyboardInterrupt):
+        pool.submit(os.getpid)
+    over.set()
+    known = [process.pid for process in multiprocessing.active_children()]
+    assert len(processes) == 1
+    assert set(processes) <= set(known)
+    workers.stop()
+    until(lambda: not any(alive(process) for process in processes))

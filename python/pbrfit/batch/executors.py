@@ -5,11 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
-from threading import Thread
+from types import FrameType
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 P = ParamSpec("P")
@@ -129,9 +130,12 @@ class Processes:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
         self._others = set(multiprocessing.active_children())
-        self._pool = _Spawning(
-            self._jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
-        )
+        with _unbroken():
+            self._pool = _Spawning(
+                self._jobs,
+                mp_context=multiprocessing.get_context("spawn"),
+                initializer=_begin_worker,
+            )
         return self._pool
 
     def slots(self) -> int:
@@ -161,8 +165,34 @@ class _Spawning(ProcessPoolExecutor):
     """Whose processes never hear Ctrl-C, not even while they start: the parent is told too."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        with _deaf():  # processes are started in here, and inherit it
+        with _unbroken(), _deaf():  # processes are started in here, and inherit deafness
             return super().submit(fn, *args, **kwargs)
+
+
+@contextmanager
+def _unbroken() -> Iterator[None]:
+    """Let what a signal would raise come after the block.
+
+    A process that is half started is known to nobody who could end it. It is not enough to block
+    signals here: another thread hears of them, and Python raises in this one.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard: list[tuple[int, FrameType | None]] = []
+    before = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        handler = signal.getsignal(number)
+        if callable(handler):
+            before[number] = handler
+            signal.signal(number, lambda *what: heard.append(what))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for told, frame in heard[:1]:
+            before[signal.Signals(told)](told, frame)
 
 
 @contextmanager
@@ -181,7 +211,7 @@ def _begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it could not be blocked
     parent = multiprocessing.parent_process()
     if parent is not None:
-        Thread(target=_end_with, args=[parent], daemon=True).start()
+        threading.Thread(target=_end_with, args=[parent], daemon=True).start()
 
 
 def _end_with(parent: BaseProcess) -> None:
