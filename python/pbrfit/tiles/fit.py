@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit import refined_fit, uncertainty
 from pbrfit.history import HistoryRow
+from pbrfit.materials import Materials
 from pbrfit.objective import Objective, Units
 from pbrfit.priors import Priors
 from pbrfit.result import Stage, Status
@@ -21,6 +21,7 @@ from pbrfit.tiles.canvas import Canvas
 from pbrfit.tiles.lattice_fit import Lattice, fit_lattice
 from pbrfit.tiles.part import Parts
 from pbrfit.tiles.tiling import FEW, MARGIN, THIN_MARGIN, TILE, Tile, lattice, tiles
+from pbrfit.tiles.total import Total
 from pbrfit.whole_fit import Asked, Found, Start
 
 Array = NDArray[np.float64]
@@ -38,6 +39,14 @@ def fit_tiles(
     side
         Rows and columns of a tile, at most.
     """
+    from threadpoolctl import threadpool_limits
+
+    # Sums split over threads would round differently on a machine with more processors.
+    with threadpool_limits(1, user_api="blas"):
+        return _fit_tiles(scene, asked, start, few, side)
+
+
+def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) -> Found:
     units = Units.of(scene, asked.equal_exposures)
     parts = Parts(scene)
     known = fit_lattice(parts, lattice(scene.valid, few), asked, units, start)
@@ -46,9 +55,10 @@ def fit_tiles(
     refined = known.refinement.refined
     margin = MARGIN if asked.priors.smoothness or refined else THIN_MARGIN
     pieces = list(tiles(scene.valid, margin, side))
-    whole = _Total(scene, units, layout.channels)
+    whole = Total(scene, units, layout.channels)
     clock, late = known.run, 0
     began = clock.elapsed
+    clock.tell_tile((0, len(pieces)), clock.rows[-1].recon_rmse, lambda: _maps(canvas, known))
     for number, tile in enumerate(pieces, 1):
         run, x, in_time = _fit_tile(tile, known, parts, asked, units, whole.weight)
         late += not in_time
@@ -61,9 +71,7 @@ def fit_tiles(
                 tile, run.scene, uncertainty.variances(run.objective, x, known.modes)
             )
             clock.unmeasured += time.perf_counter() - before
-        clock.tell_tile(
-            (number, len(pieces)), whole.rmse, lambda: (canvas.materials, known.lighting)
-        )
+        clock.tell_tile((number, len(pieces)), whole.rmse, lambda: _maps(canvas, known))
     clock.stages.append(
         Stage(
             "all pixels in tiles, lights held",
@@ -85,6 +93,8 @@ def fit_tiles(
             f"time limit of {asked.limits.seconds:g} s reached: {late} of {len(pieces)} tiles are "
             "unfinished"
         )
+    elif status is Status.TIME_LIMIT:
+        reason = f"half of the time limit of {asked.limits.seconds:g} s was not enough for lights"
     deviations = None
     if canvas.variances is not None:
         deviations = uncertainty.of_variances(
@@ -113,35 +123,8 @@ def fit_tiles(
     )
 
 
-class _Total:
-    """Samples and weights of a whole scene, and what is left of the tiles so far."""
-
-    def __init__(self, scene: Scene, units: Units, channels: int) -> None:
-        self._scale = units.scale
-        self._left = self._of = 0.0
-        if scene.weights is None or not scene.weighted:
-            self.samples = channels * len(scene.images) * int(np.count_nonzero(scene.valid))
-            self.weight = float(self.samples)
-            return
-        self.samples, self.weight = 0, 0.0
-        for of_picture in scene.weights:
-            inside = of_picture[scene.valid]
-            self.samples += channels * int(np.count_nonzero(inside))
-            self.weight += channels * float(inside.sum(dtype=np.float64)) / units.largest_weight
-
-    def add(self, objective: Objective, x: Array) -> None:
-        self._left += objective.data_value_and_grad(x)[0] * objective.total_weight
-        self._of += objective.total_weight
-
-    @property
-    def mean(self) -> float:
-        """Loss of the data."""
-        return self._left / self._of
-
-    @property
-    def rmse(self) -> float:
-        """In picture units."""
-        return math.sqrt(self.mean) * self._scale
+def _maps(canvas: Canvas, known: Lattice) -> tuple[Materials, Array]:
+    return canvas.materials, known.lighting
 
 
 def _fit_tile(

@@ -61,7 +61,13 @@ class Lattice:
 
 
 def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start: Start) -> Lattice:
-    """Fit the pixels of a window of a scene as if they were all; `units` are those of the scene."""
+    """Fit the pixels of a window of a scene as if they were all.
+
+    `units` are those of the scene. Of a time limit half is left to the tiles.
+    """
+    limits = asked.limits
+    if limits.seconds is not None:
+        asked = replace(asked, limits=replace(limits, seconds=limits.seconds / 2))
     whole, scene = parts.scene, parts.cut(window)
     if isinstance(start, Materials):
         start = cut(start, window)
