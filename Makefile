@@ -1,6 +1,7 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
 # make bench-needs: what leaving out parts of a fit saves
 # make bench-lbfgs: our bounded L-BFGS beside scipy's
+# make bench-growth: time and memory of a fit from 0.25 to 16 MP, 4 to 64 pictures (an hour, 13 GiB)
 # make test-acquire: the tests that need PyTorch, diffusers, transformers and openai, in .venv-acquire
 #   (5 GB); they download no weights
 # make test-cluster: the tests that need dask.distributed, in .venv-cluster; schedulers and workers are
@@ -29,7 +30,7 @@ PEERS_OPTIONS ?=
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak lint bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -68,6 +69,9 @@ bench:
 
 bench-needs: $(VENV)/installed
 	$(BIN)/python benches/needs.py --out docs/benchmarks/needs.md
+
+bench-growth: $(VENV)/installed
+	$(BIN)/python benches/growth.py
 
 bench-lbfgs: $(VENV)/installed
 	$(BIN)/python benches/lbfgs.py --out docs/benchmarks/lbfgs.md
