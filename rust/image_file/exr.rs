@@ -15,11 +15,26 @@ use ::exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, Vec2, WritableImage, f16,
 };
 
-use super::{Format, broken, check_size, content, guarded, read_bytes, write_atomically};
+use super::{
+    Format, broken, check_memory, check_size, content, guarded, read_bytes, write_atomically,
+};
 use crate::{Error, Result};
 
 /// Largest accepted sum of samples over all channels: 4 GiB as float.
 const MAX_SAMPLES: u64 = 1 << 30;
+
+/// Pixels that a window may have however small the file: a crop may lie in a
+/// large empty frame.
+const EMPTY_PIXELS: u64 = 1 << 24;
+
+/// The same for samples, over all channels: 256 MiB as float.
+const EMPTY_SAMPLES: u64 = 1 << 26;
+
+/// Most samples in one byte of a file. All compressions but DWA end in deflated
+/// or run-length data of what is 2 bytes or more a sample. In DWA one colour takes
+/// 4 bytes for 8 x 8 samples, and these are deflated.
+const SAMPLES: u64 = 1032;
+const DWA_SAMPLES: u64 = 64 * 1032 / 4;
 
 /// Primaries and white point of Rec.709 with D65, as every written file states
 /// them: xy of red, green, blue, white.
@@ -87,7 +102,14 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
     let names = full_names(headers, path)?;
     let mut planes: Vec<_> = headers
         .iter()
-        .map(|header| vec![vec![0.0; width * height]; header.channels.list.len()])
+        .map(|header| {
+            // Made one by one: the system gives zeroed memory when it is first written to, where
+            // copies of a zeroed plane would be written at once.
+            let planes = header.channels.list.iter();
+            planes
+                .map(|_| vec![0.0; width * height])
+                .collect::<Vec<_>>()
+        })
         .collect();
 
     // Strict about the chunks: each has to be there once, so that no damage can
@@ -261,13 +283,13 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
         ));
     };
     let display = first.shared_attributes.display_window;
-    check_size(
-        path,
-        display.size.x() as u64,
-        display.size.y() as u64,
-        file_size,
-    )?;
-    let mut samples = 0;
+    let held = file_size * headers.iter().map(samples_in_a_byte).max().unwrap_or(0);
+    let check = |size: Vec2<usize>| {
+        let (width, height) = (size.x() as u64, size.y() as u64);
+        check_size(path, width, height, EMPTY_PIXELS + held, file_size)
+    };
+    check(display.size)?;
+    let mut channels = 0;
     for header in headers {
         if header.shared_attributes.display_window != display {
             return Err(content(
@@ -275,22 +297,38 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
                 "expected one display window for all parts, found several",
             ));
         }
-        let size = header.layer_size;
-        check_size(path, size.x() as u64, size.y() as u64, file_size)?;
-        samples += (display.size.area() * header.channels.list.len()) as u64;
+        check(header.layer_size)?;
+        channels += header.channels.list.len() as u64;
         // The table of chunk offsets alone takes 8 bytes a chunk.
         if header.chunk_count as u64 > file_size / 8 {
             let found = format!("{} chunks in {file_size} bytes", header.chunk_count);
             return Err(broken(path, Format::Exr, found));
         }
     }
+    // At most 2^28 pixels, and as many channels as a file in memory can list.
+    let samples = display.size.area() as u64 * channels;
     if samples > MAX_SAMPLES {
         return Err(content(
             path,
             format!("expected at most {MAX_SAMPLES} samples, found {samples}"),
         ));
     }
+    if samples > EMPTY_SAMPLES + held {
+        let found = format!("{samples} samples in {file_size} bytes");
+        return Err(content(
+            path,
+            format!("expected a sound file, found {found}"),
+        ));
+    }
+    check_memory(path, 4 * samples)?;
     Ok(display)
+}
+
+fn samples_in_a_byte(header: &Header) -> u64 {
+    match header.compression {
+        Compression::DWAA(_) | Compression::DWAB(_) => DWA_SAMPLES,
+        _ => SAMPLES,
+    }
 }
 
 /// Writes one part of scan lines with ZIP compression and the chromaticities

@@ -50,7 +50,9 @@ def main() -> int:
                 folder = _keep(options.out, plans[reader], number, problem)
                 tqdm.write(f"{folder}: {problem[:300]}", file=sys.stderr)
 
-        tallies = watch.run(plans, options.jobs, failed, lambda _, count: bar.update(count) and None)
+        tallies = watch.run(
+            plans, options.jobs, failed, lambda _, count: bar.update(count) and None
+        )
     _tell(tallies, failures, total, time.monotonic() - began)
     if failures:
         print(f"failed cases are in {options.out}; read one again with --replay FOLDER")
@@ -89,7 +91,7 @@ def _replay(folder: Path) -> int:
     case = Seed(told["seed"], told["target"], files)
     found: list[str] = []
     plans = {told["reader"]: Plan(told["reader"], (), (case,), 1, 0)}
-    watch.run(plans, 1, lambda *answer: found.append(answer[2]), lambda *_: None)
+    watch.run(plans, 1, lambda *answer: found.append(answer[2]), lambda _: None)
     print("\n".join(found) if found else "passes")
     return 1 if found else 0
 
@@ -110,7 +112,7 @@ def _tell(tallies: dict[str, Tally], failures: Counter[str], total: int, seconds
         refused = sum(
             count
             for kind, count in tally.outcomes.items()
-            if kind == "InputError" or kind.endswith("Error") and kind in _SYSTEM
+            if kind == "InputError" or (kind.endswith("Error") and kind in _SYSTEM)
         )
         print(
             f"{name:10}{cases:9}{answers:9}{refused:9}{failures[name]:8}"

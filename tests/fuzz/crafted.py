@@ -13,8 +13,10 @@ from collections.abc import Iterator
 from fuzz.damage import png_chunk
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_SIDES = ((0x7FFFFFFF, 0x7FFFFFFF), (0x7FFFFFFF, 1), (1, 0x7FFFFFFF), (16384, 16384),
-          (65535, 65535), (16385, 16384), (4096, 4096), (0, 0), (0xFFFFFFFF, 0xFFFFFFFF))  # fmt: skip
+_SIDES = (
+    (0x7FFFFFFF, 0x7FFFFFFF), (0x7FFFFFFF, 1), (1, 0x7FFFFFFF), (16384, 16384), (65535, 65535),
+    (16385, 16384), (4096, 4096), (0, 0), (0xFFFFFFFF, 0xFFFFFFFF),
+)  # fmt: skip
 
 
 def _header(width: int, height: int, depth: int = 8, color: int = 2, interlace: int = 0) -> bytes:
@@ -170,8 +172,9 @@ def exr() -> Iterator[tuple[str, bytes]]:
                (-far - 1, 0, -far, 15), (0, 0, 0, 0))  # fmt: skip
     for window in windows:
         for compression in (0, 1, 3, 4, 5, 6, 8, 9, 200):
-            yield f"window {window} compression {compression}", file(
-                window, compression=compression
+            yield (
+                f"window {window} compression {compression}",
+                file(window, compression=compression),
             )
         yield f"display {window}", file((0, 0, 3, 3), window)
         yield f"data {window} in a small frame", file(window, (0, 0, 3, 3))
@@ -195,8 +198,9 @@ def npy() -> Iterator[tuple[str, bytes]]:
         for kind in ("<f4", "<f8", "|O", "<U1000000000", "|V999999999", "<i8"):
             text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}".encode()
             header = text + b" " * (-(len(text) + 11) % 64) + b"\n"
-            yield f"{kind} {shape[:40]}", (
-                b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + bytes(64)
+            yield (
+                f"{kind} {shape[:40]}",
+                (b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + bytes(64)),
             )
     yield "empty", b""
     yield "a zip archive", b"PK\3\4" + bytes(30)
@@ -212,12 +216,12 @@ def journal() -> Iterator[tuple[str, bytes]]:
     def told(text: bytes) -> bytes:
         return png_chunk(b"iTXt", b"pbrfit\0\1\0\0\0" + zlib.compress(text, 9))
 
+    lists: dict[str, list[int]] = {key: [] for key in ("name", "prompt", "negative", "seed")}
     for width, height in _SIDES:
         yield f"claims {width} x {height}", _header(width, height) + told(b"{}") + data + end
     for name, text in (
         ("bomb", b'"' + b" " * (1 << 28) + b'"'), ("nested", b"[" * 100_000), ("list", b"[]"),
         ("large", b'"' + b"x" * (1 << 20) + b'"'),
-        ("lists", json.dumps({"request": dict.fromkeys(("name", "prompt", "negative", "seed"), []),
-                              "about": {}, "record": {}}).encode()),
+        ("lists", json.dumps({"request": lists, "about": {}, "record": {}}).encode()),
     ):  # fmt: skip
         yield name, _header(1, 1) + told(text) + data + end

@@ -17,8 +17,10 @@ from typing import Any
 
 Damage = Callable[[Random, bytes], bytes]
 
-INTERESTING = (0, 1, 2, 7, 8, 0x7F, 0x80, 0xFF, 0x100, 0x7FFF, 0x8000, 0xFFFF, 0x10000,
-               0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)  # fmt: skip
+INTERESTING = (
+    0, 1, 2, 7, 8, 0x7F, 0x80, 0xFF, 0x100, 0x7FFF, 0x8000, 0xFFFF, 0x10000, 0x7FFFFFFF,
+    0x80000000, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1,
+)  # fmt: skip
 """Numbers at which lengths and counts go wrong."""
 
 # What a number or a text in JSON, TOML or CSV may be replaced by.

@@ -34,7 +34,7 @@ def _declared(data: bytes) -> tuple[int, int]:
         # 1032 bytes for each that is deflated, up to 8 pixels in each.
         width, height, depth, color = struct.unpack_from(">IIBB", data, 16)
         bits = depth * {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}.get(color, 1)
-        return (width * height if width * height * bits <= 8 * 1032 * size + 8192 else 0), 0
+        return (width * height if width * height * bits <= 8 * 1032 * size else 0), 0
     if data.startswith(b"\xff\xd8"):
         claims = (
             struct.unpack_from(">HH", data, found.end() + 3)
@@ -46,7 +46,7 @@ def _declared(data: bytes) -> tuple[int, int]:
     if data.startswith(b"#?"):
         found = re.search(rb"-Y +(\d+) +\+X +(\d+)", data)
         claim = int(found[1]) * int(found[2]) if found else 0
-        return (claim if claim <= 1024 * size + (1 << 16) else 0), 0
+        return (claim if claim <= 8192 * size else 0), 0
     if data.startswith(b"\x76\x2f\x31\x01"):
         return _exr(data)
     return 0, 0
@@ -65,9 +65,9 @@ def _tiff(data: bytes) -> int:
             (value,) = struct.unpack_from(order + code, data, entry + (12 if big else 8))
             sides.setdefault(tag, value)
         pixels = sides.get(256, 0) * sides.get(257, 0)
-    except struct.error:
+    except (struct.error, OverflowError):
         return 0
-    return pixels if pixels <= 4096 * len(data) + (1 << 16) else 0
+    return pixels if pixels <= 2048 * len(data) else 0
 
 
 def _exr(data: bytes) -> tuple[int, int]:
@@ -75,12 +75,13 @@ def _exr(data: bytes) -> tuple[int, int]:
     if window is None:
         return 0, 0
     left, top, right, bottom = struct.unpack("<4i", window[1])
-    pixels = max(right - left + 1, 0) * max(bottom - top + 1, 0)
+    pixels = (abs(right - left) + 1) * (abs(bottom - top) + 1)
     channels = 0
     for found in re.finditer(rb"channels\0chlist\0(.{4})", data, re.DOTALL):
         # A channel takes 18 bytes or more.
         channels += min(struct.unpack("<I", found[1])[0], len(data)) // 18
     samples = pixels * channels
-    if samples > (1 << 26) + (channels * len(data) << 15):
+    dwa = re.search(rb"compression\0compression\0\x01\0\0\0[\x08\x09]", data) is not None
+    if samples > (1 << 26) + (16512 if dwa else 1032) * len(data):
         return 0, 0
     return pixels, samples

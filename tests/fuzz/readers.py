@@ -81,12 +81,12 @@ _DAMAGE: dict[str, damage.Damage] = {
 }
 
 
-def _picture(folder: Path, file: Path) -> None:
-    _ways = (_as_picture, _as_data, _as_ids, _as_channels, _as_panorama, _as_photo)
-    # Which one is decided by the file, so that a case is the same again when it is replayed.
+def _picture(_folder: Path, file: Path) -> None:
     content = file.read_bytes()
-    _ways[0](file)
-    _ways[1 + sum(content[-64:]) % 5](file)
+    _as_picture(file)
+    # Which one is decided by the file, so that a case is the same again when it is replayed.
+    others = (_as_data, _as_ids, _as_channels, _as_panorama, _as_photo)
+    others[sum(content[-64:]) % len(others)](file)
 
 
 def _as_picture(file: Path) -> None:
@@ -147,10 +147,10 @@ def _as_photo(file: Path) -> None:
     assert photo.fov is None or 0 < photo.fov < 180
 
 
-def _map(folder: Path, file: Path) -> None:
+def _map(_folder: Path, file: Path) -> None:
     """Normals, depth and weights as files."""
     if file.stem == "depth":
-        normals = depth.normals_of(file, (16, 16), fov=50.0)
+        normals = depth.from_file(file, (16, 16), fov=50.0)
         assert normals.normals.shape == (16, 16, 3)
         assert np.isfinite(normals.normals).all()
         return
@@ -236,7 +236,7 @@ def _check_text(value: object) -> None:
     value.encode("utf-8")
 
 
-def _prompts(folder: Path, file: Path) -> None:
+def _prompts(_folder: Path, file: Path) -> None:
     catalogue = read_prompts(file)
     assert catalogue.lighting
     for prompt in catalogue.lighting:

@@ -33,7 +33,7 @@ class _Worker:
 
 
 def run(
-    plans: Mapping[str, Plan], jobs: int, failed: Failed, ended: Callable[[str, int], None]
+    plans: Mapping[str, Plan], jobs: int, failed: Failed, ended: Callable[[int], object]
 ) -> dict[str, Tally]:
     """Run all cases in `jobs` processes; what came of them, by reader.
 
@@ -46,7 +46,7 @@ def run(
     failed
         Called with reader, number and what was wrong.
     ended
-        Called with a reader and how many of its cases have ended.
+        Called with how many cases have ended since.
     """
     context = multiprocessing.get_context("spawn")
     blocks = [
@@ -81,7 +81,7 @@ def run(
             raise RuntimeError(f"a worker died before its first case: {one.process.exitcode}")
         failed(name, number, _cause(one.process.exitcode))
         tallies[name].outcomes["death"] += 1
-        ended(name, number + 1 - first)
+        ended(number + 1 - first)
         if number + 1 < last:
             blocks.append((name, number + 1, last))
 
@@ -104,11 +104,13 @@ def run(
                         continue
                     assert one.block is not None
                     name, first, last = one.block
+                    if answer[0] == "broken":
+                        raise RuntimeError(answer[1])
                     if answer[0] == "failed":
                         failed(name, answer[1], answer[2])
                         continue
                     tallies[name].add(answer[1])
-                    ended(name, last - first)
+                    ended(last - first)
                     give(one)
                     if one.block is None:
                         one.process.join()

@@ -14,6 +14,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 import warnings
 from collections import Counter
 from collections.abc import Mapping
@@ -57,8 +58,8 @@ class Tally:
 def main(connection: Connection, at: Any, plans: Mapping[str, Plan]) -> None:
     """Do blocks of cases that arrive as (reader, first, last); `at` tells which case is under way.
 
-    Answers are ("failed", number, what) for cases that failed and ("done", Tally) at the end of
-    a block.
+    Answers are ("failed", number, what) for cases that failed, ("done", Tally) at the end of a
+    block, and ("broken", traceback) where the worker itself is at fault.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     room = Room()
@@ -74,6 +75,8 @@ def main(connection: Connection, at: Any, plans: Mapping[str, Plan]) -> None:
                 if problem is not None:
                     connection.send(("failed", number, problem))
             connection.send(("done", tally))
+    except Exception:  # a fault in here, and not in what is tested
+        connection.send(("broken", traceback.format_exc()))
     finally:
         room.close()
 

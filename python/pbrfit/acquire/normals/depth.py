@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pbrfit import geometry, images
 from pbrfit._core import InputError
 from pbrfit.acquire.normals.maps import fit_to_size, read_npy
+from pbrfit.quoting import listed
 
 log = logging.getLogger("pbrfit")
 
@@ -119,7 +120,7 @@ def read_depth(path: Path) -> Array:
         if name is None:
             raise InputError(
                 f"{path}: expected one of the channels {', '.join(CHANNELS)}, "
-                f"found {', '.join(sorted(channels))}"
+                f"found {listed(channels)}"
             )
         return channels[name].astype(np.float64)
     data = images.read_data(path)
