@@ -50,9 +50,7 @@ def main() -> int:
                 folder = _keep(options.out, plans[reader], number, problem)
                 tqdm.write(f"{folder}: {problem[:300]}", file=sys.stderr)
 
-        tallies = watch.run(
-            plans, options.jobs, failed, lambda _, count: bar.update(count) and None
-        )
+        tallies = watch.run(plans, options.jobs, failed, bar.update)
     _tell(tallies, failures, total, time.monotonic() - began)
     if failures:
         print(f"failed cases are in {options.out}; read one again with --replay FOLDER")

@@ -66,7 +66,8 @@ def _noise(channels: int, kind: Any = np.uint8) -> NDArray[Any]:
     return np.asarray(mixed * 3).astype(kind)
 
 
-def _profile() -> bytes:
+def profile() -> bytes:
+    """An ICC profile of sRGB."""
     return bytes(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
 
 
@@ -87,7 +88,7 @@ def png() -> Iterator[Seed]:
     """PNG of all colour types, 1 to 16 bits, with profiles, EXIF and text."""
     rgb = Image.fromarray(_noise(3))
     yield _single("png rgb8", _pil(rgb, "PNG"))
-    yield _single("png rgb8 icc exif", _pil(rgb, "PNG", icc_profile=_profile(), exif=_exif()))
+    yield _single("png rgb8 icc exif", _pil(rgb, "PNG", icc_profile=profile(), exif=_exif()))
     yield _single("png rgba8", _pil(Image.fromarray(_noise(4)), "PNG"))
     yield _single("png grey8", _pil(rgb.convert("L"), "PNG"))
     yield _single("png grey alpha", _pil(rgb.convert("LA"), "PNG"))
@@ -112,7 +113,7 @@ def jpeg() -> Iterator[Seed]:
     """JPEG, baseline and progressive, grey, with restarts, a profile and EXIF."""
     rgb = Image.fromarray(np.tile(_noise(3), (4, 2, 1)))
     yield _single("jpg rgb", _pil(rgb, "JPEG", quality=90))
-    yield _single("jpg full colour", _pil(rgb, "JPEG", subsampling=0, icc_profile=_profile()))
+    yield _single("jpg full colour", _pil(rgb, "JPEG", subsampling=0, icc_profile=profile()))
     yield _single("jpg progressive", _pil(rgb, "JPEG", progressive=True, exif=_exif()))
     yield _single("jpg grey", _pil(rgb.convert("L"), "JPEG"))
     yield _single("jpg restarts", _pil(rgb, "JPEG", restart_marker_blocks=2))
@@ -142,7 +143,7 @@ def tiff() -> Iterator[Seed]:
         info = {317: 2} if name == "tiff_lzw" else {}
         data = _pil(image, "TIFF", compression=name, tiffinfo=info)
         yield _single(f"tif {name}", data)
-    exif = _pil(image, "TIFF", icc_profile=_profile(), exif=_exif())
+    exif = _pil(image, "TIFF", icc_profile=profile(), exif=_exif())
     yield _single("tif icc exif", exif)
 
 

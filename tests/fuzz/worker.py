@@ -85,7 +85,7 @@ class Room:
     """Where cases run: limits are set, output is caught, files lie in a folder of their own."""
 
     def __init__(self) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=_fast_folder()))
+        self.folder = self.fast_folder()
         self._readers = {reader.name: reader for reader in READERS}
         self._placed: Mapping[str, bytes] = {}
         self._output = (self.folder / "output").open("w+b")
@@ -96,6 +96,12 @@ class Room:
         logging.getLogger("pbrfit").addHandler(self._log)
         logging.getLogger("pbrfit").propagate = False
         _limit_address_space()
+
+    @staticmethod
+    def fast_folder() -> Path:
+        """A new folder, in memory where that is known how."""
+        memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+        return Path(tempfile.mkdtemp(prefix="fuzz-", dir=memory))
 
     def close(self) -> None:
         """Remove the folder."""
@@ -117,11 +123,11 @@ class Room:
         before = _reset_peak()
         began = time.process_time()
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
-        outcome, problem = _outcome(lambda: self._readers[reader].read(folder, file), folder, file)
+        kind, problem = outcome(lambda: self._readers[reader].read(folder, file), folder, file)
         signal.setitimer(signal.ITIMER_PROF, 0)
         seconds = time.process_time() - began
         growth = _peak() - before
-        tally.outcomes[outcome] += 1
+        tally.outcomes[kind] += 1
         tally.slowest = max(tally.slowest, seconds)
         tally.growth = max(tally.growth, growth)
         bound = declared.bound(case.data)
@@ -159,7 +165,7 @@ class _Kept(logging.Handler):
         return None
 
 
-def _outcome(read: Any, folder: Path, file: Path) -> tuple[str, str | None]:
+def outcome(read: Any, folder: Path, file: Path) -> tuple[str, str | None]:
     """What a reader came to, and what is wrong with that."""
     try:
         read()
@@ -196,10 +202,6 @@ def _where(error: BaseException) -> str:
             place = f"{Path(code.co_filename).name}:{trace.tb_lineno}"
         trace = trace.tb_next
     return place
-
-
-def _fast_folder() -> str | None:
-    return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
 
 def _limit_address_space() -> None:

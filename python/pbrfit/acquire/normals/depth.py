@@ -37,6 +37,10 @@ IN_WORDS: dict[DepthKind, str] = {
 NOTHING = 1e9
 """From here on a depth says that nothing was hit: Blender writes 1e10 there."""
 
+FARTHEST = 1e100
+"""Depths, and disparities, from here on or below its inverse say nothing either: they are lengths
+of nothing, and squares of them overflow."""
+
 FEW = 1024
 """Fewer different depths than this show as steps in the normals."""
 
@@ -178,7 +182,8 @@ def from_depth(
     if kind not in get_args(DepthKind):
         raise InputError(f"depth kind: expected {', '.join(get_args(DepthKind))}, found {kind!r}")
     height, width = depth.shape
-    hit = np.isfinite(depth) & (depth > 0)
+    # Squares of inverses have to be finite too.
+    hit = (depth > 1 / FARTHEST) & (depth < FARTHEST)
     if kind != "disparity":
         hit &= depth < NOTHING
     values = np.where(hit, depth, np.nan).astype(np.float64)

@@ -53,7 +53,8 @@ def from_file(
         if value not in choices:
             raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
     stored = _stored(path)
-    length = np.linalg.norm(stored, axis=-1)
+    with np.errstate(over="ignore"):  # too long to have a length: not known
+        length = np.linalg.norm(stored, axis=-1)
     known = np.isfinite(length) & (length >= MIN_NORMAL_LENGTH)
     if not known.any():
         raise InputError(f"{path}: expected unit vectors, found only zeros or NaN")
