@@ -289,7 +289,7 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
         check_size(path, width, height, EMPTY_PIXELS + held, file_size)
     };
     check(display.size)?;
-    let mut channels = 0;
+    let (mut shown, mut stored) = (0, 0);
     for header in headers {
         if header.shared_attributes.display_window != display {
             return Err(content(
@@ -298,15 +298,17 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
             ));
         }
         check(header.layer_size)?;
-        channels += header.channels.list.len() as u64;
+        // At most 2^28 pixels, and as many channels as a file in memory can list.
+        let channels = header.channels.list.len() as u64;
+        shown += display.size.area() as u64 * channels;
+        stored += header.layer_size.area() as u64 * channels;
         // The table of chunk offsets alone takes 8 bytes a chunk.
         if header.chunk_count as u64 > file_size / 8 {
             let found = format!("{} chunks in {file_size} bytes", header.chunk_count);
             return Err(broken(path, Format::Exr, found));
         }
     }
-    // At most 2^28 pixels, and as many channels as a file in memory can list.
-    let samples = display.size.area() as u64 * channels;
+    let samples = shown.max(stored); // of what is returned, and of what chunks may hold
     if samples > MAX_SAMPLES {
         return Err(content(
             path,

@@ -119,7 +119,7 @@ def _tell(tallies: dict[str, Tally], failures: Counter[str], total: int, seconds
     print(f"{total} cases, {failures.total()} failed, {seconds:.0f} s")
 
 
-_SYSTEM = {error.__name__ for error in (OSError, *OSError.__subclasses__())}
+_SYSTEM = {error.__name__ for error in (OSError, *type.__subclasses__(OSError))}
 
 if __name__ == "__main__":
     sys.exit(main())

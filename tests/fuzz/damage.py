@@ -13,7 +13,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from random import Random
-from typing import Any
+from typing import Any, Literal
 
 Damage = Callable[[Random, bytes], bytes]
 
@@ -68,7 +68,7 @@ def _number(rng: Random, data: bytearray) -> bytearray:
     size = rng.choice((2, 4, 4, 4, 8))
     if len(data) >= size:
         at = _place(rng, len(data) - size + 1)
-        order = rng.choice(("little", "big"))
+        order: Literal["little", "big"] = "little" if rng.random() < 0.5 else "big"
         if rng.random() < 0.5:
             value = rng.choice(INTERESTING)
         else:
@@ -265,7 +265,7 @@ def npy(rng: Random, data: bytes) -> bytes:
     header = text(rng, data[10 : 10 + length])[:65535]
     if rng.random() < 0.5:
         header = re.sub(rb"'<f\d'", rng.choice(_NPY_TYPES), header)
-    return data[:8] + struct.pack("<H", len(header)) + header + data[10 + length :]
+    return data[:8] + struct.pack("<H", min(len(header), 65535)) + header + data[10 + length :]
 
 
 _NPY_TYPES = (b"'|O'", b"'<U9'", b"'<c16'", b"'|V8'", b"'<f2'", b"'<f16'", b"'<i8'", b"'|b1'",

@@ -57,7 +57,7 @@ def _tiff(data: bytes) -> int:
     try:
         (at,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
         (entries,) = struct.unpack_from(order + ("Q" if big else "H"), data, at)
-        sides = {}
+        sides: dict[int, int] = {}
         for k in range(min(entries, 1000)):
             entry = at + (8 + 20 * k if big else 2 + 12 * k)
             tag, kind = struct.unpack_from(order + "HH", data, entry)
@@ -71,11 +71,12 @@ def _tiff(data: bytes) -> int:
 
 
 def _exr(data: bytes) -> tuple[int, int]:
-    window = re.search(rb"displayWindow\0box2i\0\x10\0\0\0(.{16})", data, re.DOTALL)
-    if window is None:
-        return 0, 0
-    left, top, right, bottom = struct.unpack("<4i", window[1])
-    pixels = (abs(right - left) + 1) * (abs(bottom - top) + 1)
+    pixels = 0
+    for window in re.finditer(
+        rb"(?:display|data)Window\0box2i\0\x10\0\0\0(.{16})", data, re.DOTALL
+    ):
+        left, top, right, bottom = struct.unpack("<4i", window[1])
+        pixels = max(pixels, (abs(right - left) + 1) * (abs(bottom - top) + 1))
     channels = 0
     for found in re.finditer(rb"channels\0chlist\0(.{4})", data, re.DOTALL):
         # A channel takes 18 bytes or more.
