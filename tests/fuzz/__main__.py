@@ -107,19 +107,13 @@ def _tell(tallies: dict[str, Tally], failures: Counter[str], total: int, seconds
     for name, tally in tallies.items():
         cases = tally.outcomes.total()
         answers = tally.outcomes["answer"]
-        refused = sum(
-            count
-            for kind, count in tally.outcomes.items()
-            if kind == "InputError" or (kind.endswith("Error") and kind in _SYSTEM)
-        )
+        refused = tally.outcomes["refused"]
         print(
             f"{name:10}{cases:9}{answers:9}{refused:9}{failures[name]:8}"
             f"{tally.slowest:8.2f} s{tally.growth >> 20:10} MiB{tally.share_of_bound:13.0%}"
         )
     print(f"{total} cases, {failures.total()} failed, {seconds:.0f} s")
 
-
-_SYSTEM = {error.__name__ for error in (OSError, *type.__subclasses__(OSError))}
 
 if __name__ == "__main__":
     sys.exit(main())

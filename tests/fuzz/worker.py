@@ -175,8 +175,8 @@ def outcome(read: Any, folder: Path, file: Path) -> tuple[str, str | None]:
         if wrong is None and file.name not in message and str(folder) not in message:
             wrong = "does not name the file"
         if wrong is None:
-            return type(error).__name__, None
-        return type(error).__name__, f"message {wrong}: {type(error).__name__}: {message[:500]!r}"
+            return "refused", None
+        return "refused", f"message {wrong}: {type(error).__name__}: {message[:500]!r}"
     except AssertionError as error:
         return "wrong answer", f"wrong answer: {error or _where(error)}"
     except BaseException as error:

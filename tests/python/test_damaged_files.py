@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
 from pbrfit import InputError, Result, decompose, images, scene_folder
@@ -97,18 +97,27 @@ def test_what_a_few_bytes_cannot_hold_is_refused(
 def test_channels_that_a_few_bytes_cannot_hold_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
     plane = np.zeros((2, 2), np.float32)
-    images.write_exr(path, {f"c{k:03}": plane for k in range(99)})
+    images.write_exr(path, {f"c{k:03}": plane for k in range(20)})
     data = path.read_bytes()
     for window in (b"displayWindow", b"dataWindow"):
         at = data.index(window + b"\0box2i\0") + len(window) + 7 + 4 + 8
         path.write_bytes(data[:at] + struct.pack("<2i", 4095, 4095) + data[at + 8 :])
-        refused(images.read_channels, path, "samples in")
+        refused(images.read_channels, path, "samples in|chunk count")
     # An empty frame around a small crop is no deceit.
     images.write_exr(path, {"Y": plane})
     data = path.read_bytes()
     at = data.index(b"displayWindow\0box2i\0") + 20 + 4 + 8
     path.write_bytes(data[:at] + struct.pack("<2i", 4095, 2047) + data[at + 8 :])
     assert images.read_channels(path)["Y"].shape == (2048, 4096)
+
+
+def test_a_curve_beyond_all_light_is_refused(tmp_path: Path) -> None:
+    profile = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    at = profile.index(b"para") + 12  # behind its kind: the exponent, then the slope
+    profile[at + 4 : at + 8] = struct.pack(">i", 2**31 - 1)
+    profile[at : at + 4] = struct.pack(">i", 20 << 16)
+    Image.new("RGB", (2, 2)).save(tmp_path / "a.png", icc_profile=bytes(profile))
+    refused(images.read_picture, tmp_path / "a.png", "without a usable tone curve")
 
 
 def test_names_in_files_do_not_break_lines(tmp_path: Path) -> None:
