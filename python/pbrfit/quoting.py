@@ -26,7 +26,8 @@ def shown(text: object) -> str:
 
 def quoted(value: object) -> str:
     """A value as Python writes it, cut short in the middle."""
-    return _short.repr(value)
+    words = _short.repr(value)
+    return words if len(words) <= LONGEST else words[:LONGEST] + "…"
 
 
 def listed(names: Iterable[str]) -> str:

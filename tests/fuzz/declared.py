@@ -14,17 +14,19 @@ import struct
 CONSTANT = 96 << 20
 PER_BYTE = 64
 PER_PIXEL = 96
+PER_MAP_PIXEL = 512
+"""The same where normals are made of a map of depth."""
 PER_SAMPLE = 24
 
 MOST_PIXELS = 1 << 28
 
 
-def bound(data: bytes) -> int:
+def bound(data: bytes, per_pixel: int) -> int:
     """Bytes of memory that reading a file of this content may take at its peak."""
     pixels, samples = _declared(data)
     if not 0 < pixels <= MOST_PIXELS:
         pixels = samples = 0
-    return CONSTANT + PER_BYTE * len(data) + PER_PIXEL * pixels + PER_SAMPLE * samples
+    return CONSTANT + PER_BYTE * len(data) + per_pixel * pixels + PER_SAMPLE * samples
 
 
 def _declared(data: bytes) -> tuple[int, int]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzz import crafted, damage, seeds
+from fuzz import crafted, damage, declared, seeds
 from fuzz.seeds import Seed
 from fuzz.task import TASK, work
 from pbrfit import images, panorama, scene_folder
@@ -53,6 +53,8 @@ class Reader:
         Files made to deceive, beside those that damage makes.
     crafted_suffix
         They take the place of the first target with this suffix; empty = of the first target.
+    per_pixel
+        Bytes of memory that are allowed for a pixel.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Reader:
     read: Callable[[Path, Path], None]
     crafted: Callable[[], Iterator[tuple[str, bytes]]] = lambda: iter(())
     crafted_suffix: str = ""
+    per_pixel: int = declared.PER_PIXEL
 
 
 def damage_of(seed: Seed) -> damage.Damage:
@@ -275,7 +278,7 @@ READERS = (
     Reader("tiff", 16, seeds.tiff, _picture, crafted.tiff),
     Reader("hdr", 6, seeds.hdr, _picture, crafted.hdr),
     Reader("exr", 22, seeds.exr, _picture, crafted.exr),
-    Reader("maps", 6, seeds.normals, _map, crafted.npy, ".npy"),
+    Reader("maps", 6, seeds.normals, _map, crafted.npy, ".npy", declared.PER_MAP_PIXEL),
     Reader("scene", 12, seeds.scene_folder, _scene),
     Reader("result", 12, seeds.result_folder, _result),
     Reader("prompts", 4, seeds.prompts, _prompts),

@@ -130,7 +130,7 @@ class Room:
         tally.outcomes[kind] += 1
         tally.slowest = max(tally.slowest, seconds)
         tally.growth = max(tally.growth, growth)
-        bound = declared.bound(case.data)
+        bound = declared.bound(case.data, self._readers[reader].per_pixel)
         tally.share_of_bound = max(tally.share_of_bound, growth / bound)
         if problem is None and growth > bound:
             problem = f"memory: {growth >> 20} MiB, where {bound >> 20} MiB are allowed"

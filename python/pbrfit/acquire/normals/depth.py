@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit import geometry, images
 from pbrfit._core import InputError
-from pbrfit.acquire.normals.maps import fit_to_size, read_npy
+from pbrfit.acquire.normals.maps import check_reducible, fit_to_size, read_npy
 from pbrfit.quoting import listed
 
 log = logging.getLogger("pbrfit")
@@ -86,6 +86,8 @@ def from_file(
         If the file holds no depth, or of another proportion.
     """
     depth = read_depth(path)
+    if depth.shape != size:
+        check_reducible(path, depth.shape, size)  # before any work is done on it
     try:
         found = from_depth(depth, fov=fov, kind=kind, view_width=view_width)
     except InputError as error:

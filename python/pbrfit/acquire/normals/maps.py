@@ -95,5 +95,7 @@ def read_npy(path: Path) -> NDArray[np.float64]:
         raise InputError(f"{path}: {expected}, found {shown(error)}") from None
     if array.dtype.kind not in "uif":
         raise InputError(f"{path}: {expected}, found {array.dtype}")
+    if array.size == 0:
+        raise InputError(f"{path}: {expected}, found an empty one, of shape {array.shape}")
     with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
         return np.array(array, np.float64)
