@@ -105,6 +105,6 @@ class History:
 def _number(column: str, entry: str) -> Any:
     """Of a column; ValueError if it is none. Errors may be NaN, which stands for unknown."""
     value = _NUMBERS[column](entry)
-    if abs(value) <= MOST or (math.isnan(value) and column not in WITHOUT_TRUTH):
+    if abs(value) <= MOST or (value != value and column not in WITHOUT_TRUTH):
         return value
     raise ValueError(f"{entry} under {column}")

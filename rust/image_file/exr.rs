@@ -9,6 +9,7 @@ use ::exr::block::chunk::{Chunk, CompressedBlock};
 use ::exr::block::lines::LineRef;
 use ::exr::block::reader::Reader;
 use ::exr::compression::Compression;
+use ::exr::meta::BlockDescription;
 use ::exr::meta::attribute::{Chromaticities, IntegerBounds, SampleType, Text};
 use ::exr::meta::header::Header;
 use ::exr::prelude::{
@@ -29,6 +30,9 @@ const EMPTY_PIXELS: u64 = 1 << 24;
 
 /// The same for samples, over all channels: 256 MiB as float.
 const EMPTY_SAMPLES: u64 = 1 << 26;
+
+/// Most pixels of a tile that is larger than the picture.
+const LARGEST_TILE: u64 = 1 << 22;
 
 /// Most samples in one byte of a file. All compressions but DWA end in deflated
 /// or run-length data of what is 2 bytes or more a sample. In DWA one colour takes
@@ -301,7 +305,12 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
         // At most 2^28 pixels, and as many channels as a file in memory can list.
         let channels = header.channels.list.len() as u64;
         shown += display.size.area() as u64 * channels;
-        stored += header.layer_size.area() as u64 * channels;
+        let block = largest_block(header);
+        if block > LARGEST_TILE.max(header.layer_size.area() as u64) {
+            let found = format!("tiles of {block} pixels");
+            return Err(broken(path, Format::Exr, found));
+        }
+        stored += block.max(header.layer_size.area() as u64) * channels;
         // The table of chunk offsets alone takes 8 bytes a chunk.
         if header.chunk_count as u64 > file_size / 8 {
             let found = format!("{} chunks in {file_size} bytes", header.chunk_count);
@@ -324,6 +333,17 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
     }
     check_memory(path, 4 * samples)?;
     Ok(display)
+}
+
+/// Pixels of a tile, which the decoder takes memory for even where the picture is
+/// smaller; 0 for scan lines.
+fn largest_block(header: &Header) -> u64 {
+    match header.blocks {
+        BlockDescription::Tiles(tiles) => {
+            (tiles.tile_size.x() as u64).saturating_mul(tiles.tile_size.y() as u64)
+        }
+        BlockDescription::ScanLines => 0,
+    }
 }
 
 fn samples_in_a_byte(header: &Header) -> u64 {

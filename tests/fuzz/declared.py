@@ -79,6 +79,9 @@ def _exr(data: bytes) -> tuple[int, int]:
     ):
         left, top, right, bottom = struct.unpack("<4i", window[1])
         pixels = max(pixels, (abs(right - left) + 1) * (abs(bottom - top) + 1))
+    for tile in re.finditer(rb"tiledesc\0\x09\0\0\0(.{8})", data, re.DOTALL):
+        width, height = struct.unpack("<2I", tile[1])
+        pixels = max(pixels, width * height if width * height <= 1 << 22 else 0)
     channels = 0
     for found in re.finditer(rb"channels\0chlist\0(.{4})", data, re.DOTALL):
         # A channel takes 18 bytes or more.

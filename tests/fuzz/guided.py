@@ -44,7 +44,8 @@ for what is Python around the decoders: panoramas, EXIF, profiles."""
 RUST = {"exr": ("exr",), "raster": ("png", "jpeg", "tiff", "hdr"), "icc": ()}
 """Programs of `rust/`, and the readers whose sound files they begin with."""
 
-LIMITS = ("-timeout=5", "-rss_limit_mb=3000", "-print_final_stats=1", "-verbosity=1")
+# libFuzzer's clock is that of the wall, so a busy machine needs more than the 5 s of `worker`.
+LIMITS = ("-timeout=20", "-rss_limit_mb=3000", "-print_final_stats=1", "-verbosity=1")
 
 
 @dataclass(frozen=True)

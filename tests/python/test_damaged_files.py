@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
@@ -111,6 +112,20 @@ def test_channels_that_a_few_bytes_cannot_hold_are_refused(tmp_path: Path) -> No
     assert images.read_channels(path)["Y"].shape == (2048, 4096)
 
 
+def test_tiles_that_are_far_larger_than_the_picture_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    tiles = OpenEXR.TileDescription()
+    tiles.xSize = tiles.ySize = 16
+    header = {"type": OpenEXR.tiledimage, "tiles": tiles}
+    OpenEXR.File(header, {"Y": np.ones((8, 8), np.float32)}).write(str(path))
+    data = path.read_bytes()
+    at = data.index(b"tiledesc\0") + 9 + 4
+    path.write_bytes(data[:at] + struct.pack("<2I", 1 << 20, 16) + data[at + 8 :])
+    refused(images.read_channels, path, "tiles of 16777216 pixels")
+    path.write_bytes(data[:at] + struct.pack("<2I", 2048, 2048) + data[at + 8 :])
+    assert images.read_channels(path)["Y"].shape == (8, 8)
+
+
 def test_a_curve_beyond_all_light_is_refused(tmp_path: Path) -> None:
     profile = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
     at = profile.index(b"para") + 12  # behind its kind: the exponent, then the slope
@@ -185,6 +200,8 @@ def test_a_history_is_of_finite_numbers(tmp_path: Path, entry: str) -> None:
     path = tmp_path / "history.csv"
     path.write_text(f"elapsed_s,iteration,evaluations,loss,recon_rmse\n0,0,1,{entry},0\n")
     refused(History.load, path, f"{entry} under loss")
+    path.write_text(f"elapsed_s,iteration,evaluations,loss,recon_rmse\n0,{'9' * 400},1,1,0\n")
+    refused(History.load, path, "found: 9999")
     path.write_text('"a\nb"\n')
     refused(History.load, path, r"columns a\\nb")
 

@@ -240,6 +240,7 @@ def _orphan(path: Path) -> Iterator[tuple[object, Entry]]:
     data = path.read_bytes()
     try:
         with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about what else is wrong with it
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data)) as picture:
                 content = json.loads(picture.info[TEXT])
