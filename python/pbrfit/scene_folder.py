@@ -53,6 +53,9 @@ HOW_TO_GET_NORMALS = (
 MAX_ID = 65535
 """Of a segment, as a picture of 16 bits holds it."""
 
+LONGEST_NAME = 250
+"""Bytes of a picture's name without its suffix; file systems take 255 with it."""
+
 _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
 
@@ -631,6 +634,11 @@ def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> 
     held_out = Lighting.load(relight / "lighting.json")
     pictures = []
     for name in held_out.pictures:
+        if not name or set(name) & set("/\\\0") or len(name.encode()) > LONGEST_NAME:
+            raise InputError(
+                f"{relight / 'lighting.json'}: expected names of pictures beside it, "
+                f"found {quoted(name)}"
+            )
         path = relight / f"{name}.exr"
         pictures.append(images.read_picture(path).pixels)
         _expect_size(path, pictures[-1].shape[:2], size)

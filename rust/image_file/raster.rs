@@ -293,6 +293,9 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
         }
         error => broken(path, Format::Tiff, error),
     };
+    if longest_tiff_text(bytes) > bytes.len() as u64 {
+        return Err(broken(path, Format::Tiff, "a text longer than the file"));
+    }
     let mut limits = tiff::decoder::Limits::default();
     limits.decoding_buffer_size = MAX_PIXELS as usize * 16; // RGBA in float
     limits.intermediate_buffer_size = limits.decoding_buffer_size;
@@ -367,6 +370,39 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
             .unwrap_or(1),
         ignored: None,
     })
+}
+
+/// Longest text that the first directory of a TIFF tells of (TIFF 6.0, section 2;
+/// BigTIFF has 8 bytes where TIFF has 4). The decoder of `tiff` 0.11 takes memory
+/// for texts of up to 4 GiB before it reads them, and prints a line about longer
+/// ones.
+fn longest_tiff_text(bytes: &[u8]) -> u64 {
+    const ASCII: u64 = 2;
+    let little = bytes.starts_with(b"II");
+    let big = matches!(bytes.get(2..4), Some([0x2b, 0] | [0, 0x2b]));
+    let number = |at: u64, size: u64| {
+        let range = usize::try_from(at).ok()?..usize::try_from(at.checked_add(size)?).ok()?;
+        let digits = bytes.get(range)?.iter();
+        let join = |number: u64, &digit: &u8| number << 8 | u64::from(digit);
+        Some(match little {
+            true => digits.rev().fold(0, join),
+            false => digits.fold(0, join),
+        })
+    };
+    let (start, count_size, entry_size, word) = if big { (8, 8, 20, 8) } else { (4, 2, 12, 4) };
+    let longest = || {
+        let directory = number(start, word)?;
+        let entries = number(directory, count_size)?;
+        let mut longest = 0;
+        for entry in 0..entries.min(bytes.len() as u64 / entry_size) {
+            let at = directory + count_size + entry * entry_size;
+            if number(at + 2, 2)? == ASCII {
+                longest = longest.max(number(at + 4, word)?);
+            }
+        }
+        Some(longest)
+    };
+    longest().unwrap_or(0) // a directory that is cut off is the decoder's to refuse
 }
 
 /// Planes stored one after another become interleaved samples.

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
+import tifffile
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
-from pbrfit import InputError, Result, decompose, images, scene_folder
+from pbrfit import InputError, Result, Scene, decompose, images, scene_folder
 from pbrfit.acquire import journal
 from pbrfit.acquire.normals.depth import from_depth
 from pbrfit.acquire.normals.maps import read_npy
@@ -110,6 +111,18 @@ def test_channels_that_a_few_bytes_cannot_hold_are_refused(tmp_path: Path) -> No
     at = data.index(b"displayWindow\0box2i\0") + 20 + 4 + 8
     path.write_bytes(data[:at] + struct.pack("<2i", 4095, 2047) + data[at + 8 :])
     assert images.read_channels(path)["Y"].shape == (2048, 4096)
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_a_text_longer_than_its_file_is_refused(tmp_path: Path, big: bool) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.zeros((4, 4), np.uint8), bigtiff=big, description="words " * 9)
+    assert images.read_data(path).shape == (4, 4, 1)
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<2H", 270, 2)) + 4
+    data[at : at + 4] = struct.pack("<I", 2**32 - 1)
+    path.write_bytes(data)
+    refused(images.read_data, path, "a text longer than the file")
 
 
 def test_tiles_that_are_far_larger_than_the_picture_are_refused(tmp_path: Path) -> None:
@@ -264,6 +277,15 @@ def test_a_result_with_maps_that_are_not_finite_is_refused(result: Path) -> None
     images.write_exr(path, sound | {"mask.Y": np.zeros_like(sound["mask.Y"])})
     with pytest.raises(InputError, match=r"some pixel with mask\.Y"):
         Result.load(result)
+
+
+@pytest.mark.parametrize("name", ["x" * 10_000, "../relight_00", "", "a\0"])
+def test_held_out_pictures_lie_beside_their_lights(tmp_path: Path, name: str) -> None:
+    make_scene("room", size=8, lights=3, held_out=1).save(tmp_path / "scene")
+    path = tmp_path / "scene" / "truth" / "relight" / "lighting.json"
+    content = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(content | {"pictures": [name]}), encoding="utf-8")
+    refused(lambda _: Scene.load(tmp_path / "scene"), path, "names of pictures beside it")
 
 
 def npy(kind: str, shape: str, body: bytes = bytes(64)) -> bytes:
