@@ -5,6 +5,12 @@
 #   (5 GB); they download no weights
 # make test-fuzz: 100,000 damaged files, and inputs led by coverage, in .venv-fuzz; needs a C++ compiler
 #   (FUZZ_CASES, FUZZ_SECONDS for each target that is led, FUZZ_SEED, FUZZ_JOBS)
+# make test-cluster: the tests that need dask.distributed, in .venv-cluster; schedulers and workers are
+#   processes of this machine
+# make test-arrays: any arrays for any argument, EXAMPLES of them for each call, others in each run
+# make test-limits: Ctrl-C at random times of every command on a large scene; how long a fit goes on
+#   between two looks at its clock (an hour)
+# make test-soak: 500 small scenes in one process and in a pool: memory, open files, what is left
 # make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
@@ -14,6 +20,7 @@ PEERS := .venv-peers
 CYCLES := .venv-cycles
 ACQUIRE := .venv-acquire
 FUZZ := .venv-fuzz
+CLUSTER := .venv-cluster
 CYCLES_PYTHON ?= python3.11
 CYCLES_NEEDS := python/pbrfit/synthetic/cycles/requirements.txt
 SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find rust -name '*.rs')
@@ -29,8 +36,10 @@ FUZZ_JOBS ?= 2
 # LLVM counts covered branches and compared values for libFuzzer.
 FUZZ_LLVM := -coverage-level=4 -coverage-inline-8bit-counters -coverage-pc-table -coverage-trace-compares
 FUZZ_FLAGS := -Cpasses=sancov-module $(patsubst -%,-Cllvm-args=-sanitizer-%,$(FUZZ_LLVM)) --cfg fuzzing
+# of test-arrays
+EXAMPLES ?= 2000
 
-.PHONY: demo test test-acquire test-fuzz lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak test-fuzz lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -45,6 +54,19 @@ test-acquire: $(ACQUIRE)/installed
 test-fuzz: $(FUZZ)/installed target/fuzz/built
 	PYTHONPATH=tests $(FUZZ)/bin/python -m fuzz --cases $(FUZZ_CASES) --seed $(FUZZ_SEED) --jobs $(FUZZ_JOBS)
 	PYTHONPATH=tests $(FUZZ)/bin/python -m fuzz.guided --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS)
+
+test-cluster: $(CLUSTER)/installed
+	$(CLUSTER)/bin/pytest tests/cluster
+test-arrays: $(VENV)/tools
+	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/test_array_interface.py
+
+test-limits: $(VENV)/tools
+	$(BIN)/python tests/limits/interrupts.py
+	$(BIN)/python tests/limits/time_limit.py
+
+test-soak: $(VENV)/tools
+	$(BIN)/python tests/soak/soak.py
+	$(BIN)/python tests/soak/soak.py --jobs 2
 
 lint: $(VENV)/tools
 	cargo fmt --check
@@ -75,7 +97,7 @@ wheel: $(VENV)/tools
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) $(FUZZ) target dist out
+	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) $(CLUSTER) $(FUZZ) target dist out
 
 $(VENV)/installed: $(SOURCES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pbrfit needs Python 3.11 or later; set PYTHON=...")'
@@ -115,6 +137,10 @@ $(FUZZ)/installed: $(SOURCES)
 target/fuzz/built: $(SOURCES) $(wildcard tests/fuzz/rust/Cargo.* tests/fuzz/rust/targets/*.rs)
 	RUSTFLAGS='$(FUZZ_FLAGS)' cargo build --release --manifest-path tests/fuzz/rust/Cargo.toml \
 		--target-dir target/fuzz --target $$(rustc -vV | sed -n 's/^host: //p')
+
+$(CLUSTER)/installed: $(SOURCES)
+	test -d $(CLUSTER) || $(PYTHON) -m venv $(CLUSTER)
+	$(CLUSTER)/bin/pip install --quiet --editable '.[test,cluster]'
 	touch $@
 
 $(CYCLES)/installed: $(CYCLES_NEEDS)

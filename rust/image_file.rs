@@ -25,6 +25,7 @@ pub use self::raster::{
     PngSamples, PngTag, Raster, Samples, decode_raster, encode_png, read_raster, write_png,
 };
 
+use crate::ending::{self, Unfinished};
 use crate::{Error, Result};
 
 /// Largest accepted picture, in pixels: 16384 by 16384.
@@ -195,6 +196,10 @@ fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
     let name = OsString::from(format!(".pbrfit-{}-{unique}.tmp", std::process::id()));
     let temporary: PathBuf = path.with_file_name(name);
+    let noted = ending::unfinished(Unfinished {
+        temporary: temporary.clone(),
+        ..Unfinished::default()
+    });
     let write = || {
         let mut file = File::options()
             .write(true)
@@ -204,11 +209,13 @@ fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
         drop(file);
         fs::rename(&temporary, path)
     };
-    write().map_err(|source| {
+    let written = write().map_err(|source| {
         let _ = fs::remove_file(&temporary); // the first error is the one to report
         Error::Io {
             path: path.to_owned(),
             source,
         }
-    })
+    });
+    ending::finished(noted);
+    written
 }

@@ -36,6 +36,8 @@ pub mod block;
 mod check;
 mod descent;
 pub mod directional;
+#[cfg_attr(not(all(unix, feature = "python")), expect(dead_code))] // nobody ends
+mod ending;
 pub mod error;
 mod evaluate;
 pub mod ggx;

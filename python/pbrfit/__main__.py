@@ -1,7 +1,5 @@
 """`python -m pbrfit`."""
 
-import sys
+from pbrfit.cli import run
 
-from pbrfit.cli import main
-
-sys.exit(main())
+run()

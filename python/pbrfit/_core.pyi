@@ -14,17 +14,23 @@ __all__ = [
     "Neighbours",
     "Problem",
     "Raster",
+    "allow_end",
     "decode_exr",
     "decode_icc",
     "decode_raster",
     "encode_png",
+    "end_when_told",
+    "finished",
     "ggx_band_weights",
+    "hold_end",
     "image_format",
+    "last_word",
     "render",
     "render_directional",
     "sh_basis",
     "shade",
     "shade_vjp",
+    "unfinished",
     "write_exr",
     "write_png",
 ]
@@ -358,3 +364,13 @@ def write_exr(
 ) -> None: ...
 def write_png(path: str | PathLike[str], image: NDArray[Any], tag: str | None) -> None: ...
 def encode_png(image: NDArray[Any], tag: str | None) -> bytes: ...
+def unfinished(
+    temporary: str | PathLike[str],
+    aside: tuple[str | PathLike[str], str | PathLike[str]] | None = None,
+    parents: Sequence[str | PathLike[str]] = ...,
+) -> int: ...
+def finished(number: int) -> None: ...
+def hold_end() -> None: ...
+def allow_end() -> None: ...
+def last_word() -> bool: ...
+def end_when_told(grace: float, word: str) -> int | None: ...

@@ -177,13 +177,26 @@ def number(text: str) -> float:
     return value
 
 
-def progress_bar(total: int, *, quiet: bool, unit: str = "it", name: str | None = None) -> Any:
+def progress_bar(
+    total: int,
+    *,
+    quiet: bool,
+    unit: str = "it",
+    name: str | None = None,
+    leave: bool = True,
+    smoothing: float = 0.3,
+) -> Any:
     """Make a `tqdm` bar on stderr; none where that is no terminal, or `quiet` is asked for."""
     from tqdm import tqdm
 
-    # disable=None: only where stderr is a terminal.
     return tqdm(
-        total=total, desc=name, unit=unit, disable=True if quiet else None, dynamic_ncols=True
+        total=total,
+        desc=name,
+        unit=unit,
+        leave=leave,
+        smoothing=smoothing,
+        disable=True if quiet else None,  # None: only where stderr is a terminal
+        dynamic_ncols=True,
     )
 
 

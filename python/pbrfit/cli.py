@@ -5,15 +5,14 @@ from __future__ import annotations
 import argparse
 import io
 import logging
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Any, NoReturn
 
-from pbrfit._core import InputError
+from pbrfit import ending
+from pbrfit._core import InputError, last_word
 from pbrfit.arguments import (
     INTERRUPTED,
     UNUSABLE,
@@ -24,39 +23,41 @@ from pbrfit.arguments import (
 from pbrfit.commands import add_commands
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 unusable input."""
+def run() -> NoReturn:
+    """Be the process of a command: it ends within a second of Ctrl-C, whatever it is doing."""
+    ending.watch()
+    sys.exit(main(watched=True))
+
+
+def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> int:
+    """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 unusable input.
+
+    `watched` is True in a process that `ending.watch` was called in.
+    """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that lacks a sign: no reason
     given = sys.argv[1:] if arguments is None else arguments
     options = _parser().parse_args(with_signed_values(given))
+    unwinding = ending.unwinding_when_told(watched=watched)
     try:
-        with _logging_to_stderr(quiet=getattr(options, "quiet", False)), _ending_when_told():
+        with _logging_to_stderr(quiet=getattr(options, "quiet", False)), unwinding:
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
     except (InputError, OSError, MemoryError) as error:
-        complain(message_of(error))
+        _end_with(message_of(error), watched=watched)
         return UNUSABLE
     except KeyboardInterrupt as interrupt:
-        complain(str(interrupt) or "interrupted; no unfinished result was left behind")
+        _end_with(str(interrupt) or ending.WORD, watched=watched)
         return INTERRUPTED
+    except ending.Terminated:
+        _end_with(ending.WORD, watched=watched)
+        raise
 
 
-@contextmanager
-def _ending_when_told() -> Iterator[None]:
-    """Let SIGTERM unwind the stack as Ctrl-C does, so that nothing half written stays behind."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread is told
-        return
-
-    def end(number: int, _frame: object) -> NoReturn:
-        sys.exit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+def _end_with(message: str, *, watched: bool) -> None:
+    """Complain, unless the watcher has said why."""
+    if not watched or last_word():
+        complain(message)
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
@@ -106,4 +107,4 @@ def _logging_to_stderr(*, quiet: bool) -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -13,12 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.checks import real_number
 
 DIAGONAL_35MM = math.hypot(36.0, 24.0)
 """Diagonal in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
 
 
-def view_directions(height: int, width: int, fov: float) -> NDArray[np.float64]:
+def view_directions(
+    height: int,
+    width: int,
+    fov: float,
+    rows: slice = slice(None),
+    columns: slice = slice(None),
+) -> NDArray[np.float64]:
     """Unit vectors from the surface seen in each pixel to the camera.
 
     Parameters
@@ -27,10 +34,13 @@ def view_directions(height: int, width: int, fov: float) -> NDArray[np.float64]:
         Size of the picture in pixels.
     fov
         Horizontal field of view in degrees, 0 <= fov < 180; 0 is orthographic.
+    rows, columns
+        Which of the picture's pixels are wanted.
 
     Returns
     -------
-    (height, width, 3) float64, camera space. The ray through a pixel's centre runs along -v.
+    (height, width, 3) float64, camera space, or as many rows and columns as are wanted. The ray
+    through a pixel's centre runs along -v.
 
     Raises
     ------
@@ -39,9 +49,9 @@ def view_directions(height: int, width: int, fov: float) -> NDArray[np.float64]:
     """
     check_fov(fov)
     half_width = math.tan(math.radians(fov) / 2)
-    x = (2 * np.arange(width) + 1 - width) / width * half_width
-    y = (height - 1 - 2 * np.arange(height)) / width * half_width
-    view = np.empty((height, width, 3))
+    x = ((2 * np.arange(width) + 1 - width) / width * half_width)[columns]
+    y = ((height - 1 - 2 * np.arange(height)) / width * half_width)[rows]
+    view = np.empty((len(y), len(x), 3))
     view[..., 0] = -x
     view[..., 1] = -y[:, None]
     view[..., 2] = 1.0
@@ -51,7 +61,7 @@ def view_directions(height: int, width: int, fov: float) -> NDArray[np.float64]:
 
 def check_fov(fov: float) -> None:
     """Raise InputError unless 0 <= fov < 180."""
-    if not 0 <= fov < 180:
+    if not 0 <= real_number("fov", fov, "degrees in [0, 180)") < 180:
         raise InputError(f"fov: expected degrees in [0, 180), found {fov}")
 
 

@@ -17,15 +17,23 @@ def _needed(scene: Scene, layout: Layout) -> str:
     """Memory that `decompose` needs at its peak, beside the interpreter and its libraries."""
     refinable = hindrance(scene) is None
     of_solver = {
-        solver: memory.of_fit(scene, layout, solver, refine_normals=refinable)
+        solver: memory.plan(
+            layout,
+            solver,
+            held=memory.bytes_of(scene),
+            exact=scene.images.dtype != np.float32,
+            refine_normals=refinable,
+            optional=True,
+        )
         for solver in memory.METHODS
     }
     found = "; ".join(
-        f"about {memory.size(needed.peak)} for solver {solver}"
-        for solver, needed in of_solver.items()
+        f"about {memory.size(way.needed.peak)} for solver {solver}"
+        f"{', in tiles' if way.tiled else ''}"
+        for solver, way in of_solver.items()
     )
-    if refinable:
-        found += f"; {memory.size(of_solver['auto'].refining)} less with normals held"
+    if of_solver["auto"].needed.refining:
+        found += f"; {memory.size(of_solver['auto'].needed.refining)} less with normals held"
     return found
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.lazy import lazy
 from pbrfit.scene import Scene
-from pbrfit.segments import consecutive_labels
 
 ORDER_2 = 9
 """Coefficients of a light of order 2; those from here on are band 3."""
@@ -74,9 +74,7 @@ class Layout:
         channels = 1 if scene.grey else 3
         if scene.lighting is not None and not scene.lighting[:, ORDER_2:].any():
             sh_order = 2
-        segments, count = None, 0
-        if scene.segments is not None:
-            segments, count = consecutive_labels(scene.segments[scene.valid])
+        segments, count = scene.labels or (None, 0)
         return cls(
             valid=scene.valid,
             segments=segments,
@@ -87,7 +85,7 @@ class Layout:
             light_channels=1 if mono_light else channels,
             metallic_known=metallic_known,
             lighting_known=scene.lighting is not None,
-            weighted=_different(scene.weights, scene.valid),
+            weighted=scene.weighted,
             free_normals=free_normals,
         )
 
@@ -96,7 +94,7 @@ class Layout:
         """P, the number of valid pixels."""
         return int(np.count_nonzero(self.valid))
 
-    def whole(self, values: NDArray[np.float64], fill: float = np.nan) -> NDArray[np.float64]:
+    def whole(self, values: NDArray[np.floating[Any]], fill: float = np.nan) -> NDArray[np.float64]:
         """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
         found = np.full(self.valid.shape + values.shape[1:], fill)
         found[self.valid] = values
@@ -154,10 +152,3 @@ class Layout:
     def size(self) -> int:
         """Length of x."""
         return int((self.lighting or self.maps).stop)
-
-
-def _different(weights: NDArray[np.float32] | None, valid: NDArray[np.bool_]) -> bool:
-    if weights is None:
-        return False
-    first = weights[0][valid][0]
-    return any((of_picture[valid] != first).any() for of_picture in weights)

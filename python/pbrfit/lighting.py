@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
+from pbrfit.checks import of_what, real_array, real_number
 from pbrfit.json_files import UNFIT, read_json, table, texts, unfit
 from pbrfit.model import sh_basis
 from pbrfit.quoting import quoted, shown
@@ -105,13 +107,24 @@ def rotated(coefficients: ArrayLike, degrees: float) -> NDArray[np.float64]:
 
         Y(d) L' = Y(R⁻¹ d) L   ⇒   L' = Y(d)⁺ Y(R⁻¹ d) L.
     """
-    light = np.asarray(coefficients, dtype=np.float64)
-    angle = np.radians(degrees)
+    light = real_array("coefficients", coefficients)
+    if light.shape[-2:] != (16, 3) or not np.isfinite(light).all():
+        raise InputError(
+            f"coefficients: expected finite lights (..., 16, 3), found {of_what(light)}"
+        )
+    turn = real_number("degrees", degrees)
+    if not math.isfinite(turn):
+        raise InputError(f"degrees: expected a finite number, found {degrees}")
+    angle = math.radians(math.remainder(turn, 360))
     back = np.array(
         [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
     )
     rotation = np.linalg.pinv(sh_basis(_SPREAD)) @ sh_basis(_SPREAD @ back.T)
-    return np.asarray(rotation @ light)
+    with np.errstate(over="ignore", invalid="ignore"):
+        turned = np.asarray(rotation @ light)
+    if not np.isfinite(turned).all():
+        raise InputError("coefficients: expected lights that float64 can hold when turned")
+    return turned
 
 
 def _spread_directions(count: int) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ joint Gauss-Newton steps (`pulled_steps`), and then applied to all.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,10 +114,13 @@ class MaterialPull:
 
     def shifted(self, x: Array) -> Array:
         """Where pixels are pulled, with the best offsets for x: c + δ, (P, F)."""
+        return np.asarray(self._pull.centre + self.offsets(x)[self._pull.cluster])
+
+    def offsets(self, x: Array) -> Array:
+        """The best offsets for x, δ: (clusters, F)."""
         pull = self._pull
         off = np.stack([x[block] for block in self._blocks], axis=-1) - pull.centre
-        offsets = pull.sums(pull.precision * off) / ((1 + OFFSET_PULL) * self._totals)
-        return np.asarray(pull.centre + offsets[pull.cluster])
+        return pull.sums(pull.precision * off) / ((1 + OFFSET_PULL) * self._totals)
 
     @property
     def precision(self) -> Array:
@@ -139,13 +142,111 @@ class MaterialPull:
         return self._factor * total
 
 
+class HeldPull:
+    """A pull of every pixel towards a place of its own, Σ a (v − c)², that nothing moves.
+
+    Parameters
+    ----------
+    centre, precision
+        (P, F): c, and a in units of squared residuals.
+    blocks, factor
+        Where v lies in x, and what the sum is multiplied by.
+    name
+        Of the prior that it belongs to.
+    """
+
+    def __init__(
+        self,
+        centre: Array,
+        precision: Array,
+        blocks: tuple[slice, ...],
+        factor: float,
+        name: str = "material",
+    ) -> None:
+        self.name = name
+        self._centre, self._blocks, self._factor = centre, blocks, factor
+        self.precision = precision
+
+    def shifted(self, _: Array) -> Array:
+        """Where pixels are pulled, (P, F)."""
+        return self._centre
+
+    def value_and_grad(self, x: Array, gradient: Array) -> float:
+        """See `Penalty`."""
+        total = 0.0
+        for f, block in enumerate(self._blocks):
+            off = x[block] - self._centre[:, f]
+            pulled = self.precision[:, f] * off
+            total += float((pulled * off).sum())
+            gradient[block] += 2 * self._factor * pulled
+        return self._factor * total
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What was learnt on some pixels, to be held for others of the same segments and lights.
+
+    Attributes
+    ----------
+    learnt
+        The distributions.
+    variance
+        s², of samples of weight 1, in units of x.
+    strength
+        `Priors.material`.
+    clusters, offsets
+        Numbers of the clusters, in order, and how far each was moved, (clusters, F).
+    """
+
+    learnt: _Learnt
+    variance: float
+    strength: float
+    clusters: Labels
+    offsets: Array
+
+    def moved(self, penalty: MaterialPull, x: Array) -> Lesson:
+        """With the offsets that the penalty, made by this lesson, has at x."""
+        return replace(self, offsets=penalty.offsets(x))
+
+    def applied(
+        self, objective: Objective, x: Array, out_of_time: Callable[[], bool]
+    ) -> tuple[Array, HeldPull] | None:
+        """X with all pixels where they are pulled, each with its best albedo; and the penalty.
+
+        None if time ran out before all pixels had theirs.
+        """
+        layout = objective.layout
+        labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
+        grid = _Grid(objective, x, np.empty(0, np.uint64), self.variance)
+        posterior = self.learnt.of_all(grid, labels, out_of_time)
+        if posterior is None:
+            return None
+        variance = self.strength * self.variance
+        centre, precision = _drawn(posterior, FLOORS[-1], variance, len(layout.finish))
+        # Clusters that nobody has met stay where they are.
+        found = np.searchsorted(self.clusters, posterior.cluster)
+        found[found == len(self.clusters)] = 0
+        met = self.clusters[found] == posterior.cluster
+        centre += np.where(met[:, None], self.offsets[found], 0.0)
+        np.clip(centre, 0.0, 1.0, out=centre)
+        x = x.copy()
+        everything = np.arange(layout.pixels, dtype=np.uint64)
+        _put(objective, x, everything, centre)
+        objective.put_best_albedo(x, everything)
+        return x, HeldPull(centre, precision, layout.finish, 1 / objective.total_weight)
+
+
 def learn(
     objective: Objective,
     x: Array,
     strength: float,
     out_of_time: Callable[[], bool] = lambda: False,
-) -> tuple[Array, MaterialPull]:
-    """Learn the prior around x; returns x for all pixels with the lights found, and the penalty.
+) -> tuple[Array, MaterialPull, Lesson] | None:
+    """Learn the prior around x.
+
+    Returned are x for all pixels with the lights found, the penalty, and what was learnt.
+
+    None if time ran out before all pixels had theirs.
 
     Parameters
     ----------
@@ -156,7 +257,7 @@ def learn(
     strength
         `Priors.material`: 1 is Bayes' rule.
     out_of_time
-        Asked between rounds.
+        Asked between rounds, and then between pieces of the pixels.
     """
     # One BLAS thread: sums split over threads would round differently on a machine with another
     # number of processors.
@@ -175,10 +276,16 @@ def learn(
 
         grid = _Grid(objective, x, few)
         everything = np.arange(layout.pixels, dtype=np.uint64)
-        pull = _of_all(grid, labels, FLOORS[-1], strength * grid.variance, len(layout.finish))
+        learnt = _learnt(grid, labels)
+        posterior = learnt.of_all(grid, labels, out_of_time)
+        if posterior is None:
+            return None
+        variance = strength * grid.variance
+        pull, clusters = _pull(posterior, FLOORS[-1], variance, len(layout.finish))
         _put(objective, x, everything, pull.centre)
         objective.put_best_albedo(x, everything)
-    return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight)
+    lesson = Lesson(learnt, grid.variance, strength, clusters, np.zeros_like(pull.centre[:0]))
+    return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight), lesson
 
 
 def pull_at(objective: Objective, x: Array, floor: float, variance: float, metallic: Array) -> Pull:
@@ -196,21 +303,15 @@ def pull_at(objective: Objective, x: Array, floor: float, variance: float, metal
     layout = objective.layout
     labels = np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
     grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
-    return _of_all(grid, labels, floor, variance, len(layout.finish))
+    posterior = _learnt(grid, labels).of_all(grid, labels)
+    assert posterior is not None
+    return _pull(posterior, floor, variance, len(layout.finish))[0]
 
 
-def _of_all(grid: _Grid, labels: Labels, floor: float, variance: float, planes: int) -> Pull:
-    """The pull of all pixels of a grid's objective; `variance` is s² times the strength."""
+def _learnt(grid: _Grid, labels: Labels) -> _Learnt:
+    """From an even share of the pixels, `labels` (P,)."""
     many = spread_over(labels, LEARNING_PIXELS_GIVEN_LIGHTS)
-    learnt = _Learnt.of(grid.likelihood(many), labels[many], grid)
-    everything = np.arange(len(labels), dtype=np.uint64)
-    parts = [
-        learnt.posterior(grid.likelihood(everything[chunk]), labels[chunk])
-        for chunk in _pieces(len(labels))
-    ]
-    posterior = _Posterior.joined(parts)
-    del parts
-    return _pull(posterior, floor, variance, planes)
+    return _Learnt.of(grid.likelihood(many), labels[many], grid)
 
 
 def _with_lights(
@@ -227,7 +328,7 @@ def _with_lights(
         grid = _Grid(objective, x, pixels)
         likelihood = grid.likelihood(pixels)
         posterior = _Learnt.of(likelihood, labels, grid).posterior(likelihood, labels)
-        pull = _pull(posterior, floor, strength * grid.variance, len(objective.layout.finish))
+        pull, _ = _pull(posterior, floor, strength * grid.variance, len(objective.layout.finish))
         _put(objective, x, pixels, pull.centre)
         del grid  # which holds x
         x, _ = pulled_steps.minimize(objective, x, pixels, pull, STEPS)
@@ -402,9 +503,25 @@ class _Learnt:
         nodes = np.stack([grid.roughness, grid.metallic], axis=-1).astype(np.float32)
         return cls(probabilities, groups.astype(np.intp), row, nodes)
 
+    def of_all(
+        self, grid: _Grid, labels: Labels, stop: Callable[[], bool] = lambda: False
+    ) -> _Posterior | None:
+        """Of all pixels of the grid's objective, `labels` (P,).
+
+        None if stopped before all pixels had theirs.
+        """
+        everything = np.arange(len(labels), dtype=np.uint64)
+        parts = []
+        for chunk in _pieces(len(labels)):
+            if stop():
+                return None
+            parts.append(self.posterior(grid.likelihood(everything[chunk]), labels[chunk]))
+        return _Posterior.joined(parts)
+
     def posterior(self, likelihood: NDArray[np.float32], labels: Labels) -> _Posterior:
         """Of pixels with these likelihoods, (Q, nodes), and labels."""
-        rows = self.row[np.minimum(labels, len(self.row) - 1)]
+        known = labels < len(self.row)
+        rows = np.where(known, self.row[np.where(known, labels, 0)], 0)
         posterior = likelihood * self.probabilities[rows]
         posterior /= posterior.sum(axis=1, keepdims=True)
         mean = posterior @ self.nodes
@@ -435,10 +552,20 @@ def _mixture(
     return probabilities
 
 
-def _pull(posterior: _Posterior, floor: float, variance: float, planes: int) -> Pull:
-    """Towards the first of roughness and metallic, or both; `variance` is s² times the strength."""
-    used = slice(planes)
+def _pull(posterior: _Posterior, floor: float, variance: float, planes: int) -> tuple[Pull, Labels]:
+    """The pull, and the numbers of its clusters as the posterior has them; see `_drawn`."""
     clusters, cluster = np.unique(posterior.cluster, return_inverse=True)
+    centre, precision = _drawn(posterior, floor, variance, planes)
+    return Pull(centre, precision, cluster, len(clusters)), clusters
+
+
+def _drawn(
+    posterior: _Posterior, floor: float, variance: float, planes: int
+) -> tuple[Array, Array]:
+    """Where the first of roughness and metallic, or both, are pulled, and how hard, each (P, F).
+
+    `variance` is s² times the strength.
+    """
+    used = slice(planes)
     precision = variance / (floor**2 + posterior.variance[:, used].astype(np.float64))
-    centre = posterior.mean[:, used].astype(np.float64)
-    return Pull(centre, precision, cluster, len(clusters))
+    return posterior.mean[:, used].astype(np.float64), precision

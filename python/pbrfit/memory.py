@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -14,6 +14,7 @@ from pbrfit._core import InputError
 from pbrfit.layout import Layout
 from pbrfit.projected_lbfgs import CORRECTIONS, choose
 from pbrfit.scene import Scene
+from pbrfit.tiles.tiling import FEW
 
 log = logging.getLogger("pbrfit")
 
@@ -49,8 +50,15 @@ drawn to. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 besid
 VECTOR_BYTES = 5 * 24
 """Of a pixel while the core is made: view directions, and two copies of those and of normals."""
 
+WHOLE = 1 << 21
+"""Valid pixels up to which the solver auto fits all of them at once; larger pictures are fitted in
+tiles."""
+
 WORTH_SAYING = 2**30
 """A fit that needs more bytes says so."""
+
+MAPS_BYTES = 300
+"""Of a pixel: what a fit in tiles finds, and what is made of it when it is done."""
 
 ROOT = Path("/")
 """Where the system's files are; tests have their own."""
@@ -106,15 +114,45 @@ def of_fit(
     refine_normals
         Whether normals may be refined.
     """
+    return of_layout(
+        layout,
+        method,
+        held=bytes_of(scene),
+        exact=scene.images.dtype != np.float32,
+        refine_normals=refine_normals,
+    )
+
+
+def bytes_of(scene: Scene) -> int:
+    """Of the arrays of a scene."""
+    arrays = scene.images, scene.normals, scene.weights, scene.normal_sigma
+    return sum(array.nbytes for array in arrays if array is not None)
+
+
+def of_layout(
+    layout: Layout,
+    method: Method,
+    *,
+    held: int,
+    exact: bool = False,
+    refine_normals: bool = False,
+) -> FitMemory:
+    """What a fit of some layout needs of memory with a solver.
+
+    Parameters
+    ----------
+    layout, method, refine_normals
+        As of `of_fit`.
+    held
+        Bytes of the scene's arrays.
+    exact
+        Whether pictures are in float64; then the core has them in 48 bits.
+    """
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
-    held = scene.images.nbytes + scene.normals.nbytes
-    held += sum(one.nbytes for one in (scene.weights, scene.normal_sigma) if one is not None)
     blocks = BLOCK * -(-pixels // BLOCK)
     driver = "scipy" if method == "lbfgsb" else choose(layout.size)
     of_unknown = SCIPY_BYTES if driver == "scipy" else PROJECTED_BYTES
-    # Pictures that came in float64 are there in 48 bits.
-    exact = scene.images.dtype != np.float32
     samples = 4 * (planes + exact * pictures * channels)
     core = (samples + DIRECTION_BYTES) * blocks
     refining = 0
@@ -129,6 +167,15 @@ def of_fit(
         solver=of_unknown * layout.size,
         refining=refining,
     )
+
+
+def of_tiles(
+    layout: Layout, *, held: int, exact: bool = False, refine_normals: bool = False
+) -> FitMemory:
+    """The same where the scene is fitted in tiles: as of a lattice, and maps of all pixels."""
+    few = replace(layout, valid=np.ones((1, min(FEW, layout.pixels)), dtype=bool), segments=None)
+    lattice = of_layout(few, "auto", held=held, exact=exact, refine_normals=refine_normals)
+    return replace(lattice, solver=lattice.solver + MAPS_BYTES * layout.pixels)
 
 
 def check(method: Method, needed: FitMemory) -> None:
@@ -153,12 +200,62 @@ def check(method: Method, needed: FitMemory) -> None:
         log.warning("solver %s needs about %s of memory%s", method, size(needed.further), known)
 
 
-def missing(needed: FitMemory) -> str | None:
-    """In words, that there is not so much memory; None if there is, or that cannot be told."""
+@dataclass(frozen=True)
+class Plan:
+    """How a scene is fitted.
+
+    Attributes
+    ----------
+    tiled
+        In tiles, or all pixels at once.
+    refine_normals
+        Whether normals may be refined.
+    needed
+        What that takes.
+    hindered
+        Why normals are not refined for lack of memory; else None.
+    """
+
+    tiled: bool
+    refine_normals: bool
+    needed: FitMemory
+    hindered: str | None = None
+
+
+def plan(
+    layout: Layout,
+    solver: Method,
+    *,
+    held: int,
+    exact: bool = False,
+    refine_normals: bool,
+    optional: bool = False,
+) -> Plan:
+    """How a scene is fitted: the first of these ways that there is memory for.
+
+    The solver auto fits it at once, or in tiles where it has more than `WHOLE` valid pixels; or in
+    tiles all the same; or without refining normals, where that is `optional`. The other solvers
+    have no tiles. Where there is memory for none, it is the way that needs least. Other arguments
+    are those of `of_layout`.
+    """
+    ways = []
+    for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
+        if solver != "auto" or layout.pixels <= WHOLE:
+            needed = of_layout(layout, solver, held=held, exact=exact, refine_normals=refining)
+            ways.append(Plan(False, refining, needed))
+        if solver == "auto":
+            needed = of_tiles(layout, held=held, exact=exact, refine_normals=refining)
+            ways.append(Plan(True, refining, needed))
     free = available()
-    if free is None or needed.further <= free:
-        return None
-    return f"it needs {size(needed.further)} of memory, and {size(free)} are available"
+    fit = [way for way in ways if free is None or way.needed.further <= free]
+    chosen = fit[0] if fit else min(ways, key=lambda way: way.needed.further)
+    if chosen.refine_normals == refine_normals or free is None:
+        return chosen
+    least = min(way.needed.further for way in ways if way.refine_normals)
+    return replace(
+        chosen,
+        hindered=f"it needs {size(least)} of memory, and {size(free)} are available",
+    )
 
 
 def available() -> int | None:

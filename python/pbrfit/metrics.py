@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit._core import InputError
+from pbrfit.checks import real_array, real_number, reals
 from pbrfit.color import encode_srgb
 
 PROTOCOL = (
@@ -39,23 +41,32 @@ def rmse(
     ValueError
         If the shapes differ, or no entry is left that is NaN in neither array and has a weight.
     """
+    found, true = reals("found", found), reals("true", true)
     if found.shape != true.shape:
         raise ValueError(f"rmse: expected equal shapes, found {found.shape} and {true.shape}")
+    if not found.ndim:  # of single numbers numpy makes no arrays
+        found, true = found[None], true[None]
     used = np.isnan(found)
     used |= np.isnan(true)
     np.logical_not(used, out=used)
     if weights is not None:
-        weights = np.broadcast_to(weights, found.shape)
+        weights = _like("weights", weights, found.shape)
         used &= weights > 0
         weights = weights[used].astype(np.float64)
+        with np.errstate(over="ignore"):
+            if not np.isfinite(weights.sum()):
+                raise InputError("weights: expected finite ones of finite sum, found others")
     # In place: pictures are large.
     difference = found[used].astype(np.float64, copy=False)
-    difference -= true[used]
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite, or of two infinite numbers
+        difference -= true[used]
     if not difference.size:
         raise ValueError("rmse: expected at least one entry that is NaN in neither array")
     largest = float(max(difference.max(), -difference.min()))
     if largest == 0.0:
         return 0.0
+    if not math.isfinite(largest):
+        return math.inf
     # Divided by the largest, because squares of large radiance overflow.
     difference /= largest
     np.square(difference, out=difference)
@@ -70,18 +81,42 @@ def scaled_per_channel(
     Pictures alone fix albedo and light only up to such a factor once there is noise; comparing
     after the best factor shows what remains.
     """
+    found, true = reals("found", found), reals("true", true)
+    if found.shape != true.shape or not found.ndim:
+        raise ValueError(
+            f"scaled_per_channel: expected equal shapes, found {found.shape} and {true.shape}"
+        )
     axes = tuple(range(found.ndim - 1))
     both = np.isfinite(found) & np.isfinite(true)
     f = np.where(both, found, 0.0).astype(np.float64)
     t = np.where(both, true, 0.0)
-    square = np.sum(f * f, axis=axes)
-    factor = np.divide(np.sum(f * t, axis=axes), square, out=np.ones_like(square), where=square > 0)
-    return np.asarray(found * factor)
+    with np.errstate(over="ignore", invalid="ignore"):
+        square, mixed = np.sum(f * f, axis=axes), np.sum(f * t, axis=axes)
+        # What cannot be squared in float64 stays as it is.
+        sound = (square > 0) & np.isfinite(square) & np.isfinite(mixed)
+        factor = np.divide(mixed, square, out=np.ones_like(square), where=sound)
+        return np.asarray(found * factor)
+
+
+def _like(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Real numbers that broadcast to a shape."""
+    array = reals(name, values)
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError:
+        raise InputError(
+            f"{name}: expected a shape that broadcasts to {shape}, found {array.shape}"
+        ) from None
 
 
 def display(radiance: NDArray[np.floating[Any]], white: float) -> NDArray[np.float64]:
     """Linear radiance as people see it: divided by `white`, clipped to [0, 1], sRGB-encoded."""
-    return np.asarray(encode_srgb(np.clip(np.asarray(radiance, np.float64) / white, 0.0, 1.0)))
+    unit = real_number("white", white, "a number above 0")
+    if not unit > 0:
+        raise InputError(f"white: expected a number above 0, found {white}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        shown = np.clip(real_array("radiance", radiance) / unit, 0.0, 1.0)
+    return np.asarray(encode_srgb(shown))
 
 
 def white_of(radiance: NDArray[np.floating[Any]]) -> float:
@@ -146,13 +181,14 @@ def ssim(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> f
     """
     from scipy.ndimage import correlate1d
 
+    found, true = reals("found", found), reals("true", true)
     if found.shape != true.shape or found.ndim not in (2, 3):
         raise ValueError(
             f"ssim: expected two pictures of one shape, found {found.shape} and {true.shape}"
         )
     x, y = (np.array(a, np.float64).reshape(*a.shape[:2], -1) for a in (found, true))
     valid: NDArray[np.bool_] = np.asarray(~(np.isnan(x) | np.isnan(y)).any(axis=-1))
-    if not valid.any():
+    if not valid.any() or not x.size:
         raise ValueError("ssim: expected at least one pixel that is NaN in neither picture")
     offsets = np.arange(-SSIM_RADIUS, SSIM_RADIUS + 1)
     kernel = np.exp(-0.5 * (offsets / SSIM_SIGMA) ** 2)
@@ -163,11 +199,15 @@ def ssim(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> f
 
     x[~valid] = y[~valid] = 0.0
     weight = window(valid[..., None].astype(np.float64))
-    mx, my = window(x) / weight, window(y) / weight
-    vx = window(x * x) / weight - mx * mx
-    vy = window(y * y) / weight - my * my
-    cov = window(x * y) / weight - mx * my
-    c1, c2 = SSIM_CONSTANTS
-    index = (2 * mx * my + c1) * (2 * cov + c2)
-    index /= (mx * mx + my * my + c1) * (vx + vy + c2)
-    return float(index.mean())
+    with np.errstate(over="ignore", invalid="ignore"):
+        mx, my = window(x) / weight, window(y) / weight
+        vx = window(x * x) / weight - mx * mx
+        vy = window(y * y) / weight - my * my
+        cov = window(x * y) / weight - mx * my
+        c1, c2 = SSIM_CONSTANTS
+        index = (2 * mx * my + c1) * (2 * cov + c2)
+        index /= (mx * mx + my * my + c1) * (vx + vy + c2)
+        mean = float(index.mean())
+    if not math.isfinite(mean):
+        raise ValueError("ssim: expected pictures with a range of 1, found infinite or huge values")
+    return mean

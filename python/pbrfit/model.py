@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.checks import of_what, real_array
 from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
 
@@ -291,7 +292,7 @@ def whole_number(name: str, value: int) -> int:
     except TypeError:
         number = -1
     if not 0 <= number < 2**31:
-        raise InputError(f"{name}: expected a whole number, 0 or more, found {value!r}")
+        raise InputError(f"{name}: expected a whole number, 0 or more, found {of_what(value)}")
     return number
 
 
@@ -308,13 +309,7 @@ _TRAILING: dict[str, tuple[int, ...]] = {
 
 def _array(name: str, values: ArrayLike, trailing: tuple[int, ...]) -> NDArray[np.float64]:
     """As a float64 array whose last dimensions are `trailing`, or InputError naming it."""
-    try:
-        array = np.asarray(values)
-        if np.iscomplexobj(array):
-            raise TypeError("complex numbers")
-        array = array.astype(np.float64, copy=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: expected an array of real numbers, found {error}") from None
+    array = real_array(name, values)
     if array.shape[max(array.ndim - len(trailing), 0) :] != trailing:
         wanted = ", ".join(["...", *map(str, trailing)])
         raise InputError(f"{name}: expected shape ({wanted}), found {array.shape}")

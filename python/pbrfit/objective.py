@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.checks import real_array, real_number
 from pbrfit.exposure import relative_exposures
 from pbrfit.layout import Layout
 from pbrfit.materials import Materials
@@ -48,6 +49,41 @@ SH_ORDERS = (2, 3)
 """Highest bands that the lights may have."""
 
 
+@dataclass(frozen=True, eq=False)
+class Units:
+    """What pictures and their weights are divided by before they are fitted.
+
+    Attributes
+    ----------
+    scale
+        The scene scale, in picture units.
+    exposures
+        (N,), beside it; None = nothing.
+    largest_weight
+        Of a valid sample; 1 where all are the same.
+    """
+
+    scale: float
+    exposures: NDArray[np.float64] | None
+    largest_weight: float
+
+    @classmethod
+    def of(cls, scene: Scene, equal_exposures: bool | None = None) -> Units:
+        """Of a scene; `equal_exposures` as for `Objective`.
+
+        Raises
+        ------
+        InputError
+            If the pictures are black on the whole.
+        """
+        exposures = relative_exposures(scene, equal_exposures)
+        largest = 1.0
+        if scene.weights is not None and scene.weighted:
+            largest = max(float(of_picture[scene.valid].max()) for of_picture in scene.weights)
+        divided_by = np.ones(len(scene.images)) if exposures is None else exposures
+        return cls(_scene_scale(scene, largest, divided_by), exposures, largest)
+
+
 class Objective:
     """Mean squared error of the pictures as a function of x, with its gradient, plus penalties.
 
@@ -82,6 +118,9 @@ class Objective:
         Whether pictures are divided by their exposures; None = where these are far apart.
     free_normals
         Whether the scene's normals are where unknown ones start, instead of what is known.
+    units
+        What to divide pictures by, then `equal_exposures` is not asked; None = found from them. A
+        part of a scene has the units of the whole.
 
     Attributes
     ----------
@@ -139,6 +178,7 @@ class Objective:
         priors: Priors | None = None,
         equal_exposures: bool | None = None,
         free_normals: bool = False,
+        units: Units | None = None,
     ) -> None:
         threads = whole_number("threads", threads)
         sh_order = whole_number("sh_order", sh_order)
@@ -154,7 +194,8 @@ class Objective:
         )
         self.channels, self.coefficients = layout.channels, layout.coefficients
         self._lay_out(layout)
-        self.weights = weights = _weights(scene) if layout.weighted else None
+        units = units or Units.of(scene, equal_exposures)
+        self.weights = weights = _weights(scene, units.largest_weight) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
         )
@@ -163,9 +204,8 @@ class Objective:
             if weights is None
             else self.channels * float(weights.sum(dtype=np.float64))
         )
-        self.exposures = relative_exposures(scene, equal_exposures)
+        self.scale, self.exposures = units.scale, units.exposures
         exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
-        self.scale = _scene_scale(scene, weights, exposures)
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
 
@@ -257,7 +297,7 @@ class Objective:
         InputError
             If x has another length, is not finite, or leaves its bounds.
         """
-        x = _real_numbers(x)
+        x = real_array("x", x)
         data, gradient = self.data_value_and_grad(x)
         return data + self.add_penalties(x, gradient), gradient
 
@@ -278,7 +318,7 @@ class Objective:
 
     def for_core(self, x: ArrayLike) -> NDArray[np.float64]:
         """X as `_core.Problem` takes it: with lights of every channel."""
-        x = _real_numbers(x)
+        x = real_array("x", x)
         if self.layout.light_channels == self.channels:
             return x
         if x.shape != (self.size,):
@@ -384,7 +424,7 @@ class Objective:
         given = {"albedo": albedo, "roughness": roughness, "metallic": metallic}
         maps = []
         for name, values in given.items():
-            values = np.asarray(values, dtype=np.float64)
+            values = real_array(name, values)
             shape = self.layout.valid.shape + ((3,) if name == "albedo" else ())
             if values.shape != shape:
                 raise InputError(f"{name}: expected shape {shape}, found {values.shape}")
@@ -400,10 +440,12 @@ class Objective:
         x = np.concatenate(maps)
         if lighting is None or self.lighting is None:
             return self.with_best_lights(x)
-        lighting = np.asarray(lighting, dtype=np.float64)
+        lighting = real_array("lighting", lighting)
         expected = (self.layout.pictures, 16, 3)
         if lighting.shape != expected:
             raise InputError(f"lighting: expected shape {expected}, found {lighting.shape}")
+        if not np.isfinite(lighting).all():
+            raise InputError("lighting: expected finite coefficients, found NaN or infinity")
         lighting = _channels(lighting[:, : self.coefficients], self.layout.light_channels)
         return np.concatenate([x, (lighting / self._by_picture).ravel()])
 
@@ -413,9 +455,11 @@ class Objective:
         Whatever x holds, there are three channels and 16 coefficients: one channel comes three
         times, and band 3 is 0 where it is left out.
         """
-        x = np.asarray(x)
+        x = real_array("x", x)
         if x.shape != (self.size,):
             raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        if not np.isfinite(x).all():
+            raise InputError("x: expected finite numbers, found NaN or infinity")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
         metallic = self.known_metallic if self.metallic is None else x[self.metallic]
         materials = Materials(
@@ -426,9 +470,12 @@ class Objective:
         if self._scene.lighting is not None:
             return materials, self._scene.lighting.copy()
         lighting = np.zeros((self.layout.pictures, 16, 3))
-        lighting[:, : self.coefficients] = self._by_picture * x[self.lighting].reshape(
-            -1, self.coefficients, self.layout.light_channels
-        )
+        with np.errstate(over="ignore"):
+            lighting[:, : self.coefficients] = self._by_picture * x[self.lighting].reshape(
+                -1, self.coefficients, self.layout.light_channels
+            )
+        if not np.isfinite(lighting).all():
+            raise InputError("x: expected lights that float64 can hold in picture units")
         return materials, lighting
 
     def normals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -547,43 +594,32 @@ def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]
 
 
 def _unit_interval(name: str, value: float) -> float:
-    try:
-        number = np.nan if isinstance(value, (bool, str)) else float(value)
-    except (TypeError, ValueError):
-        number = np.nan
+    number = real_number(name, value, "None or a number in [0, 1]")
     if not 0 <= number <= 1:
         raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
     return number
 
 
-def _real_numbers(x: ArrayLike) -> NDArray[np.float64]:
-    try:
-        if np.iscomplexobj(x):
-            raise TypeError("complex numbers")
-        return np.asarray(x, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"x: expected real numbers, found {error}") from None
-
-
-def _weights(scene: Scene) -> NDArray[np.float32]:
+def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
     """(N, P) weights of the samples, at most 1: only their ratios matter."""
     assert scene.weights is not None
     weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
-    weights /= weights.max()  # so that float32 neither overflows nor loses digits
+    weights /= np.float32(largest)  # so that float32 neither overflows nor loses digits
     return weights
 
 
-def _scene_scale(
-    scene: Scene, weights: NDArray[np.float32] | None, exposures: NDArray[np.float64]
-) -> float:
+def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.float64]) -> float:
     total = count = 0.0
+    given = scene.weights if scene.weighted else None
     for i in range(len(scene.images)):
         samples = scene.samples(i).mean(axis=-1, dtype=np.float64)
-        if weights is not None:
+        weights = None
+        if given is not None:
+            weights = given[i][scene.valid] / np.float32(largest_weight)
             # No dot product: BLAS rounds differently on a machine with another processor count.
-            samples *= weights[i]
+            samples *= weights
         total += float(samples.sum()) / exposures[i]
-        count += samples.size if weights is None else float(weights[i].sum(dtype=np.float64))
+        count += samples.size if weights is None else float(weights.sum(dtype=np.float64))
     mean = total / count
     if not 0 < mean < np.inf:
         raise InputError(

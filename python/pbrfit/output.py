@@ -3,11 +3,62 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import secrets
 import shutil
-from collections.abc import Collection, Iterator
+import tempfile
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from pbrfit import _core
+
+
+@contextmanager
+def unfinished(
+    temporary: Path, *, aside: tuple[Path, Path] | None = None, parents: Sequence[Path] = ()
+) -> Iterator[None]:
+    """Say what has to go away if the process is ended in the block; the block itself removes it.
+
+    A command that is told to end has half a second to do that (`pbrfit.cli.run`). Then this is done
+    for it, also while a long call keeps the interpreter.
+
+    Parameters
+    ----------
+    temporary
+        File or folder, there or not.
+    aside
+        What was set aside and the name it gets back, if that is free; else it goes away too.
+    parents
+        Folders made for it, the deepest first; those that are empty go away.
+    """
+    number = _core.unfinished(temporary, aside, list(parents))
+    try:
+        yield
+    finally:
+        _core.finished(number)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Let a few renames all happen or none, should the process be ended."""
+    _core.hold_end()
+    try:
+        yield
+    finally:
+        _core.allow_end()
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Give a folder where the system keeps temporary ones, for the length of the block."""
+    folder = Path(tempfile.gettempdir()).resolve() / f"pbrfit-{secrets.token_hex(6)}"
+    with unfinished(folder):
+        folder.mkdir(mode=0o700)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
@@ -40,12 +91,18 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 @contextmanager
 def new_folder(
-    path: Path, *, overwrite: bool = False, contains: Collection[str] = ()
+    path: Path,
+    *,
+    overwrite: bool = False,
+    contains: Collection[str] = (),
+    temporaries: Path | None = None,
 ) -> Iterator[Path]:
     """Give a temporary folder beside `path` that takes its name when the block ends well.
 
     When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
-    parent folders, and a folder that was to be replaced still there.
+    parent folders, and a folder that was to be replaced still there. `temporaries` is a folder on
+    the same file system that takes the place of that beside `path`; a folder that is replaced lies
+    in it for an instant as `*-old/NAME`.
 
     Raises
     ------
@@ -56,32 +113,37 @@ def new_folder(
     """
     check_free(path, overwrite=overwrite, contains=contains)
     target = path.resolve()  # of a link to a folder, the folder is replaced and the link stays
-    temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}")
-    old = temporary.with_name(f"{temporary.name}-old")
+    token = secrets.token_hex(6)
+    temporary = target.with_name(f".pbrfit-{token}") if temporaries is None else temporaries / token
+    aside = temporary.with_name(f"{temporary.name}-old")
+    old = aside / target.name
     new_parents = [parent for parent in target.parents if not parent.exists()]
-    try:
-        with making(path, "folder"):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            temporary.mkdir()
-        with naming(path, temporary):
-            yield temporary
-        check_free(
-            path, overwrite=overwrite, contains=contains
-        )  # another process may have been here meanwhile
-        if target.exists():
-            # Two renames: the old folder is gone for an instant, but never half replaced.
-            target.rename(old)
-        temporary.rename(target)
-    except BaseException:
-        if old.exists() and not target.exists():
-            old.rename(target)
-        raise
-    finally:
-        for leftover in (temporary, old):
-            shutil.rmtree(leftover, ignore_errors=True)
-        with suppress(OSError):  # one that is not empty stays, and so do those above it
-            for parent in new_parents:
-                parent.rmdir()
+    with unfinished(temporary, aside=(old, target), parents=[aside, *new_parents]):
+        try:
+            with making(path, "folder"):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                temporary.mkdir()
+            with naming(path, temporary):
+                yield temporary
+            check_free(
+                path, overwrite=overwrite, contains=contains
+            )  # another process may have been here meanwhile
+            with undisturbed():
+                if target.exists():
+                    # Two renames: the old folder is gone for an instant, but never half replaced.
+                    aside.mkdir()
+                    target.rename(old)
+                temporary.rename(target)
+        except BaseException:
+            if old.exists() and not target.exists():
+                old.rename(target)
+            raise
+        finally:
+            for leftover in (temporary, aside):
+                shutil.rmtree(leftover, ignore_errors=True)
+            with suppress(OSError):  # one that is not empty stays, and so do those above it
+                for parent in new_parents:
+                    parent.rmdir()
 
 
 @contextmanager
@@ -101,20 +163,27 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     target = path.resolve()
     temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}{target.suffix}")
     new_parents = [parent for parent in target.parents if not parent.exists()]
-    try:
-        with making(path, "file"):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            temporary.touch()  # no right to write shows before the work, not after it
-        with naming(path, temporary):
-            yield temporary
-        check_free_file(path, overwrite=overwrite)  # as above
-        temporary.replace(target)
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        with suppress(OSError):
-            for parent in new_parents:
-                parent.rmdir()
+    with unfinished(temporary, parents=new_parents):
+        try:
+            with making(path, "file"):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                temporary.touch()  # no right to write shows before the work, not after it
+            with naming(path, temporary):
+                yield temporary
+            check_free_file(path, overwrite=overwrite)  # as above
+            temporary.replace(target)
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            with suppress(OSError):
+                for parent in new_parents:
+                    parent.rmdir()
+
+
+def digest(path: Path) -> str:
+    """sha256 of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_free_file(path: Path, *, overwrite: bool) -> None:

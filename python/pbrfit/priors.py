@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.checks import real_number
 from pbrfit.layout import Layout
 
 SMOOTHNESS_STEP = 0.01
@@ -70,12 +71,10 @@ def prior_names() -> tuple[str, ...]:
 
 
 def _weight(name: str, value: object) -> float:
-    try:
-        number = math.nan if isinstance(value, (bool, str)) else float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = math.nan
+    expected = "a finite weight, 0 or more"
+    number = real_number(f"prior {name}", value, expected)
     if not 0 <= number < math.inf:
-        raise InputError(f"prior {name}: expected a finite weight, 0 or more, found {value!r}")
+        raise InputError(f"prior {name}: expected {expected}, found {value!r}")
     return number
 
 

@@ -90,6 +90,7 @@ def fit(
     start_given: bool,
     asked: str,
     hindered: str | None,
+    turned: Array | None = None,
 ) -> tuple[Fit, Refinement]:
     """Fit the scene of `run` from x, and refine its normals where that is asked for and helps.
 
@@ -101,8 +102,12 @@ def fit(
         "off", "auto" or "on".
     hindered
         Why refinement cannot be done; None if it can.
+    turned
+        (P, 3): unit normals that pixels may start from, beside the given ones; None = none.
     """
     why = "not asked for" if asked == "off" else hindered
+    if why is None and run.left <= 0:
+        why = "0 iterations asked for"
     if why is not None:
         return Fit(run, *solve(run, solver, x, start_given=start_given)), Refinement(
             asked, False, why
@@ -133,7 +138,7 @@ def fit(
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
     rows = len(run.rows)
-    found = _refined(run, x, make, solver)
+    found = _refined(run, x, make, solver, turned)
     if found is None:
         assert held is not None or run.out_of_time()
         held = held or Fit(run, *solve(run, solver, x, start_given=start_given))
@@ -192,7 +197,11 @@ def _after(held: Fit, later: Run, rows: int) -> Fit:
 
 
 def _refined(
-    run: Run, x: Array, make: Callable[[Scene, bool], Objective], solver: Solver
+    run: Run,
+    x: Array,
+    make: Callable[[Scene, bool], Objective],
+    solver: Solver,
+    turned: Array | None,
 ) -> tuple[Fit, float] | None:
     """The fit with refined normals, and the spread of their changes; None if time ran out."""
     from threadpoolctl import threadpool_limits
@@ -205,12 +214,16 @@ def _refined(
     moving = free.start()
     moving[layout.materials] = x[run.objective.layout.materials]
     moving[layout.maps.stop :] = x[run.objective.layout.maps.stop :]
+    if turned is not None:
+        free_normals.start_nearer(free, moving, free_normals.tilts_between(given, turned))
     starts = 1
     # Sums split over threads would round differently on a machine with more processors.
     with threadpool_limits(1, user_api="blas"):
         if free.lighting is not None:
             with run.stage("normals and lights from a lattice") as notes:
-                lattice = free_normals.find(free, moving, given, sigma, run.out_of_time)
+                lattice = free_normals.find(
+                    free, moving, given, sigma, run.out_of_time, rounds=run.left
+                )
                 free_normals.spread_out(free, moving, lattice)
                 spread = lattice.prior.spread
                 notes.append(f"{len(lattice.pixels)} pixels")
@@ -237,9 +250,11 @@ def _refined(
                 break
     if ended is None:
         return None
+    if run.out_of_time():  # perhaps after the fit that has ended
+        ended = run.ended("")
     if run.objective.lighting is None and free.lighting is not None:
-        turned = replace(run.scene, lighting=None)
-        run = run.again(turned, make(turned, False))
+        unlit = replace(run.scene, lighting=None)
+        run = run.again(unlit, make(unlit, False))
     return Fit(run, _of_held(free, moving, run.objective), *ended), prior.spread
 
 

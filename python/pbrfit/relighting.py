@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import lighting
 from pbrfit._core import InputError
+from pbrfit.checks import of_what, real_number
 from pbrfit.model import render, render_directional
 
 if TYPE_CHECKING:
@@ -44,14 +45,13 @@ class DirectionalLight:
     def __post_init__(self) -> None:
         for name in ("azimuth", "elevation"):
             object.__setattr__(self, name, _degrees(name, getattr(self, name)))
+        expected = "three finite numbers, 0 or more"
         try:
-            color = tuple(float(channel) for channel in self.color)
-        except (TypeError, ValueError):
+            color = tuple(real_number("color", channel, expected) for channel in self.color)
+        except TypeError:
             color = ()
         if len(color) != 3 or not all(0 <= channel < math.inf for channel in color):
-            raise InputError(
-                f"color: expected three finite numbers, 0 or more, found {self.color!r}"
-            )
+            raise InputError(f"color: expected {expected}, found {of_what(self.color)}")
         object.__setattr__(self, "color", color)
 
     @property
@@ -118,10 +118,8 @@ def turned(
 
 
 def _degrees(name: str, value: float) -> float:
-    try:
-        degrees = float(value)
-    except (TypeError, ValueError):
-        degrees = math.nan
+    expected = "a finite number of degrees"
+    degrees = real_number(name, value, expected)
     if not math.isfinite(degrees):
-        raise InputError(f"{name}: expected a finite number of degrees, found {value!r}")
+        raise InputError(f"{name}: expected {expected}, found {value!r}")
     return degrees

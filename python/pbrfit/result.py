@@ -23,7 +23,7 @@ from pbrfit.json_files import UNFIT, flag, number, read_json, seed, table, text,
 from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.metrics import PROTOCOL
-from pbrfit.output import new_folder
+from pbrfit.output import digest, new_folder
 from pbrfit.quoting import listed, quoted
 from pbrfit.refinement import NOT_ASKED, Refinement
 from pbrfit.scene import Scene, Source
@@ -31,6 +31,9 @@ from pbrfit.uncertainty import Uncertainty, layer_names
 
 CONTAINS = ("result.json", "materials.exr")
 """Files by which a folder is known for a result."""
+
+FILES = ("materials.exr", "lighting.json", "history.csv", "preview.png")
+"""Files of a result folder whose sha256 is in `result.json`."""
 
 GIVEN_NORMALS = tuple(f"normal_given.{name}" for name in "XYZ")
 NORMAL_CHANGE = "normal_change.Y"
@@ -221,8 +224,12 @@ class Result:
         with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
             self.write(folder, scene)
 
-    def write(self, folder: Path, scene: Scene | None = None) -> None:
-        """Write the files of a result into an existing folder, which may be renamed afterwards."""
+    def write(self, folder: Path, scene: Scene | None = None, place: Path | None = None) -> None:
+        """Write the files of a result into an existing folder.
+
+        The folder may be moved to `place` afterwards, from where `result.json` says the way to the
+        scene; None = it stays, or is renamed where it is.
+        """
         from pbrfit.preview import preview
 
         uncertainty = self.uncertainty
@@ -235,6 +242,7 @@ class Result:
         )
         Lighting(self.pictures, self.lighting).save(folder / "lighting.json")
         self.history.save(folder / "history.csv")
+        images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
         content = {
             "version": version("pbrfit"),
             "status": str(self.status),
@@ -252,11 +260,14 @@ class Result:
             "left_out": list(self.left_out),
             "stages": [asdict(stage) for stage in self.stages],
             "inputs": dict(self.inputs),
-            "scene": None if self.source is None else _source_as_json(self.source, folder),
+            "scene": None if self.source is None else _source_as_json(self.source, place or folder),
+            "files": {name: digest(folder / name) for name in FILES},
         }
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        (folder / "result.json").write_text(text + "\n", encoding="utf-8")
-        images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
+        # What no UTF-8 can hold, of a path to the scene, becomes what JSON escapes it by.
+        (folder / "result.json").write_text(
+            text + "\n", encoding="utf-8", errors="backslashreplace"
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
@@ -395,11 +406,13 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
         "color_space": source.color_space,
         "max_size": None if source.max_size is None else int(source.max_size),
         "code_range": [int(code) for code in source.code_range],
+        "fov": None if source.fov is None else float(source.fov),
     }
 
 
 def _source(content: Mapping[str, Any], folder: Path) -> Source:
     low, high = map(whole, content["code_range"])
+    fov = content.get("fov")  # earlier versions did not write it
     max_size, color_space = content["max_size"], content["color_space"]
     if color_space not in (None, *get_args(ColorSpace)):
         raise ValueError(f"color_space {quoted(color_space)}")
@@ -408,6 +421,7 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
         color_space=color_space,
         max_size=None if max_size is None else whole(max_size, least=1),
         code_range=(low, high),
+        fov=None if fov is None else number(fov),
     )
 
 

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from pbrfit import geometry
 from pbrfit._core import InputError
+from pbrfit.checks import REAL, any_array, of_what, real_number, reals
 from pbrfit.images import CODE_RANGE
 from pbrfit.lazy import lazy
 from pbrfit.materials import Materials
+from pbrfit.segments import consecutive_labels
 
 if TYPE_CHECKING:
     from pbrfit.color import ColorSpace
@@ -58,7 +60,7 @@ class Source:
     ----------
     path
         The scene folder, absolute.
-    color_space, max_size, code_range
+    color_space, max_size, code_range, fov
         As given to `Scene.load`.
     """
 
@@ -66,6 +68,7 @@ class Source:
     color_space: ColorSpace | None = None
     max_size: int | None = None
     code_range: tuple[int, int] = CODE_RANGE
+    fov: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +130,7 @@ class Scene:
     source: Source | None = None
 
     def __post_init__(self) -> None:
-        images = _array("images", self.images)
+        images = any_array("images", self.images)
         if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
             raise InputError(f"images: expected shape (N, H, W, 3), found {images.shape}")
         if images.dtype not in (np.float32, np.float64):
@@ -137,9 +140,9 @@ class Scene:
             )
         n, height, width = images.shape[:3]
         digits = max(2, len(str(n - 1)))
-        names = tuple(self.names) or tuple(f"picture_{i:0{digits}d}" for i in range(n))
+        names = _names(self.names) or tuple(f"picture_{i:0{digits}d}" for i in range(n))
         _check_names(names, n)
-        fov = _number("fov", self.fov)
+        fov = real_number("fov", self.fov)
         geometry.check_fov(fov)
         mask = _mask(self.mask, (height, width))
         weights = _weights(self.weights, names, (height, width), mask)
@@ -210,6 +213,22 @@ class Scene:
             return False
         # The first picture in colour ends it.
         return all(equal_channels(self.samples(i)) for i in range(len(self.images)))
+
+    @lazy
+    def weighted(self) -> bool:
+        """Whether samples of valid pixels have different weights."""
+        if self.weights is None:
+            return False
+        first = self.weights[0][self.valid][0]
+        return any((of_picture[self.valid] != first).any() for of_picture in self.weights)
+
+    @lazy
+    def labels(self) -> tuple[NDArray[np.intp], int] | None:
+        """(P,) labels of the valid pixels' segments, 1 … S in the order of their ids, and S.
+
+        0 is unclassified. None without segments.
+        """
+        return None if self.segments is None else consecutive_labels(self.segments[self.valid])
 
     def samples(self, picture: int) -> NDArray[np.floating[Any]]:
         """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight."""
@@ -284,9 +303,11 @@ class Scene:
 def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
     if mask is None:
         return None
-    mask = _array("mask", mask)
+    mask = any_array("mask", mask)
     if mask.shape != shape:
         raise InputError(f"mask: expected shape {shape}, found {mask.shape}")
+    if mask.dtype.kind not in REAL:
+        raise InputError(f"mask: expected True or False for each pixel, found {mask.dtype}")
     if np.issubdtype(mask.dtype, np.floating) and np.isnan(mask).any():
         raise InputError("mask: expected True or False for each pixel, found NaN")
     mask = mask.astype(bool)
@@ -304,7 +325,7 @@ def _weights(
     """As (N, H, W) float32; what the mask leaves out need not be sound and gets weight 0."""
     if weights is None:
         return None
-    given = _array("weights", weights)
+    given = any_array("weights", weights)
     expected = (len(names), *shape)
     if given.shape not in (shape, expected):
         raise InputError(f"weights: expected shape {expected} or {shape}, found {given.shape}")
@@ -345,27 +366,19 @@ def equal_channels(values: NDArray[Any]) -> bool:
     return all(np.array_equal(first, values[..., c]) for c in (1, 2))
 
 
-def _array(name: str, values: Any) -> NDArray[Any]:
-    try:
-        return np.asarray(values)
-    except ValueError as error:
-        raise InputError(f"{name}: expected an array, found {error}") from None
-
-
 def _floats(name: str, values: Any) -> NDArray[np.float64]:
-    array = _array(name, values)
-    if array.dtype.kind not in "buif":
-        raise InputError(f"{name}: expected real numbers, found {array.dtype}")
-    return array.astype(np.float64)
+    with np.errstate(over="ignore"):  # of long doubles; they are infinite then, and refused
+        return reals(name, values).astype(np.float64)
 
 
-def _number(name: str, value: Any) -> float:
-    if isinstance(value, (bool, str)):
-        raise InputError(f"{name}: expected a number, found {value!r}")
+def _names(names: Any) -> tuple[Any, ...]:
     try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: expected a number, found {value!r}") from None
+        found = tuple(names)
+    except TypeError:
+        found = (names,)
+    if not all(isinstance(name, str) for name in found):
+        raise InputError(f"names: expected file names, found {of_what(names)}")
+    return found
 
 
 def _check_names(names: tuple[Any, ...], pictures: int) -> None:
@@ -408,7 +421,8 @@ def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.
     normals = _floats("normals", normals)
     if normals.shape != (*valid.shape, 3):
         raise InputError(f"normals: expected shape {(*valid.shape, 3)}, found {normals.shape}")
-    length = np.linalg.norm(normals, axis=-1)
+    with np.errstate(over="ignore"):  # an infinite length is refused
+        length = np.linalg.norm(normals, axis=-1)
     bad = valid & ~((length >= MIN_NORMAL_LENGTH) & np.isfinite(length))
     if bad.any():
         row, column = np.argwhere(bad)[0]

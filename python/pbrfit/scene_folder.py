@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import re
 import tomllib
@@ -27,7 +26,7 @@ from pbrfit.normal_files import (
     read_uncertainty,
     write_normals,
 )
-from pbrfit.output import new_folder
+from pbrfit.output import digest, new_folder
 from pbrfit.quoting import quoted, shown
 from pbrfit.resampling import at_centres, averaged, reduced_size
 from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Source, Truth, unit_normals
@@ -98,7 +97,7 @@ def load(
     code_range: tuple[int, int] = images.CODE_RANGE,
 ) -> Scene:
     """Read a scene folder; see `Scene.load`."""
-    source = Source(folder.resolve(), color_space, max_size, code_range)
+    source = Source(folder.resolve(), color_space, max_size, code_range, fov)
     if max_size is not None and max_size < 1:
         raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
     paths = find_pictures(folder)
@@ -149,12 +148,14 @@ def load(
     lighting_path = folder / "lighting.json"
     if lighting_path.exists():
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
-        inputs["lighting.json"] = _sha256(lighting_path)
+        inputs["lighting.json"] = digest(lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
     fov, assumed["fov"] = _decided_fov(folder, fov, settings, read.focal_length, full_size)
 
     truth = _read_truth(folder / "truth", names, size)
+    for path in _truth_files(folder):
+        inputs[path.relative_to(folder).as_posix()] = digest(path)
     try:
         return Scene(
             images=read.pixels,
@@ -260,6 +261,30 @@ def find_pictures(folder: Path) -> list[Path]:
     return [path for _, path in sorted(chosen)]
 
 
+def input_files(folder: Path) -> list[Path]:
+    """All files of a scene folder that `load` reads, and so those that its result depends on.
+
+    Raises
+    ------
+    InputError, FileNotFoundError
+        As `find_pictures`.
+    """
+    parts = ("scene.toml", "mask.png", "segments.png", WEIGHT_FILE, "lighting.json")
+    found = [*find_pictures(folder), *find_normals(folder), *(folder / part for part in parts)]
+    return [*(path for path in found if path.exists()), *_truth_files(folder)]
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """What `load` would put into `Scene.inputs`, without decoding anything.
+
+    Raises
+    ------
+    InputError, OSError
+        As `input_files`, or if a file cannot be read.
+    """
+    return {path.relative_to(folder).as_posix(): digest(path) for path in input_files(folder)}
+
+
 def is_scene(folder: Path) -> bool:
     """Whether a folder looks like one scene (rather than a folder of scenes)."""
     return (folder / "images").is_dir() or any(
@@ -301,7 +326,7 @@ def read_settings(path: Path, inputs: dict[str, str]) -> Settings:
     unknown = sorted(set(content) - set(known))
     if unknown:
         raise InputError(f"{path}: expected keys {', '.join(known)}, found {shown(unknown[0])}")
-    inputs["scene.toml"] = _sha256(path)
+    inputs["scene.toml"] = digest(path)
     return Settings(
         fov=_fov(path, content),
         color_space=_choice(path, content, "color_space", get_args(ColorSpace), None),
@@ -498,7 +523,7 @@ def _read_weights(
         return None
     stored = read_weights(path, names)
     _expect_size(path, stored.shape[-2:], full_size)
-    inputs[path.name] = _sha256(path)
+    inputs[path.name] = digest(path)
     weights = stored if mask.shape == full_size else reduced(stored, mask.shape)
     inside = weights[..., mask]
     if not (np.isfinite(inside) & (inside >= 0)).all():
@@ -535,7 +560,7 @@ def _read_mask(path: Path, size: tuple[int, int], inputs: dict[str, str]) -> NDA
         return np.ones(size, dtype=bool)
     drawn = images.read_data(path)
     _expect_size(path, drawn.shape[:2], size)
-    inputs[path.name] = _sha256(path)
+    inputs[path.name] = digest(path)
     mask: NDArray[np.bool_] = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1].mean(axis=-1) >= 0.5
     if not mask.any():
         raise InputError(f"{path}: expected at least one white pixel, found none")
@@ -549,7 +574,7 @@ def _read_segments(
         return None
     segments = images.read_ids(path)
     _expect_size(path, segments.shape, size)
-    inputs[path.name] = _sha256(path)
+    inputs[path.name] = digest(path)
     return segments
 
 
@@ -590,7 +615,7 @@ def _read_normals(
     [path] = found
     normals = read_normals(path)
     _expect_size(path, normals.shape[:2], mask.shape)
-    inputs[path.name] = _sha256(path)
+    inputs[path.name] = digest(path)
     try:
         normals = settings.convention.to_camera(normals)
     except InputError as error:
@@ -645,6 +670,12 @@ def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> 
     return Truth(materials, lighting, np.stack(pictures), held_out.coefficients)
 
 
+def _truth_files(folder: Path) -> list[Path]:
+    truth = folder / "truth"
+    found = [truth / "materials.exr", truth / "lighting.json", truth / "relight" / "lighting.json"]
+    return [path for path in found if path.exists()] + sorted((truth / "relight").glob("*.exr"))
+
+
 def _write_truth(truth: Truth, scene: Scene, folder: Path) -> None:
     folder.mkdir()
     write_materials(folder / "materials.exr", truth.materials, scene.normals, scene.valid)
@@ -671,11 +702,6 @@ def _ids(segments: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
         if count > MAX_ID:
             raise InputError(f"segments: expected at most {MAX_ID} to save, found {count}")
     return segments.astype(np.uint16)
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _expect_size(path: Path, found: tuple[int, ...], expected: tuple[int, ...]) -> None:

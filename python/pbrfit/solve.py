@@ -8,29 +8,28 @@ import math
 import operator
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import exposure, memory, metrics, refined_fit
+from pbrfit import exposure, memory, metrics
 from pbrfit._core import InputError
 from pbrfit.geometry import angles_between
 from pbrfit.history import History
-from pbrfit.layout import Layout
 from pbrfit.materials import Materials
 from pbrfit.model import render, whole_number
 from pbrfit.needs import Needs
-from pbrfit.objective import Objective
 from pbrfit.priors import Priors
 from pbrfit.refinement import RefineNormals, check_choice, hindrance
 from pbrfit.result import Options, Result
 from pbrfit.robust import check_loss
 from pbrfit.scene import Scene
-from pbrfit.solvers import Limits, Progress, Run, Solver, check_solver
+from pbrfit.solvers import Limits, Progress, Solver, check_solver
 from pbrfit.solvers.run import material_errors
-from pbrfit.uncertainty import estimate
+from pbrfit.tiles import fit_tiles
+from pbrfit.whole_fit import Asked, Found, fit_whole
 
 __all__ = ["Loss", "Progress", "decompose"]
 
@@ -135,87 +134,60 @@ def decompose(
     hindered = None if refine_normals == "off" else hindrance(scene)
     if hindered and refine_normals == "on":
         log.warning("normals are not refined: %s", hindered)
-    began = time.perf_counter()
-    priors = priors or Priors.none()
-    layout = Layout.of(
-        scene, sh_order=sh_order, metallic_known=metallic is not None, mono_light=mono_light
-    )
-    refining = refine_normals != "off" and hindered is None
-    needed = memory.of_fit(scene, layout, solver, refine_normals=refining)
-    if refining and refine_normals == "auto":
-        # A fit with held normals is what was asked for too, if it takes no more.
-        hindered = memory.missing(needed)
-        if hindered is not None:
-            needed = memory.of_fit(scene, layout, solver)
-    memory.check(solver, needed)  # before anything large is made
-
-    def make(of: Scene, free_normals: bool) -> Objective:
-        return Objective(
-            of,
-            threads=threads,
-            sh_order=sh_order,
-            metallic=metallic,
-            mono_light=mono_light,
-            priors=None if free_normals else priors,
-            equal_exposures=equal_exposures,
-            free_normals=free_normals,
-        )
-
-    objective = make(scene, False)
-    run = Run(
-        scene,
-        objective,
-        priors=priors,
-        robust=robust,
+    asked = Asked(
+        solver=solver,
         limits=Limits(iterations, time_limit),
+        threads=threads,
+        sh_order=sh_order,
+        metallic=metallic,
+        mono_light=mono_light,
+        priors=priors or Priors.none(),
+        uncertainty=uncertainty,
+        robust=robust,
+        equal_exposures=equal_exposures,
+        refine_normals=refine_normals,
+        hindered=hindered,
         seed=seed,
         progress=progress,
-        began=began,
+        began=time.perf_counter(),
     )
-    found, refinement = refined_fit.fit(
-        run,
-        _start(objective, start),
-        make,
-        solver=solver,
-        start_given=start is not None,
-        asked=refine_normals,
-        hindered=hindered,
+    layout = asked.layout(scene)
+    plan = memory.plan(
+        layout,
+        solver,
+        held=memory.bytes_of(scene),
+        exact=scene.images.dtype != np.float32,
+        refine_normals=refine_normals != "off" and hindered is None,
+        optional=refine_normals == "auto",
     )
-    run, x, status, stop_reason = found.run, found.x, found.status, found.reason
-    objective = run.objective
-    normals = np.asarray(run.scene.normals, dtype=np.float64)
-    del found
+    memory.check(solver, plan.needed)  # before anything large is made
+    asked = replace(asked, hindered=hindered or plan.hindered)
+    found = (fit_tiles if plan.tiled else fit_whole)(scene, asked, start)
     needs = Needs.of(
         scene,
-        objective.layout,
-        priors=priors,
+        layout,
+        priors=asked.priors,
         robust=robust,
         uncertainty=uncertainty,
-        lighting=run.measured_lighting,
+        lighting=found.measured_lighting,
     )
-    seconds = time.perf_counter() - began - run.unmeasured
-    deviations = estimate(objective, x, priors=priors != Priors.none()) if uncertainty else None
-    materials, lighting = objective.unpack(x)
     given = np.asarray(scene.normals, dtype=np.float64)
+    refinement = found.refinement
     if refinement.refined:
-        refinement = refinement.with_change(angles_between(normals, given))
-    exposures, assumed = objective.exposures, _assumed(scene, objective)
-    history, evaluations, stages = History(tuple(run.rows)), run.evaluations, tuple(run.stages)
-    iteration = run.iteration
-    del run, objective, x  # the core, whose memory the pictures for the metrics take
+        refinement = refinement.with_change(angles_between(found.normals, given))
     result = Result(
-        materials=materials,
-        lighting=lighting,
-        normals=normals,
+        materials=found.materials,
+        lighting=found.lighting,
+        normals=found.normals,
         mask=scene.valid.copy(),
         fov=scene.fov,
         pictures=scene.names,
-        status=status,
-        stop_reason=stop_reason,
-        history=history,
-        evaluations=evaluations,
-        seconds=seconds,
-        metrics=_metrics(scene, normals, materials, lighting, threads, exposures),
+        status=found.status,
+        stop_reason=found.reason,
+        history=History(found.rows),
+        evaluations=found.evaluations,
+        seconds=found.seconds,
+        metrics=_metrics(scene, found, threads),
         options=Options(
             solver=solver,
             iterations=iterations,
@@ -223,44 +195,31 @@ def decompose(
             sh_order=int(sh_order),
             metallic=None if metallic is None else float(metallic),
             mono_light=mono_light,
-            priors=asdict(priors),
+            priors=asdict(asked.priors),
             robust=robust,
             equal_exposures=equal_exposures,
             seed=seed,
             refine_normals=refine_normals,
         ),
-        assumed=assumed,
+        assumed=_assumed(scene, found),
         left_out=needs.left_out,
         inputs=dict(scene.inputs),
         source=scene.source,
-        stages=stages,
-        uncertainty=deviations,
+        stages=found.stages,
+        uncertainty=found.uncertainty,
         refinement=refinement,
         given_normals=given if refinement.refined else None,
     )
-    log.info("%s after %d iterations, %.1f s: %s", status, iteration, seconds, stop_reason)
+    log.info(
+        "%s after %d iterations, %.1f s: %s",
+        *(found.status, found.iterations, found.seconds, found.reason),
+    )
     return result
 
 
-def _start(
-    objective: Objective, start: Materials | tuple[Materials, NDArray[Any]] | None
-) -> NDArray[np.float64]:
-    if start is None:
-        return objective.start()
-    materials, lighting = (start, None) if isinstance(start, Materials) else start
-    x = objective.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
-    return np.clip(x, *objective.bounds.T)
-
-
-def _metrics(
-    scene: Scene,
-    normals: NDArray[np.float64],
-    materials: Materials,
-    lighting: NDArray[np.float64],
-    threads: int,
-    exposures: NDArray[np.float64] | None = None,
-) -> dict[str, float]:
+def _metrics(scene: Scene, fit: Found, threads: int) -> dict[str, float]:
     """Final errors, computed in float64."""
+    normals, materials, lighting = fit.normals, fit.materials, fit.lighting
     weights = (
         [None] * len(scene.images) if scene.weights is None else list(scene.weights[..., None])
     )
@@ -270,8 +229,8 @@ def _metrics(
         metrics.rmse(render(materials, normals, light, scene.fov, threads), image, w)
         for image, light, w in zip(scene.images, lighting, weights, strict=True)
     ]
-    if exposures is not None:
-        of_pictures = list(map(operator.truediv, of_pictures, exposures.tolist()))
+    if fit.exposures is not None:
+        of_pictures = list(map(operator.truediv, of_pictures, fit.exposures.tolist()))
     shares = [math.sqrt(total / math.fsum(totals)) for total in totals]
     found = {"recon_rmse": math.hypot(*map(operator.mul, shares, of_pictures))}
     truth = scene.truth
@@ -286,8 +245,8 @@ def _metrics(
     return found
 
 
-def _assumed(scene: Scene, objective: Objective) -> dict[str, str]:
+def _assumed(scene: Scene, fit: Found) -> dict[str, str]:
     assumed = dict(scene.assumed)
-    if objective.exposures is not None:
-        assumed["exposures"] = exposure.in_words(objective.exposures)
+    if fit.exposures is not None:
+        assumed["exposures"] = exposure.in_words(fit.exposures)
     return assumed

@@ -209,17 +209,66 @@ def estimate(
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):
-        return _estimate(objective, x, priors, light_pixels)
+        lights = light_modes(objective, x, light_pixels)
+        found = variances(objective, x, lights)
+        return of_variances(
+            found,
+            objective.layout,
+            lights,
+            samples=objective.samples,
+            scale=objective.scale,
+            priors=priors,
+        )
 
 
-def _estimate(objective: Objective, x: Array, priors: bool, light_pixels: int) -> Uncertainty:
+@dataclass(frozen=True, eq=False)
+class Variances:
+    """Variances of the unknowns of pixels for noise of deviation 1, (P, D).
+
+    Attributes
+    ----------
+    conditional, marginal
+        With the lights held, and with their modes.
+    singular
+        Which are not determined.
+    held
+        Which are held at a bound.
+    squares
+        (P,): what is left of the pixels.
+    """
+
+    conditional: NDArray[np.floating[Any]]
+    marginal: NDArray[np.floating[Any]]
+    singular: NDArray[np.bool_]
+    held: NDArray[np.bool_]
+    squares: Array
+
+    @classmethod
+    def empty(cls, pixels: int, unknowns: int) -> Variances:
+        """To be filled, in float32."""
+        shape = pixels, unknowns
+        return cls(
+            np.zeros(shape, np.float32),
+            np.zeros(shape, np.float32),
+            np.zeros(shape, bool),
+            np.zeros(shape, bool),
+            np.zeros(pixels),
+        )
+
+    def put(self, pixels: NDArray[np.intp], other: Variances, of_other: NDArray[np.bool_]) -> None:
+        """Give some pixels what some of another's have."""
+        largest = np.finfo(np.float32).max
+        for name in ("conditional", "marginal"):
+            getattr(self, name)[pixels] = np.minimum(getattr(other, name)[of_other], largest)
+        for name in ("singular", "held", "squares"):
+            getattr(self, name)[pixels] = getattr(other, name)[of_other]
+
+
+def variances(objective: Objective, x: Array, lights: LightModes | None) -> Variances:
+    """Of all pixels of a fit, given how its lights may move."""
     problem, layout = objective.problem, objective.layout
     held = held_at_bounds(x, layout)
     for_core = objective.for_core(x)
-    lights = None
-    if layout.lighting is not None:
-        lights = _light_modes(objective, x, held, light_pixels)
-
     conditional = np.empty(held.shape)
     marginal = np.empty(held.shape)
     singular = np.empty(held.shape, dtype=bool)
@@ -238,17 +287,41 @@ def _estimate(objective: Objective, x: Array, priors: bool, light_pixels: int) -
             if len(lights.free):
                 moves = problem.moves_with_lights(*args, lights.free)
                 singular[chunk] |= moves > FREE_MOVE**2
+    return Variances(conditional, marginal, singular, held, squares)
 
+
+def of_variances(
+    found: Variances,
+    layout: Layout,
+    lights: LightModes | None,
+    *,
+    samples: int,
+    scale: float,
+    priors: bool,
+) -> Uncertainty:
+    """The uncertainty with the noise that is left; the variances change.
+
+    Parameters
+    ----------
+    found, layout
+        Of all pixels of a scene.
+    lights
+        How they may move.
+    samples, scale, priors
+        How many samples have a weight, the scene scale, and whether priors took part.
+    """
+    held = found.held
     unknowns = np.count_nonzero(~held) + layout.size - layout.maps.stop
-    degrees = objective.samples - unknowns
-    noise = math.sqrt(float(squares.sum()) / degrees) if degrees > 0 else None
+    degrees = samples - unknowns
+    noise = math.sqrt(float(found.squares.sum()) / degrees) if degrees > 0 else None
 
-    def deviations(variances: Array) -> Array:
+    def deviations(variances: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """In their place."""
-        found = np.sqrt(variances, out=variances)
-        found *= noise or 0.0
-        found[singular | (not degrees > 0) & ~held] = LARGEST
-        return np.minimum(found, LARGEST, out=found)
+        np.sqrt(variances, out=variances)
+        variances *= noise or 0.0
+        variances[found.singular | (not degrees > 0) & ~held] = LARGEST
+        np.minimum(variances, LARGEST, out=variances)
+        return variances
 
     albedo_scale = np.zeros(3)
     if lights is not None:
@@ -256,16 +329,14 @@ def _estimate(objective: Objective, x: Array, priors: bool, light_pixels: int) -
             np.minimum(lights.scale * noise, LARGEST) if noise is not None else LARGEST
         )
     red, green, blue = albedo_scale.tolist()
-    # Of the size of x each, which counts: maps of one after the other.
-    of_conditional = _materials(deviations(conditional), layout)
-    del conditional
-    marginal = deviations(marginal)
+    of_conditional = _materials(deviations(found.conditional), layout)
+    marginal = deviations(found.marginal)
     return Uncertainty(
         conditional=of_conditional,
         marginal=_materials(marginal, layout),
         undetermined=_flags(marginal > UNDETERMINED, layout),
         on_bound=_flags(held, layout),
-        noise=None if noise is None else noise * objective.scale,
+        noise=None if noise is None else noise * scale,
         albedo_scale=(red, green, blue),
         priors=priors,
         light_pixels=0 if lights is None else lights.pixels,
@@ -275,7 +346,7 @@ def _estimate(objective: Objective, x: Array, priors: bool, light_pixels: int) -
 
 
 @dataclass(frozen=True, eq=False)
-class _LightModes:
+class LightModes:
     """Covariance of the lights, of noise 1, as independent modes of deviation 1.
 
     Attributes
@@ -299,14 +370,23 @@ class _LightModes:
     omitted: float
 
 
-def _light_modes(
-    objective: Objective, x: Array, held: NDArray[np.bool_], light_pixels: int
-) -> _LightModes:
-    """From the spectrum of the lights over some of the pixels.
+def light_modes(
+    objective: Objective,
+    x: Array,
+    light_pixels: int = LIGHT_PIXELS,
+    of_pixels: int | None = None,
+) -> LightModes | None:
+    """How the lights of a fit may move, from their spectrum over some of its pixels.
+
+    None where they are known. `of_pixels` is how many pixels saw them, if not those of the
+    objective alone.
 
     The mode of λ adds (1 − λ)/λ to the sum over pixels of their variances in units of A⁻¹. That
     ranks the modes and bounds what those left out would add.
     """
+    if objective.lighting is None:
+        return None
+    held = held_at_bounds(x, objective.layout)
     layout, for_core = objective.layout, objective.for_core(x)
     pixels = spread(layout.pixels, light_pixels)
     own_held = held[pixels]
@@ -322,7 +402,7 @@ def _light_modes(
         return np.ascontiguousarray(np.repeat(modes, layout.channels // lit, axis=-1))
 
     # What the other pixels know of the lights is taken to be like what these know.
-    more = layout.pixels / len(pixels)
+    more = (of_pixels or layout.pixels) / len(pixels)
     is_free = left < FREE
     left = np.maximum(left, FREE)
     deviation = 1 / np.sqrt(more * left)
@@ -333,7 +413,7 @@ def _light_modes(
     modes = in_x((vectors * deviation)[:, ~is_free])
     lights = for_core[layout.maps.stop :].reshape(layout.pictures, k, -1)[..., :lit]
     in_units = np.einsum("aik,ak->ai", known.to_units, lights.transpose(0, 2, 1).reshape(blocks, k))
-    return _LightModes(
+    return LightModes(
         modes=modes[:used],
         free=in_x(vectors[:, is_free] * np.linalg.norm(in_units)),
         scale=_scale_deviation(in_units.reshape(layout.pictures, lit, k), vectors, deviation, more),
@@ -380,7 +460,7 @@ def _omitted(
     return float(1 - np.sqrt((kept[known] / (kept + rest)[known]).min(initial=1.0)))
 
 
-def _materials(values: Array, layout: Layout) -> Materials:
+def _materials(values: NDArray[np.floating[Any]], layout: Layout) -> Materials:
     """Maps of (P, D); what is known has 0."""
     c = layout.channels
     metallic = np.zeros(layout.pixels) if layout.metallic_known else values[:, c + 1]

@@ -5,6 +5,7 @@
 //! keeps the lock instead.
 
 mod arrays;
+mod ending;
 mod image_file;
 mod images;
 mod lbfgs;
@@ -14,6 +15,7 @@ mod problem;
 
 use std::sync::LazyLock;
 
+use numpy::PyArray1;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
@@ -55,10 +57,14 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     // Under the interpreter lock, without which nobody forks: a child that was forked while another
     // thread makes the table would wait for it for ever.
     LazyLock::force(&TABLE);
+    // Numpy's functions are looked up when first used, where a Ctrl-C would become a panic.
+    module.py().import("numpy")?;
+    PyArray1::<f64>::zeros(module.py(), 0, false);
     module.add("InputError", module.py().get_type::<InputError>())?;
     model::register(module)?;
     problem::register(module)?;
     penalties::register(module)?;
     lbfgs::register(module)?;
+    ending::register(module)?;
     image_file::register(module)
 }

@@ -34,6 +34,14 @@ def work(task: Task, threads: int) -> dict[str, Any]:
         time.sleep(600)
     if task.act == "last at first" and attempt == 1:
         time.sleep(2)  # no longer: before Python 3.12 a death may show only when another task ends
+    if task.act == "no pickle":
+        return {"name": (name for name in [task.key])}
+    if task.act == "no pickle raised":
+
+        class StrangeError(Exception):
+            pass
+
+        raise StrangeError("as it is")
     if task.act == "no JSON":
         return {"name": {task.key}}
     return {"name": task.key, "threads": threads}

@@ -15,7 +15,7 @@ import pytest
 
 from page_reader import Page
 from pbrfit import InputError, Result, Scene, decompose, relight
-from pbrfit.commands.fit_options import print_result
+from pbrfit.batch.scenes import table
 from pbrfit.differences import PALETTE, WHITE, turned
 from pbrfit.export import export_result
 from pbrfit.geometry import angles_between
@@ -326,16 +326,13 @@ def test_the_command_says_early_that_what_was_asked_for_cannot_be_done(
     assert run("decompose", folder, "--out", out, "--refine-normals", "perhaps") == 2
 
 
-def test_the_summary_tells_what_was_refined(
-    result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    print_result(result, scene(), tmp_path)
+def test_the_summary_tells_what_was_refined(result: Result, tmp_path: Path) -> None:
     inside = degrees_of(result.mask)[result.mask]
     line = (
         f"\nnormals (auto): refined by {inside.mean():.1f} degrees in the mean, {LARGEST:.1f} at "
-        f"most: {result.refinement.why}\n"
+        f"most: {result.refinement.why}"
     )
-    assert line in capsys.readouterr().out
+    assert line in "\n".join(table(result, scene(), tmp_path))
 
 
 def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(

@@ -37,7 +37,7 @@ LAYERS = {
 KEYS = [
     *("version", "status", "stop_reason", "fov", "iterations", "evaluations", "seconds"),
     *("protocol", "metrics", "uncertainty", "normals", "options", "assumed", "left_out"),
-    *("stages", "inputs", "scene"),
+    *("stages", "inputs", "scene", "files"),
 ]
 HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
 ERRORS = ["albedo_rmse", "roughness_rmse", "metallic_rmse"]
@@ -163,7 +163,7 @@ def test_save_and_load_give_the_same_result(result: Result, tmp_path: Path) -> N
         *("assumed", "left_out", "stages", "inputs", "refinement"),
     ):
         assert getattr(loaded, name) == getattr(result, name), name
-    loaded.save(tmp_path / "again")
+    loaded.save(tmp_path / "again", scene=masked_scene(truth=True))
     for name in ("history.csv", "lighting.json", "materials.exr", "result.json"):
         again = (tmp_path / "again" / name).read_bytes()
         assert again == (tmp_path / "out" / name).read_bytes(), name
@@ -275,6 +275,7 @@ def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> N
         "color_space": None,
         "max_size": 6,
         "code_range": [0, 255],
+        "fov": None,
     }
     assert str(tmp_path) not in text
     assert Result.load(tmp_path / "out" / "result").source == scene.source
@@ -294,7 +295,7 @@ def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
     file.write_text(json.dumps(content), encoding="utf-8")
     assert Result.load(tmp_path / "out").source is None
     whole = {"path": "x", "color_space": None, "max_size": None, "code_range": [1, 250]}
-    for wrong in ({"path": 3}, {"color_space": "film"}, {"code_range": [1]}, {"max_size": "all"}):
+    for wrong in ({"path": 3}, {"color_space": "film"}, {"code_range": [1]}, {"fov": "wide"}):
         scene = whole | wrong
         file.write_text(json.dumps(content | {"scene": scene}), encoding="utf-8")
         with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):

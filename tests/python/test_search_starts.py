@@ -45,7 +45,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[Array]:
     """Where searches began; none of them goes anywhere."""
     starts: list[Array] = []
 
-    def stay(_: Objective, prior: Any, x: Array, __: Any) -> Any:
+    def stay(_: Objective, prior: Any, x: Array, *__: Any) -> Any:
         starts.append(x.copy())
         return SimpleNamespace(state=State(x, np.zeros((1, 2))), prior=prior)
 
@@ -92,8 +92,8 @@ def test_what_explains_most_is_kept(monkeypatch: pytest.MonkeyPatch, begun: list
     stay = search._searched
     truth, x = true_x(), unexplained()
 
-    def second_is_right(few: Objective, prior: Any, start: Array, stop: Any) -> Any:
-        return stay(few, prior, truth if len(begun) == 1 else start, stop)
+    def second_is_right(few: Objective, prior: Any, start: Array, *others: Any) -> Any:
+        return stay(few, prior, truth if len(begun) == 1 else start, *others)
 
     monkeypatch.setattr(search, "_searched", second_is_right)
     np.testing.assert_array_equal(find(x).x, truth)

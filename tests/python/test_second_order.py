@@ -394,7 +394,9 @@ def learnt(objective: Objective) -> tuple[Array, material_prior.MaterialPull]:
     lit = second_order.find_lights(objective, objective.start(), Watch(), seed=0)
     fit = second_order.fit_materials(objective, lit.x, Watch())
     assert fit is not None
-    return material_prior.learn(objective, fit.x, 1.0, out_of_time=lambda: False)
+    found = material_prior.learn(objective, fit.x, 1.0, out_of_time=lambda: False)
+    assert found is not None
+    return found[:2]
 
 
 @pytest.mark.parametrize("kind", ["colour", "known metallic", "mono light", "weights", "grey"])

@@ -17,7 +17,7 @@ from pathlib import Path
 from pbrfit._core import InputError
 from pbrfit.acquire import journal
 from pbrfit.acquire.photo import Photo
-from pbrfit.output import making, naming
+from pbrfit.output import making, naming, undisturbed, unfinished
 
 PICTURES = "images"
 
@@ -129,18 +129,20 @@ def place(out: Path) -> Iterator[Path]:
 def _working(out_at: Path, out: Path) -> Iterator[Path]:
     """The temporary folder, and what becomes of it."""
     temporary = out_at / f"{_TEMPORARY}{secrets.token_hex(6)}"
-    try:
-        with making(out, "folder"):
-            temporary.mkdir()
-        with naming(out, temporary):
-            yield temporary
-            _put(temporary, out_at)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        kept = out_at / journal.FOLDER
-        with suppress(OSError):
-            if kept.is_dir() and journal.holds_nothing(kept):
-                shutil.rmtree(kept)
+    with unfinished(temporary):
+        try:
+            with making(out, "folder"):
+                temporary.mkdir()
+            with naming(out, temporary):
+                yield temporary
+                with undisturbed():
+                    _put(temporary, out_at)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+            kept = out_at / journal.FOLDER
+            with suppress(OSError):
+                if kept.is_dir() and journal.holds_nothing(kept):
+                    shutil.rmtree(kept)
 
 
 @contextmanager

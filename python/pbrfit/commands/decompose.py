@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
-from collections.abc import Sequence
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pbrfit._core import InputError
 from pbrfit.arguments import (
@@ -20,19 +23,21 @@ from pbrfit.arguments import (
     add_quiet,
     complain,
     message_of,
-    unread_is_no_failure,
 )
 from pbrfit.commands.fit_options import (
     add_model,
     add_refinement,
     add_seed,
     add_solver,
-    fit,
-    print_result,
+    fit_bar,
+    fitting,
 )
-from pbrfit.commands.scene_options import add_input, load
+from pbrfit.commands.scene_options import add_input, reading
+from pbrfit.commands.worker_options import add_cluster, add_jobs
 
-log = logging.getLogger("pbrfit")
+if TYPE_CHECKING:
+    from pbrfit.batch.executors import Workers
+    from pbrfit.batch.scenes import SceneOutcome, SceneTask
 
 
 def add(commands: Subcommands) -> None:
@@ -42,6 +47,17 @@ def add(commands: Subcommands) -> None:
         "scenes", metavar="SCENE", nargs="+", type=Path, help="scene folder, or a folder of them"
     )
     add_out(added, "result folder; with several scenes it holds one result folder a scene")
+    added.add_argument(
+        "--resume",
+        action="store_true",
+        help="keep results that are whole and would come out again: the same files, options and "
+        "version of pbrfit; do all others",
+    )
+    added.add_argument(
+        "--json", action="store_true", help="print a line of JSON a scene instead of a table"
+    )
+    add_jobs(added, "scenes at the same time, each in a process of its own (default: 1)")
+    add_cluster(added)
     add_input(added)
     add_solver(added)
     add_seed(added)
@@ -52,48 +68,128 @@ def add(commands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    if options.resume and options.overwrite:
+        raise InputError("expected --resume or --overwrite, found both")
+    scenes, one = _find_scenes(options.scenes)
+    outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
+    _check_outputs(scenes, outputs, replacing=options.overwrite or options.resume)
+    if one and options.cluster is None:
+        return _run_one(_task(scenes[0], outputs[0], options), options)
+    return _run_all(scenes, outputs, options, one=one)
+
+
+def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing: bool) -> None:
     from pbrfit.output import check_free
     from pbrfit.result import CONTAINS
 
-    scenes, one = _find_scenes(options.scenes)
-    outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
+    taken = {output.resolve(): output for output in outputs}
+    for path in scenes:
+        place = path.resolve()
+        around = next((taken[above] for above in (place, *place.parents) if above in taken), None)
+        if around is not None:
+            raise InputError(f"{around}: expected a folder apart from the scene, found {path}")
     for output in outputs:
-        for path in scenes:
-            if path.resolve().is_relative_to(output.resolve()):
-                raise InputError(f"{output}: expected a folder apart from the scene, found {path}")
-        check_free(output, overwrite=options.overwrite, contains=CONTAINS)
-    failed = []
-    for path, output in zip(scenes, outputs, strict=True):
+        check_free(output, overwrite=replacing, contains=CONTAINS)
+
+
+def _task(
+    scene: Path, output: Path, options: argparse.Namespace, temporaries: Path | None = None
+) -> SceneTask:
+    from pbrfit.batch.scenes import SceneTask
+
+    far = options.cluster is not None  # workers there have other working folders
+    return SceneTask(
+        scene=scene.absolute() if far else scene,
+        output=output.absolute() if far else output,
+        reading=reading(options),
+        fitting=fitting(options),
+        threads=options.threads,
+        resume=options.resume,
+        overwrite=options.overwrite,
+        temporaries=temporaries,
+    )
+
+
+def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
+    from pbrfit.batch.driver import Attempt
+    from pbrfit.batch.scenes import decompose_scene
+    from pbrfit.commands.scene_display import SceneDisplay
+
+    began = time.perf_counter()
+    with SceneDisplay(1, quiet=options.quiet, as_json=options.json) as display:
         try:
-            _decompose_one(path, output, options)
+            with fit_bar(options.iterations, task.name, quiet=options.quiet) as show:
+                outcome = decompose_scene(task, 0, show)
         except (InputError, OSError, MemoryError) as error:
-            if one:
-                raise
             message = message_of(error)
-            complain(message if str(path) in message else f"{path}: {message}")
-            failed.append(path)
-    if failed:
-        names = ", ".join(str(path) for path in failed)
-        complain(f"{len(failed)} of {len(scenes)} scenes failed: {names}")
-        return SOME_FAILED if len(failed) < len(scenes) else UNUSABLE
+            if not options.json:
+                raise
+            display.tell(task, Attempt(None, message, seconds=time.perf_counter() - began))
+            return UNUSABLE
+        display.tell(task, Attempt(outcome, None, seconds=time.perf_counter() - began))
     return DONE
 
 
-def _decompose_one(path: Path, output: Path, options: argparse.Namespace) -> None:
-    from pbrfit import alignment
-    from pbrfit.output import new_folder
-    from pbrfit.result import CONTAINS
+def _run_all(
+    scenes: Sequence[Path], outputs: Sequence[Path], options: argparse.Namespace, *, one: bool
+) -> int:
+    from pbrfit import memory
+    from pbrfit.batch import place
+    from pbrfit.batch.cluster import LOCAL
+    from pbrfit.batch.driver import drive
+    from pbrfit.batch.executors import workers
+    from pbrfit.batch.scenes import memory_of
+    from pbrfit.commands.scene_display import SceneDisplay
 
-    # The folder is opened first: no right to write should show before the work, not after it.
-    with new_folder(output, overwrite=options.overwrite, contains=CONTAINS) as folder:
-        scene = load(path, options)
-        for complaint in alignment.complaints(scene):
-            log.warning("%s: %s: pictures must line up pixel by pixel", path, complaint)
-        result = fit(scene, path.resolve().name, options)
-        result.write(folder, scene)
-    if not options.quiet:
-        with unread_is_no_failure():
-            print_result(result, scene, output)
+    where = place.of_one(options.out) if one else place.of_batch(options.out)
+    display = SceneDisplay(len(scenes), quiet=options.quiet, as_json=options.json)
+    with where as temporaries:
+        tasks = [
+            _task(path, output, options, temporaries)
+            for path, output in zip(scenes, outputs, strict=True)
+        ]
+        done_by = workers(options.jobs, options.cluster, most=len(tasks))
+        beside = done_by.apart and options.cluster in (None, LOCAL)
+        try:
+            with display:
+                drive(
+                    tasks,
+                    _work(done_by, options),
+                    done_by,
+                    ended=display.tell,
+                    meanwhile=display.show if done_by.apart else lambda _: None,
+                    memory=memory_of if beside else None,
+                    available=memory.available(),
+                )
+        except ConnectionError as error:
+            complain(message_of(error))
+            display.summary()
+            return SOME_FAILED if display.ended > len(display.failed) else UNUSABLE
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted after {display.ended} of {len(tasks)} scenes; no unfinished result "
+                "was left behind; --resume goes on from there"
+            ) from None
+    if not one:
+        display.summary()
+    if display.failed:
+        return SOME_FAILED if len(display.failed) < len(tasks) else UNUSABLE
+    return DONE
+
+
+def _decompose_here(task: SceneTask, threads: int, *, quiet: bool) -> SceneOutcome:
+    from pbrfit.batch.scenes import decompose_scene
+
+    with fit_bar(task.fitting.iterations, task.name, quiet=quiet, within=True) as show:
+        return decompose_scene(task, threads, show)
+
+
+def _work(
+    done_by: Workers, options: argparse.Namespace
+) -> Callable[[SceneTask, int], SceneOutcome]:
+    from pbrfit.batch.scenes import decompose_scene
+
+    return decompose_scene if done_by.apart else partial(_decompose_here, quiet=options.quiet)
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
@@ -114,8 +210,8 @@ def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
             scenes += below or [path]
         else:
             scenes.append(path)
-    names = [path.resolve().name for path in scenes]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    names = Counter(path.resolve().name for path in scenes)
+    twice = sorted(name for name, count in names.items() if count > 1)
     if twice:
         raise InputError(f"SCENE: expected different names, found {twice[0]} twice")
     return scenes, len(paths) == 1 and scenes == list(paths)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit.arguments import DONE, Subcommands, add_command, add_priors, add_quiet
-from pbrfit.commands.fit_options import add_model, add_refinement, add_solver, fit, print_result
+from pbrfit.commands.fit_options import add_model, add_refinement, add_solver, fit_bar, fitting
 from pbrfit.commands.synth import add_synthetic, make_scene
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ FRAMES = 48
 
 
 def _run(options: argparse.Namespace) -> int:
+    from pbrfit.batch.scenes import table
     from pbrfit.output import new_folder
     from pbrfit.preview import plot_history
     from pbrfit.report import write_report
@@ -45,13 +46,14 @@ def _run(options: argparse.Namespace) -> int:
     with new_folder(options.out, overwrite=options.overwrite, contains=parts) as folder:
         make_scene(options).save(folder / "scene")
         scene = Scene.load(folder / "scene")
-        result = fit(scene, options.kind, options)
+        with fit_bar(options.iterations, options.kind, quiet=options.quiet) as show:
+            result = fitting(options).fit(scene, options.threads, show)
         result.save(folder / "result", scene=scene)
         plot_history(result, folder / "history.png")
         _relight(result, folder, options.threads)
         write_report(result, folder / "report.html", scene)
     if not options.quiet:
-        print_result(result, scene, options.out / "result")
+        print("\n".join(table(result, scene, options.out / "result")))
         print(
             f"\n{options.out / 'report.html'}: all of it, to be opened in a browser\n"
             f"{options.out / 'relit.png'}: under a lamp that is in none of the pictures; "

@@ -1,9 +1,10 @@
-"""Options of a fit, and the fit that they ask for."""
+"""Options of a fit, what they ask for, and how it is shown."""
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pbrfit.arguments import add_threads, given_priors, progress_bar, whole_number
@@ -12,8 +13,8 @@ from pbrfit.robust import LOSSES
 from pbrfit.solvers import SOLVERS
 
 if TYPE_CHECKING:
-    from pbrfit.result import Result
-    from pbrfit.scene import Scene
+    from pbrfit.batch.settings import Fitting
+    from pbrfit.solve import Progress
 
 EXPOSURES = {"auto": None, "as-is": False, "equal": True}
 """`equal_exposures` by what it is called here."""
@@ -103,67 +104,37 @@ def metallic(options: argparse.Namespace) -> float | None:
     return None if options.metallic == "free" else float(options.metallic)
 
 
-def fit(scene: Scene, name: str, options: argparse.Namespace) -> Result:
-    """Fit a scene as the options say, with a progress bar of that name."""
-    from pbrfit.solve import Progress, decompose
+def fitting(options: argparse.Namespace) -> Fitting:
+    """What the options ask for."""
+    from pbrfit.batch.settings import Fitting
 
-    with progress_bar(options.iterations, quiet=options.quiet, name=name) as bar:
+    return Fitting(
+        solver=options.solver,
+        iterations=options.iterations,
+        time_limit=options.time_limit,
+        sh_order=options.sh_order,
+        metallic=metallic(options),
+        mono_light=options.mono_light,
+        priors=given_priors(options),
+        robust=options.robust,
+        equal_exposures=EXPOSURES[options.exposures],
+        refine_normals=options.refine_normals,
+        seed=options.seed,
+    )
+
+
+@contextmanager
+def fit_bar(
+    iterations: int, name: str, *, quiet: bool, within: bool = False
+) -> Iterator[Callable[[Progress], None]]:
+    """Show how a fit goes on, on a line that goes away where it is `within` another one's."""
+    with progress_bar(iterations, quiet=quiet, name=name, leave=not within) as bar:
 
         def show(progress: Progress) -> None:
             bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)
             bar.update(progress.iteration - bar.n)
 
-        result = decompose(
-            scene,
-            solver=options.solver,
-            iterations=options.iterations,
-            time_limit=options.time_limit,
-            threads=options.threads,
-            sh_order=options.sh_order,
-            metallic=metallic(options),
-            mono_light=options.mono_light,
-            priors=given_priors(options),
-            robust=options.robust,
-            equal_exposures=EXPOSURES[options.exposures],
-            refine_normals=options.refine_normals,
-            seed=options.seed,
-            progress=show,
-        )
+        yield show
         # Most fits need fewer iterations than they may do: then the bar was all of them.
         bar.total = bar.n
         bar.refresh()
-    return result
-
-
-def print_result(result: Result, scene: Scene, output: Path) -> None:
-    """Tell how the fit went."""
-    iterations = result.history.iterations
-    print(
-        f"{output}: {len(scene.images)} pictures of {scene.width} × {scene.height}, "
-        f"{iterations} iterations in {result.seconds:.1f} s ({result.stop_reason})"
-    )
-    for stage in result.stages:
-        note = f" ({stage.note})" if stage.note else ""
-        print(f"{stage.seconds:>6.1f} s  {stage.name}{note}")
-    rows = [
-        ("reconstruction", "recon_rmse"),
-        ("albedo", "albedo_rmse"),
-        ("albedo, best scale", "albedo_scaled_rmse"),
-        ("roughness", "roughness_rmse"),
-        ("metallic", "metallic_rmse"),
-        ("relight", "relight_rmse"),
-    ]
-    print(f"\n{'RMSE':<22}{'start':>10}{'result':>10}")
-    for name, key in rows:
-        if key in result.metrics:
-            known = key in result.history.columns
-            at_start = _error(result.history[key][0]) if known else ""
-            print(f"{name:<22}{at_start:>10}{_error(result.metrics[key]):>10}")
-    print(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
-    if result.left_out:
-        print(f"left out: {'; '.join(result.left_out)}")
-
-
-def _error(value: float) -> str:
-    """Four decimals, or what there is where these would all be 0."""
-    return f"{value:.4f}" if value >= 5e-5 or value == 0 else f"{value:.1e}"

@@ -11,6 +11,7 @@ from pbrfit.color import ColorSpace
 from pbrfit.images import CODE_RANGE
 
 if TYPE_CHECKING:
+    from pbrfit.batch.settings import Reading
     from pbrfit.scene import Scene
 
 
@@ -44,14 +45,18 @@ def add_input(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def load(path: Path, options: argparse.Namespace) -> Scene:
-    """Read a scene folder as they say."""
-    from pbrfit.scene import Scene
+def reading(options: argparse.Namespace) -> Reading:
+    """How a scene folder is to be read."""
+    from pbrfit.batch.settings import Reading
 
-    return Scene.load(
-        path,
+    return Reading(
         fov=options.fov,
         color_space=options.color_space,
         max_size=options.max_size,
         code_range=options.code_range,
     )
+
+
+def load(path: Path, options: argparse.Namespace) -> Scene:
+    """Read a scene folder as they say."""
+    return reading(options).load(path)

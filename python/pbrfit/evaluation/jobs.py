@@ -2,30 +2,24 @@
 
 Every task ends in a record, `records/KEY.json` in the folder of the suite, which is there whole or
 not at all. A later run uses a record again if task and code are the same: the record holds a
-digest of both. Workers are started afresh (spawn), so that nothing is inherited from a process
-whose threads may hold locks.
+digest of both.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
-import signal
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
-from multiprocessing.process import BaseProcess
+from functools import cache, partial
 from pathlib import Path
-from threading import Thread
 from typing import Any, Protocol, TypeVar
 
 import pbrfit
+from pbrfit.batch.driver import Attempt, drive, repeat_log
+from pbrfit.batch.executors import workers
 from pbrfit.json_files import UNFIT, number, table
 
 RECORDS = "records"
@@ -73,7 +67,8 @@ def run(
     work: Callable[[T, int], Values],
     folder: Path,
     *,
-    jobs: int = 1,
+    jobs: int | None = 1,
+    cluster: str | None = None,
     progress: Callable[[Record], None] = lambda _: None,
 ) -> list[Record]:
     """Do all tasks, or take their records from an earlier run.
@@ -87,8 +82,8 @@ def run(
     folder
         Exists. Records that are there already are used again if they are of the same task and
         code, and ended well.
-    jobs
-        How many tasks run at the same time; 1 = in this process, with all processors.
+    jobs, cluster
+        How many tasks run at the same time, and where; see `pbrfit.batch.executors.workers`.
     progress
         Called with each record, found or made.
 
@@ -115,84 +110,23 @@ def run(
         done[task.key] = record
         progress(record)
 
-    if jobs == 1:
-        for task in missing:
-            keep(task, _attempt(work, task, os.cpu_count() or 1))
-    else:
-        _run_in_processes(missing, work, min(jobs, len(missing)), keep)
+    def end(task: T, attempt: Attempt[Values]) -> None:
+        repeat_log(attempt.said)
+        error, raised = attempt.error, attempt.raised
+        if error and raised and not error.startswith(raised):
+            error = f"{raised}: {error}"
+        keep(task, Record(task.key, attempt.value, error, attempt.seconds))
+
+    if missing:
+        done_by = workers(jobs, cluster, most=len(missing))
+        drive(missing, partial(_plainly, work), done_by, ended=end)
     return [done[task.key] for task in tasks]
 
 
-def _run_in_processes(
-    tasks: Sequence[T],
-    work: Callable[[T, int], Values],
-    jobs: int,
-    keep: Callable[[T, Record], None],
-) -> None:
-    waiting = list(reversed(tasks))
-    suspects: list[T] = []
-    threads = max(1, (os.cpu_count() or 1) // max(1, jobs))
-    while waiting or suspects:
-        # No more than `at_once` are handed over at a time: whoever is out when a worker dies is
-        # suspected of it. Suspects are tried again in the end, one at a time, which shows whose
-        # process dies; the death may also have been another's doing, who took all memory.
-        alone = not waiting
-        queue, at_once = (suspects, 1) if alone else (waiting, jobs)
-        running: dict[Future[Record], T] = {}
-        others = set(multiprocessing.active_children())
-        pool = ProcessPoolExecutor(
-            at_once, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
-        )
-        try:
-            while queue or running:
-                while queue and len(running) < at_once:
-                    running[pool.submit(_attempt, work, queue[-1], threads)] = queue[-1]
-                    queue.pop()  # only now: a pool that has just broken takes nothing
-                ended, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in sorted(ended, key=lambda future: future.exception() is not None):
-                    record = future.result()
-                    keep(running.pop(future), record)
-        except BrokenProcessPool:
-            if alone:
-                for task in running.values():
-                    keep(task, Record(task.key, None, "its process died", 0.0))
-            else:
-                suspects += running.values()
-        except BaseException:
-            # Ctrl-C: a worker would go on with its task, and Python waits for it.
-            for worker in set(multiprocessing.active_children()) - others:
-                worker.terminate()
-            raise
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _begin_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is told too, and ends its workers
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        Thread(target=_end_with, args=[parent], daemon=True).start()
-
-
-def _end_with(parent: BaseProcess) -> None:
-    """End this process when its parent has died without a word: nobody else would end it."""
-    parent.join()
-    os._exit(1)
-
-
-def _attempt(work: Callable[[T, int], Values], task: T, threads: int) -> Record:
-    from threadpoolctl import threadpool_limits
-
-    began = time.perf_counter()
-    values, error = None, None
-    try:
-        with threadpool_limits(1):  # small matrices: more threads only get into each other's way
-            # By way of JSON, so that a new record is what it will be when it is read back.
-            values = json.loads(json.dumps(work(task, threads)))
-    except Exception as failure:  # whatever it is, the other tasks are no worse for it
-        words = " ".join(str(failure).split())
-        error = f"{type(failure).__name__}: {words}" if words else type(failure).__name__
-    return Record(task.key, values, error, time.perf_counter() - began)
+def _plainly(work: Callable[[T, int], Values], task: T, threads: int) -> Values:
+    """By way of JSON, so that a new record is what it will be when it is read back."""
+    values: Values = json.loads(json.dumps(work(task, threads or os.cpu_count() or 1)))
+    return values
 
 
 def _load(records: Path, task: Task) -> Record | None:

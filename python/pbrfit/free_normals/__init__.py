@@ -13,8 +13,17 @@ and with its normal seven unknowns.
 `pbrfit.refinement` says whether this is worth while, and what of it is kept.
 """
 
-from pbrfit.free_normals.everywhere import prior_of, spread_out, turn
+from pbrfit.free_normals.everywhere import prior_of, spread_out, start_nearer, turn
 from pbrfit.free_normals.search import find
 from pbrfit.free_normals.tilt_prior import FIRST_SPREAD
+from pbrfit.free_normals.tilts import tilts_between
 
-__all__ = ["FIRST_SPREAD", "find", "prior_of", "spread_out", "turn"]
+__all__ = [
+    "FIRST_SPREAD",
+    "find",
+    "prior_of",
+    "spread_out",
+    "start_nearer",
+    "tilts_between",
+    "turn",
+]

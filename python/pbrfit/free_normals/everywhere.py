@@ -42,6 +42,22 @@ def spread_out(objective: Objective, x: Array, found: Found) -> None:
     x[layout.maps.stop :] = found.x[found.few.layout.maps.stop :]
 
 
+def start_nearer(objective: Objective, x: Array, tilts: Array) -> None:
+    """Give pixels these tilts (P, 2) where they leave less than those of x; x changes.
+
+    Each with its best albedo, and roughness and metallic as they are.
+    """
+    assert objective.tilts is not None
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    before = objective.put_best_albedo(x, everything)
+    other = x.copy()
+    other[objective.tilts] = tilts.T.ravel()
+    nearer = objective.put_best_albedo(other, everything) < before
+    maps = slice(0, objective.layout.maps.stop)
+    planes = x[maps].reshape(-1, objective.pixels)
+    planes[:, nearer] = other[maps].reshape(-1, objective.pixels)[:, nearer]
+
+
 def prior_of(objective: Objective, given: Array, sigma: Array | None, spread: float) -> TiltPrior:
     """The prior on the tilts of all pixels."""
     around = Neighbourhood.of(numbered(objective.layout), given, sigma)

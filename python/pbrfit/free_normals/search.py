@@ -135,6 +135,8 @@ def find(
     given: Array,
     sigma: Array | None,
     stop: Callable[[], bool],
+    *,
+    rounds: int = ROUNDS,
 ) -> Found:
     """Lights, tilts and materials of a lattice, from the lights of x.
 
@@ -147,7 +149,9 @@ def find(
     given, sigma
         (P, 3) and (P,): the normals that tilts are from, and how sure these are.
     stop
-        Asked after each round.
+        Whether time is up: asked after each joint step, and what is left of a round is left out.
+    rounds
+        At most so many from each start.
     """
     pixels, index = lattice(objective.layout, PIXELS)
     few = objective.restricted(pixels)
@@ -156,7 +160,7 @@ def find(
     x = objective.part_of(x, pixels)
     best: tuple[_Search, Array] | None = None
     for factor in STARTS:
-        search = _searched(few, TiltPrior(around), _scaled(few, x, factor), stop)
+        search = _searched(few, TiltPrior(around), _scaled(few, x, factor), stop, rounds)
         squares = pixel_squares(few, search.state.x)
         if best is None or _nearer(squares, best[1]):
             best = search, squares
@@ -166,10 +170,12 @@ def find(
     return Found(few, pixels, best[0].state.x, best[0].prior)
 
 
-def _searched(few: Objective, prior: TiltPrior, x: Array, stop: Callable[[], bool]) -> _Search:
-    search = _Search(few, prior, x)
+def _searched(
+    few: Objective, prior: TiltPrior, x: Array, stop: Callable[[], bool], rounds: int
+) -> _Search:
+    search = _Search(few, prior, x, stop)
     last = np.inf
-    for number in range(ROUNDS):
+    for number in range(min(ROUNDS, rounds)):
         total = search.round(number)
         settled = number > DIELECTRIC_ROUNDS + len(FLOORS) and total > (1 - SETTLED) * last
         if settled or stop():
@@ -202,8 +208,10 @@ def _nearer(squares: Array, others: Array) -> bool:
 class _Search:
     """A lattice on its way."""
 
-    def __init__(self, few: Objective, prior: TiltPrior, x: Array) -> None:
-        self.few, self.prior = few, prior
+    def __init__(
+        self, few: Objective, prior: TiltPrior, x: Array, stop: Callable[[], bool]
+    ) -> None:
+        self.few, self.prior, self._stop = few, prior, stop
         self._pixels = np.arange(few.pixels, dtype=np.uint64)
         self._damping = FIRST_DAMPING
         finish = len(few.layout.finish)
@@ -230,9 +238,9 @@ class _Search:
             uncertain = uncertain_tilts(self.few, x, precision, variance)
             self.prior = self.prior.learnt(self._tilts(x), uncertain)
         for _ in range(STEPS):
-            if not self._joint():
+            if self._stop() or not self._joint():
                 break
-        if number >= DIELECTRIC_ROUNDS:
+        if number >= DIELECTRIC_ROUNDS and not self._stop():
             self._scale()
         if number in FLIP_ROUNDS:
             self._flip()
@@ -359,6 +367,8 @@ class _Search:
         between[0] = False  # unclassified pixels have nothing in common
         candidates = np.flatnonzero(between)
         for label in candidates[np.argsort(-counts[candidates])][:FLIPPED]:
+            if self._stop():
+                break
             squares = self._squares(self.state.x)
             variance, bound = noise_variance(self.few, squares), _bound(squares)
             least = self._alone(self.state, squares, bound, variance)

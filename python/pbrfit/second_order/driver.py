@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.material_prior import MaterialPull
+from pbrfit.material_prior import HeldPull, MaterialPull
 from pbrfit.model_gap import NOISE_SHARED, Neighbours
 from pbrfit.objective import Objective
 from pbrfit.second_order import subsample
@@ -187,7 +187,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
         squares = fit_all(objective, x, starts=1, stop=watch.stop)
         if squares is None:
             return None
-        retry(objective, x, squares)
+        retry(objective, x, squares, watch.stop)
         stop = watch.visit(x, squares)
         if objective.lighting is None:
             return Fit(x, squares)
@@ -196,7 +196,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
                 break
             polish(objective, x, squares, watch.visit, watch.stop)
             before = float(squares.sum())
-            retry(objective, x, squares)
+            retry(objective, x, squares, watch.stop)
             left = float(squares.sum())
             if left < before:
                 stop = watch.visit(x, squares)
@@ -205,7 +205,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Fit | None:
     return Fit(x, squares)
 
 
-def fit_pulled(objective: Objective, x: Array, pull: MaterialPull, watch: Watch) -> None:
+def fit_pulled(objective: Objective, x: Array, pull: MaterialPull | HeldPull, watch: Watch) -> None:
     """Squares and pull together as low as they get from x, which changes.
 
     The pull's offsets are put to their best values in turns with all else. Where time runs out

@@ -174,14 +174,19 @@ def try_from(
     squares[pixels[better]] = left[better]
 
 
-def retry(objective: Objective, x: Array, squares: Array) -> None:
+def retry(
+    objective: Objective, x: Array, squares: Array, stop: Callable[[], bool] = lambda: False
+) -> None:
     """Try pixels again whose squares stand out; x and `squares` change where that is better.
 
     From more nodes, and from the materials of the pixels around them: an object is seldom of a
-    single pixel, and where its neighbours have found their way, so can it.
+    single pixel, and where its neighbours have found their way, so can it. Where it is stopped, the
+    pixels that are left stay as they are.
     """
     outlying = np.flatnonzero(squares > OUTLYING * np.median(squares)).astype(np.uint64)
     for first in range(0, len(outlying), AT_ONCE):
+        if stop():
+            return
         chunk = outlying[first : first + AT_ONCE]
         found, squares[chunk] = descended(
             objective,
@@ -192,9 +197,13 @@ def retry(objective: Objective, x: Array, squares: Array) -> None:
             nodes=(FINE_ROUGHNESS, FINE_METALLIC),
         )
         place(objective, x, chunk, found)
-    for chunk, other in _beside(objective, outlying):
-        beside = taken(objective, x, other)
-        try_from(objective, x, squares, chunk, beside, steps=STEPS)
+    for pixels, others in _beside(objective, outlying):
+        for first in range(0, len(pixels), AT_ONCE):
+            if stop():
+                return
+            piece = slice(first, first + AT_ONCE)
+            beside = taken(objective, x, others[piece])
+            try_from(objective, x, squares, pixels[piece], beside, steps=STEPS)
 
 
 def _beside(objective: Objective, pixels: Pixels) -> Iterator[tuple[Pixels, Pixels]]:

@@ -132,10 +132,14 @@ def _basis(objective: Objective, x: Array, how: _How) -> Cholesky:
     return Cholesky(matrix, BASIS_DAMPING)
 
 
-def _product(objective: Objective, x: Array, v: Array, how: _How) -> tuple[Array, Array]:
-    """S v and s of all pixels, in order, so that the sums are always the same."""
+def _product(
+    objective: Objective, x: Array, v: Array, how: _How, stop: Callable[[], bool]
+) -> tuple[Array, Array] | None:
+    """S v and s of all pixels, in order, so that the sums are always the same; None if stopped."""
     totals = np.zeros((2, len(v)))
     for chunk in chunks(objective.pixels):
+        if stop():
+            return None
         totals += objective.problem.reduced_product(
             objective.for_core(x), chunk, v, **how.of(objective, x, chunk)
         )
@@ -157,16 +161,20 @@ def _light_moves(
         basis = _basis(objective, x, how)
     except np.linalg.LinAlgError:
         return moves, 0.0
-    _, gradient = _product(objective, x, moves, how)
-    residual = -gradient
+    product = _product(objective, x, moves, how, stop)
+    if product is None:
+        return moves, 0.0
+    residual = -product[1]
     direction = preconditioned = basis.solve(residual)
     first = size_now = float(residual @ preconditioned)
     if not first >= enough:
         return moves, 0.0
     predicted = 0.0
     for _ in range(PRODUCTS):
-        along, _ = _product(objective, x, direction, how)
-        along += LIGHT_DAMPING * how.damping * basis.diagonal * direction
+        product = _product(objective, x, direction, how, stop)
+        if product is None:
+            break
+        along = product[0] + LIGHT_DAMPING * how.damping * basis.diagonal * direction
         curvature = float(direction @ along)
         if not curvature > 0:
             break
@@ -176,7 +184,7 @@ def _light_moves(
         predicted += length * size_now
         preconditioned = basis.solve(residual)
         size_before, size_now = size_now, float(residual @ preconditioned)
-        if size_now <= max(LEFT**2 * first, 0.1 * enough) or stop():
+        if size_now <= max(LEFT**2 * first, 0.1 * enough):
             break
         direction = preconditioned + size_now / size_before * direction
     return moves, predicted
@@ -199,6 +207,8 @@ def _step(
         trial[:] = x
         trial[objective.layout.lighting] += as_in_x(moved, objective.layout)
         for chunk in chunks(objective.pixels):
+            if stop():
+                return None
             followed = objective.problem.follow_lights(
                 objective.for_core(x), chunk, moved, **how.of(objective, x, chunk)
             )
@@ -206,7 +216,7 @@ def _step(
         left = fit_all(objective, trial, starts=0, steps=DESCENT, towards=towards, stop=stop)
         if left is None:
             return None
-        _catch(objective, x, squares, trial, left, towards)
+        _catch(objective, x, squares, trial, left, towards, stop)
         lower = _total(objective, trial, left, towards)
         if lower < total:
             x[:], squares[:] = trial, left
@@ -221,14 +231,17 @@ def _catch(
     x: Array,
     squares: Array,
     towards: Towards | None,
+    stop: Callable[[], bool],
 ) -> None:
     """Let pixels that a step left worse off start again; x and `squares` change.
 
     From where they were, and from the best node: one that falls into another minimum costs more
-    than many others gain.
+    than many others gain. Those that are left when it is stopped stay worse off.
     """
     worse = np.flatnonzero(squares > WORSE * squares_before).astype(np.uint64)
     for first in range(0, len(worse), AT_ONCE):
+        if stop():
+            return
         chunk = worse[first : first + AT_ONCE]
         own = taken(objective, before, chunk)
         rows = None if towards is None else towards.of(chunk)

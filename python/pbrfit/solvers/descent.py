@@ -80,7 +80,7 @@ def robust_around(run: Run, best: tuple[float, Array]) -> tuple[float, Array]:
     if run.robust == "none":
         return best
     _, x = best
-    run.objective.robust = run.objective.robust_around(x, run.robust)
+    run.objective.robust = run.robust_around(x)
     return run.evaluate(x)[0], x
 
 
@@ -160,7 +160,7 @@ def rusts(
             raise StopIteration
 
     found = projected_lbfgs.minimize(
-        run.evaluate,
+        _in_time(run),
         x,
         bounds,
         iterations=iterations,
@@ -170,6 +170,23 @@ def rusts(
         resolution=RESOLUTION,
     )
     return found.fun, found.x
+
+
+def _in_time(run: Run) -> Callable[[Array], tuple[float, Array]]:
+    """`run.evaluate`, which ends a search along a line by StopIteration where time is up.
+
+    The first call always returns: a search needs to know where it is.
+    """
+    first = True
+
+    def evaluate(x: Array) -> tuple[float, Array]:
+        nonlocal first
+        if not first and run.out_of_time():
+            raise StopIteration
+        first = False
+        return run.evaluate(x)
+
+    return evaluate
 
 
 def scipys(
@@ -188,11 +205,23 @@ def scipys(
 
     window, share = stall or (0, 0.0)
     losses: deque[float] = deque(maxlen=window + 1)
+    in_time = _in_time(run)
+    last: tuple[float, Array] | None = None
+
+    def evaluate(x: Array) -> tuple[float, Array]:
+        nonlocal last
+        loss, gradient = in_time(x)
+        if last is None and run.limits.seconds is not None:
+            last = loss, x.copy()
+        return loss, gradient
 
     def after_iteration(intermediate_result: Any) -> None:
+        nonlocal last
         run.iteration += 1
         loss = float(intermediate_result.fun)
         run.record(intermediate_result.x, loss)
+        if run.limits.seconds is not None:  # else nothing ends a search along a line
+            last = loss, intermediate_result.x.copy()
         losses.append(loss)
         stalled = window and len(losses) > window and losses[0] - loss < share * losses[0]
         if stalled or run.out_of_time():
@@ -201,23 +230,27 @@ def scipys(
     # One BLAS thread: dot products split over threads would round differently on a machine with
     # another number of processors.
     with threadpool_limits(1, user_api="blas"):
-        found = minimize(
-            run.evaluate,
-            x,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=Bounds(lower, upper),
-            callback=after_iteration,
-            options={
-                "maxiter": iterations,
-                "maxfun": 10**9,  # iterations and time are the limits
-                "maxcor": CORRECTIONS,
-                # The loss is a mean, so its gradient entries are tiny: scipy's absolute
-                # tolerances would stop at once. Run on until no step lowers the loss.
-                "ftol": 0.0,
-                "gtol": 0.0,
-            },
-        )
+        try:
+            found = minimize(
+                evaluate,
+                x,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=Bounds(lower, upper),
+                callback=after_iteration,
+                options={
+                    "maxiter": iterations,
+                    "maxfun": 10**9,  # iterations and time are the limits
+                    "maxcor": CORRECTIONS,
+                    # The loss is a mean, so its gradient entries are tiny: scipy's absolute
+                    # tolerances would stop at once. Run on until no step lowers the loss.
+                    "ftol": 0.0,
+                    "gtol": 0.0,
+                },
+            )
+        except StopIteration:
+            assert last is not None
+            return last
     return float(found.fun), found.x
 
 

@@ -23,9 +23,9 @@ def lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
         share = FIRST_SHARE if learns(run) else 1.0
         x, _, kept = staged(run, x, loss, share * run.left, SCIPYS, start_given=start_given)
     if learns(run) and not run.out_of_time():
-        kept = ""
-        x, _ = learnt(run, x)
-        if run.left > 0:  # scipy takes a step even where none is left
+        x, pull = learnt(run, x)
+        kept = kept if pull is None else ""
+        if run.left > 0 and not run.out_of_time():  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):
                 _, x = SCIPYS(run, x, run.left)
     # With zero tolerances scipy stops early only where rounding hides any further descent.

@@ -86,6 +86,8 @@ def with_material_prior(run: Run, x: Array) -> Array:
             notes.append("left out: the pictures are explained to the last digit")
         return x
     x, pull = learnt(run, x)
+    if pull is None:
+        return x
     with run.stage("all pixels by Gauss-Newton, with the material prior"):
         second_order.fit_pulled(run.objective, x, pull, _Watch(run, x))
     return x

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from pbrfit import metrics
 from pbrfit.history import HistoryRow
+from pbrfit.layout import Layout
+from pbrfit.material_prior import HeldPull, Lesson, MaterialPull
 from pbrfit.materials import Materials
 from pbrfit.objective import Objective
-from pbrfit.priors import Priors
+from pbrfit.priors import Penalty, Priors
 from pbrfit.result import Stage, Status
 from pbrfit.scene import Scene
 
@@ -36,6 +38,9 @@ class Progress:
         In picture units; while lights are sought on some pixels, of those.
     elapsed_s
         Without the time that `progress` itself and comparing with ground truth have taken.
+    tiles
+        How many tiles of a large picture are done, and of how many; None while it is fitted as a
+        whole.
     state
         Called inside `progress`, it gives maps and lights as they are now, as `Objective.unpack`.
     """
@@ -46,6 +51,7 @@ class Progress:
     recon_rmse: float
     elapsed_s: float
     state: Callable[[], tuple[Materials, NDArray[np.float64]]] = field(repr=False, compare=False)
+    tiles: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,37 @@ class Limits:
     seconds: float | None
 
 
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """What some pixels of a scene were found to have in common with all others.
+
+    Attributes
+    ----------
+    material
+        The learnt material prior; None where the fit has none.
+    robust
+        The robust loss and its scale; None = squares.
+    cohesion
+        (S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
+        each pixel is pulled to it with; None where the prior has no weight.
+    """
+
+    material: Lesson | None = None
+    robust: tuple[str, float] | None = None
+    cohesion: tuple[Array, float] | None = None
+
+    def penalties(self, layout: Layout) -> list[Penalty]:
+        """Those that hold from the start."""
+        if self.cohesion is None or layout.segments is None:
+            return []
+        means, weight = self.cohesion
+        centre = means[layout.segments]
+        known = np.isfinite(centre) & (layout.segments > 0)[:, None]
+        precision = np.where(known, weight, 0.0)
+        centre = np.where(known, centre, 0.0)
+        return [HeldPull(centre, precision, layout.finish, 1 / layout.pixels, "cohesion")]
+
+
 class Run:
     """One fit: counts iterations and passes, keeps the history, watches the clock.
 
@@ -63,8 +100,13 @@ class Run:
     ----------
     scene, objective, priors, robust, limits, seed
         What is fitted and how.
+    taught
+        What other pixels of the scene were found to have, where these are a part of it; None = the
+        whole, which learns for itself.
     measured_lighting
         When the material prior was learnt; by these lights the monochrome weight is chosen.
+    lesson
+        The material prior as it was learnt last, and its penalty; None until then.
     iteration, evaluations, rows, stages
         What was done.
     unmeasured
@@ -82,12 +124,15 @@ class Run:
         seed: int,
         progress: Callable[[Progress], None] | None,
         began: float,
+        taught: Taught | None = None,
     ) -> None:
+        self.taught = taught
         self.scene, self.objective = scene, objective
         self.priors, self.robust = priors, robust
         self.limits, self.seed = limits, seed
         self._iterations = limits.iterations
         self.measured_lighting: Array | None = None
+        self.lesson: tuple[Lesson, MaterialPull] | None = None
         self._truth = None if scene.truth is None else scene.truth.materials
         self._progress = progress
         self._began = began
@@ -108,9 +153,10 @@ class Run:
             seed=self.seed,
             progress=self._progress,
             began=self._began,
+            taught=self.taught,
         )
         later._iterations = self._iterations
-        later.measured_lighting = self.measured_lighting
+        later.measured_lighting, later.lesson = self.measured_lighting, self.lesson
         later.iteration, later.evaluations = self.iteration, self.evaluations
         later.unmeasured = self.unmeasured
         later.rows, later.stages = self.rows, self.stages
@@ -145,6 +191,12 @@ class Run:
         yield notes
         self.stages.append(Stage(name, self.elapsed - began, "; ".join(notes)))
 
+    def robust_around(self, x: Array) -> tuple[str, float] | None:
+        """The loss and its scale for residuals as they are at x; None = squares."""
+        if self.taught is not None:
+            return self.taught.robust
+        return self.objective.robust_around(x, self.robust)
+
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """Loss, penalties included, and gradient."""
         self.evaluations += 1
@@ -172,13 +224,28 @@ class Run:
         self.rows.append(
             HistoryRow(elapsed, self.iteration, self.evaluations, loss, recon, **errors)
         )
-        self._tell(recon, elapsed, lambda: x)
+        self._tell(recon, elapsed, lambda: self.objective.unpack(x))
 
     def tell(self, recon_rmse: float, state: Callable[[], Array]) -> None:
         """Word to who wants to know, of a state that not all pixels have joined."""
-        self._tell(recon_rmse, self.elapsed, state)
+        self._tell(recon_rmse, self.elapsed, lambda: self.objective.unpack(state()))
 
-    def _tell(self, recon: float, elapsed: float, state: Callable[[], Array]) -> None:
+    def tell_tile(
+        self,
+        tiles: tuple[int, int],
+        recon_rmse: float,
+        state: Callable[[], tuple[Materials, Array]],
+    ) -> None:
+        """Word to who wants to know, of a large picture of which some tiles are done."""
+        self._tell(recon_rmse, self.elapsed, state, tiles)
+
+    def _tell(
+        self,
+        recon: float,
+        elapsed: float,
+        state: Callable[[], tuple[Materials, Array]],
+        tiles: tuple[int, int] | None = None,
+    ) -> None:
         if self._progress is not None:
             self._progress(
                 Progress(
@@ -187,7 +254,8 @@ class Run:
                     self.evaluations,
                     recon,
                     elapsed,
-                    lambda: self.objective.unpack(state()),
+                    state,
+                    tiles,
                 )
             )
         self.unmeasured += self.elapsed - elapsed

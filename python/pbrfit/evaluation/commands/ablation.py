@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace) -> int:
     seed = ablation.FIRST_SEED if options.first_seed is None else options.first_seed
     given = options.folders or os.environ.get("PBRFIT_DATA")
     folders = find_data(options.folders, os.environ) if given else []
-    found = [source for path in folders for source in find_sources(path)]
+    found = [source for path in folders for source in find_sources(path.absolute())]
     rooms, real = ablation.plan_rooms(effort, seed), ablation.plan_real(found, effort)
     tasks: list[ablation.Task] = [*rooms, *real]
     records = resumable.run_tasks(tasks, ablation.work, options, unit="task")

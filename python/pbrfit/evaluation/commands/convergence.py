@@ -21,7 +21,7 @@ def add(suites: Subcommands) -> None:
     )
     added.set_defaults(command=_run)
     # Times mean something only if nothing else runs.
-    add_options(added, jobs=1)
+    add_options(added, jobs=1, timed=True)
     added.add_argument(
         "--seeds", metavar="K", type=positive, help="scenes of a case (default: 3; 1 if quick)"
     )

@@ -49,7 +49,7 @@ def add(suites: Subcommands) -> None:
         help="public sets: as for `pbrfit evaluate real` (default: the folder that the environment "
         "variable PBRFIT_DATA names, if any)",
     )
-    add_options(added)
+    add_options(added, timed=True)
     add_threads(added)
     added.add_argument(
         "--part",

@@ -25,7 +25,7 @@ def add(suites: Subcommands) -> None:
         "says why. Writes report.html, pictures, scenes.csv and summary.json.",
     )
     added.set_defaults(command=_run)
-    resumable.add_options(added)
+    resumable.add_options(added, timed=True)
     added.add_argument(
         "--scenes", metavar="K", type=positive, help="how many (default: 10, with --quick 2)"
     )

@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace) -> int:
     asked = {name: getattr(options, name) for name in ("held_out", "folds", "max_size")}
     asked["iterations"] = options.iterations
     effort = replace(effort, **{name: value for name, value in asked.items() if value is not None})
-    data = real.find_data(options.folders, os.environ)
+    data = [path.absolute() for path in real.find_data(options.folders, os.environ)]
     found = [source for path in data for source in sources.find_sources(path)]
     absent = [one for path in data for one in sources.absent(path, found)]
     tasks = real.plan(found, effort)

@@ -6,7 +6,7 @@ import argparse
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 from pbrfit.arguments import (
     SOME_FAILED,
@@ -14,30 +14,44 @@ from pbrfit.arguments import (
     add_out,
     add_quiet,
     complain,
-    positive,
     progress_bar,
 )
+from pbrfit.commands.worker_options import add_cluster, add_jobs
 from pbrfit.evaluation.jobs import Record, Task, Values, run
 
 T = TypeVar("T", bound=Task)
 
 
-def add_options(parser: argparse.ArgumentParser, *, jobs: int | None = None) -> None:
-    """Add `--out`, `--overwrite`, `--resume`, `--jobs` and `--quiet`."""
+def add_options(
+    parser: argparse.ArgumentParser, *, jobs: int | None = None, timed: bool = False
+) -> None:
+    """Add `--out`, `--overwrite`, `--resume`, `--jobs`, `--cluster` and `--quiet`.
+
+    `jobs` is the default where there is no cluster; None = one for each processor. A suite whose
+    figures are `timed` on this machine takes no cluster, and says why.
+    """
     add_out(parser, "folder to write")
     parser.add_argument(
         "--resume",
         action="store_true",
         help="go on with an earlier run: what it finished with the same options and code is kept",
     )
-    parser.add_argument(
-        "--jobs",
-        metavar="J",
-        type=positive,
-        default=jobs or os.cpu_count() or 1,
-        help="scenes at the same time, each in a process of its own",
+    default = jobs or os.cpu_count() or 1
+    on_cluster = "" if timed else "; on a cluster one for each worker"
+    add_jobs(
+        parser,
+        f"scenes at the same time, each in a process of its own (default: {default}{on_cluster})",
     )
+    if timed:
+        parser.add_argument("--cluster", type=_refused, help=argparse.SUPPRESS)
+    else:
+        add_cluster(parser)
+    parser.set_defaults(default_jobs=default)
     add_quiet(parser)
+
+
+def _refused(_: str) -> NoReturn:
+    raise argparse.ArgumentTypeError("not for this suite, whose seconds are those of one machine")
 
 
 def add_cycles_cache(parser: argparse.ArgumentParser) -> None:
@@ -66,8 +80,10 @@ def run_tasks(
     """
     from pbrfit.evaluation import workspace
 
+    if options.jobs is None and options.cluster is None:
+        options.jobs = options.default_jobs
     workspace.prepare(options.out, resume=options.resume, overwrite=options.overwrite)
-    return go_on(tasks, work, options, jobs=options.jobs, unit=unit)
+    return go_on(tasks, work, options, jobs=options.jobs, cluster=options.cluster, unit=unit)
 
 
 def go_on(
@@ -75,7 +91,8 @@ def go_on(
     work: Callable[[T, int], Values],
     options: argparse.Namespace,
     *,
-    jobs: int,
+    jobs: int | None,
+    cluster: str | None = None,
     unit: str,
     complaints: int | None = None,
 ) -> list[Record]:
@@ -102,7 +119,7 @@ def go_on(
                     complain(f"{record.key}: {record.error}")
 
         try:
-            return run(tasks, work, options.out, jobs=jobs, progress=show)
+            return run(tasks, work, options.out, jobs=jobs, cluster=cluster, progress=show)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted after {done} of {len(tasks)}; --resume goes on from there"

@@ -36,7 +36,7 @@ def add(suites: Subcommands) -> None:
     )
     added.set_defaults(command=_run)
     # Times mean something only if nothing else runs.
-    add_options(added, jobs=1)
+    add_options(added, jobs=1, timed=True)
     added.add_argument(
         "--part",
         metavar="NAME",

@@ -171,5 +171,9 @@ def _setup(options: argparse.Namespace, *, by_cycles: bool) -> list[str]:
         f"{options.lights} pictures each to decompose and {options.lights} held out; "
         f"{options.iterations} iterations. "
         f"Detailed scenes have {textures}. Predicted normals are {normals}. "
-        f"{options.jobs} jobs on {os.cpu_count()} processors."
+        + (
+            f"{options.jobs} jobs on {os.cpu_count()} processors."
+            if options.cluster is None
+            else "Fitted by the workers of a cluster, so seconds are of different machines."
+        )
     ]

@@ -7,7 +7,6 @@ into a scene folder (docs/formats.md).
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from pbrfit import scene_folder
 from pbrfit._core import InputError
 from pbrfit.evaluation.real.public_sets import SETS, PublicSet, Source, room_source
 from pbrfit.normal_files import find_normals
+from pbrfit.output import scratch_folder
 from pbrfit.scene import Scene
 
 __all__ = [
@@ -81,8 +81,7 @@ def scene_folder_of(source: Source) -> Iterator[Path]:
     if source.kind == "scene":
         yield source.folder
         return
-    with tempfile.TemporaryDirectory(prefix="pbrfit-") as temporary:
-        folder = Path(temporary)
+    with scratch_folder() as folder:
         write_scene(source, folder)
         yield folder
 

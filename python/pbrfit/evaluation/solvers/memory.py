@@ -7,14 +7,13 @@ is counted. From then on all counts: the pictures themselves, and what the fit m
 from __future__ import annotations
 
 import gc
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pbrfit.evaluation import process_memory
+from pbrfit import process_memory
 from pbrfit.evaluation.solvers.fits import (
     AUTO,
     FIRST_SEED,
@@ -27,6 +26,7 @@ from pbrfit.evaluation.solvers.fits import (
 )
 from pbrfit.evaluation.solvers.own_process import call
 from pbrfit.model import render
+from pbrfit.output import scratch_folder
 from pbrfit.scene import Scene
 from pbrfit.synthetic import build
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
@@ -69,8 +69,8 @@ def plan(sizes: tuple[int, ...]) -> list[Task]:
 
 def work(task: Task, threads: int) -> dict[str, Any]:
     """Bytes at the peak over those before the pictures are there; None where nothing tells."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scene.npz"
+    with scratch_folder() as folder:
+        path = folder / "scene.npz"
         call(write_scene, path, task.size, threads)
         peak, seconds = call(peak_of_fit, path, task.solver, threads)
     return {"peak": peak, "seconds": seconds, "pictures": task.picture_bytes}

@@ -1,0 +1,158 @@
+"""Workers of dask.distributed: on other machines with shared storage, or on this one."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from importlib.metadata import version
+from typing import Any
+
+from pbrfit._core import InputError
+from pbrfit.batch.executors import share
+
+ANSWERS_WITHIN = 10
+"""Seconds that a scheduler may take to answer, and then its first worker to be there."""
+
+LOCAL = "local"
+
+
+class Cluster:
+    """Workers of a dask cluster, each with one task at a time.
+
+    Workers that come later are used too. A task whose worker is gone is given to another by dask
+    itself, up to three times.
+
+    Parameters
+    ----------
+    address
+        Of the scheduler, such as ``tcp://host:8786``; "local" = a cluster of its own on this
+        machine.
+    jobs
+        Tasks at the same time; None = as many as there are workers.
+
+    Raises
+    ------
+    InputError
+        If dask is not installed, or nobody answers.
+    """
+
+    apart = True
+    patience: float | None = 1.0
+    threads: int | None = None
+
+    def __init__(self, address: str, jobs: int | None = None) -> None:
+        try:
+            import dask
+            from distributed import Client, LocalCluster
+            from distributed.comm import get_address_host_port
+            from distributed.scheduler import KilledWorker
+        except ImportError as error:
+            raise InputError(
+                f"--cluster: expected dask.distributed, found {error}; "
+                "pip install 'pbrfit[cluster]' gets it"
+            ) from None
+        # What it logs is for those who run the cluster, pages of it; here all ends in one line.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self.deaths: tuple[type[BaseException], ...] = (KilledWorker,)
+        self._address, self._jobs = address, jobs
+        self._executor: Executor | None = None
+        self._cluster: Any = None
+        self._others = set(multiprocessing.active_children())
+        if address == LOCAL:
+            jobs = jobs or share(1)
+            self.threads = share(jobs)
+            # What kills a worker is tried again by whoever hands out tasks, alone.
+            with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+                self._cluster = LocalCluster(
+                    n_workers=jobs,
+                    threads_per_worker=1,
+                    memory_limit=0,  # tasks are not begun beyond what there is
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                )
+        try:
+            if self._cluster is None:
+                get_address_host_port(address)  # a client that fails at it never quite ends
+            self._client = Client(
+                address if self._cluster is None else self._cluster,
+                timeout=ANSWERS_WITHIN,
+                set_as_default=False,
+            )
+            self._client.wait_for_workers(1, timeout=ANSWERS_WITHIN)
+        except (OSError, ValueError, TypeError, TimeoutError) as error:
+            there = hasattr(self, "_client")
+            self.stop()
+            expected = "a worker" if there else "a dask scheduler"
+            raise InputError(
+                f"--cluster {address}: expected {expected} that answers within {ANSWERS_WITHIN} s, "
+                f"found none ({' '.join(str(error).split())})"
+            ) from None
+
+    def start(self) -> Executor:
+        """Give the cluster's executor."""
+        self._check()
+        if self._executor is None:
+            self._executor = _Checking(self._client.get_executor(pure=False))
+        return self._executor
+
+    def slots(self) -> int:
+        """As many as there are workers, if not fewer were asked for."""
+        self._check()
+        try:
+            workers = len(self._client.nthreads())
+        except (OSError, TimeoutError):
+            raise self._gone() from None
+        return max(1, workers if self._jobs is None else min(workers, self._jobs))
+
+    def stop(self) -> None:
+        """Give back what waits. Workers of its own end; others see it by the files of a task."""
+        if self._cluster is not None:
+            for nanny in self._cluster.workers.values():
+                nanny.auto_restart = False
+            for process in set(multiprocessing.active_children()) - self._others:
+                process.kill()  # in the midst of a task they would take seconds to close
+        if self._executor is not None:
+            self._executor.shutdown(wait=False)
+        if hasattr(self, "_client"):
+            self._client.close(timeout=ANSWERS_WITHIN)
+        if self._cluster is not None:
+            self._cluster.close(timeout=ANSWERS_WITHIN)
+
+    def _check(self) -> None:
+        if self._client.status != "running":
+            raise self._gone()
+
+    def _gone(self) -> ConnectionError:
+        return ConnectionError(
+            f"--cluster {self._address}: expected the scheduler to stay, found it gone; --resume "
+            "goes on from there"
+        )
+
+
+class _Checking(Executor):
+    """An executor whose tasks first see whether their worker runs this version of pbrfit."""
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return self._executor.submit(_checked, version("pbrfit"), fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._executor.shutdown(wait=wait and not cancel_futures)
+
+
+def _checked(expected: str, fn: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    found = version("pbrfit")
+    if found != expected:
+        raise InputError(f"expected pbrfit {expected} on all workers, found {found} on one")
+    return fn(*args, **kwargs)
+
+
+def threads_of_worker() -> int:
+    """Threads of the dask worker that this runs on."""
+    from distributed import get_worker
+
+    return int(get_worker().state.nthreads)

@@ -1,0 +1,247 @@
+"""Tasks handed to workers, no more at a time than may run, until each of them has ended."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from pbrfit._core import InputError
+from pbrfit.batch.executors import Workers
+
+log = logging.getLogger("pbrfit")
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+DIED = "its process died"
+
+
+@dataclass(frozen=True)
+class Attempt(Generic[R]):
+    """What became of a task.
+
+    Attributes
+    ----------
+    value
+        What its function returned; None if it failed.
+    error
+        In one line why it failed, else None.
+    raised
+        The type of what its function raised, by name.
+    seconds
+        That it took.
+    said
+        What it logged in another process: level and message.
+    """
+
+    value: R | None
+    error: str | None
+    raised: str | None = None
+    seconds: float = 0.0
+    said: tuple[tuple[int, str], ...] = ()
+
+
+def drive(
+    tasks: Sequence[T],
+    work: Callable[[T, int], R],
+    workers: Workers,
+    *,
+    ended: Callable[[T, Attempt[R]], None],
+    meanwhile: Callable[[int], None] = lambda _: None,
+    memory: Callable[[T], int] | None = None,
+    available: int | None = None,
+) -> None:
+    """Do all tasks.
+
+    Whoever runs when a worker dies is suspected of it. Suspects are tried again in the end, one at
+    a time, which shows whose process dies; the death may also have been another's doing, who took
+    all memory.
+
+    Parameters
+    ----------
+    tasks
+        Whatever can be pickled.
+    work
+        A function of a module, called with a task and the number of threads it may use (0 = one
+        for each processor). What it raises fails its task alone, whether or not it can be pickled.
+    workers
+        Where tasks run. They are stopped in the end, also by Ctrl-C.
+    ended
+        Called in this thread with each task as it ends.
+    meanwhile
+        Called with how many tasks run, when that changes and while nothing ends.
+    memory, available
+        Bytes that a task will take, and that there are. A task waits while it and those running
+        would take more; one runs always.
+    """
+    waiting, suspects = deque(tasks), deque[T]()
+    try:
+        while waiting or suspects:
+            alone = not waiting
+            _one_pool(
+                suspects if alone else waiting,
+                work,
+                workers,
+                ended,
+                meanwhile,
+                suspects=None if alone else suspects,
+                room=_Room(memory, available),
+            )
+    finally:
+        workers.stop()
+
+
+def _one_pool(
+    queue: deque[T],
+    work: Callable[[T, int], R],
+    workers: Workers,
+    ended: Callable[[T, Attempt[R]], None],
+    meanwhile: Callable[[int], None],
+    *,
+    suspects: deque[T] | None,
+    room: _Room[T],
+) -> None:
+    """Hand over tasks until there are none, or the pool breaks; without `suspects` one by one."""
+    executor, broken = workers.start(), False
+    running: dict[Future[Attempt[R]], T] = {}
+    while running or (queue and not broken):
+        at_once = workers.slots() if suspects is not None else 1
+        while queue and not broken and len(running) < at_once and room.admits(queue[0]):
+            task = queue[0]
+            try:
+                future = executor.submit(attempt, work, task, workers.threads, workers.apart)
+            except BrokenExecutor:
+                broken = True  # it was not handed over
+            else:
+                running[future] = queue.popleft()
+                room.take(task)
+        if not running:
+            continue
+        meanwhile(len(running))
+        done, _ = wait(running, timeout=workers.patience, return_when=FIRST_COMPLETED)
+        for future in sorted(done, key=_has_failed):
+            task = running.pop(future)
+            room.give_back(task)
+            found, died = _outcome(future, workers.deaths)
+            broken = broken or (died and isinstance(_failure(future), BrokenExecutor))
+            if died and suspects is not None:
+                suspects.append(task)
+            else:
+                ended(task, found)
+
+
+def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bool) -> Attempt[R]:
+    """Do a task where it runs; whatever it raises becomes a line."""
+    from threadpoolctl import threadpool_limits
+
+    if threads is None:
+        from pbrfit.batch.cluster import threads_of_worker
+
+        threads = threads_of_worker()
+    began = time.perf_counter()
+    value, error, raised = None, None, None
+    with _listening(apart) as said:
+        try:
+            # Small matrices: more threads only get into each other's way.
+            with threadpool_limits(1):
+                value = work(task, threads)
+        except Exception as failure:  # whatever it is, the other tasks are no worse for it
+            error, raised = in_one_line(failure), type(failure).__name__
+            log.debug("%s", error, exc_info=True)
+    return Attempt(value, error, raised, time.perf_counter() - began, tuple(said))
+
+
+def in_one_line(failure: BaseException) -> str:
+    """What went wrong; the type too where it is not one that explains itself."""
+    words = " ".join(str(failure).split())
+    if isinstance(failure, OSError) and failure.strerror and failure.filename:
+        return f"{failure.filename}: {failure.strerror}"
+    if isinstance(failure, (InputError, OSError)) and words:
+        return words
+    name = type(failure).__name__
+    return f"{name}: {words}" if words else name
+
+
+def repeat_log(said: Sequence[tuple[int, str]]) -> None:
+    """Log here what was logged in another process."""
+    for level, message in said:
+        log.log(level, "%s", message)
+
+
+def _has_failed(future: Future[Any]) -> bool:
+    return _failure(future) is not None
+
+
+def _failure(future: Future[Any]) -> BaseException | None:
+    try:
+        return future.exception()
+    except CancelledError as error:
+        return error
+
+
+def _outcome(
+    future: Future[Attempt[R]], deaths: tuple[type[BaseException], ...]
+) -> tuple[Attempt[R], bool]:
+    """The attempt, and whether its process died."""
+    failure = _failure(future)
+    if failure is None:
+        return future.result(), False
+    if isinstance(failure, (BrokenExecutor, CancelledError, *deaths)):
+        return Attempt(None, DIED), True
+    if not isinstance(failure, Exception):
+        raise failure
+    return Attempt(None, in_one_line(failure)), False  # such as a value that cannot be pickled
+
+
+@contextmanager
+def _listening(apart: bool) -> Iterator[list[tuple[int, str]]]:
+    """Collect warnings of another process, which nobody would see there."""
+    said: list[tuple[int, str]] = []
+    if not apart:
+        yield said
+        return
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            said.append((record.levelno, record.getMessage()))
+
+    collector = Collector(logging.WARNING)
+    log.addHandler(collector)
+    try:
+        yield said
+    finally:
+        log.removeHandler(collector)
+
+
+class _Room(Generic[T]):
+    """Memory, as far as it is known."""
+
+    def __init__(self, memory: Callable[[T], int] | None, available: int | None) -> None:
+        self._memory, self._available = memory, available
+        self._taken: list[tuple[T, int]] = []
+        self._next: tuple[T, int] | None = None
+
+    def admits(self, task: T) -> bool:
+        if self._memory is None or self._available is None or not self._taken:
+            return True
+        return sum(size for _, size in self._taken) + self._size(task) <= self._available
+
+    def take(self, task: T) -> None:
+        self._taken.append((task, self._size(task)))
+
+    def give_back(self, task: T) -> None:
+        at = next(i for i, (taken, _) in enumerate(self._taken) if taken is task)
+        del self._taken[at]
+
+    def _size(self, task: T) -> int:
+        if self._memory is None or self._available is None:
+            return 0
+        if self._next is None or self._next[0] is not task:  # read from files only once
+            self._next = task, self._memory(task)
+        return self._next[1]

@@ -1,0 +1,190 @@
+"""Where tasks run: in this process, or in several; `cluster` has those on other machines."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
+from threading import Thread
+from typing import Any, ParamSpec, Protocol, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class Workers(Protocol):
+    """Those who do tasks.
+
+    Attributes
+    ----------
+    apart
+        Whether tasks run in other processes.
+    threads
+        That a task may use: 0 = one for each processor; None = as many as its worker has.
+    deaths
+        What a future raises when the process of its task died, beside `BrokenExecutor`.
+    patience
+        Seconds to wait for a task to end before looking around: whether there are more slots, and
+        to tell that work goes on. None = until one ends.
+    """
+
+    apart: bool
+    threads: int | None
+    deaths: tuple[type[BaseException], ...]
+    patience: float | None
+
+    def start(self) -> Executor:
+        """Give an executor that works: a new one where the last one broke."""
+
+    def slots(self) -> int:
+        """How many tasks may run now."""
+
+    def stop(self) -> None:
+        """Let go of everything; what still runs is ended at once."""
+
+
+def workers(jobs: int | None, cluster: str | None, *, most: int) -> Workers:
+    """Make the workers for so many tasks at the same time, of whom no more than `most` are of use.
+
+    Parameters
+    ----------
+    jobs
+        1 or None = in this process, with all processors. On a cluster None = one for each worker.
+    cluster
+        None = on this machine; else see `pbrfit.batch.cluster.Cluster`.
+    most
+        How many tasks there are.
+
+    Raises
+    ------
+    InputError
+        If there is no such cluster.
+    """
+    jobs = None if jobs is None else min(jobs, most)
+    if cluster is not None:
+        from pbrfit.batch.cluster import Cluster
+
+        return Cluster(cluster, jobs)
+    return Here() if jobs in (None, 1) else Processes(jobs)
+
+
+class Here:
+    """In this process, a task at a time."""
+
+    apart = False
+    threads: int | None = 0
+    deaths: tuple[type[BaseException], ...] = ()
+    patience: float | None = None
+
+    def start(self) -> Executor:
+        """Give an executor whose `submit` does the task."""
+        return _AtOnce()
+
+    def slots(self) -> int:
+        """One."""
+        return 1
+
+    def stop(self) -> None:
+        """Nothing runs that could be ended."""
+
+
+class _AtOnce(Executor):
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        future: Future[R] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Processes:
+    """Processes of this machine, started afresh (spawn).
+
+    So nothing is inherited from a process whose threads may hold locks. Processors are shared out
+    among them.
+
+    Parameters
+    ----------
+    jobs
+        How many.
+    """
+
+    apart = True
+    deaths: tuple[type[BaseException], ...] = ()
+    patience: float | None = 1.0
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._pool: ProcessPoolExecutor | None = None
+        self._others: set[BaseProcess] = set()
+        self.threads: int | None = share(jobs)
+
+    def start(self) -> Executor:
+        """Give a pool; the one before is let go."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+        self._others = set(multiprocessing.active_children())
+        self._pool = _Spawning(
+            self._jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
+        )
+        return self._pool
+
+    def slots(self) -> int:
+        """As many as there are processes."""
+        return self._jobs
+
+    def stop(self) -> None:
+        """Kill the processes: a worker would go on with its task, and Python waits for it."""
+        if self._pool is None:
+            return
+        for worker in set(multiprocessing.active_children()) - self._others:
+            worker.kill()
+        self._pool.shutdown(cancel_futures=True)
+        self._pool = None
+
+
+def share(jobs: int) -> int:
+    """Threads of a task where so many run on this machine."""
+    if hasattr(os, "sched_getaffinity"):
+        processors = len(os.sched_getaffinity(0))
+    else:
+        processors = os.cpu_count() or 1
+    return max(1, processors // max(1, jobs))
+
+
+class _Spawning(ProcessPoolExecutor):
+    """Whose processes never hear Ctrl-C, not even while they start: the parent is told too."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        with _deaf():  # processes are started in here, and inherit it
+            return super().submit(fn, *args, **kwargs)
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it could not be blocked
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        Thread(target=_end_with, args=[parent], daemon=True).start()
+
+
+def _end_with(parent: BaseProcess) -> None:
+    """End this process when its parent has died without a word: nobody else would end it."""
+    parent.join()
+    os._exit(1)

@@ -1,0 +1,123 @@
+"""How much memory a scene will take, from the heads of its files: no picture is decoded."""
+
+from __future__ import annotations
+
+import re
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from pbrfit import images, memory, scene_folder
+from pbrfit._core import image_format
+from pbrfit.batch.settings import Fitting, Reading
+from pbrfit.layout import Layout
+from pbrfit.refinement import LEAST_PICTURES
+from pbrfit.resampling import reduced_size
+from pbrfit.weight_files import WEIGHT_FILE
+
+DECODING_BYTES = 48
+"""Of a pixel of a file while it is read: its content, samples, float32 and what is marked."""
+
+_HEAD = 1 << 20
+"""Bytes of an EXR or HDR file in which its size is sought."""
+
+
+def of_scene(folder: Path, reading: Reading, fitting: Fitting) -> memory.FitMemory:
+    """What reading and fitting a scene needs at most, beside the interpreter and its libraries.
+
+    Of what no head tells, the dearer is assumed: no pixel is masked, no picture is grey, integer
+    pictures have clipped samples.
+
+    Raises
+    ------
+    InputError, OSError
+        If there is no scene, or its first picture cannot be read.
+    """
+    paths = scene_folder.find_pictures(folder)
+    full = picture_size(paths[0])
+    height, width = full if reading.max_size is None else reduced_size(full, reading.max_size)
+    pixels, pictures = height * width, len(paths)
+    integers = any(path.suffix.lower() not in (".exr", ".hdr") for path in paths)
+    weighted = integers or (folder / WEIGHT_FILE).exists()
+    layout = Layout(
+        valid=np.broadcast_to(np.True_, (height, width)),
+        segments=None,
+        segment_count=0,
+        pictures=pictures,
+        channels=3,
+        coefficients=(fitting.sh_order + 1) ** 2,
+        light_channels=1 if fitting.mono_light else 3,
+        metallic_known=fitting.metallic is not None,
+        lighting_known=(folder / "lighting.json").exists(),
+        weighted=weighted,
+    )
+    # Pictures and weights in float32, normals in float64, how far off they may be.
+    held = pixels * (4 * pictures * (3 + weighted) + 24 + 4 * (folder / "normals.exr").exists())
+    refining = fitting.refine_normals != "off" and pictures >= LEAST_PICTURES
+    optional = fitting.refine_normals == "auto"
+    found = memory.plan(
+        layout, fitting.solver, held=held, refine_normals=refining, optional=optional
+    ).needed
+    reading_takes = held + 2 * pictures * pixels + DECODING_BYTES * full[0] * full[1]
+    return found if found.peak >= reading_takes else memory.FitMemory(reading_takes, 0, 0, 0)
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """(height, width) of a picture as it is stored: before it is turned as EXIF says.
+
+    Raises
+    ------
+    InputError, OSError
+        If it cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    kind = image_format(head)
+    found = None
+    if kind == "EXR":
+        found = _of_exr(head)
+    elif kind == "HDR":
+        found = _of_hdr(head)
+    elif kind is not None:
+        found = _of_raster(path)
+    if found is not None and min(found) > 0:
+        return found
+    height, width = images.read_picture(path).pixels.shape[:2]  # such as TIFF of floats
+    return height, width
+
+
+def _of_raster(path: Path) -> tuple[int, int] | None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about large pictures, and damage that is told later
+        try:
+            with Image.open(path) as picture:
+                return picture.height, picture.width
+        except Exception:  # forms that Pillow does not know, or whatever damage leads to
+            return None
+
+
+def _of_hdr(head: bytes) -> tuple[int, int] | None:
+    found = re.search(rb"\n\n-Y (\d{1,9}) \+X (\d{1,9})\n", head)
+    return None if found is None else (int(found[1]), int(found[2]))
+
+
+def _of_exr(head: bytes) -> tuple[int, int] | None:
+    """From `displayWindow`; an attribute is name, type, length and value (openexr.com)."""
+    at = 8  # magic number and version
+    while at < len(head) and head[at] != 0:
+        name_end = head.find(b"\0", at)
+        type_end = head.find(b"\0", name_end + 1)
+        value = type_end + 5
+        if min(name_end, type_end) < 0 or len(head) < value + 16:
+            return None
+        (length,) = struct.unpack_from("<i", head, type_end + 1)
+        if head[at:name_end] == b"displayWindow":
+            left, top, right, bottom = struct.unpack_from("<4i", head, value)
+            return bottom - top + 1, right - left + 1
+        if length < 0:
+            return None
+        at = value + length
+    return None

@@ -1,0 +1,219 @@
+"""The task of `pbrfit decompose`: one scene folder to one result folder."""
+
+from __future__ import annotations
+
+import logging
+import platform
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pbrfit._core import InputError
+from pbrfit.batch.settings import Fitting, Reading
+
+if TYPE_CHECKING:
+    from pbrfit.result import Result
+    from pbrfit.scene import Scene
+    from pbrfit.solve import Progress
+
+log = logging.getLogger("pbrfit")
+
+LIBRARIES_BYTES = 200 * 2**20
+"""Of a process with numpy, scipy and the rest: whole processes took 103 to 158 MiB more than was
+predicted for scenes of 16² to 128², and 40 more as dask's workers."""
+
+LOOK_EVERY = 0.2
+"""Seconds after which a worker looks whether its scene is still wanted."""
+
+
+@dataclass(frozen=True)
+class SceneTask:
+    """A scene to decompose.
+
+    Attributes
+    ----------
+    scene, output
+        Folders.
+    reading, fitting
+        How.
+    threads
+        As asked for; 0 = what there are for a task.
+    resume
+        Whether a result that would come out again stays.
+    overwrite
+        Whether a result that is there is replaced, whatever it is.
+    temporaries
+        Folder for what is unfinished; None = beside the output. Whoever waits for the task removes
+        it to say that the task is no longer wanted.
+    """
+
+    scene: Path
+    output: Path
+    reading: Reading
+    fitting: Fitting
+    threads: int = 0
+    resume: bool = False
+    overwrite: bool = False
+    temporaries: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the scene, for people."""
+        return self.scene.resolve().name
+
+
+@dataclass(frozen=True)
+class SceneOutcome:
+    """What came of it.
+
+    Attributes
+    ----------
+    status
+        "done", or "kept": the result was there.
+    stop_reason, iterations, metrics
+        As in `result.json`.
+    peak_bytes
+        Memory of the process at its highest meanwhile; None where the system does not tell, and of
+        results that were kept.
+    table
+        The result in words and figures, lines for people.
+    """
+
+    status: Literal["done", "kept"]
+    stop_reason: str
+    iterations: int
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    peak_bytes: int | None = None
+    table: str = ""
+
+
+def decompose_scene(
+    task: SceneTask, threads: int, show: Callable[[Progress], None] | None = None
+) -> SceneOutcome:
+    """Read, fit, write, put in place.
+
+    Parameters
+    ----------
+    task
+        What to do.
+    threads
+        To use where the task asks for none.
+    show
+        Told how the fit goes on.
+
+    Raises
+    ------
+    InputError, OSError, MemoryError
+        If the scene cannot be used, or its result not be written. The message names the file.
+    """
+    from pbrfit import alignment, process_memory
+    from pbrfit.batch.unchanged import kept
+    from pbrfit.output import new_folder
+    from pbrfit.result import CONTAINS
+
+    wanted = _Wanted(task, show)
+    wanted.check()
+    if not task.overwrite and task.output.is_dir():
+        content = kept(task.output, task.scene, task.reading, task.fitting)
+        if content is not None:
+            # Without `resume` the place was free: the result is of an attempt at this very task,
+            # whose process died before it could tell.
+            return SceneOutcome(
+                "kept" if task.resume else "done",
+                stop_reason=str(content["stop_reason"]),
+                iterations=int(content["iterations"]),
+                metrics=dict(content["metrics"]),
+                table=f"{task.output}: kept, nothing has changed",
+            )
+    fresh = process_memory.forget_peak()
+    # The folder is opened first: no right to write should show before the work, not after it.
+    with new_folder(
+        task.output,
+        overwrite=task.overwrite or task.resume,
+        contains=CONTAINS,
+        temporaries=task.temporaries,
+    ) as folder:
+        scene = task.reading.load(task.scene)
+        for complaint in alignment.complaints(scene):
+            log.warning("%s: %s: pictures must line up pixel by pixel", task.scene, complaint)
+        result = task.fitting.fit(scene, task.threads or threads, wanted.show)
+        result.write(folder, scene, task.output)
+        wanted.check()
+    peak = process_memory.peak_kib() if fresh else None
+    return SceneOutcome(
+        "done",
+        stop_reason=result.stop_reason,
+        iterations=result.history.iterations,
+        metrics=dict(result.metrics),
+        peak_bytes=None if peak is None else 1024 * peak,
+        table="\n".join(table(result, scene, task.output)),
+    )
+
+
+def memory_of(task: SceneTask) -> int:
+    """Bytes that a worker will take with a scene; 0 for what cannot be read, as it will say."""
+    from pbrfit.batch.prediction import of_scene
+
+    try:
+        return LIBRARIES_BYTES + of_scene(task.scene, task.reading, task.fitting).peak
+    except (InputError, OSError):
+        return 0
+
+
+class _Wanted:
+    """Whether a scene is still wanted, asked now and then."""
+
+    def __init__(self, task: SceneTask, show: Callable[[Progress], None] | None) -> None:
+        self._task, self._show, self._asked = task, show, time.monotonic()
+
+    def show(self, progress: Progress) -> None:
+        if time.monotonic() - self._asked > LOOK_EVERY:
+            self.check()
+            self._asked = time.monotonic()
+        if self._show is not None:
+            self._show(progress)
+
+    def check(self) -> None:
+        place = self._task.temporaries
+        if place is not None and not place.is_dir():
+            raise OSError(
+                f"{self._task.output}: expected {place}, which a running batch has and all its "
+                f"workers see, found none on {platform.node()}"
+            )
+
+
+def table(result: Result, scene: Scene, output: Path) -> list[str]:
+    """How a fit went, line by line."""
+    iterations = result.history.iterations
+    lines = [
+        f"{output}: {len(scene.images)} pictures of {scene.width} × {scene.height}, "
+        f"{iterations} iterations in {result.seconds:.1f} s ({result.stop_reason})"
+    ]
+    for stage in result.stages:
+        note = f" ({stage.note})" if stage.note else ""
+        lines.append(f"{stage.seconds:>6.1f} s  {stage.name}{note}")
+    rows = [
+        ("reconstruction", "recon_rmse"),
+        ("albedo", "albedo_rmse"),
+        ("albedo, best scale", "albedo_scaled_rmse"),
+        ("roughness", "roughness_rmse"),
+        ("metallic", "metallic_rmse"),
+        ("relight", "relight_rmse"),
+    ]
+    lines.append(f"\n{'RMSE':<22}{'start':>10}{'result':>10}")
+    for name, key in rows:
+        if key in result.metrics:
+            known = key in result.history.columns
+            at_start = _error(result.history[key][0]) if known else ""
+            lines.append(f"{name:<22}{at_start:>10}{_error(result.metrics[key]):>10}")
+    lines.append(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
+    if result.left_out:
+        lines.append(f"left out: {'; '.join(result.left_out)}")
+    return lines
+
+
+def _error(value: float) -> str:
+    """Four decimals, or what there is where these would all be 0."""
+    return f"{value:.4f}" if value >= 5e-5 or value == 0 else f"{value:.1e}"

@@ -1,0 +1,44 @@
+"""Whether a result is whole, and what the same scene would give again with the same options."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pbrfit import scene_folder
+from pbrfit._core import InputError
+from pbrfit.batch.settings import Fitting, Reading
+from pbrfit.output import digest
+from pbrfit.result import FILES
+
+
+def kept(output: Path, scene: Path, reading: Reading, fitting: Fitting) -> Mapping[str, Any] | None:
+    """Give what `result.json` holds if a result may stay as it is, else None.
+
+    It may where all its files are as they were written, by this version, of these options, and of
+    the files that the scene folder has now: their names and contents, not their dates. Whatever
+    cannot be read is none.
+    """
+    try:
+        content = json.loads((output / "result.json").read_text(encoding="utf-8"))
+        same = (
+            content["version"] == version("pbrfit")
+            and content["options"] == _as_json(asdict(fitting.options()))
+            and {**content["scene"], "path": ""} == {**_as_json(reading.as_json()), "path": ""}
+            and content["uncertainty"] is not None  # the command always asks for it
+            and set(content["files"]) == set(FILES)
+            and content["files"] == {name: digest(output / name) for name in FILES}
+            and content["inputs"] == scene_folder.digests(scene)
+        )
+    except (OSError, InputError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return content if same else None
+
+
+def _as_json(values: Mapping[str, Any]) -> Any:
+    """As it comes back from a file."""
+    return json.loads(json.dumps(values))

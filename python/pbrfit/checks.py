@@ -1,0 +1,62 @@
+"""Arguments that have to be real numbers, whoever passes whatever: refusals name the argument."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+
+REAL = "buif"
+"""Kinds of numpy's types that hold real numbers."""
+
+
+def any_array(name: str, values: Any) -> NDArray[Any]:
+    """As an array of whatever it holds; InputError where its rows differ in length."""
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise InputError(f"{name}: expected an array, found {error}") from None
+
+
+def reals(name: str, values: Any) -> NDArray[Any]:
+    """As an array of real numbers of the type that they have."""
+    array = any_array(name, values)
+    if array.dtype.kind not in REAL:
+        raise InputError(f"{name}: expected real numbers, found {array.dtype}")
+    return array
+
+
+def real_array(name: str, values: Any) -> NDArray[np.float64]:
+    """As a float64 array; what can be read as a number is one, complex numbers are not."""
+    try:
+        array = np.asarray(values)
+        if np.iscomplexobj(array):
+            raise TypeError("complex numbers")
+        with np.errstate(over="ignore"):  # of long doubles; they are infinite then
+            return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name}: expected an array of real numbers, found {error}") from None
+
+
+def real_number(name: str, value: Any, expected: str = "a number") -> float:
+    """As a float, which may be NaN or infinite."""
+    if isinstance(value, (bool, str, bytes)):
+        raise InputError(f"{name}: expected {expected}, found {value!r}")
+    of_numpy = isinstance(value, (np.ndarray, np.generic))
+    if of_numpy and (value.ndim or value.dtype.kind not in REAL):
+        raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name}: expected {expected}, found {of_what(value)}") from None
+
+
+def of_what(value: Any) -> str:
+    """What a refused value is, in one short line."""
+    if isinstance(value, np.ndarray) and value.size > 4:
+        return f"an array of {value.dtype} of shape {value.shape}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:77]}..."

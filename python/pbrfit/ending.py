@@ -1,0 +1,77 @@
+"""Ctrl-C and SIGTERM: a command unwinds, and where it does not come to it, its process ends anyway.
+
+Python hears of a signal between two of its own instructions. A call into the core, numpy or a
+library may take seconds, so a thread of the core watches as well: half a second after the signal it
+takes away what is unfinished (`pbrfit.output.unfinished`) and ends the process, whoever keeps the
+interpreter (`rust/ending.rs`).
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from pbrfit import _core
+
+GRACE = 0.5
+"""Seconds that a command has to unwind."""
+
+WORD = "interrupted; no unfinished result was left behind"
+"""What users are told if the command has nothing better to say."""
+
+
+class Terminated(SystemExit):
+    """SIGTERM, as an exception that unwinds the stack."""
+
+
+@contextmanager
+def unwinding_when_told(*, watched: bool) -> Iterator[None]:
+    """Let SIGTERM unwind the stack as Ctrl-C does, so that nothing half written stays behind.
+
+    Parameters
+    ----------
+    watched
+        Whether `watch` was called: then only the first signal unwinds. Another one would interrupt
+        what the first has brought about; the watcher ends the process at once.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread is told
+        return
+    told = False
+
+    def end(number: int, _frame: object) -> None:
+        nonlocal told
+        if told and watched:
+            return
+        told = True
+        raise KeyboardInterrupt if number == signal.SIGINT else Terminated(128 + number)
+
+    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, end)}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else nobody wants to know
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def watch() -> None:
+    """End this process within `GRACE` after SIGINT or SIGTERM, at once after a second one.
+
+    For the whole of a process, from its main thread. On Windows it does nothing.
+    """
+    number = _core.end_when_told(GRACE, f"pbrfit: {WORD}")
+    if number is None:
+        return
+    signal.set_wakeup_fd(number, warn_on_full_buffer=False)
+    # A forked child writes into the same file: its signals would end this process.
+    os.register_at_fork(after_in_child=_forget_watcher)
+
+
+def _forget_watcher() -> None:
+    if threading.current_thread() is threading.main_thread():
+        signal.set_wakeup_fd(-1)

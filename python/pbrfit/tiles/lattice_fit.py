@@ -1,0 +1,129 @@
+"""The fit of a lattice of pixels, and what all others take over from it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import refined_fit, uncertainty
+from pbrfit.materials import Materials
+from pbrfit.objective import Objective, Units
+from pbrfit.priors import Priors
+from pbrfit.refinement import Refinement
+from pbrfit.result import Status
+from pbrfit.scene import Scene
+from pbrfit.solvers import Run
+from pbrfit.solvers.run import Taught
+from pbrfit.tiles.nearest import Nearest
+from pbrfit.tiles.part import Parts, Window, cut
+from pbrfit.whole_fit import Asked, Start, start_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """What a lattice of pixels found.
+
+    Attributes
+    ----------
+    run
+        Whose clock goes on.
+    status, reason
+        Why it ended.
+    pixels
+        How many there are.
+    lighting
+        (N, 16, 3) in picture units.
+    refinement
+        What was decided about normals.
+    taught, priors
+        What tiles have in common, and the priors that they have then.
+    modes
+        How the lights may move; None where they are known or nobody asked.
+    near
+        Materials and normals to start from.
+    """
+
+    run: Run
+    status: Status
+    reason: str
+    pixels: int
+    lighting: Array
+    refinement: Refinement
+    taught: Taught
+    priors: Priors
+    modes: uncertainty.LightModes | None
+    near: Nearest
+
+
+def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start: Start) -> Lattice:
+    """Fit the pixels of a window of a scene as if they were all; `units` are those of the scene."""
+    whole, scene = parts.scene, parts.cut(window)
+    if isinstance(start, Materials):
+        start = cut(start, window)
+    elif start is not None:
+        start = cut(start[0], window), start[1]
+
+    def make(of: Scene, free_normals: bool) -> Objective:
+        return asked.objective(of, free_normals=free_normals, units=units)
+
+    objective = make(scene, False)
+    found, refinement = refined_fit.fit(
+        asked.run(scene, objective),
+        start_of(objective, start),
+        make,
+        solver="auto",
+        start_given=start is not None,
+        asked=asked.refine_normals,
+        hindered=asked.hindered,
+    )
+    run, x = found.run, found.x
+    objective = run.objective
+    materials, lighting = objective.unpack(x)
+    modes = None
+    if asked.uncertainty:
+        began = time.perf_counter()
+        pixels = int(np.count_nonzero(whole.valid))
+        modes = uncertainty.light_modes(objective, x, of_pixels=pixels)
+        run.unmeasured += time.perf_counter() - began
+    lesson = None
+    if run.lesson is not None:
+        learnt, pull = run.lesson
+        lesson = learnt.moved(pull, x)
+    taught = Taught(
+        material=lesson,
+        robust=objective.robust,
+        cohesion=_means_of_segments(objective, x, asked.priors.cohesion),
+    )
+    return Lattice(
+        run=run,
+        status=found.status,
+        reason=found.reason,
+        pixels=objective.pixels,
+        lighting=lighting,
+        refinement=refinement,
+        taught=taught,
+        # Where the lattice had no time for the learnt prior or no use, tiles have none either.
+        priors=asked.priors if lesson else replace(asked.priors, material=0.0),
+        modes=modes,
+        near=Nearest(window, whole.valid, materials, np.asarray(run.scene.normals)),
+    )
+
+
+def _means_of_segments(objective: Objective, x: Array, weight: float) -> tuple[Array, float] | None:
+    """As `Taught.cohesion`; NaN for segments that none of these pixels is in."""
+    layout = objective.layout
+    if not weight or layout.segments is None:
+        return None
+    length = layout.segment_count + 1
+    counts = np.bincount(layout.segments, minlength=length)
+    with np.errstate(invalid="ignore"):
+        means = [
+            np.bincount(layout.segments, weights=x[block], minlength=length) / counts
+            for block in layout.finish
+        ]
+    return np.stack(means, axis=-1), weight
