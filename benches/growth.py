@@ -1,6 +1,6 @@
-"""How time and memory of `pbrfit decompose` grow: `make bench-growth` writes docs/benchmarks/growth.*.
+"""How time and memory of `pbrfit decompose` grow: `make bench-growth`.
 
-Each case is a scene folder of float32 EXR and one run of the command in a process of its own, files
+It writes docs/benchmarks/growth.md, .json and .png. Each case is a scene folder of float32 EXR and one run of the command in a process of its own, files
 read and result written. Scenes are a synthetic room of 512² whose pixels are repeated, each with
 noise of its own, so that drawing them takes no longer than they need to be written; 16 MP with 16
 pictures take 3.2 GB on disk.
@@ -139,8 +139,8 @@ def page(rows: Sequence[dict[str, Any]]) -> str:
 # How time and memory grow
 
 {machine()}. `make bench-growth` writes this page: the command
-`pbrfit decompose SCENE --out RESULT` with its defaults, one run each in a process of its own, float32
-EXR read and the result written. Above 2 MP `auto` fits in tiles.
+`pbrfit decompose SCENE --out RESULT` with its defaults, one run each in a process of its own,
+float32 EXR read and the result written. Above 2 MP `auto` fits in tiles.
 
 ![Time and memory over megapixels, for 4, 16 and 64 pictures](growth.png)
 
