@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Priors, memory, solve
+from pbrfit.cli import main
 from pbrfit.result import Status
 from pbrfit.solvers import Progress
 from pbrfit.synthetic import make_scene
@@ -290,6 +292,27 @@ class TestFit:
         assert result.stop_reason.endswith("5 of 9 tiles are unfinished")
         assert np.isfinite(result.albedo).all()
         assert result.metrics["recon_rmse"] < 0.05
+
+
+@pytest.mark.usefixtures("in_tiles")
+class TestCommand:
+    @pytest.mark.parametrize("options", [[], ["--quiet"]])
+    def test_shows_tiles_or_nothing(
+        self,
+        noisy: pbrfit.Scene,
+        options: list[str],
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        noisy.save(tmp_path / "scene")
+        monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+        command = ["decompose", str(tmp_path / "scene"), "--out", str(tmp_path / "result")]
+        assert main([*command, *options, "--refine-normals", "off"]) == 0
+        told = capsys.readouterr()
+        assert ("9/9" in told.err) == (not options)
+        assert ("tile" in told.err) == (not options)
+        assert ("all pixels in tiles, lights held (9 tiles;" in told.out) == (not options)
 
 
 class TestWhenTilesAreUsed:

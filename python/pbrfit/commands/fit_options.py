@@ -139,7 +139,7 @@ def fit_bar(
             done = progress.iteration
             if progress.tiles is not None:
                 done, of = progress.tiles
-                if bar.unit != "tile":
+                if done == 0:
                     bar.unit = "tile"
                     bar.reset(of)
             bar.update(done - bar.n)
