@@ -1,9 +1,9 @@
 """How time and memory of `pbrfit decompose` grow: `make bench-growth`.
 
 It writes docs/benchmarks/growth.md, .json and .png. Each case is a scene folder of float32 EXR and
-one run of the command in a process of its own, files read and result written. Scenes are a synthetic room of 512² whose pixels are repeated, each with
-noise of its own, so that drawing them takes no longer than they need to be written; 16 MP with 16
-pictures take 3.2 GB on disk.
+one run of the command in a process of its own, files read and result written. Scenes are a
+synthetic room of 512² whose pixels are repeated, each with noise of its own, so that drawing them
+takes no longer than they need to be written; 16 MP with 16 pictures take 3.2 GB on disk.
 """
 
 from __future__ import annotations
