@@ -163,6 +163,8 @@ def decompose(
         optional=refine_normals == "auto",
     )
     memory.check(solver, plan.needed)  # before anything large is made
+    if plan.tiled and layout.pixels <= memory.WHOLE:
+        log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     asked = replace(asked, hindered=hindered or plan.hindered)
     found = (fit_tiles if plan.tiled else fit_whole)(scene, asked, start)
     needs = Needs.of(

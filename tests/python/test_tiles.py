@@ -428,6 +428,24 @@ class TestWhenTilesAreUsed:
         assert in_tiles.refine_normals
         assert in_tiles.needed.further < whole.needed.further
 
+    def test_which_is_said(
+        self,
+        noisy: pbrfit.Scene,
+        monkeypatch: pytest.MonkeyPatch,
+        caplog: pytest.LogCaptureFixture,
+    ) -> None:
+        real = memory.plan
+        monkeypatch.setattr(memory, "plan", lambda *a, **b: replace(real(*a, **b), tiled=True))
+        options: dict[str, Any] = {"iterations": 0, "uncertainty": False}
+        held(noisy, **options)
+        assert [one.message for one in caplog.records] == [
+            "fitted in tiles: there is not enough memory for all pixels at once"
+        ]
+        caplog.clear()
+        monkeypatch.setattr(memory, "WHOLE", 0)
+        held(noisy, **options)
+        assert not caplog.records
+
     def test_then_without_refined_normals(self, available: list[int | None]) -> None:
         available[0] = self.plan(2 * memory.WHOLE).needed.further - 1
         without = self.plan(2 * memory.WHOLE)
