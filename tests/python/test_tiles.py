@@ -18,6 +18,7 @@ from pbrfit.cli import main
 from pbrfit.result import Status
 from pbrfit.solvers import Progress
 from pbrfit.synthetic import make_scene
+from pbrfit.tiles import fit as tiles_fit
 from pbrfit.tiles import fit_tiles
 from pbrfit.tiles.canvas import Canvas
 from pbrfit.tiles.nearest import Nearest
@@ -70,6 +71,12 @@ class TestCutting:
         valid = np.zeros((4096, 4096), bool)
         valid[::8] = True
         assert np.count_nonzero(lattice(valid, 1 << 17).of(valid)) >= FEWEST
+
+    def test_a_lattice_has_no_more_where_it_would_hit_all_that_a_mask_leaves(self) -> None:
+        valid = np.zeros((1024, 1024), bool)
+        valid[4::8] = True
+        few = int(np.count_nonzero(valid)) // 64
+        assert FEWEST / 4 < np.count_nonzero(lattice(valid, 4 * few).of(valid)) < 5 * few
 
     @pytest.mark.parametrize("margin", [0, 7])
     def test_tiles_cover_each_pixel_once(self, margin: int) -> None:
@@ -250,6 +257,83 @@ class TestFit:
         assert losses[0][0] == loss
         assert set(losses) == {losses[0]}
         assert np.isfinite(result.albedo).all()
+
+    def test_what_was_found_can_be_saved_and_read(
+        self, noisy: pbrfit.Scene, tmp_path: Path
+    ) -> None:
+        result = held(noisy, iterations=3)
+        result.save(tmp_path / "result")
+        again = pbrfit.Result.load(tmp_path / "result")
+        assert again.history.rows == result.history.rows
+        assert again.stages == result.stages
+        np.testing.assert_allclose(again.roughness, result.roughness, atol=1e-6)
+
+    @pytest.mark.parametrize(
+        ("fault", "message"),
+        [
+            ("wider", r"albedo: expected shape \(96, 96, 3\), found \(96, 97, 3\)"),
+            ("unknown", "roughness: expected finite values at all valid pixels, found NaN"),
+        ],
+    )
+    def test_a_start_is_checked_off_the_lattice_too(
+        self, noisy: pbrfit.Scene, fault: str, message: str
+    ) -> None:
+        assert noisy.truth is not None
+        true = noisy.truth.materials
+        albedo, roughness, metallic = true.albedo, true.roughness.copy(), true.metallic
+        if fault == "wider":
+            albedo = np.pad(albedo, ((0, 0), (0, 1), (0, 0)))
+        else:
+            roughness[0, 0] = np.nan
+        start = pbrfit.Materials(albedo, roughness, metallic)
+        for given in (start, (start, noisy.truth.lighting)):
+            with pytest.raises(pbrfit.InputError, match=message):
+                held(noisy, start=given)
+
+    def test_passes_over_a_tile_count_by_its_pixels(
+        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def evaluations(side: int) -> int:
+            monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=side))
+            return held(noisy, uncertainty=False, iterations=20).evaluations
+
+        assert evaluations(24) < 2 * evaluations(200)  # sixteen tiles, and one
+
+    def test_tiles_that_need_more_iterations_are_told_of(
+        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Of nine the fourth, after a lattice that needed fewer."""
+        of_tile, count = tiles_fit._fit_tile, 0
+
+        def fourth_is_cut_short(*args: Any) -> Any:
+            nonlocal count
+            count += 1
+            *found, status = of_tile(*args)
+            assert status is Status.CONVERGED
+            return *found, Status.ITERATION_LIMIT if count == 4 else status
+
+        monkeypatch.setattr(tiles_fit, "_fit_tile", fourth_is_cut_short)
+        result = held(noisy, uncertainty=False, priors=Priors(material=1.0))
+        assert result.status is Status.ITERATION_LIMIT
+        assert result.stop_reason == "500 iterations done in 1 of 9 tiles"
+
+    def test_penalties_are_as_strong_where_all_weights_are_small(self, noisy: pbrfit.Scene) -> None:
+        """As in a fit of all at once, which knows lights from the start."""
+        assert noisy.truth is not None
+        weights = np.ones(noisy.images.shape[:3], np.float32)
+        weights[:, :40, :40] = 0.05
+        segments = np.ones(noisy.valid.shape, int)
+        scene = replace(
+            noisy, weights=weights, lighting=noisy.truth.lighting, segments=segments, truth=None
+        )
+        for weight in ({"sparsity": 3e-3}, {"cohesion": 1e-3}):
+            priors = replace(Priors.none(), **weight)
+            in_tiles = held(scene, priors=priors, uncertainty=False)
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(memory, "WHOLE", 1 << 21)
+                whole = held(scene, priors=priors, uncertainty=False)
+            off = np.abs(in_tiles.metallic - whole.metallic)
+            assert off[:40, :40].mean() < 0.01, weight
 
     def test_progress_counts_tiles(self, noisy: pbrfit.Scene) -> None:
         told: list[Progress] = []

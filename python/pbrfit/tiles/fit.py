@@ -16,7 +16,7 @@ from pbrfit.priors import Priors
 from pbrfit.result import Stage, Status
 from pbrfit.scene import Scene
 from pbrfit.solvers import Run
-from pbrfit.solvers.run import material_errors
+from pbrfit.solvers.run import Taught, material_errors
 from pbrfit.tiles.canvas import Canvas
 from pbrfit.tiles.lattice_fit import Lattice, fit_lattice
 from pbrfit.tiles.part import Parts
@@ -56,21 +56,23 @@ def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) ->
     margin = MARGIN if asked.priors.smoothness or refined else THIN_MARGIN
     pieces = list(tiles(scene.valid, margin, side))
     whole = Total(scene, units, layout.channels)
-    clock, late = known.run, 0
-    began = clock.elapsed
+    clock, late, cut_short = known.run, 0, 0
+    began, passes = clock.elapsed, 0.0
     clock.tell_tile((0, len(pieces)), clock.rows[-1].recon_rmse, lambda: _maps(canvas, known))
     for number, tile in enumerate(pieces, 1):
-        run, x, in_time = _fit_tile(tile, known, parts, asked, units, whole.weight)
-        late += not in_time
+        run, x, status = _fit_tile(tile, known, parts, asked, units, whole)
+        late += status is Status.TIME_LIMIT
+        cut_short += status is Status.ITERATION_LIMIT
         canvas.put(tile, run.scene, run.objective.unpack(x)[0])
         whole.add(run.objective, x)
-        clock.evaluations += run.evaluations
+        passes += run.evaluations * run.objective.pixels / whole.pixels
         if asked.uncertainty:
             before = time.perf_counter()
             canvas.put_variances(
                 tile, run.scene, uncertainty.variances(run.objective, x, known.modes)
             )
             clock.unmeasured += time.perf_counter() - before
+        del run, x  # before the next tile has its own
         clock.tell_tile((number, len(pieces)), whole.rmse, lambda: _maps(canvas, known))
     clock.stages.append(
         Stage(
@@ -79,10 +81,11 @@ def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) ->
             f"{len(pieces)} tiles; lights from {known.pixels} of {layout.pixels} pixels",
         )
     )
+    clock.evaluations += round(passes)
+    seconds = clock.elapsed
     errors = {}
     if scene.truth is not None:
         errors = material_errors(canvas.materials, scene.truth.materials)
-    seconds = clock.elapsed
     clock.rows.append(
         HistoryRow(seconds, clock.iteration, clock.evaluations, whole.mean, whole.rmse, **errors)
     )
@@ -95,6 +98,9 @@ def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) ->
         )
     elif status is Status.TIME_LIMIT:
         reason = f"half of the time limit of {asked.limits.seconds:g} s was not enough for lights"
+    elif status is Status.CONVERGED and cut_short:
+        status = Status.ITERATION_LIMIT
+        reason = f"{asked.limits.iterations} iterations done in {cut_short} of {len(pieces)} tiles"
     deviations = None
     if canvas.variances is not None:
         deviations = uncertainty.of_variances(
@@ -128,42 +134,58 @@ def _maps(canvas: Canvas, known: Lattice) -> tuple[Materials, Array]:
 
 
 def _fit_tile(
-    tile: Tile, known: Lattice, parts: Parts, asked: Asked, units: Units, weight: float
-) -> tuple[Run, Array, bool]:
-    """The run of a tile, its x, and whether time was enough; `weight` is that of the scene."""
-    part = parts.cut(tile.outer, known.lighting)
+    tile: Tile, known: Lattice, parts: Parts, asked: Asked, units: Units, whole: Total
+) -> tuple[Run, Array, Status]:
+    """The run of a tile, its x, and why it ended; `whole` is of the scene."""
+    # Nobody reads the history of a tile, so it need not know the truth.
+    part = replace(parts.cut(tile.outer, known.lighting), truth=None)
     near, normals = known.near.at(tile.outer)
+    priors, taught = _of_part(known, Total(part, units, whole.channels), whole)
 
-    def objective_of(of: Scene, priors: Priors, free_normals: bool) -> Objective:
+    def objective_of(of: Scene, free_normals: bool) -> Objective:
         objective = replace(asked, priors=priors).objective(
             of, free_normals=free_normals, units=units
         )
         if not free_normals:
-            objective.penalties += known.taught.penalties(objective.layout)
+            objective.penalties += taught.penalties(objective.layout)
         return objective
 
-    # Segments' means are held, so cohesion is a pull that was taught.
-    priors = replace(known.priors, cohesion=0.0)
-    objective = objective_of(part, priors, False)
-    if priors.smoothness:
-        # A sum over the tile, beside a mean over it that in the whole is over more.
-        share = objective.total_weight / weight
-        priors = replace(priors, smoothness=priors.smoothness / share)
-        objective = objective_of(part, priors, False)
-    run = asked.run(part, objective, priors=priors, taught=known.taught, told=False)
+    objective = objective_of(part, False)
+    run = asked.run(part, objective, priors=priors, taught=taught, told=False)
     run.unmeasured = known.run.unmeasured
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
     if run.out_of_time():
-        return run, x, False
+        return run, x, Status.TIME_LIMIT
     found, _ = refined_fit.fit(
         run,
         x,
-        lambda of, free: objective_of(of, priors, free),
+        objective_of,
         solver="auto",
         start_given=True,
         asked="on" if known.refinement.refined else "off",
         hindered=None,
         turned=normals[part.valid] if known.refinement.refined else None,
     )
-    return found.run, found.x, found.status is not Status.TIME_LIMIT
+    return found.run, found.x, found.status
+
+
+def _of_part(known: Lattice, part: Total, whole: Total) -> tuple[Priors, Taught]:
+    """What a part's priors and penalties weigh, so that they are as strong as in the whole.
+
+    The data term is a mean by weight. Beside that of the whole, smoothness is a sum, and sparsity
+    and cohesion are means over pixels, which may have more or less weight here than elsewhere.
+    """
+    share = part.weight / whole.weight
+    density = share / (part.pixels / whole.pixels)
+    taught = known.taught
+    if taught.cohesion is not None:
+        means, weight = taught.cohesion
+        taught = replace(taught, cohesion=(means, weight / density))
+    priors = replace(
+        known.priors,
+        smoothness=known.priors.smoothness / share,
+        sparsity=known.priors.sparsity / density,
+        cohesion=0.0,  # means of segments are held, so it is a pull that was taught
+    )
+    return priors, taught

@@ -18,15 +18,17 @@ class Total:
 
     Attributes
     ----------
-    samples, weight
-        How many have a weight, and the sum of the weights, of which the largest is 1.
+    channels, pixels, samples, weight
+        How many channels are fitted, pixels are valid and samples have a weight, and the sum of the
+        weights, of which the largest is 1.
     """
 
     def __init__(self, scene: Scene, units: Units, channels: int) -> None:
-        self._scale = units.scale
+        self._scale, self.channels = units.scale, channels
         self._left = self._of = 0.0
+        self.pixels = int(np.count_nonzero(scene.valid))
         if scene.weights is None or not scene.weighted:
-            self.samples = channels * len(scene.images) * int(np.count_nonzero(scene.valid))
+            self.samples = channels * len(scene.images) * self.pixels
             self.weight = float(self.samples)
             return
         self.samples, self.weight = 0, 0.0
