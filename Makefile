@@ -12,6 +12,8 @@
 # make test-limits: Ctrl-C at random times of every command on a large scene; how long a fit goes on
 #   between two looks at its clock (an hour)
 # make test-soak: 500 small scenes in one process and in a pool: memory, open files, what is left
+# make test-reliability: batches killed a hundred times and gone on with, told to end at random times,
+#   on full disks, without rights, beside another batch (half an hour; Linux, as root all of it)
 # make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
@@ -40,7 +42,7 @@ FUZZ_FLAGS := -Cpasses=sancov-module $(patsubst -%,-Cllvm-args=-sanitizer-%,$(FU
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak test-fuzz lint bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -68,6 +70,11 @@ test-limits: $(VENV)/tools
 test-soak: $(VENV)/tools
 	$(BIN)/python tests/soak/soak.py
 	$(BIN)/python tests/soak/soak.py --jobs 2
+
+test-reliability: $(VENV)/tools
+	$(BIN)/python tests/reliability/kills.py
+	$(BIN)/python tests/reliability/signals.py
+	$(BIN)/pytest tests/reliability
 
 lint: $(VENV)/tools
 	cargo fmt --check

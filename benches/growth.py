@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -70,13 +70,12 @@ def measure(repeated: int, pictures: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         scene, result = Path(folder) / "scene", Path(folder) / "result"
         enlarged(repeated, pictures).save(scene)
-        command = [sys.executable, "-m", "pbrfit", "decompose", scene, "--out", result, "--quiet"]
+        command = [sys.executable, "-m", "pbrfit", "decompose", scene, "--out", result, "--json"]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         began = time.perf_counter()
-        process = subprocess.Popen(command)
-        _, status, usage = os.wait4(process.pid, 0)
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
         seconds = time.perf_counter() - began
-        if status:
-            raise RuntimeError(f"{command}: ended with {os.waitstatus_to_exitcode(status)}")
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
         content = json.loads((result / "result.json").read_text(encoding="utf-8"))
         shutil.rmtree(scene)
     return {
@@ -85,8 +84,9 @@ def measure(repeated: int, pictures: int) -> dict[str, Any]:
         "megapixels": (BASE * repeated) ** 2 / 1e6,
         "seconds": seconds,
         "seconds_of_fit": content["seconds"],
-        "processor_seconds": usage.ru_utime + usage.ru_stime,
-        "peak_bytes": 1024 * usage.ru_maxrss,
+        "processor_seconds": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+        # Not `ru_maxrss`, which begins with the size of the process that started it.
+        "peak_bytes": json.loads(done.stdout)["peak_bytes"],
         "stages": {stage["name"]: stage["seconds"] for stage in content["stages"]},
         "recon_rmse": content["metrics"]["recon_rmse"],
     }

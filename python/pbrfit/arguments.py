@@ -212,8 +212,13 @@ def unread_is_no_failure() -> Iterator[None]:
 
 
 def complain(message: str) -> None:
-    """Say what is wrong, in one line on stderr."""
-    print(f"pbrfit: {message}", file=sys.stderr)
+    """Say what is wrong, in one line on stderr; where nobody can be told, work goes on."""
+    if sys.stderr is None:
+        return  # it was closed by whoever called
+    try:
+        print(f"pbrfit: {message}", file=sys.stderr, flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # as above
 
 
 def message_of(error: Exception) -> str:

@@ -83,6 +83,16 @@ def flag(value: Any) -> bool:
     return value
 
 
+def path_text(value: Any) -> str:
+    """Check a text that can be the path of a file; bytes that are no UTF-8 are as `os` has them."""
+    if not isinstance(value, str):
+        raise ValueError(f"{quoted(value)} in place of a path")
+    value.encode("utf-8", "surrogateescape")
+    if "\0" in value:
+        raise ValueError(f"{quoted(value)} in place of a path")
+    return value
+
+
 def text(value: Any) -> str:
     """Check a text that can be written to a file in UTF-8."""
     if not isinstance(value, str):

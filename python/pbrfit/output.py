@@ -13,6 +13,9 @@ from pathlib import Path
 
 from pbrfit import _core
 
+ASIDE = "-old"
+"""Ending of a folder in which something lies that is being replaced, by its name."""
+
 
 @contextmanager
 def unfinished(
@@ -101,8 +104,8 @@ def new_folder(
 
     When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
     parent folders, and a folder that was to be replaced still there. `temporaries` is a folder on
-    the same file system that takes the place of that beside `path`; a folder that is replaced lies
-    in it for an instant as `*-old/NAME`.
+    the same file system that takes the place of that beside `path`, unless `path` is a link to
+    elsewhere; a folder that is replaced lies in it for an instant as `*-old/NAME`.
 
     Raises
     ------
@@ -114,8 +117,10 @@ def new_folder(
     check_free(path, overwrite=overwrite, contains=contains)
     target = path.resolve()  # of a link to a folder, the folder is replaced and the link stays
     token = secrets.token_hex(6)
-    temporary = target.with_name(f".pbrfit-{token}") if temporaries is None else temporaries / token
-    aside = temporary.with_name(f"{temporary.name}-old")
+    temporary = target.with_name(f".pbrfit-{token}")
+    if temporaries is not None and temporaries.resolve().parent == target.parent:
+        temporary = temporaries / token
+    aside = temporary.with_name(f"{temporary.name}{ASIDE}")
     old = aside / target.name
     new_parents = [parent for parent in target.parents if not parent.exists()]
     with unfinished(temporary, aside=(old, target), parents=[aside, *new_parents]):

@@ -19,7 +19,19 @@ from pbrfit._core import InputError
 from pbrfit.color import ColorSpace
 from pbrfit.geometry import angles_between, check_fov
 from pbrfit.history import History
-from pbrfit.json_files import UNFIT, flag, number, read_json, seed, table, text, texts, unfit, whole
+from pbrfit.json_files import (
+    UNFIT,
+    flag,
+    number,
+    path_text,
+    read_json,
+    seed,
+    table,
+    text,
+    texts,
+    unfit,
+    whole,
+)
 from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.metrics import PROTOCOL
@@ -417,7 +429,7 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
     if color_space not in (None, *get_args(ColorSpace)):
         raise ValueError(f"color_space {quoted(color_space)}")
     return Source(
-        path=(folder / text(content["path"])).resolve(),
+        path=(folder / path_text(content["path"])).resolve(),
         color_space=color_space,
         max_size=None if max_size is None else whole(max_size, least=1),
         code_range=(low, high),

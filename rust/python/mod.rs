@@ -42,7 +42,10 @@ impl From<Error> for PyErr {
                 let code = source.raw_os_error();
                 match code {
                     Some(code) => {
-                        PyOSError::new_err((code, source.to_string(), path.display().to_string()))
+                        // Rust adds the code to the words; Python has it apart.
+                        let words = source.to_string();
+                        let words = words.trim_end_matches(&format!(" (os error {code})"));
+                        PyOSError::new_err((code, words.to_owned(), path.display().to_string()))
                     }
                     None => PyOSError::new_err(format!("{}: {source}", path.display())),
                 }

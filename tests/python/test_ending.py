@@ -27,6 +27,7 @@ BEGIN = """
 import sys, time
 from pathlib import Path
 from pbrfit import _core, ending
+from pbrfit.batch.place import of_batch
 from pbrfit.output import new_file, new_folder, scratch_folder, undisturbed, unfinished
 ending.watch()
 here = Path(sys.argv[1])
@@ -41,6 +42,16 @@ UNFINISHED = {
     "a folder that replaces another": (
         "with new_folder(here / 'old', overwrite=True) as folder:\n"
         " (folder / 'half.txt').write_text('half')\n"
+    ),
+    "a batch": (
+        "with of_batch(here / 'a' / 'b') as batch:\n"
+        " with new_folder(here / 'a' / 'b' / 'out', temporaries=batch) as folder:\n"
+        "  (folder / 'half.txt').write_text('half')\n "
+    ),
+    "a batch that replaces": (
+        "with of_batch(here) as batch:\n"
+        " with new_folder(here / 'old', overwrite=True, temporaries=batch) as folder:\n"
+        "  (folder / 'half.txt').write_text('half')\n "
     ),
     "a file": ("with new_file(here / 'a' / 'out.txt') as file:\n file.write_text('half')\n"),
     "a file that replaces another": (

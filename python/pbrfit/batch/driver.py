@@ -162,7 +162,7 @@ def in_one_line(failure: BaseException) -> str:
     words = " ".join(str(failure).split())
     if isinstance(failure, OSError) and failure.strerror and failure.filename:
         return f"{failure.filename}: {failure.strerror}"
-    if isinstance(failure, (InputError, OSError)) and words:
+    if isinstance(failure, (InputError, OSError, MemoryError)) and words:
         return words
     name = type(failure).__name__
     return f"{name}: {words}" if words else name

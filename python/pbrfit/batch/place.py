@@ -11,19 +11,22 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from pbrfit.output import making
+from pbrfit.output import ASIDE, making, unfinished
 
 NAME = ".pbrfit"
 
 LOCK = "lock"
+
+ATTEMPTS = 3
+"""To clear the place, where somebody is still at work."""
 
 
 @contextmanager
 def of_batch(folder: Path) -> Iterator[Path]:
     """Give `folder/.pbrfit` for temporary folders, to this process alone; afterwards it is gone.
 
-    What a killed batch left there is removed first; a result that it was about to replace is put
-    back. A new `folder` that stays empty is removed too.
+    What a killed batch left there is removed first. A result that was about to be replaced is put
+    back, then and afterwards. A new `folder` that stays empty is removed too.
 
     Raises
     ------
@@ -37,19 +40,25 @@ def of_batch(folder: Path) -> Iterator[Path]:
     place = target / NAME
     try:
         with making(folder, "folder"):
-            place.mkdir(parents=True, exist_ok=True)
             lock = _locked(place / LOCK)
         if lock is None:
             raise FileExistsError(
                 f"{folder}: expected no other batch that writes there, found one at work"
             )
-        try:
-            _clear(place)
-            yield place
-        finally:
-            shutil.rmtree(place, ignore_errors=True)
-            lock.close()
-            shutil.rmtree(place, ignore_errors=True)  # Windows removes no file that is open
+        # At a sudden end only the lock goes, and what is empty then: workers may still be at it.
+        with unfinished(place / LOCK, parents=[place, *new_parents]):
+            try:
+                _clear(place)
+                yield place
+            finally:
+                with suppress(OSError):
+                    _clear(place)
+                if sys.platform == "win32":
+                    lock.close()  # no file that is open can be removed there
+                with suppress(OSError):
+                    (place / LOCK).unlink()
+                _remove(place)
+                lock.close()  # not before: whoever got it then would lose what it had just made
     finally:
         with suppress(OSError):  # one that is not empty stays, and so do those above it
             for parent in new_parents:
@@ -62,35 +71,73 @@ def of_one(output: Path) -> Iterator[Path]:
     target = output.resolve()
     place = target.with_name(f"{NAME}-{secrets.token_hex(6)}")
     new_parents = [parent for parent in target.parents if not parent.exists()]
-    try:
-        with making(output, "folder"):
-            place.mkdir(parents=True)
-        yield place
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
-        with suppress(OSError):
-            for parent in new_parents:
-                parent.rmdir()
+    with unfinished(place / LOCK, parents=[place, *new_parents]):
+        try:
+            with making(output, "folder"):
+                place.mkdir(parents=True)
+            yield place
+        finally:
+            _remove(place)
+            with suppress(OSError):
+                for parent in new_parents:
+                    parent.rmdir()
 
 
 def _clear(place: Path) -> None:
-    for left in place.iterdir():
-        if left.name == LOCK:
-            continue
-        if left.name.endswith("-old"):
-            for old in left.iterdir():
-                if not (place.parent / old.name).exists():
-                    old.rename(place.parent / old.name)
-        if left.is_dir():
-            shutil.rmtree(left)
+    """Remove all but the lock, and put back what was set aside.
+
+    A worker that has outlived its batch may be at work on the same files. Then something fails,
+    here or there, but nothing is removed before there is something in its place.
+    """
+    for last in (False,) * (ATTEMPTS - 1) + (True,):
+        try:
+            for left in place.iterdir():
+                if left.name == LOCK:
+                    continue
+                if left.name.endswith(ASIDE) and left.is_dir():
+                    _put_back(left, place.parent)
+                elif left.is_dir():
+                    shutil.rmtree(left)
+                else:
+                    left.unlink()
+        except OSError:
+            if last:
+                raise
         else:
-            left.unlink()
+            return
+
+
+def _remove(place: Path) -> None:
+    """Remove the place, cleared or not, unless the next batch has it by now."""
+    for _ in range(ATTEMPTS):
+        with suppress(OSError):
+            place.rmdir()
+            return
+        if (place / LOCK).exists():
+            return
+        with suppress(OSError):
+            _clear(place)
+
+
+def _put_back(aside: Path, folder: Path) -> None:
+    for old in aside.iterdir():
+        if os.path.lexists(folder / old.name):
+            shutil.rmtree(old)
+        else:
+            old.rename(folder / old.name)
+    aside.rmdir()  # fails if something has come into it meanwhile
 
 
 def _locked(path: Path) -> IO[bytes] | None:
     """Open a file that nobody else has locked, and lock it; None if somebody has."""
     while True:
-        file = path.open("ab")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            file = path.open("ab")
+        except FileNotFoundError:
+            if path.parent.is_dir():
+                raise
+            continue  # whoever held it has just removed the folder
         if not _lock(file):
             file.close()
             return None
@@ -99,7 +146,6 @@ def _locked(path: Path) -> IO[bytes] | None:
             if sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 return file
         file.close()
-        path.parent.mkdir(exist_ok=True)
 
 
 def _lock(file: IO[bytes]) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -194,18 +193,16 @@ def _work(
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
     """All scene folders that were named, directly or by a folder of them; and whether just one."""
-    from pbrfit import scene_folder
-
     scenes: list[Path] = []
     for path in paths:
-        if path.is_dir() and not scene_folder.is_scene(path):
+        if path.is_dir() and not _may_be_scene(path):
             below = sorted(
                 below
                 for below in path.iterdir()
                 if below.is_dir()
                 and not below.name.startswith(".")
-                and os.access(below, os.R_OK | os.X_OK)
-                and scene_folder.is_scene(below)
+                and below.name != "lost+found"  # of the file system, and nobody may look into it
+                and _may_be_scene(below)
             )
             scenes += below or [path]
         else:
@@ -215,3 +212,13 @@ def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
     if twice:
         raise InputError(f"SCENE: expected different names, found {twice[0]} twice")
     return scenes, len(paths) == 1 and scenes == list(paths)
+
+
+def _may_be_scene(path: Path) -> bool:
+    """Whether it is a scene folder; one that nobody may look into will fail and say why."""
+    from pbrfit import scene_folder
+
+    try:
+        return scene_folder.is_scene(path)
+    except PermissionError:
+        return True

@@ -1,0 +1,406 @@
+"""What goes wrong around a batch: its exit code, the one line, and that nothing else is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from batches import (
+    DYING,
+    content,
+    ended,
+    environment,
+    faults_of,
+    make_versions,
+    mark,
+    of_session,
+    put_version,
+    seconds_until,
+    started,
+    statuses,
+)
+from pbrfit.scene import Scene
+from pbrfit.synthetic import make_scene
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="made for Linux")
+
+ROOT = os.getuid() == 0
+NEEDS_ROOT = pytest.mark.skipif(not ROOT, reason="mounts a file system, which takes root")
+
+COUNT = 6
+OPTIONS = ("--iterations", 60, "--quiet")
+
+WITHOUT_RIGHTS = ("setpriv", "--bounding-set", "-all", "--inh-caps", "-all")
+"""As root without root's rights: files of others are closed to it."""
+
+NOBODY = 65534
+
+
+@pytest.fixture(scope="module")
+def versions(tmp_path_factory: pytest.TempPathFactory) -> list[list[Path]]:
+    return make_versions(tmp_path_factory.mktemp("versions"), COUNT, 2)
+
+
+@pytest.fixture
+def scenes(tmp_path: Path, versions: list[list[Path]]) -> Path:
+    for number, row in enumerate(versions):
+        put_version(tmp_path / "scenes" / f"s{number}", row[0])
+    return tmp_path / "scenes"
+
+
+NAMES = [f"s{number}" for number in range(COUNT)]
+
+
+def arguments(scenes: Path, out: Path, *more: object, jobs: int = 2) -> list[object]:
+    return ["decompose", scenes, "--out", out, *OPTIONS, "--jobs", jobs, *more]
+
+
+def names(out: Path) -> list[str]:
+    """All that is there; the results among it are whole."""
+    found = sorted(path.name for path in out.iterdir()) if out.exists() else []
+    assert [fault for name in found if name in NAMES for fault in faults_of(out / name)] == []
+    return found
+
+
+def contents(out: Path) -> dict[str, Any]:
+    return {name: (content(out / name), mark(out / name)) for name in names(out)}
+
+
+def as_nobody_special(arguments: list[object]) -> tuple[int, str, str]:
+    """Run the command as somebody to whom the files of NOBODY are closed."""
+    command = [sys.executable, "-m", "pbrfit", *map(str, arguments)]
+    if ROOT:
+        if shutil.which("setpriv") is None:
+            pytest.skip("no setpriv")
+        command = [*WITHOUT_RIGHTS, *command]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    return found.returncode, found.stdout, found.stderr
+
+
+def closed(path: Path) -> Path:
+    """Let others do nothing with it."""
+    if ROOT:
+        os.chown(path, NOBODY, NOBODY)
+        path.chmod(0o700 if path.is_dir() else 0o600)
+    else:
+        path.chmod(0)
+    return path
+
+
+@contextmanager
+def disk(path: Path, size: str) -> Iterator[Callable[[str], None]]:
+    """A file system in memory; what is given can change its options."""
+    path.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "disk", path], check=True)
+
+    def remount(how: str) -> None:
+        subprocess.run(["mount", "-o", f"remount,{how}", path], check=True)
+
+    try:
+        yield remount
+    finally:
+        subprocess.run(["umount", path], check=True)
+
+
+def size_of(folder: Path) -> int:
+    """Bytes in blocks of 4 KiB."""
+    return sum(-(-p.stat().st_size // 4096) * 4096 + 4096 for p in folder.rglob("*") if p.is_file())
+
+
+# A full disk
+
+
+@NEEDS_ROOT
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_disk_that_fills_up_costs_the_scenes_that_found_no_room(
+    scenes: Path, tmp_path: Path, jobs: int
+) -> None:
+    assert ended(arguments(scenes, tmp_path / "whole"))[0] == 0
+    a_result = size_of(tmp_path / "whole" / "s0")
+    with disk(tmp_path / "disk", f"{int(3.5 * a_result / 1024)}k") as remount:
+        out = tmp_path / "disk" / "out"
+        code, _, errors = ended(arguments(scenes, out, jobs=jobs))
+        lines = errors.splitlines()
+        there = names(out)
+        assert code == 1
+        assert 1 <= len(there) < COUNT
+        failed = [name for name in NAMES if name not in there]
+        assert sorted(lines[:-1]) == [
+            f"pbrfit: {out / name}: No space left on device" for name in failed
+        ]
+        assert lines[-1].startswith(f"pbrfit: {len(failed)} of {COUNT} scenes failed: ")
+        before = contents(out)
+        # Some of those that are there are to be replaced: what they had stays.
+        code, _, errors = ended(arguments(scenes, out, "--overwrite", jobs=jobs))
+        assert code in (1, 2)
+        assert set(before) <= set(names(out))
+        assert all(content(out / name) == what for name, (what, _) in before.items())
+        # With room again it goes on.
+        before = contents(out)
+        remount("size=20m")
+        code, told, errors = ended(arguments(scenes, out, "--resume", "--json", jobs=jobs))
+        assert (code, errors) == (0, "")
+        kept = {name for name, status in statuses(told) if status == "kept"}
+        assert kept == set(before)
+        after = contents(out)
+        assert list(after) == NAMES
+        assert all(after[name] == what for name, what in before.items())
+
+
+@NEEDS_ROOT
+def test_a_disk_without_any_room_costs_a_line_a_scene(scenes: Path, tmp_path: Path) -> None:
+    with disk(tmp_path / "disk", "16k"):
+        out = tmp_path / "disk" / "out"
+        with suppress(OSError), (tmp_path / "disk" / "full").open("wb", buffering=0) as full:
+            while full.write(bytes(4096)):
+                pass
+        code, told, errors = ended(arguments(scenes, out))
+        assert (code, told) == (2, "")
+        *each, last = errors.splitlines()
+        assert sorted(each) == [f"pbrfit: {out / name}: No space left on device" for name in NAMES]
+        assert last.startswith("pbrfit: 6 of 6 scenes failed: ")
+        assert names(tmp_path / "disk") == ["full"]
+
+
+def test_a_limit_on_the_size_of_files_costs_no_old_result(scenes: Path, tmp_path: Path) -> None:
+    """It needs no rights to be set, and fails like a full disk."""
+    out = tmp_path / "out"
+    assert ended(arguments(scenes, out))[0] == 0
+    before = contents(out)
+    code, told, errors = ended(
+        arguments(scenes, out, "--overwrite"),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)),
+    )
+    assert (code, told) == (2, "")
+    assert sorted(errors.splitlines()[:-1]) == [
+        f"pbrfit: {out / name}: File too large" for name in NAMES
+    ]
+    assert contents(out) == before
+
+
+# No right
+
+
+def test_an_output_that_may_not_be_written_is_one_line_before_the_work(
+    scenes: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "out").mkdir()
+    out = closed(tmp_path / "out")
+    out.chmod(0o555)
+    found = as_nobody_special(arguments(scenes, out))
+    expected = "expected a place where a folder can be made, found: Permission denied"
+    assert found == (2, "", f"pbrfit: {out}: {expected}\n")
+    assert list(out.iterdir()) == []
+
+
+@NEEDS_ROOT
+def test_a_result_that_may_not_be_replaced_stays(scenes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert ended(arguments(scenes, out))[0] == 0
+    before = contents(out)
+    os.chown(out / "s2", NOBODY, NOBODY)
+    (out / "s2").chmod(0o755)
+    code, _, errors = as_nobody_special(arguments(scenes, out, "--overwrite"))
+    assert code == 1
+    assert errors == (
+        f"pbrfit: {out / 's2'}: Permission denied\npbrfit: 1 of 6 scenes failed: {scenes / 's2'}\n"
+    )
+    after = contents(out)
+    assert after.pop("s2") == before.pop("s2")
+    assert all(after[name] != before[name] for name in before)
+
+
+@pytest.mark.parametrize("what", ["images", "images/light_00.exr", "normals.exr"])
+def test_a_scene_that_may_not_be_read_fails_alone(scenes: Path, tmp_path: Path, what: str) -> None:
+    path = closed(scenes / "s3" / what)
+    code, _, errors = as_nobody_special(arguments(scenes, tmp_path / "out"))
+    assert code == 1
+    first, last = errors.splitlines()
+    assert str(path) in first
+    assert first.endswith("Permission denied")
+    assert last == f"pbrfit: 1 of 6 scenes failed: {scenes / 's3'}"
+    assert names(tmp_path / "out") == [name for name in NAMES if name != "s3"]
+
+
+@NEEDS_ROOT
+def test_a_read_only_file_system_is_one_line_before_the_work(scenes: Path, tmp_path: Path) -> None:
+    with disk(tmp_path / "disk", "1m") as remount:
+        remount("ro")
+        out = tmp_path / "disk" / "out"
+        for given in (scenes, scenes / "s0"):
+            found = ended(arguments(given, out))
+            expected = "expected a place where a folder can be made, found: Read-only file system"
+            assert found == (2, "", f"pbrfit: {out}: {expected}\n")
+
+
+# Workers that die
+
+
+def test_a_worker_that_dies_once_costs_nothing(scenes: Path, tmp_path: Path) -> None:
+    died = tmp_path / "died"
+    how = environment(
+        tmp_path, DIE_AT=3, DIE_WHO="worker", DIE_UNDER=tmp_path / "out", DIE_ONCE=died
+    )
+    found = ended(arguments(scenes, tmp_path / "out"), program=[DYING], env=how)
+    assert found == (0, "", "")
+    assert died.exists()
+    assert names(tmp_path / "out") == NAMES
+
+
+def test_a_scene_whose_worker_dies_again_and_again_fails_alone(
+    scenes: Path, tmp_path: Path
+) -> None:
+    os.mkfifo(scenes / "s3" / "mask.png")  # its worker waits there
+    batch = started(
+        arguments(scenes, tmp_path / "out", "--json"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+
+    def waiting() -> list[int]:
+        """Workers that are at the fifo, and at nothing else for a while."""
+        found = []
+        for process in of_session(batch.pid):
+            try:
+                threads = list(Path(f"/proc/{process}/task").iterdir())
+                if any((one / "wchan").read_text() == "wait_for_partner" for one in threads):
+                    found.append(process)
+            except OSError:
+                continue
+        return found
+
+    seconds_until(lambda: bool(waiting()))
+    [first] = waiting()
+    os.kill(first, signal.SIGKILL)
+    seconds_until(lambda: waiting() not in ([], [first]))
+    [second] = waiting()
+    os.kill(second, signal.SIGKILL)
+    told, errors = batch.communicate(timeout=100)
+    assert batch.returncode == 1
+    assert errors == (
+        f"pbrfit: {scenes / 's3'}: its process died\n"
+        f"pbrfit: 1 of 6 scenes failed: {scenes / 's3'}\n"
+    )
+    assert sorted(statuses(told)) == [
+        (name, "failed" if name == "s3" else "done") for name in NAMES
+    ]
+    assert names(tmp_path / "out") == [name for name in NAMES if name != "s3"]
+
+
+def test_a_worker_that_gets_no_memory_costs_its_scene_alone(scenes: Path, tmp_path: Path) -> None:
+    small = make_scene("furnished", size=100, lights=4)
+    times = 12
+    Scene(
+        images=np.tile(small.images, (1, times, times, 1)),
+        normals=np.tile(small.normals, (times, times, 1)),
+        fov=small.fov,
+    ).save(scenes / "large")
+    limit = 1100 * 2**20
+    code, told, errors = ended(
+        arguments(scenes, tmp_path / "out", "--json"),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+        env=environment(tmp_path, OPENBLAS_NUM_THREADS=1),
+    )
+    assert code == 1
+    first, last = errors.splitlines()
+    assert first.startswith(f"pbrfit: {scenes / 'large'}: ")
+    assert "memory" in first  # whichever step found too little
+    assert last == f"pbrfit: 1 of 7 scenes failed: {scenes / 'large'}"
+    assert dict(statuses(told)) == {**dict.fromkeys(NAMES, "done"), "large": "failed"}
+    assert names(tmp_path / "out") == NAMES
+
+
+# Stopped, changed, and on again
+
+
+def stopped_batch(scenes: Path, out: Path, least: int) -> None:
+    """A batch that is told to end as soon as so many results are there, but not all."""
+    batch = started(arguments(scenes, out), stderr=subprocess.PIPE)
+    seconds_until(lambda: len(list(out.glob("s*"))) >= least)
+    batch.send_signal(signal.SIGTERM)
+    batch.communicate(timeout=60)
+    assert batch.returncode == 128 + signal.SIGTERM
+
+
+def test_what_changed_while_a_batch_was_stopped_is_done_again(
+    scenes: Path, tmp_path: Path, versions: list[list[Path]]
+) -> None:
+    out = tmp_path / "out"
+    stopped_batch(scenes, out, 3)
+    before = contents(out)
+    assert 3 <= len(before) < COUNT
+    changed, damaged, emptied, *_ = before
+    put_version(scenes / changed, versions[NAMES.index(changed)][1])
+    flipped = bytearray((out / damaged / "materials.exr").read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    (out / damaged / "materials.exr").write_bytes(flipped)
+    os.truncate(out / emptied / "result.json", 0)
+    code, told, errors = ended(arguments(scenes, out, "--resume", "--json"))
+    assert (code, errors) == (0, "")
+    again = {changed, damaged, emptied}
+    assert sorted(statuses(told)) == [
+        (name, "kept" if name in set(before) - again else "done") for name in NAMES
+    ]
+    undisturbed = tmp_path / "undisturbed"
+    assert ended(arguments(scenes, undisturbed))[0] == 0
+    after = contents(out)
+    for name in NAMES:
+        assert after[name][0] == content(undisturbed / name)
+        if name in set(before) - again:
+            assert after[name] == before[name]
+
+
+def test_a_folder_that_is_no_result_is_refused_before_any_work(
+    scenes: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    (out / "s4").mkdir(parents=True)
+    (out / "s4" / "thesis.txt").write_text("three years")
+    for how in ("--resume", "--overwrite"):
+        assert ended(arguments(scenes, out, how)) == (
+            2,
+            "",
+            f"pbrfit: {out / 's4'}: expected an earlier output to replace, found a folder without "
+            "result.json; remove it yourself if it is not needed\n",
+        )
+    assert [path.name for path in out.iterdir()] == ["s4"]
+    assert (out / "s4" / "thesis.txt").read_text() == "three years"
+
+
+# Two batches
+
+
+def test_the_second_batch_on_an_output_is_refused_and_the_first_goes_on(
+    scenes: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    first = started(
+        arguments(scenes, out, "--json", "--iterations", 300),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    lock = out / ".pbrfit" / "lock"
+    seconds_until(lock.exists)
+    for _ in range(2):
+        assert ended(arguments(scenes, out, "--resume")) == (
+            2,
+            "",
+            f"pbrfit: {out}: expected no other batch that writes there, found one at work\n",
+        )
+        assert first.poll() is None
+    told, errors = first.communicate(timeout=300)
+    assert (first.returncode, errors) == (0, "")
+    assert [json.loads(line)["status"] for line in told.splitlines()] == ["done"] * COUNT
+    assert names(out) == NAMES
