@@ -328,7 +328,7 @@ class TestFit:
         scene = replace(
             noisy, weights=weights, lighting=noisy.truth.lighting, segments=segments, truth=None
         )
-        priors = replace(Priors.none(), sparsity=3e-3)
+        priors = replace(Priors.none(), cohesion=1e-3)
         in_tiles = held(scene, priors=priors, uncertainty=False)
         monkeypatch.setattr(memory, "WHOLE", 1 << 21)
         whole = held(scene, priors=priors, uncertainty=False)
