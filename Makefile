@@ -1,8 +1,11 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
 # make bench-needs: what leaving out parts of a fit saves
 # make bench-lbfgs: our bounded L-BFGS beside scipy's
+# make bench-growth: time and memory of a fit from 0.25 to 16 MP, 4 to 64 pictures (an hour, 13 GiB)
 # make test-acquire: the tests that need PyTorch, diffusers, transformers and openai, in .venv-acquire
 #   (5 GB); they download no weights
+# make test-fuzz: 100,000 damaged files, and inputs led by coverage, in .venv-fuzz; needs a C++ compiler
+#   (FUZZ_CASES, FUZZ_SECONDS for each target that is led, FUZZ_SEED, FUZZ_JOBS)
 # make test-cluster: the tests that need dask.distributed, in .venv-cluster; schedulers and workers are
 #   processes of this machine
 # make test-arrays: any arrays for any argument, EXAMPLES of them for each call, others in each run
@@ -19,6 +22,7 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 CYCLES := .venv-cycles
 ACQUIRE := .venv-acquire
+FUZZ := .venv-fuzz
 CLUSTER := .venv-cluster
 CYCLES_PYTHON ?= python3.11
 CYCLES_NEEDS := python/pbrfit/synthetic/cycles/requirements.txt
@@ -28,10 +32,17 @@ DEMO ?= out/demo
 # of bench-peers: threads of every peer, and what else `python -m peers --help` lists
 THREADS ?= 2
 PEERS_OPTIONS ?=
+FUZZ_CASES ?= 100000
+FUZZ_SECONDS ?= 30
+FUZZ_SEED ?= 0
+FUZZ_JOBS ?= 2
+# LLVM counts covered branches and compared values for libFuzzer.
+FUZZ_LLVM := -coverage-level=4 -coverage-inline-8bit-counters -coverage-pc-table -coverage-trace-compares
+FUZZ_FLAGS := -Cpasses=sancov-module $(patsubst -%,-Cllvm-args=-sanitizer-%,$(FUZZ_LLVM)) --cfg fuzzing
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak test-reliability lint bench bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -42,6 +53,10 @@ test: $(VENV)/tools lint
 
 test-acquire: $(ACQUIRE)/installed
 	$(ACQUIRE)/bin/pytest tests/acquire
+
+test-fuzz: $(FUZZ)/installed target/fuzz/built
+	PYTHONPATH=tests $(FUZZ)/bin/python -m fuzz --cases $(FUZZ_CASES) --seed $(FUZZ_SEED) --jobs $(FUZZ_JOBS)
+	PYTHONPATH=tests $(FUZZ)/bin/python -m fuzz.guided --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS)
 
 test-cluster: $(CLUSTER)/installed
 	$(CLUSTER)/bin/pytest tests/cluster
@@ -76,6 +91,9 @@ bench:
 bench-needs: $(VENV)/installed
 	$(BIN)/python benches/needs.py --out docs/benchmarks/needs.md
 
+bench-growth: $(VENV)/installed
+	$(BIN)/python benches/growth.py
+
 bench-lbfgs: $(VENV)/installed
 	$(BIN)/python benches/lbfgs.py --out docs/benchmarks/lbfgs.md
 
@@ -90,7 +108,7 @@ wheel: $(VENV)/tools
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) $(CLUSTER) target dist out
+	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) $(CLUSTER) $(FUZZ) target dist out
 
 $(VENV)/installed: $(SOURCES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pbrfit needs Python 3.11 or later; set PYTHON=...")'
@@ -120,6 +138,16 @@ $(ACQUIRE)/installed: $(SOURCES)
 	@echo "installing PyTorch, diffusers, transformers and openai: 5 GB"
 	$(ACQUIRE)/bin/pip install --quiet --editable '.[test,diffusion,openai,segment]'
 	touch $@
+
+$(FUZZ)/installed: $(SOURCES)
+	test -d $(FUZZ) || $(PYTHON) -m venv $(FUZZ)
+	$(FUZZ)/bin/pip install --quiet --editable '.[test]'
+	@$(FUZZ)/bin/pip install --quiet atheris || echo "test-fuzz: no atheris for this machine; going on without"
+	touch $@
+
+target/fuzz/built: $(SOURCES) $(wildcard tests/fuzz/rust/Cargo.* tests/fuzz/rust/targets/*.rs)
+	RUSTFLAGS='$(FUZZ_FLAGS)' cargo build --release --manifest-path tests/fuzz/rust/Cargo.toml \
+		--target-dir target/fuzz --target $$(rustc -vV | sed -n 's/^host: //p')
 
 $(CLUSTER)/installed: $(SOURCES)
 	test -d $(CLUSTER) || $(PYTHON) -m venv $(CLUSTER)

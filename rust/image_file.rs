@@ -10,11 +10,13 @@ mod exr;
 mod icc;
 mod raster;
 
+use std::cell::Cell;
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::Write;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{self, AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
+use std::sync::Once;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use self::exr::{Exr, ExrChannel, decode_exr, read_exr, write_exr};
@@ -76,10 +78,29 @@ impl Format {
     }
 }
 
+/// Letters of a reason that are shown.
+const LONGEST_REASON: usize = 400;
+
+/// An error about a file. Reasons quote what files hold, so they are made one
+/// printable line of bounded length here.
 fn content(path: &Path, reason: impl ToString) -> Error {
+    let reason = reason.to_string();
+    let mut line = String::with_capacity(reason.len().min(LONGEST_REASON));
+    for (shown, letter) in reason.chars().enumerate() {
+        if shown == LONGEST_REASON {
+            line.push('…');
+            break;
+        }
+        // What Debug escapes moves the cursor, hides other letters or has no shape at all; quotation
+        // marks and backslashes are fine.
+        match letter {
+            '\'' | '"' | '\\' => line.push(letter),
+            letter => line.extend(letter.escape_debug()),
+        }
+    }
     Error::Content {
         path: path.to_owned(),
-        reason: reason.to_string(),
+        reason: line,
     }
 }
 
@@ -98,11 +119,9 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>> {
 }
 
 /// Refuses a size, before anything is allocated for it, that is beyond the
-/// limit or that no encoder could have squeezed into `file_size` bytes: one
-/// colour in DWAB takes a byte for some 14000 pixels, in one-bit PNG for 8256.
-/// Small files may still claim 16 million pixels: an EXR crop may lie in a large
-/// empty frame.
-fn check_size(path: &Path, width: u64, height: u64, file_size: u64) -> Result<()> {
+/// limit or more than `most` pixels, which is what no encoder could have
+/// squeezed into a file of `file_size` bytes.
+fn check_size(path: &Path, width: u64, height: u64, most: u64, file_size: u64) -> Result<()> {
     // Both sides are at most 32 bits wide in every format, so the product cannot wrap.
     let pixels = width * height;
     if pixels == 0 || pixels > MAX_PIXELS {
@@ -111,7 +130,7 @@ fn check_size(path: &Path, width: u64, height: u64, file_size: u64) -> Result<()
             format!("expected 1 to {MAX_PIXELS} pixels, found {width} x {height}"),
         ));
     }
-    if pixels > (1 << 24) + (file_size << 15) {
+    if pixels > most {
         return Err(content(
             path,
             format!("expected a sound file, found {width} x {height} pixels in {file_size} bytes"),
@@ -120,16 +139,54 @@ fn check_size(path: &Path, width: u64, height: u64, file_size: u64) -> Result<()
     Ok(())
 }
 
+/// Refuses what the machine has no memory for, as far as it can be asked: a
+/// failed allocation inside of a decoder would end the process.
+fn check_memory(path: &Path, bytes: u64) -> Result<()> {
+    let refused = || {
+        let mebibytes = bytes >> 20;
+        content(
+            path,
+            format!("expected {mebibytes} MiB of memory for its pixels, found less"),
+        )
+    };
+    let bytes = usize::try_from(bytes).map_err(|_| refused())?;
+    Vec::<u8>::new()
+        .try_reserve_exact(bytes)
+        .map_err(|_| refused())
+}
+
 /// Runs a decoder on bytes that nobody vouches for. These libraries return
 /// errors for bad files; should one panic after all, that too is a fact about
-/// the file and becomes an error that names it.
+/// the file and becomes an error that names it, and nothing is printed.
 fn guarded<T>(path: &Path, decode: impl FnOnce() -> Result<T>) -> Result<T> {
-    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+    quiet_guarded_panics();
+    GUARDED.set(true);
+    let result = catch_unwind(AssertUnwindSafe(decode));
+    GUARDED.set(false);
+    result.unwrap_or_else(|_| {
         Err(content(
             path,
             "expected a sound file, found one its decoder gave up on",
         ))
     })
+}
+
+thread_local! {
+    /// Whether this thread is inside of [`guarded`].
+    static GUARDED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Lets the hook that prints panics pass over those that [`guarded`] catches.
+fn quiet_guarded_panics() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let before = panic::take_hook();
+        panic::set_hook(Box::new(move |info| {
+            if !GUARDED.get() {
+                before(info);
+            }
+        }));
+    });
 }
 
 /// The file appears under its name only when all of it is there: the bytes go

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.quoting import shown
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,9 @@ WITHOUT_TRUTH = COLUMNS[:5]
 _NUMBERS: dict[str, Any] = {
     name: int if name in ("iteration", "evaluations") else float for name in COLUMNS
 }
+
+MOST = 1e300
+"""Numbers beyond are not those of a fit; a float holds these."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +89,22 @@ class History:
             if tuple(header) not in (COLUMNS, WITHOUT_TRUTH):
                 raise ValueError(f"columns {', '.join(header)}")
             rows = tuple(
-                HistoryRow(**{k: _NUMBERS[k](v) for k, v in zip(header, line, strict=True)})
+                HistoryRow(**{k: _number(k, v) for k, v in zip(header, line, strict=True)})
                 for line in lines
             )
             if not rows:
                 raise ValueError("no rows")
         except (ValueError, csv.Error) as error:
             raise InputError(
-                f"{path}: expected columns {', '.join(WITHOUT_TRUTH)} of numbers, found: {error}"
+                f"{path}: expected columns {', '.join(WITHOUT_TRUTH)} of numbers, "
+                f"found: {shown(error)}"
             ) from None
         return cls(rows)
+
+
+def _number(column: str, entry: str) -> Any:
+    """Of a column; ValueError if it is none. Errors may be NaN, which stands for unknown."""
+    value = _NUMBERS[column](entry)
+    if abs(value) <= MOST or (value != value and column not in WITHOUT_TRUTH):
+        return value
+    raise ValueError(f"{entry} under {column}")

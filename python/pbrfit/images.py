@@ -31,6 +31,7 @@ from pbrfit.color import (
     near_rec709,
     to_rec709,
 )
+from pbrfit.quoting import listed
 
 logger = logging.getLogger("pbrfit")
 
@@ -511,6 +512,6 @@ def _pick(
 
 def _no_layer(path: Path, channels: Mapping[str, object], expected: str) -> InputError:
     layers = sorted({name.rpartition(".")[0] for name in channels if "." in name})
-    layers_found = f" in layers {', '.join(layers)}" if layers else ""
-    found = f"{', '.join(channels)}{layers_found}"
+    layers_found = f" in layers {listed(layers)}" if layers else ""
+    found = f"{listed(channels)}{layers_found}"
     return InputError(f"{path}: expected {expected}, found {found}")

@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.checks import of_what, real_array, real_number
+from pbrfit.json_files import UNFIT, read_json, table, texts, unfit
 from pbrfit.model import sh_basis
+from pbrfit.quoting import quoted, shown
 
 BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
 """(16,): band l of coefficient k."""
@@ -56,20 +58,22 @@ class Lighting:
         InputError
             If the file is not what `save` writes; the message names the file.
         """
+        parts = "JSON with basis, order, pictures and coefficients"
+        content = read_json(path, parts, finite=False)  # told of below
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = table(content)
             basis, order = content["basis"], content["order"]
-            pictures = tuple(str(name) for name in content["pictures"])
-            coefficients = np.array(content["coefficients"], dtype=np.float64)
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise InputError(
-                f"{path}: expected JSON with basis, order, pictures and coefficients, "
-                f"found {type(error).__name__}: {error}"
-            ) from None
+            pictures = texts(content["pictures"])
+            stored = np.array(content["coefficients"])
+            if stored.dtype.kind not in "if":
+                raise ValueError(f"coefficients of type {stored.dtype}")
+            coefficients = stored.astype(np.float64)
+        except UNFIT as error:
+            raise unfit(path, parts, error) from None
         if (basis, order) != (BASIS, ORDER):
             raise InputError(
                 f"{path}: expected basis {BASIS!r} of order {ORDER}, "
-                f"found {basis!r} of order {order!r}"
+                f"found {quoted(basis)} of order {quoted(order)}"
             )
         expected = (len(pictures), 16, 3)
         if coefficients.shape != expected:
@@ -79,7 +83,7 @@ class Lighting:
             )
         if len(set(pictures)) != len(pictures):
             twice = next(name for name in pictures if pictures.count(name) > 1)
-            raise InputError(f"{path}: expected one light a name, found {twice} twice")
+            raise InputError(f"{path}: expected one light a name, found {shown(twice)} twice")
         if not np.isfinite(coefficients).all():
             raise InputError(f"{path}: expected finite coefficients, found NaN or infinity")
         return cls(pictures, coefficients)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit import images
 from pbrfit._core import InputError
+from pbrfit.quoting import listed
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,7 @@ def read_materials(
     def layer(name: str, parts: str) -> NDArray[np.float64]:
         missing = [f"{name}.{part}" for part in parts if f"{name}.{part}" not in channels]
         if missing:
-            raise InputError(
-                f"{path}: expected channel {missing[0]}, found {', '.join(sorted(channels))}"
-            )
+            raise InputError(f"{path}: expected channel {missing[0]}, found {listed(channels)}")
         return np.stack([channels[f"{name}.{part}"] for part in parts], axis=-1).astype(np.float64)
 
     mask = layer("mask", "Y")[..., 0] > 0.5

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pbrfit import images
 from pbrfit._core import InputError
+from pbrfit.quoting import listed
 
 NORMAL_FILES = ("normals.exr", "normals.png")
 
@@ -99,7 +100,7 @@ def read_normals(path: Path) -> NDArray[np.float64]:
         if triple is None:
             raise InputError(
                 f"{path}: expected channels X, Y, Z (or R, G, B, or normal.X ...), "
-                f"found {', '.join(sorted(channels))}"
+                f"found {listed(channels)}"
             )
         return np.stack([channels[name] for name in triple], axis=-1).astype(np.float64)
     data = images.read_data(path)

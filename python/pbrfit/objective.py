@@ -424,13 +424,7 @@ class Objective:
         given = {"albedo": albedo, "roughness": roughness, "metallic": metallic}
         maps = []
         for name, values in given.items():
-            values = real_array(name, values)
-            shape = self.layout.valid.shape + ((3,) if name == "albedo" else ())
-            if values.shape != shape:
-                raise InputError(f"{name}: expected shape {shape}, found {values.shape}")
-            values = values[self.layout.valid]
-            if not np.isfinite(values).all():
-                raise InputError(f"{name}: expected finite values at all valid pixels, found NaN")
+            values = valid_values(name, values, self.layout.valid)
             if name == "albedo":
                 values = _channels(values, self.channels).T.ravel()
             if name != "metallic" or self.metallic is not None:
@@ -608,6 +602,24 @@ def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
     return weights
 
 
+def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel.
+
+    Raises
+    ------
+    InputError
+        If it has another shape, or is not finite there.
+    """
+    values = real_array(name, values)
+    shape = valid.shape + ((3,) if name == "albedo" else ())
+    if values.shape != shape:
+        raise InputError(f"{name}: expected shape {shape}, found {values.shape}")
+    values = values[valid]
+    if not np.isfinite(values).all():
+        raise InputError(f"{name}: expected finite values at all valid pixels, found NaN")
+    return values
+
+
 def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.float64]) -> float:
     total = count = 0.0
     given = scene.weights if scene.weighted else None
@@ -625,4 +637,4 @@ def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.floa
         raise InputError(
             f"images: expected a positive mean radiance over the valid pixels, found {mean:g}"
         )
-    return mean / MEAN_RADIANCE
+    return float(mean / MEAN_RADIANCE)

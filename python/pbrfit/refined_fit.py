@@ -221,8 +221,9 @@ def _refined(
     with threadpool_limits(1, user_api="blas"):
         if free.lighting is not None:
             with run.stage("normals and lights from a lattice") as notes:
+                # Not what the fit before has left: each fit has all iterations that were asked for.
                 lattice = free_normals.find(
-                    free, moving, given, sigma, run.out_of_time, rounds=run.left
+                    free, moving, given, sigma, run.out_of_time, rounds=run.iterations
                 )
                 free_normals.spread_out(free, moving, lattice)
                 spread = lattice.prior.spread

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.json_files import flag, number, table, text
+from pbrfit.quoting import quoted
 
 if TYPE_CHECKING:
     from pbrfit.scene import Scene
@@ -85,13 +87,13 @@ class Refinement:
     def from_json(cls, content: Mapping[str, Any]) -> Refinement:
         """Undo `as_json`; ValueError, KeyError or TypeError if it is something else."""
         asked, refined, why = content["asked"], content["refined"], content["why"]
-        if asked not in CHOICES or not isinstance(refined, bool) or not isinstance(why, str):
-            raise ValueError(f"normals {asked!r}, {refined!r}, {why!r}")
+        if asked not in CHOICES:
+            raise ValueError(f"normals {quoted(asked)}")
         figures = {
-            str(name): math.nan if value is None else float(value)
-            for name, value in content["figures"].items()
+            name: math.nan if value is None else number(value)
+            for name, value in table(content["figures"]).items()
         }
-        return cls(asked, refined, why, figures)
+        return cls(asked, flag(refined), text(why), figures)
 
 
 NOT_ASKED = Refinement("off", False, "not asked for")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
@@ -17,12 +17,26 @@ from numpy.typing import NDArray
 from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.color import ColorSpace
-from pbrfit.geometry import angles_between
+from pbrfit.geometry import angles_between, check_fov
 from pbrfit.history import History
+from pbrfit.json_files import (
+    UNFIT,
+    flag,
+    number,
+    path_text,
+    read_json,
+    seed,
+    table,
+    text,
+    texts,
+    unfit,
+    whole,
+)
 from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.metrics import PROTOCOL
 from pbrfit.output import digest, new_folder
+from pbrfit.quoting import listed, quoted
 from pbrfit.refinement import NOT_ASKED, Refinement
 from pbrfit.scene import Scene, Source
 from pbrfit.uncertainty import Uncertainty, layer_names
@@ -280,10 +294,14 @@ class Result:
         folder = Path(path)
         _check_is_result(folder)
         materials, normals, mask = read_materials(folder / "materials.exr")
+        _check_maps(folder / "materials.exr", materials, normals, mask)
         lighting = Lighting.load(folder / "lighting.json")
-        file = folder / "result.json"
+        file, expected = folder / "result.json", "what pbrfit writes"
+        content = read_json(file, expected)
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
+            content = table(content)
+            fov = number(content["fov"])
+            check_fov(fov)
             summary = content.get("uncertainty")
             # Earlier versions wrote neither of these.
             source, of_normals = content.get("scene"), content.get("normals")
@@ -293,30 +311,28 @@ class Result:
                 lighting=lighting.coefficients,
                 normals=normals,
                 mask=mask,
-                fov=float(content["fov"]),
+                fov=fov,
                 pictures=lighting.pictures,
-                status=Status(content["status"]),
-                stop_reason=content["stop_reason"],
+                status=Status(text(content["status"])),
+                stop_reason=text(content["stop_reason"]),
                 history=History.load(folder / "history.csv"),
-                evaluations=int(content["evaluations"]),
-                seconds=float(content["seconds"]),
-                metrics=content["metrics"],
-                options=Options(**content["options"]),
-                assumed=content["assumed"],
-                left_out=tuple(content["left_out"]),
-                inputs=content["inputs"],
-                stages=tuple(Stage(**stage) for stage in content.get("stages", ())),
+                evaluations=whole(content["evaluations"]),
+                seconds=number(content["seconds"]),
+                metrics={k: number(v) for k, v in table(content["metrics"]).items()},
+                options=_options(table(content["options"])),
+                assumed={k: text(v) for k, v in table(content["assumed"]).items()},
+                left_out=texts(content["left_out"]),
+                inputs={k: text(v) for k, v in table(content["inputs"]).items()},
+                stages=tuple(map(_stage, content.get("stages", ()))),
                 uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
                 source=None if source is None else _source(source, folder),
                 refinement=refinement,
                 given_normals=_given_normals(folder, mask) if refinement.refined else None,
             )
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            if isinstance(error, InputError):
+        except UNFIT as error:
+            if isinstance(error, InputError) and str(folder) in str(error):
                 raise
-            raise InputError(
-                f"{file}: expected what pbrfit writes, found {type(error).__name__}: {error}"
-            ) from None
+            raise unfit(file, expected, error) from None
 
 
 def _check_is_result(folder: Path) -> None:
@@ -343,6 +359,54 @@ def _check_is_result(folder: Path) -> None:
     )
 
 
+def _check_maps(
+    file: Path, materials: Materials, normals: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> None:
+    """Raise InputError unless there are pixels, and all of them have finite values."""
+    if not mask.any():
+        raise InputError(f"{file}: expected some pixel with mask.Y above 0.5, found none")
+    for name, values in (
+        ("albedo", materials.albedo),
+        ("roughness", materials.roughness),
+        ("metallic", materials.metallic),
+        ("normal", normals),
+    ):
+        if not np.isfinite(values[mask]).all():
+            raise InputError(f"{file}: expected finite {name}, found NaN or infinity")
+
+
+def _options(content: Mapping[str, Any]) -> Options:
+    """Undo `asdict`; one of `UNFIT` if it is something else."""
+
+    def optional(kind: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        return lambda value: None if value is None else kind(value)
+
+    def priors(value: Any) -> Mapping[str, float | None]:
+        return {name: optional(number)(weight) for name, weight in table(value).items()}
+
+    kinds: dict[str, Callable[[Any], Any]] = {
+        "solver": text,
+        "iterations": whole,
+        "time_limit": optional(number),
+        "sh_order": whole,
+        "metallic": optional(number),
+        "mono_light": flag,
+        "priors": priors,
+        "robust": text,
+        "equal_exposures": optional(flag),
+        "seed": seed,
+        "refine_normals": text,
+    }
+    unknown = sorted(set(content) - set(kinds))
+    if unknown:
+        raise ValueError(f"options {listed(unknown)}")
+    return Options(**{name: kinds[name](value) for name, value in content.items()})
+
+
+def _stage(content: Mapping[str, Any]) -> Stage:
+    return Stage(text(content["name"]), number(content["seconds"]), text(content.get("note", "")))
+
+
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
     """How a scene was read; its place as seen from the result folder, so that both can move."""
     try:
@@ -359,17 +423,17 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
 
 
 def _source(content: Mapping[str, Any], folder: Path) -> Source:
-    low, high = content["code_range"]
+    low, high = map(whole, content["code_range"])
     fov = content.get("fov")  # earlier versions did not write it
     max_size, color_space = content["max_size"], content["color_space"]
     if color_space not in (None, *get_args(ColorSpace)):
-        raise ValueError(f"color_space {color_space!r}")
+        raise ValueError(f"color_space {quoted(color_space)}")
     return Source(
-        path=(folder / content["path"]).resolve(),
+        path=(folder / path_text(content["path"])).resolve(),
         color_space=color_space,
-        max_size=None if max_size is None else int(max_size),
-        code_range=(int(low), int(high)),
-        fov=None if fov is None else float(fov),
+        max_size=None if max_size is None else whole(max_size, least=1),
+        code_range=(low, high),
+        fov=None if fov is None else number(fov),
     )
 
 
@@ -391,6 +455,6 @@ def _layers(folder: Path, names: Sequence[str], told: str) -> dict[str, NDArray[
     if missing:
         raise InputError(
             f"{file}: expected channel {missing[0]}, because result.json tells of {told}, "
-            f"found {', '.join(sorted(channels))}"
+            f"found {listed(channels)}"
         )
     return channels

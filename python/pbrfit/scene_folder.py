@@ -27,6 +27,7 @@ from pbrfit.normal_files import (
     write_normals,
 )
 from pbrfit.output import digest, new_folder
+from pbrfit.quoting import quoted, shown
 from pbrfit.resampling import at_centres, averaged, reduced_size
 from pbrfit.scene import MIN_NORMAL_LENGTH, Scene, Source, Truth, unit_normals
 from pbrfit.segments import consecutive_labels
@@ -50,6 +51,9 @@ HOW_TO_GET_NORMALS = (
 
 MAX_ID = 65535
 """Of a segment, as a picture of 16 bits holds it."""
+
+LONGEST_NAME = 250
+"""Bytes of a picture's name without its suffix; file systems take 255 with it."""
 
 _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
@@ -316,12 +320,12 @@ def read_settings(path: Path, inputs: dict[str, str]) -> Settings:
         return Settings()
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: expected TOML, found {error}") from None
+    except (ValueError, RecursionError) as error:  # numbers beyond reason raise a plain ValueError
+        raise InputError(f"{path}: expected TOML, found {shown(error)}") from None
     known = [field.name for field in fields(Settings)]
     unknown = sorted(set(content) - set(known))
     if unknown:
-        raise InputError(f"{path}: expected keys {', '.join(known)}, found {unknown[0]}")
+        raise InputError(f"{path}: expected keys {', '.join(known)}, found {shown(unknown[0])}")
     inputs["scene.toml"] = digest(path)
     return Settings(
         fov=_fov(path, content),
@@ -358,10 +362,10 @@ def _fov(path: Path, content: dict[str, Any]) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{path}: fov: expected a number, found {value!r}")
+        raise InputError(f"{path}: fov: expected a number, found {quoted(value)}")
     try:
         geometry.check_fov(value)
-    except InputError as error:
+    except (InputError, OverflowError) as error:
         raise InputError(f"{path}: {error}") from None
     return float(value)
 
@@ -371,7 +375,9 @@ def _choice(
 ) -> Any:
     value = content.get(key, default)
     if value is not default and value not in choices:
-        raise InputError(f"{path}: {key}: expected one of {', '.join(choices)}, found {value!r}")
+        raise InputError(
+            f"{path}: {key}: expected one of {', '.join(choices)}, found {quoted(value)}"
+        )
     return value
 
 
@@ -381,14 +387,17 @@ def _rotation(path: Path, content: dict[str, Any]) -> NDArray[np.float64] | None
         return None
     try:
         rotation = np.array(rows, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         rotation = np.zeros(0)
     if (
         rotation.shape != (3, 3)
+        or not (np.abs(rotation) <= 1.01).all()  # beyond, squares may overflow
         or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
         or np.linalg.det(rotation) < 0
     ):
-        raise InputError(f"{path}: world_to_camera: expected a 3 × 3 rotation, found {rows!r}")
+        raise InputError(
+            f"{path}: world_to_camera: expected a 3 × 3 rotation, found {quoted(rows)}"
+        )
     return rotation
 
 
@@ -650,6 +659,11 @@ def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> 
     held_out = Lighting.load(relight / "lighting.json")
     pictures = []
     for name in held_out.pictures:
+        if not name or set(name) & set("/\\\0") or len(name.encode()) > LONGEST_NAME:
+            raise InputError(
+                f"{relight / 'lighting.json'}: expected names of pictures beside it, "
+                f"found {quoted(name)}"
+            )
         path = relight / f"{name}.exr"
         pictures.append(images.read_picture(path).pixels)
         _expect_size(path, pictures[-1].shape[:2], size)

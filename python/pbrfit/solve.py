@@ -67,7 +67,8 @@ def decompose(
         Pictures, normals and what else is known. With `scene.lighting` only materials are fitted.
     solver
         `"auto"`: Gauss-Newton, then L-BFGS on the whole objective where it has more than squares;
-        where the model does not fit the pictures, L-BFGS from the start. `"gauss-newton"`: squares
+        where the model does not fit the pictures, L-BFGS from the start; above 2 MP, or where
+        memory is short, lights from some pixels and then tiles. `"gauss-newton"`: squares
         and the learnt material prior alone. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem
         (the paper's recipe), in stages that keep off roughness 0; in one stage when `start` is
         given. docs/solver.md has more.
@@ -106,7 +107,8 @@ def decompose(
     seed
         Of what is drawn at random: the pixels on which Gauss-Newton finds the lights.
     progress
-        Called at the start, after each iteration and after each step on some pixels.
+        Called at the start, after each iteration, after each step on some pixels and after each
+        tile.
 
     Returns
     -------
@@ -161,6 +163,8 @@ def decompose(
         optional=refine_normals == "auto",
     )
     memory.check(solver, plan.needed)  # before anything large is made
+    if plan.tiled and layout.pixels <= memory.WHOLE:
+        log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     asked = replace(asked, hindered=hindered or plan.hindered)
     found = (fit_tiles if plan.tiled else fit_whole)(scene, asked, start)
     needs = Needs.of(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.json_files import flag, number, whole
 from pbrfit.layout import Layout
 from pbrfit.light_spectrum import spectrum
 from pbrfit.materials import Materials
@@ -143,7 +144,10 @@ class Uncertainty:
     def of(
         cls, layers: Mapping[str, NDArray[Any]], mask: NDArray[np.bool_], summary: Mapping[str, Any]
     ) -> Uncertainty:
-        """From all that `layers` and `summary` gave, values outside the mask replaced by NaN."""
+        """From all that `layers` and `summary` gave, values outside the mask replaced by NaN.
+
+        Raises one of `json_files.UNFIT` if they gave something else.
+        """
         maps = np.stack([layers[name] for name in layer_names()], axis=-1).astype(np.float64)
 
         def deviations(first: int) -> Materials:
@@ -153,18 +157,20 @@ class Uncertainty:
         def flags(first: int) -> NDArray[np.bool_]:
             return (maps[..., first : first + 3] > 0.5) & mask[..., None]
 
-        red, green, blue = map(float, summary["albedo_scale"])
+        red, green, blue = map(number, summary["albedo_scale"])
+        if not np.isfinite(maps[mask]).all():
+            raise ValueError("standard deviations that are NaN or infinite")
         return cls(
             marginal=deviations(0),
             conditional=deviations(5),
             undetermined=flags(10),
             on_bound=flags(13),
-            noise=None if summary["noise"] is None else float(summary["noise"]),
+            noise=None if summary["noise"] is None else number(summary["noise"]),
             albedo_scale=(red, green, blue),
-            priors=bool(summary["priors"]),
-            light_pixels=int(summary["light_pixels"]),
-            light_modes=int(summary["light_modes"]),
-            omitted=float(summary["omitted"]),
+            priors=flag(summary["priors"]),
+            light_pixels=whole(summary["light_pixels"]),
+            light_modes=whole(summary["light_modes"]),
+            omitted=number(summary["omitted"]),
         )
 
 
@@ -172,8 +178,8 @@ def layer_names() -> list[str]:
     """Channels of `materials.exr` that hold an uncertainty."""
     parts = [*(f"albedo.{channel}" for channel in "RGB"), "roughness.Y", "metallic.Y"]
     names = [f"uncertainty.{kind}.{part}" for kind in ("marginal", "conditional") for part in parts]
-    for flag in ("undetermined", "on_bound"):
-        names += [f"uncertainty.{flag}.{parameter}.Y" for parameter in PARAMETERS]
+    for kind in ("undetermined", "on_bound"):
+        names += [f"uncertainty.{kind}.{parameter}.Y" for parameter in PARAMETERS]
     return names
 
 

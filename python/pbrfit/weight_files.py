@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit import images
 from pbrfit._core import InputError
+from pbrfit.quoting import listed
 from pbrfit.resampling import averaged
 
 WEIGHT_FILE = "weights.exr"
@@ -49,7 +50,7 @@ def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     if missing:
         raise InputError(
             f"{path}: expected channel Y, or NAME.Y for each picture, found no {missing[0]}.Y "
-            f"among {', '.join(sorted(channels))}"
+            f"among {listed(channels)}"
         )
     return np.stack([channels[f"{name}.{ALL}"] for name in names])
 

@@ -9,17 +9,36 @@ use ::exr::block::chunk::{Chunk, CompressedBlock};
 use ::exr::block::lines::LineRef;
 use ::exr::block::reader::Reader;
 use ::exr::compression::Compression;
+use ::exr::meta::BlockDescription;
 use ::exr::meta::attribute::{Chromaticities, IntegerBounds, SampleType, Text};
 use ::exr::meta::header::Header;
 use ::exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, Vec2, WritableImage, f16,
 };
 
-use super::{Format, broken, check_size, content, guarded, read_bytes, write_atomically};
+use super::{
+    Format, broken, check_memory, check_size, content, guarded, read_bytes, write_atomically,
+};
 use crate::{Error, Result};
 
 /// Largest accepted sum of samples over all channels: 4 GiB as float.
 const MAX_SAMPLES: u64 = 1 << 30;
+
+/// Pixels that a window may have however small the file: a crop may lie in a
+/// large empty frame.
+const EMPTY_PIXELS: u64 = 1 << 24;
+
+/// The same for samples, over all channels: 256 MiB as float.
+const EMPTY_SAMPLES: u64 = 1 << 26;
+
+/// Most pixels of a tile that is larger than the picture.
+const LARGEST_TILE: u64 = 1 << 22;
+
+/// Most samples in one byte of a file. All compressions but DWA end in deflated
+/// or run-length data of what is 2 bytes or more a sample. In DWA one colour takes
+/// 4 bytes for 8 x 8 samples, and these are deflated.
+const SAMPLES: u64 = 1032;
+const DWA_SAMPLES: u64 = 64 * 1032 / 4;
 
 /// Primaries and white point of Rec.709 with D65, as every written file states
 /// them: xy of red, green, blue, white.
@@ -87,7 +106,14 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
     let names = full_names(headers, path)?;
     let mut planes: Vec<_> = headers
         .iter()
-        .map(|header| vec![vec![0.0; width * height]; header.channels.list.len()])
+        .map(|header| {
+            // Made one by one: the system gives zeroed memory when it is first written to, where
+            // copies of a zeroed plane would be written at once.
+            let planes = header.channels.list.iter();
+            planes
+                .map(|_| vec![0.0; width * height])
+                .collect::<Vec<_>>()
+        })
         .collect();
 
     // Strict about the chunks: each has to be there once, so that no damage can
@@ -261,13 +287,13 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
         ));
     };
     let display = first.shared_attributes.display_window;
-    check_size(
-        path,
-        display.size.x() as u64,
-        display.size.y() as u64,
-        file_size,
-    )?;
-    let mut samples = 0;
+    let held = file_size * headers.iter().map(samples_in_a_byte).max().unwrap_or(0);
+    let check = |size: Vec2<usize>| {
+        let (width, height) = (size.x() as u64, size.y() as u64);
+        check_size(path, width, height, EMPTY_PIXELS + held, file_size)
+    };
+    check(display.size)?;
+    let (mut shown, mut stored) = (0, 0);
     for header in headers {
         if header.shared_attributes.display_window != display {
             return Err(content(
@@ -275,22 +301,56 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
                 "expected one display window for all parts, found several",
             ));
         }
-        let size = header.layer_size;
-        check_size(path, size.x() as u64, size.y() as u64, file_size)?;
-        samples += (display.size.area() * header.channels.list.len()) as u64;
+        check(header.layer_size)?;
+        // At most 2^28 pixels, and as many channels as a file in memory can list.
+        let channels = header.channels.list.len() as u64;
+        shown += display.size.area() as u64 * channels;
+        let block = largest_block(header);
+        if block > LARGEST_TILE.max(header.layer_size.area() as u64) {
+            let found = format!("tiles of {block} pixels");
+            return Err(broken(path, Format::Exr, found));
+        }
+        stored += block.max(header.layer_size.area() as u64) * channels;
         // The table of chunk offsets alone takes 8 bytes a chunk.
         if header.chunk_count as u64 > file_size / 8 {
             let found = format!("{} chunks in {file_size} bytes", header.chunk_count);
             return Err(broken(path, Format::Exr, found));
         }
     }
+    let samples = shown.max(stored); // of what is returned, and of what chunks may hold
     if samples > MAX_SAMPLES {
         return Err(content(
             path,
             format!("expected at most {MAX_SAMPLES} samples, found {samples}"),
         ));
     }
+    if samples > EMPTY_SAMPLES + held {
+        let found = format!("{samples} samples in {file_size} bytes");
+        return Err(content(
+            path,
+            format!("expected a sound file, found {found}"),
+        ));
+    }
+    check_memory(path, 4 * samples)?;
     Ok(display)
+}
+
+/// Pixels of a tile, which the decoder takes memory for even where the picture is
+/// smaller; 0 for scan lines.
+fn largest_block(header: &Header) -> u64 {
+    match header.blocks {
+        BlockDescription::Tiles(tiles) => {
+            (tiles.tile_size.x() as u64).saturating_mul(tiles.tile_size.y() as u64)
+        }
+        BlockDescription::ScanLines => 0,
+    }
+}
+
+fn samples_in_a_byte(header: &Header) -> u64 {
+    match header.compression {
+        Compression::DWAA(_) | Compression::DWAB(_) => DWA_SAMPLES,
+        _ => SAMPLES,
+    }
 }
 
 /// Writes one part of scan lines with ZIP compression and the chromaticities

@@ -67,8 +67,12 @@ pub fn decode_icc(profile: &[u8], levels: usize, path: &Path) -> Result<IccProfi
     })
 }
 
+/// Linear light is 0 to 1. Beyond this a curve is none, and a matrix of the largest
+/// numbers that profiles can hold would overflow on it.
+const LARGEST: f64 = 1e6;
+
 /// Linear light at `x` in [0, 1] (ICC.1:2022, 10.6 and 10.18), or `None` if the
-/// curve has no finite value there. In double precision: the evaluators of
+/// curve has no value there. In double precision: the evaluators of
 /// `moxcms` 0.8 use a fast power that is -4 at 0.
 fn evaluate(curve: &ToneReprCurve, x: f64) -> Option<f64> {
     let value = match curve {
@@ -92,5 +96,5 @@ fn evaluate(curve: &ToneReprCurve, x: f64) -> Option<f64> {
             }
         }
     };
-    value.is_finite().then_some(value)
+    (value.abs() <= LARGEST).then_some(value) // NaN is not
 }

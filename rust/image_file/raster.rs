@@ -12,9 +12,29 @@ use tiff::decoder::DecodingResult;
 use tiff::tags::Tag;
 
 use super::{
-    Format, MAX_PIXELS, broken, check_size, content, guarded, read_bytes, write_atomically,
+    Format, MAX_PIXELS, broken, check_memory, check_size, content, guarded, read_bytes,
+    write_atomically,
 };
 use crate::{Error, Result};
+
+/// Most bytes that one byte of deflated data stands for: runs of 258 in two bits.
+const DEFLATED: u64 = 1032;
+
+/// Most pixels of a JPEG in one byte. Every block of 8 x 8 takes a bit or more in
+/// some scan, and at the oddest sampling nine blocks cover 1024 pixels.
+const JPEG_PIXELS: u64 = 1024;
+
+/// Most pixels of a TIFF in one byte: a deflated byte holds 1032 of 8 bits, LZW
+/// not more than 1500.
+const TIFF_PIXELS: u64 = 2048;
+
+/// Most pixels of an HDR file in one byte: the old kind of runs takes 12 bytes for
+/// rows of up to 65281.
+const HDR_PIXELS: u64 = 8192;
+
+/// Most scans of a JPEG. Each goes over all of the picture, even where a few
+/// bytes are all that it holds; writers make ten or so.
+const MOST_SCANS: usize = 200;
 
 /// Interleaved samples, as stored.
 #[derive(Clone, Debug, PartialEq)]
@@ -109,11 +129,15 @@ fn decode_png(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
     decoder.set_ignore_text_chunk(true);
     let header = decoder.read_header_info().map_err(error)?;
     let (width, height) = (header.width as usize, header.height as usize);
-    check_size(path, width as u64, height as u64, bytes.len() as u64)?;
+    let bits = header.bits_per_pixel() as u64;
+    let file_size = bytes.len() as u64;
+    let most = file_size * 8 * DEFLATED / bits;
+    check_size(path, width as u64, height as u64, most, file_size)?;
     let mut reader = decoder.read_info().map_err(error)?;
     let size = reader
         .output_buffer_size()
         .ok_or_else(|| broken(path, Format::Png, "its size"))?;
+    check_memory(path, 2 * size as u64)?; // stored samples and those that are returned
     let mut buffer = vec![0; size];
     let output = reader.next_frame(&mut buffer).map_err(error)?;
     buffer.truncate(output.buffer_size());
@@ -200,7 +224,11 @@ fn decode_jpeg(bytes: &[u8], path: &Path) -> Result<Raster> {
     }
     let mut decoder = JpegDecoder::new(Cursor::new(bytes)).map_err(error)?;
     let (width, height) = decoder.dimensions();
-    check_size(path, width.into(), height.into(), bytes.len() as u64)?;
+    let file_size = bytes.len() as u64;
+    let most = JPEG_PIXELS * file_size;
+    check_size(path, width.into(), height.into(), most, file_size)?;
+    // A progressive one has its coefficients, 16 bits each, beside its samples.
+    check_memory(path, 9 * u64::from(width) * u64::from(height))?;
     let icc_profile = decoder.icc_profile().map_err(error)?;
     let exif = decoder.exif_metadata().map_err(error)?;
     let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(error)? {
@@ -226,7 +254,7 @@ fn jpeg_components(bytes: &[u8]) -> std::result::Result<u8, &'static str> {
     const CUT_OFF: &str = "it is cut off: no end-of-image marker";
     let byte = |at: usize| bytes.get(at).copied().ok_or(CUT_OFF);
     let mut components = None;
-    let mut scanned = false;
+    let mut scans = 0;
     let mut at = 2; // behind start of image
     loop {
         while byte(at)? != 0xff {
@@ -238,7 +266,7 @@ fn jpeg_components(bytes: &[u8]) -> std::result::Result<u8, &'static str> {
         let marker = byte(at)?;
         at += 1;
         match marker {
-            0xd9 if scanned => return components.ok_or("no frame header"),
+            0xd9 if scans > 0 => return components.ok_or("no frame header"),
             0xd9 => return Err("it ends before its first scan"),
             // Stuffing, restart and the like stand alone: inside a scan they are
             // data, so the walk goes on to the next marker.
@@ -249,7 +277,10 @@ fn jpeg_components(bytes: &[u8]) -> std::result::Result<u8, &'static str> {
         if matches!(marker, 0xc0..=0xcf) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) {
             components = Some(byte(at + 7)?); // length 2, precision 1, height 2, width 2
         }
-        scanned |= marker == 0xda;
+        scans += usize::from(marker == 0xda);
+        if scans > MOST_SCANS {
+            return Err("more than 200 scans");
+        }
         at += length.max(2);
     }
 }
@@ -262,6 +293,9 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
         }
         error => broken(path, Format::Tiff, error),
     };
+    if longest_tiff_text(bytes) > bytes.len() as u64 {
+        return Err(broken(path, Format::Tiff, "a text longer than the file"));
+    }
     let mut limits = tiff::decoder::Limits::default();
     limits.decoding_buffer_size = MAX_PIXELS as usize * 16; // RGBA in float
     limits.intermediate_buffer_size = limits.decoding_buffer_size;
@@ -270,7 +304,9 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
         .map_err(error)?
         .with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(error)?;
-    check_size(path, width.into(), height.into(), bytes.len() as u64)?;
+    let file_size = bytes.len() as u64;
+    let most = TIFF_PIXELS * file_size;
+    check_size(path, width.into(), height.into(), most, file_size)?;
     let (channels, bits) = match decoder.colortype().map_err(error)? {
         ColorType::Gray(bits) => (1, bits),
         ColorType::GrayA(bits) => (2, bits),
@@ -293,6 +329,8 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
             format!("expected 8 bits or more a sample, found {bits}"),
         ));
     }
+    let samples = u64::from(width) * u64::from(height) * channels as u64;
+    check_memory(path, 2 * samples * u64::from(bits).div_ceil(8))?;
     let mut decoded = DecodingResult::U8(Vec::new());
     let layout = decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
     let pixels = width as usize * height as usize;
@@ -334,6 +372,39 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
     })
 }
 
+/// Longest text that the first directory of a TIFF tells of (TIFF 6.0, section 2;
+/// BigTIFF has 8 bytes where TIFF has 4). The decoder of `tiff` 0.11 takes memory
+/// for texts of up to 4 GiB before it reads them, and prints a line about longer
+/// ones.
+fn longest_tiff_text(bytes: &[u8]) -> u64 {
+    const ASCII: u64 = 2;
+    let little = bytes.starts_with(b"II");
+    let big = matches!(bytes.get(2..4), Some([0x2b, 0] | [0, 0x2b]));
+    let number = |at: u64, size: u64| {
+        let range = usize::try_from(at).ok()?..usize::try_from(at.checked_add(size)?).ok()?;
+        let digits = bytes.get(range)?.iter();
+        let join = |number: u64, &digit: &u8| number << 8 | u64::from(digit);
+        Some(match little {
+            true => digits.rev().fold(0, join),
+            false => digits.fold(0, join),
+        })
+    };
+    let (start, count_size, entry_size, word) = if big { (8, 8, 20, 8) } else { (4, 2, 12, 4) };
+    let longest = || {
+        let directory = number(start, word)?;
+        let entries = number(directory, count_size)?;
+        let mut longest = 0;
+        for entry in 0..entries.min(bytes.len() as u64 / entry_size) {
+            let at = directory + count_size + entry * entry_size;
+            if number(at + 2, 2)? == ASCII {
+                longest = longest.max(number(at + 4, word)?);
+            }
+        }
+        Some(longest)
+    };
+    longest().unwrap_or(0) // a directory that is cut off is the decoder's to refuse
+}
+
 /// Planes stored one after another become interleaved samples.
 fn interleave<T: Copy>(values: Vec<T>, planes: usize, pixels: usize) -> Vec<T> {
     if planes <= 1 || values.len() != planes * pixels {
@@ -350,7 +421,10 @@ fn decode_hdr(bytes: &[u8], path: &Path) -> Result<Raster> {
     // Not strict: the signature `#?RGBE` and odd optional lines are fine.
     let decoder = HdrDecoder::with_strictness(Cursor::new(bytes), false).map_err(error)?;
     let (width, height) = decoder.dimensions();
-    check_size(path, width.into(), height.into(), bytes.len() as u64)?;
+    let file_size = bytes.len() as u64;
+    let most = HDR_PIXELS * file_size;
+    check_size(path, width.into(), height.into(), most, file_size)?;
+    check_memory(path, 12 * u64::from(width) * u64::from(height))?;
     let image = DynamicImage::from_decoder(decoder).map_err(error)?;
     Ok(Raster {
         format: Format::Hdr,

@@ -12,6 +12,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,13 +26,17 @@ from PIL.PngImagePlugin import PngInfo
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.photo import Photo
+from pbrfit.json_files import UNFIT, read_json, seed, table, text, whole
 from pbrfit.output import new_file
+from pbrfit.quoting import listed, quoted
 
 FOLDER = "generation"
 """Its name in a scene folder."""
 
 TEXT = "pbrfit"
 """Key of the text in a picture that says what its entry says."""
+
+ENTRY = "an entry of a generation journal"
 
 RUN = "run.json"
 """What the last run was about: the photo and the generator's settings."""
@@ -180,16 +185,16 @@ def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[st
             return ["photo read in another colour space"]
         old, new = before["settings"], now["settings"]
         return [
-            f"{key} {old.get(key)!r} (now {new.get(key)!r})"
-            for key in sorted({*old, *new})
+            f"{listed([key])} {quoted(old.get(key))} (now {quoted(new.get(key))})"
+            for key in sorted({*table(old), *new})
             if old.get(key) != new.get(key)
         ]
-    except (KeyError, TypeError, AttributeError):
+    except UNFIT:
         raise _strange(path) from None
 
 
 def _size(photo: dict[str, Any]) -> str:
-    return " × ".join(str(side) for side in photo["size"])
+    return " × ".join(str(whole(side)) for side in photo["size"])
 
 
 def holds_nothing(folder: Path) -> bool:
@@ -219,13 +224,11 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
             continue
         content = _json(path)
         try:
-            request = Request(**content["request"])
-            refused, record, sha256 = (content[key] for key in ("refused", "record", "sha256"))
-            run = content["about"]
-        except (KeyError, TypeError):
+            request, run, sha256 = _request(content["request"]), content["about"], content["sha256"]
+            refused, record = _words(content["refused"]), table(content["record"])
+            sha256 = None if sha256 is None else text(sha256)
+        except UNFIT:
             raise _strange(path) from None
-        if not (isinstance(refused, str) and isinstance(record, dict)):
-            raise _strange(path)
         yield run, Entry(path.stem, request, refused, record, sha256)
     for path in sorted(folder.glob("*.png")) if folder.is_dir() else ():
         if not path.name.startswith(".") and not path.with_suffix(".json").exists():
@@ -236,24 +239,39 @@ def _orphan(path: Path) -> Iterator[tuple[object, Entry]]:
     """A picture whose entry was not written any more, or somebody's own, which is none."""
     data = path.read_bytes()
     try:
-        with Image.open(io.BytesIO(data)) as picture:
-            content = json.loads(picture.info[TEXT])
-        request = Request(**content["request"])
-        run, record = content["about"], content["record"]
-    except (OSError, ValueError, KeyError, TypeError):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about what else is wrong with it
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data)) as picture:
+                content = json.loads(picture.info[TEXT])
+        request = _request(content["request"])
+        run, record = content["about"], table(content["record"])
+    except (OSError, Image.DecompressionBombError, Image.DecompressionBombWarning, *UNFIT):
         return
     yield run, Entry(path.stem, request, "", record, hashlib.sha256(data).hexdigest())
 
 
+def _request(content: Any) -> Request:
+    """Undo `asdict`; one of `UNFIT` if it is something else."""
+    name, prompt, negative = (_words(content[key]) for key in ("name", "prompt", "negative"))
+    if content.keys() != {"name", "prompt", "negative", "seed"}:
+        raise ValueError(f"request of {listed(content)}")
+    return Request(name, prompt, negative, seed(content["seed"]))
+
+
+def _words(value: Any) -> str:
+    """A text that need not be UTF-8: names of files are not on every system."""
+    if not isinstance(value, str):
+        raise ValueError(f"{quoted(value)} in place of a text")
+    return value
+
+
 def _json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:  # neither JSON nor UTF-8
-        raise _strange(path) from None
+    return read_json(path, ENTRY)
 
 
 def _strange(path: Path) -> InputError:
-    return InputError(f"{path}: expected an entry of a generation journal, found something else")
+    return InputError(f"{path}: expected {ENTRY}, found something else")
 
 
 def write_json(path: Path, content: object) -> None:

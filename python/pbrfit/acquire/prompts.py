@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
+from pbrfit.quoting import listed, quoted, shown
 
 SHIPPED = "prompts.toml"
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
@@ -69,8 +70,8 @@ def read_prompts(path: Path | None = None) -> Catalogue:
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise InputError(f"{name}: expected UTF-8, found another byte in line {line}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{name}: expected TOML: {error}") from None
+    except (ValueError, RecursionError) as error:  # numbers beyond reason raise a plain ValueError
+        raise InputError(f"{name}: expected TOML: {shown(error)}") from None
     _refuse_unknown(name, "", content, {"preamble", "negative", "lighting"})
     entries = content.get("lighting")
     if not isinstance(entries, list) or not entries:
@@ -104,11 +105,11 @@ def _lighting(name: str, entries: list[Any]) -> tuple[Prompt, ...]:
     for i, entry in enumerate(entries):
         key = f"lighting {i + 1}"
         if not isinstance(entry, dict):
-            raise InputError(f"{name}: {key}: expected name and text, found {entry!r}")
+            raise InputError(f"{name}: {key}: expected name and text, found {quoted(entry)}")
         slug = entry.get("name")
         if not isinstance(slug, str) or not _SLUG.fullmatch(slug):
             raise InputError(
-                f"{name}: {key}: name: expected up to 64 of a-z, 0-9, _ and -, found {slug!r}"
+                f"{name}: {key}: name: expected up to 64 of a-z, 0-9, _ and -, found {quoted(slug)}"
             )
         key = f"{key} ({slug})"
         _refuse_unknown(name, f"{key}: ", entry, {"name", "text"})
@@ -120,13 +121,11 @@ def _lighting(name: str, entries: list[Any]) -> tuple[Prompt, ...]:
 
 def _text(name: str, key: str, value: object, *, empty: bool = False) -> str:
     if not isinstance(value, str) or not (empty or value.strip()):
-        raise InputError(f"{name}: {key}: expected a text, found {value!r}")
+        raise InputError(f"{name}: {key}: expected a text, found {quoted(value)}")
     return " ".join(value.split())
 
 
 def _refuse_unknown(name: str, where: str, table: dict[str, Any], known: set[str]) -> None:
     unknown = sorted(set(table) - known)
     if unknown:
-        raise InputError(
-            f"{name}: {where}expected only {', '.join(sorted(known))}, found {', '.join(unknown)}"
-        )
+        raise InputError(f"{name}: {where}expected only {listed(known)}, found {listed(unknown)}")

@@ -127,12 +127,22 @@ def fitting(options: argparse.Namespace) -> Fitting:
 def fit_bar(
     iterations: int, name: str, *, quiet: bool, within: bool = False
 ) -> Iterator[Callable[[Progress], None]]:
-    """Show how a fit goes on, on a line that goes away where it is `within` another one's."""
+    """Show how a fit goes on, on a line that goes away where it is `within` another one's.
+
+    A large picture's lights take iterations; after that tiles are counted, which tell how much time
+    is left.
+    """
     with progress_bar(iterations, quiet=quiet, name=name, leave=not within) as bar:
 
         def show(progress: Progress) -> None:
             bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)
-            bar.update(progress.iteration - bar.n)
+            done = progress.iteration
+            if progress.tiles is not None:
+                done, of = progress.tiles
+                if done == 0:
+                    bar.unit = "tile"
+                    bar.reset(of)
+            bar.update(done - bar.n)
 
         yield show
         # Most fits need fewer iterations than they may do: then the bar was all of them.

@@ -20,6 +20,7 @@ from typing import Any, Protocol, TypeVar
 import pbrfit
 from pbrfit.batch.driver import Attempt, drive, repeat_log
 from pbrfit.batch.executors import workers
+from pbrfit.json_files import UNFIT, number, table
 
 RECORDS = "records"
 """Folder of the records, in that of the suite."""
@@ -132,8 +133,8 @@ def _load(records: Path, task: Task) -> Record | None:
     try:
         content = json.loads((records / f"{task.key}.json").read_text(encoding="utf-8"))
         if content["digest"] == _digest(task) and content["error"] is None:
-            return Record(task.key, content["values"], None, content["seconds"])
-    except (OSError, ValueError, KeyError, TypeError):
+            return Record(task.key, table(content["values"]), None, number(content["seconds"]))
+    except (OSError, *UNFIT):
         pass  # absent or broken: it is made again
     return None
 

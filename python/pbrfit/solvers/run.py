@@ -103,6 +103,8 @@ class Run:
     taught
         What other pixels of the scene were found to have, where these are a part of it; None = the
         whole, which learns for itself.
+    iterations
+        At most so many in each of its fits.
     measured_lighting
         When the material prior was learnt; by these lights the monochrome weight is chosen.
     lesson
@@ -130,7 +132,7 @@ class Run:
         self.scene, self.objective = scene, objective
         self.priors, self.robust = priors, robust
         self.limits, self.seed = limits, seed
-        self._iterations = limits.iterations
+        self.iterations = limits.iterations
         self.measured_lighting: Array | None = None
         self.lesson: tuple[Lesson, MaterialPull] | None = None
         self._truth = None if scene.truth is None else scene.truth.materials
@@ -149,13 +151,13 @@ class Run:
             objective,
             priors=self.priors,
             robust=self.robust,
-            limits=Limits(self.iteration + self._iterations, self.limits.seconds),
+            limits=Limits(self.iteration + self.iterations, self.limits.seconds),
             seed=self.seed,
             progress=self._progress,
             began=self._began,
             taught=self.taught,
         )
-        later._iterations = self._iterations
+        later.iterations = self.iterations
         later.measured_lighting, later.lesson = self.measured_lighting, self.lesson
         later.iteration, later.evaluations = self.iteration, self.evaluations
         later.unmeasured = self.unmeasured

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 
@@ -11,16 +10,18 @@ from numpy.typing import NDArray
 
 from pbrfit import refined_fit, uncertainty
 from pbrfit.history import HistoryRow
+from pbrfit.materials import Materials
 from pbrfit.objective import Objective, Units
 from pbrfit.priors import Priors
 from pbrfit.result import Stage, Status
 from pbrfit.scene import Scene
 from pbrfit.solvers import Run
-from pbrfit.solvers.run import material_errors
+from pbrfit.solvers.run import Taught, material_errors
 from pbrfit.tiles.canvas import Canvas
 from pbrfit.tiles.lattice_fit import Lattice, fit_lattice
 from pbrfit.tiles.part import Parts
 from pbrfit.tiles.tiling import FEW, MARGIN, THIN_MARGIN, TILE, Tile, lattice, tiles
+from pbrfit.tiles.total import Total
 from pbrfit.whole_fit import Asked, Found, Start
 
 Array = NDArray[np.float64]
@@ -38,6 +39,14 @@ def fit_tiles(
     side
         Rows and columns of a tile, at most.
     """
+    from threadpoolctl import threadpool_limits
+
+    # Sums split over threads would round differently on a machine with more processors.
+    with threadpool_limits(1, user_api="blas"):
+        return _fit_tiles(scene, asked, start, few, side)
+
+
+def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) -> Found:
     units = Units.of(scene, asked.equal_exposures)
     parts = Parts(scene)
     known = fit_lattice(parts, lattice(scene.valid, few), asked, units, start)
@@ -46,24 +55,25 @@ def fit_tiles(
     refined = known.refinement.refined
     margin = MARGIN if asked.priors.smoothness or refined else THIN_MARGIN
     pieces = list(tiles(scene.valid, margin, side))
-    whole = _Total(scene, units, layout.channels)
-    clock, late = known.run, 0
-    began = clock.elapsed
+    whole = Total(scene, units, layout.channels)
+    clock, late, cut_short = known.run, 0, 0
+    began, passes = clock.elapsed, 0.0
+    clock.tell_tile((0, len(pieces)), clock.rows[-1].recon_rmse, lambda: _maps(canvas, known))
     for number, tile in enumerate(pieces, 1):
-        run, x, in_time = _fit_tile(tile, known, parts, asked, units, whole.weight)
-        late += not in_time
+        run, x, status = _fit_tile(tile, known, parts, asked, units, whole)
+        late += status is Status.TIME_LIMIT
+        cut_short += status is Status.ITERATION_LIMIT
         canvas.put(tile, run.scene, run.objective.unpack(x)[0])
         whole.add(run.objective, x)
-        clock.evaluations += run.evaluations
+        passes += run.evaluations * run.objective.pixels / whole.pixels
         if asked.uncertainty:
             before = time.perf_counter()
             canvas.put_variances(
                 tile, run.scene, uncertainty.variances(run.objective, x, known.modes)
             )
             clock.unmeasured += time.perf_counter() - before
-        clock.tell_tile(
-            (number, len(pieces)), whole.rmse, lambda: (canvas.materials, known.lighting)
-        )
+        del run, x  # before the next tile has its own
+        clock.tell_tile((number, len(pieces)), whole.rmse, lambda: _maps(canvas, known))
     clock.stages.append(
         Stage(
             "all pixels in tiles, lights held",
@@ -71,10 +81,11 @@ def fit_tiles(
             f"{len(pieces)} tiles; lights from {known.pixels} of {layout.pixels} pixels",
         )
     )
+    clock.evaluations += round(passes)
+    seconds = clock.elapsed
     errors = {}
     if scene.truth is not None:
         errors = material_errors(canvas.materials, scene.truth.materials)
-    seconds = clock.elapsed
     clock.rows.append(
         HistoryRow(seconds, clock.iteration, clock.evaluations, whole.mean, whole.rmse, **errors)
     )
@@ -85,6 +96,11 @@ def fit_tiles(
             f"time limit of {asked.limits.seconds:g} s reached: {late} of {len(pieces)} tiles are "
             "unfinished"
         )
+    elif status is Status.TIME_LIMIT:
+        reason = f"half of the time limit of {asked.limits.seconds:g} s was not enough for lights"
+    elif status is Status.CONVERGED and cut_short:
+        status = Status.ITERATION_LIMIT
+        reason = f"{asked.limits.iterations} iterations done in {cut_short} of {len(pieces)} tiles"
     deviations = None
     if canvas.variances is not None:
         deviations = uncertainty.of_variances(
@@ -113,74 +129,63 @@ def fit_tiles(
     )
 
 
-class _Total:
-    """Samples and weights of a whole scene, and what is left of the tiles so far."""
-
-    def __init__(self, scene: Scene, units: Units, channels: int) -> None:
-        self._scale = units.scale
-        self._left = self._of = 0.0
-        if scene.weights is None or not scene.weighted:
-            self.samples = channels * len(scene.images) * int(np.count_nonzero(scene.valid))
-            self.weight = float(self.samples)
-            return
-        self.samples, self.weight = 0, 0.0
-        for of_picture in scene.weights:
-            inside = of_picture[scene.valid]
-            self.samples += channels * int(np.count_nonzero(inside))
-            self.weight += channels * float(inside.sum(dtype=np.float64)) / units.largest_weight
-
-    def add(self, objective: Objective, x: Array) -> None:
-        self._left += objective.data_value_and_grad(x)[0] * objective.total_weight
-        self._of += objective.total_weight
-
-    @property
-    def mean(self) -> float:
-        """Loss of the data."""
-        return self._left / self._of
-
-    @property
-    def rmse(self) -> float:
-        """In picture units."""
-        return math.sqrt(self.mean) * self._scale
+def _maps(canvas: Canvas, known: Lattice) -> tuple[Materials, Array]:
+    return canvas.materials, known.lighting
 
 
 def _fit_tile(
-    tile: Tile, known: Lattice, parts: Parts, asked: Asked, units: Units, weight: float
-) -> tuple[Run, Array, bool]:
-    """The run of a tile, its x, and whether time was enough; `weight` is that of the scene."""
-    part = parts.cut(tile.outer, known.lighting)
+    tile: Tile, known: Lattice, parts: Parts, asked: Asked, units: Units, whole: Total
+) -> tuple[Run, Array, Status]:
+    """The run of a tile, its x, and why it ended; `whole` is of the scene."""
+    # Nobody reads the history of a tile, so it need not know the truth.
+    part = replace(parts.cut(tile.outer, known.lighting), truth=None)
     near, normals = known.near.at(tile.outer)
+    priors, taught = _of_part(known, Total(part, units, whole.channels), whole)
 
-    def objective_of(of: Scene, priors: Priors, free_normals: bool) -> Objective:
+    def objective_of(of: Scene, free_normals: bool) -> Objective:
         objective = replace(asked, priors=priors).objective(
             of, free_normals=free_normals, units=units
         )
         if not free_normals:
-            objective.penalties += known.taught.penalties(objective.layout)
+            objective.penalties += taught.penalties(objective.layout)
         return objective
 
-    # Segments' means are held, so cohesion is a pull that was taught.
-    priors = replace(known.priors, cohesion=0.0)
-    objective = objective_of(part, priors, False)
-    if priors.smoothness:
-        # A sum over the tile, beside a mean over it that in the whole is over more.
-        share = objective.total_weight / weight
-        priors = replace(priors, smoothness=priors.smoothness / share)
-        objective = objective_of(part, priors, False)
-    run = asked.run(part, objective, priors=priors, taught=known.taught, told=False)
+    objective = objective_of(part, False)
+    run = asked.run(part, objective, priors=priors, taught=taught, told=False)
     run.unmeasured = known.run.unmeasured
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
     if run.out_of_time():
-        return run, x, False
+        return run, x, Status.TIME_LIMIT
     found, _ = refined_fit.fit(
         run,
         x,
-        lambda of, free: objective_of(of, priors, free),
+        objective_of,
         solver="auto",
         start_given=True,
         asked="on" if known.refinement.refined else "off",
         hindered=None,
         turned=normals[part.valid] if known.refinement.refined else None,
     )
-    return found.run, found.x, found.status is not Status.TIME_LIMIT
+    return found.run, found.x, found.status
+
+
+def _of_part(known: Lattice, part: Total, whole: Total) -> tuple[Priors, Taught]:
+    """What a part's priors and penalties weigh, so that they are as strong as in the whole.
+
+    The data term is a mean by weight. Beside that of the whole, smoothness is a sum, and sparsity
+    and cohesion are means over pixels, which may have more or less weight here than elsewhere.
+    """
+    share = part.weight / whole.weight
+    density = share / (part.pixels / whole.pixels)
+    taught = known.taught
+    if taught.cohesion is not None:
+        means, weight = taught.cohesion
+        taught = replace(taught, cohesion=(means, weight / density))
+    priors = replace(
+        known.priors,
+        smoothness=known.priors.smoothness / share,
+        sparsity=known.priors.sparsity / density,
+        cohesion=0.0,  # means of segments are held, so it is a pull that was taught
+    )
+    return priors, taught

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit import refined_fit, uncertainty
 from pbrfit.materials import Materials
-from pbrfit.objective import Objective, Units
+from pbrfit.objective import Objective, Units, valid_values
 from pbrfit.priors import Priors
 from pbrfit.refinement import Refinement
 from pbrfit.result import Status
@@ -61,12 +61,16 @@ class Lattice:
 
 
 def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start: Start) -> Lattice:
-    """Fit the pixels of a window of a scene as if they were all; `units` are those of the scene."""
+    """Fit the pixels of a window of a scene as if they were all.
+
+    `units` are those of the scene. Of a time limit half is left to the tiles.
+    """
+    limits = asked.limits
+    if limits.seconds is not None:
+        asked = replace(asked, limits=replace(limits, seconds=limits.seconds / 2))
     whole, scene = parts.scene, parts.cut(window)
-    if isinstance(start, Materials):
-        start = cut(start, window)
-    elif start is not None:
-        start = cut(start[0], window), start[1]
+    if start is not None:
+        start = _of_window(start, window, whole.valid)
 
     def make(of: Scene, free_normals: bool) -> Objective:
         return asked.objective(of, free_normals=free_normals, units=units)
@@ -112,6 +116,17 @@ def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start:
         modes=modes,
         near=Nearest(window, whole.valid, materials, np.asarray(run.scene.normals)),
     )
+
+
+def _of_window(
+    start: Materials | tuple[Materials, Array], window: Window, valid: NDArray[np.bool_]
+) -> Materials | tuple[Materials, Array]:
+    """What a window has of a start, which is checked as a whole: a window of others may fit too."""
+    materials = start if isinstance(start, Materials) else start[0]
+    for name in ("albedo", "roughness", "metallic"):
+        valid_values(name, getattr(materials, name), valid)
+    part = cut(materials, window)
+    return part if isinstance(start, Materials) else (part, start[1])
 
 
 def _means_of_segments(objective: Objective, x: Array, weight: float) -> tuple[Array, float] | None:

@@ -19,6 +19,9 @@ then, and a fit of so many takes a minute."""
 FEWEST = 1 << 12
 """And at least, where a mask would leave fewer of a lattice."""
 
+MORE = 1.25
+"""Times as many as at most may be there, for pixels cannot be chosen one by one."""
+
 TILE = 512
 """Rows and columns of a tile."""
 
@@ -50,15 +53,16 @@ class Tile:
 
 
 def lattice(valid: NDArray[np.bool_], few: int = FEW) -> Window:
-    """Every s-th row and column, with at most `few` of the valid pixels (H, W)."""
-    step = max(1, math.ceil(math.sqrt(np.count_nonzero(valid) / few)))
-    while True:
+    """Every s-th row and column, with about `few` of the valid pixels (H, W) at most."""
+    least = max(1, math.ceil(math.sqrt(np.count_nonzero(valid) / few)))
+    # A mask may have stripes that a lattice hits or misses altogether: then the nearest step that
+    # does neither.
+    for step in sorted(range(1, 2 * least), key=lambda step: (abs(step - least), step)):
         window = Window(*(slice(step // 2, None, step) for _ in range(2)))
-        found = np.count_nonzero(window.of(valid))
-        if step == 1 or found >= FEWEST:
-            # Counts of a lattice differ a little from the share of all.
-            return window
-        step -= 1
+        # Counts of a lattice differ a little from the share of all.
+        if step == 1 or FEWEST <= np.count_nonzero(window.of(valid)) <= MORE * few:
+            break
+    return window
 
 
 def tiles(valid: NDArray[np.bool_], margin: int, side: int = TILE) -> Iterator[Tile]:

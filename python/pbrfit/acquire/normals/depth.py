@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from pbrfit import geometry, images
 from pbrfit._core import InputError
-from pbrfit.acquire.normals.maps import fit_to_size, read_npy
+from pbrfit.acquire.normals.maps import check_reducible, fit_to_size, read_npy
+from pbrfit.quoting import listed
 
 log = logging.getLogger("pbrfit")
 
@@ -35,6 +36,10 @@ IN_WORDS: dict[DepthKind, str] = {
 
 NOTHING = 1e9
 """From here on a depth says that nothing was hit: Blender writes 1e10 there."""
+
+FARTHEST = 1e100
+"""Depths, and disparities, from here on or below its inverse say nothing either: they are lengths
+of nothing, and squares of them overflow."""
 
 FEW = 1024
 """Fewer different depths than this show as steps in the normals."""
@@ -81,6 +86,8 @@ def from_file(
         If the file holds no depth, or of another proportion.
     """
     depth = read_depth(path)
+    if depth.shape != size:
+        check_reducible(path, depth.shape, size)  # before any work is done on it
     try:
         found = from_depth(depth, fov=fov, kind=kind, view_width=view_width)
     except InputError as error:
@@ -119,7 +126,7 @@ def read_depth(path: Path) -> Array:
         if name is None:
             raise InputError(
                 f"{path}: expected one of the channels {', '.join(CHANNELS)}, "
-                f"found {', '.join(sorted(channels))}"
+                f"found {listed(channels)}"
             )
         return channels[name].astype(np.float64)
     data = images.read_data(path)
@@ -177,7 +184,8 @@ def from_depth(
     if kind not in get_args(DepthKind):
         raise InputError(f"depth kind: expected {', '.join(get_args(DepthKind))}, found {kind!r}")
     height, width = depth.shape
-    hit = np.isfinite(depth) & (depth > 0)
+    # Squares of inverses have to be finite too.
+    hit = (depth > 1 / FARTHEST) & (depth < FARTHEST)
     if kind != "disparity":
         hit &= depth < NOTHING
     values = np.where(hit, depth, np.nan).astype(np.float64)

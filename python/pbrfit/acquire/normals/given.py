@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.acquire.normals.maps import fit_to_size, read_npy
+from pbrfit.acquire.normals.maps import check_reducible, fit_to_size, read_npy
 from pbrfit.normal_files import Convention, read_normals
 from pbrfit.scene import MIN_NORMAL_LENGTH
 
@@ -53,7 +53,10 @@ def from_file(
         if value not in choices:
             raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
     stored = _stored(path)
-    length = np.linalg.norm(stored, axis=-1)
+    if stored.shape[:2] != size:
+        check_reducible(path, stored.shape, size)  # before any work is done on it
+    with np.errstate(over="ignore"):  # too long to have a length: not known
+        length = np.linalg.norm(stored, axis=-1)
     known = np.isfinite(length) & (length >= MIN_NORMAL_LENGTH)
     if not known.any():
         raise InputError(f"{path}: expected unit vectors, found only zeros or NaN")

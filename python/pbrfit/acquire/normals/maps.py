@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.format import MAGIC_PREFIX
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.quoting import shown
 from pbrfit.resampling import averaged, reduced_size
 from pbrfit.scene import MIN_NORMAL_LENGTH
 
@@ -78,10 +81,21 @@ def read_npy(path: Path) -> NDArray[np.float64]:
     InputError
         If the file is no array of real numbers.
     """
+    expected = "expected an array of real numbers in .npy"
     try:
-        array = np.load(path, allow_pickle=False)
-    except ValueError as error:
-        raise InputError(f"{path}: expected an array of numbers in .npy, found {error}") from None
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "uif":
-        raise InputError(f"{path}: expected an array of real numbers in .npy")
-    return array.astype(np.float64)
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about headers of long ago
+            if file.read(len(MAGIC_PREFIX)) != MAGIC_PREFIX:
+                raise ValueError("a file of another kind")
+            # Mapped instead of read: no memory is taken for more than the file holds.
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except OSError:
+        raise
+    except Exception as error:  # headers are Python expressions, and fail in all ways of these
+        raise InputError(f"{path}: {expected}, found {shown(error)}") from None
+    if array.dtype.kind not in "uif":
+        raise InputError(f"{path}: {expected}, found {array.dtype}")
+    if array.size == 0:
+        raise InputError(f"{path}: {expected}, found an empty one, of shape {array.shape}")
+    with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
+        return np.array(array, np.float64)
