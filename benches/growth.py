@@ -46,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs/benchmarks"))
     parser.add_argument("--again", action="store_true", help="measure all cases anew")
+    parser.add_argument("--beside", default="", help="what else the machine did, for the page")
     parser.add_argument("--only", nargs="*", metavar="K,N", help="cases to measure")
     options = parser.parse_args(arguments)
     file = options.out / "growth.json"
@@ -62,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
             print(rows_as_text([row for row in rows if row["repeated"] == repeated]))
     plot(rows, options.out / "growth.png")
-    (options.out / "growth.md").write_text(page(rows), encoding="utf-8")
+    (options.out / "growth.md").write_text(page(rows, options.beside), encoding="utf-8")
 
 
 def measure(repeated: int, pictures: int) -> dict[str, Any]:
@@ -120,27 +121,27 @@ def rows_as_text(rows: Sequence[dict[str, Any]]) -> str:
     """A Markdown table."""
     lines = [
         "| megapixels | pictures | time (s) | of it the fit (s) | µs a pixel | peak (GiB) "
-        "| pictures alone (GiB) |",
-        "|---|---|---|---|---|---|---|",
+        "| pictures alone (GiB) | |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         own = row["megapixels"] * 1e6 * row["pictures"] * 12 / GIB
         lines.append(
             f"| {row['megapixels']:.2g} | {row['pictures']} | {row['seconds']:.0f} "
             f"| {row['seconds_of_fit']:.0f} | {row['seconds'] / row['megapixels']:.0f} "
-            f"| {row['peak_bytes'] / GIB:.2f} | {own:.2f} |"
+            f"| {row['peak_bytes'] / GIB:.2f} | {own:.2f} | {row.get('note', '')} |"
         )
     return "\n".join(lines)
 
 
-def page(rows: Sequence[dict[str, Any]]) -> str:
+def page(rows: Sequence[dict[str, Any]], beside: str) -> str:
     """docs/benchmarks/growth.md."""
     return f"""\
 # How time and memory grow
 
 {machine()}. `make bench-growth` writes this page: the command
 `pbrfit decompose SCENE --out RESULT` with its defaults, one run each in a process of its own,
-float32 EXR read and the result written. Above 2 MP `auto` fits in tiles.
+float32 EXR read and the result written. Above 2 MP `auto` fits in tiles. {beside}
 
 ![Time and memory over megapixels, for 4, 16 and 64 pictures](growth.png)
 
