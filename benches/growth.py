@@ -136,10 +136,11 @@ def rows_as_text(rows: Sequence[dict[str, Any]]) -> str:
 
 def page(rows: Sequence[dict[str, Any]], beside: str) -> str:
     """docs/benchmarks/growth.md."""
+    on = machine()
     return f"""\
 # How time and memory grow
 
-{machine()}. `make bench-growth` writes this page: the command
+{on["processor"]}, {on["cores"]} cores, Python {on["python"]}. `make bench-growth` writes this page: the command
 `pbrfit decompose SCENE --out RESULT` with its defaults, one run each in a process of its own,
 float32 EXR read and the result written. Above 2 MP `auto` fits in tiles. {beside}
 
@@ -168,6 +169,9 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
         axes.grid(visible=True, which="both", color="0.9")
         axes.set_xticks([0.25, 1, 4, 16], ["0.25", "1", "4", "16"])
         axes.set_xticks([], minor=True)
+        axes.set_yticks([], minor=True)
+    of_time.set_yticks(times := [10, 20, 50, 100, 200, 500], list(map(str, times)))
+    of_memory.set_yticks(sizes := [0.5, 1, 2, 4, 8], list(map(str, sizes)))
     of_memory.axhline(8, color="0.4", linewidth=1, linestyle="--")
     of_memory.text(0.27, 8.3, "8 GiB", color="0.3")
     of_time.text(2.2, of_time.get_ylim()[0] * 1.15, "in tiles", color="0.4")
