@@ -328,7 +328,8 @@ def test_a_journal_that_somebody_damaged_is_refused(tmp_path: Path) -> None:
     entry = {"about": {}, "refused": "", "record": {}, "sha256": None,
              "request": {"name": [], "prompt": "", "negative": "", "seed": 1}}  # fmt: skip
     path = tmp_path / "a-1.json"
-    for text in (json.dumps(entry), DEEP, "\ufeff"):
+    half = json.dumps(entry).replace("[]", r'"\ud800"')  # of a pair, which no file's name has
+    for text in (json.dumps(entry), half, DEEP, "\ufeff"):
         path.write_text(text, encoding="utf-8")
         refused(lambda path: journal.names(path.parent), path, "entry of a generation journal")
 

@@ -263,6 +263,7 @@ def _words(value: Any) -> str:
     """A text that need not be UTF-8: names of files are not on every system."""
     if not isinstance(value, str):
         raise ValueError(f"{quoted(value)} in place of a text")
+    value.encode("utf-8", "surrogateescape")
     return value
 
 
