@@ -84,20 +84,17 @@ class Asked:
         self,
         scene: Scene,
         objective: Objective,
-        *,
-        priors: Priors | None = None,
         taught: Taught | None = None,
-        told: bool = True,
     ) -> Run:
-        """A run that is about to begin; `told` says whether `progress` is."""
+        """A run that is about to begin."""
         return Run(
             scene,
             objective,
-            priors=priors or self.priors,
+            priors=self.priors,
             robust=self.robust,
             limits=self.limits,
             seed=self.seed,
-            progress=self.progress if told else None,
+            progress=self.progress,
             began=self.began,
             taught=taught,
         )
@@ -143,21 +140,7 @@ class Found:
 
 def fit_whole(scene: Scene, asked: Asked, start: Start) -> Found:
     """Fit all pixels of a scene at once."""
-
-    def make(of: Scene, free_normals: bool) -> Objective:
-        return asked.objective(of, free_normals=free_normals)
-
-    objective = make(scene, False)
-    found, refinement = refined_fit.fit(
-        asked.run(scene, objective),
-        start_of(objective, start),
-        make,
-        solver=asked.solver,
-        start_given=start is not None,
-        asked=asked.refine_normals,
-        hindered=asked.hindered,
-    )
-    del objective, make
+    found, refinement = fit_pixels(scene, asked, start)
     run, x = found.run, found.x
     seconds = run.elapsed
     uncertainty = None
@@ -182,7 +165,30 @@ def fit_whole(scene: Scene, asked: Asked, start: Start) -> Found:
     )
 
 
-def start_of(objective: Objective, start: Start) -> Array:
+def fit_pixels(
+    scene: Scene, asked: Asked, start: Start, units: Units | None = None
+) -> tuple[refined_fit.Fit, Refinement]:
+    """Where the fit of a scene ends, and what was decided about its normals.
+
+    `units` as for `Objective`.
+    """
+
+    def make(of: Scene, free_normals: bool) -> Objective:
+        return asked.objective(of, free_normals=free_normals, units=units)
+
+    objective = make(scene, False)
+    return refined_fit.fit(
+        asked.run(scene, objective),
+        _start_of(objective, start),
+        make,
+        solver=asked.solver,
+        start_given=start is not None,
+        asked=asked.refine_normals,
+        hindered=asked.hindered,
+    )
+
+
+def _start_of(objective: Objective, start: Start) -> Array:
     """X of the maps to start from."""
     if start is None:
         return objective.start()

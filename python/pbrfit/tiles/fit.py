@@ -141,17 +141,16 @@ def _fit_tile(
     part = replace(parts.cut(tile.outer, known.lighting), truth=None)
     near, normals = known.near.at(tile.outer)
     priors, taught = _of_part(known, Total(part, units, whole.channels), whole)
+    asked = replace(asked, priors=priors, progress=None)
 
     def objective_of(of: Scene, free_normals: bool) -> Objective:
-        objective = replace(asked, priors=priors).objective(
-            of, free_normals=free_normals, units=units
-        )
+        objective = asked.objective(of, free_normals=free_normals, units=units)
         if not free_normals:
             objective.penalties += taught.penalties(objective.layout)
         return objective
 
     objective = objective_of(part, False)
-    run = asked.run(part, objective, priors=priors, taught=taught, told=False)
+    run = asked.run(part, objective, taught)
     run.unmeasured = known.run.unmeasured
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
@@ -161,7 +160,7 @@ def _fit_tile(
         run,
         x,
         objective_of,
-        solver="auto",
+        solver=asked.solver,
         start_given=True,
         asked="on" if known.refinement.refined else "off",
         hindered=None,

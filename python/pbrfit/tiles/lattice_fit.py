@@ -8,18 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import refined_fit, uncertainty
+from pbrfit import uncertainty
 from pbrfit.materials import Materials
 from pbrfit.objective import Objective, Units, valid_values
 from pbrfit.priors import Priors
 from pbrfit.refinement import Refinement
 from pbrfit.result import Status
-from pbrfit.scene import Scene
 from pbrfit.solvers import Run
 from pbrfit.solvers.run import Taught
 from pbrfit.tiles.nearest import Nearest
 from pbrfit.tiles.part import Parts, Window, cut
-from pbrfit.whole_fit import Asked, Start, start_of
+from pbrfit.whole_fit import Asked, Start, fit_pixels
 
 Array = NDArray[np.float64]
 
@@ -71,20 +70,7 @@ def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start:
     whole, scene = parts.scene, parts.cut(window)
     if start is not None:
         start = _of_window(start, window, whole.valid)
-
-    def make(of: Scene, free_normals: bool) -> Objective:
-        return asked.objective(of, free_normals=free_normals, units=units)
-
-    objective = make(scene, False)
-    found, refinement = refined_fit.fit(
-        asked.run(scene, objective),
-        start_of(objective, start),
-        make,
-        solver="auto",
-        start_given=start is not None,
-        asked=asked.refine_normals,
-        hindered=asked.hindered,
-    )
+    found, refinement = fit_pixels(scene, asked, start, units)
     run, x = found.run, found.x
     objective = run.objective
     materials, lighting = objective.unpack(x)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from pbrfit.acquire.photo import LEAST_SIDE, Photo, exposure_of
 from pbrfit.acquire.prompts import Catalogue
 from pbrfit.color import ColorSpace
 from pbrfit.display import encoded
+from pbrfit.output import digest
 
 ASPECT_TOLERANCE = 0.01
 """Sizes a model rounds to multiples of 8 or 16 differ from the photo's shape by no more."""
@@ -74,9 +74,7 @@ class Folder:
         del catalogue
         requests = []
         for i, (name, path) in enumerate(list(self._files.items())[:count]):
-            with path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-            requests.append(Request(name, f"{path.name}, sha256 {digest}", "", seed + i))
+            requests.append(Request(name, f"{path.name}, sha256 {digest(path)}", "", seed + i))
         return requests
 
     def generate(self, photo: Photo, request: Request) -> Generated:
