@@ -46,8 +46,8 @@ MIRROR_COEFFICIENTS = 3
 """The first by s, held at the mirror's values: then value, slope and curvature are right at r = 0,
 which the functions leave like r⁴."""
 BOUNDED_COEFFICIENTS = 4
-"""The first by s whose reflectance is brought down to 1, all functions alike: a spline never exceeds
-its coefficients. From the next on it stays below without that."""
+"""The first by s whose reflectance is brought down to 1, all functions alike: a spline never
+exceeds its coefficients. From the next on it stays below without that."""
 
 
 @dataclass(frozen=True)
