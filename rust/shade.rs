@@ -31,7 +31,7 @@ pub const MAX_ROWS: usize = 10;
 /// Basis functions R_jk of a lobe at most.
 pub const MAX_ENTRIES: usize = 50;
 /// Functions of roughness and n·v at most.
-pub const MAX_FUNCTIONS: usize = 63;
+pub const MAX_FUNCTIONS: usize = 66;
 
 /// One number for each row of a lobe.
 pub type ByRow = [f64; MAX_ROWS];
