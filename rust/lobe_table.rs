@@ -14,8 +14,7 @@ use std::sync::LazyLock;
 
 use crate::simd::{Instructions, Isa, Kernel, Vectors};
 
-/// Functions: a_j and b_j over sinᵐ of the view angle, j = 0 to 9 each, the mean albedo Ē, and κ,
-/// what a dielectric reflects of uniform light by Fresnel's equations over that by Schlick's.
+/// Functions: a_j and b_j over sinᵐ of the view angle, j = 0 to 9 each, the mean albedo Ē and κ.
 pub const VALUES: usize = 22;
 
 /// Numbers stored at a knot, two of them nothing.
@@ -35,6 +34,12 @@ static FILE: &[u8; HEADER + 4 * STORED * KNOTS[0] * KNOTS[1]] = include_bytes!("
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct Row(pub [f64; STORED]);
+
+impl Default for Row {
+    fn default() -> Self {
+        Self([0.0; STORED])
+    }
+}
 
 /// The splines; made once, in about a millisecond.
 pub static TABLE: LazyLock<LobeTable> = LazyLock::new(LobeTable::new);
