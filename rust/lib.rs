@@ -44,6 +44,7 @@ pub mod ggx;
 pub mod image_file;
 pub mod lbfgs;
 pub mod material_grid;
+pub mod model;
 pub mod normal_matrix;
 pub mod penalties;
 pub mod pixel_fit;

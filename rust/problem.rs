@@ -7,6 +7,7 @@ use glam::DVec3;
 use crate::block::{BLOCK, Directions, Plane};
 use crate::check::LARGEST_F32;
 use crate::evaluate::{self, Evaluate, Has, Piece};
+use crate::model::Model;
 use crate::remainders::{self, DirectionRemainders};
 use crate::robust::Robust;
 use crate::sh::COEFFICIENTS;
@@ -53,6 +54,8 @@ pub struct Options {
     pub lighting: Option<Vec<f64>>,
     /// Whether the normals are unknowns too: x then has a [`tilt`] for each pixel.
     pub free_normals: bool,
+    /// What makes radiance of materials.
+    pub model: Model,
     /// 0 means one for each processor.
     pub threads: usize,
     /// The vector instructions to use.
@@ -67,6 +70,7 @@ impl Default for Options {
             metallic: None,
             lighting: None,
             free_normals: false,
+            model: Model::Paper,
             threads: 0,
             instructions: Instructions::best(),
         }
@@ -156,6 +160,9 @@ impl Problem {
             return Err(Error::argument("sh_order", "2 or 3", options.sh_order));
         }
         let coefficients = (options.sh_order + 1).pow(2);
+        if options.model == Model::Principled {
+            return Err(Error::argument("model", "paper", "principled"));
+        }
         if let Some(metallic) = options.metallic {
             check::unit_interval("metallic", &[metallic])?;
         }

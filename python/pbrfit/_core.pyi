@@ -47,7 +47,7 @@ def shade(
     albedo: NDArray[np.float64],
     roughness: NDArray[np.float64],
     metallic: NDArray[np.float64],
-    model: str,
+    model: str = "paper",
 ) -> NDArray[np.float64]: ...
 def shade_vjp(
     normal: NDArray[np.float64],
@@ -56,7 +56,7 @@ def shade_vjp(
     roughness: NDArray[np.float64],
     metallic: NDArray[np.float64],
     cotangent: NDArray[np.float64],
-    model: str,
+    model: str = "paper",
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 def render(
     normals: NDArray[np.float64],
@@ -66,7 +66,7 @@ def render(
     metallic: NDArray[np.float64],
     lighting: NDArray[np.float64],
     threads: int,
-    model: str,
+    model: str = "paper",
 ) -> NDArray[np.float64]: ...
 def render_directional(
     normals: NDArray[np.float64],
@@ -77,7 +77,7 @@ def render_directional(
     directions: NDArray[np.float64],
     colors: NDArray[np.float64],
     threads: int,
-    model: str,
+    model: str = "paper",
 ) -> NDArray[np.float64]: ...
 
 class _Series(Protocol):
@@ -92,7 +92,7 @@ class Problem:
 
     images (N, P, C) float32 with C = 1 or 3, or a series of (P, C), taken one after the other:
     those in float64 are kept to 48 bits, of which all methods but value_and_grad take notice.
-    normals, views (P, 3) float64 unit vectors; model "paper" or "principled"; weights (N, P) or (N, P, C) float32; lighting
+    normals, views (P, 3) float64 unit vectors; weights (N, P) or (N, P, C) float32; lighting
     (N, K, C) float64, known; metallic a number, known; threads 0 = all. K = (sh_order + 1)²,
     sh_order 2 or 3.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | tilts (2 planes) | lighting

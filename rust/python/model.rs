@@ -10,6 +10,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
 use crate::directional::{DirectionalLight, render_directional as render_directional_pixels};
+use crate::model::Model;
 use crate::problem::MAX_SAMPLES;
 use crate::render::render as render_pixels;
 use crate::shade::{
@@ -64,6 +65,7 @@ fn ggx_band_weights<'py>(
 }
 
 #[pyfunction]
+#[pyo3(signature = (normal, view, albedo, roughness, metallic, model = "paper"))]
 fn shade<'py>(
     py: Python<'py>,
     normal: &Bound<'py, PyAny>,
@@ -71,7 +73,9 @@ fn shade<'py>(
     albedo: &Bound<'py, PyAny>,
     roughness: &Bound<'py, PyAny>,
     metallic: &Bound<'py, PyAny>,
+    model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    paper_only(model)?;
     let pixels = Pixels::new(
         ("normal", normal),
         ("view", view),
@@ -92,6 +96,7 @@ fn shade<'py>(
 }
 
 #[pyfunction]
+#[pyo3(signature = (normal, view, albedo, roughness, metallic, cotangent, model = "paper"))]
 #[expect(clippy::type_complexity)]
 fn shade_vjp<'py>(
     py: Python<'py>,
@@ -101,12 +106,14 @@ fn shade_vjp<'py>(
     roughness: &Bound<'py, PyAny>,
     metallic: &Bound<'py, PyAny>,
     cotangent: &Bound<'py, PyAny>,
+    model: &str,
 ) -> PyResult<(
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray2<f64>>,
 )> {
+    paper_only(model)?;
     let pixels = Pixels::new(
         ("normal", normal),
         ("view", view),
@@ -147,6 +154,7 @@ fn shade_vjp<'py>(
 }
 
 #[pyfunction]
+#[pyo3(signature = (normals, views, albedo, roughness, metallic, lighting, threads, model = "paper"))]
 #[expect(clippy::too_many_arguments)]
 fn render<'py>(
     py: Python<'py>,
@@ -157,7 +165,9 @@ fn render<'py>(
     metallic: &Bound<'py, PyAny>,
     lighting: &Bound<'py, PyAny>,
     threads: usize,
+    model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    paper_only(model)?;
     let pixels = Pixels::new(
         ("normals", normals),
         ("views", views),
@@ -181,6 +191,7 @@ fn render<'py>(
 }
 
 #[pyfunction]
+#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, colors, threads, model = "paper"))]
 #[expect(clippy::too_many_arguments)]
 fn render_directional<'py>(
     py: Python<'py>,
@@ -192,7 +203,9 @@ fn render_directional<'py>(
     directions: &Bound<'py, PyAny>,
     colors: &Bound<'py, PyAny>,
     threads: usize,
+    model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    paper_only(model)?;
     let pixels = Pixels::new(
         ("normals", normals),
         ("views", views),
@@ -219,6 +232,14 @@ fn render_directional<'py>(
     let images =
         py.detach(|| render_directional_pixels(normals, views, materials, &lights, threads))?;
     Ok(array3(images, [lights.len(), pixels.count(), 3]).into_pyarray(py))
+}
+
+/// Until there is a kernel for it.
+fn paper_only(model: &str) -> Result<()> {
+    match model.parse()? {
+        Model::Paper => Ok(()),
+        Model::Principled => Err(Error::argument("model", "paper", model)),
+    }
 }
 
 /// Pictures of so many pixels under so many lights must be possible.
