@@ -205,7 +205,7 @@ fn render_directional<'py>(
     threads: usize,
     model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    paper_only(model)?;
+    let model = model.parse()?;
     let pixels = Pixels::new(
         ("normals", normals),
         ("views", views),
@@ -230,7 +230,7 @@ fn render_directional<'py>(
         ..
     } = &pixels;
     let images =
-        py.detach(|| render_directional_pixels(normals, views, materials, &lights, threads))?;
+        py.detach(|| render_directional_pixels(normals, views, materials, &lights, threads, model))?;
     Ok(array3(images, [lights.len(), pixels.count(), 3]).into_pyarray(py))
 }
 

@@ -62,8 +62,9 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     """
     small = maps.of_result(result, max_side)
     height, width = small.mask.shape
-    model = result.model
-    first = render(small.materials, small.normals, result.lighting[0], result.fov, model=model)
+    first = render(
+        small.materials, small.normals, result.lighting[0], result.fov, model=result.model
+    )
     white = metrics.white_of(first) if small.mask.any() else 1.0
     exposure = round(0.0 - math.log2(white), 1)
     data = {
@@ -76,7 +77,7 @@ def fragment(result: Result, max_side: int = 1024) -> str:
             {"name": name, "coefficients": light.ravel().tolist()}
             for name, light in zip(result.pictures, result.lighting, strict=True)
         ],
-        **_table(model),
+        **_table(result.model),
     }
     markup = Template(_text("view.html")).substitute(
         first=escape(result.pictures[0]),
@@ -88,7 +89,7 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     stage = min(max(width / height, 1 / WIDEST), WIDEST)
     aspect = f' style="--relight-aspect: {stage:.6g}"'
     markup = markup.replace('data-state="loading"', f'data-state="loading"{tiny}{aspect}', 1)
-    shown = _text("relight.frag").replace("MODEL\n", _text(f"{model}.glsl"), 1)
+    shown = _text("relight.frag").replace("MODEL\n", _text(f"{result.model}.glsl"), 1)
     shaders = _json({"vertex": _text("relight.vert"), "fragment": shown})
     script = "\n".join(
         ["(() => {", '"use strict";', f"const SHADERS = {shaders};", *map(_text, SCRIPTS), "})();"]
