@@ -312,7 +312,12 @@ fn directional(c: &mut Criterion) {
     group.sample_size(20);
     let example = Example::new(256 * 256, 1);
     let materials = example.materials();
-    for (model, lights) in [(Model::Paper, 1), (Model::Paper, 16), (Model::Principled, 1), (Model::Principled, 16)] {
+    for (model, lights) in [
+        (Model::Paper, 1),
+        (Model::Paper, 16),
+        (Model::Principled, 1),
+        (Model::Principled, 16),
+    ] {
         let lights: Vec<DirectionalLight> = (0..lights)
             .map(|i| DirectionalLight {
                 direction: DVec3::new(wave(i, 0.7) - 0.5, wave(i, 1.3) - 0.5, 0.5).normalize(),

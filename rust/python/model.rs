@@ -229,8 +229,8 @@ fn render_directional<'py>(
         materials,
         ..
     } = &pixels;
-    let images =
-        py.detach(|| render_directional_pixels(normals, views, materials, &lights, threads, model))?;
+    let images = py
+        .detach(|| render_directional_pixels(normals, views, materials, &lights, threads, model))?;
     Ok(array3(images, [lights.len(), pixels.count(), 3]).into_pyarray(py))
 }
 

@@ -1,0 +1,174 @@
+"""Light from single directions with the principled model: other forms of it, physics, SH light."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import _core
+from pbrfit.evaluation.gap.brute_force import view as seen_at
+from pbrfit.model import sh_basis, shade
+from reference import unit
+from test_directional import UP, WHITE, lights_over, random_frames, reflected
+
+Array = NDArray[np.float64]
+
+ALBEDO = np.array([0.9, 0.5, 0.1])
+TABLE = 2e-5
+"""Largest error of the table of lobe functions."""
+
+
+def lobe(r: float, view: Array, lights: Array) -> tuple[Array, Array]:
+    """D V (n·l) about +Z, 0 below the horizon, and (1−v·h)⁵; as Heitz 2014 has them."""
+    alpha2 = r**4
+    half = unit(view + lights)
+    d = alpha2 / (math.pi * (half[:, 2] ** 2 * (alpha2 - 1) + 1) ** 2)
+    n_l = np.maximum(lights[:, 2], 1e-100)
+
+    def slope(cosine: Array | float) -> Array:  # Λ of eq. 72
+        return np.asarray((np.sqrt(1 + alpha2 * (1 / np.square(cosine) - 1)) - 1) / 2)
+
+    masked = 1 / (1 + slope(view[2]) + slope(n_l))  # G of eq. 99
+    found = d * masked / (4 * view[2])
+    return np.where(lights[:, 2] > 0, found, 0.0), (1 - half @ view) ** 5
+
+
+@cache
+def energy(r: float, cosine: float) -> tuple[float, float]:
+    """Reflected of a uniform light with F = 1 and with Schlick's F of 0.04."""
+    directions, solid_angles = lights_over()
+    values, grazing = lobe(r, seen_at(cosine), directions)
+    share = values * solid_angles
+    return float(share.sum()), float(share @ (0.04 + 0.96 * grazing))
+
+
+@cache
+def mean_energy(r: float) -> float:
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    return sum(
+        float(w * x * energy(r, float(x))[0])
+        for x, w in zip((1 + nodes) / 2, weights, strict=True)
+    )
+
+
+def multiplied(f0: Array | float, r: float, cosine: float) -> Array:
+    average = np.asarray(f0) * 20 / 21 + 1 / 21
+    e, mean = energy(r, cosine)[0], mean_energy(r)
+    return np.asarray(1 + average * mean / (1 - average * (1 - mean)) * (1 - e) / e)
+
+
+@pytest.mark.parametrize(
+    ("r", "cosine", "metallic"), [(0.4, 0.9, 1.0), (0.5, 0.5, 0.0), (0.8, 0.2, 0.3), (1.0, 1.0, 0.7)]
+)
+def test_agrees_with_another_form_of_the_brdf(r: float, cosine: float, metallic: float) -> None:
+    view = seen_at(cosine)
+    _, _, lights = random_frames(200, 11)  # on both sides
+    values, grazing = lobe(r, view, lights)
+    body = (1 - metallic) * (1 - energy(r, cosine)[1]) * ALBEDO
+    expected = np.maximum(lights[:, 2:], 0) * body
+    for f0, share in ((np.full(3, 0.04), 1 - metallic), (ALBEDO, metallic)):
+        fresnel = f0 + (1 - f0) * grazing[:, None]
+        strength = share * multiplied(f0, r, cosine)
+        expected += math.pi * values[:, None] * fresnel * strength
+    found = reflected(UP, view, ALBEDO, r, metallic, lights, "principled")
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-4)
+    assert (found[lights[:, 2] <= 0] == 0).all()
+
+
+@pytest.mark.parametrize("r", [0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-6])
+def test_narrow_lobes_keep_their_digits(r: float) -> None:
+    # As in test_directional; masking is 1 at the view, and at the light 2/(1 + √(1 + α² tan²)).
+    alpha = r * r
+    x = np.array([0.0, 1e-3, 0.1, 0.5, 1, 3, 100]) * alpha
+    theta = np.arctan(x)
+    light = np.stack([np.sin(2 * theta), 0 * theta, np.cos(2 * theta)], axis=-1)
+    lit = light[:, 2] > 0
+    d = alpha**2 * (1 + x**2) ** 2 / (np.pi * (alpha**2 + x**2) ** 2)
+    masked = 2 / (1 + np.sqrt(1 + alpha**2 * np.tan(2 * theta) ** 2))
+    found = reflected(UP, UP, WHITE, r, 1.0, light, "principled")[:, 0]
+    expected = np.pi * d * masked / 4 / reflected_of_uniform(r, 1.0)
+    np.testing.assert_allclose(
+        found[lit], expected[lit], rtol=1e-5 if r < 1e-5 else 1e-12
+    )
+
+
+def reflected_of_uniform(r: float | Array, cosine: float | Array) -> Array:
+    """E as the core has it. A white metal's lobe is divided by it."""
+    r, cosine = np.broadcast_arrays(np.atleast_1d(r), cosine)
+    values = _core.lobe_functions(r.astype(float), cosine.astype(float))[0]
+    return np.asarray(2 * math.sqrt(math.pi) * (values[:, 0] + values[:, 10]))
+
+
+def test_the_lobe_is_reciprocal() -> None:
+    normal, view, light = random_frames(500, 2)
+    r = np.random.default_rng(3).random(500)
+    n_v, n_l = (np.sum(normal * a, axis=-1) for a in (view, light))
+    sound = np.minimum(n_v, n_l) > 1e-3
+    there = reflected(normal, view, WHITE, r, 1.0, light, "principled")[:, 0] / n_l
+    back = reflected(normal, light, WHITE, r, 1.0, view, "principled")[:, 0] / n_v
+    # What is scattered more than once goes by the view alone.
+    there, back = there * reflected_of_uniform(r, n_v), back * reflected_of_uniform(r, n_l)
+    np.testing.assert_allclose(there[sound], back[sound], rtol=1e-10)
+
+
+@pytest.mark.parametrize("cosine", [0.1, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize("r", [0.3, 0.5, 0.8, 1.0])
+def test_a_white_metal_returns_what_it_gets(r: float, cosine: float) -> None:
+    directions, solid_angles = lights_over()
+    found = under_all(directions, WHITE, r, 1.0, seen_at(cosine))[:, 0] @ solid_angles / math.pi
+    assert found == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize("cosine", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("r", [0.3, 0.6, 1.0])
+def test_a_white_dielectric_returns_nearly_all_that_it_gets(r: float, cosine: float) -> None:
+    directions, solid_angles = lights_over()
+    found = under_all(directions, WHITE, r, 0.0, seen_at(cosine))[:, 0] @ solid_angles / math.pi
+    assert 1 - 1e-4 < found < 1.02  # its lobe is multiplied, but its ground not darkened by that
+
+
+@pytest.mark.parametrize(
+    ("r", "metallic"), [(0.3, 1.0), (0.4, 0.0), (0.6, 0.3), (0.8, 1.0), (1.0, 0.0)]
+)
+def test_all_lights_of_an_sh_light_together_give_its_weights(r: float, metallic: float) -> None:
+    rng = np.random.default_rng(int(100 * r))
+    for cosine in (0.15, 0.6, 1.0):
+        turn = unit_frame(rng)
+        normal, view = turn[2], seen_at(cosine) @ turn
+        directions, solid_angles = lights_over()
+        directions = unit(directions @ turn)
+        lit = under_all(directions, ALBEDO, r, metallic, view, normal)
+        # Radiance L arriving from dω is an irradiance L dω, which is π times a colour.
+        found = np.einsum("lc,lk,l->ck", lit, sh_basis(directions), solid_angles / math.pi)
+        expected = shade(normal, unit(view), ALBEDO, r, metallic, model="principled")
+        np.testing.assert_allclose(found, expected, rtol=0, atol=3 * TABLE)
+
+
+def under_all(
+    directions: Array, albedo: Array, r: float, metallic: float, view: Array, normal: Array = UP
+) -> Array:
+    """(N, 3) radiance under each light alone."""
+    return np.asarray(
+        _core.render_directional(
+            normal[None],
+            unit(view)[None],
+            albedo[None],
+            np.array([r]),
+            np.array([metallic]),
+            directions,
+            np.ones_like(directions),
+            2,
+            "principled",
+        )[:, 0]
+    )
+
+
+def unit_frame(rng: np.random.Generator) -> Array:
+    """(3, 3): axes x, y and z of a random frame in rows."""
+    z, other = unit(rng.normal(size=(2, 3)))
+    x = unit(np.cross(other, z))
+    return np.stack([x, np.cross(z, x), z])
