@@ -45,8 +45,9 @@ class Picture {
     this.texture(1, "surface", data.width, data.height, integers, textures.surface);
     const floats = [gl.RGBA32F, gl.RGBA, gl.FLOAT];
     if (data.lobes) {
-      const { width, height, texels } = data.lobes;
+      const { axes, width, height, texels } = data.lobes;
       this.texture(2, "lobes", width, height, floats, texels);
+      gl.uniform3fv(this.at("axes"), axes.flat());
     } else {
       const bands = Float32Array.from(data.bands);
       this.texture(2, "bands", bands.length / 4, 1, floats, bands);

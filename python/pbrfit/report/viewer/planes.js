@@ -16,26 +16,29 @@ async function unpacked(text, units, width, height) {
   return planes;
 }
 
-/** The lobe functions of pbrfit.report.viewer.lobes as texels: five a node, then a column of Ē. */
-async function unpackedLobes({ nodes, low, step, codes }) {
+/** The splines of pbrfit.report.viewer.lobes as texels: five a node, and a last column for Ē. */
+async function unpackedLobes({ axes, low, step, codes }) {
   const bytes = await inflated(codes);
-  const side = nodes + 2;
-  const count = side * side;
+  const [columns, rows] = axes.map(([cells]) => cells + 3);
+  const count = columns * rows;
   const functions = low.length - 1;
-  if (bytes.length !== 2 * (functions * count + side)) throw new Error("the table in this page is damaged");
-  const width = (functions / 4) * side + 1;
-  const texels = new Float32Array(4 * width * side);
+  if (bytes.length !== 2 * (functions * count + rows)) {
+    throw new Error("the table in this page is damaged");
+  }
+  const width = (functions / 4) * columns + 1;
+  const texels = new Float32Array(4 * width * rows);
   for (let f = 0; f < functions; f++) {
-    const plane = undone(bytes.subarray(2 * count * f, 2 * count * (f + 1)), side);
+    const plane = undone(bytes.subarray(2 * count * f, 2 * count * (f + 1)), columns);
     for (let i = 0; i < count; i++) {
-      const texel = Math.floor(i / side) * width + (functions / 4) * (i % side) + (f >> 2);
+      const row = Math.floor(i / columns);
+      const texel = row * width + (functions / 4) * (i - row * columns) + (f >> 2);
       texels[4 * texel + (f & 3)] = low[f] + step[f] * plane[i];
     }
   }
   undone(bytes.subarray(2 * count * functions), 1).forEach((code, row) => {
     texels[4 * ((row + 1) * width - 1)] = low[functions] + step[functions] * code;
   });
-  return { width, height: side, texels };
+  return { axes, width, height: rows, texels };
 }
 
 async function inflated(text) {

@@ -5,7 +5,8 @@
 // In the pixel's frame (z = normal, x towards the mirror's side) only the ten SH functions even in y
 // answer; G_j are the light's coefficients of these. a_j and b_j come from a table, divided by s^m
 // with s the sine between normal and view; s^m is put into G_j by an axis x that is s long.
-uniform sampler2D lobes;  // cubic B-spline over (√n·v, √r): five texels a node, then Ē(r)
+uniform sampler2D lobes;  // cubic B-splines: five texels a node of (n·v, r), and a column for Ē(r)
+uniform vec3 axes[2];     // by n·v and r: cells, and c and w of w(1+c) x/(x+c) + (1−w) x
 
 // Slopes of the light's radiance in band 2, and in band 3, as a homogeneous polynomial, at d: by x,
 // y and z. By Euler's theorem d · slope is the degree times the polynomial.
@@ -36,31 +37,39 @@ mat3 slope3(vec3 d) {
           + 1.11952899777035 * (2.0 * zz - xx - yy) * light[12]);
 }
 
-// The four B-splines that are not 0 at `part` of a cell.
-vec4 spline(float part) {
-  float rest = 1.0 - part;
+// The first of the four B-splines that are not 0 at x, and all four in the cell.
+int place(vec3 axis, float x, out vec4 weights) {
+  float along = axis.x * (axis.z * (1.0 + axis.y) / (x + axis.y) + 1.0 - axis.z) * x;
+  int cell = min(int(along), int(axis.x) - 1);
+  float part = along - float(cell), rest = 1.0 - part;
   float p2 = part * part, r2 = rest * rest;
-  return vec4(r2 * rest, 4.0 - 3.0 * p2 * (1.0 + rest), 4.0 - 3.0 * r2 * (1.0 + part), p2 * part)
+  weights = vec4(r2 * rest, 4.0 - 3.0 * p2 * (1.0 + rest), 4.0 - 3.0 * r2 * (1.0 + part), p2 * part)
       / 6.0;
+  return cell;
 }
 
 // a_0 ... a_9, b_0 ... b_9 in order, and Ē.
-void lobe(float cosine, float roughness, out vec4 found[5], out float mean) {
-  int nodes = textureSize(lobes, 0).y - 2;
-  vec2 place = sqrt(vec2(cosine, roughness)) * float(nodes - 1);
-  ivec2 cell = min(ivec2(place), nodes - 2);
-  vec4 across = spline(place.x - float(cell.x)), along = spline(place.y - float(cell.y));
-  for (int t = 0; t < 5; t++) found[t] = vec4(0.0);
-  mean = 0.0;
+struct Lobe { vec4 a03, a47, a89_b01, b25, b69; float mean; };
+
+Lobe lobe(float cosine, float roughness) {
+  vec4 across, along;
+  int column = 5 * place(axes[0], cosine, across), row = place(axes[1], roughness, along);
+  int last = textureSize(lobes, 0).x - 1;
+  vec4 zero = vec4(0.0);
+  Lobe sum = Lobe(zero, zero, zero, zero, zero, 0.0);
   for (int j = 0; j < 4; j++) {
-    int row = cell.y + j;
     for (int i = 0; i < 4; i++) {
+      ivec2 node = ivec2(column + 5 * i, row + j);
       float weight = across[i] * along[j];
-      int first = 5 * (cell.x + i);
-      for (int t = 0; t < 5; t++) found[t] += weight * texelFetch(lobes, ivec2(first + t, row), 0);
+      sum.a03 += weight * texelFetch(lobes, node, 0);
+      sum.a47 += weight * texelFetch(lobes, node + ivec2(1, 0), 0);
+      sum.a89_b01 += weight * texelFetch(lobes, node + ivec2(2, 0), 0);
+      sum.b25 += weight * texelFetch(lobes, node + ivec2(3, 0), 0);
+      sum.b69 += weight * texelFetch(lobes, node + ivec2(4, 0), 0);
     }
-    mean += along[j] * texelFetch(lobes, ivec2(5 * (nodes + 2), row), 0).r;
+    sum.mean += along[j] * texelFetch(lobes, ivec2(last, row + j), 0).r;
   }
+  return sum;
 }
 
 // Light that meets the microfacets of a lobe once more than the lobe knows of, as a factor.
@@ -70,12 +79,10 @@ vec3 multiplied(vec3 f0, float energy, float mean) {
 }
 
 vec3 radiance(vec3 normal, vec3 view, float facing, vec3 albedo, float roughness, float metallic) {
-  vec4 t[5];
-  float mean;
-  lobe(clamp(facing, 1e-4, 1.0), roughness, t, mean);
-  float base = 3.54490770181103 * t[0].x, grazing = 3.54490770181103 * t[2].z;  // 2 √π
-  vec3 metal = metallic * multiplied(albedo, base + grazing, mean);
-  vec3 plastic = (1.0 - metallic) * multiplied(vec3(0.04), base + grazing, mean);
+  Lobe f = lobe(clamp(facing, 1e-4, 1.0), roughness);
+  float base = 3.54490770181103 * f.a03.x, grazing = 3.54490770181103 * f.a89_b01.z;  // 2 √π
+  vec3 metal = metallic * multiplied(albedo, base + grazing, f.mean);
+  vec3 plastic = (1.0 - metallic) * multiplied(vec3(0.04), base + grazing, f.mean);
   vec3 body = (1.0 - metallic) * (1.0 - 0.04 * base - grazing) / PI * albedo;
 
   vec3 axis = dot(normal, view) * normal - view;
@@ -98,9 +105,9 @@ vec3 radiance(vec3 normal, vec3 view, float facing, vec3 albedo, float roughness
   vec3 g8 = 0.691895136958641 * (slope * normal + 0.5 * ss * nn);
   vec3 g9 = 0.564930013687251 * (slope * axis + 0.75 * ss * nu);
 
-  vec3 a = t[0].x * g0 + t[0].y * g1 + t[0].z * g2 + t[0].w * g3 + t[1].x * g4
-      + t[1].y * g5 + t[1].z * g6 + t[1].w * g7 + t[2].x * g8 + t[2].y * g9;
-  vec3 b = t[2].z * g0 + t[2].w * g1 + t[3].x * g2 + t[3].y * g3 + t[3].z * g4
-      + t[3].w * g5 + t[4].x * g6 + t[4].y * g7 + t[4].z * g8 + t[4].w * g9;
+  vec3 a = f.a03.x * g0 + f.a03.y * g1 + f.a03.z * g2 + f.a03.w * g3 + f.a47.x * g4
+      + f.a47.y * g5 + f.a47.z * g6 + f.a47.w * g7 + f.a89_b01.x * g8 + f.a89_b01.y * g9;
+  vec3 b = f.a89_b01.z * g0 + f.a89_b01.w * g1 + f.b25.x * g2 + f.b25.y * g3 + f.b25.z * g4
+      + f.b25.w * g5 + f.b69.x * g6 + f.b69.y * g7 + f.b69.z * g8 + f.b69.w * g9;
   return body * diffuse + (0.04 * plastic + metal * albedo) * a + (plastic + metal) * b;
 }
