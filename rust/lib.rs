@@ -49,7 +49,6 @@ pub mod normal_matrix;
 pub mod penalties;
 pub mod pixel_fit;
 mod pool;
-pub mod principled;
 pub mod problem;
 mod product_form;
 mod products;
