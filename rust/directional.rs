@@ -11,9 +11,9 @@ use glam::DVec3;
 
 use crate::ggx::{DIELECTRIC_F0, MIN_COSINE, schlick, smith_g1};
 use crate::model::Model;
-use crate::principled::{self, Mix};
+use crate::principled::{Mix, Mixer, Principled};
 use crate::render::pictures;
-use crate::shade::Material;
+use crate::shade::{Material, Reflection};
 use crate::{Result, check};
 
 /// Pixels in a piece of work.
@@ -49,7 +49,7 @@ pub struct DirectionalLight {
 /// F = F0 + (1−F0)(1−v·h)⁵,  F0 = 0.04(1−m) + mρ                                       (5)
 /// ```
 ///
-/// and as the principled model has it, with kd, A and B of [`principled`] and the
+/// and as the principled model has it, with kd, A and B of [`principled`](crate::principled) and the
 /// height-correlated Smith masking V = G/(4 (n·v)(n·l)) (E. Heitz, "Understanding the
 /// masking-shadowing function in microfacet-based BRDFs", JCGT 2014, eq. 99),
 ///
@@ -81,7 +81,7 @@ impl<'a> Surface<'a> {
         let n_dot_v = normal.dot(view).max(MIN_COSINE);
         let kind = match model {
             Model::Paper => Kind::Paper,
-            Model::Principled => Kind::Principled(principled::mixes(n_dot_v, material)),
+            Model::Principled => Kind::Principled(mixes(n_dot_v, material)),
         };
         Self {
             normal,
@@ -134,6 +134,19 @@ impl<'a> Surface<'a> {
             }
         }
     }
+}
+
+/// kd, A and B of each channel.
+fn mixes(n_dot_v: f64, material: &Material) -> [Mix; 3] {
+    let functions = Principled::functions(n_dot_v, material.roughness);
+    let lobe = functions.lobe();
+    let mixer = Mixer::new(
+        material.metallic,
+        lobe.reflected(),
+        lobe.dielectric(),
+        lobe.mean(),
+    );
+    material.albedo.map(|rho| mixer.mix(rho)[0])
 }
 
 /// D of the angle θ between n and h.
