@@ -1,10 +1,10 @@
-"""Draw the figure of docs/export.md that compares the reflection models: recovered, then in Blender.
+"""Draw the figure of docs/export.md that has both reflection models, recovered and in Blender.
 
     python tools/models_in_blender.py [--kind spheres] [--size 192] [--samples 512] [--seed 0]
 
 Pictures of a synthetic scene, rendered with the principled model, are fitted with either model. Each
-result is relit by pbrfit under a light that no picture had, and exported to glTF and rendered by Cycles
-under the same light. Prints how far they are apart. Needs the environment of `make cycles-env`.
+result is relit by pbrfit under a light that no picture had, and exported to glTF and rendered by
+Cycles under that light. Prints how far they are apart. Needs the environment of `make cycles-env`.
 Writes docs/images/models-in-blender.png.
 """
 

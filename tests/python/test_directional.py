@@ -239,7 +239,9 @@ def test_the_same_bits_with_any_number_of_threads_and_one_light_at_a_time(model:
     one = render_directional(materials, normals, directions, colors, 60.0, threads=1, model=model)
     assert one.shape == (7, 61, 53, 3)
     for threads in (0, 2, 5):
-        again = render_directional(materials, normals, directions, colors, 60.0, threads=threads, model=model)
+        again = render_directional(
+            materials, normals, directions, colors, 60.0, threads=threads, model=model
+        )
         assert again.tobytes() == one.tobytes()
     alone = [
         render_directional(materials, normals, d, c, 60.0, model=model)

@@ -13,13 +13,38 @@ from pbrfit import _core
 from pbrfit.evaluation.gap.brute_force import view as seen_at
 from pbrfit.model import sh_basis, shade
 from reference import unit
-from test_directional import UP, WHITE, lights_over, random_frames, reflected
+from test_directional import UP, WHITE, random_frames, reflected
 
 Array = NDArray[np.float64]
 
 ALBEDO = np.array([0.9, 0.5, 0.1])
 TABLE = 2e-5
 """Largest error of the table of lobe functions."""
+
+
+@cache
+def lights_about(polar: int = 120, around: int = 120) -> tuple[Array, Array]:
+    """A rule over the half sphere about +Z, for views in the xz-plane; directions, solid angles.
+
+    It is dense at the horizon, and about −X, where mirror directions are: seen at a grazing angle
+    a lobe is a hundred times as long as wide.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(polar)
+    n_l = ((1 + nodes) / 2) ** 3
+    of_n_l = weights / 2 * 3 * ((1 + nodes) / 2) ** 2
+    nodes, weights = np.polynomial.legendre.leggauss(around)
+    azimuth = np.pi * (1 + nodes**3)
+    of_azimuth = weights * np.pi * 3 * nodes**2
+    sine = np.sqrt(1 - n_l**2)[:, None]
+    directions = np.stack(
+        [
+            sine * np.cos(azimuth),
+            sine * np.sin(azimuth),
+            np.broadcast_to(n_l[:, None], (polar, around)),
+        ],
+        axis=-1,
+    )
+    return unit(directions.reshape(-1, 3)), np.outer(of_n_l, of_azimuth).reshape(-1)
 
 
 def lobe(r: float, view: Array, lights: Array) -> tuple[Array, Array]:
@@ -40,7 +65,7 @@ def lobe(r: float, view: Array, lights: Array) -> tuple[Array, Array]:
 @cache
 def energy(r: float, cosine: float) -> tuple[float, float]:
     """Reflected of a uniform light with F = 1 and with Schlick's F of 0.04."""
-    directions, solid_angles = lights_over()
+    directions, solid_angles = lights_about()
     values, grazing = lobe(r, seen_at(cosine), directions)
     share = values * solid_angles
     return float(share.sum()), float(share @ (0.04 + 0.96 * grazing))
@@ -50,8 +75,7 @@ def energy(r: float, cosine: float) -> tuple[float, float]:
 def mean_energy(r: float) -> float:
     nodes, weights = np.polynomial.legendre.leggauss(20)
     return sum(
-        float(w * x * energy(r, float(x))[0])
-        for x, w in zip((1 + nodes) / 2, weights, strict=True)
+        float(w * x * energy(r, float(x))[0]) for x, w in zip((1 + nodes) / 2, weights, strict=True)
     )
 
 
@@ -62,7 +86,8 @@ def multiplied(f0: Array | float, r: float, cosine: float) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("r", "cosine", "metallic"), [(0.4, 0.9, 1.0), (0.5, 0.5, 0.0), (0.8, 0.2, 0.3), (1.0, 1.0, 0.7)]
+    ("r", "cosine", "metallic"),
+    [(0.4, 0.9, 1.0), (0.5, 0.5, 0.0), (0.8, 0.2, 0.3), (1.0, 1.0, 0.7)],
 )
 def test_agrees_with_another_form_of_the_brdf(r: float, cosine: float, metallic: float) -> None:
     view = seen_at(cosine)
@@ -75,7 +100,7 @@ def test_agrees_with_another_form_of_the_brdf(r: float, cosine: float, metallic:
         strength = share * multiplied(f0, r, cosine)
         expected += math.pi * values[:, None] * fresnel * strength
     found = reflected(UP, view, ALBEDO, r, metallic, lights, "principled")
-    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-4)
+    np.testing.assert_allclose(found, expected, rtol=2e-5, atol=1e-5)
     assert (found[lights[:, 2] <= 0] == 0).all()
 
 
@@ -91,9 +116,7 @@ def test_narrow_lobes_keep_their_digits(r: float) -> None:
     masked = 2 / (1 + np.sqrt(1 + alpha**2 * np.tan(2 * theta) ** 2))
     found = reflected(UP, UP, WHITE, r, 1.0, light, "principled")[:, 0]
     expected = np.pi * d * masked / 4 / reflected_of_uniform(r, 1.0)
-    np.testing.assert_allclose(
-        found[lit], expected[lit], rtol=1e-5 if r < 1e-5 else 1e-12
-    )
+    np.testing.assert_allclose(found[lit], expected[lit], rtol=1e-5 if r < 1e-5 else 1e-12)
 
 
 def reflected_of_uniform(r: float | Array, cosine: float | Array) -> Array:
@@ -115,20 +138,20 @@ def test_the_lobe_is_reciprocal() -> None:
     np.testing.assert_allclose(there[sound], back[sound], rtol=1e-10)
 
 
-@pytest.mark.parametrize("cosine", [0.1, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize("cosine", [0.02, 0.1, 0.5, 1.0])
 @pytest.mark.parametrize("r", [0.3, 0.5, 0.8, 1.0])
 def test_a_white_metal_returns_what_it_gets(r: float, cosine: float) -> None:
-    directions, solid_angles = lights_over()
+    directions, solid_angles = lights_about()
     found = under_all(directions, WHITE, r, 1.0, seen_at(cosine))[:, 0] @ solid_angles / math.pi
-    assert found == pytest.approx(1, abs=1e-4)
+    assert found == pytest.approx(1, abs=TABLE)
 
 
 @pytest.mark.parametrize("cosine", [0.1, 0.5, 1.0])
 @pytest.mark.parametrize("r", [0.3, 0.6, 1.0])
 def test_a_white_dielectric_returns_nearly_all_that_it_gets(r: float, cosine: float) -> None:
-    directions, solid_angles = lights_over()
+    directions, solid_angles = lights_about()
     found = under_all(directions, WHITE, r, 0.0, seen_at(cosine))[:, 0] @ solid_angles / math.pi
-    assert 1 - 1e-4 < found < 1.02  # its lobe is multiplied, but its ground not darkened by that
+    assert 1 - TABLE < found < 1.005  # its lobe is multiplied, but its ground not darkened by that
 
 
 @pytest.mark.parametrize(
@@ -136,16 +159,16 @@ def test_a_white_dielectric_returns_nearly_all_that_it_gets(r: float, cosine: fl
 )
 def test_all_lights_of_an_sh_light_together_give_its_weights(r: float, metallic: float) -> None:
     rng = np.random.default_rng(int(100 * r))
-    for cosine in (0.15, 0.6, 1.0):
+    for cosine in (0.1, 0.3, 0.6, 1.0):
         turn = unit_frame(rng)
         normal, view = turn[2], seen_at(cosine) @ turn
-        directions, solid_angles = lights_over()
+        directions, solid_angles = lights_about()
         directions = unit(directions @ turn)
         lit = under_all(directions, ALBEDO, r, metallic, view, normal)
         # Radiance L arriving from dω is an irradiance L dω, which is π times a colour.
         found = np.einsum("lc,lk,l->ck", lit, sh_basis(directions), solid_angles / math.pi)
         expected = shade(normal, unit(view), ALBEDO, r, metallic, model="principled")
-        np.testing.assert_allclose(found, expected, rtol=0, atol=3 * TABLE)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=TABLE)
 
 
 def under_all(
