@@ -2,9 +2,9 @@
 
     python tools/models_in_blender.py [--kind spheres] [--size 192] [--samples 512] [--seed 0]
 
-Pictures of a synthetic scene, rendered with the principled model, are fitted with either model. Each
-result is relit by pbrfit under a light that no picture had, and exported to glTF and rendered by
-Cycles under that light. Prints how far they are apart. Needs the environment of `make cycles-env`.
+Pictures of a synthetic scene, rendered with the principled model, are fitted with either model.
+Each result is relit by pbrfit under a light that no picture had, and exported to glTF and rendered
+by Cycles under that light. Prints how far they are apart. Needs the environment of `make cycles-env`.
 Writes docs/images/models-in-blender.png.
 """
 

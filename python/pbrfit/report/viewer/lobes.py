@@ -25,11 +25,11 @@ CODES = 65535
 def data() -> dict[str, Any]:
     """What the page holds, as JSON: `axes`, `low`, `step` and `codes`.
 
-    The functions are cubic B-splines over s(n·v) and t(r), w(1+c) x/(x+c) + (1−w) x with a c and w of
-    their own (tools/lobe_table.py). `axes` are their numbers of cells, c and w. A coefficient is
+    The functions are cubic B-splines over s(n·v) and t(r), w(1+c) x/(x+c) + (1−w) x with a c and w
+    of their own (tools/lobe_table.py). `axes` are their numbers of cells, c and w. A coefficient is
     `low` plus `step` times its code. `codes` is a zlib stream in base64, prediction errors as in
-    `maps.packed`: a plane for each function of n·v (a column) and r (a row), then the mean albedo, a
-    column.
+    `maps.packed`: a plane for each function of n·v (a column) and r (a row), then the mean albedo,
+    a column.
     """
     axes, coefficients = _splines()
     planes = [*np.moveaxis(coefficients[..., :FUNCTIONS], -1, 0), coefficients[:, :1, FUNCTIONS]]
