@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from pbrfit import InputError, Result, Scene, Status, decompose
+from pbrfit.model import DEFAULT_MODEL
 from pbrfit.priors import Priors
 from pbrfit.refinement import NOT_ASKED
 from pbrfit.synthetic import make_scene
