@@ -10,17 +10,22 @@ use pyo3::prelude::*;
 
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
 use crate::directional::{DirectionalLight, render_directional as render_directional_pixels};
+use crate::lobe_table;
 use crate::model::Model;
+use crate::paper::Paper;
+use crate::principled::Principled;
 use crate::problem::MAX_SAMPLES;
 use crate::render::render as render_pixels;
 use crate::shade::{
-    Frame, Material, TurningFrame, shade as shade_pixel, shade_vjp_by_normal as pull_back_pixel,
+    Frame, Material, Reflection, TurningFrame, Weights, shade as shade_pixel,
+    shade_vjp_by_normal as pull_back_pixel,
 };
 use crate::{Error, Result, check, ggx, sh};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(sh_basis, module)?)?;
     module.add_function(wrap_pyfunction!(ggx_band_weights, module)?)?;
+    module.add_function(wrap_pyfunction!(lobe_functions, module)?)?;
     module.add_function(wrap_pyfunction!(shade, module)?)?;
     module.add_function(wrap_pyfunction!(shade_vjp, module)?)?;
     module.add_function(wrap_pyfunction!(render, module)?)?;
@@ -65,6 +70,39 @@ fn ggx_band_weights<'py>(
 }
 
 #[pyfunction]
+#[expect(clippy::type_complexity)]
+fn lobe_functions<'py>(
+    py: Python<'py>,
+    r: &Bound<'py, PyAny>,
+    cosine: &Bound<'py, PyAny>,
+) -> PyResult<(
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+)> {
+    let r = array::<f64, Ix1>("r", r)?;
+    let cosine = array::<f64, Ix1>("cosine", cosine)?;
+    shape("cosine", r.shape(), cosine.shape())?;
+    let (r, cosine) = (try_copied("r", &r)?, try_copied("cosine", &cosine)?);
+    let rows = py.detach(|| {
+        check::unit_interval("r", &r)?;
+        check::unit_interval("cosine", &cosine)?;
+        let rows = r.iter().zip(&cosine);
+        collect(
+            "r",
+            r.len(),
+            rows.map(|(&r, &cosine)| lobe_table::values(r, cosine)),
+        )
+    })?;
+    let column = |i: usize| collect("r", rows.len(), rows.iter().map(|row| row[i]));
+    Ok((
+        array2(column(0)?).into_pyarray(py),
+        array2(column(1)?).into_pyarray(py),
+        array2(column(2)?).into_pyarray(py),
+    ))
+}
+
+#[pyfunction]
 #[pyo3(signature = (normal, view, albedo, roughness, metallic, model = "paper"))]
 fn shade<'py>(
     py: Python<'py>,
@@ -75,7 +113,7 @@ fn shade<'py>(
     metallic: &Bound<'py, PyAny>,
     model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    paper_only(model)?;
+    let model: Model = model.parse()?;
     let pixels = Pixels::new(
         ("normal", normal),
         ("view", view),
@@ -85,10 +123,10 @@ fn shade<'py>(
     )?;
     let weights = py.detach(|| {
         pixels.check()?;
-        let weights = pixels
-            .each()
-            .map(|(n, v, m)| shade_pixel(&Frame::new(n, v), m));
-        collect("normal", pixels.count(), weights)
+        match model {
+            Model::Paper => pixels.shade::<Paper>(),
+            Model::Principled => pixels.shade::<Principled>(),
+        }
     })?;
     let shape = [pixels.count(), 3, sh::COEFFICIENTS];
     let weights = weights.into_flattened().into_flattened();
@@ -113,7 +151,7 @@ fn shade_vjp<'py>(
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray2<f64>>,
 )> {
-    paper_only(model)?;
+    let model: Model = model.parse()?;
     let pixels = Pixels::new(
         ("normal", normal),
         ("view", view),
@@ -133,9 +171,10 @@ fn shade_vjp<'py>(
             .0
             .as_chunks::<3>()
             .0;
-        let pairs = pixels.each().zip(weights);
-        let gradients = pairs.map(|((n, v, m), w)| pull_back_pixel(&TurningFrame::new(n, v), m, w));
-        collect("normal", pixels.count(), gradients)
+        match model {
+            Model::Paper => pixels.pull_back::<Paper>(weights),
+            Model::Principled => pixels.pull_back::<Principled>(weights),
+        }
     })?;
     let (materials, normals) = (
         || gradients.iter().map(|g| g.0),
@@ -167,7 +206,7 @@ fn render<'py>(
     threads: usize,
     model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    paper_only(model)?;
+    let model: Model = model.parse()?;
     let pixels = Pixels::new(
         ("normals", normals),
         ("views", views),
@@ -186,7 +225,8 @@ fn render<'py>(
         materials,
         ..
     } = &pixels;
-    let images = py.detach(|| render_pixels(normals, views, materials, &lighting, threads))?;
+    let images =
+        py.detach(|| render_pixels(normals, views, materials, &lighting, model, threads))?;
     Ok(array3(images, [lights, pixels.count(), 3]).into_pyarray(py))
 }
 
@@ -294,6 +334,20 @@ impl Pixels {
     fn check(&self) -> Result<()> {
         check::unit_vectors(self.names[0], &self.normals)?;
         check::unit_vectors(self.names[1], &self.views)
+    }
+
+    fn shade<M: Reflection>(&self) -> Result<Vec<Weights>> {
+        let weights = self
+            .each()
+            .map(|(n, v, m)| shade_pixel(&Frame::<M>::new(n, v), m));
+        collect("normal", self.count(), weights)
+    }
+
+    fn pull_back<M: Reflection>(&self, cotangent: &[Weights]) -> Result<Vec<(Material, DVec3)>> {
+        let pairs = self.each().zip(cotangent);
+        let gradients =
+            pairs.map(|((n, v, m), w)| pull_back_pixel(&TurningFrame::<M>::new(n, v), m, w));
+        collect("normal", self.count(), gradients)
     }
 
     /// Normal, view direction and material.
