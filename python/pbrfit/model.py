@@ -248,8 +248,8 @@ def render_directional(
 
     For "paper" its eqs. 1 and 3-5 without the approximations that SH light needs; for "principled"
     the BRDF whose integral over SH light `render` has. A light of colour 1 gives a white diffuse
-    surface that faces it radiance 1, less what its Fresnel term takes from the diffuse part. Nothing casts a shadow. A mirror (roughness 0) does not show a light without
-    extent.
+    surface that faces it radiance 1, less what its Fresnel term takes from the diffuse part.
+    Nothing casts a shadow. A mirror (roughness 0) does not show a light without extent.
 
     Parameters
     ----------

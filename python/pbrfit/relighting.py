@@ -113,9 +113,7 @@ def relight(
             *(result.materials, result.normals, light.direction, light.color, result.fov, threads),
             model=result.model,
         )
-    return render(
-        result.materials, result.normals, light, result.fov, threads, model=result.model
-    )
+    return render(result.materials, result.normals, light, result.fov, threads, model=result.model)
 
 
 @overload

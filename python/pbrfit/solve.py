@@ -255,9 +255,7 @@ def _metrics(scene: Scene, fit: Found, model: Model, threads: int) -> dict[str, 
     totals = [1.0 if w is None else float(w.sum(dtype=np.float64)) for w in weights]
     # One picture at a time: all at once would be held in float64.
     of_pictures = [
-        metrics.rmse(
-            render(materials, normals, light, scene.fov, threads, model=model), image, w
-        )
+        metrics.rmse(render(materials, normals, light, scene.fov, threads, model=model), image, w)
         for image, light, w in zip(scene.images, lighting, weights, strict=True)
     ]
     if fit.exposures is not None:

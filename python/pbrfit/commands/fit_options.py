@@ -54,8 +54,8 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
 
 
 MODELS_IN_WORDS = (
-    "paper: the paper's approximation of it (eq. 12); principled: as Blender's Principled BSDF, glTF "
-    "and game engines do, with multiple scattering"
+    "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
+    "glTF and game engines, integrated exactly"
 )
 """What the values of `--model` mean."""
 

@@ -83,7 +83,9 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
         coefficients = result.lighting[i]
         light = lights.measure(coefficients)
         fit, pngs = _one(result, scene, i, sides)
-        found.append(Picture(name, fit, pngs, light, lights.pngs(coefficients, light, result.model)))
+        found.append(
+            Picture(name, fit, pngs, light, lights.pngs(coefficients, light, result.model))
+        )
     return found
 
 

@@ -100,9 +100,7 @@ def make_scene(
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
     view = build(kind, size, streams[0], fov, textures)
 
-    lighting, images = _expose(
-        view, random_lights(lights, streams[1], sh_order), model, streams[1]
-    )
+    lighting, images = _expose(view, random_lights(lights, streams[1], sh_order), model, streams[1])
     relight_lighting, relight_images = _expose(
         view, random_lights(held_out, streams[2], sh_order), model, streams[2]
     )
