@@ -4,8 +4,8 @@
 
 Pictures of a synthetic scene, rendered with the principled model, are fitted with either model.
 Each result is relit by pbrfit under a light that no picture had, and exported to glTF and rendered
-by Cycles under that light. Prints how far they are apart. Needs the environment of `make cycles-env`.
-Writes docs/images/models-in-blender.png.
+by Cycles under that light. Prints how far they are apart. Needs the environment of `make
+cycles-env`. Writes docs/images/models-in-blender.png.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def main() -> None:
             ours = relight(lit, light)
             theirs = rendered_by_cycles(Path(folder) / model, lit, chosen.samples)
             tell(title, ours, theirs, scene.truth.materials.metallic > 0.5)
-            rows.append(row(title, ours, theirs))
+            rows.append(row(ours, theirs))
     key = Key(
         "|difference| / mean radiance",
         blue_to_yellow(np.linspace(0, 1, 256)),
@@ -76,7 +76,7 @@ def main() -> None:
         {"outside the mask": (OUTSIDE,) * 3},
     )
     path = REPOSITORY / "docs" / "images" / "models-in-blender.png"
-    images.write_png(path, sheet(rows, key=key), tag="srgb")
+    images.write_png(path, sheet(rows, labels=list(TITLES.values()), keys=[key]), tag="srgb")
     print(f"figure: {path}")
 
 
@@ -107,7 +107,7 @@ def tell(title: str, ours: Picture, theirs: Picture, metal: NDArray[np.bool_]) -
     print(f"{title:<24}{errors[0]:>8.4f}{errors[1]:>12.4f}{errors[2]:>8.4f}")
 
 
-def row(title: str, ours: Picture, theirs: Picture) -> Row:
+def row(ours: Picture, theirs: Picture) -> Row:
     """Ours, Blender's and the difference."""
     valid = np.isfinite(ours).all(axis=-1)
     white = float(np.nanpercentile(ours, 98))
@@ -115,7 +115,7 @@ def row(title: str, ours: Picture, theirs: Picture) -> Row:
     colors = blue_to_yellow(np.clip(np.nan_to_num(size) / SPAN, 0, 1))
     colors[~valid] = OUTSIDE
     return [
-        Panel(f"{title}: pbrfit relight", displayed(ours, white)),
+        Panel("pbrfit relight", displayed(ours, white)),
         Panel("the export in Blender", displayed(theirs, white)),
         Panel("difference", colors),
     ]

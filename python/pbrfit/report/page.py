@@ -40,14 +40,14 @@ TITLES = {
 
 REFLECTION: Mapping[Model, str] = {
     "paper": (
-        "Surfaces reflect by the paper's model, eq. 12: a round lobe about the mirror direction, with "
-        "Fresnel and masking at the view angle. Renderers have no such lobe, and show metals and dark "
-        "glossy surfaces of these maps differently."
+        "Surfaces reflect by the paper's model, eq. 12: a round lobe about the mirror direction, "
+        "with Fresnel and masking at the view angle. Renderers have no such lobe, and show metals "
+        "and dark glossy surfaces of these maps differently."
     ),
     "principled": (
         "Surfaces reflect by the principled model: GGX with height-correlated masking, Schlick's "
-        "Fresnel and multiple scattering, as in Blender, glTF and game engines, integrated over the "
-        "light. So the maps mean the same there."
+        "Fresnel and multiple scattering, as in Blender, glTF and game engines, integrated over "
+        "the light. So the maps mean the same there."
     ),
 }
 """What the maps are maps of."""
