@@ -80,9 +80,9 @@ def test_known_lights_give_exact_materials(model: Model) -> None:
 
 def test_lbfgsb_descends() -> None:
     scene = room("principled", noise=0.01)
-    result = decompose(scene, solver="lbfgsb", iterations=100, priors=None, uncertainty=False)
+    result = decompose(scene, solver="lbfgsb", iterations=30, priors=None, uncertainty=False)
     loss = result.history["loss"]
-    assert loss[-1] < 0.05 * loss[0]
+    assert loss[-1] < 0.2 * loss[0]
     assert result.metrics["recon_rmse"] < 0.03
 
 

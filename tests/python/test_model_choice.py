@@ -296,11 +296,11 @@ def test_the_command_renders_fits_and_relights_with_a_model(
     assert run("decompose", scene, "--out", out, *FEW) == 0
     assert Result.load(out).model == "principled"
     capsys.readouterr()
-    lit = ("relight", out, "--sh", out / "lighting.json", "--quiet", "--out")
-    assert run(*lit, tmp_path / "own.png") == 0
-    assert run(*lit, tmp_path / "said.png", "--model", "principled") == 0
+    lit = ("relight", out, "--sh", out / "lighting.json", "--picture", "light_00")
+    assert run(*lit, "--out", tmp_path / "own.png") == 0
+    assert run(*lit, "--out", tmp_path / "said.png", "--model", "principled") == 0
     assert (tmp_path / "own.png").read_bytes() == (tmp_path / "said.png").read_bytes()
-    assert run(*lit, tmp_path / "other.png", "--model", "paper") == 2
+    assert run(*lit, "--out", tmp_path / "other.png", "--model", "paper") == 2
     assert capsys.readouterr().err == (
         f"pbrfit: {out}: expected a result of model paper, as --model says, found one of model "
         "principled: materials are relit with the model that they were fitted with\n"

@@ -216,8 +216,8 @@ def test_given_normals_are_used(tmp_path: Path) -> None:
 def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
     normals, out = tmp_path / "normals", tmp_path / "out"
     normals.mkdir()
-    command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 1, *TINY, *PAPER,
-               "--quiet", "--predicted-normals", normals)  # fmt: skip
+    command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 1, *TINY,
+               *PAPER, "--quiet", "--predicted-normals", normals)  # fmt: skip
     scene = make_scene("furnished", size=16, lights=4, held_out=4, seed=1000)
     off = []
     for turned, options in ((0.0, ()), (0.2, ("--resume",)), (0.2, ("--resume",))):
