@@ -143,7 +143,7 @@ fn shade<'py>(
 
 #[pyfunction]
 #[pyo3(signature = (normal, view, albedo, roughness, metallic, cotangent, model = "paper"))]
-#[expect(clippy::type_complexity)]
+#[expect(clippy::too_many_arguments, clippy::type_complexity)]
 fn shade_vjp<'py>(
     py: Python<'py>,
     normal: &Bound<'py, PyAny>,
