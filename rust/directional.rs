@@ -10,10 +10,11 @@ use std::f64::consts::{FRAC_1_PI, PI};
 use glam::DVec3;
 
 use crate::ggx::{DIELECTRIC_F0, MIN_COSINE, schlick, smith_g1};
+use crate::lobe_table;
 use crate::model::Model;
-use crate::principled::{Mix, Mixer, Principled};
+use crate::principled::{self, Mixer};
 use crate::render::pictures;
-use crate::shade::{Material, Reflection};
+use crate::shade::Material;
 use crate::{Result, check};
 
 /// Pixels in a piece of work.
@@ -49,12 +50,12 @@ pub struct DirectionalLight {
 /// F = F0 + (1−F0)(1−v·h)⁵,  F0 = 0.04(1−m) + mρ                                       (5)
 /// ```
 ///
-/// and as the principled model has it, with kd, A and B of [`principled`](crate::principled) and the
-/// height-correlated Smith masking V = G/(4 (n·v)(n·l)) (E. Heitz, "Understanding the
+/// and as the principled model has it, with kd and M of [`principled`], Fresnel's equations F_g of
+/// glass, and the height-correlated Smith masking V = G/(4 (n·v)(n·l)) (E. Heitz, "Understanding the
 /// masking-shadowing function in microfacet-based BRDFs", JCGT 2014, eq. 99),
 ///
 /// ```text
-/// f_r = kd + D V (A (1−s) + B s)                                s = (1−v·h)⁵
+/// f_r = kd + D V ((1−m) M(0.04) F_g(v·h) + m M(ρ) F(v·h))       F = ρ + (1−ρ)(1−v·h)⁵
 /// V   = ½ / ((n·l) √((n·v)²(1−α²) + α²) + (n·v) √((n·l)²(1−α²) + α²)).
 /// ```
 ///
@@ -71,8 +72,8 @@ pub struct Surface<'a> {
 /// What of a surface no light changes.
 enum Kind {
     Paper,
-    /// kd, A and B of each channel.
-    Principled([Mix; 3]),
+    /// Of each channel kd, and by what the dielectric's and the metal's lobe are multiplied.
+    Principled([[f64; 3]; 3]),
 }
 
 impl<'a> Surface<'a> {
@@ -81,7 +82,7 @@ impl<'a> Surface<'a> {
         let n_dot_v = normal.dot(view).max(MIN_COSINE);
         let kind = match model {
             Model::Paper => Kind::Paper,
-            Model::Principled => Kind::Principled(mixes(n_dot_v, material)),
+            Model::Principled => Kind::Principled(parts(n_dot_v, material)),
         };
         Self {
             normal,
@@ -104,7 +105,8 @@ impl<'a> Surface<'a> {
             return [0.0; 3];
         }
         let half = bisector.normalize();
-        let grazing = schlick(self.view.dot(half).clamp(0.0, 1.0));
+        let cosine = self.view.dot(half).clamp(0.0, 1.0);
+        let grazing = schlick(cosine);
         let distribution = distribution(self.normal, half, self.alpha);
         let n_dot_v = self.n_dot_v;
         match &self.kind {
@@ -125,28 +127,38 @@ impl<'a> Surface<'a> {
                     (1.0 - fresnel) * matt * rho * n_dot_l + fresnel * lobe
                 })
             }
-            Kind::Principled(mixes) => {
+            Kind::Principled(parts) => {
                 // π D V · (n·l)
                 let lobe = PI * distribution * masked_cosine(n_dot_v, n_dot_l, self.alpha);
-                mixes.map(|mix| {
-                    PI * mix.diffuse * n_dot_l + lobe * (mix.a * (1.0 - grazing) + mix.b * grazing)
-                })
+                let glass = glass(cosine);
+                let mut reflected = [0.0; 3];
+                for c in 0..3 {
+                    let ([ground, dielectric, metal], rho) = (parts[c], self.material.albedo[c]);
+                    let fresnel = dielectric * glass + metal * (rho + (1.0 - rho) * grazing);
+                    reflected[c] = PI * ground * n_dot_l + lobe * fresnel;
+                }
+                reflected
             }
         }
     }
 }
 
-/// kd, A and B of each channel.
-fn mixes(n_dot_v: f64, material: &Material) -> [Mix; 3] {
-    let functions = Principled::functions(n_dot_v, material.roughness);
-    let lobe = functions.lobe();
-    let mixer = Mixer::new(
-        material.metallic,
-        lobe.reflected(),
-        lobe.dielectric(),
-        lobe.mean(),
-    );
-    material.albedo.map(|rho| mixer.mix(rho)[0])
+/// See [`Kind::Principled`].
+fn parts(n_dot_v: f64, material: &Material) -> [[f64; 3]; 3] {
+    let [values, _, _] = lobe_table::values(material.roughness, n_dot_v);
+    let mixer = Mixer::new(material.metallic, principled::Surface::of(|f| values[f]));
+    material.albedo.map(|rho| mixer.parts(rho))
+}
+
+/// Fresnel's equations for unpolarised light at an index of refraction of 1.5, 0.04 head on.
+#[inline]
+fn glass(cosine: f64) -> f64 {
+    // In the form of R. L. Cook, K. E. Torrance, "A reflectance model for computer graphics", 1982,
+    // with g = √(1.5² − 1 + c²).
+    let c = cosine;
+    let g = (1.25 + c * c).sqrt();
+    let (across, along) = ((g - c) / (g + c), (c * (g + c) - 1.0) / (c * (g - c) + 1.0));
+    0.5 * across * across * (1.0 + along * along)
 }
 
 /// D of the angle θ between n and h.

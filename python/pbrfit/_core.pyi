@@ -44,7 +44,8 @@ def ggx_band_weights(
     r: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 def lobe_functions(
-    r: NDArray[np.float64], cosine: NDArray[np.float64]
+    r: NDArray[np.float64],
+    cosine: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 def lobe_table() -> bytes: ...
 def shade(

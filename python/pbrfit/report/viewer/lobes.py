@@ -15,8 +15,7 @@ from pbrfit.report.viewer.maps import prediction_errors
 
 HEADER = struct.Struct("<8s2I4f")
 STORED = 24
-FUNCTIONS = 20
-"""Of roughness and n·v; one more, the mean albedo, is of roughness alone."""
+FUNCTIONS = 22
 
 CODES = 65535
 """Largest code; 0 is a function's least coefficient."""
@@ -28,11 +27,10 @@ def data() -> dict[str, Any]:
     The functions are cubic B-splines over s(n·v) and t(r), w(1+c) x/(x+c) + (1−w) x with a c and w
     of their own (tools/lobe_table.py). `axes` are their numbers of cells, c and w. A coefficient is
     `low` plus `step` times its code. `codes` is a zlib stream in base64, prediction errors as in
-    `maps.packed`: a plane for each function of n·v (a column) and r (a row), then the mean albedo,
-    a column.
+    `maps.packed`: a plane of n·v (columns) and r (rows) for each function.
     """
     axes, coefficients = _splines()
-    planes = [*np.moveaxis(coefficients[..., :FUNCTIONS], -1, 0), coefficients[:, :1, FUNCTIONS]]
+    planes = np.moveaxis(coefficients[..., :FUNCTIONS], -1, 0)
     low = [float(plane.min()) for plane in planes]
     step = [float(np.ptp(plane)) / CODES for plane in planes]
     deflate = zlib.compressobj(6, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_RLE)

@@ -16,29 +16,19 @@ async function unpacked(text, units, width, height) {
   return planes;
 }
 
-/** The splines of pbrfit.report.viewer.lobes as texels: five a node, and a last column for Ē. */
+/** The splines of pbrfit.report.viewer.lobes as texels, those of a node side by side. */
 async function unpackedLobes({ axes, low, step, codes }) {
   const bytes = await inflated(codes);
   const [columns, rows] = axes.map(([cells]) => cells + 3);
   const count = columns * rows;
-  const functions = low.length - 1;
-  if (bytes.length !== 2 * (functions * count + rows)) {
-    throw new Error("the table in this page is damaged");
-  }
-  const width = (functions / 4) * columns + 1;
-  const texels = new Float32Array(4 * width * rows);
-  for (let f = 0; f < functions; f++) {
+  if (bytes.length !== 2 * count * low.length) throw new Error("the table in this page is damaged");
+  const stride = 4 * Math.ceil(low.length / 4);
+  const texels = new Float32Array(stride * count);
+  for (let f = 0; f < low.length; f++) {
     const plane = undone(bytes.subarray(2 * count * f, 2 * count * (f + 1)), columns);
-    for (let i = 0; i < count; i++) {
-      const row = Math.floor(i / columns);
-      const texel = row * width + (functions / 4) * (i - row * columns) + (f >> 2);
-      texels[4 * texel + (f & 3)] = low[f] + step[f] * plane[i];
-    }
+    for (let i = 0; i < count; i++) texels[stride * i + f] = low[f] + step[f] * plane[i];
   }
-  undone(bytes.subarray(2 * count * functions), 1).forEach((code, row) => {
-    texels[4 * ((row + 1) * width - 1)] = low[functions] + step[functions] * code;
-  });
-  return { axes, width, height: rows, texels };
+  return { axes, width: (stride / 4) * columns, height: rows, texels };
 }
 
 async function inflated(text) {

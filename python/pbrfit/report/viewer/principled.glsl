@@ -5,7 +5,7 @@
 // In the pixel's frame (z = normal, x towards the mirror's side) only the ten SH functions even in y
 // answer; G_j are the light's coefficients of these. a_j and b_j come from a table, divided by s^m
 // with s the sine between normal and view; s^m is put into G_j by an axis x that is s long.
-uniform sampler2D lobes;  // cubic B-splines: five texels a node of (n·v, r), and a column for Ē(r)
+uniform sampler2D lobes;  // cubic B-splines: six texels a node of (n·v, r)
 uniform vec3 axes[2];     // by n·v and r: cells, and c and w of w(1+c) x/(x+c) + (1−w) x
 
 // Slopes of the light's radiance in band 2, and in band 3, as a homogeneous polynomial, at d: by x,
@@ -48,26 +48,25 @@ int place(vec3 axis, float x, out vec4 weights) {
   return cell;
 }
 
-// a_0 ... a_9, b_0 ... b_9 in order, and Ē.
-struct Lobe { vec4 a03, a47, a89_b01, b25, b69; float mean; };
+// a_0 ... a_9, b_0 ... b_9, Ē and κ.
+struct Lobe { vec4 a03, a47, a89_b01, b25, b69, rest; };
 
 Lobe lobe(float cosine, float roughness) {
   vec4 across, along;
-  int column = 5 * place(axes[0], cosine, across), row = place(axes[1], roughness, along);
-  int last = textureSize(lobes, 0).x - 1;
+  int column = 6 * place(axes[0], cosine, across), row = place(axes[1], roughness, along);
   vec4 zero = vec4(0.0);
-  Lobe sum = Lobe(zero, zero, zero, zero, zero, 0.0);
+  Lobe sum = Lobe(zero, zero, zero, zero, zero, zero);
   for (int j = 0; j < 4; j++) {
     for (int i = 0; i < 4; i++) {
-      ivec2 node = ivec2(column + 5 * i, row + j);
+      ivec2 node = ivec2(column + 6 * i, row + j);
       float weight = across[i] * along[j];
       sum.a03 += weight * texelFetch(lobes, node, 0);
       sum.a47 += weight * texelFetch(lobes, node + ivec2(1, 0), 0);
       sum.a89_b01 += weight * texelFetch(lobes, node + ivec2(2, 0), 0);
       sum.b25 += weight * texelFetch(lobes, node + ivec2(3, 0), 0);
       sum.b69 += weight * texelFetch(lobes, node + ivec2(4, 0), 0);
+      sum.rest += weight * texelFetch(lobes, node + ivec2(5, 0), 0);
     }
-    sum.mean += along[j] * texelFetch(lobes, ivec2(last, row + j), 0).r;
   }
   return sum;
 }
@@ -81,9 +80,10 @@ vec3 multiplied(vec3 f0, float energy, float mean) {
 vec3 radiance(vec3 normal, vec3 view, float facing, vec3 albedo, float roughness, float metallic) {
   Lobe f = lobe(clamp(facing, 1e-4, 1.0), roughness);
   float base = 3.54490770181103 * f.a03.x, grazing = 3.54490770181103 * f.a89_b01.z;  // 2 √π
-  vec3 metal = metallic * multiplied(albedo, base + grazing, f.mean);
-  vec3 plastic = (1.0 - metallic) * multiplied(vec3(0.04), base + grazing, f.mean);
-  vec3 body = (1.0 - metallic) * (1.0 - 0.04 * base - grazing) / PI * albedo;
+  vec3 metal = metallic * multiplied(albedo, base + grazing, f.rest.x);
+  float gloss = f.rest.y * multiplied(vec3(0.04), base + grazing, f.rest.x).x;
+  float plastic = (1.0 - metallic) * gloss;
+  vec3 body = (1.0 - metallic) * (1.0 - gloss * (0.04 * base + grazing)) / PI * albedo;
 
   vec3 axis = dot(normal, view) * normal - view;
   float ss = dot(axis, axis);
