@@ -25,8 +25,9 @@ from pbrfit.cli import main
 from pbrfit.color import encode_srgb
 from pbrfit.differences import PALETTE, WHITE
 from pbrfit.history import History, HistoryRow
-from pbrfit.model import render
+from pbrfit.model import Model, render
 from pbrfit.report import budget, lights, originals, write_report
+from pbrfit.report.page import REFLECTION
 from pbrfit.result import Options, Status
 from pbrfit.synthetic import make_scene
 
@@ -66,6 +67,16 @@ def in_memory(**changes: object) -> tuple[Scene, Result]:
     made = make_scene("room", size=SIZE, lights=3, noise=0.01)
     scene = dataclasses.replace(made, truth=None, **changes)  # type: ignore[arg-type]
     return scene, decompose(scene, iterations=3)
+
+
+def test_the_page_says_what_its_maps_are_maps_of(folder: Path, tmp_path: Path, page: Page) -> None:
+    found = Result.load(folder / "result")
+    other: Model = "paper" if found.model == "principled" else "principled"
+    of_other = written(dataclasses.replace(found, model=other), tmp_path / "page.html")
+    for shown, model in ((page, found.model), (of_other, other)):
+        assert f"reflection model {model}" in shown.text
+        assert REFLECTION[model] in shown.text
+    assert REFLECTION[found.model] not in of_other.text
 
 
 def test_ids_are_unique_and_nothing_refers_to_anything_outside(page: Page) -> None:
@@ -476,6 +487,7 @@ def noise(size: int, pictures: int) -> tuple[Scene, Result]:
         normals=normals,
         mask=scene.valid,
         fov=60.0,
+        model="paper",
         pictures=names,
         status=Status.ITERATION_LIMIT,
         stop_reason="0 iterations asked for",
@@ -560,7 +572,7 @@ def test_light_from_everywhere_has_no_direction_and_its_mean_is_its_radiance() -
     assert light.directed == 0.0
     assert light.negative == 0.0
     assert lights.measure(np.zeros((16, 3))).mean == 0.0
-    balls, radiance = lights.balls_and_panorama(coefficients, light)
+    balls, radiance = lights.balls_and_panorama(coefficients, light, "paper")
     # A mirror shows the light as it is.
     middle = balls[48, 104 + 48]
     np.testing.assert_allclose(middle, 1.0, atol=0.02)
@@ -569,7 +581,7 @@ def test_light_from_everywhere_has_no_direction_and_its_mean_is_its_radiance() -
 
 def test_negative_radiance_is_hatched() -> None:
     coefficients = np.outer(sh_basis(np.array([0.0, 0.0, 1.0])), np.ones(3))
-    _, shown = lights.balls_and_panorama(coefficients, lights.measure(coefficients))
+    _, shown = lights.balls_and_panorama(coefficients, lights.measure(coefficients), "paper")
     codes = {round(float(v), 3) for v in np.unique(shown)}
     assert {0.1, 0.6} <= codes
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import DEFAULT_MODEL, Model, chosen_model, render
 from pbrfit.scene import Scene
 from pbrfit.synthetic import SceneKind, make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
@@ -69,6 +70,7 @@ def case(
     size: int = 64,
     noise: float = 0.01,
     kind: SceneKind = "room",
+    model: Model = DEFAULT_MODEL,
 ) -> Scene:
     """Make a scene of a case, with its truth and held-out lights.
 
@@ -91,7 +93,7 @@ def case(
         Width and height of the pictures in pixels.
     noise
         Standard deviation of the noise, in radiance; the pictures have a mean of 0.4.
-    kind
+    kind, model
         As for `make_scene`.
 
     Raises
@@ -103,7 +105,7 @@ def case(
         raise InputError(f"case: expected one of {', '.join(CASES)}, found {name!r}")
     if not 0.0 <= noise < np.inf:
         raise InputError(f"noise: expected a finite standard deviation >= 0, found {noise}")
-    scene = make_scene(kind, size=size, lights=PICTURES, held_out=PICTURES, seed=seed)
+    scene = make_scene(kind, size=size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model)
     assert scene.truth is not None
     assert scene.segments is not None
     # The first four are make_scene's own, and the fourth is its noise.
@@ -248,7 +250,10 @@ def _rendered(scene: Scene, materials: Materials, noise: float, rng: Generator) 
     assert truth is not None
     assert truth.lighting is not None
     assert truth.relight_lighting is not None
-    images = render(materials, scene.normals, truth.lighting, scene.fov)
+    rendered = partial(
+        render, materials, scene.normals, fov=scene.fov, model=chosen_model(None, scene.model)
+    )
+    images = rendered(truth.lighting)
     exposure = MEAN_RADIANCE / images.mean()
     images *= exposure
     if noise > 0.0:
@@ -261,7 +266,7 @@ def _rendered(scene: Scene, materials: Materials, noise: float, rng: Generator) 
             truth,
             materials=materials,
             lighting=exposure * truth.lighting,
-            relight_images=render(materials, scene.normals, relight_lighting, scene.fov),
+            relight_images=rendered(relight_lighting),
             relight_lighting=relight_lighting,
         ),
     )

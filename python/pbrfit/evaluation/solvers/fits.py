@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import metrics
-from pbrfit.model import render
+from pbrfit.model import DEFAULT_MODEL, Model, chosen_model, render
 from pbrfit.objective import Objective
 from pbrfit.priors import Priors
 from pbrfit.result import Result
@@ -36,10 +36,23 @@ def fit(scene: Scene, solver: Name, **options: Any) -> Result:
     return decompose(scene, solver=chosen, refine_normals="off", **options)
 
 
-def room(seed: int, size: int, *, noise: float = 0.0, held_out: int = PICTURES) -> Scene:
+def room(
+    seed: int,
+    size: int,
+    *,
+    noise: float = 0.0,
+    held_out: int = PICTURES,
+    model: Model = DEFAULT_MODEL,
+) -> Scene:
     """Make a furnished room as in table1's base row: 16 pictures of mean radiance 0.4."""
     return make_scene(
-        "furnished", size=size, lights=PICTURES, held_out=held_out, seed=seed, noise=noise
+        "furnished",
+        size=size,
+        lights=PICTURES,
+        held_out=held_out,
+        seed=seed,
+        noise=noise,
+        model=model,
     )
 
 
@@ -58,7 +71,10 @@ def residual(scene: Scene, result: Result, threads: int = 0) -> float:
     """RMS difference of pictures and reconstruction, rendered and compared in float64."""
     found = [
         metrics.rmse(
-            render(result.materials, scene.normals, light, scene.fov, threads), scene.images[i]
+            render(
+                *(result.materials, scene.normals, light, scene.fov, threads), model=result.model
+            ),
+            scene.images[i],
         )
         for i, light in enumerate(result.lighting)
     ]
@@ -71,11 +87,12 @@ def clean_residual(scene: Scene, result: Result, threads: int = 0) -> float:
     assert truth is not None
     assert truth.lighting is not None
 
-    def pictures(materials: Any, lighting: Array) -> Array:
-        return render(materials, scene.normals, lighting, scene.fov, threads)
+    def pictures(materials: Any, lighting: Array, model: Model) -> Array:
+        return render(materials, scene.normals, lighting, scene.fov, threads, model=model)
 
     return metrics.rmse(
-        pictures(result.materials, result.lighting), pictures(truth.materials, truth.lighting)
+        pictures(result.materials, result.lighting, result.model),
+        pictures(truth.materials, truth.lighting, chosen_model(None, scene.model)),
     )
 
 
@@ -101,7 +118,7 @@ def objective_value(
         A loss and its scale in units of the scaled pictures; None = squares, which are computed in
         float64. A robust loss comes from the fast objective in float32.
     """
-    objective = Objective(scene, threads=threads, priors=priors)
+    objective = Objective(scene, threads=threads, priors=priors, model=result.model)
     materials = result.materials
     x = objective.pack(
         materials.albedo, materials.roughness, materials.metallic, result.lighting
