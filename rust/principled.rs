@@ -310,8 +310,8 @@ impl<T: Real> Mixer<T> {
     }
 
     /// kd, and by what the dielectric's and the metal's lobe are multiplied.
-    pub(crate) fn parts(&self, albedo: f64) -> [f64; 3] {
-        let (m, matt) = (self.metallic, 1.0 - self.metallic);
+    pub(crate) fn parts(&self, albedo: T) -> [T; 3] {
+        let (m, matt) = (self.metallic, self.matt());
         [
             matt * albedo * self.transmitted,
             matt * self.gain.value,
