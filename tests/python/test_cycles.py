@@ -220,6 +220,7 @@ def test_the_key_depends_on_all_that_matters(fake_worker: Fake) -> None:
         replace(same, seed=1),
         replace(same, transport="shadows"),
         replace(same, specular=0.0),
+        replace(same, distribution="MULTI_GGX"),
         replace(same, positions=np.zeros((1, 3))),
         replace(same, stage=export(of, 9, 60.0)),
         replace(same, stage=export(of, 8, 50.0)),
@@ -301,6 +302,10 @@ def test_without_bpy_there_is_a_reason(monkeypatch: pytest.MonkeyPatch, tmp_path
     [
         ({"light": "sun"}, "^light: expected one of panorama, points, found 'sun'"),
         ({"transport": "all"}, "^transport: expected one of brdf, shadows, full, found 'all'"),
+        (
+            {"distribution": "Beckmann"},
+            "^distribution: expected one of GGX, MULTI_GGX, found 'Beckmann'",
+        ),
         ({"shell": "none"}, "^shell: expected one of stage, open, found 'none'"),
         ({"lights": 0}, "^lights, held_out: expected 1 or more, found 0 and 16"),
         ({"samples": 0}, "^samples: expected a number from 1, found 0"),

@@ -15,6 +15,7 @@ a difference of models, not an error.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +25,21 @@ from numpy.typing import NDArray
 from pbrfit.geometry import view_directions
 from pbrfit.model import sh_basis, shade
 from pbrfit.synthetic.cycles.export import export
-from pbrfit.synthetic.cycles.job import Job, Rendered, rendered
+from pbrfit.synthetic.cycles.job import Job, rendered
 from pbrfit.synthetic.cycles.scene import inner_pixels
-from pbrfit.synthetic.geometry import Sphere
+from pbrfit.synthetic.cycles.spheres import (
+    FOV,
+    relative_rmse,
+    render_sphere,
+    under,
+    where_met,
+)
 from pbrfit.synthetic.lights import random_lights
-from pbrfit.synthetic.surfaces import Layers, Paint
+from pbrfit.synthetic.surfaces import Paint
 from pbrfit.synthetic.world import World
 
 Array = NDArray[np.float64]
 
-FOV = 60.0
-_DISTANCE = 3.0
 _POLISHED = 0.05  # roughness; α = 0.0025 spreads reflections by less than half a degree
 _PLASTIC = Paint(albedo=np.array([0.6, 0.3, 0.1]), roughness=0.5, metallic=0.0)
 _LAMP = np.array([1.5, 1.0, -0.5])
@@ -116,29 +121,30 @@ def check_spheres(
     lights = random_lights(4, np.random.default_rng(0))
     white = Paint(albedo=np.ones(3), roughness=1.0, metallic=0.0)
     chrome = Paint(albedo=np.ones(3), roughness=_POLISHED, metallic=1.0)
-    diffuse = _sphere(white, size, samples, 0.0, None, cache, threads)
-    metal = _sphere(chrome, size, samples, 0.5, None, cache, threads)
-    plastic = _sphere(_PLASTIC, size, samples, 0.5, None, cache, threads)
-    lit = _sphere(white, size, 1, 0.0, _LAMP, cache, threads)
+    pictures = partial(render_sphere, size=size, cache=cache, threads=threads)
+    diffuse = pictures(white, samples=samples, specular=0.0)
+    metal = pictures(chrome, samples=samples)
+    plastic = pictures(_PLASTIC, samples=samples)
+    lit = pictures(white, samples=1, specular=0.0, lamp=_LAMP)
 
     seen = inner_pixels(diffuse.segments, diffuse.normals, FOV)
     views = view_directions(size, size, FOV)[seen]
-    normals, points = _exact(views)
+    normals, points = where_met(views)
     mirror = 2 * np.einsum("pi,pi->p", normals, views)[:, None] * normals - views
     expected = {
         "diffuse": sh_basis(normals) * _BANDS / np.pi,
         "metal": sh_basis(mirror),
     }
     found = {
-        "diffuse": _under(diffuse, lights)[:, seen],
-        "metal": _under(metal, lights)[:, seen],
+        "diffuse": under(diffuse, lights)[:, seen],
+        "metal": under(metal, lights)[:, seen],
     }
-    errors = {name: _relative(found[name], of @ lights) for name, of in expected.items()}
+    errors = {name: relative_rmse(found[name], of @ lights) for name, of in expected.items()}
     # Y(±x, ±y, ±z): a mirrored axis changes the sign of some basis functions and of no other.
     probe = np.array([[0.36, 0.48, 0.8]])
     flips = [sh_basis(probe * (1 - 2 * axis)) / sh_basis(probe) for axis in np.eye(3)]
     mirrored = [
-        _relative(found[name], (of * flip) @ lights)
+        relative_rmse(found[name], (of * flip) @ lights)
         for name, of in expected.items()
         for flip in flips
     ]
@@ -154,9 +160,9 @@ def check_spheres(
     return SphereCheck(
         diffuse=errors["diffuse"],
         metal=errors["metal"],
-        point_light=_relative(lit.radiance[0][seen][:, 0], radiance),
+        point_light=relative_rmse(lit.radiance[0][seen][:, 0], radiance),
         mirrored=min(mirrored),
-        plastic=_relative(closed, _under(plastic, lights)[:, seen]),
+        plastic=relative_rmse(closed, under(plastic, lights)[:, seen]),
         normals=float(np.degrees(np.arccos(np.minimum(angles, 1.0)).max())),
         size=size,
         samples=samples,
@@ -200,47 +206,3 @@ def check_truth(
         segments=float(np.mean(found.segments != ours.segments)),
         pixels=float(np.mean(inner)),
     )
-
-
-def _sphere(
-    paint: Paint,
-    size: int,
-    samples: int,
-    specular: float,
-    lamp: Array | None,
-    cache: Path | None,
-    threads: int,
-) -> Rendered:
-    world = World(
-        primitives=(Sphere(centre=np.array([0.0, 0.0, -_DISTANCE]), radius=1.0),),
-        surfaces=(Layers(paint),),
-        walls=0,
-        eye=np.zeros(3),
-        turn=np.eye(3),
-    )
-    job = Job(
-        export(world, size, FOV),
-        None if lamp is None else lamp[None],
-        "brdf",
-        samples=samples,
-        specular=specular,
-    )
-    return rendered(job, cache=cache, threads=threads)
-
-
-def _exact(views: Array) -> tuple[Array, Array]:
-    """Normals (P, 3) and points (P, 3) where rays along -views meet the unit sphere."""
-    centre = np.array([0.0, 0.0, -_DISTANCE])
-    along = -views @ centre
-    offset = -along[:, None] * views - centre
-    half_chord = np.sqrt(1.0 - np.einsum("pi,pi->p", offset, offset))
-    points = -(along - half_chord)[:, None] * views
-    return points - centre, points
-
-
-def _under(of: Rendered, lights: Array) -> Array:
-    return np.asarray(np.einsum("khwc,nkc->nhwc", of.radiance.astype(np.float64), lights))
-
-
-def _relative(found: Array, expected: Array) -> float:
-    return float(np.sqrt(np.mean((found - expected) ** 2)) / np.mean(expected))
