@@ -9,7 +9,7 @@ import numpy as np
 
 from pbrfit.drawing import BLACK, BLUE, GREEN, GREY, ORANGE, as_png, new_figure
 from pbrfit.evaluation.gap import Array, Gap
-from pbrfit.evaluation.gap.spheres import ALBEDOS, DISTRIBUTIONS, NOISE, SUBSTANCES, Spheres
+from pbrfit.evaluation.gap.spheres import ALBEDOS, NOISE, Spheres
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,9 +103,11 @@ def draw_spheres(gap: Gap) -> bytes:
 def draw_cycles(spheres: Spheres) -> bytes:
     """Errors on Cycles' spheres over roughness: a row a distribution, a column a substance."""
     figure = new_figure(10, 6.4)
-    grid = figure.subplots(len(DISTRIBUTIONS), len(SUBSTANCES), sharex=True, sharey=True)
-    for row, distribution in zip(grid, DISTRIBUTIONS, strict=True):
-        for axes, substance in zip(row, SUBSTANCES, strict=True):
+    grid = figure.subplots(
+        len(spheres.effort.distributions), len(spheres.effort.substances), sharex=True, sharey=True
+    )
+    for row, distribution in zip(grid, spheres.effort.distributions, strict=True):
+        for axes, substance in zip(row, spheres.effort.substances, strict=True):
             for model, color in (("paper", BLUE), ("principled", ORANGE), (NOISE, GREY)):
                 errors = spheres.errors[distribution, substance.key, model]
                 for c, albedo in enumerate(ALBEDOS):

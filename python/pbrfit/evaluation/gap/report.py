@@ -11,9 +11,7 @@ from pbrfit.evaluation import page, summary
 from pbrfit.evaluation.gap import BANDS, INTEGRATED, Gap, plots
 from pbrfit.evaluation.gap.spheres import (
     ALBEDOS,
-    DISTRIBUTIONS,
     LEAST_COSINE,
-    SUBSTANCES,
     Spheres,
 )
 from pbrfit.evaluation.page import Cell, Figure, Section, Table
@@ -243,7 +241,7 @@ def _cycles(spheres: Spheres | str) -> Iterator[Section]:
             "those above it: in E_d, what the dielectric lobe keeps from the body, and in the "
             "dielectric's Fresnel term.",
         ],
-        [_cycles_table(spheres, distribution) for distribution in DISTRIBUTIONS],
+        [_cycles_table(spheres, distribution) for distribution in spheres.effort.distributions],
         [Figure("cycles", plots.draw_cycles(spheres), "Errors on spheres by Cycles.")],
     )
 
@@ -310,7 +308,7 @@ def _cycles_table(spheres: Spheres, distribution: Distribution) -> Table:
                 for errors in spheres.errors[distribution, substance.key, model]
             ),
         ]
-        for substance in SUBSTANCES
+        for substance in spheres.effort.substances
         for model in models
     ]
     return Table(columns, rows, f"distribution {distribution}")

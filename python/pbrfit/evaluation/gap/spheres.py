@@ -29,8 +29,6 @@ from pbrfit.synthetic.surfaces import Paint
 
 Array = NDArray[np.float64]
 
-DISTRIBUTIONS: tuple[Distribution, ...] = get_args(Distribution)
-
 ALBEDOS = (0.05, 0.5, 0.9)
 """Of red, green and blue."""
 
@@ -58,12 +56,26 @@ SUBSTANCES = (
 
 @dataclass(frozen=True)
 class Effort:
-    """How it is measured: pixels a side, paths a pixel (both renders), roughnesses, lights."""
+    """How it is measured.
+
+    Attributes
+    ----------
+    size, samples
+        Pixels a side; paths a pixel of both renders together.
+    r
+        Roughnesses.
+    lights
+        Number of random lights.
+    distributions, substances
+        What is rendered.
+    """
 
     size: int = 64
     samples: int = 1600
     r: tuple[float, ...] = (0.35, 0.5, 0.7, 1.0)
     lights: int = 4
+    distributions: tuple[Distribution, ...] = get_args(Distribution)
+    substances: tuple[Substance, ...] = SUBSTANCES
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +133,9 @@ def measure(
     errors: dict[tuple[Distribution, str, str], Array] = {}
     for i, r in enumerate(effort.r):
         progress(r)
-        for distribution in DISTRIBUTIONS:
+        for distribution in effort.distributions:
             compared = {**models, **_integrals(distribution)}
-            for substance in SUBSTANCES:
+            for substance in effort.substances:
                 pictures, noise, normals, views = _pictures(
                     substance, r, distribution, effort, lights, cache, threads
                 )

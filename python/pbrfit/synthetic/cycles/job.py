@@ -112,7 +112,7 @@ class Job:
     samples: int
     seed: int = 0
     specular: float = 0.5
-    distribution: Distribution = "GGX"
+    distribution: Distribution = "MULTI_GGX"
 
     def __post_init__(self) -> None:
         check_choice("transport", self.transport, get_args(Transport))

@@ -48,7 +48,7 @@ def render_scene(
     seed: int = 0,
     samples: int | None = None,
     shell: Shell = "stage",
-    distribution: Distribution = "GGX",
+    distribution: Distribution = "MULTI_GGX",
     cache: Path | None = None,
     threads: int = 2,
     timeout: float = 3600.0,

@@ -27,7 +27,7 @@ def render_sphere(
     samples: int,
     *,
     specular: float = 0.5,
-    distribution: Distribution = "GGX",
+    distribution: Distribution = "MULTI_GGX",
     lamp: Array | None = None,
     seed: int = 0,
     cache: Path | None = None,
