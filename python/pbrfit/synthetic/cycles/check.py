@@ -8,12 +8,13 @@ an axis unnoticed. Three spheres:
 - White polished metal. It mirrors: radiance is L(2 (n·v) n - v), in all four bands.
 - White and diffuse again, under one point light: radiance is cos θ / d² in `Rendered`'s unit.
 
-A fourth, of plastic, is compared with the closed form that the package fits. What remains there is
-a difference of models, not an error.
+A fourth, of plastic, is compared with the models that the package fits. What remains there is a
+difference of models, not an error.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.geometry import view_directions
-from pbrfit.model import sh_basis, shade
+from pbrfit.model import MODELS, sh_basis, shade
 from pbrfit.synthetic.cycles.export import export
 from pbrfit.synthetic.cycles.job import Job, rendered
 from pbrfit.synthetic.cycles.scene import inner_pixels
@@ -58,7 +59,7 @@ class SphereCheck:
         The smallest that comes out if the expected light is mirrored in x, y or z, on the white or
         the metal sphere: what a wrong axis would show as.
     plastic
-        Of the closed form against Cycles, albedo (0.6, 0.3, 0.1), roughness 0.5.
+        Of the package's models against Cycles, by name; albedo (0.6, 0.3, 0.1), roughness 0.5.
     normals
         Largest angle between Cycles' normals and the sphere's, in degrees.
     size, samples
@@ -69,7 +70,7 @@ class SphereCheck:
     metal: float
     point_light: float
     mirrored: float
-    plastic: float
+    plastic: Mapping[str, float]
     normals: float
     size: int
     samples: int
@@ -154,15 +155,21 @@ def check_spheres(
     cosine = np.einsum("pi,pi->p", normals, towards) / distance
     radiance = np.maximum(cosine, 0.0) / distance**2
 
-    weights = shade(normals, views, _PLASTIC.albedo, _PLASTIC.roughness, _PLASTIC.metallic)
-    closed = np.einsum("pck,nkc->npc", weights, lights)
+    of_plastic = (normals, views, _PLASTIC.albedo, _PLASTIC.roughness, _PLASTIC.metallic)
+    by_model = {
+        model: np.einsum("pck,nkc->npc", shade(*of_plastic, model=model), lights)
+        for model in MODELS
+    }
     angles = np.einsum("pi,pi->p", diffuse.normals[seen], normals)
     return SphereCheck(
         diffuse=errors["diffuse"],
         metal=errors["metal"],
         point_light=relative_rmse(lit.radiance[0][seen][:, 0], radiance),
         mirrored=min(mirrored),
-        plastic=relative_rmse(closed, under(plastic, lights)[:, seen]),
+        plastic={
+            model: relative_rmse(closed, under(plastic, lights)[:, seen])
+            for model, closed in by_model.items()
+        },
         normals=float(np.degrees(np.arccos(np.minimum(angles, 1.0)).max())),
         size=size,
         samples=samples,
