@@ -9,7 +9,7 @@ import numpy as np
 
 from pbrfit.drawing import BLACK, BLUE, GREEN, GREY, ORANGE, as_png, new_figure
 from pbrfit.evaluation.gap import Array, Gap
-from pbrfit.evaluation.gap.spheres import ALBEDOS, NOISE, Spheres
+from pbrfit.evaluation.gap.spheres import ALBEDOS, NOISE, SINGLE, Spheres
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +23,8 @@ LINES = ("-", "--", ":", "-.")
 
 RATIO_SPAN = 4.0
 """Ratios from 1/4 to 4 have colours of their own."""
+
+CYCLES_COLORS = {"paper": BLUE, "principled": ORANGE, SINGLE: GREEN, NOISE: GREY}
 
 DARK = 0.62
 """Share of the colour scale beyond which print on it is white."""
@@ -102,15 +104,19 @@ def draw_spheres(gap: Gap) -> bytes:
 
 def draw_cycles(spheres: Spheres) -> bytes:
     """Errors on Cycles' spheres over roughness: a row a distribution, a column a substance."""
+    from matplotlib.lines import Line2D
+
     figure = new_figure(10, 6.4)
     grid = figure.subplots(
         len(spheres.effort.distributions), len(spheres.effort.substances), sharex=True, sharey=True
     )
     for row, distribution in zip(grid, spheres.effort.distributions, strict=True):
         for axes, substance in zip(row, spheres.effort.substances, strict=True):
-            for model, color in (("paper", BLUE), ("principled", ORANGE), (NOISE, GREY)):
-                errors = spheres.errors[distribution, substance.key, model]
-                for c, albedo in enumerate(ALBEDOS):
+            for model, color in CYCLES_COLORS.items():
+                errors = spheres.errors.get((distribution, substance.key, model))
+                if errors is None:
+                    continue
+                for c in range(len(ALBEDOS)):
                     axes.plot(
                         spheres.effort.r,
                         errors[:, c],
@@ -119,7 +125,6 @@ def draw_cycles(spheres: Spheres) -> bytes:
                         linestyle=LINES[c],
                         markersize=5,
                         linewidth=1.4,
-                        label=f"{model}, albedo {albedo:g}",
                     )
             axes.set(title=f"{substance.name}, {distribution}", yscale="log")
             _tidy(axes)
@@ -127,8 +132,14 @@ def draw_cycles(spheres: Spheres) -> bytes:
         axes.set_xlabel("roughness r")
     for axes in grid[:, 0]:
         axes.set_ylabel("RMSE / mean radiance")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    colors = [Line2D([], [], color=of) for of in CYCLES_COLORS.values()]
+    figure.legend(colors, CYCLES_COLORS, loc="outside lower center", ncols=4, frameon=False)
+    marked = [
+        Line2D([], [], color=BLACK, marker=MARKERS[c], linestyle=LINES[c], markersize=5)
+        for c in range(len(ALBEDOS))
+    ]
+    names = [f"albedo {albedo:g}" for albedo in ALBEDOS]
+    grid[-1, 0].legend(marked, names, loc="center", frameon=False)
     figure.suptitle("Spheres by Cycles, no bounces, known lights and materials")
     return as_png(figure, DPI)
 

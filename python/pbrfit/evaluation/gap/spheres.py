@@ -36,6 +36,7 @@ LEAST_COSINE = 0.15
 """Pixels with a smaller n·v are left out: there one pixel's normals differ by many degrees."""
 
 NOISE = "noise of the renders"
+SINGLE = "integral without light between facets"
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ def _integrals(distribution: Distribution) -> dict[str, Model]:
     """What the model might be instead, by name."""
     chosen: dict[Distribution, dict[str, Choices]] = {
         "GGX": {
-            "integral without light between facets": Choices(multiple=False),
+            SINGLE: Choices(multiple=False),
             "and E_d/E held back": Choices(multiple=False, held_back="full"),
             "and Fresnel's equations": Choices(False, held_back="full", fresnel="equations"),
         },
