@@ -10,6 +10,8 @@ use glam::DVec3;
 use pbrfit::band_table::TABLE;
 use pbrfit::directional::{DirectionalLight, render_directional};
 use pbrfit::ggx;
+use pbrfit::model::Model;
+use pbrfit::paper::Paper;
 use pbrfit::pixel_fit::Search;
 use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::reduced::Elimination;
@@ -54,7 +56,7 @@ fn bands(c: &mut Criterion) {
 }
 
 fn pixel(c: &mut Criterion) {
-    let frame = Frame::new(DVec3::new(0.0, 0.6, 0.8), DVec3::Z);
+    let frame = Frame::<Paper>::new(DVec3::new(0.0, 0.6, 0.8), DVec3::Z);
     let material = Material {
         albedo: [0.7, 0.5, 0.3],
         roughness: 0.5,
@@ -69,7 +71,7 @@ fn pixel(c: &mut Criterion) {
     let (normal, view) = (DVec3::new(0.0, 0.6, 0.8), DVec3::Z);
     group.bench_function("TurningFrame, shade_vjp_by_normal", |b| {
         b.iter(|| {
-            let turning = TurningFrame::new(black_box(normal), view);
+            let turning = TurningFrame::<Paper>::new(black_box(normal), view);
             shade_vjp_by_normal(&turning, &material, &cotangent)
         });
     });
@@ -176,6 +178,7 @@ fn pixel_fit(c: &mut Criterion) {
         &example.views,
         &example.materials(),
         &lighting,
+        Model::Paper,
         1,
     );
     example.images = radiance.unwrap().iter().map(|&v| v as f32).collect();
@@ -295,6 +298,7 @@ fn forward(c: &mut Criterion) {
                         &example.views,
                         &materials,
                         lighting,
+                        Model::Paper,
                         threads,
                     )
                     .unwrap()

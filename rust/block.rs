@@ -17,10 +17,11 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use crate::band_table::{FUNCTIONS, TABLE};
-use crate::ggx::Bands;
 use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
-use crate::shade::{Factors, Frame, Material};
+use crate::shade::{
+    self, BlockFunctions, Factors, MAX_ENTRIES, MAX_FUNCTIONS, MAX_ROWS, Material, Reflection,
+    each_entry, first_entry,
+};
 use crate::simd::{Ahead, Isa, Kernel, Vectors};
 
 /// Pixels in a block.
@@ -53,13 +54,23 @@ pub struct Directions<T = f32> {
     mirror: [Plane<T>; 3],
 }
 
-/// The basis functions at those directions, A_l Y_k(n) and Y_k(mirror).
-#[derive(Clone, Debug, Default)]
+/// The basis functions at those directions, A_l Y_k(n) and R_jk; of the latter, as many as the model
+/// has.
+#[derive(Clone, Debug)]
 pub struct Basis<T: Copy + Default = f32> {
     /// A_l Y_k(n)
     pub diffuse: [Plane<T>; DIFFUSE],
-    /// Y_k(mirror)
-    pub mirror: [Plane<T>; COEFFICIENTS],
+    /// R_jk, coefficient by coefficient.
+    pub lobe: [Plane<T>; MAX_ENTRIES],
+}
+
+impl<T: Copy + Default> Default for Basis<T> {
+    fn default() -> Self {
+        Self {
+            diffuse: [Plane::default(); DIFFUSE],
+            lobe: [Plane::default(); MAX_ENTRIES],
+        }
+    }
 }
 
 /// The materials of a block, or derivatives by them.
@@ -73,21 +84,23 @@ pub struct Materials<const C: usize> {
     pub metallic: Plane<f64>,
 }
 
-/// h_l and dh_l/dr of a block's roughness.
-pub type BlockBands = [Plane<f64>; FUNCTIONS];
+/// No functions of a block yet.
+pub fn no_functions() -> Box<BlockFunctions> {
+    Box::new([Plane::default(); MAX_FUNCTIONS])
+}
 
-/// One channel's material factors, rounded once: kd and ks h_l.
+/// One channel's material factors, rounded once: kd and s_j.
 #[derive(Clone, Debug, Default)]
 pub struct ChannelFactors<T: Copy + Default = f32> {
     pub(crate) diffuse: Plane<T>,
-    pub(crate) specular: [Plane<T>; 4],
+    pub(crate) rows: [Plane<T>; MAX_ROWS],
 }
 
-/// The adjoint of [`ChannelFactors`]: derivatives by kd, and for each band Σ_k g_k Y_k(mirror).
+/// The adjoint of [`ChannelFactors`]: derivatives by kd, and for each row Σ_k g_k R_jk.
 #[derive(Clone, Debug, Default)]
 pub struct ChannelSums {
     pub(crate) diffuse: Plane,
-    pub(crate) bands: [Plane; 4],
+    pub(crate) rows: [Plane; MAX_ROWS],
 }
 
 /// A sum over pixels, in parts that are added up in float64 in the end.
@@ -111,7 +124,7 @@ impl<T: Real> Default for Directions<T> {
 impl<T: Real> Directions<T> {
     /// Puts a pixel into the block.
     pub fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
-        let (cosine, mirror) = Frame::directions(normal, view);
+        let (cosine, mirror) = shade::directions(normal, view);
         self.put(pixel, cosine, normal, mirror);
     }
 
@@ -141,6 +154,11 @@ impl<T: Real> Directions<T> {
                 self.mirror[axis].0[x] = T::from_f64(mirror[axis].0[x]);
             }
         }
+    }
+
+    /// The clamped n·v of all pixels.
+    pub fn cosines(&self) -> &Plane<f64> {
+        &self.cosine
     }
 
     /// The clamped n·v of a pixel.
@@ -267,20 +285,24 @@ impl<const C: usize> Kernel for Load<'_, C> {
     }
 }
 
-/// Fills in the basis functions, K of them at the mirror direction.
-pub struct FillBasis<'a, T: Real, const K: usize> {
+/// Fills in the basis functions, those of the lobe for K coefficients.
+pub struct FillBasis<'a, M: Reflection, T: Real, const K: usize> {
     /// Where the pixels look.
     pub directions: &'a Directions<T>,
     /// To be written.
     pub basis: &'a mut Basis<T>,
+    /// Whose lobe it is.
+    pub model: M,
 }
 
-impl<T: Real, const K: usize> Kernel for FillBasis<'_, T, K> {
+impl<M: Reflection, T: Real, const K: usize> Kernel for FillBasis<'_, M, T, K> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let Self { directions, basis } = self;
+        let Self {
+            directions, basis, ..
+        } = self;
         for x in 0..BLOCK {
             let y = sh::basis(directions.normal(x));
             for k in 0..DIFFUSE {
@@ -288,99 +310,106 @@ impl<T: Real, const K: usize> Kernel for FillBasis<'_, T, K> {
             }
         }
         for x in 0..BLOCK {
-            let y = sh::basis(directions.mirror(x));
-            for k in 0..K {
-                basis.mirror[k].0[x] = y[k];
+            let lobe = M::lobe(directions.normal(x), directions.mirror(x));
+            for i in 0..first_entry::<M>(K) {
+                basis.lobe[i].0[x] = lobe[i];
             }
         }
     }
 }
 
-/// Numbers of a light that a pixel sees: the diffuse one, then one for each band.
-pub const SEEN: usize = 5;
+/// Numbers of a light that a pixel sees at most: the diffuse one, then one for each row.
+pub const MAX_SEEN: usize = 1 + MAX_ROWS;
 
-/// What the pixels see of a light: Σ_k A_l Y_k(n) L_k, and for each band Σ_{k in l} Y_k(mirror) L_k.
+/// What the pixels see of a light: Σ_k A_l Y_k(n) L_k, and for each row Σ_k R_jk L_k.
 #[inline(always)]
-pub fn seen(basis: &Basis<f64>, light: &[f64; COEFFICIENTS]) -> [Plane<f64>; SEEN] {
-    let mut seen: [Plane<f64>; SEEN] = Default::default();
-    for k in 0..COEFFICIENTS {
-        if k < DIFFUSE {
-            for x in 0..BLOCK {
-                seen[0].0[x] += light[k] * basis.diffuse[k].0[x];
-            }
-        }
-        let band = &mut seen[1 + BAND_OF[k]];
+pub fn seen<M: Reflection>(
+    basis: &Basis<f64>,
+    light: &[f64; COEFFICIENTS],
+) -> [Plane<f64>; MAX_SEEN] {
+    let mut seen = [Plane::default(); MAX_SEEN];
+    for k in 0..DIFFUSE {
         for x in 0..BLOCK {
-            band.0[x] += light[k] * basis.mirror[k].0[x];
+            seen[0].0[x] += light[k] * basis.diffuse[k].0[x];
         }
     }
+    each_entry::<M, COEFFICIENTS>(|k, row, entry| {
+        let (sum, lobe) = (&mut seen[1 + row], &basis.lobe[entry]);
+        for x in 0..BLOCK {
+            sum.0[x] += light[k] * lobe.0[x];
+        }
+    });
     seen
 }
 
 /// The same for one vector of pixels, number `v` of the block.
 #[inline(always)]
-pub fn seen_by<I: Vectors<f64>>(
+pub fn seen_by<M: Reflection, I: Vectors<f64>>(
     isa: I,
     basis: &Basis<f64>,
     light: &[f64; COEFFICIENTS],
     v: usize,
-) -> [I::Vector; SEEN] {
-    let mut seen = [isa.splat(0.0); SEEN];
-    for k in 0..COEFFICIENTS {
-        let light = isa.splat(light[k]);
-        if k < DIFFUSE {
-            seen[0] = isa.mul_add(light, I::of(&basis.diffuse[k].0)[v], seen[0]);
-        }
-        let band = &mut seen[1 + BAND_OF[k]];
-        *band = isa.mul_add(light, I::of(&basis.mirror[k].0)[v], *band);
+) -> [I::Vector; MAX_SEEN] {
+    let mut seen = [isa.splat(0.0); MAX_SEEN];
+    for k in 0..DIFFUSE {
+        seen[0] = isa.mul_add(isa.splat(light[k]), I::of(&basis.diffuse[k].0)[v], seen[0]);
     }
+    each_entry::<M, COEFFICIENTS>(|k, row, entry| {
+        let sum = &mut seen[1 + row];
+        *sum = isa.mul_add(isa.splat(light[k]), I::of(&basis.lobe[entry].0)[v], *sum);
+    });
     seen
 }
 
-/// Fills in the bands of a block's roughness.
-pub struct FillBands<'a> {
+/// Fills in the functions of roughness and n·v of a block.
+pub struct FillFunctions<'a, M: Reflection> {
+    /// The clamped n·v.
+    pub cosine: &'a Plane<f64>,
     /// In \[0, 1\].
     pub roughness: &'a Plane<f64>,
+    /// Whether derivatives by n·v are filled in too.
+    pub by_cosine: bool,
     /// To be written.
-    pub bands: &'a mut BlockBands,
+    pub functions: &'a mut BlockFunctions,
+    /// Whose functions they are.
+    pub model: M,
 }
 
-impl Kernel for FillBands<'_> {
+impl<M: Reflection> Kernel for FillFunctions<'_, M> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, isa: I) {
-        fill_bands(isa, self.roughness, self.bands);
+        M::fill_functions(
+            isa,
+            self.cosine,
+            self.roughness,
+            self.by_cosine,
+            self.functions,
+        );
     }
 }
 
-#[inline(always)]
-fn fill_bands<I: Isa>(isa: I, roughness: &Plane<f64>, bands: &mut BlockBands) {
-    let table = &*TABLE;
-    for x in 0..BLOCK {
-        let row = table.row(isa, roughness.0[x]);
-        for f in 0..FUNCTIONS {
-            bands[f].0[x] = row.0[f];
-        }
-    }
-}
-
-/// Fills in bands and factors of the first `pixels` pixels; the others' factors become zero, and
+/// Fills in functions and factors of the first `pixels` pixels; the others' factors become zero, and
 /// with them their weights, residuals and derivatives.
-pub struct FillFactors<'a, T: Real, const C: usize> {
+pub struct FillFactors<'a, M: Reflection, T: Real, const C: usize> {
     /// Where the pixels look.
     pub directions: &'a Directions<T>,
     /// What they are made of.
     pub materials: &'a Materials<C>,
     /// Pixels used.
     pub pixels: usize,
+    /// Whether derivatives by n·v will be asked for.
+    pub by_cosine: bool,
     /// To be written.
-    pub bands: &'a mut BlockBands,
+    pub functions: &'a mut BlockFunctions,
     /// To be written.
     pub factors: &'a mut [ChannelFactors<T>; C],
+    /// Whose factors they are.
+    pub model: M,
 }
 
-impl<T: Real, const C: usize> Kernel for FillFactors<'_, T, C> {
+impl<M: Reflection, T: Real, const C: usize> Kernel for FillFactors<'_, M, T, C> {
     type Output = ();
 
     #[inline(always)]
@@ -389,23 +418,30 @@ impl<T: Real, const C: usize> Kernel for FillFactors<'_, T, C> {
             directions,
             materials,
             pixels,
-            bands,
+            by_cosine,
+            functions,
             factors,
+            ..
         } = self;
-        fill_bands(isa, &materials.roughness, bands);
+        M::fill_functions(
+            isa,
+            &directions.cosine,
+            &materials.roughness,
+            by_cosine,
+            functions,
+        );
         for x in 0..BLOCK {
-            let of_pixel = factors_of(directions, materials, bands, x);
+            let of_pixel = factors_of::<M, T, C>(directions, materials, functions, x);
             for c in 0..C {
-                factors[c].diffuse.0[x] = T::from_f64(of_pixel.diffuse[c]);
-                for l in 0..4 {
-                    factors[c].specular[l].0[x] =
-                        T::from_f64(of_pixel.specular[c] * of_pixel.bands.weight[l]);
+                factors[c].diffuse.0[x] = T::from_f64(of_pixel.diffuse(c));
+                for j in 0..M::ROWS {
+                    factors[c].rows[j].0[x] = T::from_f64(of_pixel.row(c, j));
                 }
             }
         }
         for of_channel in factors {
             of_channel.diffuse.0[pixels..].fill(T::default());
-            for plane in &mut of_channel.specular {
+            for plane in &mut of_channel.rows[..M::ROWS] {
                 plane.0[pixels..].fill(T::default());
             }
         }
@@ -413,68 +449,72 @@ impl<T: Real, const C: usize> Kernel for FillFactors<'_, T, C> {
 }
 
 #[inline(always)]
-pub(crate) fn factors_of<T: Real, const C: usize>(
+pub(crate) fn factors_of<M: Reflection, T: Real, const C: usize>(
     directions: &Directions<T>,
     materials: &Materials<C>,
-    bands: &BlockBands,
+    functions: &BlockFunctions,
     x: usize,
-) -> Factors<C> {
-    let mut of_pixel = Bands {
-        weight: [0.0; 4],
-        slope: [0.0; 4],
-    };
-    for l in 0..4 {
-        of_pixel.weight[l] = bands[l].0[x];
-        of_pixel.slope[l] = bands[4 + l].0[x];
-    }
-    Factors::new(directions.cosine.0[x], &materials.get(x), of_pixel)
+) -> M::Factors<C> {
+    M::factors(
+        directions.cosine.0[x],
+        &materials.get(x),
+        M::functions_of(functions, x),
+    )
 }
 
 /// Fills in one channel's weights, W transposed: coefficient first.
-pub struct FillWeights<'a, T: Real, const K: usize> {
+pub struct FillWeights<'a, M: Reflection, T: Real, const K: usize> {
     /// The basis functions.
     pub basis: &'a Basis<T>,
     /// The channel's factors.
     pub factors: &'a ChannelFactors<T>,
     /// To be written.
     pub weights: &'a mut [Plane<T>; K],
+    /// Whose weights they are.
+    pub model: M,
 }
 
-impl<const K: usize> Kernel for FillWeights<'_, f64, K> {
+impl<M: Reflection, const K: usize> Kernel for FillWeights<'_, M, f64, K> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, isa: I) {
-        fill_weights::<f64, I, K>(isa, self.basis, self.factors, self.weights);
+        fill_weights::<M, f64, I, K>(isa, self.basis, self.factors, self.weights);
     }
 }
 
-impl<const K: usize> Kernel for FillWeights<'_, f32, K> {
+impl<M: Reflection, const K: usize> Kernel for FillWeights<'_, M, f32, K> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, isa: I) {
-        fill_weights::<f32, I, K>(isa, self.basis, self.factors, self.weights);
+        fill_weights::<M, f32, I, K>(isa, self.basis, self.factors, self.weights);
     }
 }
 
 #[inline(always)]
-fn fill_weights<T: Real, I: Vectors<T>, const K: usize>(
+fn fill_weights<M: Reflection, T: Real, I: Vectors<T>, const K: usize>(
     isa: I,
     basis: &Basis<T>,
     factors: &ChannelFactors<T>,
     weights: &mut [Plane<T>; K],
 ) {
-    // Pixels outside, so that the five factors stay in registers.
+    // Pixels outside, so that the factors stay in registers.
     for v in 0..BLOCK / I::LANES {
         let diffuse = I::of(&factors.diffuse.0)[v];
-        let mut specular = [diffuse; 4];
-        for l in 0..4 {
-            specular[l] = I::of(&factors.specular[l].0)[v];
+        let mut rows = [diffuse; MAX_ROWS];
+        for j in 0..M::ROWS {
+            rows[j] = I::of(&factors.rows[j].0)[v];
         }
+        let mut entry = 0;
         for k in 0..K {
-            let mirror = I::of(&basis.mirror[k].0)[v];
-            let mut w = isa.mul(specular[BAND_OF[k]], mirror);
+            let first = M::FIRST_ROW[BAND_OF[k]];
+            let mut w = isa.mul(rows[first], I::of(&basis.lobe[entry].0)[v]);
+            entry += 1;
+            for j in first + 1..M::FIRST_ROW[BAND_OF[k] + 1] {
+                w = isa.mul_add(rows[j], I::of(&basis.lobe[entry].0)[v], w);
+                entry += 1;
+            }
             if k < DIFFUSE {
                 w = isa.mul_add(diffuse, I::of(&basis.diffuse[k].0)[v], w);
             }
@@ -640,8 +680,8 @@ impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
     }
 }
 
-/// Second product, reduced at once to the derivatives by kd and the band sums.
-pub struct Reduce<'a, const K: usize, B: ByWeights = ()> {
+/// Second product, reduced at once to the derivatives by kd and by the rows' factors.
+pub struct Reduce<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
     /// Whether to begin the sums, or add to them.
     pub begin: bool,
     /// The basis functions.
@@ -656,6 +696,8 @@ pub struct Reduce<'a, const K: usize, B: ByWeights = ()> {
     pub by_weights: B,
     /// What the next steps will need.
     pub ahead: &'a mut Ahead,
+    /// Whose weights they are.
+    pub model: M,
 }
 
 /// Takes the derivatives by the weights as [`Reduce`] comes upon them; `()` does nothing with them.
@@ -683,7 +725,7 @@ impl ByWeights for () {
     }
 }
 
-impl<const K: usize, B: ByWeights> Kernel for Reduce<'_, K, B> {
+impl<M: Reflection, const K: usize, B: ByWeights> Kernel for Reduce<'_, M, K, B> {
     type Output = ();
 
     #[inline(always)]
@@ -706,9 +748,9 @@ impl<const K: usize, B: ByWeights> Kernel for Reduce<'_, K, B> {
     }
 }
 
-impl<'a, const K: usize> Reduce<'a, K> {
+impl<'a, M: Reflection, const K: usize> Reduce<'a, M, K> {
     /// The same, with another use for the derivatives by the weights.
-    pub fn giving<B: ByWeights>(self, by_weights: B) -> Reduce<'a, K, B> {
+    pub fn giving<B: ByWeights>(self, by_weights: B) -> Reduce<'a, M, K, B> {
         let Self {
             begin,
             basis,
@@ -716,6 +758,7 @@ impl<'a, const K: usize> Reduce<'a, K> {
             residuals,
             sums,
             ahead,
+            model,
             ..
         } = self;
         Reduce {
@@ -726,11 +769,12 @@ impl<'a, const K: usize> Reduce<'a, K> {
             sums,
             by_weights,
             ahead,
+            model,
         }
     }
 }
 
-impl<const K: usize, B: ByWeights> Reduce<'_, K, B> {
+impl<M: Reflection, const K: usize, B: ByWeights> Reduce<'_, M, K, B> {
     /// `COUNT` coefficients from `FIRST`, V vectors at a time.
     #[inline(always)]
     fn some<I: Vectors<f32>, const FIRST: usize, const COUNT: usize, const V: usize>(
@@ -752,13 +796,16 @@ impl<const K: usize, B: ByWeights> Reduce<'_, K, B> {
             // In registers to the end: a store for each coefficient would cost as much as a tenth
             // of the products.
             let mut diffuse = [isa.splat(0.0); V];
-            let mut bands = [[isa.splat(0.0); V]; 4];
+            let mut rows = [[isa.splat(0.0); V]; MAX_ROWS];
+            let mut entry = first_entry::<M>(FIRST);
             for k in 0..COUNT {
                 self.by_weights.take(isa, FIRST + k, v, &by_weights[k]);
-                let mirror = &I::of(&self.basis.mirror[FIRST + k].0)[v..v + V];
-                let band = &mut bands[BAND_OF[FIRST + k]];
-                for i in 0..V {
-                    band[i] = isa.mul_add(by_weights[k][i], mirror[i], band[i]);
+                for j in M::FIRST_ROW[BAND_OF[FIRST + k]]..M::FIRST_ROW[BAND_OF[FIRST + k] + 1] {
+                    let lobe = &I::of(&self.basis.lobe[entry].0)[v..v + V];
+                    entry += 1;
+                    for i in 0..V {
+                        rows[j][i] = isa.mul_add(by_weights[k][i], lobe[i], rows[j][i]);
+                    }
                 }
                 if FIRST + k < DIFFUSE {
                     let normal = &I::of(&self.basis.diffuse[FIRST + k].0)[v..v + V];
@@ -767,9 +814,10 @@ impl<const K: usize, B: ByWeights> Reduce<'_, K, B> {
                     }
                 }
             }
-            for l in BAND_OF[FIRST]..=BAND_OF[FIRST + COUNT - 1] {
-                let sum = &mut I::of_mut(&mut self.sums.bands[l].0)[v..v + V];
-                add(isa, self.begin, sum, &bands[l]);
+            let (low, high) = (BAND_OF[FIRST], BAND_OF[FIRST + COUNT - 1]);
+            for j in M::FIRST_ROW[low]..M::FIRST_ROW[high + 1] {
+                let sum = &mut I::of_mut(&mut self.sums.rows[j].0)[v..v + V];
+                add(isa, self.begin, sum, &rows[j]);
             }
             if FIRST < DIFFUSE {
                 let sum = &mut I::of_mut(&mut self.sums.diffuse.0)[v..v + V];
@@ -925,22 +973,24 @@ pub fn groups(pictures: usize) -> impl Iterator<Item = Range<usize>> {
 }
 
 /// The last step: from the channels' sums to the derivatives by the material, times `scale`.
-pub struct PullBack<'a, const C: usize> {
+pub struct PullBack<'a, M: Reflection, const C: usize> {
     /// Where the pixels look.
     pub directions: &'a Directions,
     /// What they are made of.
     pub materials: &'a Materials<C>,
-    /// The bands of their roughness.
-    pub bands: &'a BlockBands,
+    /// The functions of their roughness and n·v.
+    pub functions: &'a BlockFunctions,
     /// The adjoint of the factors.
     pub sums: &'a [ChannelSums; C],
     /// Factor on all derivatives.
     pub scale: f64,
     /// To be written.
     pub gradient: &'a mut Materials<C>,
+    /// Whose factors they are.
+    pub model: M,
 }
 
-impl<const C: usize> Kernel for PullBack<'_, C> {
+impl<M: Reflection, const C: usize> Kernel for PullBack<'_, M, C> {
     type Output = ();
 
     #[inline(always)]
@@ -948,22 +998,16 @@ impl<const C: usize> Kernel for PullBack<'_, C> {
         let Self {
             directions,
             materials,
-            bands,
+            functions,
             sums,
             scale,
             gradient,
+            ..
         } = self;
         for x in 0..BLOCK {
-            let factors = factors_of(directions, materials, bands, x);
-            let mut by_diffuse = [0.0; C];
-            let mut band_sums = [[0.0; 4]; C];
-            for c in 0..C {
-                by_diffuse[c] = f64::from(sums[c].diffuse.0[x]);
-                for l in 0..4 {
-                    band_sums[c][l] = f64::from(sums[c].bands[l].0[x]);
-                }
-            }
-            let of_pixel = factors.pull_back(&materials.get(x), &by_diffuse, &band_sums);
+            let factors = factors_of::<M, f32, C>(directions, materials, functions, x);
+            let (by_diffuse, by_row) = sums_of::<M, C>(sums, x);
+            let of_pixel = factors.pull_back(&materials.get(x), &by_diffuse, &by_row);
             for c in 0..C {
                 gradient.albedo[c].0[x] = scale * of_pixel.albedo[c];
             }
@@ -971,4 +1015,20 @@ impl<const C: usize> Kernel for PullBack<'_, C> {
             gradient.metallic.0[x] = scale * of_pixel.metallic;
         }
     }
+}
+
+/// The adjoint of one pixel's factors: derivatives by kd_c and by s_cj.
+#[inline(always)]
+pub(crate) fn sums_of<M: Reflection, const C: usize>(
+    sums: &[ChannelSums; C],
+    x: usize,
+) -> ([f64; C], [shade::ByRow; C]) {
+    let (mut by_diffuse, mut by_row) = ([0.0; C], [[0.0; MAX_ROWS]; C]);
+    for c in 0..C {
+        by_diffuse[c] = f64::from(sums[c].diffuse.0[x]);
+        for j in 0..M::ROWS {
+            by_row[c][j] = f64::from(sums[c].rows[j].0[x]);
+        }
+    }
+    (by_diffuse, by_row)
 }

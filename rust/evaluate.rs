@@ -6,12 +6,16 @@
 use std::ops::Range;
 
 use crate::block::{
-    self, BLOCK, Basis, BlockBands, ByLights, ChannelFactors, ChannelSums, Directions, FillBasis,
-    FillFactors, FillWeights, Flush, GROUP, Load, Materials, Parts, Plane, PullBack, Reduce,
-    Residuals, WideParts,
+    self, BLOCK, Basis, ByLights, ChannelFactors, ChannelSums, Directions, FillBasis, FillFactors,
+    FillWeights, Flush, GROUP, Load, Materials, Parts, Plane, PullBack, Reduce, Residuals,
+    WideParts,
 };
+use crate::model::Model;
+use crate::paper::Paper;
+use crate::principled::Principled;
 use crate::problem::Problem;
 use crate::robust::{Robust, Tame};
+use crate::shade::Reflection;
 use crate::simd::Ahead;
 use crate::turns::{ByBasis, LoadTilts, PullBackTurns, Tilts, Turn, Turns};
 
@@ -59,29 +63,38 @@ pub struct Has {
 }
 
 /// The version for a problem.
-pub fn choose(channels: usize, coefficients: usize, has: Has) -> Evaluate {
+pub fn choose(model: Model, channels: usize, coefficients: usize, has: Has) -> Evaluate {
+    match model {
+        Model::Paper => with_model::<Paper>(channels, coefficients, has),
+        Model::Principled => with_model::<Principled>(channels, coefficients, has),
+    }
+}
+
+fn with_model<M: Reflection>(channels: usize, coefficients: usize, has: Has) -> Evaluate {
     match (channels, coefficients) {
-        (1, 9) => with::<1, 9>(has),
-        (1, _) => with::<1, 16>(has),
-        (_, 9) => with::<3, 9>(has),
-        _ => with::<3, 16>(has),
+        (1, 9) => with::<M, 1, 9>(has),
+        (1, _) => with::<M, 1, 16>(has),
+        (_, 9) => with::<M, 3, 9>(has),
+        _ => with::<M, 3, 16>(has),
     }
 }
 
-fn with<const C: usize, const K: usize>(has: Has) -> Evaluate {
+fn with<M: Reflection, const C: usize, const K: usize>(has: Has) -> Evaluate {
     if has.free_normals {
-        with_normals::<C, K, true>(has)
+        with_normals::<M, C, K, true>(has)
     } else {
-        with_normals::<C, K, false>(has)
+        with_normals::<M, C, K, false>(has)
     }
 }
 
-fn with_normals<const C: usize, const K: usize, const FREE_NORMALS: bool>(has: Has) -> Evaluate {
+fn with_normals<M: Reflection, const C: usize, const K: usize, const FREE_NORMALS: bool>(
+    has: Has,
+) -> Evaluate {
     match (has.weights, has.free_lights) {
-        (false, true) => evaluate::<C, K, false, true, FREE_NORMALS>,
-        (false, false) => evaluate::<C, K, false, false, FREE_NORMALS>,
-        (true, true) => evaluate::<C, K, true, true, FREE_NORMALS>,
-        (true, false) => evaluate::<C, K, true, false, FREE_NORMALS>,
+        (false, true) => evaluate::<M, C, K, false, true, FREE_NORMALS>,
+        (false, false) => evaluate::<M, C, K, false, false, FREE_NORMALS>,
+        (true, true) => evaluate::<M, C, K, true, true, FREE_NORMALS>,
+        (true, false) => evaluate::<M, C, K, true, false, FREE_NORMALS>,
     }
 }
 
@@ -103,6 +116,7 @@ struct ByNormals {
 /// A block at a time: basis functions and factors of its pixels; then, channel by channel and
 /// group of pictures by group, the matrix products; then the derivatives by material and normal.
 fn evaluate<
+    M: Reflection,
     const C: usize,
     const K: usize,
     const WEIGHTED: bool,
@@ -136,7 +150,8 @@ fn evaluate<
     let mut basis = Basis::default();
     let mut materials = Materials::<C>::default();
     let mut by_materials = Materials::<C>::default();
-    let mut bands = BlockBands::default();
+    let mut functions = block::no_functions();
+    let model = M::default();
     let mut factors: [_; C] = std::array::from_fn(|_| ChannelFactors::default());
     let mut sums: [_; C] = std::array::from_fn(|_| ChannelSums::default());
     let mut weights = [Plane::default(); K];
@@ -177,22 +192,26 @@ fn evaluate<
             None => problem.known_directions(block),
             Some(turned) => &turned.directions,
         };
-        isa.run(FillBasis::<f32, K> {
+        isa.run(FillBasis::<M, f32, K> {
             directions,
             basis: &mut basis,
+            model,
         });
         isa.run(FillFactors {
             directions,
             materials: &materials,
             pixels: count,
-            bands: &mut bands,
+            by_cosine: FREE_NORMALS,
+            functions: &mut functions,
             factors: &mut factors,
+            model,
         });
         for c in 0..C {
             isa.run(FillWeights {
                 basis: &basis,
                 factors: &factors[c],
                 weights: &mut weights,
+                model,
             });
             piece.look_ahead::<C, FREE_NORMALS>(gradient, block, c, &mut ahead);
             let targets = problem.targets(block, c);
@@ -233,10 +252,12 @@ fn evaluate<
                     sums: &mut sums[c],
                     by_weights: (),
                     ahead: &mut ahead,
+                    model,
                 };
                 match &mut by_normals {
                     None => isa.run(step),
                     Some(by_normals) => isa.run(step.giving(ByBasis {
+                        model,
                         begin: c == 0 && group.start == 0,
                         factors: &factors[c],
                         sums: &mut by_normals.basis,
@@ -255,23 +276,25 @@ fn evaluate<
         isa.run(PullBack {
             directions,
             materials: &materials,
-            bands: &bands,
+            functions: &functions,
             sums: &sums,
             scale,
             gradient: &mut by_materials,
+            model,
         });
         let to = first - first_pixel;
         by_materials.store(&mut gradient[..materials_of_gradient], to, count);
         if let (Some(turned), Some(by_normals)) = (&turned, &mut by_normals) {
-            isa.run(PullBackTurns::<C, K> {
+            isa.run(PullBackTurns::<M, C, K> {
                 directions,
                 turns: &turned.turns,
                 materials: &materials,
-                bands: &bands,
+                functions: &functions,
                 sums: &sums,
                 by_basis: &by_normals.basis,
                 scale,
                 gradient: &mut by_normals.tilts,
+                model,
             });
             let planes = gradient[materials_of_gradient..].iter_mut();
             for (plane, own) in planes.zip(&by_normals.tilts) {

@@ -23,6 +23,7 @@
 use crate::block::{BLOCK, Plane, Radiance};
 use crate::problem::Problem;
 use crate::samples::{Block, Sums, by_kind, handed_out, unknowns_of_channel};
+use crate::shade::Reflection;
 use crate::simd::{Isa, Kernel};
 use crate::{Error, Result, check, pool};
 
@@ -81,7 +82,7 @@ impl Problem {
     }
 }
 
-fn normal_equations<const C: usize, const D: usize, const U: usize>(
+fn normal_equations<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
@@ -103,7 +104,7 @@ fn normal_equations<const C: usize, const D: usize, const U: usize>(
         problem.threads(),
         pieces,
         |(((pixels, matrices), gradient), squares)| {
-            let mut block = Block::<C, D>::new(problem);
+            let mut block = Block::<M, C, D>::new(problem);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 let mut sums = Sums::<U>::default();
@@ -126,7 +127,7 @@ fn normal_equations<const C: usize, const D: usize, const U: usize>(
     })
 }
 
-fn derivatives<const C: usize, const D: usize, const U: usize>(
+fn derivatives<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
@@ -148,7 +149,7 @@ fn derivatives<const C: usize, const D: usize, const U: usize>(
         problem.threads(),
         pieces,
         |(((pixels, by_material), by_light), weights)| {
-            let mut block = Block::<C, D>::new(problem);
+            let mut block = Block::<M, C, D>::new(problem);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 block.fill_weights();
@@ -177,7 +178,7 @@ fn derivatives<const C: usize, const D: usize, const U: usize>(
     })
 }
 
-fn moves_with_lights<const C: usize, const D: usize, const U: usize>(
+fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
@@ -213,7 +214,7 @@ fn moves_with_lights<const C: usize, const D: usize, const U: usize>(
         problem.threads(),
         pieces,
         |((pixels, covariances), moves)| {
-            let mut block = Block::<C, D>::new(problem);
+            let mut block = Block::<M, C, D>::new(problem);
             let mut weighted = vec![[Doubles::default(); D]; C * problem.pictures()];
             let mut radiance = Doubles::default();
             let isa = problem.instructions();

@@ -16,9 +16,12 @@
 
 use crate::block::{BLOCK, Materials, Plane};
 use crate::descent::{Descent, Point, Pull};
-use crate::material_grid;
+use crate::material_grid::{self, AlbedoFromProducts};
+use crate::model::Model;
+use crate::paper::Paper;
+use crate::principled::Principled;
 use crate::problem::Problem;
-use crate::product_form::Form;
+use crate::product_form::{Form, SquaresFromProducts};
 use crate::residual_steps::ResidualSteps;
 use crate::samples::{DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS, handed_out};
 use crate::sh::COEFFICIENTS;
@@ -100,19 +103,37 @@ impl Problem {
             check::moderate("precision", pull.precision, LARGEST_PULL)?;
             check::not_negative("precision", pull.precision)?;
         }
-        match (self.channels(), self.free_normals() && !search.held_normals) {
-            (1, false) => fit::<1, DERIVATIVES, UNKNOWNS>(self, x, pixels, search),
-            (_, false) => fit::<3, DERIVATIVES, UNKNOWNS>(self, x, pixels, search),
-            (1, true) => fit::<1, FREE_DERIVATIVES, FREE_UNKNOWNS>(self, x, pixels, search),
-            (_, true) => fit::<3, FREE_DERIVATIVES, FREE_UNKNOWNS>(self, x, pixels, search),
+        match self.model() {
+            Model::Paper => fit_by_kind::<Paper>(self, x, pixels, search),
+            Model::Principled => fit_by_kind::<Principled>(self, x, pixels, search),
         }
+    }
+}
+
+/// Models that pixels are fitted with.
+trait Fits: AlbedoFromProducts + SquaresFromProducts {}
+
+impl<M: AlbedoFromProducts + SquaresFromProducts> Fits for M {}
+
+fn fit_by_kind<M: Fits>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+    search: &Search,
+) -> Result<Fitted> {
+    let turns = problem.free_normals() && !search.held_normals;
+    match (problem.channels(), turns) {
+        (1, false) => fit::<M, 1, DERIVATIVES, UNKNOWNS>(problem, x, pixels, search),
+        (_, false) => fit::<M, 3, DERIVATIVES, UNKNOWNS>(problem, x, pixels, search),
+        (1, true) => fit::<M, 1, FREE_DERIVATIVES, FREE_UNKNOWNS>(problem, x, pixels, search),
+        (_, true) => fit::<M, 3, FREE_DERIVATIVES, FREE_UNKNOWNS>(problem, x, pixels, search),
     }
 }
 
 /// Centres and precisions at most.
 const LARGEST_PULL: f64 = 1e100;
 
-fn fit<const C: usize, const D: usize, const U: usize>(
+fn fit<M: Fits, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
@@ -149,7 +170,7 @@ fn fit<const C: usize, const D: usize, const U: usize>(
         problem.threads(),
         pieces,
         |(piece, ((pixels, materials), squares))| {
-            let mut block = Block::<C, D, U>::new(problem, &lights, &search, &rows);
+            let mut block = Block::<M, C, D, U>::new(problem, &lights, &search, &rows);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 let best = block.fit(maps, pixels, piece * size + i * BLOCK);
                 for x in 0..pixels.len() {
@@ -177,14 +198,14 @@ fn zeros(count: usize) -> Result<Vec<f64>> {
 }
 
 /// Up to [`BLOCK`] pixels.
-struct Block<'a, const C: usize, const D: usize, const U: usize> {
+struct Block<'a, M: Fits, const C: usize, const D: usize, const U: usize> {
     problem: &'a Problem,
     lights: &'a [[f64; COEFFICIENTS]],
     search: &'a Search<'a>,
     /// The unknowns of a pixel, as they are handed out.
     rows: &'a [usize],
     isa: Instructions,
-    grid: material_grid::Block<'a>,
+    grid: material_grid::Block<'a, M>,
     /// A plane for each node.
     nodes: Vec<Doubles>,
     tilts: Tilts,
@@ -192,7 +213,7 @@ struct Block<'a, const C: usize, const D: usize, const U: usize> {
     best: Box<Point<C, UNKNOWNS>>,
     candidate: Box<Point<C, UNKNOWNS>>,
     trial: Box<Point<C, UNKNOWNS>>,
-    steps: ResidualSteps<'a, C, D, U>,
+    steps: ResidualSteps<'a, M, C, D, U>,
 }
 
 /// The best of a block of pixels.
@@ -202,7 +223,7 @@ struct Best<'a, const C: usize> {
     squares: &'a Doubles,
 }
 
-impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
+impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C, D, U> {
     fn new(
         problem: &'a Problem,
         lights: &'a [[f64; COEFFICIENTS]],
@@ -250,7 +271,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
         }
 
         self.own
-            .take(isa, &mut Form::new(isa, &self.grid.products), pull);
+            .take(isa, &mut Form::<M>::new(isa, &self.grid.products), pull);
         self.best.clone_from(&self.own);
         self.candidate.clone_from(&self.own);
         self.descend(&used, &size, pull);
@@ -287,7 +308,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> Block<'a, C, D, U> {
         for r in &mut self.candidate.materials.roughness.0 {
             *r = r.max(LEAST_ROUGHNESS);
         }
-        let mut form = Form::new(isa, &self.grid.products);
+        let mut form = Form::<M>::new(isa, &self.grid.products);
         self.candidate.take(isa, &mut form, pull);
         let mut floor = Doubles::default();
         for x in 0..BLOCK {

@@ -7,10 +7,13 @@ use glam::DVec3;
 use crate::block::{BLOCK, Directions, Plane};
 use crate::check::LARGEST_F32;
 use crate::evaluate::{self, Evaluate, Has, Piece};
+use crate::model::Model;
+use crate::paper::Paper;
+use crate::principled::Principled;
 use crate::remainders::{self, DirectionRemainders};
 use crate::robust::Robust;
 use crate::sh::COEFFICIENTS;
-use crate::shade::{Frame, Material, shade};
+use crate::shade::{Frame, Material, Reflection, shade};
 use crate::simd::Instructions;
 use crate::targets::{Targets, planes};
 use crate::turns::{GivenDirections, Tilts, Turn, Turns};
@@ -53,6 +56,8 @@ pub struct Options {
     pub lighting: Option<Vec<f64>>,
     /// Whether the normals are unknowns too: x then has a [`tilt`] for each pixel.
     pub free_normals: bool,
+    /// What makes radiance of materials.
+    pub model: Model,
     /// 0 means one for each processor.
     pub threads: usize,
     /// The vector instructions to use.
@@ -67,6 +72,7 @@ impl Default for Options {
             metallic: None,
             lighting: None,
             free_normals: false,
+            model: Model::Paper,
             threads: 0,
             instructions: Instructions::best(),
         }
@@ -85,6 +91,7 @@ pub struct Problem {
     pictures: usize,
     channels: usize,
     coefficients: usize,
+    model: Model,
     metallic: Option<f64>,
     lighting: Option<Vec<f64>>,
     threads: usize,
@@ -194,6 +201,7 @@ impl Problem {
             channels,
             coefficients,
             evaluate: evaluate::choose(
+                options.model,
                 channels,
                 coefficients,
                 Has {
@@ -202,6 +210,7 @@ impl Problem {
                     free_normals: options.free_normals,
                 },
             ),
+            model: options.model,
             metallic: options.metallic,
             lighting: options.lighting,
             threads: options.threads,
@@ -231,6 +240,11 @@ impl Problem {
     /// Coefficients of a light in one channel.
     pub fn coefficients(&self) -> usize {
         self.coefficients
+    }
+
+    /// What makes radiance of materials.
+    pub fn model(&self) -> Model {
+        self.model
     }
 
     /// Number of unknowns that are maps, the first part of x.
@@ -324,12 +338,11 @@ impl Problem {
         let pieces = pool::map(
             self.threads,
             pixels.chunks(BLOCK).collect(),
-            |pixels: &[usize]| {
-                if self.channels == 1 {
-                    self.residuals_of::<1>(maps, lighting, pixels)
-                } else {
-                    self.residuals_of::<3>(maps, lighting, pixels)
-                }
+            |pixels: &[usize]| match (self.model, self.channels) {
+                (Model::Paper, 1) => self.residuals_of::<Paper, 1>(maps, lighting, pixels),
+                (Model::Paper, _) => self.residuals_of::<Paper, 3>(maps, lighting, pixels),
+                (_, 1) => self.residuals_of::<Principled, 1>(maps, lighting, pixels),
+                (_, _) => self.residuals_of::<Principled, 3>(maps, lighting, pixels),
             },
         );
         let mut residuals = Vec::with_capacity(self.pictures * pixels.len() * self.channels);
@@ -343,7 +356,7 @@ impl Problem {
     }
 
     /// I − T of a few pixels: (picture, pixel, channel).
-    fn residuals_of<const C: usize>(
+    fn residuals_of<M: Reflection, const C: usize>(
         &self,
         maps: &[f64],
         lighting: &[f64],
@@ -353,7 +366,7 @@ impl Problem {
         let mut residuals = vec![0.0; self.pictures * pixels.len() * C];
         for (j, &p) in pixels.iter().enumerate() {
             let (block, x) = (p / BLOCK, p % BLOCK);
-            let weights = shade(&self.frame(maps, p), &self.material::<C>(maps, p));
+            let weights = shade(&self.frame::<M>(maps, p), &self.material::<C>(maps, p));
             for (c, w) in weights.iter().enumerate() {
                 for i in 0..self.pictures {
                     let light = lighting[i * k * C + c..].iter().step_by(C);
@@ -424,10 +437,11 @@ impl Problem {
         // A few pieces at a time: with weights each holds a matrix for every picture.
         for pieces in pieces.chunks(PIECES_AT_ONCE) {
             let partials = pool::map(self.threads, pieces.to_vec(), |blocks| {
-                if self.channels == 1 {
-                    self.equations_of_chunk::<1>(maps, blocks)
-                } else {
-                    self.equations_of_chunk::<3>(maps, blocks)
+                match (self.model, self.channels) {
+                    (Model::Paper, 1) => self.equations_of_chunk::<Paper, 1>(maps, blocks),
+                    (Model::Paper, _) => self.equations_of_chunk::<Paper, 3>(maps, blocks),
+                    (_, 1) => self.equations_of_chunk::<Principled, 1>(maps, blocks),
+                    (_, _) => self.equations_of_chunk::<Principled, 3>(maps, blocks),
                 }
             });
             for partial in partials {
@@ -454,7 +468,7 @@ impl Problem {
     }
 
     /// Lower triangles of the Gram matrices, and the right sides.
-    fn equations_of_chunk<const C: usize>(
+    fn equations_of_chunk<M: Reflection, const C: usize>(
         &self,
         maps: &[f64],
         blocks: Range<usize>,
@@ -469,7 +483,7 @@ impl Problem {
         for p in blocks.start * BLOCK..(blocks.end * BLOCK).min(self.pixels) {
             let (block, x) = (p / BLOCK, p % BLOCK);
             let material = self.material::<C>(maps, p);
-            let weights = shade(&self.frame(maps, p), &material);
+            let weights = shade(&self.frame::<M>(maps, p), &material);
             for (c, sum) in sums.iter_mut().enumerate() {
                 let w = &weights[c][..k];
                 let mut add_gram = |gram: usize, omega: f64| {
@@ -648,7 +662,7 @@ impl Problem {
         picked
     }
 
-    fn frame(&self, maps: &[f64], p: usize) -> Frame {
+    fn frame<M: Reflection>(&self, maps: &[f64], p: usize) -> Frame<M> {
         match &self.geometry {
             Geometry::Known { .. } => {
                 let (cosine, [normal, mirror]) = self.exact_directions(p);

@@ -1,38 +1,57 @@
 //! Products over pictures of what a pixel sees of the lights, and of its targets.
 //!
-//! Radiance in one channel is I_i = a D_i + b Σ_l h_l(r) B_li over pictures i (see
-//! [`material_grid`](crate::material_grid)), so Σ ω (I − T)², and all its derivatives by the
-//! material, follow from the products of the six vectors D, B₀ to B₃ and T over pictures. These are
-//! summed once a pixel; what is done with them costs the same for any number of pictures. They know
-//! a sum of squares to about 10⁻¹⁵ of Σ ω T², which is half of the digits of a residual.
+//! Radiance in one channel is I_i = Σ_s f_s B_is over pictures i, with what the pixel sees of a light,
+//! B_0 = D = Σ_k A_l Y_k(n) L_k and B_j = Σ_k R_jk L_k for each row of its lobe, and factors f that
+//! depend on the material alone. So Σ ω (I − T)², and all its derivatives by the material, follow from
+//! the products of these vectors and T over pictures. They are summed once a pixel; what is done with
+//! them costs the same for any number of pictures. They know a sum of squares to about 10⁻¹⁵ of Σ ω T²,
+//! which is half of the digits of a residual.
 
-use crate::block::{BLOCK, Basis, Directions, FillBasis, Plane, seen_by};
+use std::marker::PhantomData;
+
+use crate::block::{BLOCK, Basis, Directions, FillBasis, MAX_SEEN, Plane, seen_by};
 use crate::problem::Problem;
 use crate::sh::COEFFICIENTS;
+use crate::shade::{MAX_ROWS, Reflection};
 use crate::simd::{Isa, Kernel, Vectors};
 
 type Doubles = Plane<f64>;
 
+/// Pairs of rows at most.
+const MAX_PAIRS: usize = MAX_ROWS * (MAX_ROWS + 1) / 2;
+
 /// Products over pictures, Σ ω u v, of one channel.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Products {
     pub(crate) target_target: Doubles,
     pub(crate) diffuse_diffuse: Doubles,
     pub(crate) diffuse_target: Doubles,
-    /// Of D with each B_l.
-    pub(crate) diffuse_band: [Doubles; 4],
-    /// Of T with each B_l.
-    pub(crate) band_target: [Doubles; 4],
-    /// Of B_l with B_j, j ≤ l, row by row.
-    pub(crate) band_band: [Doubles; 10],
+    /// Of D with each B_j.
+    pub(crate) diffuse_row: [Doubles; MAX_ROWS],
+    /// Of T with each B_j.
+    pub(crate) row_target: [Doubles; MAX_ROWS],
+    /// Of B_i with B_j, j ≤ i, row by row.
+    pub(crate) row_row: [Doubles; MAX_PAIRS],
 }
 
-/// The products that remain when roughness is given: those of D, S and T.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Specular {
-    pub(crate) specular_specular: Doubles,
-    pub(crate) diffuse_specular: Doubles,
-    pub(crate) specular_target: Doubles,
+impl Default for Products {
+    fn default() -> Self {
+        Self {
+            target_target: Doubles::default(),
+            diffuse_diffuse: Doubles::default(),
+            diffuse_target: Doubles::default(),
+            diffuse_row: [Doubles::default(); MAX_ROWS],
+            row_target: [Doubles::default(); MAX_ROWS],
+            row_row: [Doubles::default(); MAX_PAIRS],
+        }
+    }
+}
+
+/// Where the product of rows i and j is.
+#[inline(always)]
+pub(crate) fn pair(i: usize, j: usize) -> usize {
+    let (low, high) = if j < i { (j, i) } else { (i, j) };
+    high * (high + 1) / 2 + low
 }
 
 /// Up to [`BLOCK`] pixels, where they look, and their products by channel.
@@ -52,7 +71,7 @@ impl PixelProducts {
     }
 
     /// Takes up pixels, with the normals of `maps`, and sums their products over pictures.
-    pub(crate) fn load(
+    pub(crate) fn load<M: Reflection>(
         &mut self,
         problem: &Problem,
         maps: &[f64],
@@ -61,9 +80,11 @@ impl PixelProducts {
     ) {
         let isa = problem.instructions();
         self.directions = problem.picked_directions(maps, pixels);
-        isa.run(FillBasis::<f64, COEFFICIENTS> {
+        let model = M::default();
+        isa.run(FillBasis::<M, f64, COEFFICIENTS> {
             directions: &self.directions,
             basis: &mut self.basis,
+            model,
         });
         let pictures = problem.pictures();
         let mut given = Vec::with_capacity(pictures);
@@ -75,13 +96,14 @@ impl PixelProducts {
                 lights: &lights[c * pictures..][..pictures],
                 given: &given,
                 products,
+                model: PhantomData::<M>,
             });
         }
     }
 }
 
-/// Products of one channel, which stay in registers until all pictures have added theirs.
-struct SumPictures<'a> {
+/// Products of one channel, which stay at hand until all pictures have added theirs.
+struct SumPictures<'a, M: Reflection> {
     basis: &'a Basis<f64>,
     /// By picture.
     lights: &'a [[f64; COEFFICIENTS]],
@@ -89,9 +111,10 @@ struct SumPictures<'a> {
     given: &'a [[Doubles; 2]],
     /// To be written.
     products: &'a mut Products,
+    model: PhantomData<M>,
 }
 
-impl Kernel for SumPictures<'_> {
+impl<M: Reflection> Kernel for SumPictures<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -100,7 +123,7 @@ impl Kernel for SumPictures<'_> {
     }
 }
 
-impl SumPictures<'_> {
+impl<M: Reflection> SumPictures<'_, M> {
     #[inline(always)]
     fn all<I: Vectors<f64>>(self, isa: I) {
         let Self {
@@ -108,25 +131,28 @@ impl SumPictures<'_> {
             lights,
             given,
             products,
+            ..
         } = self;
         let zero = isa.splat(0.0);
         for v in 0..BLOCK / I::LANES {
             let (mut tt, mut dd, mut dt) = (zero, zero, zero);
-            let (mut db, mut bt, mut bb) = ([zero; 4], [zero; 4], [zero; 10]);
+            let (mut dr, mut rt) = ([zero; MAX_ROWS], [zero; MAX_ROWS]);
+            let mut rr = [zero; MAX_PAIRS];
             for (light, [target, weight]) in lights.iter().zip(given) {
-                let [diffuse, bands @ ..] = seen_by(isa, basis, light, v);
+                let seen: [_; MAX_SEEN] = seen_by::<M, I>(isa, basis, light, v);
+                let diffuse = seen[0];
                 let (target, weight) = (I::of(&target.0)[v], I::of(&weight.0)[v]);
                 let d = isa.mul(weight, diffuse);
                 tt = isa.mul_add(isa.mul(weight, target), target, tt);
                 dd = isa.mul_add(d, diffuse, dd);
                 dt = isa.mul_add(d, target, dt);
-                for l in 0..4 {
-                    let b = isa.mul(weight, bands[l]);
-                    db[l] = isa.mul_add(b, diffuse, db[l]);
-                    bt[l] = isa.mul_add(b, target, bt[l]);
-                    for j in 0..=l {
-                        let sum = &mut bb[l * (l + 1) / 2 + j];
-                        *sum = isa.mul_add(b, bands[j], *sum);
+                for i in 0..M::ROWS {
+                    let row = isa.mul(weight, seen[1 + i]);
+                    dr[i] = isa.mul_add(row, diffuse, dr[i]);
+                    rt[i] = isa.mul_add(row, target, rt[i]);
+                    for j in 0..=i {
+                        let sum = &mut rr[pair(i, j)];
+                        *sum = isa.mul_add(row, seen[1 + j], *sum);
                     }
                 }
             }
@@ -134,47 +160,11 @@ impl SumPictures<'_> {
             put(&mut products.target_target, tt);
             put(&mut products.diffuse_diffuse, dd);
             put(&mut products.diffuse_target, dt);
-            for l in 0..4 {
-                put(&mut products.diffuse_band[l], db[l]);
-                put(&mut products.band_target[l], bt[l]);
-            }
-            for (to, sum) in products.band_band.iter_mut().zip(bb) {
-                put(to, sum);
-            }
-        }
-    }
-}
-
-/// From the products of bands to those of S = Σ h_l B_l.
-pub(crate) struct TakeRoughness<'a> {
-    pub(crate) products: &'a Products,
-    pub(crate) bands: &'a [Doubles; 4],
-    pub(crate) specular: &'a mut Specular,
-}
-
-impl Kernel for TakeRoughness<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            products,
-            bands,
-            specular,
-        } = self;
-        *specular = Specular::default();
-        for l in 0..4 {
-            for x in 0..BLOCK {
-                let h = bands[l].0[x];
-                specular.diffuse_specular.0[x] += h * products.diffuse_band[l].0[x];
-                specular.specular_target.0[x] += h * products.band_target[l].0[x];
-            }
-            for j in 0..=l {
-                let product = &products.band_band[l * (l + 1) / 2 + j];
-                let twice = if j < l { 2.0 } else { 1.0 };
-                for x in 0..BLOCK {
-                    specular.specular_specular.0[x] +=
-                        twice * bands[l].0[x] * bands[j].0[x] * product.0[x];
+            for i in 0..M::ROWS {
+                put(&mut products.diffuse_row[i], dr[i]);
+                put(&mut products.row_target[i], rt[i]);
+                for j in 0..=i {
+                    put(&mut products.row_row[pair(i, j)], rr[pair(i, j)]);
                 }
             }
         }

@@ -28,6 +28,7 @@
 
 use ndarray::linalg::general_mat_mul;
 use ndarray::{ArrayView2, ArrayViewMut2};
+use std::marker::PhantomData;
 
 use crate::block::{BLOCK, Plane, Radiance};
 use crate::normal_matrix::zeros;
@@ -36,6 +37,7 @@ use crate::samples::{
     AddSample, Block, DERIVATIVES, Sums, by_kind, handed_out, unknowns_of_channel,
 };
 use crate::sh::COEFFICIENTS;
+use crate::shade::Reflection;
 use crate::simd::{Instructions, Isa, Kernel, Vectors};
 use crate::tilted::{TILTS, within_reach};
 use crate::{Error, Result, check, pool};
@@ -122,37 +124,37 @@ impl Problem {
     }
 }
 
-fn reduced<const C: usize, const D: usize, const U: usize>(
+fn reduced<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
     how: &Elimination,
 ) -> Result<Reduced> {
-    Lights::<C, D, U>::new(problem, x, pixels, how)?.reduced()
+    Lights::<M, C, D, U>::new(problem, x, pixels, how)?.reduced()
 }
 
-fn reduced_product<const C: usize, const D: usize, const U: usize>(
+fn reduced_product<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
     v: &[f64],
     how: &Elimination,
 ) -> Result<ReducedProduct> {
-    Lights::<C, D, U>::new(problem, x, pixels, how)?.product(v)
+    Lights::<M, C, D, U>::new(problem, x, pixels, how)?.product(v)
 }
 
-fn follow_lights<const C: usize, const D: usize, const U: usize>(
+fn follow_lights<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
     v: &[f64],
     how: &Elimination,
 ) -> Result<Vec<f64>> {
-    Lights::<C, D, U>::new(problem, x, pixels, how)?.follow(v)
+    Lights::<M, C, D, U>::new(problem, x, pixels, how)?.follow(v)
 }
 
 /// A call: the problem, where it stands, and which pixels take part.
-struct Lights<'a, const C: usize, const D: usize, const U: usize> {
+struct Lights<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     problem: &'a Problem,
     maps: &'a [f64],
     /// (channel, picture)
@@ -163,9 +165,10 @@ struct Lights<'a, const C: usize, const D: usize, const U: usize> {
     coefficients: usize,
     /// Of the unknown lights: C, or 1 where all have the same.
     channels: usize,
+    model: PhantomData<M>,
 }
 
-impl<'a, const C: usize, const D: usize, const U: usize> Lights<'a, C, D, U> {
+impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Lights<'a, M, C, D, U> {
     fn new(
         problem: &'a Problem,
         x: &'a [f64],
@@ -197,6 +200,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> Lights<'a, C, D, U> {
             pictures: problem.pictures(),
             coefficients: problem.coefficients(),
             channels: if how.mono { 1 } else { C },
+            model: PhantomData,
         })
     }
 
@@ -225,7 +229,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> Lights<'a, C, D, U> {
     }
 
     /// Takes up a block of pixels, the `block`th of the call, and solves for them.
-    fn eliminate(&self, block: usize, solved: &mut Solved<'a, C, D, U>) {
+    fn eliminate(&self, block: usize, solved: &mut Solved<'a, M, C, D, U>) {
         let first = block * BLOCK;
         let pixels = &self.pixels[first..self.pixels.len().min(first + BLOCK)];
         let finish = self.problem.unknowns_of_pixel() - C;
@@ -400,9 +404,9 @@ struct Wide {
 }
 
 impl Wide {
-    fn of<const C: usize, const D: usize, const U: usize>(
-        lights: &Lights<C, D, U>,
-        solved: &mut Solved<C, D, U>,
+    fn of<M: Reflection, const C: usize, const D: usize, const U: usize>(
+        lights: &Lights<M, C, D, U>,
+        solved: &mut Solved<M, C, D, U>,
     ) -> Self {
         let unknowns = D - 1;
         let (n, k) = (lights.pictures, lights.coefficients);
@@ -432,9 +436,9 @@ impl Wide {
     }
 
     /// Subtracts this block's Bᵀ A⁻¹ B from a tile.
-    fn subtract<const C: usize, const D: usize, const U: usize>(
+    fn subtract<M: Reflection, const C: usize, const D: usize, const U: usize>(
         &self,
-        lights: &Lights<C, D, U>,
+        lights: &Lights<M, C, D, U>,
         tile: &Tile,
         values: &mut [f64],
     ) {
@@ -469,9 +473,9 @@ impl Wide {
 struct Lanes([[f64; LANES]; COEFFICIENTS]);
 
 /// A block of pixels that are solved for. Samples are (channel, picture).
-struct Solved<'a, const C: usize, const D: usize, const U: usize> {
+struct Solved<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     problem: &'a Problem,
-    block: Block<'a, C, D>,
+    block: Block<'a, M, C, D>,
     /// Pixels in the block.
     count: usize,
     /// The unknowns that there are.
@@ -491,7 +495,7 @@ struct Solved<'a, const C: usize, const D: usize, const U: usize> {
     rows: Vec<[Doubles; D]>,
 }
 
-impl<'a, const C: usize, const D: usize, const U: usize> Solved<'a, C, D, U> {
+impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Solved<'a, M, C, D, U> {
     fn new(problem: &'a Problem) -> Self {
         let samples = C * problem.pictures();
         Self {

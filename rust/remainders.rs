@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 use crate::block::{BLOCK, Plane};
-use crate::shade::Frame;
+use crate::shade::directions;
 
 /// The nearest float32, and what is left of the number.
 pub(crate) fn rounded(value: f64) -> (f32, f32) {
@@ -24,7 +24,7 @@ pub(crate) struct DirectionRemainders {
 impl DirectionRemainders {
     /// Takes up a pixel of the block.
     pub(crate) fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
-        let (_, mirror) = Frame::directions(normal, view);
+        let (_, mirror) = directions(normal, view);
         for axis in 0..3 {
             self.normal[axis].0[pixel] = rounded(normal[axis]).1;
             self.mirror[axis].0[pixel] = rounded(mirror[axis]).1;

@@ -3,11 +3,14 @@
 use glam::DVec3;
 
 use crate::block::{
-    BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBasis, FillFactors, FillWeights,
-    Materials, Plane, Radiance,
+    BLOCK, Basis, ChannelFactors, Directions, FillBasis, FillFactors, FillWeights, Materials,
+    Plane, Radiance, no_functions,
 };
+use crate::model::Model;
+use crate::paper::Paper;
+use crate::principled::Principled;
 use crate::sh::COEFFICIENTS;
-use crate::shade::Material;
+use crate::shade::{Material, Reflection};
 use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
 
@@ -22,6 +25,7 @@ pub fn render(
     views: &[DVec3],
     materials: &[Material],
     lighting: &[f64],
+    model: Model,
     threads: usize,
 ) -> Result<Vec<f64>> {
     let pixels = normals.len();
@@ -49,7 +53,11 @@ pub fn render(
         CHUNK * BLOCK,
         threads,
         |first, parts| {
-            render_chunk(normals, views, materials, &lights, first, parts);
+            let fill = match model {
+                Model::Paper => render_chunk::<Paper>,
+                Model::Principled => render_chunk::<Principled>,
+            };
+            fill(normals, views, materials, &lights, first, parts);
         },
     )
 }
@@ -94,7 +102,7 @@ pub(crate) fn pictures(
 }
 
 /// Renders the pixels from `first` on that the parts have room for.
-fn render_chunk(
+fn render_chunk<M: Reflection>(
     normals: &[DVec3],
     views: &[DVec3],
     materials: &[Material],
@@ -106,7 +114,8 @@ fn render_chunk(
     let mut directions = Directions::<f64>::default();
     let mut of_block = Materials::<3>::default();
     let mut basis = Basis::<f64>::default();
-    let mut bands = BlockBands::default();
+    let mut functions = no_functions();
+    let model = M::default();
     let mut factors: [ChannelFactors<f64>; 3] = Default::default();
     let mut weights = [Plane::default(); COEFFICIENTS];
     let mut radiance = Plane::default();
@@ -117,22 +126,26 @@ fn render_chunk(
             directions.set(x, normals[block + x], views[block + x]);
             of_block.set(x, &materials[block + x]);
         }
-        isa.run(FillBasis::<f64, COEFFICIENTS> {
+        isa.run(FillBasis::<M, f64, COEFFICIENTS> {
             directions: &directions,
             basis: &mut basis,
+            model,
         });
         isa.run(FillFactors {
             directions: &directions,
             materials: &of_block,
             pixels: count,
-            bands: &mut bands,
+            by_cosine: false,
+            functions: &mut functions,
             factors: &mut factors,
+            model,
         });
         for c in 0..3 {
             isa.run(FillWeights {
                 basis: &basis,
                 factors: &factors[c],
                 weights: &mut weights,
+                model,
             });
             for (light, part) in lights.iter().zip(parts.iter_mut()) {
                 isa.run(Radiance {

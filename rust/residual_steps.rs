@@ -10,6 +10,7 @@ use crate::descent::{Descent, Point, Pull, Squares};
 use crate::problem::Problem;
 use crate::samples::{Block, Sums, UNKNOWNS};
 use crate::sh::COEFFICIENTS;
+use crate::shade::Reflection;
 use crate::simd::Instructions;
 use crate::turns::Tilts;
 
@@ -26,30 +27,32 @@ const TURNING_ROUGHNESS: f64 = 0.05;
 type Doubles = Plane<f64>;
 
 /// Up to [`BLOCK`] pixels, and where they stand.
-pub(crate) struct ResidualSteps<'a, const C: usize, const D: usize, const U: usize> {
+pub(crate) struct ResidualSteps<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     pub(crate) best: Box<Point<C, U>>,
     /// Of the pixels, as they were given.
     tilts: Tilts,
     /// Where normals turn: what descends.
     candidate: Option<Box<Point<C, U>>>,
-    walk: Walk<'a, C, D, U>,
+    walk: Walk<'a, M, C, D, U>,
 }
 
 /// What a descent needs beside the point that it moves.
-struct Walk<'a, const C: usize, const D: usize, const U: usize> {
+struct Walk<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     isa: Instructions,
     metallic_known: bool,
-    squares: Exact<'a, C, D>,
+    squares: Exact<'a, M, C, D>,
     trial: Box<Point<C, U>>,
 }
 
 /// Squares from residuals.
-struct Exact<'a, const C: usize, const D: usize> {
+struct Exact<'a, M: Reflection, const C: usize, const D: usize> {
     lights: &'a [[f64; COEFFICIENTS]],
-    block: Block<'a, C, D>,
+    block: Block<'a, M, C, D>,
 }
 
-impl<const C: usize, const D: usize, const U: usize> Squares<C, U> for Exact<'_, C, D> {
+impl<M: Reflection, const C: usize, const D: usize, const U: usize> Squares<C, U>
+    for Exact<'_, M, C, D>
+{
     fn take(&mut self, materials: &Materials<C>, tilts: &Tilts, sums: &mut Sums<U>) {
         *sums = Sums::default();
         self.block.take(materials, tilts);
@@ -57,7 +60,9 @@ impl<const C: usize, const D: usize, const U: usize> Squares<C, U> for Exact<'_,
     }
 }
 
-impl<'a, const C: usize, const D: usize, const U: usize> ResidualSteps<'a, C, D, U> {
+impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
+    ResidualSteps<'a, M, C, D, U>
+{
     pub(crate) fn new(problem: &'a Problem, lights: &'a [[f64; COEFFICIENTS]]) -> Self {
         Self {
             best: Box::default(),
@@ -125,7 +130,7 @@ impl<'a, const C: usize, const D: usize, const U: usize> ResidualSteps<'a, C, D,
     }
 }
 
-impl<const C: usize, const D: usize, const U: usize> Walk<'_, C, D, U> {
+impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, C, D, U> {
     fn take(&mut self, point: &mut Point<C, U>, pull: Option<&Pull>) {
         point.take(self.isa, &mut self.squares, pull);
     }

@@ -1,21 +1,22 @@
 //! The samples of a block of pixels, one at a time: residual, and derivatives by the unknowns.
 //!
-//! A pixel sees five numbers of a light: Σ_k A_l Y_k(n) L_k and, for each band, Σ_{k in l}
-//! Y_k(mirror) L_k. Radiance and its derivatives by the material are linear in them, with
-//! coefficients that no picture changes ([`FillResponses`]). Those by the two tilts of a free normal
-//! are Σ_k L_k ∂w_ck/∂a, with the derivatives of the weights from [`tilted`](crate::tilted).
+//! A pixel sees a few numbers of a light: Σ_k A_l Y_k(n) L_k and, for each row of its lobe, Σ_k R_jk
+//! L_k. Radiance and its derivatives by the material are linear in them, with coefficients that no
+//! picture changes ([`FillResponses`]). Those by the two tilts of a free normal are Σ_k L_k ∂w_ck/∂a,
+//! with the derivatives of the weights from [`tilted`](crate::tilted).
 //!
 //! Code is compiled for pixels whose normals are given, with D = 3 derivatives of a sample and U = 5
 //! unknowns of a pixel at most, and for free ones, with 5 and 7.
 
+use std::marker::PhantomData;
+
 use crate::block::{
-    BLOCK, Basis, BlockBands, ChannelFactors, Directions, FillBands, FillBasis, FillFactors,
-    FillWeights, Materials, Plane, Radiance, SEEN, seen,
+    BLOCK, Basis, ChannelFactors, Directions, FillBasis, FillFactors, FillFunctions, FillWeights,
+    MAX_SEEN, Materials, Plane, Radiance, no_functions, seen,
 };
-use crate::ggx::Bands;
 use crate::problem::Problem;
 use crate::sh::COEFFICIENTS;
-use crate::shade::{Factors, Material};
+use crate::shade::{BlockFunctions, Factors, MAX_ROWS, Material, Reflection};
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::tilted::{TILTS, Tilted};
 use crate::turns::Tilts;
@@ -31,19 +32,34 @@ pub(crate) const FREE_UNKNOWNS: usize = UNKNOWNS + TILTS;
 
 type Doubles = Plane<f64>;
 
-/// `f::<C, D, U>(…)` for the kind of problem.
+/// `f::<M, C, D, U>(…)` for the kind of problem.
 macro_rules! by_kind {
     ($problem:expr, $f:ident($($argument:expr),*)) => {{
+        use $crate::model::Model;
+        use $crate::paper::Paper;
+        use $crate::principled::Principled;
+        use $crate::samples::by_kind_of;
+        match $problem.model() {
+            Model::Paper => by_kind_of!(Paper, $problem, $f($($argument),*)),
+            Model::Principled => by_kind_of!(Principled, $problem, $f($($argument),*)),
+        }
+    }};
+}
+
+/// The same for a model M.
+macro_rules! by_kind_of {
+    ($model:ty, $problem:expr, $f:ident($($argument:expr),*)) => {{
         use $crate::samples::{DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS};
         match ($problem.channels(), $problem.free_normals()) {
-            (1, false) => $f::<1, DERIVATIVES, UNKNOWNS>($($argument),*),
-            (_, false) => $f::<3, DERIVATIVES, UNKNOWNS>($($argument),*),
-            (1, true) => $f::<1, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
-            (_, true) => $f::<3, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
+            (1, false) => $f::<$model, 1, DERIVATIVES, UNKNOWNS>($($argument),*),
+            (_, false) => $f::<$model, 3, DERIVATIVES, UNKNOWNS>($($argument),*),
+            (1, true) => $f::<$model, 1, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
+            (_, true) => $f::<$model, 3, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
         }
     }};
 }
 pub(crate) use by_kind;
+pub(crate) use by_kind_of;
 
 /// Where the derivatives of a channel belong among the unknowns of a pixel: albedo by channel,
 /// roughness, metallic, tilts.
@@ -60,7 +76,8 @@ pub(crate) fn handed_out<const C: usize, const D: usize>(problem: &Problem) -> V
 }
 
 /// Up to [`BLOCK`] pixels, picked from anywhere, and one of their samples at a time.
-pub(crate) struct Block<'a, const C: usize, const D: usize> {
+pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
+    model: M,
     problem: &'a Problem,
     isa: Instructions,
     /// Where the pixels come from.
@@ -68,7 +85,7 @@ pub(crate) struct Block<'a, const C: usize, const D: usize> {
     directions: Directions<f64>,
     pub materials: Materials<C>,
     basis: Basis<f64>,
-    bands: BlockBands,
+    functions: Box<BlockFunctions>,
     factors: [ChannelFactors<f64>; C],
     /// w_ck
     pub weights: Vec<[Doubles; COEFFICIENTS]>,
@@ -81,10 +98,19 @@ pub(crate) struct Block<'a, const C: usize, const D: usize> {
 }
 
 /// By which the numbers that a pixel sees of a light become radiance and its derivatives.
-#[derive(Clone, Debug, Default)]
-struct Responses {
-    radiance: [Doubles; SEEN],
-    derivatives: [[Doubles; SEEN]; DERIVATIVES],
+#[derive(Clone, Debug)]
+pub(crate) struct Responses {
+    pub(crate) radiance: [Doubles; MAX_SEEN],
+    pub(crate) derivatives: [[Doubles; MAX_SEEN]; DERIVATIVES],
+}
+
+impl Default for Responses {
+    fn default() -> Self {
+        Self {
+            radiance: [Doubles::default(); MAX_SEEN],
+            derivatives: [[Doubles::default(); MAX_SEEN]; DERIVATIVES],
+        }
+    }
 }
 
 /// One channel of one picture.
@@ -108,16 +134,17 @@ impl<const D: usize> Default for Sample<D> {
     }
 }
 
-impl<'a, const C: usize, const D: usize> Block<'a, C, D> {
+impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
     pub(crate) fn new(problem: &'a Problem) -> Self {
         Self {
+            model: M::default(),
             problem,
             isa: problem.instructions(),
             places: Vec::new(),
             directions: Directions::default(),
             materials: Materials::default(),
             basis: Basis::default(),
-            bands: BlockBands::default(),
+            functions: no_functions(),
             factors: std::array::from_fn(|_| ChannelFactors::default()),
             weights: vec![[Doubles::default(); COEFFICIENTS]; C],
             responses: vec![Responses::default(); C],
@@ -158,9 +185,10 @@ impl<'a, const C: usize, const D: usize> Block<'a, C, D> {
     }
 
     fn fill_basis(&mut self) {
-        self.isa.run(FillBasis::<f64, COEFFICIENTS> {
+        self.isa.run(FillBasis::<M, f64, COEFFICIENTS> {
             directions: &self.directions,
             basis: &mut self.basis,
+            model: self.model,
         });
     }
 
@@ -172,9 +200,12 @@ impl<'a, const C: usize, const D: usize> Block<'a, C, D> {
             tilted.turn(self.isa, tilts, &mut self.directions);
             self.fill_basis();
         }
-        self.isa.run(FillBands {
+        self.isa.run(FillFunctions {
+            cosine: self.directions.cosines(),
             roughness: &self.materials.roughness,
-            bands: &mut self.bands,
+            by_cosine: self.tilted.is_some(),
+            functions: &mut self.functions,
+            model: self.model,
         });
         for c in 0..C {
             self.isa.run(FillResponses {
@@ -182,17 +213,18 @@ impl<'a, const C: usize, const D: usize> Block<'a, C, D> {
                 albedo: &self.materials.albedo[c],
                 roughness: &self.materials.roughness,
                 metallic: &self.materials.metallic,
-                bands: &self.bands,
+                functions: &self.functions,
                 responses: &mut self.responses[c],
+                model: PhantomData::<M>,
             });
         }
         if let Some(tilted) = &mut self.tilted {
-            tilted.fill(
+            tilted.fill::<M, C>(
                 self.isa,
                 &self.directions,
                 &self.basis,
                 &self.materials,
-                &self.bands,
+                &self.functions,
             );
         }
     }
@@ -203,14 +235,17 @@ impl<'a, const C: usize, const D: usize> Block<'a, C, D> {
             directions: &self.directions,
             materials: &self.materials,
             pixels: self.places.len(),
-            bands: &mut self.bands,
+            by_cosine: false,
+            functions: &mut self.functions,
             factors: &mut self.factors,
+            model: self.model,
         });
         for (factors, weights) in self.factors.iter().zip(&mut self.weights) {
             self.isa.run(FillWeights {
                 basis: &self.basis,
                 factors,
                 weights,
+                model: self.model,
             });
         }
     }
@@ -256,21 +291,23 @@ impl<'a, const C: usize, const D: usize> Block<'a, C, D> {
             responses: &self.responses[channel],
             by_tilts: self.tilted.as_ref().map(|t| &t.weights[channel]),
             sample: &mut self.sample,
+            model: PhantomData::<M>,
         });
     }
 }
 
 /// Fills in the coefficients of one channel: what [`Factors`] make of each seen number alone.
-struct FillResponses<'a> {
-    directions: &'a Directions<f64>,
-    albedo: &'a Doubles,
-    roughness: &'a Doubles,
-    metallic: &'a Doubles,
-    bands: &'a BlockBands,
-    responses: &'a mut Responses,
+pub(crate) struct FillResponses<'a, M: Reflection> {
+    pub(crate) directions: &'a Directions<f64>,
+    pub(crate) albedo: &'a Doubles,
+    pub(crate) roughness: &'a Doubles,
+    pub(crate) metallic: &'a Doubles,
+    pub(crate) functions: &'a BlockFunctions,
+    pub(crate) responses: &'a mut Responses,
+    pub(crate) model: PhantomData<M>,
 }
 
-impl Kernel for FillResponses<'_> {
+impl<M: Reflection> Kernel for FillResponses<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -281,25 +318,19 @@ impl Kernel for FillResponses<'_> {
                 roughness: self.roughness.0[x],
                 metallic: self.metallic.0[x],
             };
-            let mut bands = Bands {
-                weight: [0.0; 4],
-                slope: [0.0; 4],
-            };
-            for l in 0..4 {
-                bands.weight[l] = self.bands[l].0[x];
-                bands.slope[l] = self.bands[4 + l].0[x];
-            }
-            let factors = Factors::new(self.directions.cosine(x), &material, bands);
+            let functions = M::functions_of(self.functions, x);
+            let factors = M::factors(self.directions.cosine(x), &material, functions);
             // One call, in a loop: of several the compiler would make a function and no vector code.
-            for seen in 0..SEEN {
-                let mut alone = [0.0; SEEN];
+            for seen in 0..=M::ROWS {
+                let mut alone = [0.0; MAX_SEEN];
                 alone[seen] = 1.0;
-                let [by_diffuse, by_band @ ..] = alone;
-                let derivatives = factors.pull_back(&material, &[by_diffuse], &[by_band]);
+                let mut by_row = [0.0; MAX_ROWS];
+                by_row.copy_from_slice(&alone[1..]);
+                let derivatives = factors.pull_back(&material, &[alone[0]], &[by_row]);
                 self.responses.radiance[seen].0[x] = if seen == 0 {
-                    factors.diffuse[0]
+                    factors.diffuse(0)
                 } else {
-                    factors.specular[0] * bands.weight[seen - 1]
+                    factors.row(0, seen - 1)
                 };
                 self.responses.derivatives[0][seen].0[x] = derivatives.albedo[0];
                 self.responses.derivatives[1][seen].0[x] = derivatives.roughness;
@@ -310,7 +341,7 @@ impl Kernel for FillResponses<'_> {
 }
 
 /// Residual and derivatives of a sample.
-struct TakeSample<'a, const D: usize> {
+struct TakeSample<'a, M: Reflection, const D: usize> {
     basis: &'a Basis<f64>,
     light: &'a [f64; COEFFICIENTS],
     target: &'a Doubles,
@@ -318,9 +349,10 @@ struct TakeSample<'a, const D: usize> {
     /// ∂w_k by each tilt.
     by_tilts: Option<&'a [[Doubles; COEFFICIENTS]; TILTS]>,
     sample: &'a mut Sample<D>,
+    model: PhantomData<M>,
 }
 
-impl<const D: usize> Kernel for TakeSample<'_, D> {
+impl<M: Reflection, const D: usize> Kernel for TakeSample<'_, M, D> {
     type Output = ();
 
     #[inline(always)]
@@ -332,13 +364,14 @@ impl<const D: usize> Kernel for TakeSample<'_, D> {
             responses,
             by_tilts,
             sample,
+            ..
         } = self;
-        let seen = seen(basis, light);
+        let seen = seen::<M>(basis, light);
         for x in 0..BLOCK {
             sample.residual.0[x] = -target.0[x];
         }
         sample.derivatives[..DERIVATIVES].fill(Doubles::default());
-        for s in 0..SEEN {
+        for s in 0..=M::ROWS {
             for x in 0..BLOCK {
                 sample.residual.0[x] += responses.radiance[s].0[x] * seen[s].0[x];
             }

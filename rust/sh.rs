@@ -5,6 +5,9 @@ use std::ops::{Add, Mul, Sub};
 /// Number of basis functions, (l+1)² for l = 3.
 pub const COEFFICIENTS: usize = 16;
 
+/// Bands, l = 0 to 3.
+pub const BANDS: usize = 4;
+
 /// Band l of coefficient k = l(l+1)+m.
 pub const BAND_OF: [usize; COEFFICIENTS] = [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3];
 
@@ -131,10 +134,10 @@ pub fn slopes<T: Real>(direction: [T; 3]) -> [[T; 3]; COEFFICIENTS] {
 
 // Normalisation constants to 17 digits.
 const C00: f64 = 0.282_094_791_773_878_14; // √(1/4π)
-const C1: f64 = 0.488_602_511_902_919_9; // √(3/4π)
-const C2: f64 = 1.092_548_430_592_079_2; // √(15/4π)
-const C20: f64 = 0.315_391_565_252_520_05; // √(5/16π)
-const C33: f64 = 0.590_043_589_926_643_5; // √(35/32π)
-const C32: f64 = 2.890_611_442_640_554; // √(105/4π)
-const C31: f64 = 0.457_045_799_464_465_8; // √(21/32π)
-const C30: f64 = 0.373_176_332_590_115_4; // √(7/16π)
+pub(crate) const C1: f64 = 0.488_602_511_902_919_9; // √(3/4π)
+pub(crate) const C2: f64 = 1.092_548_430_592_079_2; // √(15/4π)
+pub(crate) const C20: f64 = 0.315_391_565_252_520_05; // √(5/16π)
+pub(crate) const C33: f64 = 0.590_043_589_926_643_5; // √(35/32π)
+pub(crate) const C32: f64 = 2.890_611_442_640_554; // √(105/4π)
+pub(crate) const C31: f64 = 0.457_045_799_464_465_8; // √(21/32π)
+pub(crate) const C30: f64 = 0.373_176_332_590_115_4; // √(7/16π)

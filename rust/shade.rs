@@ -1,26 +1,43 @@
 //! One pixel: from material and directions to the 16 weights of each colour channel, and back.
 //!
-//! Radiance is linear in the light, I_c = Σ_k w_ck L_kc (paper eqs. 6 and 12), with
+//! Radiance is linear in the light, I_c = Σ_k w_ck L_kc, and what a surface does with it is a matt
+//! part and a lobe:
 //!
 //! ```text
-//! w_ck = kd_c A_l Y_k(n) + ks_c h_l(r) Y_k(mirror),      mirror = 2(n·v)n − v
-//! kd_c = (1−F_c)(1−m) ρ_c/π                  ks_c = F_c G₁(n·v)/4
-//! F_c  = F0_c + (1−F0_c)(1−n·v)⁵            F0_c = 0.04(1−m) + m ρ_c
+//! w_ck = kd_c A_l Y_k(n) + Σ_j s_cj R_jk
 //! ```
 //!
-//! The factors that depend on the material ([`Factors`]) are kept apart from the two sets of
-//! basis functions ([`Frame`]), which do not. This file is the one place that knows the model:
-//! the double-precision reference and the fast float32 blocks are both built on it.
+//! A lobe sees a few numbers of a light, its *rows* j, each a sum over one band: B_j = Σ_k R_jk L_k.
+//! R depends on directions alone, the factors kd and s on material and n·v; no picture changes
+//! either. Which rows there are and what their factors are is the [`Reflection`] model:
+//! [`Paper`](crate::paper::Paper) or [`Principled`](crate::principled::Principled). All else, here
+//! and in the fast float32 blocks, is the same code for both.
 
-use std::f64::consts::FRAC_1_PI;
+use std::fmt::Debug;
+use std::marker::PhantomData;
 
 use glam::DVec3;
 
-use crate::ggx::{self, Bands, DIELECTRIC_F0, MIN_COSINE};
-use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
+use crate::block::Plane;
+use crate::ggx::MIN_COSINE;
+use crate::sh::{self, BAND_OF, BANDS, COEFFICIENTS, COSINE_TRANSFER, Real};
+use crate::simd::Isa;
 
 /// Weights w_ck of one pixel, channel first.
 pub type Weights<const C: usize = 3> = [[f64; COEFFICIENTS]; C];
+
+/// Rows of a lobe at most.
+pub const MAX_ROWS: usize = 10;
+/// Basis functions R_jk of a lobe at most.
+pub const MAX_ENTRIES: usize = 50;
+/// Functions of roughness and n·v at most.
+pub const MAX_FUNCTIONS: usize = 63;
+
+/// One number for each row of a lobe.
+pub type ByRow = [f64; MAX_ROWS];
+
+/// The [functions](Reflection::Functions) of a block of pixels.
+pub type BlockFunctions = [Plane<f64>; MAX_FUNCTIONS];
 
 /// Material of one pixel with C colour channels; all numbers lie in \[0, 1\].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,21 +50,160 @@ pub struct Material<const C: usize = 3> {
     pub metallic: f64,
 }
 
+/// What is the model's own: the rows of its lobe, and their factors.
+///
+/// Everything is always inlined: the fast path runs it over blocks of pixels, and only then does the
+/// compiler turn it into vector code.
+pub trait Reflection: Copy + Debug + Default + Send + Sync + 'static {
+    /// Rows FIRST_ROW\[l\] to FIRST_ROW\[l + 1\] see band l.
+    const FIRST_ROW: [usize; BANDS + 1];
+
+    /// Functions of roughness and n·v that a pixel's factors are made of, with their derivatives.
+    type Functions: Copy;
+
+    /// Factors of a pixel with C channels.
+    type Factors<const C: usize>: Factors<C>;
+
+    /// The functions of one pixel at its clamped n·v.
+    fn functions(cosine: f64, roughness: f64) -> Self::Functions;
+
+    /// Fills in the functions of a block at its clamped n·v; derivatives by n·v only where they are
+    /// asked for.
+    fn fill_functions<I: Isa>(
+        isa: I,
+        cosine: &Plane<f64>,
+        roughness: &Plane<f64>,
+        by_cosine: bool,
+        functions: &mut BlockFunctions,
+    );
+
+    /// Those of one pixel of the block.
+    fn functions_of(functions: &BlockFunctions, pixel: usize) -> Self::Functions;
+
+    /// The factors of a material at its clamped n·v and functions.
+    fn factors<const C: usize>(
+        cosine: f64,
+        material: &Material<C>,
+        functions: Self::Functions,
+    ) -> Self::Factors<C>;
+
+    /// R_jk at normal and mirror direction, at the places that [`first_entry`] says.
+    fn lobe<T: Real>(normal: [T; 3], mirror: [T; 3]) -> [T; MAX_ENTRIES];
+
+    /// Their change where normal and mirror direction change so.
+    fn lobe_along<T: Real>(directions: [[T; 3]; 2], change: [[T; 3]; 2]) -> [T; MAX_ENTRIES];
+
+    /// The adjoint: derivatives by normal and mirror direction from those by R_jk, for the first K
+    /// coefficients.
+    fn lobe_adjoint<T: Real, const K: usize>(
+        normal: [T; 3],
+        mirror: [T; 3],
+        cotangent: impl Fn(usize) -> T,
+    ) -> [[T; 3]; 2];
+
+    /// Derivatives by normal and mirror direction of Σ_ck g_ck Σ_j s_cj R_jk, with the cotangent g.
+    fn lobe_by_normal<const C: usize>(
+        [normal, mirror]: [DVec3; 2],
+        factors: &Self::Factors<C>,
+        cotangent: &Weights<C>,
+    ) -> [DVec3; 2] {
+        let mut by_lobe = [0.0; MAX_ENTRIES];
+        for c in 0..C {
+            each_entry::<Self, COEFFICIENTS>(|k, row, entry| {
+                by_lobe[entry] += cotangent[c][k] * factors.row(c, row);
+            });
+        }
+        Self::lobe_adjoint::<f64, COEFFICIENTS>(normal.to_array(), mirror.to_array(), |entry| {
+            by_lobe[entry]
+        })
+        .map(DVec3::from)
+    }
+
+    /// Number of rows.
+    const ROWS: usize = Self::FIRST_ROW[BANDS];
+}
+
+/// Factors of the weights that depend on the material, with what their derivatives need.
+pub trait Factors<const C: usize>: Copy + Debug {
+    /// kd_c
+    fn diffuse(&self, channel: usize) -> f64;
+
+    /// s_cj
+    fn row(&self, channel: usize, row: usize) -> f64;
+
+    /// The adjoint: from the derivatives of a scalar by the weights to those by the material.
+    ///
+    /// The weights' derivatives arrive summed: `by_diffuse[c]` = Σ_k g_ck A_l Y_k(n), which is the
+    /// derivative by kd_c, and `by_row[c][j]` = Σ_k g_ck R_jk, that by s_cj.
+    fn pull_back(
+        &self,
+        material: &Material<C>,
+        by_diffuse: &[f64; C],
+        by_row: &[ByRow; C],
+    ) -> Material<C>;
+
+    /// ∂kd_c and ∂s_cj by n·v, at the cosine and material that these factors are of.
+    ///
+    /// They hold for n·v > [`MIN_COSINE`]. Up to and at it the clamped cosine stays where it is
+    /// when the normal turns, and callers take 0 instead.
+    fn slopes_by_cosine(&self, cosine: f64, material: &Material<C>) -> ([f64; C], [ByRow; C]);
+
+    /// The derivative of a scalar by n·v, what each channel adds to it; arguments as of
+    /// [`pull_back`](Self::pull_back), and the same holds for n·v.
+    fn by_cosine(
+        &self,
+        cosine: f64,
+        material: &Material<C>,
+        by_diffuse: &[f64; C],
+        by_row: &[ByRow; C],
+    ) -> [f64; C];
+}
+
+/// Where the basis functions R_jk of coefficient k begin; there is one for each row of its band.
+pub const fn first_entry<M: Reflection>(k: usize) -> usize {
+    let (mut first, mut i) = (0, 0);
+    while i < k {
+        let l = BAND_OF[i];
+        first += M::FIRST_ROW[l + 1] - M::FIRST_ROW[l];
+        i += 1;
+    }
+    first
+}
+
+/// Calls `f` with every R_jk's coefficient k, row j and place, of the first K coefficients.
+#[inline(always)]
+pub fn each_entry<M: Reflection, const K: usize>(mut f: impl FnMut(usize, usize, usize)) {
+    let mut entry = 0;
+    for k in 0..K {
+        for row in M::FIRST_ROW[BAND_OF[k]]..M::FIRST_ROW[BAND_OF[k] + 1] {
+            f(k, row, entry);
+            entry += 1;
+        }
+    }
+}
+
 /// What a pixel's weights need of its directions; fixed while materials change.
 #[derive(Clone, Copy, Debug)]
-pub struct Frame {
+pub struct Frame<M> {
     /// n·v, at least [`MIN_COSINE`].
     pub cosine: f64,
     /// A_l Y_k(n); entries of band 3 are 0.
     pub diffuse: [f64; COEFFICIENTS],
-    /// Y_k(mirror).
-    pub mirror: [f64; COEFFICIENTS],
+    /// R_jk
+    pub lobe: [f64; MAX_ENTRIES],
+    model: PhantomData<M>,
 }
 
-impl Frame {
+/// The clamped n·v and the mirror direction; the latter is not clamped.
+pub fn directions(normal: DVec3, view: DVec3) -> (f64, DVec3) {
+    let cosine = normal.dot(view);
+    (cosine.max(MIN_COSINE), 2.0 * cosine * normal - view)
+}
+
+impl<M: Reflection> Frame<M> {
     /// From unit normal and unit view direction (surface to camera).
     pub fn new(normal: DVec3, view: DVec3) -> Self {
-        let (cosine, mirror) = Self::directions(normal, view);
+        let (cosine, mirror) = directions(normal, view);
         Self::at(cosine, normal, mirror)
     }
 
@@ -60,34 +216,28 @@ impl Frame {
         Self {
             cosine,
             diffuse,
-            mirror: sh::basis(mirror.to_array()),
+            lobe: M::lobe(normal.to_array(), mirror.to_array()),
+            model: PhantomData,
         }
-    }
-
-    /// The clamped n·v and the mirror direction; the latter is not clamped.
-    pub fn directions(normal: DVec3, view: DVec3) -> (f64, DVec3) {
-        let cosine = normal.dot(view);
-        (cosine.max(MIN_COSINE), 2.0 * cosine * normal - view)
     }
 }
 
 /// A [`Frame`], and how it changes with the normal.
 #[derive(Clone, Copy, Debug)]
-pub struct TurningFrame {
+pub struct TurningFrame<M> {
     /// At this normal.
-    pub frame: Frame,
+    pub frame: Frame<M>,
     normal: DVec3,
     view: DVec3,
+    mirror: DVec3,
     /// A_l ∇Y_k(n)
     diffuse: [DVec3; COEFFICIENTS],
-    /// ∇Y_k(mirror)
-    mirror: [DVec3; COEFFICIENTS],
 }
 
-impl TurningFrame {
+impl<M: Reflection> TurningFrame<M> {
     /// From unit normal and unit view direction (surface to camera).
     pub fn new(normal: DVec3, view: DVec3) -> Self {
-        let (cosine, mirror) = Frame::directions(normal, view);
+        let (cosine, mirror) = directions(normal, view);
         let mut diffuse = sh::slopes(normal.to_array()).map(DVec3::from);
         for (slope, &l) in diffuse.iter_mut().zip(&BAND_OF) {
             *slope *= COSINE_TRANSFER[l];
@@ -96,160 +246,47 @@ impl TurningFrame {
             frame: Frame::at(cosine, normal, mirror),
             normal,
             view,
+            mirror,
             diffuse,
-            mirror: sh::slopes(mirror.to_array()).map(DVec3::from),
         }
-    }
-}
-
-/// The factors of the weights that depend on the material, and what their derivatives need.
-#[derive(Clone, Copy, Debug)]
-pub struct Factors<const C: usize = 3> {
-    /// kd_c
-    pub diffuse: [f64; C],
-    /// ks_c
-    pub specular: [f64; C],
-    /// h_l and dh_l/dr
-    pub bands: Bands,
-    fresnel: [f64; C],
-    schlick: f64,
-    g1: f64,
-    g1_slope: f64,
-}
-
-impl<const C: usize> Factors<C> {
-    /// Factors of one material seen at the clamped cosine n·v, with the bands of its roughness.
-    ///
-    /// Always inlined, here and in [`pull_back`](Self::pull_back): the fast path runs them over
-    /// blocks of pixels, and only then does the compiler turn them into vector code.
-    #[inline(always)]
-    pub fn new(cosine: f64, material: &Material<C>, bands: Bands) -> Self {
-        let Material {
-            albedo,
-            roughness,
-            metallic,
-        } = *material;
-        let schlick = ggx::schlick(cosine);
-        let (g1, g1_slope) = ggx::smith_g1(cosine, roughness);
-        let mut fresnel = [0.0; C];
-        let mut diffuse = [0.0; C];
-        let mut specular = [0.0; C];
-        for c in 0..C {
-            let f0 = DIELECTRIC_F0 * (1.0 - metallic) + metallic * albedo[c];
-            fresnel[c] = f0 + (1.0 - f0) * schlick;
-            diffuse[c] = (1.0 - fresnel[c]) * (1.0 - metallic) * albedo[c] * FRAC_1_PI;
-            specular[c] = 0.25 * fresnel[c] * g1;
-        }
-        Self {
-            diffuse,
-            specular,
-            bands,
-            fresnel,
-            schlick,
-            g1,
-            g1_slope,
-        }
-    }
-
-    /// The adjoint: from the derivatives of a scalar by the weights to those by the material.
-    ///
-    /// The weights' derivatives arrive summed: `by_diffuse[c]` = Σ_k g_ck A_l Y_k(n), which is the
-    /// derivative by kd_c, and `band_sums[c][l]` = Σ_{k in l} g_ck Y_k(mirror). Then
-    ///
-    /// ```text
-    /// g_ks_c = Σ_l h_l band_sums[c][l]             g_h_l = Σ_c ks_c band_sums[c][l]
-    /// g_F_c  = −(1−m)(ρ_c/π) g_kd_c + (G₁/4) g_ks_c          g_F0_c = (1 − (1−n·v)⁵) g_F_c
-    /// g_ρ_c  = (1−F_c)(1−m)/π g_kd_c + m g_F0_c
-    /// g_m    = Σ_c −(1−F_c)(ρ_c/π) g_kd_c + (ρ_c − 0.04) g_F0_c
-    /// g_r    = Σ_c (F_c/4) G₁′ g_ks_c + Σ_l h_l′ g_h_l
-    /// ```
-    #[inline(always)]
-    pub fn pull_back(
-        &self,
-        material: &Material<C>,
-        by_diffuse: &[f64; C],
-        band_sums: &[[f64; 4]; C],
-    ) -> Material<C> {
-        let Material {
-            albedo, metallic, ..
-        } = *material;
-        let mut gradient = Material {
-            albedo: [0.0; C],
-            roughness: 0.0,
-            metallic: 0.0,
-        };
-        for c in 0..C {
-            let mut by_specular = 0.0;
-            for l in 0..4 {
-                by_specular += self.bands.weight[l] * band_sums[c][l];
-                gradient.roughness += self.bands.slope[l] * self.specular[c] * band_sums[c][l];
-            }
-            gradient.roughness += 0.25 * self.fresnel[c] * self.g1_slope * by_specular;
-            let transmitted = (1.0 - self.fresnel[c]) * FRAC_1_PI * by_diffuse[c];
-            let by_fresnel = -(1.0 - metallic) * albedo[c] * FRAC_1_PI * by_diffuse[c]
-                + 0.25 * self.g1 * by_specular;
-            let by_f0 = (1.0 - self.schlick) * by_fresnel;
-            gradient.albedo[c] = (1.0 - metallic) * transmitted + metallic * by_f0;
-            gradient.metallic += -albedo[c] * transmitted + (albedo[c] - DIELECTRIC_F0) * by_f0;
-        }
-        gradient
-    }
-
-    /// Derivatives of kd_c and of ks_c by n·v, at the cosine and material that these factors are of.
-    ///
-    /// ```text
-    /// dF_c  = −5(1−F0_c)(1−n·v)⁴
-    /// dkd_c = −(1−m)(ρ_c/π) dF_c              dks_c = (dF_c G₁ + F_c dG₁)/4
-    /// ```
-    ///
-    /// They hold for n·v > [`MIN_COSINE`]. Up to and at it the clamped cosine stays where it is
-    /// when the normal turns, and callers take 0 instead.
-    #[inline(always)]
-    pub fn by_cosine(&self, cosine: f64, material: &Material<C>) -> ([f64; C], [f64; C]) {
-        let Material {
-            albedo,
-            roughness,
-            metallic,
-        } = *material;
-        let schlick_slope = ggx::schlick_by_cosine(cosine);
-        let g1_slope = ggx::smith_g1_by_cosine(cosine, roughness);
-        let (mut diffuse, mut specular) = ([0.0; C], [0.0; C]);
-        for c in 0..C {
-            let f0 = DIELECTRIC_F0 * (1.0 - metallic) + metallic * albedo[c];
-            let fresnel_slope = (1.0 - f0) * schlick_slope;
-            diffuse[c] = -(1.0 - metallic) * albedo[c] * FRAC_1_PI * fresnel_slope;
-            specular[c] = 0.25 * (fresnel_slope * self.g1 + self.fresnel[c] * g1_slope);
-        }
-        (diffuse, specular)
     }
 }
 
 /// The weights of one pixel in double precision.
-pub fn shade<const C: usize>(frame: &Frame, material: &Material<C>) -> Weights<C> {
-    let factors = Factors::new(frame.cosine, material, ggx::bands(material.roughness));
+pub fn shade<M: Reflection, const C: usize>(
+    frame: &Frame<M>,
+    material: &Material<C>,
+) -> Weights<C> {
+    let factors = factors_at(frame, material);
     let mut weights = [[0.0; COEFFICIENTS]; C];
     for c in 0..C {
         for k in 0..COEFFICIENTS {
-            weights[c][k] = factors.diffuse[c] * frame.diffuse[k]
-                + factors.specular[c] * factors.bands.weight[BAND_OF[k]] * frame.mirror[k];
+            weights[c][k] = factors.diffuse(c) * frame.diffuse[k];
         }
+        each_entry::<M, COEFFICIENTS>(|k, row, entry| {
+            weights[c][k] += factors.row(c, row) * frame.lobe[entry];
+        });
     }
     weights
 }
 
+fn factors_at<M: Reflection, const C: usize>(
+    frame: &Frame<M>,
+    material: &Material<C>,
+) -> M::Factors<C> {
+    let functions = M::functions(frame.cosine, material.roughness);
+    M::factors(frame.cosine, material, functions)
+}
+
 /// The adjoint of [`shade`] by the material: `cotangent` holds the derivatives of a scalar by the
 /// weights, the result its derivatives by albedo, roughness and metallic.
-pub fn shade_vjp<const C: usize>(
-    frame: &Frame,
+pub fn shade_vjp<M: Reflection, const C: usize>(
+    frame: &Frame<M>,
     material: &Material<C>,
     cotangent: &Weights<C>,
 ) -> Material<C> {
-    let (by_diffuse, band_sums) = sums(frame, cotangent);
-    Factors::new(frame.cosine, material, ggx::bands(material.roughness)).pull_back(
-        material,
-        &by_diffuse,
-        &band_sums,
-    )
+    let (by_diffuse, by_row) = sums(frame, cotangent);
+    factors_at(frame, material).pull_back(material, &by_diffuse, &by_row)
 }
 
 /// [`shade_vjp`], and the derivative by the normal: a vector in the normal's tangent plane, so that
@@ -258,15 +295,15 @@ pub fn shade_vjp<const C: usize>(
 /// With g_ck the cotangent and R the mirror direction, dR = 2(v·dn)n + 2(n·v)dn and d(n·v) = v·dn:
 ///
 /// ```text
-/// g_R = Σ_ck g_ck ks_c h_l ∇Y_k(R)
-/// g_x = Σ_ck g_ck (dkd_c A_l Y_k(n) + dks_c h_l Y_k(R))          0 where n·v ≤ 10⁻⁴
-/// g_n = Σ_ck g_ck kd_c A_l ∇Y_k(n) + 2(g_R·n)v + 2(n·v)g_R + g_x v
+/// g_jk = Σ_c g_ck s_cj               g_R = Σ_jk g_jk ∂R_jk/∂R
+/// g_x  = Σ_ck g_ck (∂kd_c/∂x A_l Y_k(n) + Σ_j ∂s_cj/∂x R_jk)           0 where n·v ≤ 10⁻⁴
+/// g_n  = Σ_ck g_ck kd_c A_l ∇Y_k(n) + Σ_jk g_jk ∂R_jk/∂n + 2(g_R·n)v + 2(n·v)g_R + g_x v
 /// ```
 ///
 /// of which the part along n is taken away. The mirror direction is not clamped, so g_R holds
 /// everywhere.
-pub fn shade_vjp_by_normal<const C: usize>(
-    turning: &TurningFrame,
+pub fn shade_vjp_by_normal<M: Reflection, const C: usize>(
+    turning: &TurningFrame<M>,
     material: &Material<C>,
     cotangent: &Weights<C>,
 ) -> (Material<C>, DVec3) {
@@ -274,42 +311,44 @@ pub fn shade_vjp_by_normal<const C: usize>(
         frame,
         normal,
         view,
-        diffuse,
         mirror,
+        diffuse,
     } = turning;
-    let (by_diffuse, band_sums) = sums(frame, cotangent);
-    let factors = Factors::new(frame.cosine, material, ggx::bands(material.roughness));
-    let h = factors.bands.weight;
-    let (mut by_normal, mut by_mirror) = (DVec3::ZERO, DVec3::ZERO);
+    let (by_diffuse, by_row) = sums(frame, cotangent);
+    let factors = factors_at(frame, material);
+    let mut by_normal = DVec3::ZERO;
     for c in 0..C {
         for k in 0..COEFFICIENTS {
-            by_normal += cotangent[c][k] * factors.diffuse[c] * diffuse[k];
-            by_mirror += cotangent[c][k] * factors.specular[c] * h[BAND_OF[k]] * mirror[k];
+            by_normal += cotangent[c][k] * factors.diffuse(c) * diffuse[k];
         }
     }
+    let [lobe_by_normal, by_mirror] = M::lobe_by_normal([*normal, *mirror], &factors, cotangent);
     let cosine = normal.dot(*view);
-    by_normal += 2.0 * (by_mirror.dot(*normal) * *view + cosine * by_mirror);
+    by_normal += lobe_by_normal + 2.0 * (by_mirror.dot(*normal) * *view + cosine * by_mirror);
     if cosine > MIN_COSINE {
-        let (diffuse, specular) = factors.by_cosine(cosine, material);
-        for c in 0..C {
-            let by_specular: f64 = h.iter().zip(&band_sums[c]).map(|(h, sum)| h * sum).sum();
-            by_normal += (diffuse[c] * by_diffuse[c] + specular[c] * by_specular) * *view;
+        for by in factors.by_cosine(cosine, material, &by_diffuse, &by_row) {
+            by_normal += by * *view;
         }
     }
     (
-        factors.pull_back(material, &by_diffuse, &band_sums),
+        factors.pull_back(material, &by_diffuse, &by_row),
         by_normal - by_normal.dot(*normal) / normal.length_squared() * *normal,
     )
 }
 
-/// Σ_k g_ck A_l Y_k(n), and for each band Σ_{k in l} g_ck Y_k(mirror).
-fn sums<const C: usize>(frame: &Frame, cotangent: &Weights<C>) -> ([f64; C], [[f64; 4]; C]) {
-    let (mut by_diffuse, mut band_sums) = ([0.0; C], [[0.0; 4]; C]);
+/// Σ_k g_ck A_l Y_k(n), and for each row Σ_k g_ck R_jk.
+fn sums<M: Reflection, const C: usize>(
+    frame: &Frame<M>,
+    cotangent: &Weights<C>,
+) -> ([f64; C], [ByRow; C]) {
+    let (mut by_diffuse, mut by_row) = ([0.0; C], [[0.0; MAX_ROWS]; C]);
     for c in 0..C {
         for k in 0..COEFFICIENTS {
             by_diffuse[c] += cotangent[c][k] * frame.diffuse[k];
-            band_sums[c][BAND_OF[k]] += cotangent[c][k] * frame.mirror[k];
         }
+        each_entry::<M, COEFFICIENTS>(|k, row, entry| {
+            by_row[c][row] += cotangent[c][k] * frame.lobe[entry];
+        });
     }
-    (by_diffuse, band_sums)
+    (by_diffuse, by_row)
 }

@@ -1,20 +1,20 @@
 //! How the weights of a block of pixels change with the tilts of their normals.
 //!
-//! With the clamped x = n·v and the mirror direction R, the derivative of w_ck (see
-//! [`shade`](crate::shade)) by the tilt a is
+//! With the clamped x = n·v the derivative of w_ck (see [`shade`](crate::shade)) by the tilt a is
 //!
 //! ```text
 //! ∂w_ck/∂a = kd_c A_l ∇Y_k(n)·∂n/∂a + (dkd_c/dx) (∂x/∂a) A_l Y_k(n)
-//!          + h_l (ks_c ∇Y_k(R)·∂R/∂a + (dks_c/dx) (∂x/∂a) Y_k(R))
+//!          + Σ_j s_cj ∂R_jk/∂a + (ds_cj/dx) (∂x/∂a) R_jk
 //! ```
 //!
 //! and the same for b. No picture changes it, so a sample costs a sum over k, as radiance does.
 
-use crate::block::{BLOCK, Basis, BlockBands, DIFFUSE, Directions, Materials, Plane};
-use crate::ggx::Bands;
+use std::marker::PhantomData;
+
+use crate::block::{BLOCK, Basis, DIFFUSE, Directions, Materials, Plane};
 use crate::problem::Problem;
-use crate::sh::{BAND_OF, COEFFICIENTS};
-use crate::shade::{Factors, Material};
+use crate::sh::COEFFICIENTS;
+use crate::shade::{BlockFunctions, Factors, MAX_ROWS, Material, Reflection, each_entry};
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::turns::{FillBasisSlopes, GivenDirections, Tilts, Turn, Turns};
 
@@ -99,20 +99,22 @@ impl Tilted {
     }
 
     /// Works out the derivatives of the weights.
-    pub(crate) fn fill<const C: usize>(
+    pub(crate) fn fill<M: Reflection, const C: usize>(
         &mut self,
         isa: Instructions,
         directions: &Directions<f64>,
         basis: &Basis<f64>,
         materials: &Materials<C>,
-        bands: &BlockBands,
+        functions: &BlockFunctions,
     ) {
+        let model = M::default();
         for (tilt, slopes) in self.slopes.iter_mut().enumerate() {
             isa.run(FillBasisSlopes {
                 directions,
                 turns: &self.turns,
                 tilt,
                 slopes,
+                model,
             });
         }
         for (albedo, weights) in materials.albedo.iter().zip(&mut self.weights) {
@@ -124,15 +126,16 @@ impl Tilted {
                 albedo,
                 roughness: &materials.roughness,
                 metallic: &materials.metallic,
-                bands,
+                functions,
                 weights,
+                model: PhantomData::<M>,
             });
         }
     }
 }
 
 /// Fills in the derivatives of the weights of one channel.
-struct FillWeightSlopes<'a> {
+struct FillWeightSlopes<'a, M: Reflection> {
     directions: &'a Directions<f64>,
     basis: &'a Basis<f64>,
     turns: &'a Turns,
@@ -140,55 +143,52 @@ struct FillWeightSlopes<'a> {
     albedo: &'a Doubles,
     roughness: &'a Doubles,
     metallic: &'a Doubles,
-    bands: &'a BlockBands,
+    functions: &'a BlockFunctions,
     weights: &'a mut [[Doubles; COEFFICIENTS]; TILTS],
+    model: PhantomData<M>,
 }
 
-impl Kernel for FillWeightSlopes<'_> {
+impl<M: Reflection> Kernel for FillWeightSlopes<'_, M> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        // kd and ks h_l, and their derivatives by the cosine.
+        // kd and s_j, and their derivatives by the cosine.
         let (mut diffuse, mut by_diffuse) = <(Doubles, Doubles)>::default();
-        let (mut specular, mut by_specular) = <([Doubles; 4], [Doubles; 4])>::default();
+        let (mut rows, mut by_row) = <([Doubles; MAX_ROWS], [Doubles; MAX_ROWS])>::default();
         for x in 0..BLOCK {
             let material = Material {
                 albedo: [self.albedo.0[x]],
                 roughness: self.roughness.0[x],
                 metallic: self.metallic.0[x],
             };
-            let mut bands = Bands {
-                weight: [0.0; 4],
-                slope: [0.0; 4],
-            };
-            for l in 0..4 {
-                bands.weight[l] = self.bands[l].0[x];
-            }
             let cosine = self.directions.cosine(x);
-            let factors = Factors::new(cosine, &material, bands);
-            let ([diffuse_slope], [specular_slope]) = factors.by_cosine(cosine, &material);
-            diffuse.0[x] = factors.diffuse[0];
+            let factors = M::factors(cosine, &material, M::functions_of(self.functions, x));
+            let ([diffuse_slope], [row_slopes]) = factors.slopes_by_cosine(cosine, &material);
+            diffuse.0[x] = factors.diffuse(0);
             by_diffuse.0[x] = diffuse_slope;
-            for l in 0..4 {
-                specular[l].0[x] = factors.specular[0] * bands.weight[l];
-                by_specular[l].0[x] = specular_slope * bands.weight[l];
+            for j in 0..M::ROWS {
+                rows[j].0[x] = factors.row(0, j);
+                by_row[j].0[x] = row_slopes[j];
             }
         }
         for t in 0..TILTS {
             let (cosine, slopes) = (&self.turns.cosine[t], &self.slopes[t]);
-            for k in 0..COEFFICIENTS {
-                let (ks, by_ks) = (&specular[BAND_OF[k]], &by_specular[BAND_OF[k]]);
-                let weights = &mut self.weights[t][k];
+            let of_tilt = &mut self.weights[t];
+            of_tilt.fill(Doubles::default());
+            each_entry::<M, COEFFICIENTS>(|k, j, entry| {
+                let (row, by_row) = (&rows[j], &by_row[j]);
+                let (slope, lobe) = (&slopes.lobe[entry], &self.basis.lobe[entry]);
+                let weights = &mut of_tilt[k];
                 for x in 0..BLOCK {
-                    weights.0[x] = ks.0[x] * slopes.mirror[k].0[x]
-                        + cosine.0[x] * by_ks.0[x] * self.basis.mirror[k].0[x];
+                    weights.0[x] += row.0[x] * slope.0[x] + cosine.0[x] * by_row.0[x] * lobe.0[x];
                 }
-                if k < DIFFUSE {
-                    for x in 0..BLOCK {
-                        weights.0[x] += diffuse.0[x] * slopes.diffuse[k].0[x]
-                            + cosine.0[x] * by_diffuse.0[x] * self.basis.diffuse[k].0[x];
-                    }
+            });
+            for k in 0..DIFFUSE {
+                let weights = &mut of_tilt[k];
+                for x in 0..BLOCK {
+                    weights.0[x] += diffuse.0[x] * slopes.diffuse[k].0[x]
+                        + cosine.0[x] * by_diffuse.0[x] * self.basis.diffuse[k].0[x];
                 }
             }
         }

@@ -3,11 +3,12 @@
 use glam::DVec3;
 
 use crate::block::{
-    BLOCK, Basis, BlockBands, ByWeights, ChannelFactors, ChannelSums, DIFFUSE, Directions,
-    Materials, Plane, factors_of,
+    BLOCK, Basis, ByWeights, ChannelFactors, ChannelSums, DIFFUSE, Directions, Materials, Plane,
+    factors_of, sums_of,
 };
 use crate::ggx::MIN_COSINE;
 use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
+use crate::shade::{BlockFunctions, Factors, Reflection, first_entry};
 use crate::simd::{Isa, Kernel, Vectors};
 use crate::{Error, Result, tilt};
 
@@ -147,9 +148,9 @@ impl<T: Real> Kernel for Turn<'_, T> {
     }
 }
 
-/// Fills in the derivatives of the basis functions by one of the tilts: A_l ∇Y_k(n)·∂n/∂a and
-/// ∇Y_k(mirror)·∂mirror/∂a.
-pub struct FillBasisSlopes<'a> {
+/// Fills in the derivatives of the basis functions by one of the tilts: A_l ∇Y_k(n)·∂n/∂a, and those
+/// of R_jk.
+pub struct FillBasisSlopes<'a, M: Reflection> {
     /// Where the pixels look.
     pub directions: &'a Directions<f64>,
     /// How that changes.
@@ -158,9 +159,11 @@ pub struct FillBasisSlopes<'a> {
     pub tilt: usize,
     /// To be written.
     pub slopes: &'a mut Basis<f64>,
+    /// Whose basis it is.
+    pub model: M,
 }
 
-impl Kernel for FillBasisSlopes<'_> {
+impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -170,6 +173,7 @@ impl Kernel for FillBasisSlopes<'_> {
             turns,
             tilt,
             slopes,
+            ..
         } = self;
         let (by_normal, by_mirror) = (&turns.normal[tilt], &turns.mirror[tilt]);
         for x in 0..BLOCK {
@@ -183,13 +187,10 @@ impl Kernel for FillBasisSlopes<'_> {
             }
         }
         for x in 0..BLOCK {
-            let by = vector(by_mirror, x).to_array();
-            let mut along = [0.0; COEFFICIENTS];
-            sh::each_slope(directions.mirror(x), |k, axis, slope| {
-                along[k] += slope * by[axis];
-            });
-            for k in 0..COEFFICIENTS {
-                slopes.mirror[k].0[x] = along[k];
+            let by = [by_normal, by_mirror].map(|by| vector(by, x).to_array());
+            let along = M::lobe_along([directions.normal(x), directions.mirror(x)], by);
+            for i in 0..first_entry::<M>(COEFFICIENTS) {
+                slopes.lobe[i].0[x] = along[i];
             }
         }
     }
@@ -228,17 +229,19 @@ impl Kernel for LoadTilts<'_> {
 }
 
 /// Sums up derivatives by the basis functions, of all channels: Σ_c kd_c g_ck is that by A_l Y_k(n),
-/// and Σ_c ks_c h_l g_ck that by Y_k(mirror), for k > 0. Y₀ does not change.
-pub struct ByBasis<'a> {
+/// and Σ_c s_cj g_ck that by R_jk, for k > 0. Those of Y₀ do not change.
+pub struct ByBasis<'a, M: Reflection> {
     /// Whether to begin the sums, or add to them.
     pub begin: bool,
     /// The channel's factors.
     pub factors: &'a ChannelFactors,
     /// Written or added to.
     pub sums: &'a mut Basis,
+    /// Whose basis it is.
+    pub model: M,
 }
 
-impl ByWeights for ByBasis<'_> {
+impl<M: Reflection> ByWeights for ByBasis<'_, M> {
     #[inline(always)]
     fn take<I: Vectors<f32>, const V: usize>(
         &mut self,
@@ -251,6 +254,7 @@ impl ByWeights for ByBasis<'_> {
             begin,
             factors,
             sums,
+            ..
         } = self;
         let add = |factor: &Plane, sum: &mut Plane| {
             let factor = &I::of(&factor.0)[v..v + V];
@@ -264,7 +268,13 @@ impl ByWeights for ByBasis<'_> {
             }
         };
         if k > 0 {
-            add(&factors.specular[BAND_OF[k]], &mut sums.mirror[k]);
+            let (first, next) = (M::FIRST_ROW[BAND_OF[k]], M::FIRST_ROW[BAND_OF[k] + 1]);
+            for j in first..next {
+                add(
+                    &factors.rows[j],
+                    &mut sums.lobe[first_entry::<M>(k) + j - first],
+                );
+            }
             if k < DIFFUSE {
                 add(&factors.diffuse, &mut sums.diffuse[k]);
             }
@@ -277,19 +287,19 @@ impl ByWeights for ByBasis<'_> {
 /// With g_D and g_B what [`ByBasis`] found, and x = n·v,
 ///
 /// ```text
-/// g_n = Σ_k g_Dk A_l ∇Y_k(n)          g_R = Σ_k g_Bk ∇Y_k(mirror)
-/// g_x = Σ_c dkd_c/dx g_kd_c + dks_c/dx g_ks_c
+/// g_n = Σ_k g_Dk A_l ∇Y_k(n) + Σ_jk g_Bjk ∂R_jk/∂n          g_R = Σ_jk g_Bjk ∂R_jk/∂mirror
+/// g_x = Σ_c dkd_c/dx g_kd_c + Σ_j ds_cj/dx g_s_cj
 /// g_a = g_n·∂n/∂a + g_R·∂mirror/∂a + g_x ∂x/∂a
 /// ```
-pub struct PullBackTurns<'a, const C: usize, const K: usize> {
+pub struct PullBackTurns<'a, M: Reflection, const C: usize, const K: usize> {
     /// Where the pixels look.
     pub directions: &'a Directions,
     /// How that changes with their tilts.
     pub turns: &'a Turns,
     /// What they are made of.
     pub materials: &'a Materials<C>,
-    /// The bands of their roughness.
-    pub bands: &'a BlockBands,
+    /// The functions of their roughness and n·v, with derivatives by n·v.
+    pub functions: &'a BlockFunctions,
     /// The adjoint of the factors.
     pub sums: &'a [ChannelSums; C],
     /// The adjoint of the basis functions.
@@ -298,9 +308,11 @@ pub struct PullBackTurns<'a, const C: usize, const K: usize> {
     pub scale: f64,
     /// To be written.
     pub gradient: &'a mut Tilts,
+    /// Whose factors they are.
+    pub model: M,
 }
 
-impl<const C: usize, const K: usize> Kernel for PullBackTurns<'_, C, K> {
+impl<M: Reflection, const C: usize, const K: usize> Kernel for PullBackTurns<'_, M, C, K> {
     type Output = ();
 
     #[inline(always)]
@@ -309,11 +321,12 @@ impl<const C: usize, const K: usize> Kernel for PullBackTurns<'_, C, K> {
             directions,
             turns,
             materials,
-            bands,
+            functions,
             sums,
             by_basis,
             scale,
             gradient,
+            ..
         } = self;
         let mut by_normal: [Plane; 3] = Default::default();
         for x in 0..BLOCK {
@@ -328,30 +341,35 @@ impl<const C: usize, const K: usize> Kernel for PullBackTurns<'_, C, K> {
                 by_normal[axis].0[x] = by[axis];
             }
         }
-        let mut by_mirror: [Plane; 3] = Default::default();
+        let [mut by_lobe_normal, mut by_mirror] = <[[Plane; 3]; 2]>::default();
         for x in 0..BLOCK {
-            let mut by = [0.0; 3];
-            sh::each_slope(directions.mirror(x), |k, axis, slope| {
-                if k < K {
-                    by[axis] += slope * by_basis.mirror[k].0[x];
-                }
-            });
+            let (normal, mirror) = (directions.normal(x), directions.mirror(x));
+            let [of_normal, of_mirror] =
+                M::lobe_adjoint::<f32, K>(normal, mirror, |i| by_basis.lobe[i].0[x]);
             for axis in 0..3 {
-                by_mirror[axis].0[x] = by[axis];
+                by_lobe_normal[axis].0[x] = of_normal[axis];
+                by_mirror[axis].0[x] = of_mirror[axis];
+            }
+        }
+        for axis in 0..3 {
+            for x in 0..BLOCK {
+                by_normal[axis].0[x] += by_lobe_normal[axis].0[x];
             }
         }
         // Planes of their own, which overlap nothing: else the compiler makes no vector code.
         let mut by_cosine = Doubles::default();
         for x in 0..BLOCK {
-            let factors = factors_of(directions, materials, bands, x);
-            let (diffuse, specular) = factors.by_cosine(directions.cosine(x), &materials.get(x));
+            let factors = factors_of::<M, f32, C>(directions, materials, functions, x);
+            let (by_diffuse, by_row) = sums_of::<M, C>(sums, x);
+            let by_channel = factors.by_cosine(
+                directions.cosine(x),
+                &materials.get(x),
+                &by_diffuse,
+                &by_row,
+            );
             let mut by = 0.0;
             for c in 0..C {
-                let mut by_specular = 0.0;
-                for l in 0..4 {
-                    by_specular += factors.bands.weight[l] * f64::from(sums[c].bands[l].0[x]);
-                }
-                by += diffuse[c] * f64::from(sums[c].diffuse.0[x]) + specular[c] * by_specular;
+                by += by_channel[c];
             }
             by_cosine.0[x] = by;
         }

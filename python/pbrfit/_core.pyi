@@ -47,6 +47,7 @@ def shade(
     albedo: NDArray[np.float64],
     roughness: NDArray[np.float64],
     metallic: NDArray[np.float64],
+    model: str = "paper",
 ) -> NDArray[np.float64]: ...
 def shade_vjp(
     normal: NDArray[np.float64],
@@ -55,6 +56,7 @@ def shade_vjp(
     roughness: NDArray[np.float64],
     metallic: NDArray[np.float64],
     cotangent: NDArray[np.float64],
+    model: str = "paper",
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 def render(
     normals: NDArray[np.float64],
@@ -64,6 +66,7 @@ def render(
     metallic: NDArray[np.float64],
     lighting: NDArray[np.float64],
     threads: int,
+    model: str = "paper",
 ) -> NDArray[np.float64]: ...
 def render_directional(
     normals: NDArray[np.float64],
@@ -74,6 +77,7 @@ def render_directional(
     directions: NDArray[np.float64],
     colors: NDArray[np.float64],
     threads: int,
+    model: str = "paper",
 ) -> NDArray[np.float64]: ...
 
 class _Series(Protocol):
@@ -109,6 +113,7 @@ class Problem:
         metallic: float | None = None,
         lighting: NDArray[np.float64] | None = None,
         free_normals: bool = False,
+        model: str = "paper",
     ) -> Problem: ...
     @property
     def size(self) -> int: ...

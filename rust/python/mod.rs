@@ -21,7 +21,7 @@ use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::Error;
-use crate::band_table::TABLE;
+use crate::{band_table, lobe_table};
 
 create_exception!(
     pbrfit._core,
@@ -59,7 +59,8 @@ impl From<Error> for PyErr {
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     // Under the interpreter lock, without which nobody forks: a child that was forked while another
     // thread makes the table would wait for it for ever.
-    LazyLock::force(&TABLE);
+    LazyLock::force(&band_table::TABLE);
+    LazyLock::force(&lobe_table::TABLE);
     // Numpy's functions are looked up when first used, where a Ctrl-C would become a panic.
     module.py().import("numpy")?;
     PyArray1::<f64>::zeros(module.py(), 0, false);

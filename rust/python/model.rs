@@ -10,16 +10,22 @@ use pyo3::prelude::*;
 
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
 use crate::directional::{DirectionalLight, render_directional as render_directional_pixels};
+use crate::lobe_table;
+use crate::model::Model;
+use crate::paper::Paper;
+use crate::principled::Principled;
 use crate::problem::MAX_SAMPLES;
 use crate::render::render as render_pixels;
 use crate::shade::{
-    Frame, Material, TurningFrame, shade as shade_pixel, shade_vjp_by_normal as pull_back_pixel,
+    Frame, Material, Reflection, TurningFrame, Weights, shade as shade_pixel,
+    shade_vjp_by_normal as pull_back_pixel,
 };
 use crate::{Error, Result, check, ggx, sh};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(sh_basis, module)?)?;
     module.add_function(wrap_pyfunction!(ggx_band_weights, module)?)?;
+    module.add_function(wrap_pyfunction!(lobe_functions, module)?)?;
     module.add_function(wrap_pyfunction!(shade, module)?)?;
     module.add_function(wrap_pyfunction!(shade_vjp, module)?)?;
     module.add_function(wrap_pyfunction!(render, module)?)?;
@@ -64,6 +70,40 @@ fn ggx_band_weights<'py>(
 }
 
 #[pyfunction]
+#[expect(clippy::type_complexity)]
+fn lobe_functions<'py>(
+    py: Python<'py>,
+    r: &Bound<'py, PyAny>,
+    cosine: &Bound<'py, PyAny>,
+) -> PyResult<(
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+)> {
+    let r = array::<f64, Ix1>("r", r)?;
+    let cosine = array::<f64, Ix1>("cosine", cosine)?;
+    shape("cosine", r.shape(), cosine.shape())?;
+    let (r, cosine) = (try_copied("r", &r)?, try_copied("cosine", &cosine)?);
+    let rows = py.detach(|| {
+        check::unit_interval("r", &r)?;
+        check::unit_interval("cosine", &cosine)?;
+        let rows = r.iter().zip(&cosine);
+        collect(
+            "r",
+            r.len(),
+            rows.map(|(&r, &cosine)| lobe_table::values(r, cosine)),
+        )
+    })?;
+    let column = |i: usize| collect("r", rows.len(), rows.iter().map(|row| row[i]));
+    Ok((
+        array2(column(0)?).into_pyarray(py),
+        array2(column(1)?).into_pyarray(py),
+        array2(column(2)?).into_pyarray(py),
+    ))
+}
+
+#[pyfunction]
+#[pyo3(signature = (normal, view, albedo, roughness, metallic, model = "paper"))]
 fn shade<'py>(
     py: Python<'py>,
     normal: &Bound<'py, PyAny>,
@@ -71,7 +111,9 @@ fn shade<'py>(
     albedo: &Bound<'py, PyAny>,
     roughness: &Bound<'py, PyAny>,
     metallic: &Bound<'py, PyAny>,
+    model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    let model: Model = model.parse()?;
     let pixels = Pixels::new(
         ("normal", normal),
         ("view", view),
@@ -81,10 +123,10 @@ fn shade<'py>(
     )?;
     let weights = py.detach(|| {
         pixels.check()?;
-        let weights = pixels
-            .each()
-            .map(|(n, v, m)| shade_pixel(&Frame::new(n, v), m));
-        collect("normal", pixels.count(), weights)
+        match model {
+            Model::Paper => pixels.shade::<Paper>(),
+            Model::Principled => pixels.shade::<Principled>(),
+        }
     })?;
     let shape = [pixels.count(), 3, sh::COEFFICIENTS];
     let weights = weights.into_flattened().into_flattened();
@@ -92,6 +134,7 @@ fn shade<'py>(
 }
 
 #[pyfunction]
+#[pyo3(signature = (normal, view, albedo, roughness, metallic, cotangent, model = "paper"))]
 #[expect(clippy::type_complexity)]
 fn shade_vjp<'py>(
     py: Python<'py>,
@@ -101,12 +144,14 @@ fn shade_vjp<'py>(
     roughness: &Bound<'py, PyAny>,
     metallic: &Bound<'py, PyAny>,
     cotangent: &Bound<'py, PyAny>,
+    model: &str,
 ) -> PyResult<(
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray2<f64>>,
 )> {
+    let model: Model = model.parse()?;
     let pixels = Pixels::new(
         ("normal", normal),
         ("view", view),
@@ -126,9 +171,10 @@ fn shade_vjp<'py>(
             .0
             .as_chunks::<3>()
             .0;
-        let pairs = pixels.each().zip(weights);
-        let gradients = pairs.map(|((n, v, m), w)| pull_back_pixel(&TurningFrame::new(n, v), m, w));
-        collect("normal", pixels.count(), gradients)
+        match model {
+            Model::Paper => pixels.pull_back::<Paper>(weights),
+            Model::Principled => pixels.pull_back::<Principled>(weights),
+        }
     })?;
     let (materials, normals) = (
         || gradients.iter().map(|g| g.0),
@@ -147,6 +193,7 @@ fn shade_vjp<'py>(
 }
 
 #[pyfunction]
+#[pyo3(signature = (normals, views, albedo, roughness, metallic, lighting, threads, model = "paper"))]
 #[expect(clippy::too_many_arguments)]
 fn render<'py>(
     py: Python<'py>,
@@ -157,7 +204,9 @@ fn render<'py>(
     metallic: &Bound<'py, PyAny>,
     lighting: &Bound<'py, PyAny>,
     threads: usize,
+    model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    let model: Model = model.parse()?;
     let pixels = Pixels::new(
         ("normals", normals),
         ("views", views),
@@ -176,11 +225,13 @@ fn render<'py>(
         materials,
         ..
     } = &pixels;
-    let images = py.detach(|| render_pixels(normals, views, materials, &lighting, threads))?;
+    let images =
+        py.detach(|| render_pixels(normals, views, materials, &lighting, model, threads))?;
     Ok(array3(images, [lights, pixels.count(), 3]).into_pyarray(py))
 }
 
 #[pyfunction]
+#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, colors, threads, model = "paper"))]
 #[expect(clippy::too_many_arguments)]
 fn render_directional<'py>(
     py: Python<'py>,
@@ -192,7 +243,9 @@ fn render_directional<'py>(
     directions: &Bound<'py, PyAny>,
     colors: &Bound<'py, PyAny>,
     threads: usize,
+    model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    paper_only(model)?;
     let pixels = Pixels::new(
         ("normals", normals),
         ("views", views),
@@ -219,6 +272,14 @@ fn render_directional<'py>(
     let images =
         py.detach(|| render_directional_pixels(normals, views, materials, &lights, threads))?;
     Ok(array3(images, [lights.len(), pixels.count(), 3]).into_pyarray(py))
+}
+
+/// Until there is a kernel for it.
+fn paper_only(model: &str) -> Result<()> {
+    match model.parse()? {
+        Model::Paper => Ok(()),
+        Model::Principled => Err(Error::argument("model", "paper", model)),
+    }
 }
 
 /// Pictures of so many pixels under so many lights must be possible.
@@ -273,6 +334,20 @@ impl Pixels {
     fn check(&self) -> Result<()> {
         check::unit_vectors(self.names[0], &self.normals)?;
         check::unit_vectors(self.names[1], &self.views)
+    }
+
+    fn shade<M: Reflection>(&self) -> Result<Vec<Weights>> {
+        let weights = self
+            .each()
+            .map(|(n, v, m)| shade_pixel(&Frame::<M>::new(n, v), m));
+        collect("normal", self.count(), weights)
+    }
+
+    fn pull_back<M: Reflection>(&self, cotangent: &[Weights]) -> Result<Vec<(Material, DVec3)>> {
+        let pairs = self.each().zip(cotangent);
+        let gradients =
+            pairs.map(|((n, v, m), w)| pull_back_pixel(&TurningFrame::<M>::new(n, v), m, w));
+        collect("normal", self.count(), gradients)
     }
 
     /// Normal, view direction and material.

@@ -43,7 +43,7 @@ impl PyProblem {
     #[new]
     #[pyo3(signature = (
         images, normals, views, threads = 0, *,
-        weights = None, sh_order = 3, metallic = None, lighting = None, free_normals = false
+        weights = None, sh_order = 3, metallic = None, lighting = None, free_normals = false, model = "paper"
     ))]
     #[expect(clippy::too_many_arguments)]
     fn new(
@@ -56,6 +56,7 @@ impl PyProblem {
         metallic: Option<f64>,
         lighting: Option<&Bound<'_, PyAny>>,
         free_normals: bool,
+        model: &str,
     ) -> PyResult<Self> {
         let images = Images::of(images)?;
         let normals = array("normals", normals)?;
@@ -98,6 +99,7 @@ impl PyProblem {
                 .map(|lighting| try_copied("lighting", &lighting))
                 .transpose()?,
             free_normals,
+            model: model.parse()?,
             threads,
             ..Options::default()
         };

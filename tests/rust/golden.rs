@@ -5,6 +5,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use pbrfit::ggx;
+use pbrfit::paper::Paper;
 use pbrfit::shade::{Material, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
 use serde_json::Value;
 
@@ -68,7 +69,7 @@ fn weights_radiance_and_derivatives() {
             roughness: get("roughness")[0],
             metallic: get("metallic")[0],
         };
-        let turning = TurningFrame::new(vector("normal"), vector("view"));
+        let turning = TurningFrame::<Paper>::new(vector("normal"), vector("view"));
         let frame = turning.frame;
         let close = |what: &str, found: &[f64], expected: &[f64]| {
             let largest = expected.iter().fold(1.0_f64, |a, b| a.max(b.abs()));

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use pbrfit::ggx::{self, MIN_COSINE};
+use pbrfit::paper::Paper;
 use pbrfit::sh;
 use pbrfit::shade::{
     Frame, Material, TurningFrame, Weights, shade, shade_vjp, shade_vjp_by_normal,
@@ -171,12 +172,12 @@ fn assert_slope_by_normal(
     step: f64,
 ) {
     let cotangent = numbers.cotangent();
-    let turning = TurningFrame::new(normal, view);
+    let turning = TurningFrame::<Paper>::new(normal, view);
     let (by_material, by_normal) = shade_vjp_by_normal(&turning, material, &cotangent);
     assert_eq!(by_material, shade_vjp(&turning.frame, material, &cotangent));
 
     let scalar = |normal: DVec3| {
-        let weights = shade(&Frame::new(normal, view), material);
+        let weights = shade(&Frame::<Paper>::new(normal, view), material);
         let pairs = weights.as_flattened().iter().zip(cotangent.as_flattened());
         pairs.map(|(w, g)| w * g).sum::<f64>()
     };
@@ -246,11 +247,15 @@ fn at_the_clamp_itself_fresnel_and_masking_stand_still() {
     let cotangent = numbers.cotangent();
     let scalar = |t: f64| {
         let normal = DVec3::new(t, 0.0, 1.0).normalize();
-        let weights = shade(&Frame::new(normal, view), &material);
+        let weights = shade(&Frame::<Paper>::new(normal, view), &material);
         let pairs = weights.as_flattened().iter().zip(cotangent.as_flattened());
         pairs.map(|(w, g)| w * g).sum::<f64>()
     };
-    let (_, found) = shade_vjp_by_normal(&TurningFrame::new(normal, view), &material, &cotangent);
+    let (_, found) = shade_vjp_by_normal(
+        &TurningFrame::<Paper>::new(normal, view),
+        &material,
+        &cotangent,
+    );
     // n·v grows with t: from below, where it is raised to the same, and from above.
     let step = 1e-7;
     let below = (scalar(0.0) - scalar(-step)) / step;

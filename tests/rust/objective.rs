@@ -4,6 +4,8 @@
 use glam::DVec3;
 use pbrfit::band_table::TABLE;
 use pbrfit::ggx;
+use pbrfit::model::Model;
+use pbrfit::paper::Paper;
 use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::reduced::Elimination;
 use pbrfit::render::render;
@@ -83,6 +85,7 @@ impl Example {
             views: &self.views,
         };
         let options = Options {
+            model: Model::Paper,
             sh_order: self.sh_order,
             metallic: self.metallic,
             lighting: self.known_lights.then(|| self.lighting.clone()),
@@ -195,7 +198,7 @@ impl Example {
             } else {
                 self.normals[p]
             };
-            let frame = TurningFrame::new(normal, self.views[p]);
+            let frame = TurningFrame::<Paper>::new(normal, self.views[p]);
             let w = shade(&frame.frame, &self.material(p));
             let mut by_weights = [[0.0; 16]; 3];
             for i in 0..self.pictures {
@@ -443,13 +446,13 @@ fn rendering_agrees_with_shade() {
             lighting,
             ..
         } = &example;
-        let images = render(normals, views, &materials, lighting, 1).unwrap();
+        let images = render(normals, views, &materials, lighting, Model::Paper, 1).unwrap();
         assert_eq!(
             images,
-            render(normals, views, &materials, lighting, 3).unwrap()
+            render(normals, views, &materials, lighting, Model::Paper, 3).unwrap()
         );
         for (p, material) in materials.iter().enumerate() {
-            let w = shade(&Frame::new(normals[p], views[p]), material);
+            let w = shade(&Frame::<Paper>::new(normals[p], views[p]), material);
             for i in 0..lights {
                 for c in 0..3 {
                     let expected: f64 = (0..16)
@@ -511,6 +514,7 @@ fn best_lights_explain_rendered_pictures() {
             &example.views,
             &materials,
             &example.lighting,
+            Model::Paper,
             1,
         );
         example.images = images.unwrap().iter().map(|&v| v as f32).collect();

@@ -1,0 +1,27 @@
+//! Which reflection model makes weights of materials.
+
+use std::str::FromStr;
+
+use crate::Error;
+
+/// A reflection model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Model {
+    /// The paper's eq. 12: a lobe round about the mirror direction, masked at the view angle.
+    #[default]
+    Paper,
+    /// The exact response of the microfacet model that Blender, glTF and game engines share.
+    Principled,
+}
+
+impl FromStr for Model {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        match name {
+            "paper" => Ok(Self::Paper),
+            "principled" => Ok(Self::Principled),
+            _ => Err(Error::argument("model", "paper or principled", name)),
+        }
+    }
+}

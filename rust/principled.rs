@@ -1,0 +1,443 @@
+//! The microfacet model that Blender's Principled BSDF, glTF and game engines share, under light of
+//! l ≤ 3: GGX, height-correlated Smith masking, Schlick's Fresnel at v·h, multiple scattering.
+//!
+//! In the pixel's frame (z the normal, the mirror direction in the xz-plane) a lobe answers to the ten
+//! harmonics that are even in y, j = l(l+1)/2 + m with 0 ≤ m ≤ l. Schlick's F = F0 + (1−F0)(1−v·h)⁵
+//! makes the lobe F0 a_j + b_j with
+//!
+//! ```text
+//! a_j(r, n·v) = ∫ D V (n·l) (1 − (1−v·h)⁵) Y_j dl          b_j(r, n·v) = ∫ D V (n·l) (1−v·h)⁵ Y_j dl
+//! ```
+//!
+//! over n·l > 0 ([`lobe_table`](crate::lobe_table)). With F0 = 1 a lobe reflects E = 2√π(a₀ + b₀) of a uniform
+//! light, and of what is scattered on, a surface of reflectance F0 gives back so much that the lobe
+//! grows by
+//!
+//! ```text
+//! M(F0) = 1 + F_ms (1−E)/E,   F_ms = F̄ Ē/(1 − F̄(1−Ē)),   F̄ = F0 + (1−F0)/21,   Ē(r) = 2∫E x dx.
+//! ```
+//!
+//! A pixel is a mixture of a dielectric, F0 = 0.04 over a matt ground that gets what the lobe leaves,
+//! and a metal, F0 = ρ:
+//!
+//! ```text
+//! w_ck = kd_c A_l Y_k(n) + Σ_j s_cj R_jk             s_cj = A_c a_j + B_c b_j
+//! A_c  = (1−m) 0.04 M(0.04) + m ρ_c M(ρ_c)           kd_c = (1−m)(1−E_d) ρ_c/π
+//! B_c  = (1−m) M(0.04) + m M(ρ_c)                    E_d  = 2√π(0.04 a₀ + b₀)
+//! ```
+//!
+//! R_jk is the rotation of spherical harmonics into the frame ([`lobe_rows`](crate::lobe_rows)).
+//! Sources of the formulas: docs/model.md.
+
+mod albedo;
+
+use std::f64::consts::{FRAC_1_PI, PI};
+
+use crate::block::{BLOCK, Plane};
+use crate::ggx::DIELECTRIC_F0;
+use crate::lobe_rows;
+use crate::lobe_table::{self, TABLE, VALUES};
+use crate::sh::{BANDS, Real};
+use crate::shade::{self, BlockFunctions, ByRow, MAX_ENTRIES, Material, Reflection};
+use crate::simd::Isa;
+
+/// Rows: harmonics that are even in y.
+pub const ROWS: usize = 10;
+
+/// 2√π: from the first row to what is reflected of a light that is 1 all around.
+const UNIFORM: f64 = 3.544_907_701_811_032;
+const _: () = assert!(UNIFORM * UNIFORM - 4.0 * PI < 1e-14 && 4.0 * PI - UNIFORM * UNIFORM < 1e-14);
+/// The mean of (1−x)⁵ over the cosine-weighted hemisphere.
+const SCHLICK_MEAN: f64 = 1.0 / 21.0;
+
+/// See the [module](self).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Principled;
+
+/// a_j, b_j over sinᵐ of the view angle, and Ē.
+#[derive(Clone, Copy, Debug)]
+pub struct Lobe {
+    a: ByRow,
+    b: ByRow,
+    mean: f64,
+}
+
+impl Lobe {
+    #[inline(always)]
+    fn of(values: impl Fn(usize) -> f64) -> Self {
+        let mut lobe = Self {
+            a: [0.0; ROWS],
+            b: [0.0; ROWS],
+            mean: values(2 * ROWS),
+        };
+        for j in 0..ROWS {
+            lobe.a[j] = values(j);
+            lobe.b[j] = values(ROWS + j);
+        }
+        lobe
+    }
+
+    /// Ē
+    #[inline(always)]
+    pub(crate) fn mean(&self) -> f64 {
+        self.mean
+    }
+
+    /// What the lobe reflects of a uniform light with F0 = 1, or how that changes.
+    #[inline(always)]
+    pub(crate) fn reflected(&self) -> f64 {
+        UNIFORM * (self.a[0] + self.b[0])
+    }
+
+    /// The same of a dielectric without multiple scattering.
+    #[inline(always)]
+    pub(crate) fn dielectric(&self) -> f64 {
+        UNIFORM * (DIELECTRIC_F0 * self.a[0] + self.b[0])
+    }
+}
+
+/// The lobe and its derivatives.
+#[derive(Clone, Copy, Debug)]
+pub struct Functions {
+    lobe: Lobe,
+    by_roughness: Lobe,
+    by_cosine: Lobe,
+}
+
+impl Functions {
+    #[inline(always)]
+    pub(crate) fn lobe(&self) -> &Lobe {
+        &self.lobe
+    }
+}
+
+impl Reflection for Principled {
+    const FIRST_ROW: [usize; BANDS + 1] = [0, 1, 3, 6, 10];
+
+    type Functions = Functions;
+    type Factors<const C: usize> = Factors<C>;
+
+    #[inline(always)]
+    fn functions(cosine: f64, roughness: f64) -> Functions {
+        let [lobe, by_roughness, by_cosine] = lobe_table::values(roughness, cosine);
+        Functions {
+            lobe: Lobe::of(|f| lobe[f]),
+            by_roughness: Lobe::of(|f| by_roughness[f]),
+            by_cosine: Lobe::of(|f| by_cosine[f]),
+        }
+    }
+
+    #[inline(always)]
+    fn fill_functions<I: Isa>(
+        isa: I,
+        cosine: &Plane<f64>,
+        roughness: &Plane<f64>,
+        by_cosine: bool,
+        functions: &mut BlockFunctions,
+    ) {
+        let table = &*TABLE;
+        let (values, slopes) = functions.split_at_mut(VALUES);
+        let (by_r, by_x) = slopes.split_at_mut(VALUES);
+        for x in 0..BLOCK {
+            let rows = table.rows(isa, roughness.0[x], cosine.0[x], by_cosine);
+            for f in 0..VALUES {
+                values[f].0[x] = rows[0].0[f];
+                by_r[f].0[x] = rows[1].0[f];
+            }
+            if by_cosine {
+                for f in 0..VALUES {
+                    by_x[f].0[x] = rows[2].0[f];
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn functions_of(functions: &BlockFunctions, pixel: usize) -> Functions {
+        Functions {
+            lobe: Lobe::of(|f| functions[f].0[pixel]),
+            by_roughness: Lobe::of(|f| functions[VALUES + f].0[pixel]),
+            by_cosine: Lobe::of(|f| functions[2 * VALUES + f].0[pixel]),
+        }
+    }
+
+    #[inline(always)]
+    fn factors<const C: usize>(_: f64, material: &Material<C>, functions: Functions) -> Factors<C> {
+        Factors::new(material, functions)
+    }
+
+    #[inline(always)]
+    fn lobe<T: Real>(normal: [T; 3], mirror: [T; 3]) -> [T; MAX_ENTRIES] {
+        lobe_rows::rows(normal, mirror)
+    }
+
+    #[inline(always)]
+    fn lobe_along<T: Real>(directions: [[T; 3]; 2], by: [[T; 3]; 2]) -> [T; MAX_ENTRIES] {
+        lobe_rows::along(directions, by)
+    }
+
+    #[inline(always)]
+    fn lobe_adjoint<T: Real, const K: usize>(
+        normal: [T; 3],
+        mirror: [T; 3],
+        cotangent: impl Fn(usize) -> T,
+    ) -> [[T; 3]; 2] {
+        lobe_rows::adjoint::<T, K>(normal, mirror, cotangent)
+    }
+}
+
+/// M(F0), and its derivatives by F0 and by the lobe's E and Ē.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gain {
+    value: f64,
+    by_f0: f64,
+    by_reflected: f64,
+    by_mean: f64,
+}
+
+impl Gain {
+    /// ```text
+    /// dM/dF̄ = q Ē/n²     dM/dĒ = q F̄(1−F̄)/n²     dM/dE = −F_ms/E²     q = 1/E − 1,  n = 1 − F̄(1−Ē)
+    /// ```
+    #[inline(always)]
+    fn new(f0: f64, reflected: f64, mean: f64) -> Self {
+        let mean_fresnel = f0 + (1.0 - f0) * SCHLICK_MEAN;
+        let inverse = 1.0 / (1.0 - mean_fresnel * (1.0 - mean));
+        let again = mean_fresnel * mean * inverse;
+        let lost = 1.0 / reflected - 1.0;
+        Self {
+            value: 1.0 + again * lost,
+            by_f0: (1.0 - SCHLICK_MEAN) * lost * mean * inverse * inverse,
+            by_reflected: -again / (reflected * reflected),
+            by_mean: lost * mean_fresnel * (1.0 - mean_fresnel) * inverse * inverse,
+        }
+    }
+
+    /// The change with a change of the lobe.
+    #[inline(always)]
+    fn along(&self, change: &Lobe) -> f64 {
+        self.by_reflected * change.reflected() + self.by_mean * change.mean
+    }
+}
+
+/// kd, A and B of one channel, or a derivative of them.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Mix {
+    pub(crate) diffuse: f64,
+    pub(crate) a: f64,
+    pub(crate) b: f64,
+}
+
+/// What mixtures of a pixel have in common, whatever their albedo.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Mixer {
+    metallic: f64,
+    reflected: f64,
+    mean: f64,
+    /// (1−E_d)/π
+    transmitted: f64,
+    dielectric: Gain,
+}
+
+impl Mixer {
+    #[inline(always)]
+    pub(crate) fn new(metallic: f64, reflected: f64, dielectric: f64, mean: f64) -> Self {
+        Self {
+            metallic,
+            reflected,
+            mean,
+            transmitted: (1.0 - dielectric) * FRAC_1_PI,
+            dielectric: Gain::new(DIELECTRIC_F0, reflected, mean),
+        }
+    }
+
+    /// The mixture with an albedo, and its derivative by that.
+    #[inline(always)]
+    pub(crate) fn mix(&self, albedo: f64) -> [Mix; 2] {
+        let metal = Gain::new(albedo, self.reflected, self.mean);
+        self.mix_with(albedo, &metal)
+    }
+
+    #[inline(always)]
+    fn mix_with(&self, albedo: f64, metal: &Gain) -> [Mix; 2] {
+        let (m, matt) = (self.metallic, 1.0 - self.metallic);
+        let grounds = matt * self.dielectric.value;
+        let mix = Mix {
+            diffuse: matt * albedo * self.transmitted,
+            a: DIELECTRIC_F0 * grounds + m * albedo * metal.value,
+            b: grounds + m * metal.value,
+        };
+        let by_albedo = Mix {
+            diffuse: matt * self.transmitted,
+            a: m * (metal.value + albedo * metal.by_f0),
+            b: m * metal.by_f0,
+        };
+        [mix, by_albedo]
+    }
+
+    /// The derivative by metallic.
+    #[inline(always)]
+    fn by_metallic(&self, albedo: f64, metal: &Gain) -> Mix {
+        Mix {
+            diffuse: -albedo * self.transmitted,
+            a: albedo * metal.value - DIELECTRIC_F0 * self.dielectric.value,
+            b: metal.value - self.dielectric.value,
+        }
+    }
+
+    /// The change with a change of the lobe.
+    #[inline(always)]
+    fn along(&self, albedo: f64, metal: &Gain, change: &Lobe) -> Mix {
+        let (m, matt) = (self.metallic, 1.0 - self.metallic);
+        let (metal, grounds) = (metal.along(change), matt * self.dielectric.along(change));
+        Mix {
+            diffuse: -matt * albedo * change.dielectric() * FRAC_1_PI,
+            a: DIELECTRIC_F0 * grounds + m * albedo * metal,
+            b: grounds + m * metal,
+        }
+    }
+}
+
+/// The factors of one pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Factors<const C: usize = 3> {
+    functions: Functions,
+    mixer: Mixer,
+    metal: [Gain; C],
+    mix: [Mix; C],
+    by_albedo: [Mix; C],
+}
+
+impl<const C: usize> Factors<C> {
+    #[inline(always)]
+    fn new(material: &Material<C>, functions: Functions) -> Self {
+        let lobe = &functions.lobe;
+        let mixer = Mixer::new(
+            material.metallic,
+            lobe.reflected(),
+            lobe.dielectric(),
+            lobe.mean,
+        );
+        let mut factors = Self {
+            functions,
+            mixer,
+            metal: [Gain::default(); C],
+            mix: [Mix::default(); C],
+            by_albedo: [Mix::default(); C],
+        };
+        for c in 0..C {
+            let albedo = material.albedo[c];
+            factors.metal[c] = Gain::new(albedo, mixer.reflected, mixer.mean);
+            [factors.mix[c], factors.by_albedo[c]] = mixer.mix_with(albedo, &factors.metal[c]);
+        }
+        factors
+    }
+
+    /// The change of kd and s_cj with a change of the lobe.
+    #[inline(always)]
+    fn change(&self, channel: usize, albedo: f64, change: &Lobe) -> Mix {
+        self.mixer.along(albedo, &self.metal[channel], change)
+    }
+}
+
+/// Σ_j f_j g_j
+#[inline(always)]
+fn dot(functions: &ByRow, by_row: &ByRow) -> f64 {
+    let mut sum = 0.0;
+    for j in 0..ROWS {
+        sum += functions[j] * by_row[j];
+    }
+    sum
+}
+
+/// What a change of kd, A and B is worth, given what their factors are.
+#[inline(always)]
+fn worth(mix: &Mix, [by_diffuse, by_a, by_b]: [f64; 3]) -> f64 {
+    mix.diffuse * by_diffuse + mix.a * by_a + mix.b * by_b
+}
+
+impl<const C: usize> shade::Factors<C> for Factors<C> {
+    #[inline(always)]
+    fn diffuse(&self, channel: usize) -> f64 {
+        self.mix[channel].diffuse
+    }
+
+    #[inline(always)]
+    fn row(&self, channel: usize, row: usize) -> f64 {
+        let (lobe, mix) = (&self.functions.lobe, &self.mix[channel]);
+        mix.a * lobe.a[row] + mix.b * lobe.b[row]
+    }
+
+    /// With S_cj what arrives for row j,
+    ///
+    /// ```text
+    /// g_A_c = Σ_j a_j S_cj     g_B_c = Σ_j b_j S_cj
+    /// g_ρ_c = ∂kd/∂ρ g_kd_c + ∂A/∂ρ g_A_c + ∂B/∂ρ g_B_c                 g_m the same, summed over c
+    /// g_r   = Σ_c ∂kd/∂r g_kd_c + ∂A/∂r g_A_c + ∂B/∂r g_B_c + Σ_j (A_c ∂a_j/∂r + B_c ∂b_j/∂r) S_cj
+    /// ```
+    #[inline(always)]
+    fn pull_back(
+        &self,
+        material: &Material<C>,
+        by_diffuse: &[f64; C],
+        by_row: &[ByRow; C],
+    ) -> Material<C> {
+        let Functions {
+            lobe, by_roughness, ..
+        } = &self.functions;
+        let mut gradient = Material {
+            albedo: [0.0; C],
+            roughness: 0.0,
+            metallic: 0.0,
+        };
+        for c in 0..C {
+            let albedo = material.albedo[c];
+            let by = [
+                by_diffuse[c],
+                dot(&lobe.a, &by_row[c]),
+                dot(&lobe.b, &by_row[c]),
+            ];
+            gradient.albedo[c] = worth(&self.by_albedo[c], by);
+            gradient.metallic += worth(&self.mixer.by_metallic(albedo, &self.metal[c]), by);
+            gradient.roughness += worth(&self.change(c, albedo, by_roughness), by)
+                + self.mix[c].a * dot(&by_roughness.a, &by_row[c])
+                + self.mix[c].b * dot(&by_roughness.b, &by_row[c]);
+        }
+        gradient
+    }
+
+    #[inline(always)]
+    fn slopes_by_cosine(&self, _: f64, material: &Material<C>) -> ([f64; C], [ByRow; C]) {
+        let Functions {
+            lobe, by_cosine, ..
+        } = &self.functions;
+        let (mut diffuse, mut rows) = ([0.0; C], [[0.0; ROWS]; C]);
+        for c in 0..C {
+            let (mix, change) = (&self.mix[c], self.change(c, material.albedo[c], by_cosine));
+            diffuse[c] = change.diffuse;
+            for j in 0..ROWS {
+                rows[c][j] = change.a * lobe.a[j]
+                    + change.b * lobe.b[j]
+                    + mix.a * by_cosine.a[j]
+                    + mix.b * by_cosine.b[j];
+            }
+        }
+        (diffuse, rows)
+    }
+
+    #[inline(always)]
+    fn by_cosine(
+        &self,
+        cosine: f64,
+        material: &Material<C>,
+        by_diffuse: &[f64; C],
+        by_row: &[ByRow; C],
+    ) -> [f64; C] {
+        let (diffuse, rows) = self.slopes_by_cosine(cosine, material);
+        let mut by = [0.0; C];
+        for c in 0..C {
+            by[c] = diffuse[c] * by_diffuse[c] + dot(&rows[c], &by_row[c]);
+        }
+        by
+    }
+}
