@@ -6,6 +6,7 @@ import numpy as np
 
 from pbrfit import alignment, geometry, memory
 from pbrfit.layout import Layout
+from pbrfit.model import DEFAULT_MODEL
 from pbrfit.needs import Needs
 from pbrfit.normal_files import UNCERTAINTY
 from pbrfit.priors import Priors
@@ -90,6 +91,9 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]
     found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]
+    if "model" not in scene.assumed:
+        by = f"{scene.model}, with which the pictures were rendered"
+        found.append(("assumed model", by if scene.model else f"{DEFAULT_MODEL}, the default"))
     needs = Needs.of(scene, layout, priors=Priors())
     found += [
         ("fit by default", "; ".join(needs.used)),

@@ -1,13 +1,14 @@
 """The forward model on arrays: checked wrappers around the Rust core.
 
-Camera space throughout: X right, Y up, Z towards the viewer. Radiance is linear Rec.709. Source of
-the formulas: the paper's equations 1-12; `rust/shade.rs` derives them.
+Camera space throughout: X right, Y up, Z towards the viewer. Radiance is linear Rec.709. There are
+two reflection models, and docs/model.md has both with their sources.
 """
 
 from __future__ import annotations
 
 import operator
 from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,37 @@ from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
 
 Array = NDArray[np.float64]
+
+Model = Literal["paper", "principled"]
+"""How surfaces reflect light: "paper", its eqs. 1-12 with eq. 12 for the mirror-like part;
+"principled", the microfacet BRDF that path tracers have, integrated over the light exactly."""
+
+MODELS: tuple[Model, ...] = get_args(Model)
+
+DEFAULT_MODEL: Model = "paper"
+"""Where nobody says which, and nobody knows what the pictures were rendered with."""
+
+FIRST_MODEL: Model = "paper"
+"""Of results that do not say which: there was no other when they were written."""
+
+
+def checked_model(name: Any) -> Model:
+    """Return the name of a model as it is; InputError that says which there are otherwise."""
+    for model in MODELS:
+        if isinstance(name, str) and name == model:
+            return model
+    raise InputError(f"model: expected {' or '.join(MODELS)}, found {of_what(name)}")
+
+
+def chosen_model(asked: Model | None, of_pictures: Model | None) -> Model:
+    """Return what is asked for, else what the pictures were rendered with, else the default.
+
+    Raises
+    ------
+    InputError
+        If it is the name of no model.
+    """
+    return checked_model(asked if asked is not None else of_pictures or DEFAULT_MODEL)
 
 
 def sh_basis(directions: ArrayLike) -> NDArray[np.float64]:
@@ -71,6 +103,8 @@ def shade(
     albedo: ArrayLike,
     roughness: ArrayLike,
     metallic: ArrayLike,
+    *,
+    model: Model = DEFAULT_MODEL,
 ) -> NDArray[np.float64]:
     """Weights of the 16 SH light coefficients for one or many pixels, in double precision.
 
@@ -82,6 +116,8 @@ def shade(
         (..., 3) in [0, 1].
     roughness, metallic
         (...,) in [0, 1]. Leading dimensions broadcast.
+    model
+        "paper" or "principled": how surfaces reflect light.
 
     Returns
     -------
@@ -95,7 +131,7 @@ def shade(
     shape, (n, v, rho, r, m) = _pixels(
         normal=normal, view=view, albedo=albedo, roughness=roughness, metallic=metallic
     )
-    return _core.shade(n, v, rho, r, m).reshape(*shape, 3, 16)
+    return _core.shade(n, v, rho, r, m, checked_model(model)).reshape(*shape, 3, 16)
 
 
 def shade_vjp(
@@ -105,6 +141,8 @@ def shade_vjp(
     roughness: ArrayLike,
     metallic: ArrayLike,
     cotangent: ArrayLike,
+    *,
+    model: Model = DEFAULT_MODEL,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Adjoint of `shade`: derivatives of a scalar by material and normal from those by the weights.
 
@@ -114,6 +152,8 @@ def shade_vjp(
         As for `shade`.
     cotangent
         (..., 3, 16), derivatives of the scalar by the weights.
+    model
+        As for `shade`.
 
     Returns
     -------
@@ -135,7 +175,9 @@ def shade_vjp(
         metallic=metallic,
         cotangent=cotangent,
     )
-    d_albedo, d_roughness, d_metallic, d_normal = _core.shade_vjp(n, v, rho, r, m, g)
+    d_albedo, d_roughness, d_metallic, d_normal = _core.shade_vjp(
+        *(n, v, rho, r, m, g), checked_model(model)
+    )
     return (
         d_albedo.reshape(*shape, 3),
         d_roughness.reshape(shape),
@@ -145,7 +187,13 @@ def shade_vjp(
 
 
 def render(
-    materials: Materials, normals: ArrayLike, lighting: ArrayLike, fov: float, threads: int = 0
+    materials: Materials,
+    normals: ArrayLike,
+    lighting: ArrayLike,
+    fov: float,
+    threads: int = 0,
+    *,
+    model: Model = DEFAULT_MODEL,
 ) -> NDArray[np.float64]:
     """Radiance of a view under one or several SH lights.
 
@@ -161,6 +209,8 @@ def render(
         Horizontal field of view in degrees, 0 = orthographic.
     threads
         0 = one for each processor; the result does not depend on it.
+    model
+        "paper" or "principled": how surfaces reflect light.
 
     Returns
     -------
@@ -171,12 +221,15 @@ def render(
     InputError
         If shapes do not fit together or a value is out of range.
     """
+    model = checked_model(model)
     light = _array("lighting", lighting, (16, 3))
     if light.ndim > 3:
         raise InputError(f"lighting: expected shape (16, 3) or (N, 16, 3), found {light.shape}")
     view = _View.of_maps(materials, normals, fov)
     images = view.pictures(
-        _core.render(*view.pixels, light.reshape(-1, 16, 3), whole_number("threads", threads))
+        _core.render(
+            *view.pixels, light.reshape(-1, 16, 3), whole_number("threads", threads), model
+        )
     )
     return images[0] if light.ndim == 2 else images
 
@@ -188,13 +241,15 @@ def render_directional(
     colors: ArrayLike,
     fov: float,
     threads: int = 0,
+    *,
+    model: Model = DEFAULT_MODEL,
 ) -> NDArray[np.float64]:
     """Radiance of a view under light from single directions, with the full reflection model.
 
-    The paper's eqs. 1 and 3-5 without the approximations that SH light needs; a light of colour 1
-    gives a white diffuse surface that faces it radiance 1, less what its Fresnel term takes from
-    the diffuse part. Nothing casts a shadow. A mirror (roughness 0) does not show a light without
-    extent.
+    For "paper" its eqs. 1 and 3-5 without the approximations that SH light needs; for "principled"
+    the BRDF whose integral over SH light `render` has. A light of colour 1 gives a white diffuse
+    surface that faces it radiance 1, less what its Fresnel term takes from the diffuse part.
+    Nothing casts a shadow. A mirror (roughness 0) does not show a light without extent.
 
     Parameters
     ----------
@@ -210,6 +265,8 @@ def render_directional(
         Horizontal field of view in degrees, 0 = orthographic.
     threads
         0 = one for each processor; the result does not depend on it.
+    model
+        "paper" or "principled": how surfaces reflect light.
 
     Returns
     -------
@@ -220,6 +277,7 @@ def render_directional(
     InputError
         If shapes do not fit together or a value is out of range.
     """
+    model = checked_model(model)
     to_lights = _array("directions", directions, (3,))
     if to_lights.ndim > 2:
         raise InputError(f"directions: expected shape (3,) or (N, 3), found {to_lights.shape}")
@@ -233,6 +291,7 @@ def render_directional(
             to_lights.reshape(-1, 3),
             of_lights.reshape(-1, 3),
             whole_number("threads", threads),
+            model,
         )
     )
     return images[0] if to_lights.ndim == 1 else images

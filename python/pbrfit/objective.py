@@ -16,7 +16,7 @@ from pbrfit.checks import real_array, real_number
 from pbrfit.exposure import relative_exposures
 from pbrfit.layout import Layout
 from pbrfit.materials import Materials
-from pbrfit.model import whole_number
+from pbrfit.model import Model, chosen_model, whole_number
 from pbrfit.priors import Priors, penalties
 from pbrfit.robust import MOST_PIXELS, loss_scale, noise_sigma, pull
 from pbrfit.sampling import spread
@@ -118,6 +118,9 @@ class Objective:
         Whether pictures are divided by their exposures; None = where these are far apart.
     free_normals
         Whether the scene's normals are where unknown ones start, instead of what is known.
+    model
+        "paper" or "principled": how surfaces reflect light; None = what the scene says that its
+        pictures were rendered with, else the default.
     units
         What to divide pictures by, then `equal_exposures` is not asked; None = found from them. A
         part of a scene has the units of the whole.
@@ -137,6 +140,8 @@ class Objective:
         (N, P) float32 weights of the samples, at most 1; None where all are the same.
     known_metallic
         `metallic`.
+    model
+        That was decided for.
     robust
         Loss that takes the place of the squares, "huber" or "cauchy", and its scale in units of the
         divided pictures; None = squares. A solver may change it between evaluations.
@@ -178,8 +183,10 @@ class Objective:
         priors: Priors | None = None,
         equal_exposures: bool | None = None,
         free_normals: bool = False,
+        model: Model | None = None,
         units: Units | None = None,
     ) -> None:
+        self.model = chosen_model(model, scene.model)
         threads = whole_number("threads", threads)
         sh_order = whole_number("sh_order", sh_order)
         if sh_order not in SH_ORDERS:
@@ -530,6 +537,7 @@ class Objective:
             metallic=self.known_metallic,
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
             free_normals=self.layout.free_normals,
+            model=self.model,
         )
 
     def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

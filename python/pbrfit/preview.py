@@ -117,7 +117,9 @@ def plot_history(result: Result, path: Path) -> None:
 
 def _pictures(result: Result, scene: Scene | None) -> Row:
     """The first picture, its reconstruction, and the residual, as far as there are pictures."""
-    reconstruction = render(result.materials, result.normals, result.lighting[0], result.fov)
+    reconstruction = render(
+        result.materials, result.normals, result.lighting[0], result.fov, model=result.model
+    )
     name = result.pictures[0]
     if scene is None:
         white = metrics.white_of(reconstruction)

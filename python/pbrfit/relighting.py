@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit import lighting
 from pbrfit._core import InputError
 from pbrfit.checks import of_what, real_number
-from pbrfit.model import render, render_directional
+from pbrfit.model import Model, checked_model, render, render_directional
 
 if TYPE_CHECKING:
     from pbrfit.result import Result
@@ -70,14 +70,18 @@ class DirectionalLight:
 
 
 def relight(
-    result: Result, light: ArrayLike | DirectionalLight, threads: int = 0
+    result: Result,
+    light: ArrayLike | DirectionalLight,
+    threads: int = 0,
+    *,
+    model: Model | None = None,
 ) -> NDArray[np.float64]:
     """Radiance of the recovered surfaces under other light.
 
     SH light goes through the model that the materials were fitted with (docs/model.md), and gives
     with the result's own lights the reconstructions of its pictures. A `DirectionalLight` goes
-    through the full reflection model, because its highlights are beyond what SH light holds. Light
-    from other surfaces and shadows are in neither.
+    through the model's full reflection, because its highlights are beyond what SH light holds.
+    Light from other surfaces and shadows are in neither.
 
     Parameters
     ----------
@@ -87,6 +91,8 @@ def relight(
         SH light (16, 3), or (N, 16, 3) for N pictures, linear Rec.709; or a `DirectionalLight`.
     threads
         0 = one for each processor; the result does not depend on it.
+    model
+        Which model the result is expected to be of; None = whichever it is.
 
     Returns
     -------
@@ -95,13 +101,19 @@ def relight(
     Raises
     ------
     InputError
-        If the light has another shape or numbers that are not finite.
+        If the light has another shape or numbers that are not finite, or the result is of another
+        model.
     """
+    if model is not None and checked_model(model) != result.model:
+        raise InputError(
+            f"model: expected {result.model}, with which the result was fitted, found {model}"
+        )
     if isinstance(light, DirectionalLight):
         return render_directional(
-            result.materials, result.normals, light.direction, light.color, result.fov, threads
+            *(result.materials, result.normals, light.direction, light.color, result.fov, threads),
+            model=result.model,
         )
-    return render(result.materials, result.normals, light, result.fov, threads)
+    return render(result.materials, result.normals, light, result.fov, threads, model=result.model)
 
 
 @overload

@@ -35,6 +35,7 @@ from pbrfit.json_files import (
 from pbrfit.lighting import Lighting
 from pbrfit.materials import Materials, read_materials, write_materials
 from pbrfit.metrics import PROTOCOL
+from pbrfit.model import FIRST_MODEL, MODELS, Model, checked_model
 from pbrfit.output import digest, new_folder
 from pbrfit.quoting import listed, quoted
 from pbrfit.refinement import NOT_ASKED, Refinement
@@ -89,6 +90,8 @@ class Options:
         Whether pictures are divided by their exposures; None = where these are far apart.
     refine_normals
         "off", "auto" or "on".
+    model
+        As given; None = the scene's, else the default. `Result.model` is what came of it.
     """
 
     solver: str
@@ -102,6 +105,7 @@ class Options:
     equal_exposures: bool | None = None
     seed: int = 0
     refine_normals: str = "off"
+    model: Model | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +125,9 @@ class Result:
         (H, W) bool: pixels that were fitted.
     fov
         Horizontal field of view in degrees, 0 = orthographic.
+    model
+        "paper" or "principled": the reflection model that was fitted. Materials and lights belong
+        to it; with another one they show something else.
     pictures
         Names, in the order of `lighting`.
     status, stop_reason
@@ -158,6 +165,7 @@ class Result:
     normals: NDArray[np.float64]
     mask: NDArray[np.bool_]
     fov: float
+    model: Model
     pictures: tuple[str, ...]
     status: Status
     stop_reason: str
@@ -260,6 +268,7 @@ class Result:
             "status": str(self.status),
             "stop_reason": self.stop_reason,
             "fov": self.fov,
+            "model": self.model,
             "iterations": self.history.iterations,
             "evaluations": self.evaluations,
             "seconds": self.seconds,
@@ -300,6 +309,7 @@ class Result:
         content = read_json(file, expected)
         try:
             content = table(content)
+            model = model_of(content, file)
             fov = number(content["fov"])
             check_fov(fov)
             summary = content.get("uncertainty")
@@ -312,6 +322,7 @@ class Result:
                 normals=normals,
                 mask=mask,
                 fov=fov,
+                model=model,
                 pictures=lighting.pictures,
                 status=Status(text(content["status"])),
                 stop_reason=text(content["stop_reason"]),
@@ -375,6 +386,21 @@ def _check_maps(
             raise InputError(f"{file}: expected finite {name}, found NaN or infinity")
 
 
+def model_of(content: Mapping[str, Any], file: Path) -> Model:
+    """Return the model of a result by what its `result.json` holds.
+
+    Raises
+    ------
+    InputError
+        If that is none; the message names the file.
+    """
+    name = content.get("model", FIRST_MODEL)  # earlier versions had one model and did not say so
+    for model in MODELS:
+        if name == model:
+            return model
+    raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
+
+
 def _options(content: Mapping[str, Any]) -> Options:
     """Undo `asdict`; one of `UNFIT` if it is something else."""
 
@@ -396,6 +422,7 @@ def _options(content: Mapping[str, Any]) -> Options:
         "equal_exposures": optional(flag),
         "seed": seed,
         "refine_normals": text,
+        "model": optional(checked_model),
     }
     unknown = sorted(set(content) - set(kinds))
     if unknown:

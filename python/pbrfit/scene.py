@@ -17,6 +17,7 @@ from pbrfit.checks import REAL, any_array, of_what, real_number, reals
 from pbrfit.images import CODE_RANGE
 from pbrfit.lazy import lazy
 from pbrfit.materials import Materials
+from pbrfit.model import Model, checked_model
 from pbrfit.segments import consecutive_labels
 
 if TYPE_CHECKING:
@@ -108,6 +109,9 @@ class Scene:
         sha256 of every file that was read, by path relative to the scene folder.
     source
         The scene folder and how it was read; None for scenes made of arrays.
+    model
+        The reflection model that the pictures were rendered with, "paper" or "principled": a fit
+        takes it too, unless told otherwise. None = neither of them, or unknown.
 
     Raises
     ------
@@ -128,6 +132,7 @@ class Scene:
     assumed: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
     source: Source | None = None
+    model: Model | None = None
 
     def __post_init__(self) -> None:
         images = any_array("images", self.images)
@@ -187,6 +192,7 @@ class Scene:
             "weights": weights,
             "normal_sigma": normal_sigma,
             "names": names,
+            "model": None if self.model is None else checked_model(self.model),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)

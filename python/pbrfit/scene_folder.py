@@ -17,6 +17,7 @@ from pbrfit._core import InputError
 from pbrfit.color import ColorSpace
 from pbrfit.lighting import Lighting
 from pbrfit.materials import read_materials, write_materials
+from pbrfit.model import MODELS, Model
 from pbrfit.normal_files import (
     NORMAL_FILES,
     UNCERTAINTY,
@@ -74,6 +75,9 @@ class Settings:
         "camera" or "world".
     world_to_camera
         (3, 3) rotation, needed when the frame is "world".
+    model
+        The reflection model that the pictures were rendered with, "paper" or "principled"; None
+        where neither was, or nobody knows.
     """
 
     fov: float | None = None
@@ -81,6 +85,7 @@ class Settings:
     normals: str = "opengl"
     normals_frame: str = "camera"
     world_to_camera: NDArray[np.float64] | None = None
+    model: Model | None = None
 
     @property
     def convention(self) -> Convention:
@@ -153,6 +158,9 @@ def load(
 
     fov, assumed["fov"] = _decided_fov(folder, fov, settings, read.focal_length, full_size)
 
+    if settings.model is not None:
+        assumed["model"] = f"{settings.model}, with which the pictures were rendered (scene.toml)"
+
     truth = _read_truth(folder / "truth", names, size)
     for path in _truth_files(folder):
         inputs[path.relative_to(folder).as_posix()] = digest(path)
@@ -171,6 +179,7 @@ def load(
             assumed=assumed,
             inputs=dict(sorted(inputs.items())),
             source=source,
+            model=settings.model,
         )
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
@@ -186,7 +195,8 @@ def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
         sigma = scene.normal_sigma
         uncertainty = None if sigma is None else np.where(scene.valid, sigma, np.float32(0))
         write_normals(folder / "normals.exr", normals, uncertainty)
-        (folder / "scene.toml").write_text(f"fov = {float(scene.fov)!r}\n", encoding="utf-8")
+        model = "" if scene.model is None else f'model = "{scene.model}"\n'
+        (folder / "scene.toml").write_text(f"fov = {float(scene.fov)!r}\n{model}", encoding="utf-8")
         if not scene.valid.all():
             images.write_png(
                 folder / "mask.png", np.where(scene.valid, 255, 0).astype(np.uint8), tag=None
@@ -333,6 +343,7 @@ def read_settings(path: Path, inputs: dict[str, str]) -> Settings:
         normals=_choice(path, content, "normals", ("opengl", "directx"), "opengl"),
         normals_frame=_choice(path, content, "normals_frame", ("camera", "world"), "camera"),
         world_to_camera=_rotation(path, content),
+        model=_choice(path, content, "model", MODELS, None),
     )
 
 

@@ -19,7 +19,7 @@ from pbrfit._core import InputError
 from pbrfit.geometry import angles_between
 from pbrfit.history import History
 from pbrfit.materials import Materials
-from pbrfit.model import render, whole_number
+from pbrfit.model import DEFAULT_MODEL, Model, chosen_model, render, whole_number
 from pbrfit.needs import Needs
 from pbrfit.priors import Priors
 from pbrfit.refinement import RefineNormals, check_choice, hindrance
@@ -46,7 +46,7 @@ def decompose(
     solver: Solver = "auto",
     iterations: int = 500,
     time_limit: float | None = None,
-    start: Materials | tuple[Materials, NDArray[Any]] | None = None,
+    start: Materials | tuple[Materials, NDArray[Any]] | Result | None = None,
     threads: int = 0,
     sh_order: int = 3,
     metallic: float | None = None,
@@ -57,6 +57,7 @@ def decompose(
     equal_exposures: bool | None = None,
     refine_normals: RefineNormals = "auto",
     seed: int = 0,
+    model: Model | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Result:
     """Recover materials and lights from the pictures of one view.
@@ -78,8 +79,9 @@ def decompose(
     time_limit
         In seconds; the fit stops after the iteration that passes it.
     start
-        Maps to start from, alone or with lights (N, 16, 3) in picture units. Default: albedo from
-        the mean picture, constant roughness and metallic, lights by least squares.
+        Maps to start from, alone or with lights (N, 16, 3) in picture units; or a result of the
+        same model, which has both. Default: albedo from the mean picture, constant roughness and
+        metallic, lights by least squares.
     threads
         0 = one for each processor. The result does not depend on it, to the last bit.
     sh_order
@@ -106,6 +108,10 @@ def decompose(
         is not enough memory. `Result.refinement` tells what was decided and why.
     seed
         Of what is drawn at random: the pixels on which Gauss-Newton finds the lights.
+    model
+        How surfaces reflect light (docs/model.md): "paper", its eq. 12; "principled", the BRDF of
+        Blender's Principled node. None = that which the scene says its pictures were rendered
+        with, else the default, `pbrfit.model.DEFAULT_MODEL`.
     progress
         Called at the start, after each iteration, after each step on some pixels and after each
         tile.
@@ -118,8 +124,10 @@ def decompose(
     Raises
     ------
     InputError
-        If an argument or the scene cannot be used.
+        If an argument or the scene cannot be used, or `start` is a result of another model.
     """
+    chosen = chosen_model(model, scene.model)
+    start = _to_start_from(start, chosen)
     check_solver(solver)
     check_loss(robust)
     check_choice(refine_normals)
@@ -150,6 +158,7 @@ def decompose(
         refine_normals=refine_normals,
         hindered=hindered,
         seed=seed,
+        model=chosen,
         progress=progress,
         began=time.perf_counter(),
     )
@@ -185,13 +194,14 @@ def decompose(
         normals=found.normals,
         mask=scene.valid.copy(),
         fov=scene.fov,
+        model=chosen,
         pictures=scene.names,
         status=found.status,
         stop_reason=found.reason,
         history=History(found.rows),
         evaluations=found.evaluations,
         seconds=found.seconds,
-        metrics=_metrics(scene, found, threads),
+        metrics=_metrics(scene, found, chosen, threads),
         options=Options(
             solver=solver,
             iterations=iterations,
@@ -204,8 +214,9 @@ def decompose(
             equal_exposures=equal_exposures,
             seed=seed,
             refine_normals=refine_normals,
+            model=model,
         ),
-        assumed=_assumed(scene, found),
+        assumed=_assumed(scene, found, model),
         left_out=needs.left_out,
         inputs=dict(scene.inputs),
         source=scene.source,
@@ -221,7 +232,21 @@ def decompose(
     return result
 
 
-def _metrics(scene: Scene, fit: Found, threads: int) -> dict[str, float]:
+def _to_start_from(
+    start: Materials | tuple[Materials, NDArray[Any]] | Result | None, model: Model
+) -> Materials | tuple[Materials, NDArray[Any]] | None:
+    """Take maps and lights out of a result, if it is of the same model."""
+    if not isinstance(start, Result):
+        return start
+    if start.model != model:
+        raise InputError(
+            f"start: expected a result of model {model}, found one of model {start.model}; its "
+            "materials alone may be given"
+        )
+    return start.materials, start.lighting
+
+
+def _metrics(scene: Scene, fit: Found, model: Model, threads: int) -> dict[str, float]:
     """Final errors, computed in float64."""
     normals, materials, lighting = fit.normals, fit.materials, fit.lighting
     weights = (
@@ -230,7 +255,7 @@ def _metrics(scene: Scene, fit: Found, threads: int) -> dict[str, float]:
     totals = [1.0 if w is None else float(w.sum(dtype=np.float64)) for w in weights]
     # One picture at a time: all at once would be held in float64.
     of_pictures = [
-        metrics.rmse(render(materials, normals, light, scene.fov, threads), image, w)
+        metrics.rmse(render(materials, normals, light, scene.fov, threads, model=model), image, w)
         for image, light, w in zip(scene.images, lighting, weights, strict=True)
     ]
     if fit.exposures is not None:
@@ -244,13 +269,23 @@ def _metrics(scene: Scene, fit: Found, threads: int) -> dict[str, float]:
     scaled = metrics.scaled_per_channel(materials.albedo, truth.materials.albedo)
     found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
     if truth.relight_images is not None and truth.relight_lighting is not None:
-        rendered = render(materials, normals, truth.relight_lighting, scene.fov, threads)
+        rendered = render(
+            *(materials, normals, truth.relight_lighting, scene.fov, threads), model=model
+        )
         found["relight_rmse"] = metrics.rmse(rendered, truth.relight_images)
     return found
 
 
-def _assumed(scene: Scene, fit: Found) -> dict[str, str]:
+def _assumed(scene: Scene, fit: Found, model: Model | None) -> dict[str, str]:
     assumed = dict(scene.assumed)
+    if model is not None:
+        assumed["model"] = f"{model}, asked for"
+        if scene.model not in (None, model):
+            assumed["model"] += f"; the pictures were rendered with {scene.model}"
+    elif scene.model is None:
+        assumed["model"] = f"{DEFAULT_MODEL}, the default"
+    else:
+        assumed.setdefault("model", f"{scene.model}, with which the pictures were rendered")
     if fit.exposures is not None:
         assumed["exposures"] = exposure.in_words(fit.exposures)
     return assumed

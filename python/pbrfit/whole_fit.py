@@ -12,6 +12,7 @@ from pbrfit import refined_fit
 from pbrfit.history import HistoryRow
 from pbrfit.layout import Layout
 from pbrfit.materials import Materials
+from pbrfit.model import Model
 from pbrfit.objective import Objective, Units
 from pbrfit.priors import Priors
 from pbrfit.refinement import Refinement, RefineNormals
@@ -52,6 +53,7 @@ class Asked:
     refine_normals: RefineNormals
     hindered: str | None
     seed: int
+    model: Model
     progress: Callable[[Progress], None] | None
     began: float
 
@@ -77,6 +79,7 @@ class Asked:
             priors=None if free_normals else self.priors,
             equal_exposures=self.equal_exposures,
             free_normals=free_normals,
+            model=self.model,
             units=units,
         )
 

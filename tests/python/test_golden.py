@@ -66,7 +66,7 @@ def test_shading(folder: Path, quantity: str) -> None:
         return np.array([np.array(case[key], dtype=np.float64) for case in cases])
 
     inputs = ("normal", "view", "albedo", "roughness", "metallic")
-    pixels = {name: stacked(name) for name in inputs}
+    pixels: dict[str, Any] = {name: stacked(name) for name in inputs}
     lighting = stacked("lighting").swapaxes(1, 2)  # (cases, 3, 16)
     weights = pbrfit.shade(**pixels)
     # One cotangent a channel, so that the derivatives come out channel by channel.

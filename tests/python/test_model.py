@@ -18,7 +18,7 @@ from reference import unit
 Array = NDArray[np.floating[Any]]
 
 
-def random_pixels(count: int, seed: int) -> dict[str, Array]:
+def random_pixels(count: int, seed: int) -> dict[str, Any]:
     """Pixels of every kind, one in five seen from behind."""
     rng = np.random.default_rng(seed)
     normal, view = unit(rng.normal(size=(2, count, 3)))
@@ -111,7 +111,7 @@ PLACES = [
 ]
 
 
-def jacobian(normal: Array, view: Array, materials: dict[str, Array]) -> dict[str, Array]:
+def jacobian(normal: Array, view: Array, materials: dict[str, Any]) -> dict[str, Array]:
     """Derivatives of every weight by every material, (3, 16) each, from the adjoint."""
     unit_cotangents = np.eye(48).reshape(3, 16, 3, 16)
     d_albedo, d_roughness, d_metallic, _ = pbrfit.shade_vjp(
@@ -126,7 +126,7 @@ def test_adjoint_against_finite_differences(
     name: str, roughness: float, metallic: float, albedo: float, cosine: float
 ) -> None:
     normal, view = seen_at(cosine)
-    materials = {
+    materials: dict[str, Any] = {
         "albedo": np.full(3, albedo),
         "roughness": np.array(roughness),
         "metallic": np.array(metallic),
@@ -153,7 +153,7 @@ def test_adjoint_by_the_normal_against_finite_differences(
 ) -> None:
     """On both sides of the clamp of n·v and beyond it; at it, from the side that is clamped."""
     normal, view = seen_at(cosine)
-    material = {
+    material: dict[str, Any] = {
         "albedo": np.full(3, albedo),
         "roughness": np.array(roughness),
         "metallic": np.array(metallic),
@@ -222,7 +222,7 @@ def test_leading_dimensions_broadcast(
     shape: tuple[int, ...],
 ) -> None:
     rng = np.random.default_rng(6)
-    pixels: dict[str, Array] = {
+    pixels: dict[str, Any] = {
         "normal": unit(rng.normal(size=(*normal, 3))),
         "view": unit(rng.normal(size=(*view, 3))),
         "albedo": rng.random((*albedo, 3)),
@@ -249,7 +249,7 @@ def test_leading_dimensions_broadcast(
 def test_arrays_of_other_layout_and_precision() -> None:
     pixels = random_pixels(40, 7)
     expected = pbrfit.shade(**pixels)
-    transposed = {name: np.asfortranarray(array) for name, array in pixels.items()}
+    transposed: dict[str, Any] = {name: np.asfortranarray(array) for name, array in pixels.items()}
     np.testing.assert_array_equal(pbrfit.shade(**transposed), expected)
     backwards = {name: array[::-1] for name, array in pixels.items()}
     np.testing.assert_array_equal(pbrfit.shade(**backwards), expected[::-1])

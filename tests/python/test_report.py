@@ -476,6 +476,7 @@ def noise(size: int, pictures: int) -> tuple[Scene, Result]:
         normals=normals,
         mask=scene.valid,
         fov=60.0,
+        model="paper",
         pictures=names,
         status=Status.ITERATION_LIMIT,
         stop_reason="0 iterations asked for",
@@ -560,7 +561,7 @@ def test_light_from_everywhere_has_no_direction_and_its_mean_is_its_radiance() -
     assert light.directed == 0.0
     assert light.negative == 0.0
     assert lights.measure(np.zeros((16, 3))).mean == 0.0
-    balls, radiance = lights.balls_and_panorama(coefficients, light)
+    balls, radiance = lights.balls_and_panorama(coefficients, light, "paper")
     # A mirror shows the light as it is.
     middle = balls[48, 104 + 48]
     np.testing.assert_allclose(middle, 1.0, atol=0.02)
@@ -569,7 +570,7 @@ def test_light_from_everywhere_has_no_direction_and_its_mean_is_its_radiance() -
 
 def test_negative_radiance_is_hatched() -> None:
     coefficients = np.outer(sh_basis(np.array([0.0, 0.0, 1.0])), np.ones(3))
-    _, shown = lights.balls_and_panorama(coefficients, lights.measure(coefficients))
+    _, shown = lights.balls_and_panorama(coefficients, lights.measure(coefficients), "paper")
     codes = {round(float(v), 3) for v in np.unique(shown)}
     assert {0.1, 0.6} <= codes
 

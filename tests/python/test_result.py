@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from pbrfit import InputError, Result, Scene, Status, decompose
+from pbrfit.model import DEFAULT_MODEL
 from pbrfit.priors import Priors
 from pbrfit.refinement import NOT_ASKED
 from pbrfit.synthetic import make_scene
@@ -35,8 +36,8 @@ LAYERS = {
     ),
 }
 KEYS = [
-    *("version", "status", "stop_reason", "fov", "iterations", "evaluations", "seconds"),
-    *("protocol", "metrics", "uncertainty", "normals", "options", "assumed", "left_out"),
+    *("version", "status", "stop_reason", "fov", "model", "iterations", "evaluations"),
+    *("seconds", "protocol", "metrics", "uncertainty", "normals", "options", "assumed", "left_out"),
     *("stages", "inputs", "scene", "files"),
 ]
 HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
@@ -112,10 +113,15 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "equal_exposures": None,
         "seed": 0,
         "refine_normals": "auto",
+        "model": None,
     }
+    assert content["model"] == DEFAULT_MODEL
     assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]
     assert {type(stage["seconds"]) for stage in content["stages"]} == {float}
-    assert content["assumed"] == {"fov": "60 degrees, asked for"}
+    assert content["assumed"] == {
+        "fov": "60 degrees, asked for",
+        "model": f"{DEFAULT_MODEL}, the default",
+    }
     masked, monochrome = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"
     assert monochrome.startswith("prior monochrome: lights are 0.")

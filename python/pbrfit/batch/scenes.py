@@ -109,13 +109,14 @@ def decompose_scene(
         If the scene cannot be used, or its result not be written. The message names the file.
     """
     from pbrfit import alignment, process_memory
-    from pbrfit.batch.unchanged import kept
+    from pbrfit.batch.unchanged import check_model, kept
     from pbrfit.output import new_folder
     from pbrfit.result import CONTAINS
 
     wanted = _Wanted(task, show)
     wanted.check()
     if not task.overwrite and task.output.is_dir():
+        check_model(task.output, task.scene, task.fitting)
         content = kept(task.output, task.scene, task.reading, task.fitting)
         if content is not None:
             # Without `resume` the place was free: the result is of an attempt at this very task,
@@ -189,7 +190,8 @@ def table(result: Result, scene: Scene, output: Path) -> list[str]:
     iterations = result.history.iterations
     lines = [
         f"{output}: {len(scene.images)} pictures of {scene.width} × {scene.height}, "
-        f"{iterations} iterations in {result.seconds:.1f} s ({result.stop_reason})"
+        f"{iterations} iterations in {result.seconds:.1f} s ({result.stop_reason}), "
+        f"model {result.model}"
     ]
     for stage in result.stages:
         note = f" ({stage.note})" if stage.note else ""

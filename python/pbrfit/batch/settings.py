@@ -13,6 +13,7 @@ from pbrfit.priors import Priors
 from pbrfit.refinement import RefineNormals
 
 if TYPE_CHECKING:
+    from pbrfit.model import Model
     from pbrfit.result import Options, Result
     from pbrfit.scene import Scene
     from pbrfit.solve import Loss, Progress
@@ -54,6 +55,7 @@ class Fitting:
     equal_exposures: bool | None = None
     refine_normals: RefineNormals = "auto"
     seed: int = 0
+    model: Model | None = None
 
     def fit(self, scene: Scene, threads: int, progress: Callable[[Progress], None]) -> Result:
         """Decompose a scene."""

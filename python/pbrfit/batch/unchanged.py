@@ -12,8 +12,10 @@ from typing import Any
 from pbrfit import scene_folder
 from pbrfit._core import InputError
 from pbrfit.batch.settings import Fitting, Reading
+from pbrfit.json_files import table
+from pbrfit.model import chosen_model
 from pbrfit.output import digest
-from pbrfit.result import FILES
+from pbrfit.result import FILES, model_of
 
 
 def kept(output: Path, scene: Path, reading: Reading, fitting: Fitting) -> Mapping[str, Any] | None:
@@ -37,6 +39,31 @@ def kept(output: Path, scene: Path, reading: Reading, fitting: Fitting) -> Mappi
     except (OSError, InputError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return content if same else None
+
+
+def check_model(output: Path, scene: Path, fitting: Fitting) -> None:
+    """See that a result, if there is one, is of the model that a scene would be fitted with now.
+
+    Materials of one model are worth nothing in another, so a result of another model is no earlier
+    attempt at this one. What cannot be read is no result.
+
+    Raises
+    ------
+    InputError
+        If it is of another model.
+    """
+    file = output / "result.json"
+    try:
+        content = table(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, RecursionError):
+        return
+    of_pictures = scene_folder.read_settings(scene / "scene.toml", {}).model
+    found, wanted = model_of(content, file), chosen_model(fitting.model, of_pictures)
+    if found != wanted:
+        raise InputError(
+            f"{output}: expected a result of model {wanted} to resume, found one of model {found}; "
+            f"--model {found} keeps it, --overwrite replaces it"
+        )
 
 
 def _as_json(values: Mapping[str, Any]) -> Any:

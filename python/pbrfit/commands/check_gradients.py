@@ -14,7 +14,7 @@ from pbrfit.arguments import (
     given_priors,
     whole_number,
 )
-from pbrfit.commands.fit_options import EXPOSURES, add_model, metallic
+from pbrfit.commands.fit_options import EXPOSURES, add_model, add_unknowns, metallic
 from pbrfit.commands.scene_options import add_input, load
 
 
@@ -25,7 +25,8 @@ def add(commands: Subcommands) -> None:
     )
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     add_input(added)
-    add_model(added, "of the lights; 2 leaves out band 3")
+    add_model(added)
+    add_unknowns(added, "of the lights; 2 leaves out band 3")
     add_priors(added)
     added.add_argument(
         "--seed", type=whole_number, default=0, help="of the random point and directions"
@@ -44,6 +45,7 @@ def _run(options: argparse.Namespace) -> int:
         mono_light=options.mono_light,
         priors=given_priors(options),
         equal_exposures=EXPOSURES[options.exposures],
+        model=options.model,
     )
     objective.robust = objective.robust_around(objective.start(), options.robust)
     checks = check_gradients(objective, seed=options.seed)

@@ -28,6 +28,7 @@ from pbrfit.commands.fit_options import (
     add_refinement,
     add_seed,
     add_solver,
+    add_unknowns,
     fit_bar,
     fitting,
 )
@@ -60,7 +61,8 @@ def add(commands: Subcommands) -> None:
     add_input(added)
     add_solver(added)
     add_seed(added)
-    add_model(added, "of the lights; 2 leaves out band 3")
+    add_model(added)
+    add_unknowns(added, "of the lights; 2 leaves out band 3")
     add_refinement(added)
     add_priors(added)
     add_quiet(added)

@@ -7,8 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit.arguments import DONE, Subcommands, add_command, add_priors, add_quiet
-from pbrfit.commands.fit_options import add_model, add_refinement, add_solver, fit_bar, fitting
+from pbrfit.commands.fit_options import (
+    add_model,
+    add_refinement,
+    add_solver,
+    add_unknowns,
+    fit_bar,
+    fitting,
+)
 from pbrfit.commands.synth import add_synthetic, make_scene
+from pbrfit.model import DEFAULT_MODEL
 
 if TYPE_CHECKING:
     from pbrfit.result import Result
@@ -22,7 +30,8 @@ def add(commands: Subcommands) -> None:
     added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
     add_synthetic(added, "of scene, lights and noise, and of what the fit draws at random")
     add_solver(added)
-    add_model(added, "of the lights, true and fitted")
+    add_model(added, DEFAULT_MODEL)
+    add_unknowns(added, "of the lights, true and fitted")
     add_refinement(added)
     add_priors(added)
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")

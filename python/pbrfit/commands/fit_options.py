@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pbrfit.arguments import add_threads, given_priors, progress_bar, whole_number
+from pbrfit.model import DEFAULT_MODEL, MODELS
 from pbrfit.refinement import CHOICES
 from pbrfit.robust import LOSSES
 from pbrfit.solvers import SOLVERS
@@ -52,7 +53,25 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_model(parser: argparse.ArgumentParser, what_order: str) -> None:
+MODELS_IN_WORDS = (
+    "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
+    "glTF and game engines, integrated exactly"
+)
+"""What the values of `--model` mean."""
+
+
+def add_model(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Add `--model`; without it the scene decides, unless there is a `default`."""
+    without = default or f"what the scene was rendered with, where it says so, else {DEFAULT_MODEL}"
+    parser.add_argument(
+        "--model",
+        choices=MODELS,
+        default=default,
+        help=f"how surfaces reflect light. {MODELS_IN_WORDS} (default: {without})",
+    )
+
+
+def add_unknowns(parser: argparse.ArgumentParser, what_order: str) -> None:
     """Add what says what is fitted."""
     add_sh_order(parser, what_order)
     parser.add_argument(
@@ -120,6 +139,7 @@ def fitting(options: argparse.Namespace) -> Fitting:
         equal_exposures=EXPOSURES[options.exposures],
         refine_normals=options.refine_normals,
         seed=options.seed,
+        model=options.model,
     )
 
 

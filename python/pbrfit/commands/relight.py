@@ -21,6 +21,7 @@ from pbrfit.arguments import (
 )
 from pbrfit.commands.light_options import add_light, choose_light
 from pbrfit.display import ToneMap
+from pbrfit.model import MODELS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,6 +52,12 @@ def add(commands: Subcommands) -> None:
         added,
         "FILE",
         ".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or .webp",
+    )
+    added.add_argument(
+        "--model",
+        choices=MODELS,
+        help="the reflection model that the result is expected to be of; with another one it is "
+        "refused (default: whichever it is of)",
     )
     add_light(added)
 
@@ -95,6 +102,12 @@ def _run(options: argparse.Namespace) -> int:
     _check_belonging(options, kind)
     _check_free(options, kind)
     result = Result.load(options.result)
+    if options.model not in (None, result.model):
+        raise InputError(
+            f"{options.result}: expected a result of model {options.model}, as --model says, found "
+            f"one of model {result.model}: materials are relit with the model that they were "
+            "fitted with"
+        )
     chosen = choose_light(options)
     screen = Screen(options.exposure or 0.0, options.tone_map or "none")
     radiance = Range()

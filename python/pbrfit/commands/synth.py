@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit.arguments import DONE, Subcommands, add_command, whole_number
-from pbrfit.commands.fit_options import add_sh_order
+from pbrfit.commands.fit_options import add_model, add_sh_order
+from pbrfit.model import DEFAULT_MODEL
 
 if TYPE_CHECKING:
     from pbrfit.scene import Scene
@@ -20,6 +21,7 @@ def add(commands: Subcommands) -> None:
     )
     added.add_argument("out", metavar="DIR", type=Path, help="scene folder to write")
     add_synthetic(added)
+    add_model(added, DEFAULT_MODEL)
     add_sh_order(added, "of the lights")
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
 
@@ -27,7 +29,7 @@ def add(commands: Subcommands) -> None:
 def add_synthetic(
     parser: argparse.ArgumentParser, what_seed: str = "of scene, lights and noise"
 ) -> None:
-    """Add what says which scene is made; `make_scene` reads it, and `--sh-order`."""
+    """Add what says which scene is made; `make_scene` reads it, `--model` and `--sh-order`."""
     parser.add_argument(
         "--scene",
         dest="kind",
@@ -62,6 +64,7 @@ def make_scene(options: argparse.Namespace) -> Scene:
         sh_order=options.sh_order,
         noise=options.noise,
         seed=options.seed,
+        model=options.model,
         textures=options.textures,
     )
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.materials import Materials
+from pbrfit.model import Model
 from pbrfit.objective import MEAN_RADIANCE
 from pbrfit.priors import Priors
 from pbrfit.refinement import RefineNormals
@@ -42,6 +43,7 @@ def explain(
     iterations: int = 500,
     sh_order: int = 3,
     refine_normals: RefineNormals = "off",
+    model: Model | None = None,
     threads: int = 0,
 ) -> Result:
     """Explain a scene by one of the recipes.
@@ -62,8 +64,10 @@ def explain(
     refine_normals
         Likewise, but for `"default"` and `"plain"` alone: the paper and guesses take normals as
         they are. "off", other than there, so that recipes compare.
+    model
+        As for `pbrfit.decompose`; the paper's recipe too is run with any model.
     """
-    common = partial(decompose, scene, sh_order=sh_order, threads=threads)
+    common = partial(decompose, scene, sh_order=sh_order, model=model, threads=threads)
     ours = partial(common, iterations=iterations, refine_normals=refine_normals)
     fixed = partial(common, refine_normals="off")
     by_lbfgsb = partial(fixed, solver="lbfgsb", iterations=iterations)

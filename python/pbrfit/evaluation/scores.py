@@ -63,7 +63,10 @@ def score(result: Result, scene: Scene, threads: int = 0) -> Scores:
     scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
     relight = None
     if truth.relight_images is not None and truth.relight_lighting is not None:
-        rendered = render(found, result.normals, truth.relight_lighting, result.fov, threads)
+        rendered = render(
+            *(found, result.normals, truth.relight_lighting, result.fov, threads),
+            model=result.model,
+        )
         relight = _relight(rendered, np.where(valid[..., None], truth.relight_images, np.nan))
     albedos = metrics.display(found.albedo, 1.0), metrics.display(true.albedo, 1.0)
     return Scores(

@@ -57,6 +57,7 @@ def surface_response(result: Result) -> Array:
         result.albedo.reshape(-1, 3)[pixels],
         result.roughness.reshape(-1)[pixels],
         result.metallic.reshape(-1)[pixels],
+        model=result.model,
     )
     return np.asarray(np.einsum("pck,pcl->ckl", weights, weights) / len(pixels))
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pbrfit import metrics, panorama
 from pbrfit.color import encode_srgb
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import Model, render
 from pbrfit.report import raster
 from pbrfit.report.maps import ball_normals
 
@@ -83,9 +83,9 @@ def measure(coefficients: NDArray[np.float64]) -> Light:
 
 
 def balls_and_panorama(
-    coefficients: NDArray[np.float64], light: Light
+    coefficients: NDArray[np.float64], light: Light, model: Model
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pictures of a light as they go to the screen, NaN beside the balls.
+    """Pictures of a light as they go to the screen, NaN beside the balls, which are of a model.
 
     Both have the same exposure: white is the 98th percentile of the panorama.
     """
@@ -97,10 +97,10 @@ def balls_and_panorama(
     dark = radiance @ LUMINANCE < 0
     shown = np.where(dark[..., None], hatching[..., None], shown)
     _ring(shown, light)
-    return _balls(coefficients, white), shown
+    return _balls(coefficients, white, model), shown
 
 
-def _balls(coefficients: NDArray[np.float64], white: float) -> NDArray[np.float64]:
+def _balls(coefficients: NDArray[np.float64], white: float, model: Model) -> NDArray[np.float64]:
     """A matt white ball beside a mirror."""
     ball = ball_normals(BALL_SIDE)
     gap = np.full((BALL_SIDE, GAP, 3), np.nan)
@@ -109,7 +109,7 @@ def _balls(coefficients: NDArray[np.float64], white: float) -> NDArray[np.float6
     mirror = np.zeros(shape)
     mirror[:, BALL_SIDE:] = 1.0
     materials = Materials(np.ones((*shape, 3)), np.where(mirror > 0, MIRROR_ROUGHNESS, 1.0), mirror)
-    return metrics.display(render(materials, normals, coefficients, 0.0), white)
+    return metrics.display(render(materials, normals, coefficients, 0.0, model=model), white)
 
 
 def _ring(shown: NDArray[np.float64], light: Light) -> None:
@@ -125,9 +125,9 @@ def _ring(shown: NDArray[np.float64], light: Light) -> None:
     shown[np.abs(distance - 6) < 0.8] = 0.0
 
 
-def pngs(coefficients: NDArray[np.float64], light: Light) -> tuple[bytes, bytes]:
+def pngs(coefficients: NDArray[np.float64], light: Light, model: Model) -> tuple[bytes, bytes]:
     """Balls and panorama as PNG."""
-    balls, radiance = balls_and_panorama(coefficients, light)
+    balls, radiance = balls_and_panorama(coefficients, light, model)
     return raster.picture_png(balls), raster.picture_png(radiance)
 
 

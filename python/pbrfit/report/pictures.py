@@ -83,14 +83,18 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
         coefficients = result.lighting[i]
         light = lights.measure(coefficients)
         fit, pngs = _one(result, scene, i, sides)
-        found.append(Picture(name, fit, pngs, light, lights.pngs(coefficients, light)))
+        found.append(
+            Picture(name, fit, pngs, light, lights.pngs(coefficients, light, result.model))
+        )
     return found
 
 
 def _one(
     result: Result, scene: Scene | None, i: int, sides: Sequence[int]
 ) -> tuple[Fit | None, tuple[tuple[bytes, ...], ...]]:
-    rendered = render(result.materials, result.normals, result.lighting[i], result.fov)
+    rendered = render(
+        result.materials, result.normals, result.lighting[i], result.fov, model=result.model
+    )
     if scene is None:
         white = metrics.white_of(rendered)
         return None, tuple(

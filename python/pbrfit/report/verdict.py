@@ -161,6 +161,7 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
         ("size", f"{width} × {height} pixels", None),
         ("pixels fitted", f"{valid:,} of {width * height:,}", valid),
         ("field of view", _fov(result.fov), result.fov),
+        ("reflection model", result.model, None),
         ("status", str(result.status), None),
         ("iterations", f"{result.history.iterations:,}", result.history.iterations),
         ("evaluations", f"{result.evaluations:,}", result.evaluations),

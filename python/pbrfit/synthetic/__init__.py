@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.model import render
+from pbrfit.model import DEFAULT_MODEL, Model, checked_model, render
 from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
@@ -46,6 +46,7 @@ def make_scene(
     noise: float = 0.0,
     seed: int = 0,
     fov: float = 60.0,
+    model: Model = DEFAULT_MODEL,
     textures: Path | Sequence[MaterialSet] | None = None,
 ) -> Scene:
     """Draw a scene and its lights, and render the pictures in float64.
@@ -72,6 +73,9 @@ def make_scene(
         others.
     fov
         Horizontal field of view of the pictures in degrees, 0 < fov < 180.
+    model
+        "paper" or "principled": how surfaces reflect light. Neither geometry, materials nor lights
+        depend on it, but for the exposure of the lights.
     textures
         For "detailed" alone: a folder of texture maps, or the sets that `load_textures` read
         from one. None for procedural detail.
@@ -92,12 +96,13 @@ def make_scene(
         raise InputError(f"noise: expected a finite standard deviation >= 0, found {noise}")
     if seed < 0:
         raise InputError(f"seed: expected a non-negative integer, found {seed}")
+    model = checked_model(model)
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
     view = build(kind, size, streams[0], fov, textures)
 
-    lighting, images = _expose(view, random_lights(lights, streams[1], sh_order), streams[1])
+    lighting, images = _expose(view, random_lights(lights, streams[1], sh_order), model, streams[1])
     relight_lighting, relight_images = _expose(
-        view, random_lights(held_out, streams[2], sh_order), streams[2]
+        view, random_lights(held_out, streams[2], sh_order), model, streams[2]
     )
     exposure = MEAN_RADIANCE / images.mean()
     images *= exposure
@@ -110,6 +115,7 @@ def make_scene(
         mask=view.mask,
         segments=view.segments,
         names=tuple(f"light_{i:02d}" for i in range(lights)),
+        model=model,
         truth=Truth(
             materials=view.materials,
             lighting=exposure * lighting,
@@ -119,8 +125,10 @@ def make_scene(
     )
 
 
-def _expose(view: RayCast, lighting: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def _expose(
+    view: RayCast, lighting: Array, model: Model, rng: np.random.Generator
+) -> tuple[Array, Array]:
     """Scale each light so that its picture's mean is between 1/√2 and √2; return both, scaled."""
-    images = render(view.materials, view.normals, lighting, view.fov)
+    images = render(view.materials, view.normals, lighting, view.fov, model=model)
     gain = gains(images, rng)
     return gain[:, None, None] * lighting, gain[:, None, None, None] * images

@@ -95,6 +95,7 @@ class Parts:
             normal_sigma=None if scene.normal_sigma is None else window.of(scene.normal_sigma),
             names=scene.names,
             truth=None if scene.truth is None else Truth(cut(scene.truth.materials, window)),
+            model=scene.model,
             whole=scene,
             window=window,
         )

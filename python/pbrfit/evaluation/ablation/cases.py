@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import chosen_model, render
 from pbrfit.scene import Scene
 from pbrfit.synthetic import SceneKind, make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
@@ -248,7 +249,10 @@ def _rendered(scene: Scene, materials: Materials, noise: float, rng: Generator) 
     assert truth is not None
     assert truth.lighting is not None
     assert truth.relight_lighting is not None
-    images = render(materials, scene.normals, truth.lighting, scene.fov)
+    rendered = partial(
+        render, materials, scene.normals, fov=scene.fov, model=chosen_model(None, scene.model)
+    )
+    images = rendered(truth.lighting)
     exposure = MEAN_RADIANCE / images.mean()
     images *= exposure
     if noise > 0.0:
@@ -261,7 +265,7 @@ def _rendered(scene: Scene, materials: Materials, noise: float, rng: Generator) 
             truth,
             materials=materials,
             lighting=exposure * truth.lighting,
-            relight_images=render(materials, scene.normals, relight_lighting, scene.fov),
+            relight_images=rendered(relight_lighting),
             relight_lighting=relight_lighting,
         ),
     )

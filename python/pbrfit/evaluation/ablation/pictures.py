@@ -12,7 +12,7 @@ from pbrfit import metrics
 from pbrfit.evaluation.real.held_out import Split
 from pbrfit.evaluation.real.pictures import masked, used_part
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import chosen_model, render
 from pbrfit.result import Result
 from pbrfit.scene import Scene
 from pbrfit.sheet import Panel, Row, as_png, displayed, outside_grey, sheet
@@ -28,7 +28,12 @@ def room_sheet(scene: Scene, fitted: Mapping[str, Result]) -> bytes:
     assert truth.relight_lighting is not None
     light = truth.relight_lighting[0]
     found = {"true": truth.materials} | {name: fit.materials for name, fit in fitted.items()}
-    relit = {name: render(maps, scene.normals, light, scene.fov) for name, maps in found.items()}
+    models = {"true": chosen_model(None, scene.model)}
+    models |= {name: fit.model for name, fit in fitted.items()}
+    relit = {
+        name: render(maps, scene.normals, light, scene.fov, model=models[name])
+        for name, maps in found.items()
+    }
     white = metrics.white_of(relit["true"])
     rows: list[Row] = []
     for name, materials in found.items():

@@ -34,6 +34,7 @@ def add(suites: Subcommands) -> None:
         "that the environment variable PBRFIT_DATA names)",
     )
     resumable.add_options(added)
+    resumable.add_models(added, "pictures are explained with")
     added.add_argument(
         "--held-out",
         metavar="K",
@@ -72,26 +73,29 @@ def _run(options: argparse.Namespace) -> int:
     data = [path.absolute() for path in real.find_data(options.folders, os.environ)]
     found = [source for path in data for source in sources.find_sources(path)]
     absent = [one for path in data for one in sources.absent(path, found)]
-    tasks = real.plan(found, effort)
+    models = resumable.models(options)
+    tasks = real.plan(found, effort, models)
     records = resumable.run_tasks(tasks, real.work, options, unit="fold")
     measured = [
         report.Measured(
             source,
+            model,
             {
                 task.fold: real.Fold.of(record.values)
                 for task, record in zip(tasks, records, strict=True)
-                if task.source == source and record.values is not None
+                if (task.source, task.model) == (source, model) and record.values is not None
             },
             next(
                 (
                     record.error
                     for task, record in zip(tasks, records, strict=True)
-                    if task.source == source and record.error is not None
+                    if (task.source, task.model) == (source, model) and record.error is not None
                 ),
                 None,
             ),
         )
         for source in found
+        for model in models
     ]
     with workspace.publish(options.out) as folder:
         report.write(folder, measured, effort, absent)
@@ -105,13 +109,13 @@ def _print(measured: list[Measured], out: Path) -> None:
     from pbrfit.evaluation import real
 
     print("held-out pictures, RMSE / RMS radiance")
-    print(f"{'':<28}" + "".join(f"{name:>12}" for name in real.EXPLANATIONS))
+    print(f"{'':<38}" + "".join(f"{name:>12}" for name in real.EXPLANATIONS))
     for one in measured:
         if one.folds:
             found = [
                 real.figures(list(one.folds.values()), name).error for name in real.EXPLANATIONS
             ]
-            print(f"{one.source.name:<28}" + "".join(f"{value:>12.4f}" for value in found))
+            print(f"{one.name:<38}" + "".join(f"{value:>12.4f}" for value in found))
         else:
-            print(f"{one.source.name:<28}  not run: {one.error}")
+            print(f"{one.name:<38}  not run: {one.error}")
     print(f"\nlook at {out / 'report.html'}")

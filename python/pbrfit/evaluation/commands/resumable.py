@@ -18,6 +18,7 @@ from pbrfit.arguments import (
 )
 from pbrfit.commands.worker_options import add_cluster, add_jobs
 from pbrfit.evaluation.jobs import Record, Task, Values, run
+from pbrfit.model import MODELS, Model
 
 T = TypeVar("T", bound=Task)
 
@@ -52,6 +53,25 @@ def add_options(
 
 def _refused(_: str) -> NoReturn:
     raise argparse.ArgumentTypeError("not for this suite, whose seconds are those of one machine")
+
+
+BOTH = "both"
+"""Value of `--model` for every model, one after the other."""
+
+
+def add_models(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add `--model` of a suite that can do both."""
+    parser.add_argument(
+        "--model",
+        choices=(*MODELS, BOTH),
+        default=BOTH,
+        help=f"what {what}, of `pbrfit decompose --model` (default: %(default)s)",
+    )
+
+
+def models(options: argparse.Namespace) -> tuple[Model, ...]:
+    """Those that `--model` asks for."""
+    return MODELS if options.model == BOTH else (options.model,)
 
 
 def add_cycles_cache(parser: argparse.ArgumentParser) -> None:

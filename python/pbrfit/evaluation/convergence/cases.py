@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.model import render, sh_basis
+from pbrfit.model import chosen_model, render, sh_basis
 from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
@@ -104,6 +104,9 @@ def _lit_evenly(scene: Scene, truth: Truth) -> tuple[Truth, Array]:
     """The scene under spread lights, in the same mean radiance."""
     lobes = zonal(SHARP[3]) * sh_basis(even_directions(PICTURES))
     lighting = np.repeat(lobes[..., None], 3, axis=-1)
-    images = render(truth.materials, scene.normals, lighting, scene.fov)
+    images = render(
+        *(truth.materials, scene.normals, lighting, scene.fov),
+        model=chosen_model(None, scene.model),
+    )
     exposure = MEAN_RADIANCE / images.mean()
     return replace(truth, lighting=exposure * lighting), exposure * images

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pbrfit import metrics
 from pbrfit._core import InputError
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import chosen_model, render
 from pbrfit.scene import Scene
 
 Array = NDArray[np.float64]
@@ -94,7 +94,8 @@ def measure(scene: Scene, materials: Materials, lighting: Array, threads: int = 
     )
 
     def rendered(lights: Array) -> Array:
-        return render(found, scene.normals, lights, scene.fov, threads)
+        model = chosen_model(None, scene.model)
+        return render(found, scene.normals, lights, scene.fov, threads, model=model)
 
     scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
     return Errors(

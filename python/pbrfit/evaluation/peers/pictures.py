@@ -34,7 +34,7 @@ def draw_panels(scene: Scene, result: Result, picture: int, threads: int = 0) ->
     relit = np.where(valid, truth.relight_images[0], np.nan)
     white = metrics.white_of(relit)
     found, lights = result.materials, truth.relight_lighting[:1]
-    [rendered] = render(found, result.normals, lights, result.fov, threads)
+    [rendered] = render(found, result.normals, lights, result.fov, threads, model=result.model)
     shown = np.where(valid, scene.images[picture], np.nan)
     panels = {"picture": displayed(shown, metrics.white_of(shown))}
     for prefix, materials, light in (("", found, rendered), ("true ", truth.materials, relit)):

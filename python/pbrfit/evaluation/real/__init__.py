@@ -28,6 +28,7 @@ from pbrfit.evaluation.real.held_out import (
 )
 from pbrfit.evaluation.real.pictures import draw_sheet
 from pbrfit.evaluation.real.sources import Source, check_names, load
+from pbrfit.model import MODELS, Model
 
 __all__ = [
     "EXPLANATIONS",
@@ -73,21 +74,24 @@ QUICK = Effort("quick", max_size=64, iterations=60, folds=1)
 
 @dataclass(frozen=True)
 class RealTask:
-    """One fold of one source. `digest` is of the source's files."""
+    """One fold of one source, explained with a model. `digest` is of the source's files."""
 
     source: Source
     effort: Effort
     fold: int
     digest: str
+    model: Model
 
     @property
     def key(self) -> str:
         """Name of the record."""
-        return f"{self.source.name}-{self.fold}"
+        return f"{self.source.name}-{self.model}-{self.fold}"
 
 
-def plan(sources: Sequence[Source], effort: Effort) -> list[RealTask]:
-    """Tasks for all folds of all sources; a single one that fails if there are too few pictures.
+def plan(
+    sources: Sequence[Source], effort: Effort, models: Sequence[Model] = MODELS
+) -> list[RealTask]:
+    """Tasks for all folds of all sources and models; one that fails if there are too few pictures.
 
     Raises
     ------
@@ -96,9 +100,10 @@ def plan(sources: Sequence[Source], effort: Effort) -> list[RealTask]:
     """
     check_names(sources)
     return [
-        RealTask(source, effort, fold, digest)
+        RealTask(source, effort, fold, digest, model)
         for source in sources
         for digest in [source.digest()]
+        for model in models
         for fold in range(
             min(effort.folds, folds(source.pictures, effort.held_out))
             if source.pictures >= _least(effort)
@@ -126,7 +131,9 @@ def work(task: RealTask, threads: int) -> Mapping[str, Any]:
         )
     scene = load(task.source, task.effort.max_size)
     which = split(len(scene.images), task.effort.held_out, task.fold)
-    explained = explain_held_out(scene, which, iterations=task.effort.iterations, threads=threads)
+    explained = explain_held_out(
+        scene, which, model=task.model, iterations=task.effort.iterations, threads=threads
+    )
     valid = scene.valid
     clipped = 0.0 if scene.weights is None else float(np.mean(scene.weights[:, valid] == 0))
     return {

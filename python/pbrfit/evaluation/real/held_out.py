@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -19,7 +20,7 @@ from pbrfit._core import InputError
 from pbrfit.evaluation.real.lights import best_combination, fit_lights
 from pbrfit.evaluation.recipes import explain
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import Model, render
 from pbrfit.result import Result
 from pbrfit.scene import Scene
 
@@ -163,11 +164,17 @@ def part(scene: Scene, pictures: tuple[int, ...]) -> Scene:
         weights=None if scene.weights is None else scene.weights[of],
         normal_sigma=scene.normal_sigma,
         names=tuple(scene.names[i] for i in of),
+        model=scene.model,
     )
 
 
 def explain_held_out(
-    scene: Scene, which: Split, *, iterations: int = 500, threads: int = 0
+    scene: Scene,
+    which: Split,
+    *,
+    model: Model | None = None,
+    iterations: int = 500,
+    threads: int = 0,
 ) -> tuple[Explained, ...]:
     """Explain the held-out pictures in every way of `EXPLANATIONS`.
 
@@ -177,6 +184,8 @@ def explain_held_out(
         All pictures, with unknown lights.
     which
         From `split`.
+    model
+        As for `pbrfit.decompose`; of all explanations that have materials.
     iterations
         Of the fits of materials.
     threads
@@ -184,10 +193,11 @@ def explain_held_out(
     """
     kept = part(scene, which.kept)
     found = []
-    fitted = explain(kept, "default", iterations=iterations, threads=threads)
-    plain = explain(kept, "plain", iterations=iterations, threads=threads)
-    of_paper = explain(kept, "paper", iterations=iterations, threads=threads)
-    start = explain(kept, "start", threads=threads)
+    by = partial(explain, kept, model=model, threads=threads)
+    fitted = by("default", iterations=iterations)
+    plain = by("plain", iterations=iterations)
+    of_paper = by("paper", iterations=iterations)
+    start = by("start")
     candidates: tuple[tuple[Explanation, Materials, Result, float], ...] = (
         ("default", fitted.materials, fitted, fitted.seconds),
         ("plain", plain.materials, plain, plain.seconds),
@@ -198,7 +208,7 @@ def explain_held_out(
     )
     for name, materials, fit, seconds in candidates:
         rendered, of_kept = (
-            explained_by(materials, scene, pictures, threads, normals=fit.normals)
+            explained_by(materials, scene, pictures, threads, model=fit.model, normals=fit.normals)
             for pictures in (which.held_out, which.kept)
         )
         found.append(
@@ -228,17 +238,18 @@ def explained_by(
     pictures: tuple[int, ...],
     threads: int = 0,
     *,
+    model: Model,
     normals: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """(M, H, W, 3): some pictures of a scene as the materials explain them, lights fitted.
 
-    `normals` are those that belong to the materials; None = the scene's.
+    `model` and `normals` are those that belong to the materials; None = the scene's normals.
     """
     normals = np.asarray(scene.normals, np.float64) if normals is None else normals
     of = list(pictures)
     weights = None if scene.weights is None else scene.weights[of]
-    lights = fit_lights(scene.images[of], weights, materials, normals, scene.fov)
-    return render(materials, normals, lights, scene.fov, threads)
+    lights = fit_lights(scene.images[of], weights, materials, normals, scene.fov, model)
+    return render(materials, normals, lights, scene.fov, threads, model=model)
 
 
 def picture_scores(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
-from pbrfit.model import shade
+from pbrfit.model import Model, shade
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,7 @@ def fit_lights(
     materials: Materials,
     normals: NDArray[np.floating[Any]],
     fov: float,
+    model: Model,
 ) -> Array:
     """Lights that explain pictures best, each on its own.
 
@@ -47,6 +48,8 @@ def fit_lights(
         Maps of (H, W) pixels; those with NaN are left out.
     fov
         Horizontal field of view in degrees.
+    model
+        How the materials reflect light.
 
     Returns
     -------
@@ -64,7 +67,9 @@ def fit_lights(
     triangles = [[np.zeros((0, 16 + len(group)))] * 3 for group in groups]
     for begin in range(0, len(rows), BLOCK):
         at = rows[begin : begin + BLOCK]
-        design = shade(flat[1][at], views[at], flat[0][at], maps[0][at], maps[1][at])
+        design = shade(
+            *(flat[1][at], views[at], flat[0][at], maps[0][at], maps[1][at]), model=model
+        )
         samples = images.reshape(len(images), -1, 3)[:, at]
         for of, group in zip(triangles, groups, strict=True):
             counts = None if weights is None else weights[group[0]].ravel()[at]

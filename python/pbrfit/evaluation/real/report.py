@@ -13,6 +13,7 @@ from pbrfit.evaluation.real.held_out import Explanation
 from pbrfit.evaluation.real.plots import draw_errors
 from pbrfit.evaluation.real.sources import PublicSet, Source
 from pbrfit.evaluation.tables import write_csv
+from pbrfit.model import MODELS, Model
 
 PROTOCOL = (
     "pbrfit-real-1: materials from the kept pictures, lights of held-out pictures by linear least "
@@ -22,6 +23,7 @@ PROTOCOL = (
 
 COLUMNS = (
     "source",
+    "model",
     "fold",
     "explanation",
     "picture",
@@ -35,11 +37,17 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Measured:
-    """All that was measured of one source: folds by number, or why there are none."""
+    """All that was measured of one source with a model: folds, or why there are none."""
 
     source: Source
+    model: Model
     folds: Mapping[int, Fold]
     error: str | None
+
+    @property
+    def name(self) -> str:
+        """Of source and model."""
+        return f"{self.source.name}, {self.model}"
 
 
 def write(
@@ -56,7 +64,7 @@ def write(
 def _rows(measured: Sequence[Measured], absent: Sequence[PublicSet]) -> Iterator[summary.Row]:
     for one in measured:
         if not one.folds:
-            yield summary.Row(one.source.name, 0, None, {}, status=one.error or "not run")
+            yield summary.Row(one.name, 0, None, {}, status=one.error or "not run")
             continue
         for name in EXPLANATIONS:
             found = figures(list(one.folds.values()), name)
@@ -69,9 +77,7 @@ def _rows(measured: Sequence[Measured], absent: Sequence[PublicSet]) -> Iterator
                 "folds": float(len(one.folds)),
             }
             solver = {"default": "auto", "plain": "auto", "paper": "lbfgsb"}.get(name)
-            yield summary.Row(
-                f"{one.source.name}, {name}", 1, solver, metrics, status=one.error or "ok"
-            )
+            yield summary.Row(f"{one.name}, {name}", 1, solver, metrics, status=one.error or "ok")
     for missing in absent:
         yield summary.Row(missing.kind, 0, None, {}, status=f"not there: {missing.origin}")
 
@@ -84,6 +90,7 @@ def _lines(measured: Sequence[Measured]) -> Iterator[tuple[object, ...]]:
                     relative = score.rmse / score.rms if score.rms > 0 else None
                     yield (
                         one.source.name,
+                        one.model,
                         number,
                         name,
                         score.name,
@@ -119,15 +126,16 @@ def _sections(measured: Sequence[Measured], absent: Sequence[PublicSet]) -> Iter
     done = [one for one in measured if one.folds]
     if done:
         errors: dict[str, dict[Explanation, float]] = {
-            one.source.name: {
-                name: figures(list(one.folds.values()), name).error for name in EXPLANATIONS
-            }
+            one.name: {name: figures(list(one.folds.values()), name).error for name in EXPLANATIONS}
             for one in done
         }
         figure = Figure(
             "held_out", draw_errors(errors), "Error of held-out pictures; 1 is that of black."
         )
         yield Section("All sets", [], [_overview(errors)], [figure])
+    both = _both_models(done)
+    if both is not None:
+        yield both
     for one in measured:
         yield _section(one)
     if absent:
@@ -154,12 +162,44 @@ def _overview(errors: Mapping[str, Mapping[Explanation, float]]) -> Table:
     return Table(columns, rows)
 
 
+def _both_models(done: Sequence[Measured]) -> Section | None:
+    """The two models beside each other, for sources that were explained with both."""
+    by_source: dict[str, dict[Model, Measured]] = {}
+    for one in done:
+        by_source.setdefault(one.source.name, {})[one.model] = one
+    shared = {name: of for name, of in by_source.items() if len(of) == len(MODELS)}
+    if not shared:
+        return None
+    fits: tuple[Explanation, ...] = ("default", "plain", "paper")
+    columns = [Cell("RMSE / RMS")]
+    columns += [Cell(f"{IN_WORDS[fit]},\n{model}", "number") for fit in fits for model in MODELS]
+    rows = []
+    for name, of in shared.items():
+        cells = [Cell(name, "name")]
+        for fit in fits:
+            errors = [figures(list(of[model].folds.values()), fit).error for model in MODELS]
+            cells += [
+                Cell(f"{error:.4f}", "best" if error == min(errors) else "number")
+                for error in errors
+            ]
+        rows.append(cells)
+    return Section(
+        "The two models",
+        [
+            "Errors of held-out pictures with materials and lights of either reflection model: "
+            "the same pictures, the same solver. The smaller of each pair is bold."
+        ],
+        [Table(columns, rows)],
+    )
+
+
 def _section(one: Measured) -> Section:
-    sentences = [one.source.about[0].upper() + one.source.about[1:] + "."]
+    about = one.source.about[0].upper() + one.source.about[1:]
+    sentences = [f"{about}. Explained with model {one.model}."]
     if one.error is not None:
         sentences.append(f"Failed: {one.error}.")
     if not one.folds:
-        return Section(one.source.name, sentences)
+        return Section(one.name, sentences)
     found = list(one.folds.values())
     first = found[0]
     held_out = sum(len(fold.outcomes["default"].scores) for fold in found)
@@ -188,7 +228,7 @@ def _section(one: Measured) -> Section:
         rows.append([Cell(IN_WORDS[name], "name"), *(Cell(text, "number") for text in texts)])
     pictures = [
         Figure(
-            f"sheet-{one.source.name}",
+            f"sheet-{one.source.name}-{one.model}",
             fold.sheet,
             "First row: a kept picture and the maps of our default. Second: a held-out picture and "
             "how it is explained. Third: errors.",
@@ -196,4 +236,4 @@ def _section(one: Measured) -> Section:
         for fold in found
         if fold.sheet is not None
     ]
-    return Section(one.source.name, sentences, [Table(columns, rows)], pictures)
+    return Section(one.name, sentences, [Table(columns, rows)], pictures)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import metrics
-from pbrfit.model import render
+from pbrfit.model import Model, chosen_model, render
 from pbrfit.objective import Objective
 from pbrfit.priors import Priors
 from pbrfit.result import Result
@@ -58,7 +58,10 @@ def residual(scene: Scene, result: Result, threads: int = 0) -> float:
     """RMS difference of pictures and reconstruction, rendered and compared in float64."""
     found = [
         metrics.rmse(
-            render(result.materials, scene.normals, light, scene.fov, threads), scene.images[i]
+            render(
+                *(result.materials, scene.normals, light, scene.fov, threads), model=result.model
+            ),
+            scene.images[i],
         )
         for i, light in enumerate(result.lighting)
     ]
@@ -71,11 +74,12 @@ def clean_residual(scene: Scene, result: Result, threads: int = 0) -> float:
     assert truth is not None
     assert truth.lighting is not None
 
-    def pictures(materials: Any, lighting: Array) -> Array:
-        return render(materials, scene.normals, lighting, scene.fov, threads)
+    def pictures(materials: Any, lighting: Array, model: Model) -> Array:
+        return render(materials, scene.normals, lighting, scene.fov, threads, model=model)
 
     return metrics.rmse(
-        pictures(result.materials, result.lighting), pictures(truth.materials, truth.lighting)
+        pictures(result.materials, result.lighting, result.model),
+        pictures(truth.materials, truth.lighting, chosen_model(None, scene.model)),
     )
 
 
@@ -101,7 +105,7 @@ def objective_value(
         A loss and its scale in units of the scaled pictures; None = squares, which are computed in
         float64. A robust loss comes from the fast objective in float32.
     """
-    objective = Objective(scene, threads=threads, priors=priors)
+    objective = Objective(scene, threads=threads, priors=priors, model=result.model)
     materials = result.materials
     x = objective.pack(
         materials.albedo, materials.roughness, materials.metallic, result.lighting

@@ -25,7 +25,7 @@ from pbrfit.evaluation.solvers.fits import (
     room,
 )
 from pbrfit.evaluation.solvers.own_process import call
-from pbrfit.model import render
+from pbrfit.model import DEFAULT_MODEL, render
 from pbrfit.output import scratch_folder
 from pbrfit.scene import Scene
 from pbrfit.synthetic import build
@@ -83,7 +83,9 @@ def write_scene(path: Path, size: int, threads: int) -> None:
     lights = random_lights(PICTURES, seed)
     images = np.empty((PICTURES, size, size, 3), dtype=np.float32)
     for image, light in zip(images, lights, strict=True):
-        found = render(view.materials, view.normals, light, view.fov, threads)
+        found = render(
+            *(view.materials, view.normals, light, view.fov, threads), model=DEFAULT_MODEL
+        )
         image[:] = found * (MEAN_RADIANCE / found.mean())
     np.savez(
         path,

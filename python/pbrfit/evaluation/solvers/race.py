@@ -33,7 +33,7 @@ from pbrfit.evaluation.solvers.fits import (
 )
 from pbrfit.evaluation.solvers.own_process import call
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import chosen_model, render
 from pbrfit.scene import Scene
 from pbrfit.solve import Progress
 
@@ -260,6 +260,9 @@ class Tracker:
         maps = (materials.albedo, materials.roughness, materials.metallic)
         inside = Materials(*(np.clip(values, 0, 1) for values in maps))
         for light, image in zip(lighting, scene.images, strict=True):
-            rendered = render(inside, scene.normals, light, scene.fov, self._threads)
+            rendered = render(
+                *(inside, scene.normals, light, scene.fov, self._threads),
+                model=chosen_model(None, scene.model),
+            )
             squares.append(metrics.rmse(rendered, image) ** 2)
         return float(np.sqrt(np.mean(squares)))

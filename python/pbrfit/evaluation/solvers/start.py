@@ -88,7 +88,7 @@ def work(task: Task, threads: int) -> dict[str, Any]:
         reference, ours = (fit(scene, solver, **options) for solver in (LBFGSB, AUTO))
         robust = None
         if loss != "none":
-            objective = Objective(scene, threads=threads)
+            objective = Objective(scene, threads=threads, model=reference.model)
             maps = reference.materials
             x = objective.pack(maps.albedo, maps.roughness, maps.metallic, reference.lighting)
             robust = objective.robust_around(x, loss)

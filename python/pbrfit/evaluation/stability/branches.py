@@ -19,7 +19,7 @@ from pbrfit.evaluation.stability.checks import (
     ratio,
     worst_of,
 )
-from pbrfit.evaluation.stability.double_precision import Case, Pixels, evaluate
+from pbrfit.evaluation.stability.double_precision import MODEL, Case, Pixels, evaluate
 from pbrfit.evaluation.stability.effort import Effort
 from pbrfit.evaluation.stability.exact_bands import exact_bands
 from pbrfit.evaluation.stability.extreme_pixels import (
@@ -191,7 +191,9 @@ def _shading_jumps(sweeps: list[_Sweep], rng: Generator) -> tuple[list[Check], d
 
 def _slope(pixels: Pixels, cotangent: Array) -> Array:
     p = pixels
-    return shade_vjp(p.normals, p.views, p.albedo, p.roughness, p.metallic, cotangent)[1]
+    return shade_vjp(
+        *(p.normals, p.views, p.albedo, p.roughness, p.metallic, cotangent), model=MODEL
+    )[1]
 
 
 def _differences(sweeps: list[_Sweep], threads: int) -> list[Check]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.model import ggx_band_weights, shade, shade_vjp
+from pbrfit.model import Model, ggx_band_weights, shade, shade_vjp
 
 PIECE = 4096
 """Pixels at a time."""
@@ -26,6 +26,9 @@ BAND_OF = np.repeat([0, 1, 2, 3], [1, 3, 5, 7])
 BASIS_SIZE = np.sqrt((2 * BAND_OF + 1) / (4 * math.pi))
 """Largest value of a band's basis functions. They are polynomials whose terms cancel, so their
 errors go with this and not with their value."""
+
+MODEL: Model = "paper"
+"""Whose terms the natural scales below are made of."""
 
 DIELECTRIC_F0 = 0.04
 MIN_COSINE = 1e-4
@@ -57,7 +60,9 @@ class Pixels:
 
     def shade(self) -> Array:
         """Weights, (P, 3, 16)."""
-        return shade(self.normals, self.views, self.albedo, self.roughness, self.metallic)
+        return shade(
+            *(self.normals, self.views, self.albedo, self.roughness, self.metallic), model=MODEL
+        )
 
     def render(self, lighting: Array, threads: int = 0) -> Array:
         """Radiance (N, P, 3) in float64."""
@@ -69,6 +74,7 @@ class Pixels:
             self.metallic,
             lighting,
             threads,
+            MODEL,
         )
 
 
@@ -98,7 +104,9 @@ class Case:
 
     def problem(self, threads: int = 0) -> _core.Problem:
         """The fast objective."""
-        return _core.Problem(self.images, self.pixels.normals, self.pixels.views, threads)
+        return _core.Problem(
+            self.images, self.pixels.normals, self.pixels.views, threads, model=MODEL
+        )
 
     def blocks(self) -> dict[str, slice]:
         """Where in x and the gradient each kind of unknown lies."""
@@ -154,6 +162,7 @@ def evaluate(case: Case) -> Evaluation:
             piece.roughness,
             piece.metallic,
             by_weights.transpose(1, 0, 2),
+            model=MODEL,
         )
         materials[0, :3, rows] = d_albedo.T
         materials[0, 3, rows] = d_roughness

@@ -148,8 +148,11 @@ def _numbers(result: Result) -> list[Array]:
 
 
 def _recon(case: StiffScene, result: Result) -> float:
-    rendered = render(result.materials, case.scene.normals, result.lighting, case.scene.fov)
-    images = case.scene.images[:, case.counted].astype(np.float64)
+    scene = case.scene
+    rendered = render(
+        *(result.materials, scene.normals, result.lighting, scene.fov), model=result.model
+    )
+    images = scene.images[:, case.counted].astype(np.float64)
     return metrics.rmse(rendered[:, case.counted], images) / math.sqrt(np.mean(images**2))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import chosen_model, render
 from pbrfit.notation import scientific
 from pbrfit.scene import Scene
 from pbrfit.synthetic import make_scene
@@ -116,7 +116,9 @@ def _rendered(
     assert room.truth is not None
     materials = materials or _materials(room)
     lighting = _lighting(room) if lighting is None else lighting
-    images = render(materials, room.normals, lighting, room.fov)
+    images = render(
+        *(materials, room.normals, lighting, room.fov), model=chosen_model(None, room.model)
+    )
     exposure = MEAN_RADIANCE / images.mean()
     truth = replace(room.truth, materials=materials, lighting=exposure * lighting)
     return replace(room, images=(exposure * images).astype(np.float32), truth=truth)

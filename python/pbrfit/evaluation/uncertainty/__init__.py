@@ -20,7 +20,7 @@ from pbrfit import uncertainty
 from pbrfit.evaluation.uncertainty.refits import with_free_lights, with_known_lights
 from pbrfit.layout import Layout
 from pbrfit.materials import Materials
-from pbrfit.model import render
+from pbrfit.model import chosen_model, render
 from pbrfit.objective import MEAN_RADIANCE, Objective
 from pbrfit.scene import Scene
 from pbrfit.synthetic import SceneKind, make_scene
@@ -291,7 +291,10 @@ def inside(task: Task) -> Scene:
     moved = Materials(
         *(low + (high - low) * values for values in (true.albedo, true.roughness, true.metallic))
     )
-    images = render(moved, scene.normals, scene.truth.lighting, scene.fov)
+    images = render(
+        *(moved, scene.normals, scene.truth.lighting, scene.fov),
+        model=chosen_model(None, scene.model),
+    )
     exposure = MEAN_RADIANCE / images[:, scene.valid].mean()
     lighting = exposure * scene.truth.lighting
     return replace(

@@ -61,7 +61,9 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     """
     small = maps.of_result(result, max_side)
     height, width = small.mask.shape
-    first = render(small.materials, small.normals, result.lighting[0], result.fov)
+    first = render(
+        small.materials, small.normals, result.lighting[0], result.fov, model=result.model
+    )
     white = metrics.white_of(first) if small.mask.any() else 1.0
     exposure = round(0.0 - math.log2(white), 1)
     bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
