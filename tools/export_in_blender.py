@@ -23,7 +23,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(REPOSITORY / "tests" / "python"))
 
 from blender_card import Rendering, in_blender, lopsided_lights, relief  # noqa: E402
-from pbrfit import Result, images, panorama, render  # noqa: E402
+from pbrfit import Result, images, panorama, relight  # noqa: E402
 from pbrfit.colormap import blue_to_yellow  # noqa: E402
 from pbrfit.export import export_result  # noqa: E402
 from pbrfit.export.view_mesh import Geometry  # noqa: E402
@@ -110,7 +110,7 @@ def compared(
         [Rendering(case, light, samples=samples, **of) for case, of in cases.items()],
         camera_only=geometry == "facets",
     )
-    ours = render(result.materials, result.normals, result.lighting[0], result.fov)
+    ours = relight(result, result.lighting[0])
     flat = np.broadcast_to([0.0, 0.0, 1.0], result.normals.shape)
     for case, of in cases.items():
         expected = diffuse(result, flat if "flat" in of else result.normals)
@@ -134,7 +134,7 @@ def photographed(folder: Path, result: Result, file: Path, samples: int) -> None
             (width, height),
             [Rendering("as imported", used, samples=samples)],
         )
-        ours = render(of.materials, of.normals, light, of.fov)
+        ours = relight(of, light)
         found = blender.pictures["as imported"]
         tell("wall", "card", f"under {file.stem}, {name}", found, ours, of)
 

@@ -11,10 +11,10 @@ x = 1. Ebar = 2 ∫ E x dx with E = 2√π (a_0 + b_0), the part of uniform ligh
 
 The half vector h = (sin θ cos φ, sin θ sin φ, cos θ) is what is integrated over: dl = 4 v·h dh, and
 D n·h dh = dφ/2π du with tan² θ = alpha² u/(1−u). With n·v = cos θ_v, n·l is
-cos θ_v cos 2θ − sin θ_v sin 2θ cos φ: above the horizon for every φ below θ₁ = (π/2 − θ_v)/2, for none
-above θ₂ = (π/2 + θ_v)/2. So y with tan θ = alpha sinh y is cut at θ₁ and θ₂, into panels one long
-with Gauss-Legendre nodes, and the tanh-sinh rule next to the cuts; φ takes the tanh-sinh rule from
-the horizon to π.
+cos θ_v cos 2θ − sin θ_v sin 2θ cos φ: above 0 for every φ below θ₁ = (π/2 − θ_v)/2, for none above
+θ₂ = (π/2 + θ_v)/2. So y with tan θ = alpha sinh y is cut at θ₁ and θ₂, into panels one long with
+Gauss-Legendre nodes, and the tanh-sinh rule next to the cuts; φ takes the tanh-sinh rule from the
+horizon to π.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ MIRROR_COEFFICIENTS = 3
 """The first by s, held at the mirror's values: then value, slope and curvature are right at r = 0,
 which the functions leave like r⁴."""
 BOUNDED_COEFFICIENTS = 4
-"""The first by s whose reflectance is held at 1 or less, through b_0: a spline never exceeds its
-coefficients. From the next on it stays below without that."""
+"""The first by s whose reflectance is brought down to 1, all functions alike: a spline never exceeds
+its coefficients. From the next on it stays below without that."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def fit() -> Table:
     coefficients = np.concatenate((mirror, rest)).reshape(s.cells + 3, t.cells + 3, FUNCTIONS)
 
     few = coefficients[:BOUNDED_COEFFICIENTS]
-    few[..., 10] -= np.maximum(reflectance(few) - 1, 0) / (2 * np.sqrt(np.pi))
+    few[..., :20] /= np.maximum(reflectance(few), 1)[..., None]
     return Table(s, t, coefficients.astype(np.float32).astype(np.float64))
 
 
@@ -243,14 +243,19 @@ def print_errors(table: Table) -> None:
 def samples() -> list[dict[str, object]]:
     """Rows of the golden file."""
     quadrature = Quadrature()
-    cosines = np.array([1e-4, 0.02, 0.2, 0.5, 0.7, 0.95, 1.0])
+    cosines = np.array([1e-4, 0.001, 0.005, 0.02, 0.2, 0.5, 0.7, 0.95, 1.0])
     rows: list[dict[str, object]] = []
-    for r in (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 1.0):
+    for r in (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 1.0):
         parts = exact(quadrature, r, cosines)
         for i, x in enumerate(cosines):
-            value, by_r, by_x = (part[i].tolist() for part in parts)
+            value, by_r, by_x = (rounded(part[i]) for part in parts)
             rows.append({"r": r, "cosine": x, "value": value, "by_r": by_r, "by_cosine": by_x})
     return rows
+
+
+def rounded(values: Array) -> list[float]:
+    """To 13 digits."""
+    return [float(f"{value:.12e}") + 0.0 for value in values]
 
 
 def write_samples(path: Path) -> None:

@@ -9,7 +9,7 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from pbrfit import DirectionalLight, Result, Scene, display, images, metrics, relight, render
+from pbrfit import DirectionalLight, Result, Scene, display, images, metrics, relight
 from pbrfit.sheet import Panel, Row, displayed, outside_grey, sheet
 
 LAMP = DirectionalLight(-50, 35, (1.6, 1.6, 1.6))
@@ -24,7 +24,7 @@ def main() -> None:
     true = dataclasses.replace(found, materials=scene.truth.materials)
     picture = scene.images[0]
     white = metrics.white_of(picture)
-    again = render(found.materials, found.normals, found.lighting[0], found.fov)
+    again = relight(found, found.lighting[0])
     rows: list[Row] = []
     names = ("albedo", "roughness", "metallic", "under a lamp of your own")
     for result, captions in ((found, names), (true, [""] * len(names))):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import Materials, panorama
-from pbrfit.model import render, render_directional
+from pbrfit.model import Model, render, render_directional
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,8 @@ ROWS = 256
 
 LIGHTS = 2048
 """Pixels of the panorama at once."""
+
+MODEL: Model = "paper"
 
 SURFACES = {
     "matt, r = 1": (0.8, 1.0, 0.0),
@@ -66,7 +68,7 @@ def _errors(name: str, pixels: NDArray[np.float32], window: panorama.Window) -> 
         if key not in _TRUE:
             _TRUE[key] = _under_every_pixel(small, surface)
         materials, normals = _sphere(surface)
-        found = render(materials, normals, light, 0.0)
+        found = render(materials, normals, light, 0.0, model=MODEL)
         errors.append(float(np.sqrt(np.mean((found - _TRUE[key]) ** 2) / np.mean(_TRUE[key] ** 2))))
     return errors
 
@@ -104,7 +106,9 @@ def _under_every_pixel(pixels: Array, surface: tuple[float, float, float]) -> Ar
     total = np.zeros((1, normals.shape[1], 3))
     for first in range(0, len(directions), LIGHTS):
         some = slice(first, first + LIGHTS)
-        total += render_directional(materials, normals, directions[some], colors[some], 0.0).sum(0)
+        total += render_directional(
+            materials, normals, directions[some], colors[some], 0.0, model=MODEL
+        ).sum(0)
     return total
 
 

@@ -13,7 +13,9 @@ class Ours:
     """The peer."""
 
     def __init__(self, case: Case, threads: int) -> None:
-        self._problem = _core.Problem(case.images, case.normals, case.views, threads=threads)
+        self._problem = _core.Problem(
+            case.images, case.normals, case.views, threads=threads, model="paper"
+        )
         self._x = case.x
         self._gradient = np.empty(0)
 

@@ -160,7 +160,9 @@ def race(
     `environment` is added to that of the peers' processes.
     """
     case = Case.make(settings.pixels, settings.pictures, settings.seed)
-    problem = _core.Problem(case.images, case.normals, case.views, threads=settings.threads)
+    problem = _core.Problem(
+        case.images, case.normals, case.views, threads=settings.threads, model="paper"
+    )
     loss, gradient = problem.value_and_grad(case.x)
     del problem
 

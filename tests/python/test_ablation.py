@@ -214,7 +214,7 @@ def test_a_configuration_hands_its_options_on(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(configurations, "decompose", lambda _, **options: asked.append(options))
     configurations.HUBER.fit(case("none", SEED, size=8), iterations=7, threads=1)
     configurations.NONE.fit(case("none", SEED, size=8), iterations=7, threads=1)
-    common = {"iterations": 7, "refine_normals": "off", "threads": 1}
+    common = {"iterations": 7, "refine_normals": "off", "model": None, "threads": 1}
     assert asked == [
         {**common, "priors": Priors(), "robust": "huber"},
         {**common, "priors": None, "robust": "none"},

@@ -393,6 +393,7 @@ def test_a_command_interrupted_in_the_middle_can_go_on(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "pbrfit", "evaluate", "table1", "--out", str(out)]
     command += ["--rows", "base", "--size", "16", "--scenes", "40", "--lights", "4", "--jobs", "2"]
+    command += ["--model", "paper"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     for _ in range(600):
         if len(list(out.glob("records/*.json"))) >= 2:

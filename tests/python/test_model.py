@@ -229,7 +229,7 @@ def test_leading_dimensions_broadcast(
         "roughness": np.asarray(rng.random(roughness)),
         "metallic": np.asarray(rng.random(metallic)),
     }
-    full = {
+    full: dict[str, Any] = {
         name: np.broadcast_to(array, shape if name in ("roughness", "metallic") else (*shape, 3))
         for name, array in pixels.items()
     }
@@ -251,7 +251,7 @@ def test_arrays_of_other_layout_and_precision() -> None:
     expected = pbrfit.shade(**pixels)
     transposed: dict[str, Any] = {name: np.asfortranarray(array) for name, array in pixels.items()}
     np.testing.assert_array_equal(pbrfit.shade(**transposed), expected)
-    backwards = {name: array[::-1] for name, array in pixels.items()}
+    backwards: dict[str, Any] = {name: array[::-1] for name, array in pixels.items()}
     np.testing.assert_array_equal(pbrfit.shade(**backwards), expected[::-1])
     single = {name: array.astype(np.float32) for name, array in pixels.items()}
     found = pbrfit.shade(**single)

@@ -47,7 +47,7 @@ def edited(folder: Path, **changes: Any) -> Path:
 
 
 def misnamed(model: Any) -> Iterator[Callable[[], object]]:
-    pixel = {"normal": [0, 0, 1], "view": [0, 0, 1], "albedo": [0.5] * 3}
+    pixel: dict[str, Any] = {"normal": [0, 0, 1], "view": [0, 0, 1], "albedo": [0.5] * 3}
     pixel |= {"roughness": 0.5, "metallic": 0.0}
     scene = room("paper")
     assert scene.truth is not None
@@ -83,7 +83,10 @@ def calls_without_model(path: Path) -> list[str]:
 
     And those of the core's, which have it as their last argument.
     """
-    tree = ast.parse(path.read_text("utf-8"))
+    text = path.read_text("utf-8")
+    if not any(name in text for name in (*MODEL_CALLS, "Problem")):
+        return []
+    tree = ast.parse(text)
     imported = {
         alias.asname or alias.name
         for node in ast.walk(tree)
@@ -160,6 +163,7 @@ def test_synthetic_pictures_are_rendered_with_the_model_and_all_else_is_the_same
         lights = scene.truth.lighting, scene.truth.relight_lighting
         for light, images in zip(lights, (scene.images, scene.truth.relight_images), strict=True):
             assert light is not None
+            assert images is not None
             again = pbrfit.render(*known, light, scene.fov, model=scene.model)
             np.testing.assert_allclose(again, images, rtol=1e-12, atol=0)
             apart = pbrfit.render(*known, light, scene.fov, model=OTHER[scene.model])
@@ -192,6 +196,7 @@ def test_errors_of_a_result_are_those_of_its_own_model(model: Model) -> None:
     scene = room(model)
     assert scene.truth is not None
     assert scene.truth.relight_lighting is not None
+    assert scene.truth.relight_images is not None
     for found in (result(model), decompose(scene, iterations=0, model=OTHER[model])):
         images = relight(found, found.lighting)
         assert pbrfit.metrics.rmse(images, scene.images) == pytest.approx(
@@ -291,11 +296,11 @@ def test_the_command_renders_fits_and_relights_with_a_model(
     assert run("decompose", scene, "--out", out, *FEW) == 0
     assert Result.load(out).model == "principled"
     capsys.readouterr()
-    lamp = ("relight", out, "--light", "20,30", "--quiet", "--out")
-    assert run(*lamp, tmp_path / "own.png") == 0
-    assert run(*lamp, tmp_path / "said.png", "--model", "principled") == 0
+    lit = ("relight", out, "--sh", out / "lighting.json", "--picture", "light_00")
+    assert run(*lit, "--out", tmp_path / "own.png") == 0
+    assert run(*lit, "--out", tmp_path / "said.png", "--model", "principled") == 0
     assert (tmp_path / "own.png").read_bytes() == (tmp_path / "said.png").read_bytes()
-    assert run(*lamp, tmp_path / "other.png", "--model", "paper") == 2
+    assert run(*lit, "--out", tmp_path / "other.png", "--model", "paper") == 2
     assert capsys.readouterr().err == (
         f"pbrfit: {out}: expected a result of model paper, as --model says, found one of model "
         "principled: materials are relit with the model that they were fitted with\n"
@@ -343,6 +348,5 @@ def test_in_a_batch_only_the_scene_with_a_result_of_another_model_fails(
 
 @pytest.mark.parametrize("command", ["decompose", "synth", "demo", "check-gradients", "relight"])
 def test_the_help_says_what_each_model_is(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        run(command, "--help")
+    assert run(command, "--help") == 0
     assert "--model {paper,principled}" in capsys.readouterr().out

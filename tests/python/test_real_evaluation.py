@@ -30,6 +30,7 @@ from pbrfit.evaluation.real.held_out import (
 from pbrfit.evaluation.real.public_sets import SETS, Source
 from pbrfit.evaluation.real.spheres import sphere_normals
 from pbrfit.materials import Materials
+from pbrfit.model import MODELS, Model
 from pbrfit.scene import Scene
 from pbrfit.synthetic import make_scene
 from scene_files import run, write_integers
@@ -37,12 +38,14 @@ from scene_files import run, write_integers
 Array = NDArray[np.floating[Any]]
 
 PICTURES = 6
+MODEL: Model = "paper"
+OTHER: Model = "principled"
 TINY = real.Effort("tiny", max_size=16, iterations=2, folds=1)
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return make_scene("room", size=16, lights=PICTURES, held_out=1)
+    return make_scene("room", size=16, lights=PICTURES, held_out=1, model=MODEL)
 
 
 @pytest.fixture
@@ -63,7 +66,9 @@ def materials_of(scene: Scene) -> Materials:
 
 def design(scene: Scene, channel: int) -> Array:
     true = materials_of(scene)
-    weights = pbrfit.shade(scene.normals, scene.views, true.albedo, true.roughness, true.metallic)
+    weights = pbrfit.shade(
+        *(scene.normals, scene.views, true.albedo, true.roughness, true.metallic), model=MODEL
+    )
     return weights.reshape(-1, 3, 16)[:, channel]
 
 
@@ -73,7 +78,7 @@ def test_light_is_that_of_plain_least_squares(
     monkeypatch.setattr(lights, "BLOCK", 37)
     rng = np.random.default_rng(0)
     noisy = scene.images + rng.normal(0, 0.1, scene.images.shape)
-    found = lights.fit_lights(noisy, None, materials_of(scene), scene.normals, scene.fov)
+    found = lights.fit_lights(noisy, None, materials_of(scene), scene.normals, scene.fov, MODEL)
     for i in range(PICTURES):
         for c in range(3):
             expected = np.linalg.lstsq(design(scene, c), noisy[i, ..., c].ravel())[0]
@@ -87,7 +92,7 @@ def test_light_counts_samples_by_weight(scene: Scene) -> None:
     weights[1] = rng.random(weights.shape[1:])
     weights[2, :4] = 0
     noisy[2, :4] = np.nan
-    found = lights.fit_lights(noisy, weights, materials_of(scene), scene.normals, scene.fov)
+    found = lights.fit_lights(noisy, weights, materials_of(scene), scene.normals, scene.fov, MODEL)
     for i in range(PICTURES):
         root = np.sqrt(weights[i].ravel())
         used = root > 0
@@ -100,7 +105,7 @@ def test_light_counts_samples_by_weight(scene: Scene) -> None:
 def test_light_that_no_pixel_shows_is_zero(scene: Scene) -> None:
     flat = np.zeros_like(scene.normals)
     flat[..., 2] = 1
-    found = lights.fit_lights(scene.images, None, materials_of(scene), flat, fov=0.0)
+    found = lights.fit_lights(scene.images, None, materials_of(scene), flat, 0.0, MODEL)
     # All pixels look along z and mirror it: of the 16 functions those odd in x or y stay unseen.
     assert np.abs(found[:, [1, 3, 4, 5, 7, 8]]).max() < 1e-9
     assert np.abs(found).max() < 1e3
@@ -158,10 +163,12 @@ def test_error_is_that_of_all_pictures_together() -> None:
 
 
 def test_true_materials_explain_held_out_pictures(scene: Scene) -> None:
-    rendered = explained_by(materials_of(scene), scene, (1, 4))
+    rendered = explained_by(materials_of(scene), scene, (1, 4), model=MODEL)
     np.testing.assert_allclose(rendered, scene.images[[1, 4]], atol=1e-6)
     wrong = replace(materials_of(scene), roughness=np.full((16, 16), 0.9))
-    assert np.abs(explained_by(wrong, scene, (1, 4)) - scene.images[[1, 4]]).max() > 1e-3
+    for materials, model in ((wrong, MODEL), (materials_of(scene), OTHER)):
+        off = explained_by(materials, scene, (1, 4), model=model) - scene.images[[1, 4]]
+        assert np.abs(off).max() > 1e-3
 
 
 def test_held_out_pictures_are_not_seen_by_the_fit(scene: Scene) -> None:
@@ -235,7 +242,7 @@ def test_folders_that_cannot_be_used_are_named(tmp_path: Path, folder: Path) -> 
         sources.find_sources(tmp_path / "empty")
     found = sources.find_sources(folder)
     few = [replace(found[0], pictures=5, name="few"), found[0]]
-    failing, *others = real.plan(few, replace(TINY, held_out=4))
+    failing, *others = real.plan(few, replace(TINY, held_out=4), (MODEL,))
     assert {task.source.name for task in others} == {"room"}
     with pytest.raises(pbrfit.InputError, match=r"expected at least 6 pictures, .* found 5"):
         real.work(failing, 1)
@@ -318,20 +325,24 @@ def test_command_reports_and_resumes(
     assert run(*arguments, *few) == 0
     assert "room" in capsys.readouterr().out
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert [row["name"] for row in summary["rows"]] == [f"room, {name}" for name in EXPLANATIONS]
+    assert [row["name"] for row in summary["rows"]] == [
+        f"room, {model}, {name}" for model in MODELS for name in EXPLANATIONS
+    ]
     assert summary["protocol"].endswith("16 pixels, 2 iterations")
     with (out / "pictures.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == len(EXPLANATIONS)  # one picture of six is held out
+    assert len(rows) == len(MODELS) * len(EXPLANATIONS)  # one picture of six is held out
+    assert {row["model"] for row in rows} == set(MODELS)
     assert rows[0]["picture"] == "picture_00"
     for row, line in zip(summary["rows"], rows, strict=True):
         expected = float(line["rmse"]) / float(line["rms"])
         assert row["metrics"]["relative_rmse"] == pytest.approx(expected)
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert page.count("<img") == 2
-    assert (out / "sheet-room.png").exists()
+    assert page.count("<img") == 3
+    assert "The two models" in page
+    assert all((out / f"sheet-room-{model}.png").exists() for model in MODELS)
 
-    record = out / "records" / "room-0.json"
+    record = out / "records" / "room-paper-0.json"
     written = record.stat().st_mtime_ns
     assert run(*arguments, *few, "--resume") == 0
     assert record.stat().st_mtime_ns == written
@@ -345,13 +356,13 @@ def test_a_failed_scene_does_not_stop_the_others(
     for name in "abc":
         (broken / "images" / f"{name}.png").write_bytes(b"nothing")
     out = tmp_path / "out"
-    few = ("--quick", "--iterations", 1, "--max-size", 8, "--jobs", 1)
+    few = ("--quick", "--iterations", 1, "--max-size", 8, "--jobs", 1, "--model", MODEL)
     assert run("evaluate", "real", folder, broken, "--out", out, *few) == 1
-    assert "broken-0: InputError" in capsys.readouterr().err
+    assert f"broken-{MODEL}-0: InputError" in capsys.readouterr().err
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
     status = {row["name"]: row["status"] for row in rows}
-    assert status["room, default"] == "ok"
-    assert "broken" in status["broken"]
+    assert status[f"room, {MODEL}, default"] == "ok"
+    assert "broken" in status[f"broken, {MODEL}"]
     assert "Failed: InputError" in (out / "report.html").read_text(encoding="utf-8")
 
 

@@ -24,8 +24,10 @@ from pbrfit.evaluation.table1.measure import Task
 from pbrfit.evaluation.table1.normals import disturbed
 from pbrfit.evaluation.table1.rows import BY_KEY, COLUMNS, PLAIN, ROWS
 from pbrfit.geometry import angles_between
+from pbrfit.model import DEFAULT_MODEL, MODELS, Model
 from pbrfit.synthetic import make_scene
 
+PAPER = ("--model", "paper")
 TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
 
 
@@ -146,7 +148,9 @@ def test_work_changes_what_the_row_says_and_nothing_else(
     for scene, _, options in asked:
         np.testing.assert_array_equal(scene.images, truth.images)
         assert scene.fov == row.fov
+        assert scene.model == DEFAULT_MODEL
         assert options == {
+            "model": DEFAULT_MODEL,
             "iterations": 2,
             "sh_order": row.sh_order,
             "refine_normals": row.refine_normals,
@@ -159,6 +163,42 @@ def test_work_changes_what_the_row_says_and_nothing_else(
     assert found["facts"]["metal_share"] > 0
     assert set(found["recipes"]["default"]) == set(report.METRICS)
     json.dumps(found)
+
+
+def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
+    swapped = [row.key for row in ROWS if row.swapped]
+    assert swapped == ["other-model"]
+    [other] = swapped
+    for model in MODELS:
+        own, apart = (measure.given(Task(key, 1001, 16, 4, 2, model=model), 1)[0] for key in
+                      ("base", other))  # fmt: skip
+        assert own.model == model
+        assert apart.model != model
+        assert apart.model in MODELS
+        np.testing.assert_array_equal(own.normals, apart.normals)
+
+
+def by_model(key: str, model: Model, *, albedo: float) -> report.Outcome:
+    recipes_found = dict.fromkeys(BY_KEY[key].recipes, scored(albedo=albedo))
+    record = Record(f"{key}_{model}_1000", {"facts": {}, "recipes": recipes_found}, None, 1.0)
+    return report.Outcome(BY_KEY[key], model, [record])
+
+
+def test_models_are_compared_on_pictures_that_both_have(tmp_path: Path) -> None:
+    found = [
+        by_model(key, model, albedo=albedo)
+        for key in ("base", "cycles-brdf")
+        for model, albedo in zip(MODELS, (0.2, 0.05), strict=True)
+    ]
+    report.write(tmp_path, found, ["One scene."])
+    page = (tmp_path / "report.html").read_text("utf-8")
+    _, _, section = page.partition("The two models on the same pictures")
+    section, _, _ = section.partition("</table>")
+    assert "Cycles, panorama: BRDF alone" in section
+    assert "Base" not in section  # whose pictures are others for each model
+    assert ">0.25<" in section
+    report.write(tmp_path, found[:3], ["One scene."])
+    assert "The two models" not in (tmp_path / "report.html").read_text("utf-8")
 
 
 def test_given_normals_are_used(tmp_path: Path) -> None:
@@ -177,7 +217,7 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
     normals, out = tmp_path / "normals", tmp_path / "out"
     normals.mkdir()
     command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 1, *TINY,
-               "--quiet", "--predicted-normals", normals)  # fmt: skip
+               *PAPER, "--quiet", "--predicted-normals", normals)  # fmt: skip
     scene = make_scene("furnished", size=16, lights=4, held_out=4, seed=1000)
     off = []
     for turned, options in ((0.0, ()), (0.2, ("--resume",)), (0.2, ("--resume",))):
@@ -186,7 +226,7 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
         (normals / "1000.exr").unlink(missing_ok=True)
         images.write_exr(normals / "1000.exr", {"X": c * x + s * z, "Y": y, "Z": c * z - s * x})
         assert run(*command, *options) == 0
-        record = json.loads((out / "records" / "normals_1000.json").read_text("utf-8"))
+        record = json.loads((out / "records" / "normals_paper_1000.json").read_text("utf-8"))
         off.append((record["values"]["facts"]["normals_mean"], record["seconds"]))
     assert off[0][0] < 0.01
     assert off[1][0] > 5
@@ -212,7 +252,11 @@ def test_means_are_over_finished_scenes() -> None:
     ]
     tasks = [Task("base", seed, 16, 4, 3) for seed in (1000, 1001, 1002)]
     [outcome, other] = report.outcomes(
-        [BY_KEY["base"], BY_KEY["cycles-brdf"]], tasks, scenes, {"cycles-brdf": "none yet"}
+        [BY_KEY["base"], BY_KEY["cycles-brdf"]],
+        (DEFAULT_MODEL,),
+        tasks,
+        scenes,
+        {"cycles-brdf": "none yet"},
     )
     assert outcome.mean("paper", "recon").mean == pytest.approx(0.2)
     assert outcome.status == "1 of 3 scenes failed"
@@ -237,7 +281,9 @@ def test_columns_of_scores_have_names() -> None:
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     rows = ("--rows", "base", "normals", "normals-refined", "regularized", "cycles-panorama")
-    assert run("evaluate", "table1", "--out", out, "--quick", "--scenes", 2, *rows, *TINY) == 0
+    assert (
+        run("evaluate", "table1", "--out", out, "--quick", "--scenes", 2, *rows, *TINY, *PAPER) == 0
+    )
     printed = capsys.readouterr()
     assert printed.err == ""
     assert "not run: --quick leaves Cycles out" in printed.out
@@ -245,14 +291,14 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = {path.name for path in out.iterdir()}
     assert names == {
         "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv",
-        "summary.json", "example-base.png", "example-normals.png", "example-normals-refined.png",
-        "example-regularized.png",
+        "summary.json", "example-base-paper.png", "example-normals-paper.png",
+        "example-normals-refined-paper.png", "example-regularized-paper.png",
     }  # fmt: skip
     content = json.loads((out / "summary.json").read_text("utf-8"))
     status = {row["name"]: row["status"] for row in content["rows"]}
-    assert status["Base"] == status["Regularised"] == "ok"
-    assert status["Cycles, panorama"] == "not run: --quick leaves Cycles out"
-    [base, *_] = [row for row in content["rows"] if row["name"] == "Base"]
+    assert status["Base, paper"] == status["Regularised, paper"] == "ok"
+    assert status["Cycles, panorama, paper"] == "not run: --quick leaves Cycles out"
+    [base, *_] = [row for row in content["rows"] if row["name"] == "Base, paper"]
     assert base["scenes"] == 2
     assert base["paper"]["albedo"] == 0.065
     with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
@@ -280,11 +326,11 @@ def test_command_goes_on_and_reports_failures(
         return work(task, threads)
 
     monkeypatch.setattr(measure, "work", some_fail)
-    command = ("evaluate", "table1", "--out", out, "--rows", "base", "--scenes", 2, *TINY)
+    command = ("evaluate", "table1", "--out", out, "--rows", "base", "--scenes", 2, *TINY, *PAPER)
     assert run(*command) == 1
     error = capsys.readouterr().err
-    assert "base_1001: MemoryError: too large" in error
-    assert "1 of 2 failed: base_1001" in error
+    assert "base_paper_1001: MemoryError: too large" in error
+    assert "1 of 2 failed: base_paper_1001" in error
     assert "MemoryError: too large" in (out / "report.html").read_text("utf-8")
     assert run(*command) == 2  # there is something already
 
@@ -294,7 +340,7 @@ def test_command_goes_on_and_reports_failures(
 
     monkeypatch.setattr(measure, "work", none_fails)
     assert run(*command, "--resume", "--quiet") == 0
-    assert done == ["base_1000", "base_1001", "base_1001"]
+    assert done == ["base_paper_1000", "base_paper_1001", "base_paper_1001"]
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ from pbrfit.evaluation.real.held_out import (
 )
 from pbrfit.evaluation.real.sources import Source, check_names, load
 from pbrfit.evaluation.scores import score
+from pbrfit.model import DEFAULT_MODEL, Model
 
 __all__ = [
     "FIRST_SEED",
@@ -78,6 +79,8 @@ class Effort:
         Longer side of real pictures.
     cost_size
         Side of the pictures that are timed.
+    model
+        That rooms are rendered with and everything is fitted with.
     """
 
     size: int
@@ -88,6 +91,7 @@ class Effort:
     main: tuple[Configuration, ...]
     real_size: int
     cost_size: int
+    model: Model = DEFAULT_MODEL
 
 
 FULL = Effort(
@@ -122,6 +126,7 @@ class RoomTask:
     iterations: int
     configurations: tuple[Configuration, ...]
     picture: bool
+    model: Model
 
     @property
     def key(self) -> str:
@@ -138,6 +143,7 @@ class RealTask:
     iterations: int
     configurations: tuple[Configuration, ...]
     digest: str
+    model: Model
 
     @property
     def key(self) -> str:
@@ -153,6 +159,7 @@ class CostTask:
     iterations: int
     seed: int
     configurations: tuple[Configuration, ...]
+    model: Model
 
     @property
     def key(self) -> str:
@@ -173,6 +180,7 @@ def plan_rooms(effort: Effort, seed: int = FIRST_SEED) -> list[RoomTask]:
             effort.iterations,
             _configurations(name, effort),
             picture=i == 0,
+            model=effort.model,
         )
         for i in range(effort.rooms)
         for name in CASES
@@ -189,18 +197,25 @@ def plan_real(sources: Sequence[Source], effort: Effort) -> list[RealTask]:
     """
     check_names(sources)
     return [
-        RealTask(source, effort.real_size, effort.iterations, effort.main, source.digest())
+        RealTask(
+            source,
+            effort.real_size,
+            effort.iterations,
+            effort.main,
+            source.digest(),
+            effort.model,
+        )
         for source in sources
     ]
 
 
 def plan_cost(effort: Effort, seed: int = FIRST_SEED) -> CostTask:
     """The one task that wants the machine for itself: what the parts cost."""
-    return CostTask(effort.cost_size, effort.iterations, seed, effort.main)
+    return CostTask(effort.cost_size, effort.iterations, seed, effort.main, effort.model)
 
 
 def _room(task: RoomTask, threads: int) -> dict[str, Any]:
-    scene = case(task.case, task.seed, size=task.size)
+    scene = case(task.case, task.seed, size=task.size, model=task.model)
     fitted = {
         one: one.fit(scene, iterations=task.iterations, threads=threads)
         for one in task.configurations
@@ -224,8 +239,8 @@ def _real(task: RealTask, threads: int) -> dict[str, Any]:
     }
     shown = {}
     for one in task.configurations:
-        fit = one.fit(kept, iterations=task.iterations, threads=threads)
-        rendered = explained_by(fit.materials, scene, which.held_out, threads)
+        fit = one.fit(kept, iterations=task.iterations, threads=threads, model=task.model)
+        rendered = explained_by(fit.materials, scene, which.held_out, threads, model=fit.model)
         of_pictures = picture_scores(scene, which.held_out, rendered)
         values["found"][one.key] = {
             "error": relative_error(of_pictures),
@@ -257,4 +272,6 @@ def work(task: Task, threads: int) -> Mapping[str, Any]:
         case RealTask():
             return _real(task, threads)
         case CostTask():
-            return cost.measure(task.size, task.iterations, task.seed, task.configurations, threads)
+            return cost.measure(
+                task.size, task.iterations, task.seed, task.configurations, task.model, threads
+            )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.materials import Materials
-from pbrfit.model import chosen_model, render
+from pbrfit.model import DEFAULT_MODEL, Model, chosen_model, render
 from pbrfit.scene import Scene
 from pbrfit.synthetic import SceneKind, make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
@@ -70,6 +70,7 @@ def case(
     size: int = 64,
     noise: float = 0.01,
     kind: SceneKind = "room",
+    model: Model = DEFAULT_MODEL,
 ) -> Scene:
     """Make a scene of a case, with its truth and held-out lights.
 
@@ -92,7 +93,7 @@ def case(
         Width and height of the pictures in pixels.
     noise
         Standard deviation of the noise, in radiance; the pictures have a mean of 0.4.
-    kind
+    kind, model
         As for `make_scene`.
 
     Raises
@@ -104,7 +105,7 @@ def case(
         raise InputError(f"case: expected one of {', '.join(CASES)}, found {name!r}")
     if not 0.0 <= noise < np.inf:
         raise InputError(f"noise: expected a finite standard deviation >= 0, found {noise}")
-    scene = make_scene(kind, size=size, lights=PICTURES, held_out=PICTURES, seed=seed)
+    scene = make_scene(kind, size=size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model)
     assert scene.truth is not None
     assert scene.segments is not None
     # The first four are make_scene's own, and the fourth is its noise.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from pbrfit.evaluation.recipes import PAPER_PRIORS
+from pbrfit.model import Model
 from pbrfit.priors import Priors, prior_names
 from pbrfit.result import Result
 from pbrfit.scene import Scene
@@ -34,7 +35,9 @@ class Configuration:
     priors: Priors | None
     robust: Robust = "none"
 
-    def fit(self, scene: Scene, *, iterations: int, threads: int) -> Result:
+    def fit(
+        self, scene: Scene, *, iterations: int, threads: int, model: Model | None = None
+    ) -> Result:
         """Decompose a scene with these options and its normals as they are."""
         return decompose(
             scene,
@@ -42,6 +45,7 @@ class Configuration:
             priors=self.priors,
             robust=self.robust,
             refine_normals="off",
+            model=model,
             threads=threads,
         )
 

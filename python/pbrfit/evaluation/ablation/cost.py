@@ -12,6 +12,7 @@ import numpy as np
 
 from pbrfit.evaluation.ablation.cases import case
 from pbrfit.evaluation.ablation.configurations import WEIGHTS, Configuration
+from pbrfit.model import Model
 from pbrfit.objective import Objective
 from pbrfit.priors import Priors, penalties, prior_names
 from pbrfit.robust import SCALES
@@ -26,7 +27,12 @@ NOISE = 0.01
 
 
 def measure(
-    size: int, iterations: int, seed: int, configurations: Sequence[Configuration], threads: int
+    size: int,
+    iterations: int,
+    seed: int,
+    configurations: Sequence[Configuration],
+    model: Model,
+    threads: int,
 ) -> dict[str, Any]:
     """Time evaluations and fits of a "constant" room.
 
@@ -37,8 +43,8 @@ def measure(
         each robust loss instead of the square, takes beside that. Medians. "fits": seconds,
         evaluations and iterations of each configuration.
     """
-    scene = case("constant", seed, size=size)
-    objective = Objective(scene, threads=threads)
+    scene = case("constant", seed, size=size, model=model)
+    objective = Objective(scene, threads=threads, model=model)
     x, gradient = objective.start(), np.zeros(objective.size)
     data = _milliseconds(lambda: objective.problem.value_and_grad(x))
     more = {}

@@ -200,7 +200,8 @@ def _opening(measured: Measured) -> list[str]:
         "What each prior does to the errors of materials and relighting: where segments are "
         "right, where they are wrong or missing, and on real pictures.",
         f"{effort.rooms} rooms a case (seeds from {min(seeds)} on), {effort.size} × {effort.size} "
-        f"pixels, 16 pictures with noise of 0.01 at a mean radiance of 0.4, 16 held out; "
+        f"pixels, 16 pictures with noise of 0.01 at a mean radiance of 0.4, 16 held out, rendered "
+        f"and all pictures fitted with model {effort.model}; "
         f"{effort.iterations} iterations. {SCORES.partition(': ')[2]}. Ratios are between mean "
         "errors over the rooms.",
         f"{on['processor']}, {on['cores']} cores, {on['system']}, Python {on['python']}, numpy "

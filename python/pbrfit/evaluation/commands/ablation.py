@@ -8,7 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from pbrfit.arguments import Subcommands, positive, unread_is_no_failure, whole_number
+from pbrfit.commands.fit_options import add_model
 from pbrfit.evaluation.commands import resumable
+from pbrfit.model import DEFAULT_MODEL
 
 
 def add(suites: Subcommands) -> None:
@@ -30,6 +32,7 @@ def add(suites: Subcommands) -> None:
         "environment variable PBRFIT_DATA names, if any)",
     )
     resumable.add_options(added)
+    add_model(added, DEFAULT_MODEL)
     added.add_argument(
         "--scenes",
         metavar="K",
@@ -65,6 +68,7 @@ def _run(options: argparse.Namespace) -> int:
 
     effort = ablation.QUICK if options.quick else ablation.FULL
     asked = {"rooms": options.scenes, "size": options.size, "iterations": options.iterations}
+    asked["model"] = options.model
     effort = replace(effort, **{name: value for name, value in asked.items() if value is not None})
     seed = ablation.FIRST_SEED if options.first_seed is None else options.first_seed
     given = options.folders or os.environ.get("PBRFIT_DATA")

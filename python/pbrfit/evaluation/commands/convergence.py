@@ -6,6 +6,7 @@ import argparse
 
 from pbrfit._core import InputError
 from pbrfit.arguments import Subcommands, positive, unread_is_no_failure
+from pbrfit.commands.fit_options import add_model
 from pbrfit.evaluation.commands.resumable import add_options, exit_code, run_tasks
 
 
@@ -17,11 +18,12 @@ def add(suites: Subcommands) -> None:
         description="Run every solver on scenes of several sizes, noise levels and light "
         "matrices, and measure the errors of reconstruction, maps and relit pictures on the way. "
         "Writes report.html, a plot a quantity, curves.csv, times.csv and summary.json. Peers "
-        "need PyTorch: pip install pbrfit[peers].",
+        "need PyTorch: pip install pbrfit[peers]; they know the paper's model alone.",
     )
     added.set_defaults(command=_run)
     # Times mean something only if nothing else runs.
     add_options(added, jobs=1, timed=True)
+    add_model(added, "paper")
     added.add_argument(
         "--seeds", metavar="K", type=positive, help="scenes of a case (default: 3; 1 if quick)"
     )
@@ -34,7 +36,7 @@ def _run(options: argparse.Namespace) -> int:
     from pbrfit.evaluation import convergence, workspace
     from pbrfit.evaluation.convergence import report
 
-    effort = convergence.QUICK if options.quick else convergence.FULL
+    effort = (convergence.QUICK if options.quick else convergence.FULL).of_model(options.model)
     seeds = options.seeds or effort.seeds
     if seeds > convergence.MOST_SEEDS:
         raise InputError(f"--seeds: expected at most {convergence.MOST_SEEDS}, found {seeds}")

@@ -9,12 +9,20 @@ from typing import TYPE_CHECKING
 
 from pbrfit._core import InputError
 from pbrfit.arguments import Subcommands, positive, unread_is_no_failure
-from pbrfit.evaluation.commands.resumable import add_cycles_cache, add_options, exit_code, run_tasks
+from pbrfit.evaluation.commands.resumable import (
+    add_cycles_cache,
+    add_models,
+    add_options,
+    exit_code,
+    models,
+    run_tasks,
+)
 from pbrfit.evaluation.table1.rows import ROWS
 
 if TYPE_CHECKING:
     from pbrfit.evaluation.table1.measure import Task
     from pbrfit.evaluation.table1.rows import Row
+    from pbrfit.model import Model
 
 QUICK_SCENES, QUICK_SIZE = 4, 32
 MOST_SCENES = 100
@@ -31,6 +39,7 @@ def add(suites: Subcommands) -> None:
     )
     added.set_defaults(command=_run)
     add_options(added)
+    add_models(added, "is fitted, and what our renderer renders with")
     added.add_argument(
         "--scenes", metavar="K", type=positive, default=67, help=f"at most {MOST_SCENES}"
     )
@@ -96,9 +105,15 @@ def _run(options: argparse.Namespace) -> int:
         load_textures(options.textures)  # what is wrong with them should show before the work
     rows = [row for row in ROWS if not options.rows or row.key in options.rows]
     unavailable = {row.key: why for row in rows if (why := _why_not(row, quick=options.quick))}
-    tasks = [task for row in rows if row.key not in unavailable for task in _tasks(row, options)]
+    tasks = [
+        task
+        for row in rows
+        if row.key not in unavailable
+        for model in models(options)
+        for task in _tasks(row, model, options)
+    ]
     records = run_tasks(tasks, measure.work, options)
-    found = report.outcomes(rows, tasks, records, unavailable)
+    found = report.outcomes(rows, models(options), tasks, records, unavailable)
     by_cycles = any(o.finished and o.row.renderer == "cycles" for o in found)
     with workspace.publish(options.out) as folder:
         report.write(folder, found, _setup(options, by_cycles=by_cycles))
@@ -119,7 +134,7 @@ def _why_not(row: Row, *, quick: bool) -> str:
     return cycles.why_not() or ""
 
 
-def _tasks(row: Row, options: argparse.Namespace) -> list[Task]:
+def _tasks(row: Row, model: Model, options: argparse.Namespace) -> list[Task]:
     from pbrfit.evaluation.jobs import digest_of_files
     from pbrfit.evaluation.table1.measure import FIRST_SEED, Task, predicted_files
 
@@ -142,6 +157,7 @@ def _tasks(row: Row, options: argparse.Namespace) -> list[Task]:
             options.iterations,
             textures=textures,
             predicted_normals=normals,
+            model=model,
             inputs=inputs(FIRST_SEED + i),
             preview=i == 0,
             cycles_cache=_absolute(options.cycles_cache),

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pbrfit.evaluation.convergence.cases import Case, make, true_lighting
 from pbrfit.evaluation.convergence.measure import Point, Tracker
 from pbrfit.evaluation.convergence.solvers import SOLVERS, Budget, Solver, by_name
+from pbrfit.model import Model
 from pbrfit.synthetic.lights import condition
 
 __all__ = ["FULL", "QUICK", "SOLVERS", "Case", "Curve", "Effort", "Solver", "Task", "plan", "work"]
@@ -43,6 +44,16 @@ class Effort:
     iterations: int
     evaluations: int
     seconds: float
+
+    @property
+    def model(self) -> Model:
+        """That all cases have."""
+        [model] = {case.model for case in self.cases}
+        return model
+
+    def of_model(self, model: Model) -> Effort:
+        """The same with scenes and fits of a model."""
+        return replace(self, cases=tuple(replace(case, model=model) for case in self.cases))
 
     def budget(self, case: Case) -> Budget:
         """What a run of the case may take."""
@@ -144,7 +155,7 @@ def plan(effort: Effort, seeds: int | None = None) -> list[Task]:
         for i in range(count)
         for case in effort.cases
         for solver in SOLVERS
-        if not solver.missing
+        if not solver.why_not(case.model)
     ]
 
 
@@ -152,7 +163,7 @@ def work(task: Task, threads: int) -> dict[str, Any]:
     """Do one run, after a rehearsal off the clock that loads libraries and wakes threads."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
     solver = by_name(task.solver)
-    rehearsal = make(REHEARSAL, seed=0)
+    rehearsal = make(replace(REHEARSAL, model=task.case.model), seed=0)
     solver.run(rehearsal, REHEARSAL_BUDGET, Tracker(rehearsal, threads), threads)
     scene = make(task.case, task.seed)
     tracker = Tracker(scene, threads)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.model import chosen_model, render, sh_basis
+from pbrfit.model import Model, chosen_model, render, sh_basis
 from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
@@ -41,12 +41,15 @@ class Case:
         Standard deviation of the Gaussian noise, as a share of the mean radiance.
     lights
         Which training lights. The held-out lights are always typical ones.
+    model
+        That pictures are rendered with and that is fitted.
     """
 
     name: str
     size: int
     noise: float
     lights: Lights
+    model: Model = "paper"
 
     @property
     def title(self) -> str:
@@ -74,7 +77,9 @@ def make(case: Case, seed: int) -> Scene:
         raise InputError(f"lights: expected one of {', '.join(LIGHTS)}, found {case.lights!r}")
     if not 0 <= case.noise < np.inf:
         raise InputError(f"noise: expected a share of the mean radiance, found {case.noise}")
-    scene = make_scene("room", size=case.size, lights=PICTURES, held_out=PICTURES, seed=seed)
+    scene = make_scene(
+        "room", size=case.size, lights=PICTURES, held_out=PICTURES, seed=seed, model=case.model
+    )
     truth, images, lighting = scene.truth, scene.images, true_lighting(scene)
     assert truth is not None
     if case.lights == "spread":

@@ -23,6 +23,7 @@ from pbrfit.evaluation.convergence.measure import (
 )
 from pbrfit.evaluation.page import Cell, Figure, Section, Table
 from pbrfit.evaluation.tables import write_csv
+from pbrfit.model import Model
 from pbrfit.notation import scientific
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 
@@ -75,8 +76,8 @@ class Group:
     @property
     def status(self) -> str:
         """For the summary: "ok", or what went wrong."""
-        if self.solver.missing:
-            return self.solver.missing
+        if why_not := self.solver.why_not(self.case.model):
+            return why_not
         if self.failed:
             return f"{self.failed} of {self.failed + len(self.curves)} runs failed"
         return "ok" if self.curves else "not run"
@@ -106,7 +107,7 @@ def groups(effort: Effort, curves: Sequence[Curve], seeds: int) -> list[Group]:
     for case in effort.cases:
         for solver in SOLVERS:
             runs = [c for c in curves if c.task.case == case and c.task.solver == solver.name]
-            failed = 0 if solver.missing else seeds - len(runs)
+            failed = 0 if solver.why_not(case.model) else seeds - len(runs)
             found.append(Group(case, solver, runs, failed))
     return found
 
@@ -120,7 +121,7 @@ def write(folder: Path, effort: Effort, curves: Sequence[Curve], *, seeds: int, 
         folder,
         "Error against run time",
         _opening(effort, curves, seeds, jobs),
-        [_roster(), *_cases(effort, found), *_plots(curves)],
+        [_roster(effort.model), *_cases(effort, found), *_plots(curves)],
     )
     rows = [
         summary.Row(
@@ -200,7 +201,8 @@ def _opening(effort: Effort, curves: Sequence[Curve], seeds: int, jobs: int) -> 
         "How far reconstruction, maps and relit pictures are from the truth while solvers run, "
         "against wall time and against evaluations of loss and gradient.",
         f"Scenes are rooms with {PICTURES} training and {PICTURES} held-out pictures of "
-        f"mean radiance {MEAN_RADIANCE:g}, made by this package's own model; seeds {FIRST_SEED} to "
+        f"mean radiance {MEAN_RADIANCE:g}, rendered and fitted with model {effort.model}; seeds "
+        f"{FIRST_SEED} to "
         f"{FIRST_SEED + seeds - 1}. Constants of solvers and peers were chosen on other seeds.",
         "Errors are measured in float64 from the maps and lights of a run, at numbers of "
         f"evaluations that grow by {100 * (CHECKPOINT_RATIO - 1):.0f} %, for all solvers by the "
@@ -220,9 +222,9 @@ def _opening(effort: Effort, curves: Sequence[Curve], seeds: int, jobs: int) -> 
     ]
 
 
-def _roster() -> Section:
+def _roster(model: Model) -> Section:
     rows = [
-        [Cell(solver.name, "name"), Cell(solver.what, "why"), Cell(solver.missing or "ok")]
+        [Cell(solver.name, "name"), Cell(solver.what, "why"), Cell(solver.why_not(model) or "ok")]
         for solver in SOLVERS
     ]
     columns = [Cell("Solver", "name"), Cell("What it is"), Cell("Status")]

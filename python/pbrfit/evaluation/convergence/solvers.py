@@ -20,6 +20,7 @@ from pbrfit.evaluation.convergence.measure import Tracker
 from pbrfit.evaluation.convergence.torch_peer import Limits, Settings
 from pbrfit.evaluation.recipes import paper_start
 from pbrfit.materials import Materials
+from pbrfit.model import MODELS, Model
 from pbrfit.objective import Objective
 from pbrfit.scene import Scene
 from pbrfit.solve import Progress, decompose
@@ -66,6 +67,8 @@ class Solver:
         Does it.
     needs
         Packages beyond those that this one depends on.
+    models
+        That it knows.
     """
 
     name: str
@@ -73,12 +76,18 @@ class Solver:
     what: str
     run: Run
     needs: tuple[str, ...] = ()
+    models: tuple[Model, ...] = MODELS
 
     @property
     def missing(self) -> str:
         """Why it cannot run here; empty if it can."""
         absent = [package for package in self.needs if find_spec(package) is None]
         return f"not run: {', '.join(absent)} is not installed" if absent else ""
+
+    def why_not(self, model: Model) -> str:
+        """Why it cannot fit a model here; empty if it can."""
+        unknown = "" if model in self.models else f"not run: it knows no model {model}"
+        return unknown or self.missing
 
 
 def fit_with_ours(
@@ -177,6 +186,7 @@ SOLVERS: tuple[Solver, ...] = (
         "default start; float32, automatic differentiation.",
         partial(fit_with_torch, settings=torch_peer.LBFGS),
         needs=("torch",),
+        models=("paper",),
     ),
     Solver(
         "torch-adam",
@@ -185,6 +195,7 @@ SOLVERS: tuple[Solver, ...] = (
         "default start; float32, automatic differentiation.",
         partial(fit_with_torch, settings=torch_peer.ADAM),
         needs=("torch",),
+        models=("paper",),
     ),
     Solver(
         "lbfgsb-known-lights",

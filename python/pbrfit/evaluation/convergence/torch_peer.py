@@ -113,7 +113,7 @@ def fit(
     threads, and making the start with the lights that fit it, which this package does, are not on
     it.
     """
-    objective = Objective(scene, threads=threads)
+    objective = Objective(scene, threads=threads, model="paper")  # which is what they have
     if start is None:
         x = objective.start()
     else:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import metrics
-from pbrfit.model import Model, chosen_model, render
+from pbrfit.model import DEFAULT_MODEL, Model, chosen_model, render
 from pbrfit.objective import Objective
 from pbrfit.priors import Priors
 from pbrfit.result import Result
@@ -36,10 +36,23 @@ def fit(scene: Scene, solver: Name, **options: Any) -> Result:
     return decompose(scene, solver=chosen, refine_normals="off", **options)
 
 
-def room(seed: int, size: int, *, noise: float = 0.0, held_out: int = PICTURES) -> Scene:
+def room(
+    seed: int,
+    size: int,
+    *,
+    noise: float = 0.0,
+    held_out: int = PICTURES,
+    model: Model = DEFAULT_MODEL,
+) -> Scene:
     """Make a furnished room as in table1's base row: 16 pictures of mean radiance 0.4."""
     return make_scene(
-        "furnished", size=size, lights=PICTURES, held_out=held_out, seed=seed, noise=noise
+        "furnished",
+        size=size,
+        lights=PICTURES,
+        held_out=held_out,
+        seed=seed,
+        noise=noise,
+        model=model,
     )
 
 

@@ -33,7 +33,7 @@ from pbrfit.evaluation.solvers.fits import (
 )
 from pbrfit.evaluation.solvers.own_process import call
 from pbrfit.materials import Materials
-from pbrfit.model import chosen_model, render
+from pbrfit.model import Model, chosen_model, render
 from pbrfit.scene import Scene
 from pbrfit.solve import Progress
 
@@ -58,6 +58,9 @@ OVER_LBFGSB, OVER_TORCH = 20.0, 10.0
 REHEARSAL_SIZE = 32
 
 PAPER = "lbfgsb, paper's recipe"
+MODEL: Model = "paper"
+"""The one that PyTorch's runner has."""
+
 TORCH = "torch.compile, L-BFGS"
 
 
@@ -149,10 +152,10 @@ def work(task: Task, threads: int) -> dict[str, Any]:
 def run(task: Task, threads: int) -> dict[str, Any]:
     """One run, after a small one that loads libraries and wakes threads."""
     runner = BY_KEY[task.runner]
-    small = in_float32(room(0, REHEARSAL_SIZE, held_out=1))
+    small = in_float32(room(0, REHEARSAL_SIZE, held_out=1, model=MODEL))
     rehearsal = replace(task, iterations=5, mark=Mark(0.0, 0.1))
     _start_run(runner, small, rehearsal, Tracker(small, 0.0, threads), threads)
-    scene = in_float32(room(task.seed, task.size, held_out=1))
+    scene = in_float32(room(task.seed, task.size, held_out=1, model=MODEL))
     tracker = Tracker(scene, task.mark.residual if task.mark else 0.0, threads)
     reason = _start_run(runner, scene, task, tracker, threads)
     points = tracker.points

@@ -15,8 +15,9 @@ from pbrfit._core import InputError
 from pbrfit.evaluation.recipes import explain
 from pbrfit.evaluation.scores import METAL, score
 from pbrfit.evaluation.table1.normals import disturbed
-from pbrfit.evaluation.table1.rows import BY_KEY, Row
+from pbrfit.evaluation.table1.rows import BY_KEY, OTHER, Row
 from pbrfit.geometry import angles_between
+from pbrfit.model import DEFAULT_MODEL, Model
 from pbrfit.normal_files import read_normals
 from pbrfit.scene import Scene, unit_normals
 from pbrfit.synthetic import cycles, draw, make_scene
@@ -48,6 +49,8 @@ class Task:
         Folder of PBR maps for detailed scenes; None = procedural.
     predicted_normals
         Folder that holds SEED.exr or SEED.png by an estimator; None = simulated.
+    model
+        That is fitted; our renderer's pictures are of it too, unless the row says otherwise.
     inputs
         Digest of what is read from these two.
     preview
@@ -63,6 +66,7 @@ class Task:
     iterations: int
     textures: Path | None = None
     predicted_normals: Path | None = None
+    model: Model = DEFAULT_MODEL
     inputs: str = ""
     preview: bool = False
     cycles_cache: Path | None = field(default=None, repr=False)
@@ -70,7 +74,7 @@ class Task:
     @property
     def key(self) -> str:
         """File name of the record."""
-        return f"{self.row}_{self.seed}"
+        return f"{self.row}_{self.model}_{self.seed}"
 
 
 def work(task: Task, threads: int) -> dict[str, Any]:
@@ -86,6 +90,7 @@ def work(task: Task, threads: int) -> dict[str, Any]:
             iterations=task.iterations,
             sh_order=row.sh_order,
             refine_normals=row.refine_normals,
+            model=task.model,
             threads=threads,
         )
         found["recipes"][recipe] = score(result, scene, threads).as_json()
@@ -111,6 +116,7 @@ def _scene(task: Task, row: Row, threads: int) -> Scene:
             lights=task.lights,
             held_out=task.lights,
             seed=task.seed,
+            model=OTHER[task.model] if row.swapped else task.model,
             textures=_textures(task.textures),
         )
     # The world that `make_scene` draws with this seed.

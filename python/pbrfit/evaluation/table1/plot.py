@@ -65,7 +65,7 @@ def draw(found: Sequence[Outcome], mean: Callable[[Outcome, Recipe, str], Mean])
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xlabel(f"{metric} RMSE")
         axes.grid(visible=True, axis="x", which="major", alpha=0.3)
-    panels[0].set_yticks(range(len(shown)), [outcome.row.name for outcome in shown])
+    panels[0].set_yticks(range(len(shown)), [outcome.name for outcome in shown])
     panels[0].set_ylim(len(shown) - 0.5, -0.5)
     handles = [
         panels[0].plot([], [], marker, color=color, label=IN_WORDS[recipe])[0]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from pbrfit.evaluation.recipes import Recipe
+from pbrfit.model import Model
 from pbrfit.refinement import RefineNormals
 
 COLUMNS = ("recon", "albedo", "roughness", "metallic", "relight")
@@ -48,6 +49,8 @@ class Row:
         That the decomposition fits; the true lights have order 3.
     fov
         That the decomposition is told, in degrees; the true one is 60.
+    swapped
+        Whether our renderer uses the other model than the one that is fitted, instead of the same.
     recipes
         Ways to explain its scenes.
     paper
@@ -67,6 +70,7 @@ class Row:
     refine_normals: RefineNormals = "off"
     sh_order: int = 3
     fov: float = 60.0
+    swapped: bool = False
     recipes: tuple[Recipe, ...] = PLAIN
     paper: Mapping[str, float] = field(default_factory=dict)
     paper_row: str = ""
@@ -115,6 +119,12 @@ ROWS = (
         fov=90.0,
         paper=_paper(0.004, 0.091, 0.283, 0.194, 0.143),
         paper_row="FOV=90",
+    ),
+    Row(
+        "other-model",
+        "Pictures of the other model",
+        "The base scenes, rendered with the other reflection model than the one that is fitted.",
+        swapped=True,
     ),
     Row(
         "detailed",
@@ -179,5 +189,7 @@ ROWS = (
         paper_row="Regularized",
     ),
 )
+
+OTHER: dict[Model, Model] = {"paper": "principled", "principled": "paper"}
 
 BY_KEY = {row.key: row for row in ROWS}

@@ -1,0 +1,215 @@
+"""The lobe functions of the principled model: their table against quadrature, everywhere."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import principled_reference
+from finite_differences import ridders
+from pbrfit import _core
+from pbrfit.model import sh_basis
+from principled_reference import EVEN, ORDER
+
+Array = NDArray[np.float64]
+
+SINE_POWERS = np.concatenate((ORDER, ORDER, [0]))
+LEAST_COSINE = 1e-4
+RESOLVED = 0.02
+
+
+def functions(r: Array | float, cosine: Array | float) -> tuple[Array, Array, Array]:
+    """Values and derivatives by r and by n·v at all pairs of broadcast places, (..., 21)."""
+    rs, cosines = (a.astype(np.float64) for a in np.broadcast_arrays(r, cosine))
+    parts = _core.lobe_functions(rs.ravel(), cosines.ravel())
+    value, by_r, by_cosine = (part.reshape(*rs.shape, 21) for part in parts)
+    return value, by_r, by_cosine
+
+
+def reflectance(value: Array) -> Array:
+    """E, the part of uniform light that a white lobe reflects once."""
+    return np.asarray(2 * math.sqrt(math.pi) * (value[..., 0] + value[..., 10]))
+
+
+class Samples:
+    """tests/data/lobe_samples.json: quadrature in half-vector coordinates, to 1e-9."""
+
+    def __init__(self) -> None:
+        path = Path(__file__).parents[1] / "data" / "lobe_samples.json"
+        rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+        self.r, self.cosine = (np.array([row[key] for row in rows]) for key in ("r", "cosine"))
+        self.value, self.by_r, self.by_cosine = (
+            np.array([row[key] for row in rows]) for key in ("value", "by_r", "by_cosine")
+        )
+        self.sine = np.sqrt(1 - self.cosine**2)[:, None] ** SINE_POWERS
+
+    def where(self, chosen: Any) -> tuple[Array, Array, Array]:
+        """Errors of value and derivatives, with their sinᵐ, at some of the rows."""
+        found = functions(self.r[chosen], self.cosine[chosen])
+        exact = (self.value, self.by_r, self.by_cosine)
+        value, by_r, by_cosine = (
+            np.abs(f - e[chosen]) * self.sine[chosen] for f, e in zip(found, exact, strict=True)
+        )
+        return value, by_r, by_cosine
+
+
+SAMPLES = Samples()
+
+
+# --- Where the table is exact ---
+
+
+def test_values_and_slopes_are_those_of_the_integrals() -> None:
+    value, by_r, by_cosine = SAMPLES.where((SAMPLES.r >= RESOLVED) & (SAMPLES.cosine >= RESOLVED))
+    assert value.max() <= 1e-5
+    assert by_r.max() <= 5e-4
+    assert by_cosine.max() <= 2e-3
+
+
+@pytest.mark.parametrize(
+    ("r", "cosine"), [(0.06, 0.11), (0.13, 0.43), (0.31, 0.08), (0.47, 0.93), (0.83, 0.29)]
+)
+def test_another_quadrature_gives_the_same(r: float, cosine: float) -> None:
+    # About the mirror direction instead of half vectors, and at places that nobody chose before.
+    expected = principled_reference.lobe_functions(r, cosine)
+    value, by_r, by_cosine = functions(r, cosine)
+    sine = math.sqrt(1 - cosine**2) ** SINE_POWERS[:20]
+    np.testing.assert_allclose(value[:20] * sine, expected, rtol=0, atol=1e-5)
+    step = 1e-4
+
+    def slope(dr: float, dx: float) -> Array:
+        ends = [
+            principled_reference.lobe_functions(r + s * dr, cosine + s * dx)
+            / math.sqrt(1 - (cosine + s * dx) ** 2) ** SINE_POWERS[:20]
+            for s in (1, -1)
+        ]
+        return np.asarray((ends[0] - ends[1]) / (2 * step))
+
+    np.testing.assert_allclose(by_r[:20], slope(step, 0), rtol=0, atol=5e-4)
+    np.testing.assert_allclose(by_cosine[:20], slope(0, step), rtol=0, atol=2e-3)
+
+
+def test_mean_reflectance_is_the_mean_of_the_reflectance() -> None:
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    root = (1 + nodes) / 2  # n·v = root²
+    r = np.linspace(0, 1, 41)
+    value, by_r, by_cosine = functions(r[:, None], np.maximum(root**2, LEAST_COSINE))
+    mean = reflectance(value) @ (2 * weights * root**3)
+    np.testing.assert_allclose(value[:, 0, 20], mean, rtol=0, atol=1e-5)
+    assert (np.ptp(value[..., 20], axis=1) < 1e-14).all()
+    assert (np.abs(by_cosine[..., 20]) < 1e-9).all()
+    assert (by_r[1:, 0, 20] < 0).all()
+
+
+# --- Derivatives are those of the table itself ---
+
+PLACES = (0.004, 0.02, 0.13, 0.37, 0.5, 0.71, 0.96)
+
+
+@pytest.mark.parametrize("r", [0.0, *PLACES, 1.0])
+@pytest.mark.parametrize("cosine", [LEAST_COSINE, *PLACES, 1.0])
+def test_derivatives_are_those_of_the_values(r: float, cosine: float) -> None:
+    value, by_r, by_cosine = functions(r, cosine)
+    assert np.isfinite(value).all()
+    for at, low, derivative, of in (
+        (r, 0.0, by_r, lambda d: functions(r + d, cosine)[0]),
+        (cosine, LEAST_COSINE, by_cosine, lambda d: functions(r, cosine + d)[0]),
+    ):
+        inward = -1 if at == 1 else 1
+        at_end = at in (low, 1.0)
+        step = 1e-3 * max(at, 0.01)
+        found, error = ridders(lambda d, of=of, s=inward: of(s * d), step, one_sided=at_end)  # type: ignore[misc]
+        np.testing.assert_allclose(
+            inward * found, derivative, rtol=1e-6, atol=1e-7 + 10 * float(error.max())
+        )
+
+
+def test_values_and_slopes_pass_knots_without_a_jump() -> None:
+    # All knots are within these paths; next to each other, places differ by less than 1e-5.
+    fine = np.linspace(0, 1, 200_001)
+    for r, cosine in ((fine, 0.3), (fine, 0.013), (0.3, np.maximum(fine, LEAST_COSINE))):
+        along = functions(r, cosine)
+        path = np.broadcast_to(r, fine.shape) + np.broadcast_to(cosine, fine.shape)
+        step = np.maximum(np.diff(path), 1e-12)[:, None]
+        for part, slope_bound in zip(along, (60, 2e4, 2e4), strict=True):
+            assert (np.abs(np.diff(part, axis=0)) <= slope_bound * step + 1e-12).all()
+
+
+# --- Energy ---
+
+
+def test_reflectance_lies_between_nothing_and_all() -> None:
+    r = np.concatenate((np.linspace(0, 0.05, 101), np.linspace(0.05, 1, 200)))
+    cosine = np.concatenate((np.geomspace(LEAST_COSINE, 0.05, 101), np.linspace(0.05, 1, 200)))
+    value, _, _ = functions(r[:, None], cosine)
+    reflected = reflectance(value)
+    assert (reflected > 0.3).all()
+    assert (reflected <= 1 + 1e-6).all()
+    assert (value[..., [0, 10]] >= -1e-6).all()  # each lobe's own part too
+    assert (value[..., 20] > 0.4).all()
+    assert (value[..., 20] <= 1 + 1e-6).all()
+
+
+# --- Below 0.02 ---
+
+
+def test_a_mirror_shows_the_harmonics_of_its_direction() -> None:
+    cosine = np.concatenate((np.geomspace(LEAST_COSINE, 0.1, 200), np.linspace(0.1, 0.9999, 400)))
+    value, by_r, _ = functions(0.0, cosine)
+    sine = np.sqrt(1 - cosine**2)
+    mirror = np.stack([sine, np.zeros_like(sine), cosine], axis=-1)
+    grazing = (1 - cosine[:, None]) ** 5
+    basis = sh_basis(mirror)[:, EVEN]
+    expected = np.concatenate(((1 - grazing) * basis, grazing * basis), axis=1)
+    found = value[:, :20] * sine[:, None] ** SINE_POWERS[:20]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=6e-6)
+    np.testing.assert_allclose(value[:, 20], 1, rtol=0, atol=1e-7)
+    assert (np.abs(by_r) < 1e-5).all()
+
+
+def test_functions_leave_the_mirror_as_the_fourth_power_of_roughness() -> None:
+    cosine = np.linspace(0.1, 1, 50)
+    at_mirror = functions(0.0, cosine)[0]
+    for r in (0.002, 0.005, 0.01, 0.02, 0.04):
+        away = np.abs(functions(r, cosine)[0] - at_mirror)
+        assert away.max() <= 400 * r**4 + 2e-6
+
+
+def test_errors_grow_steadily_towards_the_corner_of_grazing_mirrors() -> None:
+    # Where alpha is near n·v and both are small the functions depend on n·v/alpha alone, which no
+    # smooth table follows. From n·v = 0.005 on none of that is left.
+    cosines = (1e-4, 0.001, 0.005, 0.02)
+    errors = [SAMPLES.where(SAMPLES.cosine == cosine)[0].max() for cosine in cosines]
+    bounds = (1.5e-2, 1e-3, 1e-5, 1e-5)
+    assert all(error <= bound for error, bound in zip(errors, bounds, strict=True)), errors
+    assert errors[0] > errors[1] > max(errors[2:])
+    assert errors[0] > 1e-4  # otherwise the documentation is out of date
+    # And from r = 0.1 on, at every n·v.
+    assert SAMPLES.where(SAMPLES.r >= 0.1)[0].max() <= 1e-5
+
+
+def test_nothing_in_the_corner_leaves_the_range_of_the_functions() -> None:
+    r, cosine = np.linspace(0, 0.05, 200), np.geomspace(LEAST_COSINE, 0.05, 200)
+    value, by_r, by_cosine = functions(r[:, None], cosine)
+    for part in (value, by_r, by_cosine):
+        assert np.isfinite(part).all()
+    # |a_j| + |b_j| of a lobe that reflects all into one direction is at most the largest |Y_j|.
+    sine = np.sqrt(1 - cosine**2)[:, None] ** SINE_POWERS[:20]
+    lobes = np.abs(value[..., :20] * sine).reshape(200, 200, 2, 10).sum(axis=2)
+    angle = np.linspace(0, math.pi / 2, 1001)
+    towards = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=-1)
+    largest = np.abs(sh_basis(towards)[:, EVEN]).max(axis=0)
+    assert (lobes <= largest * (1 + 1e-3)).all()
+
+
+def test_alpha_near_a_small_cosine_dims_the_table_too() -> None:
+    # The dip of E at n·v ≈ alpha, 0.89 deep, is there in the table as long as n·v ≥ 0.001.
+    for cosine in (0.001, 0.003, 0.01, 0.03):
+        value, _, _ = functions(math.sqrt(0.8 * cosine), cosine)
+        assert 0.88 < reflectance(value) < 0.91
