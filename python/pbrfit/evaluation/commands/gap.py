@@ -41,7 +41,7 @@ def _run(options: argparse.Namespace) -> int:
 
     effort = gap.QUICK if options.quick else gap.FULL
     why_not = "--quick leaves Cycles out" if options.quick else cycles.why_not()
-    steps = 2 * len(effort.r) + (0 if why_not else len(spheres.Effort().r))
+    steps = 3 * len(effort.r) + (0 if why_not else len(spheres.Effort().r))
     with new_folder(options.out, overwrite=options.overwrite, contains=report.CONTAINS) as folder:
         with progress_bar(steps, quiet=options.quiet) as bar:
             begun = 0

@@ -47,6 +47,7 @@ __all__ = [
     "PAPER",
     "PRINCIPLED",
     "QUICK",
+    "TABULATED",
     "Effort",
     "Gap",
     "Material",
@@ -82,7 +83,7 @@ class Reference:
     Attributes
     ----------
     name
-        Of the model that stands for it.
+        In reports; that of the model that stands for it.
     respond
         Its response at r and n·v.
     """
@@ -93,6 +94,8 @@ class Reference:
 
 PAPER = Reference("paper", brute_force.respond)
 PRINCIPLED = Reference("principled", principled.respond)
+TABULATED = Reference("tabulated", principled.respond_as_tabulated)
+"""Not a BRDF, but what the principled model's table stands for: its Fresnel term is simpler."""
 
 INTEGRATED = "paper, integrated"
 """Name of the paper's BRDF itself, where it is compared as a model."""
@@ -279,12 +282,12 @@ def measure(
 def measure_all(
     effort: Effort = FULL, *, seed: int = 0, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[Gap, ...]:
-    """Measure all models against the principled BRDF, and the paper's against its own.
+    """Measure all models against the principled BRDF, and each against what it stands for.
 
     Parameters
     ----------
     effort, seed, progress
-        As for `measure`; `progress` is called for both.
+        As for `measure`; `progress` is called for all three.
 
     Returns
     -------
@@ -294,7 +297,11 @@ def measure_all(
     of_all = {"paper": MODELS["paper"], INTEGRATED: integrated(PAPER), **MODELS}
     return tuple(
         measure(effort, reference=reference, models=models, seed=seed, progress=progress)
-        for reference, models in ((PRINCIPLED, of_all), (PAPER, {"paper": MODELS["paper"]}))
+        for reference, models in (
+            (PRINCIPLED, of_all),
+            (PAPER, {"paper": MODELS["paper"]}),
+            (TABULATED, {"principled": MODELS["principled"]}),
+        )
     )
 
 

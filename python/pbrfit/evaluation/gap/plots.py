@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 DPI = 100
 COLORS = (BLUE, BLACK, ORANGE, GREEN)
 MARKERS = ("o", "D", "v", "^")
-LINES = ("-", "--", ":", "-.")
+LINES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 
 RATIO_SPAN = 4.0
 """Ratios from 1/4 to 4 have colours of their own."""

@@ -1,15 +1,17 @@
 """The principled model's integral, by brute force, and what it might have been instead.
 
-The BRDF is what Blender's Principled, glTF and real-time engines agree about: GGX with
-height-correlated Smith masking, Schlick's Fresnel at v·h, a Lambertian body below. In the pixel's
-own frame its weights are
+The BRDF is that of Blender's Principled and, but for the dielectric's Fresnel term, of glTF: GGX
+with height-correlated Smith masking over a Lambertian body. In the pixel's frame its weights are
 
-    w = Σ over lobes (F0 a + b) M + (1−m) ρ (1−E_d)/π · A Y(n),
+    w = m M(ρ) (ρ a + b) + (1−m) M(0.04) g + (1−m) ρ (1 − M(0.04) E_d)/π · A Y(n),
     a = ∫ D G/(4 n·v) (1−s) Y dl,  b = ∫ D G/(4 n·v) s Y dl,  s = (1−v·h)⁵,
+    g = ∫ D G/(4 n·v) F Y dl,  F by Fresnel's equations at v·h and an index of 1.5,
     G = 2 (n·l)(n·v) / (n·l √((n·v)²(1−α²)+α²) + n·v √((n·l)²(1−α²)+α²)),
 
-with a lobe of a metal (weight m, F0 = ρ) and one of a dielectric (weight 1−m, F0 = 0.04). E_d is
-the directional albedo of the latter, so what it reflects does not reach the body.
+with a lobe of a metal (weight m, F0 = ρ, Schlick's Fresnel) and one of a dielectric (weight 1−m).
+E_d is the directional albedo of the latter: what it reflects does not reach the body.
+
+The package's model has κ (0.04 a + b) instead of g, one number κ(r, n·v) such that E_d is the same.
 
 **Light between facets.** Light that leaves a facet towards another is lost in this BRDF. With
 E(n·v) the albedo of the lobe without Fresnel and Ē = 2 ∫ E x dx, a share 1−E of the light goes on,
@@ -54,27 +56,29 @@ _RINGS = 32  # values of n·v in the mean over all of them
 
 @dataclass(frozen=True)
 class Choices:
-    """What the model might do otherwise.
+    """What the BRDF might be otherwise.
 
     Attributes
     ----------
     multiple
         Light between facets. Without it, M = 1.
     held_back
-        What does not reach the body: E_d, "lobe"; M E_d, "scaled"; or E_d/E, "full", as if all
+        What does not reach the body: M E_d, "scaled"; E_d, "lobe"; or E_d/E, "full", as if all
         light came back from a lobe of F = 1.
     fresnel
-        Of the dielectric lobe: Schlick's "fit"; Fresnel's "equations" at an index of 1.5; or the
-        fit "scaled" by one number, so that E_d is that of the equations.
+        Of the dielectric lobe: Fresnel's "equations"; Schlick's "fit"; or the fit "scaled" by κ.
     """
 
     multiple: bool = True
-    held_back: Literal["lobe", "scaled", "full"] = "lobe"
-    fresnel: Literal["fit", "scaled", "equations"] = "fit"
+    held_back: Literal["scaled", "lobe", "full"] = "scaled"
+    fresnel: Literal["equations", "fit", "scaled"] = "equations"
 
 
-MODEL = Choices()
-"""What `pbrfit.shade(..., model="principled")` stands for."""
+BRDF = Choices()
+"""The BRDF above."""
+
+TABULATED = Choices(fresnel="scaled")
+"""What `pbrfit.shade(..., model="principled")` has in its table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +121,7 @@ class PrincipledResponse:
         fit = F0_DIELECTRIC * self.base + self.grazing
         return fit * self.glass[0] / fit[0] if choices.fresnel == "scaled" else fit
 
-    def weights(self, albedo: Array, metallic: Array, choices: Choices = MODEL) -> Array:
+    def weights(self, albedo: Array, metallic: Array, choices: Choices = BRDF) -> Array:
         """(..., 3, 16) as `pbrfit.shade` gives: albedo (..., 3) in [0, 1], metallic (...,)."""
         rho = np.asarray(albedo, dtype=np.float64)[..., None]
         m = np.asarray(metallic, dtype=np.float64)[..., None, None]
@@ -156,6 +160,25 @@ def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> PrincipledR
     base, grazing, glass = fine
     change = float(np.abs(fine - coarse).max())
     return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), change)
+
+
+@dataclass(frozen=True, eq=False)
+class _AsTabulated:
+    """A response whose weights are those of `TABULATED`."""
+
+    of: PrincipledResponse
+
+    @property
+    def error(self) -> float:
+        return self.of.error
+
+    def weights(self, albedo: Array, metallic: Array) -> Array:
+        return self.of.weights(albedo, metallic, TABULATED)
+
+
+def respond_as_tabulated(roughness: float, n_dot_v: float) -> _AsTabulated:
+    """Integrate likewise, with κ for the dielectric's Fresnel term."""
+    return _AsTabulated(respond(roughness, n_dot_v))
 
 
 @lru_cache(maxsize=1024)

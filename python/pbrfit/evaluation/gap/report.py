@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pbrfit.evaluation import page, summary
-from pbrfit.evaluation.gap import BANDS, INTEGRATED, Gap, plots
+from pbrfit.evaluation.gap import BANDS, INTEGRATED, PAPER, PRINCIPLED, TABULATED, Gap, plots
 from pbrfit.evaluation.gap.spheres import (
     ALBEDOS,
     LEAST_COSINE,
@@ -36,8 +36,8 @@ SPHERE_COLUMNS = (
 )  # fmt: skip
 CYCLES_COLUMNS = ("distribution", "substance", "model", "r", "albedo", "relative_rmse")
 
-EXACT = 1e-3
-"""Models whose response differs by no more get no heat maps: all cells would say 1.00."""
+EXACT = 0.02
+"""Models with a smaller error on spheres get no heat maps: nearly all cells would say 1.00."""
 
 
 def write(folder: Path, gaps: Sequence[Gap], spheres: Spheres | str) -> None:
@@ -170,12 +170,12 @@ def _opening(gaps: Sequence[Gap]) -> list[str]:
         f"{len(gap.effort.r)} values of roughness r and {len(gap.effort.n_dot_v)} of n·v (1 = seen "
         "straight on, 0 = grazing). There is no fit, no picture and no noise in this: it is the "
         "error of the model alone, which pictures of real surfaces add to all other errors.",
-        "The principled integral is that of the BRDF which Blender, glTF and game engines have: "
-        "GGX, height-correlated Smith, Schlick's Fresnel over the lobe, light between facets. The "
-        "paper integral is that of the paper's eqs. 3-5, with a masking that lets some rough "
-        "surfaces reflect more than all light at grazing angles (largest directional albedo here: "
-        f"{brightest:.2f}). When the number of nodes is doubled no integral changes by more than "
-        f"{scientific(worst)}.",
+        "The principled integral is that of the BRDF of Blender's Principled, which glTF and game "
+        "engines share but for Fresnel's term of dielectrics: GGX, height-correlated Smith, light "
+        "between facets, over a diffuse body. The paper integral is that of the paper's eqs. 3-5, "
+        "with a masking that lets some rough surfaces reflect more than all light at grazing "
+        f"angles (largest directional albedo here: {brightest:.2f}). When the number of nodes is "
+        f"doubled no integral changes by more than {scientific(worst)}.",
         "A response is the size of what comes back of light in one SH band l; it is 1 for a "
         "perfect mirror, and for l = 0 it is the directional albedo. `gap.csv` has all of them.",
     ]
@@ -202,19 +202,26 @@ def _worth(gap: Gap) -> Iterator[Section]:
 
 
 def _costs(gaps: Sequence[Gap]) -> Section:
-    own = [gap for gap in gaps if gap.reference.name in gap.models]
-    columns = [Cell("model"), *(Cell(m.name, "number") for m in gaps[0].materials)]
+    columns = [Cell("model"), Cell("stands for")]
+    columns += [Cell(m.name, "number") for m in gaps[0].materials]
     columns += [Cell("largest difference of a response", "number")]
+    own = (PAPER.name, "paper"), (PRINCIPLED.name, "principled"), (TABULATED.name, "principled")
+    by_reference = {gap.reference.name: gap for gap in gaps}
     rows = []
-    for gap in sorted(own, key=lambda gap: gap.reference.name):
-        name = gap.reference.name
-        values = [*gap.overall_rmse(name), gap.distance(name).max()]
-        rows.append([Cell(name), *(Cell(scientific(v), "number") for v in values)])
+    for reference, model in own:
+        gap = by_reference[reference]
+        values = [*gap.overall_rmse(model), gap.distance(model).max()]
+        stands_for = "its table" if reference == TABULATED.name else f"the {reference} integral"
+        rows.append(
+            [Cell(model), Cell(stands_for), *(Cell(scientific(v), "number") for v in values)]
+        )
     return Section(
-        "What its approximations cost: each model against its own integral",
+        "What its approximations cost: each model against what it stands for",
         [
-            "The closed form of the paper's model is an approximation of an integral, the "
-            "principled model a table of one. Spheres as above, all roughnesses together."
+            "The closed form of the paper's model is an approximation of an integral. The "
+            "principled model is a table of one, made with Schlick's Fresnel term, and for "
+            "dielectrics scaled by one number that makes the directional albedo right. Spheres as "
+            "above, all roughnesses together."
         ],
         [Table(columns, rows)],
     )
@@ -237,9 +244,10 @@ def _cycles(spheres: Spheres | str) -> Iterator[Section]:
             + ". No figure can be below the noise of the renders.",
             "GGX is Principled without light between facets, which the principled model has; there "
             "the integral without it is what should agree. MULTI_GGX is Blender's default. "
-            "“Integrals” are by brute force, with other choices than the model's, each row with "
-            "those above it: in E_d, what the dielectric lobe keeps from the body, and in the "
-            "dielectric's Fresnel term.",
+            "“Integrals” are by brute force, and tell what choices are worth: Fresnel's equations "
+            "or Schlick's fit in the dielectric lobe; how much of what that lobe reflects, E_d, is "
+            "held back from the body. For plain GGX Blender holds back more than the lobe "
+            "reflects, E_d/E, with E the albedo of a lobe of F = 1.",
         ],
         [_cycles_table(spheres, distribution) for distribution in spheres.effort.distributions],
         [Figure("cycles", plots.draw_cycles(spheres), "Errors on spheres by Cycles.")],
@@ -249,7 +257,7 @@ def _cycles(spheres: Spheres | str) -> Iterator[Section]:
 def _maps(gap: Gap) -> Iterator[Section]:
     """Heat maps of the models that differ from the reference."""
     for model in gap.models:
-        if model == INTEGRATED or gap.distance(model).max() < EXACT:
+        if model == INTEGRATED or gap.overall_rmse(model).max() < EXACT:
             continue
         name = plots.title(gap, model, " over ")
         mark = f"-{gap.reference.name}"
@@ -330,4 +338,4 @@ def _albedo_table(gap: Gap, model: str) -> Table:
 
 
 def _short(value: float) -> str:
-    return f"{value:.3f}" if value >= EXACT else scientific(value)
+    return f"{value:.3f}" if value >= 1e-3 else scientific(value)

@@ -156,12 +156,11 @@ def _integrals(distribution: Distribution) -> dict[str, Model]:
         "GGX": {
             SINGLE: Choices(multiple=False),
             "and E_d/E held back": Choices(multiple=False, held_back="full"),
-            "and Fresnel's equations": Choices(False, held_back="full", fresnel="equations"),
         },
         "MULTI_GGX": {
-            "integral, M E_d held back": Choices(held_back="scaled"),
-            "and Schlick's fit scaled": Choices(held_back="scaled", fresnel="scaled"),
-            "and Fresnel's equations": Choices(held_back="scaled", fresnel="equations"),
+            "integral": Choices(),
+            "integral, Schlick's Fresnel": Choices(fresnel="fit"),
+            "and E_d held back, not M E_d": Choices(fresnel="fit", held_back="lobe"),
         },
     }
     return {

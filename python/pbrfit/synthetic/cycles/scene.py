@@ -26,7 +26,7 @@ MAX_TURN = 30.0
 """Neighbouring pixels of one object whose normals differ by more degrees lie at an edge."""
 
 SAMPLES: dict[tuple[Light, Transport], int] = {
-    ("panorama", "brdf"): 256,
+    ("panorama", "brdf"): 1024,
     ("panorama", "shadows"): 1024,
     ("panorama", "full"): 1024,
     ("points", "brdf"): 1,  # without noise: one light without size, no bounces
