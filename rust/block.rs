@@ -17,9 +17,9 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use crate::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
+use crate::sh::{self, BAND_OF, BANDS, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::shade::{
-    self, BlockFunctions, Factors, MAX_ENTRIES, MAX_FUNCTIONS, MAX_ROWS, Material, Reflection,
+    self, BlockFunctions, MAX_ENTRIES, MAX_FUNCTIONS, MAX_ROWS, Material, Reflection,
     each_entry, first_entry,
 };
 use crate::simd::{Ahead, Isa, Kernel, Vectors};
@@ -430,15 +430,7 @@ impl<M: Reflection, T: Real, const C: usize> Kernel for FillFactors<'_, M, T, C>
             by_cosine,
             functions,
         );
-        for x in 0..BLOCK {
-            let of_pixel = factors_of::<M, T, C>(directions, materials, functions, x);
-            for c in 0..C {
-                factors[c].diffuse.0[x] = T::from_f64(of_pixel.diffuse(c));
-                for j in 0..M::ROWS {
-                    factors[c].rows[j].0[x] = T::from_f64(of_pixel.row(c, j));
-                }
-            }
-        }
+        M::fill_factors(directions, materials, functions, factors);
         for of_channel in factors {
             of_channel.diffuse.0[pixels..].fill(T::default());
             for plane in &mut of_channel.rows[..M::ROWS] {
@@ -501,25 +493,41 @@ fn fill_weights<M: Reflection, T: Real, I: Vectors<T>, const K: usize>(
 ) {
     // Pixels outside, so that the factors stay in registers.
     for v in 0..BLOCK / I::LANES {
-        let diffuse = I::of(&factors.diffuse.0)[v];
-        let mut rows = [diffuse; MAX_ROWS];
-        for j in 0..M::ROWS {
-            rows[j] = I::of(&factors.rows[j].0)[v];
+        weights_of_band::<M, T, I, 0>(isa, basis, factors, v, weights);
+        weights_of_band::<M, T, I, 1>(isa, basis, factors, v, weights);
+        weights_of_band::<M, T, I, 2>(isa, basis, factors, v, weights);
+        if K == COEFFICIENTS {
+            weights_of_band::<M, T, I, 3>(isa, basis, factors, v, weights);
         }
-        let mut entry = 0;
-        for k in 0..K {
-            let first = M::FIRST_ROW[BAND_OF[k]];
-            let mut w = isa.mul(rows[first], I::of(&basis.lobe[entry].0)[v]);
-            entry += 1;
-            for j in first + 1..M::FIRST_ROW[BAND_OF[k] + 1] {
-                w = isa.mul_add(rows[j], I::of(&basis.lobe[entry].0)[v], w);
-                entry += 1;
-            }
-            if k < DIFFUSE {
-                w = isa.mul_add(diffuse, I::of(&basis.diffuse[k].0)[v], w);
-            }
-            I::of_mut(&mut weights[k].0)[v] = w;
+    }
+}
+
+/// Those of band L, for one vector of pixels. Of one band, because then the compiler knows all counts.
+#[inline(always)]
+fn weights_of_band<M: Reflection, T: Real, I: Vectors<T>, const L: usize>(
+    isa: I,
+    basis: &Basis<T>,
+    factors: &ChannelFactors<T>,
+    v: usize,
+    weights: &mut [Plane<T>],
+) {
+    let diffuse = I::of(&factors.diffuse.0)[v];
+    let (first_row, rows) = (M::FIRST_ROW[L], M::FIRST_ROW[L + 1] - M::FIRST_ROW[L]);
+    let mut factor = [diffuse; BANDS];
+    for j in 0..rows {
+        factor[j] = I::of(&factors.rows[first_row + j].0)[v];
+    }
+    let first_entry = const { first_entry::<M>(L * L) };
+    for i in 0..2 * L + 1 {
+        let (k, entry) = (L * L + i, first_entry + i * rows);
+        let mut w = isa.mul(factor[0], I::of(&basis.lobe[entry].0)[v]);
+        for j in 1..rows {
+            w = isa.mul_add(factor[j], I::of(&basis.lobe[entry + j].0)[v], w);
         }
+        if k < DIFFUSE {
+            w = isa.mul_add(diffuse, I::of(&basis.diffuse[k].0)[v], w);
+        }
+        I::of_mut(&mut weights[k].0)[v] = w;
     }
 }
 
@@ -796,17 +804,8 @@ impl<M: Reflection, const K: usize, B: ByWeights> Reduce<'_, M, K, B> {
             // In registers to the end: a store for each coefficient would cost as much as a tenth
             // of the products.
             let mut diffuse = [isa.splat(0.0); V];
-            let mut rows = [[isa.splat(0.0); V]; MAX_ROWS];
-            let mut entry = first_entry::<M>(FIRST);
             for k in 0..COUNT {
                 self.by_weights.take(isa, FIRST + k, v, &by_weights[k]);
-                for j in M::FIRST_ROW[BAND_OF[FIRST + k]]..M::FIRST_ROW[BAND_OF[FIRST + k] + 1] {
-                    let lobe = &I::of(&self.basis.lobe[entry].0)[v..v + V];
-                    entry += 1;
-                    for i in 0..V {
-                        rows[j][i] = isa.mul_add(by_weights[k][i], lobe[i], rows[j][i]);
-                    }
-                }
                 if FIRST + k < DIFFUSE {
                     let normal = &I::of(&self.basis.diffuse[FIRST + k].0)[v..v + V];
                     for i in 0..V {
@@ -814,15 +813,43 @@ impl<M: Reflection, const K: usize, B: ByWeights> Reduce<'_, M, K, B> {
                     }
                 }
             }
-            let (low, high) = (BAND_OF[FIRST], BAND_OF[FIRST + COUNT - 1]);
-            for j in M::FIRST_ROW[low]..M::FIRST_ROW[high + 1] {
-                let sum = &mut I::of_mut(&mut self.sums.rows[j].0)[v..v + V];
-                add(isa, self.begin, sum, &rows[j]);
+            match FIRST {
+                0 => {
+                    self.rows::<I, V, 0>(isa, v, &by_weights[..1]);
+                    self.rows::<I, V, 1>(isa, v, &by_weights[1..]);
+                }
+                4 => self.rows::<I, V, 2>(isa, v, &by_weights),
+                _ => self.rows::<I, V, 3>(isa, v, &by_weights),
             }
             if FIRST < DIFFUSE {
                 let sum = &mut I::of_mut(&mut self.sums.diffuse.0)[v..v + V];
                 add(isa, self.begin && FIRST == 0, sum, &diffuse);
             }
+        }
+    }
+}
+
+impl<M: Reflection, const K: usize, B: ByWeights> Reduce<'_, M, K, B> {
+    /// The sums of the rows of band L.
+    #[inline(always)]
+    fn rows<I: Vectors<f32>, const V: usize, const L: usize>(
+        &mut self,
+        isa: I,
+        v: usize,
+        by_weights: &[[I::Vector; V]],
+    ) {
+        let (first_row, rows) = (M::FIRST_ROW[L], M::FIRST_ROW[L + 1] - M::FIRST_ROW[L]);
+        let first_entry = const { first_entry::<M>(L * L) };
+        for j in 0..rows {
+            let mut row = [isa.splat(0.0); V];
+            for k in 0..2 * L + 1 {
+                let lobe = &I::of(&self.basis.lobe[first_entry + k * rows + j].0)[v..v + V];
+                for i in 0..V {
+                    row[i] = isa.mul_add(by_weights[k][i], lobe[i], row[i]);
+                }
+            }
+            let sum = &mut I::of_mut(&mut self.sums.rows[first_row + j].0)[v..v + V];
+            add(isa, self.begin, sum, &row);
         }
     }
 }
@@ -1004,16 +1031,7 @@ impl<M: Reflection, const C: usize> Kernel for PullBack<'_, M, C> {
             gradient,
             ..
         } = self;
-        for x in 0..BLOCK {
-            let factors = factors_of::<M, f32, C>(directions, materials, functions, x);
-            let (by_diffuse, by_row) = sums_of::<M, C>(sums, x);
-            let of_pixel = factors.pull_back(&materials.get(x), &by_diffuse, &by_row);
-            for c in 0..C {
-                gradient.albedo[c].0[x] = scale * of_pixel.albedo[c];
-            }
-            gradient.roughness.0[x] = scale * of_pixel.roughness;
-            gradient.metallic.0[x] = scale * of_pixel.metallic;
-        }
+        M::pull_back_block(directions, materials, functions, sums, scale, gradient);
     }
 }
 

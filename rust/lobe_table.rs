@@ -14,10 +14,10 @@ use std::sync::LazyLock;
 
 use crate::simd::{Instructions, Isa, Kernel, Vectors};
 
-/// Functions: a_j and b_j over sinᵐ of the view angle, j = 0 to 9 each, and the mean albedo Ē.
-pub const VALUES: usize = 21;
+/// Functions: a_j and b_j over sinᵐ of the view angle, j = 0 to 9 each, the mean albedo Ē and κ.
+pub const VALUES: usize = 22;
 
-/// Numbers stored at a knot, three of them nothing.
+/// Numbers stored at a knot, two of them nothing.
 const STORED: usize = 24;
 /// Cells from r = 0 to 1, and from n·v = 0 to 1; there is a knot more, and one beyond each end.
 const CELLS: [usize; 2] = [52, 36];
@@ -30,10 +30,16 @@ const HEADER: usize = 32;
 
 static FILE: &[u8; HEADER + 4 * STORED * KNOTS[0] * KNOTS[1]] = include_bytes!("lobe_table.bin");
 
-/// All functions, or a derivative of them; the last three are nothing.
+/// All functions, or a derivative of them; the last two are nothing.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct Row(pub [f64; STORED]);
+
+impl Default for Row {
+    fn default() -> Self {
+        Self([0.0; STORED])
+    }
+}
 
 /// The splines; made once, in about a millisecond.
 pub static TABLE: LazyLock<LobeTable> = LazyLock::new(LobeTable::new);

@@ -17,26 +17,28 @@
 //! M(F0) = 1 + F_ms (1−E)/E,   F_ms = F̄ Ē/(1 − F̄(1−Ē)),   F̄ = F0 + (1−F0)/21,   Ē(r) = 2∫E x dx.
 //! ```
 //!
-//! A pixel is a mixture of a dielectric, F0 = 0.04 over a matt ground that gets what the lobe leaves,
-//! and a metal, F0 = ρ:
+//! A pixel is a mixture of a dielectric over a matt ground that gets what the lobe leaves, and a metal,
+//! F0 = ρ. Schlick's Fresnel with F0 = 0.04 is some way off glass; κ(r, n·v) makes up for what that
+//! changes of a uniform light. With G = κ M(0.04),
 //!
 //! ```text
 //! w_ck = kd_c A_l Y_k(n) + Σ_j s_cj R_jk             s_cj = A_c a_j + B_c b_j
-//! A_c  = (1−m) 0.04 M(0.04) + m ρ_c M(ρ_c)           kd_c = (1−m)(1−E_d) ρ_c/π
-//! B_c  = (1−m) M(0.04) + m M(ρ_c)                    E_d  = 2√π(0.04 a₀ + b₀)
+//! A_c  = (1−m) 0.04 G + m ρ_c M(ρ_c)                 kd_c = (1−m)(1−E_d) ρ_c/π
+//! B_c  = (1−m) G + m M(ρ_c)                          E_d  = 2√π G (0.04 a₀ + b₀)
 //! ```
 //!
 //! R_jk is the rotation of spherical harmonics into the frame ([`lobe_rows`](crate::lobe_rows)).
 //! Sources of the formulas: docs/model.md.
 
 mod albedo;
+mod block;
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
-use crate::block::{BLOCK, Plane};
+use crate::block::{ChannelFactors, ChannelSums, Directions, Materials, Plane};
 use crate::ggx::DIELECTRIC_F0;
 use crate::lobe_rows;
-use crate::lobe_table::{self, TABLE, VALUES};
+use crate::lobe_table::{self, VALUES};
 use crate::sh::{BANDS, Real};
 use crate::shade::{self, BlockFunctions, ByRow, MAX_ENTRIES, Material, Reflection};
 use crate::simd::Isa;
@@ -54,12 +56,45 @@ const SCHLICK_MEAN: f64 = 1.0 / 21.0;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Principled;
 
-/// a_j, b_j over sinᵐ of the view angle, and Ē.
+/// a_j, b_j over sinᵐ of the view angle, and what remains of the lobe otherwise.
 #[derive(Clone, Copy, Debug)]
 pub struct Lobe {
     a: ByRow,
     b: ByRow,
+    surface: Surface,
+}
+
+/// What a lobe does with light on the whole, or how that changes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Surface {
+    /// E: of a uniform light, with F0 = 1.
+    reflected: f64,
+    /// The same with Schlick's Fresnel of a dielectric.
+    dielectric: f64,
+    /// Ē
     mean: f64,
+    /// κ
+    glass: f64,
+}
+
+impl Surface {
+    /// From a₀, b₀, Ē and κ.
+    #[inline(always)]
+    pub(crate) fn new(a: f64, b: f64, mean: f64, glass: f64) -> Self {
+        Self {
+            reflected: UNIFORM * (a + b),
+            dielectric: UNIFORM * (DIELECTRIC_F0 * a + b),
+            mean,
+            glass,
+        }
+    }
+
+    /// From the table's functions.
+    #[inline(always)]
+    pub(crate) fn of(values: impl Fn(usize) -> f64) -> Self {
+        let rest = 2 * ROWS;
+        Self::new(values(0), values(ROWS), values(rest), values(rest + 1))
+    }
 }
 
 impl Lobe {
@@ -68,31 +103,13 @@ impl Lobe {
         let mut lobe = Self {
             a: [0.0; ROWS],
             b: [0.0; ROWS],
-            mean: values(2 * ROWS),
+            surface: Surface::of(&values),
         };
         for j in 0..ROWS {
             lobe.a[j] = values(j);
             lobe.b[j] = values(ROWS + j);
         }
         lobe
-    }
-
-    /// Ē
-    #[inline(always)]
-    pub(crate) fn mean(&self) -> f64 {
-        self.mean
-    }
-
-    /// What the lobe reflects of a uniform light with F0 = 1, or how that changes.
-    #[inline(always)]
-    pub(crate) fn reflected(&self) -> f64 {
-        UNIFORM * (self.a[0] + self.b[0])
-    }
-
-    /// The same of a dielectric without multiple scattering.
-    #[inline(always)]
-    pub(crate) fn dielectric(&self) -> f64 {
-        UNIFORM * (DIELECTRIC_F0 * self.a[0] + self.b[0])
     }
 }
 
@@ -102,13 +119,6 @@ pub struct Functions {
     lobe: Lobe,
     by_roughness: Lobe,
     by_cosine: Lobe,
-}
-
-impl Functions {
-    #[inline(always)]
-    pub(crate) fn lobe(&self) -> &Lobe {
-        &self.lobe
-    }
 }
 
 impl Reflection for Principled {
@@ -135,21 +145,7 @@ impl Reflection for Principled {
         by_cosine: bool,
         functions: &mut BlockFunctions,
     ) {
-        let table = &*TABLE;
-        let (values, slopes) = functions.split_at_mut(VALUES);
-        let (by_r, by_x) = slopes.split_at_mut(VALUES);
-        for x in 0..BLOCK {
-            let rows = table.rows(isa, roughness.0[x], cosine.0[x], by_cosine);
-            for f in 0..VALUES {
-                values[f].0[x] = rows[0].0[f];
-                by_r[f].0[x] = rows[1].0[f];
-            }
-            if by_cosine {
-                for f in 0..VALUES {
-                    by_x[f].0[x] = rows[2].0[f];
-                }
-            }
-        }
+        block::fill_functions(isa, cosine, roughness, by_cosine, functions);
     }
 
     #[inline(always)]
@@ -164,6 +160,28 @@ impl Reflection for Principled {
     #[inline(always)]
     fn factors<const C: usize>(_: f64, material: &Material<C>, functions: Functions) -> Factors<C> {
         Factors::new(material, functions)
+    }
+
+    #[inline(always)]
+    fn fill_factors<T: Real, const C: usize>(
+        _: &Directions<T>,
+        materials: &Materials<C>,
+        functions: &BlockFunctions,
+        factors: &mut [ChannelFactors<T>; C],
+    ) {
+        block::fill_factors(materials, functions, factors);
+    }
+
+    #[inline(always)]
+    fn pull_back_block<const C: usize>(
+        _: &Directions,
+        materials: &Materials<C>,
+        functions: &BlockFunctions,
+        sums: &[ChannelSums; C],
+        scale: f64,
+        gradient: &mut Materials<C>,
+    ) {
+        block::pull_back(materials, functions, sums, scale, gradient);
     }
 
     #[inline(always)]
@@ -188,7 +206,7 @@ impl Reflection for Principled {
 
 /// M(F0), and its derivatives by F0 and by the lobe's E and Ē.
 #[derive(Clone, Copy, Debug, Default)]
-struct Gain {
+pub(crate) struct Gain {
     value: f64,
     by_f0: f64,
     by_reflected: f64,
@@ -215,8 +233,8 @@ impl Gain {
 
     /// The change with a change of the lobe.
     #[inline(always)]
-    fn along(&self, change: &Lobe) -> f64 {
-        self.by_reflected * change.reflected() + self.by_mean * change.mean
+    fn along(&self, change: &Surface) -> f64 {
+        self.by_reflected * change.reflected + self.by_mean * change.mean
     }
 }
 
@@ -232,40 +250,44 @@ pub(crate) struct Mix {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Mixer {
     metallic: f64,
-    reflected: f64,
-    mean: f64,
+    surface: Surface,
+    /// M(0.04)
+    gain: Gain,
+    /// G
+    ground: f64,
     /// (1−E_d)/π
     transmitted: f64,
-    dielectric: Gain,
 }
 
 impl Mixer {
     #[inline(always)]
-    pub(crate) fn new(metallic: f64, reflected: f64, dielectric: f64, mean: f64) -> Self {
+    pub(crate) fn new(metallic: f64, surface: Surface) -> Self {
+        let gain = Gain::new(DIELECTRIC_F0, surface.reflected, surface.mean);
+        let ground = gain.value * surface.glass;
         Self {
             metallic,
-            reflected,
-            mean,
-            transmitted: (1.0 - dielectric) * FRAC_1_PI,
-            dielectric: Gain::new(DIELECTRIC_F0, reflected, mean),
+            surface,
+            gain,
+            ground,
+            transmitted: (1.0 - ground * surface.dielectric) * FRAC_1_PI,
         }
+    }
+
+    /// M(ρ)
+    #[inline(always)]
+    fn metal(&self, albedo: f64) -> Gain {
+        Gain::new(albedo, self.surface.reflected, self.surface.mean)
     }
 
     /// The mixture with an albedo, and its derivative by that.
     #[inline(always)]
-    pub(crate) fn mix(&self, albedo: f64) -> [Mix; 2] {
-        let metal = Gain::new(albedo, self.reflected, self.mean);
-        self.mix_with(albedo, &metal)
-    }
-
-    #[inline(always)]
-    fn mix_with(&self, albedo: f64, metal: &Gain) -> [Mix; 2] {
+    pub(crate) fn mix(&self, albedo: f64, metal: &Gain) -> [Mix; 2] {
         let (m, matt) = (self.metallic, 1.0 - self.metallic);
-        let grounds = matt * self.dielectric.value;
+        let ground = matt * self.ground;
         let mix = Mix {
             diffuse: matt * albedo * self.transmitted,
-            a: DIELECTRIC_F0 * grounds + m * albedo * metal.value,
-            b: grounds + m * metal.value,
+            a: DIELECTRIC_F0 * ground + m * albedo * metal.value,
+            b: ground + m * metal.value,
         };
         let by_albedo = Mix {
             diffuse: matt * self.transmitted,
@@ -280,20 +302,22 @@ impl Mixer {
     fn by_metallic(&self, albedo: f64, metal: &Gain) -> Mix {
         Mix {
             diffuse: -albedo * self.transmitted,
-            a: albedo * metal.value - DIELECTRIC_F0 * self.dielectric.value,
-            b: metal.value - self.dielectric.value,
+            a: albedo * metal.value - DIELECTRIC_F0 * self.ground,
+            b: metal.value - self.ground,
         }
     }
 
     /// The change with a change of the lobe.
     #[inline(always)]
-    fn along(&self, albedo: f64, metal: &Gain, change: &Lobe) -> Mix {
+    fn along(&self, albedo: f64, metal: &Gain, change: &Surface) -> Mix {
         let (m, matt) = (self.metallic, 1.0 - self.metallic);
-        let (metal, grounds) = (metal.along(change), matt * self.dielectric.along(change));
+        let ground = self.gain.along(change) * self.surface.glass + self.gain.value * change.glass;
+        let reflected = ground * self.surface.dielectric + self.ground * change.dielectric;
+        let metal = m * metal.along(change);
         Mix {
-            diffuse: -matt * albedo * change.dielectric() * FRAC_1_PI,
-            a: DIELECTRIC_F0 * grounds + m * albedo * metal,
-            b: grounds + m * metal,
+            diffuse: -matt * albedo * reflected * FRAC_1_PI,
+            a: DIELECTRIC_F0 * matt * ground + albedo * metal,
+            b: matt * ground + metal,
         }
     }
 }
@@ -311,13 +335,7 @@ pub struct Factors<const C: usize = 3> {
 impl<const C: usize> Factors<C> {
     #[inline(always)]
     fn new(material: &Material<C>, functions: Functions) -> Self {
-        let lobe = &functions.lobe;
-        let mixer = Mixer::new(
-            material.metallic,
-            lobe.reflected(),
-            lobe.dielectric(),
-            lobe.mean,
-        );
+        let mixer = Mixer::new(material.metallic, functions.lobe.surface);
         let mut factors = Self {
             functions,
             mixer,
@@ -327,16 +345,17 @@ impl<const C: usize> Factors<C> {
         };
         for c in 0..C {
             let albedo = material.albedo[c];
-            factors.metal[c] = Gain::new(albedo, mixer.reflected, mixer.mean);
-            [factors.mix[c], factors.by_albedo[c]] = mixer.mix_with(albedo, &factors.metal[c]);
+            factors.metal[c] = mixer.metal(albedo);
+            [factors.mix[c], factors.by_albedo[c]] = mixer.mix(albedo, &factors.metal[c]);
         }
         factors
     }
 
-    /// The change of kd and s_cj with a change of the lobe.
+    /// The change of kd, A and B with a change of the lobe.
     #[inline(always)]
     fn change(&self, channel: usize, albedo: f64, change: &Lobe) -> Mix {
-        self.mixer.along(albedo, &self.metal[channel], change)
+        self.mixer
+            .along(albedo, &self.metal[channel], &change.surface)
     }
 }
 
@@ -352,7 +371,7 @@ fn dot(functions: &ByRow, by_row: &ByRow) -> f64 {
 
 /// What a change of kd, A and B is worth, given what their factors are.
 #[inline(always)]
-fn worth(mix: &Mix, [by_diffuse, by_a, by_b]: [f64; 3]) -> f64 {
+pub(crate) fn worth(mix: &Mix, [by_diffuse, by_a, by_b]: [f64; 3]) -> f64 {
     mix.diffuse * by_diffuse + mix.a * by_a + mix.b * by_b
 }
 

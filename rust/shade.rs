@@ -18,7 +18,9 @@ use std::marker::PhantomData;
 
 use glam::DVec3;
 
-use crate::block::Plane;
+use crate::block::{
+    BLOCK, ChannelFactors, ChannelSums, Directions, Materials, Plane, factors_of, sums_of,
+};
 use crate::ggx::MIN_COSINE;
 use crate::sh::{self, BAND_OF, BANDS, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::simd::Isa;
@@ -31,7 +33,7 @@ pub const MAX_ROWS: usize = 10;
 /// Basis functions R_jk of a lobe at most.
 pub const MAX_ENTRIES: usize = 50;
 /// Functions of roughness and n·v at most.
-pub const MAX_FUNCTIONS: usize = 63;
+pub const MAX_FUNCTIONS: usize = 66;
 
 /// One number for each row of a lobe.
 pub type ByRow = [f64; MAX_ROWS];
@@ -100,6 +102,47 @@ pub trait Reflection: Copy + Debug + Default + Send + Sync + 'static {
         mirror: [T; 3],
         cotangent: impl Fn(usize) -> T,
     ) -> [[T; 3]; 2];
+
+    /// Fills in the factors of a block of pixels.
+    #[inline(always)]
+    fn fill_factors<T: Real, const C: usize>(
+        directions: &Directions<T>,
+        materials: &Materials<C>,
+        functions: &BlockFunctions,
+        factors: &mut [ChannelFactors<T>; C],
+    ) {
+        for x in 0..BLOCK {
+            let of_pixel = factors_of::<Self, T, C>(directions, materials, functions, x);
+            for c in 0..C {
+                factors[c].diffuse.0[x] = T::from_f64(of_pixel.diffuse(c));
+                for j in 0..Self::ROWS {
+                    factors[c].rows[j].0[x] = T::from_f64(of_pixel.row(c, j));
+                }
+            }
+        }
+    }
+
+    /// [`Factors::pull_back`] of a block of pixels, times `scale`.
+    #[inline(always)]
+    fn pull_back_block<const C: usize>(
+        directions: &Directions,
+        materials: &Materials<C>,
+        functions: &BlockFunctions,
+        sums: &[ChannelSums; C],
+        scale: f64,
+        gradient: &mut Materials<C>,
+    ) {
+        for x in 0..BLOCK {
+            let factors = factors_of::<Self, f32, C>(directions, materials, functions, x);
+            let (by_diffuse, by_row) = sums_of::<Self, C>(sums, x);
+            let of_pixel = factors.pull_back(&materials.get(x), &by_diffuse, &by_row);
+            for c in 0..C {
+                gradient.albedo[c].0[x] = scale * of_pixel.albedo[c];
+            }
+            gradient.roughness.0[x] = scale * of_pixel.roughness;
+            gradient.metallic.0[x] = scale * of_pixel.metallic;
+        }
+    }
 
     /// Derivatives by normal and mirror direction of Σ_ck g_ck Σ_j s_cj R_jk, with the cotangent g.
     fn lobe_by_normal<const C: usize>(

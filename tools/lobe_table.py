@@ -46,8 +46,8 @@ MIRROR_COEFFICIENTS = 3
 """The first by s, held at the mirror's values: then value, slope and curvature are right at r = 0,
 which the functions leave like r⁴."""
 BOUNDED_COEFFICIENTS = 4
-"""The first by s whose reflectance is brought down to 1, all functions alike: a spline never exceeds
-its coefficients. From the next on it stays below without that."""
+"""The first by s whose reflectance is brought down to 1, all functions alike: a spline never
+exceeds its coefficients. From the next on it stays below without that."""
 
 
 @dataclass(frozen=True)
@@ -224,17 +224,22 @@ def print_errors(table: Table) -> None:
         of_mean = part[..., -1].max()
         print(f"  {name:7} {(sine * part).max():.1e} ({part.max():.1e}); Ebar {of_mean:.1e}")
 
-    r = s.inverse(np.linspace(0, 1, 3 * s.cells + 2))
-    x = t.inverse(np.linspace(float(t.at(np.array(LEAST_COSINE))), 1, 3 * t.cells + 2))
+    def dense(axis: Axis, low: float, high: float) -> Array:
+        begin, end = axis.at(np.array([low, high]))
+        return axis.inverse(np.linspace(begin, end, int(7 * axis.cells * (end - begin))))
+
+    r, x = dense(s, 0, 0.25), dense(t, LEAST_COSINE, 0.05)
     truth = np.array([quadrature.along_cosine(roughness, x) for roughness in r])
-    values = table.grid(r, x)
-    wrong = np.abs(values[..., :20] - truth).max(axis=2)
-    print("largest error of a value, where n·v is at least (columns), r at least (rows)")
+    wrong = np.abs(table.grid(r, x)[..., :20] - truth).max(axis=2)
+    print(
+        "r <= 0.25, n·v <= 0.05: largest error where n·v is at least (columns), r at least (rows)"
+    )
     cosines = (1e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02)
     print("       " + "".join(f"{cosine:9}" for cosine in cosines))
     for roughness in (0, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2):
         part = [wrong[np.ix_(r >= roughness, x >= cosine)].max() for cosine in cosines]
         print(f"  {roughness:5}" + "".join(f"{value:9.0e}" for value in part))
+    values = table.grid(dense(s, 0, 1), dense(t, LEAST_COSINE, 1))
     e = reflectance(values)
     least = values[..., [0, 10]].min()
     print(f"E from {e.min():.6f} to 1 + {e.max() - 1:.1e}; least a_0 or b_0 {least:.1e}")

@@ -25,6 +25,7 @@ __all__ = [
     "hold_end",
     "image_format",
     "last_word",
+    "lobe_functions",
     "render",
     "render_directional",
     "sh_basis",
@@ -41,6 +42,10 @@ def sh_basis(directions: NDArray[np.float64]) -> NDArray[np.float64]: ...
 def ggx_band_weights(
     r: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def lobe_functions(
+    r: NDArray[np.float64],
+    cosine: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 def shade(
     normal: NDArray[np.float64],
     view: NDArray[np.float64],

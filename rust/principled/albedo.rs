@@ -10,9 +10,9 @@
 
 use crate::block::{BLOCK, Plane};
 use crate::material_grid::{AlbedoFromProducts, ByAlbedo, STARTS};
-use crate::principled::{Mix, Mixer, Principled, ROWS};
+use crate::principled::{Mix, Mixer, Principled, ROWS, Surface};
 use crate::products::{Products, pair};
-use crate::shade::{BlockFunctions, Reflection};
+use crate::shade::BlockFunctions;
 use crate::simd::{Instructions, Isa, Kernel};
 
 type Doubles = Plane<f64>;
@@ -20,10 +20,11 @@ type Doubles = Plane<f64>;
 /// What remains when roughness is given.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Given {
-    /// Of a uniform light, F0 = 1: E, that of a dielectric, and Ē.
-    reflected: Doubles,
-    dielectric: Doubles,
+    /// a₀, b₀, Ē and κ.
+    a: Doubles,
+    b: Doubles,
     mean: Doubles,
+    glass: Doubles,
     /// Products of D, U and V with U and V.
     du: Doubles,
     dv: Doubles,
@@ -39,13 +40,8 @@ impl AlbedoFromProducts for Principled {
     type Given = Given;
 
     fn give(_: &Doubles, _: &Doubles, functions: &BlockFunctions, given: &mut Given) {
-        for x in 0..BLOCK {
-            let functions = Principled::functions_of(functions, x);
-            let lobe = functions.lobe();
-            given.reflected.0[x] = lobe.reflected();
-            given.dielectric.0[x] = lobe.dielectric();
-            given.mean.0[x] = lobe.mean();
-        }
+        (given.a, given.b) = (functions[0], functions[ROWS]);
+        (given.mean, given.glass) = (functions[2 * ROWS], functions[2 * ROWS + 1]);
     }
 
     fn give_channel(
@@ -129,12 +125,14 @@ impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
             squares,
         } = self.0;
         for x in 0..BLOCK {
-            let mixer = Mixer::new(
-                metallic.0[x],
-                given.reflected.0[x],
-                given.dielectric.0[x],
+            let surface = Surface::new(
+                given.a.0[x],
+                given.b.0[x],
                 given.mean.0[x],
+                given.glass.0[x],
             );
+            let mixer = Mixer::new(metallic.0[x], surface);
+            let mixed = |rho: f64| mixer.mix(rho, &mixer.metal(rho));
             let (dd, dt) = (products.diffuse_diffuse.0[x], products.diffuse_target.0[x]);
             let (du, dv) = (given.du.0[x], given.dv.0[x]);
             let (uu, uv, vv) = (given.uu.0[x], given.uv.0[x], given.vv.0[x]);
@@ -153,7 +151,7 @@ impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
                 b: vt,
             };
             let value = |rho: f64| {
-                let [mix, _] = mixer.mix(rho);
+                let [mix, _] = mixed(rho);
                 dot(&mix, &through(&mix)) - 2.0 * dot(&mix, &target) + tt
             };
 
@@ -166,7 +164,7 @@ impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
             }
             let mut rho = best;
             for _ in 0..STEPS {
-                let [mix, by_rho] = mixer.mix(rho);
+                let [mix, by_rho] = mixed(rho);
                 let bent = through(&by_rho);
                 let slope = dot(&bent, &mix) - dot(&by_rho, &target);
                 let next = rho - slope / (dot(&by_rho, &bent).abs() + f64::MIN_POSITIVE);

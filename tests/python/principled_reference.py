@@ -109,9 +109,9 @@ def reflectance(r: float, cosine: float, polar: int, around: int) -> float:
 
 def mean_reflectance(r: float) -> float:
     """Ebar = 2 ∫ E x dx."""
-    nodes, weights = leggauss(20)
+    nodes, weights = leggauss(14)
     root = (1 + nodes) / 2  # x = root²
-    values = [reflectance(r, q * q, 80, 160) for q in root]
+    values = [reflectance(r, q * q, 60, 300) for q in root]
     return float(np.sum(weights / 2 * 2 * root * 2 * root**2 * values))
 
 
