@@ -396,7 +396,7 @@ def lines(found: Sequence[Outcome]) -> list[str]:
     width = max(len(outcome.name) for outcome in found)
     head = "".join(f"{name:>11}" for name in COLUMNS)
     texts = [f"{'':<{width}}  {'':<27}{head}"]
-    for outcome in found:
+    for i, outcome in enumerate(found):
         name = outcome.name
         if not outcome.finished:
             texts.append(f"{name:<{width}}  {outcome.status}")
@@ -406,7 +406,7 @@ def lines(found: Sequence[Outcome]) -> list[str]:
             figures = "".join(f"{_three_digits(m.mean) if m.count else '–':>11}" for m in means)
             texts.append(f"{name:<{width}}  {IN_WORDS[recipe]:<27}{figures}")
             name = ""
-        if outcome.row.paper:
+        if outcome.row.paper and (i + 1 == len(found) or found[i + 1].row != outcome.row):
             figures = "".join(f"{_papers(outcome.row.paper.get(c)).text:>11}" for c in COLUMNS)
             texts.append(f"{'':<{width}}  {'paper, other scenes':<27}{figures}")
     counts = Counter(outcome.status for outcome in found if outcome.records)
