@@ -19,8 +19,8 @@ use glam::DVec3;
 
 use crate::sh::{self, BAND_OF, BANDS, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::shade::{
-    self, BlockFunctions, MAX_ENTRIES, MAX_FUNCTIONS, MAX_ROWS, Material, Reflection,
-    each_entry, first_entry,
+    self, BlockFunctions, MAX_ENTRIES, MAX_FUNCTIONS, MAX_ROWS, Material, Reflection, each_entry,
+    first_entry,
 };
 use crate::simd::{Ahead, Isa, Kernel, Vectors};
 
@@ -85,7 +85,7 @@ pub struct Materials<const C: usize> {
 }
 
 /// No functions of a block yet.
-pub fn no_functions() -> Box<BlockFunctions> {
+pub fn no_functions<T: Real>() -> Box<BlockFunctions<T>> {
     Box::new([Plane::default(); MAX_FUNCTIONS])
 }
 
@@ -361,7 +361,7 @@ pub fn seen_by<M: Reflection, I: Vectors<f64>>(
     seen
 }
 
-/// Fills in the functions of roughness and n·v of a block.
+/// Fills in the functions of roughness and n·v of a block, in double precision.
 pub struct FillFunctions<'a, M: Reflection> {
     /// The clamped n·v.
     pub cosine: &'a Plane<f64>,
@@ -370,7 +370,7 @@ pub struct FillFunctions<'a, M: Reflection> {
     /// Whether derivatives by n·v are filled in too.
     pub by_cosine: bool,
     /// To be written.
-    pub functions: &'a mut BlockFunctions,
+    pub functions: &'a mut BlockFunctions<M::Precision<f64>>,
     /// Whose functions they are.
     pub model: M,
 }
@@ -380,7 +380,7 @@ impl<M: Reflection> Kernel for FillFunctions<'_, M> {
 
     #[inline(always)]
     fn run<I: Isa>(self, isa: I) {
-        M::fill_functions(
+        M::fill_functions::<I, f64>(
             isa,
             self.cosine,
             self.roughness,
@@ -402,7 +402,7 @@ pub struct FillFactors<'a, M: Reflection, T: Real, const C: usize> {
     /// Whether derivatives by n·v will be asked for.
     pub by_cosine: bool,
     /// To be written.
-    pub functions: &'a mut BlockFunctions,
+    pub functions: &'a mut BlockFunctions<M::Precision<T>>,
     /// To be written.
     pub factors: &'a mut [ChannelFactors<T>; C],
     /// Whose factors they are.
@@ -423,7 +423,7 @@ impl<M: Reflection, T: Real, const C: usize> Kernel for FillFactors<'_, M, T, C>
             factors,
             ..
         } = self;
-        M::fill_functions(
+        M::fill_functions::<I, T>(
             isa,
             &directions.cosine,
             &materials.roughness,
@@ -444,7 +444,7 @@ impl<M: Reflection, T: Real, const C: usize> Kernel for FillFactors<'_, M, T, C>
 pub(crate) fn factors_of<M: Reflection, T: Real, const C: usize>(
     directions: &Directions<T>,
     materials: &Materials<C>,
-    functions: &BlockFunctions,
+    functions: &BlockFunctions<M::Precision<T>>,
     x: usize,
 ) -> M::Factors<C> {
     M::factors(
@@ -1006,7 +1006,7 @@ pub struct PullBack<'a, M: Reflection, const C: usize> {
     /// What they are made of.
     pub materials: &'a Materials<C>,
     /// The functions of their roughness and n·v.
-    pub functions: &'a BlockFunctions,
+    pub functions: &'a BlockFunctions<M::Precision<f32>>,
     /// The adjoint of the factors.
     pub sums: &'a [ChannelSums; C],
     /// Factor on all derivatives.

@@ -12,13 +12,17 @@
 
 use std::sync::LazyLock;
 
-use crate::simd::{Instructions, Isa, Kernel, Vectors};
+use crate::block::{BLOCK, Plane};
+use crate::sh::Real;
+use crate::simd::{Isa, Vectors};
 
 /// Functions: a_j and b_j over sinᵐ of the view angle, j = 0 to 9 each, the mean albedo Ē and κ.
 pub const VALUES: usize = 22;
 
-/// Numbers stored at a knot, two of them nothing.
-const STORED: usize = 24;
+/// Numbers at a knot of the file, two of them nothing.
+const IN_FILE: usize = 24;
+/// At a knot in memory: whole vectors of any width.
+const STORED: usize = 32;
 /// Cells from r = 0 to 1, and from n·v = 0 to 1; there is a knot more, and one beyond each end.
 const CELLS: [usize; 2] = [52, 36];
 /// c of both coordinates, and w.
@@ -28,143 +32,234 @@ const KNOTS: [usize; 2] = [CELLS[0] + 3, CELLS[1] + 3];
 /// What the file begins with: a name, and the numbers above.
 const HEADER: usize = 32;
 
-static FILE: &[u8; HEADER + 4 * STORED * KNOTS[0] * KNOTS[1]] = include_bytes!("lobe_table.bin");
+static FILE: &[u8; HEADER + 4 * IN_FILE * KNOTS[0] * KNOTS[1]] = include_bytes!("lobe_table.bin");
 
-/// All functions, or a derivative of them; the last two are nothing.
+/// All functions, or a derivative of them; what follows them is nothing.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
-pub struct Row(pub [f64; STORED]);
+pub struct Row<T>(pub [T; STORED]);
 
-impl Default for Row {
+impl<T: Real> Default for Row<T> {
     fn default() -> Self {
-        Self([0.0; STORED])
+        Self([T::default(); STORED])
     }
+}
+
+/// The splines in one precision.
+#[derive(Debug)]
+pub struct LobeTable<T> {
+    knots: Vec<Row<T>>,
 }
 
 /// The splines; made once, in about a millisecond.
-pub static TABLE: LazyLock<LobeTable> = LazyLock::new(LobeTable::new);
+static SINGLE: LazyLock<LobeTable<f32>> = LazyLock::new(|| LobeTable::new(|value| value));
+static DOUBLE: LazyLock<LobeTable<f64>> = LazyLock::new(|| LobeTable::new(f64::from));
 
-/// See the [module](self).
-#[derive(Debug)]
-pub struct LobeTable {
-    knots: Vec<Row>,
+/// Makes the tables, if nobody has yet.
+pub fn prepare() {
+    LazyLock::force(&SINGLE);
+    LazyLock::force(&DOUBLE);
 }
 
-/// One coordinate's share: the first of four knots, their weights, and the weights' slopes.
-#[derive(Clone, Copy, Debug)]
-struct Place {
-    first: usize,
-    weights: [f64; 4],
-    slopes: [f64; 4],
+/// Numbers that the splines are evaluated in.
+pub trait Tabled: Copy + Default + Sized + 'static {
+    /// Fills in all functions of a block of pixels at roughness r and the clamped n·v, their slopes by
+    /// r and, where they are asked for, by n·v: three times [`VALUES`] planes.
+    fn look_up<I: Isa>(
+        isa: I,
+        roughness: &Plane<f64>,
+        cosine: &Plane<f64>,
+        by_cosine: bool,
+        functions: &mut [Plane<Self>],
+    );
 }
 
-impl Place {
-    /// Of coordinate 0, roughness, or 1, n·v.
-    ///
-    /// With w = (1−u)³, 3u³−6u²+4, −3u³+3u²+3u+1 and u³, all over 6, u from 0 to 1 in a cell.
-    #[inline(always)]
-    fn new(coordinate: usize, value: f64) -> Self {
-        let (cells, c, w) = (CELLS[coordinate], BEND[coordinate], BENT[coordinate]);
-        let scale = cells as f64;
-        let inverse = 1.0 / (value + c);
-        let bent = w * (1.0 + c) * inverse;
-        let along = scale * (bent + 1.0 - w) * value;
-        let slope = scale * (bent * c * inverse + 1.0 - w);
-        let first = (along as usize).min(cells - 1);
-        let u = along - first as f64;
-        let rest = 1.0 - u;
-        let (u2, rest2) = (u * u, rest * rest);
-        const SIXTH: f64 = 1.0 / 6.0;
-        Self {
-            first,
-            weights: [
-                SIXTH * rest2 * rest,
-                SIXTH * (3.0 * u2 * (u - 2.0) + 4.0),
-                SIXTH * (3.0 * rest2 * (rest - 2.0) + 4.0),
-                SIXTH * u2 * u,
-            ],
-            slopes: [
-                -0.5 * slope * rest2,
-                0.5 * slope * u * (3.0 * u - 4.0),
-                0.5 * slope * rest * (4.0 - 3.0 * rest),
-                0.5 * slope * u2,
-            ],
+macro_rules! tabled {
+    ($t:ty, $table:ident) => {
+        impl Tabled for $t {
+            #[inline(always)]
+            fn look_up<I: Isa>(
+                isa: I,
+                roughness: &Plane<f64>,
+                cosine: &Plane<f64>,
+                by_cosine: bool,
+                functions: &mut [Plane<Self>],
+            ) {
+                let (at_r, at_x) = (
+                    Places::<$t>::new(ROUGHNESS, roughness),
+                    Places::<$t>::new(COSINE, cosine),
+                );
+                let (value, slopes) = functions.split_at_mut(VALUES);
+                let (by_r, by_x) = slopes.split_at_mut(VALUES);
+                let weights = [&at_r.weights, &at_r.slopes];
+                let table = &*$table;
+                table.fill(isa, [&at_r, &at_x], weights, &at_x.weights, [value, by_r]);
+                if by_cosine {
+                    let weights = [&at_r.weights];
+                    table.fill(isa, [&at_r, &at_x], weights, &at_x.slopes, [by_x]);
+                }
+            }
         }
+    };
+}
+
+tabled!(f32, SINGLE);
+tabled!(f64, DOUBLE);
+
+/// Number of a coordinate.
+const ROUGHNESS: usize = 0;
+const COSINE: usize = 1;
+
+/// What each pixel takes of four knots in a row of one coordinate.
+struct Places<T> {
+    /// The first of the knots.
+    first: [i32; BLOCK],
+    weights: [Plane<T>; 4],
+    /// Derivatives of the weights by the coordinate.
+    slopes: [Plane<T>; 4],
+}
+
+/// The first of four knots in a row of one coordinate, their weights and the derivatives of these.
+///
+/// With u from 0 to 1 in a cell, the weights are (1−u)³, 3u³−6u²+4, −3u³+3u²+3u+1 and u³, over 6.
+#[inline(always)]
+fn place(coordinate: usize, value: f64) -> (i32, [f64; 4], [f64; 4]) {
+    const SIXTH: f64 = 1.0 / 6.0;
+    let (cells, c, w) = (CELLS[coordinate], BEND[coordinate], BENT[coordinate]);
+    let scale = cells as f64;
+    let inverse = 1.0 / (value + c);
+    let bent = w * (1.0 + c) * inverse;
+    let along = scale * (bent + 1.0 - w) * value;
+    let slope = scale * (bent * c * inverse + 1.0 - w);
+    // To an i32, which vectors convert to.
+    let first = (along as i32).min(cells as i32 - 1);
+    let u = along - f64::from(first);
+    let rest = 1.0 - u;
+    let (u2, rest2) = (u * u, rest * rest);
+    let weights = [
+        SIXTH * rest2 * rest,
+        SIXTH * (3.0 * u2 * (u - 2.0) + 4.0),
+        SIXTH * (3.0 * rest2 * (rest - 2.0) + 4.0),
+        SIXTH * u2 * u,
+    ];
+    let slopes = [
+        -0.5 * slope * rest2,
+        0.5 * slope * u * (3.0 * u - 4.0),
+        0.5 * slope * rest * (4.0 - 3.0 * rest),
+        0.5 * slope * u2,
+    ];
+    (first, weights, slopes)
+}
+
+impl<T: Real> Places<T> {
+    #[inline(always)]
+    fn new(coordinate: usize, values: &Plane<f64>) -> Self {
+        let mut places = Self {
+            first: [0; BLOCK],
+            weights: Default::default(),
+            slopes: Default::default(),
+        };
+        for x in 0..BLOCK {
+            let (first, weights, slopes) = place(coordinate, values.0[x]);
+            places.first[x] = first;
+            for i in 0..4 {
+                places.weights[i].0[x] = T::from_f64(weights[i]);
+                places.slopes[i].0[x] = T::from_f64(slopes[i]);
+            }
+        }
+        places
     }
 }
 
-impl LobeTable {
-    fn new() -> Self {
-        let knots = FILE[HEADER..]
-            .as_chunks::<{ 4 * STORED }>()
-            .0
-            .iter()
-            .map(|knot| {
-                let mut row = Row([0.0; STORED]);
-                for (value, bytes) in row.0.iter_mut().zip(knot.as_chunks::<4>().0) {
-                    *value = f32::from_le_bytes(*bytes).into();
-                }
-                row
-            });
+/// Pixels looked up before their functions go to planes: a cache line of each plane, or two.
+const TOGETHER: usize = 16;
+
+impl<T: Real> LobeTable<T> {
+    fn new(of: impl Fn(f32) -> T) -> Self {
+        let knots = FILE[HEADER..].as_chunks::<{ 4 * IN_FILE }>().0;
+        let knots = knots.iter().map(|knot| {
+            let mut row = Row::default();
+            for (value, bytes) in row.0.iter_mut().zip(knot.as_chunks::<4>().0) {
+                *value = of(f32::from_le_bytes(*bytes));
+            }
+            row
+        });
         Self {
             knots: knots.collect(),
         }
     }
 
-    /// All functions at roughness r and the clamped n·v, their slopes by r and, where they are asked
-    /// for, by n·v.
+    /// Sums over the knots of each pixel's cell, for N sets of weights of the first coordinate.
     #[inline(always)]
-    pub fn rows<I: Vectors<f64>>(&self, isa: I, r: f64, cosine: f64, by_cosine: bool) -> [Row; 3] {
-        let (at_r, at_x) = (Place::new(0, r), Place::new(1, cosine));
-        let mut rows = [Row([0.0; STORED]); 3];
-        let [value, by_r, by_x] = &mut rows;
-        for i in 0..4 {
-            let knots = &self.knots[(at_r.first + i) * KNOTS[1] + at_x.first..][..4];
-            let (weight, slope) = (isa.splat(at_r.weights[i]), isa.splat(at_r.slopes[i]));
-            for v in 0..STORED / I::LANES {
-                let mut across = isa.splat(0.0);
-                for j in 0..4 {
-                    let knot = I::of(&knots[j].0)[v];
-                    across = isa.mul_add(isa.splat(at_x.weights[j]), knot, across);
+    fn fill<I: Vectors<T>, const N: usize>(
+        &self,
+        isa: I,
+        [at_r, at_x]: [&Places<T>; 2],
+        down: [&[Plane<T>; 4]; N],
+        across: &[Plane<T>; 4],
+        functions: [&mut [Plane<T>]; N],
+    ) {
+        let mut rows = [[Row::default(); TOGETHER]; N];
+        for begin in (0..BLOCK).step_by(TOGETHER) {
+            for i in 0..TOGETHER {
+                let x = begin + i;
+                let first = at_r.first[x] as usize * KNOTS[1] + at_x.first[x] as usize;
+                let mut knots = [&self.knots[..4]; 4];
+                for i in 0..4 {
+                    knots[i] = &self.knots[first + i * KNOTS[1]..][..4];
                 }
-                let value = &mut I::of_mut(&mut value.0)[v];
-                *value = isa.mul_add(weight, across, *value);
-                let by_r = &mut I::of_mut(&mut by_r.0)[v];
-                *by_r = isa.mul_add(slope, across, *by_r);
-                if by_cosine {
-                    let mut across = isa.splat(0.0);
-                    for j in 0..4 {
-                        let knot = I::of(&knots[j].0)[v];
-                        across = isa.mul_add(isa.splat(at_x.slopes[j]), knot, across);
+                let splat = |planes: &[Plane<T>; 4]| planes.each_ref().map(|p| isa.splat(p.0[x]));
+                let (down, across) = (down.map(splat), splat(across));
+                // As many vectors as the functions need.
+                for v in 0..VALUES.div_ceil(I::LANES) {
+                    let mut sums = [isa.splat(T::default()); N];
+                    for i in 0..4 {
+                        let mut row = isa.mul(across[0], I::of(&knots[i][0].0)[v]);
+                        for j in 1..4 {
+                            row = isa.mul_add(across[j], I::of(&knots[i][j].0)[v], row);
+                        }
+                        for n in 0..N {
+                            sums[n] = isa.mul_add(down[n][i], row, sums[n]);
+                        }
                     }
-                    let by_x = &mut I::of_mut(&mut by_x.0)[v];
-                    *by_x = isa.mul_add(weight, across, *by_x);
+                    for n in 0..N {
+                        I::of_mut(&mut rows[n][i].0)[v] = sums[n];
+                    }
+                }
+            }
+            for n in 0..N {
+                for f in 0..VALUES {
+                    let plane = &mut functions[n][f].0[begin..begin + TOGETHER];
+                    for i in 0..TOGETHER {
+                        plane[i] = rows[n][i].0[f];
+                    }
                 }
             }
         }
-        rows
     }
 }
 
-/// All functions at one place, with their slopes by r and by n·v.
+/// All functions at one roughness and clamped n·v, with their slopes by r and by n·v.
 pub fn values(r: f64, cosine: f64) -> [[f64; VALUES]; 3] {
-    Instructions::best().run(One { r, cosine })
-}
-
-struct One {
-    r: f64,
-    cosine: f64,
-}
-
-impl Kernel for One {
-    type Output = [[f64; VALUES]; 3];
-
-    #[inline(always)]
-    fn run<I: Isa>(self, isa: I) -> Self::Output {
-        TABLE
-            .rows(isa, self.r, self.cosine, true)
-            .map(|row| std::array::from_fn(|f| row.0[f]))
+    let (row, down, down_slopes) = place(ROUGHNESS, r);
+    let (column, across, across_slopes) = place(COSINE, cosine);
+    let mut values = [[0.0; VALUES]; 3];
+    for i in 0..4 {
+        for j in 0..4 {
+            let knot = &DOUBLE.knots[(row as usize + i) * KNOTS[1] + column as usize + j].0;
+            let weights = [
+                down[i] * across[j],
+                down_slopes[i] * across[j],
+                down[i] * across_slopes[j],
+            ];
+            for (values, weight) in values.iter_mut().zip(weights) {
+                for f in 0..VALUES {
+                    values[f] += weight * knot[f];
+                }
+            }
+        }
     }
+    values
 }
 
 #[cfg(test)]

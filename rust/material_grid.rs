@@ -13,7 +13,7 @@ use crate::principled::Principled;
 use crate::problem::Problem;
 use crate::products::{PixelProducts, Products};
 use crate::sh::COEFFICIENTS;
-use crate::shade::{BlockFunctions, Reflection};
+use crate::shade::{ExactFunctions, Reflection};
 use crate::simd::Instructions;
 use crate::{Error, Result, check, pool};
 
@@ -36,7 +36,7 @@ pub(crate) trait AlbedoFromProducts: Reflection {
         isa: Instructions,
         cosine: &Doubles,
         roughness: f64,
-        functions: &mut BlockFunctions,
+        functions: &mut ExactFunctions<Self>,
     ) {
         isa.run(FillFunctions {
             cosine,
@@ -51,7 +51,7 @@ pub(crate) trait AlbedoFromProducts: Reflection {
     fn give(
         cosine: &Doubles,
         roughness: &Doubles,
-        functions: &BlockFunctions,
+        functions: &ExactFunctions<Self>,
         given: &mut Self::Given,
     );
 
@@ -59,7 +59,7 @@ pub(crate) trait AlbedoFromProducts: Reflection {
     fn give_channel(
         isa: Instructions,
         products: &Products,
-        functions: &BlockFunctions,
+        functions: &ExactFunctions<Self>,
         given: &mut Self::Given,
     );
 
@@ -193,7 +193,7 @@ pub(crate) struct Block<'a, M: AlbedoFromProducts> {
     /// n·v
     cosine: Doubles,
     pub(crate) products: PixelProducts,
-    functions: Box<BlockFunctions>,
+    functions: Box<ExactFunctions<M>>,
     given: Box<M::Given>,
     pub(crate) roughness: Doubles,
     pub(crate) metallic: Doubles,

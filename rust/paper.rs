@@ -34,6 +34,7 @@ impl Reflection for Paper {
 
     type Functions = Bands;
     type Factors<const C: usize> = Factors<C>;
+    type Precision<T: Real> = f64;
 
     #[inline(always)]
     fn functions(_: f64, roughness: f64) -> Bands {
@@ -41,7 +42,7 @@ impl Reflection for Paper {
     }
 
     #[inline(always)]
-    fn fill_functions<I: Isa>(
+    fn fill_functions<I: Isa, T: Real>(
         isa: I,
         _: &Plane<f64>,
         roughness: &Plane<f64>,
@@ -58,14 +59,14 @@ impl Reflection for Paper {
     }
 
     #[inline(always)]
-    fn functions_of(functions: &BlockFunctions, pixel: usize) -> Bands {
+    fn functions_of<P: Real>(functions: &BlockFunctions<P>, pixel: usize) -> Bands {
         let mut bands = Bands {
             weight: [0.0; BANDS],
             slope: [0.0; BANDS],
         };
         for l in 0..BANDS {
-            bands.weight[l] = functions[l].0[pixel];
-            bands.slope[l] = functions[BANDS + l].0[pixel];
+            bands.weight[l] = functions[l].0[pixel].to_f64();
+            bands.slope[l] = functions[BANDS + l].0[pixel].to_f64();
         }
         bands
     }

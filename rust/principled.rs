@@ -66,24 +66,25 @@ pub struct Lobe {
 
 /// What a lobe does with light on the whole, or how that changes.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Surface {
+pub(crate) struct Surface<T = f64> {
     /// E: of a uniform light, with F0 = 1.
-    reflected: f64,
+    reflected: T,
     /// The same with Schlick's Fresnel of a dielectric.
-    dielectric: f64,
+    dielectric: T,
     /// Ē
-    mean: f64,
+    mean: T,
     /// κ
-    glass: f64,
+    glass: T,
 }
 
-impl Surface {
+impl<T: Real> Surface<T> {
     /// From a₀, b₀, Ē and κ.
     #[inline(always)]
-    pub(crate) fn new(a: f64, b: f64, mean: f64, glass: f64) -> Self {
+    pub(crate) fn new(a: T, b: T, mean: T, glass: T) -> Self {
+        let of = T::from_f64;
         Self {
-            reflected: UNIFORM * (a + b),
-            dielectric: UNIFORM * (DIELECTRIC_F0 * a + b),
+            reflected: of(UNIFORM) * (a + b),
+            dielectric: of(UNIFORM) * (of(DIELECTRIC_F0) * a + b),
             mean,
             glass,
         }
@@ -91,7 +92,7 @@ impl Surface {
 
     /// From the table's functions.
     #[inline(always)]
-    pub(crate) fn of(values: impl Fn(usize) -> f64) -> Self {
+    pub(crate) fn of(values: impl Fn(usize) -> T) -> Self {
         let rest = 2 * ROWS;
         Self::new(values(0), values(ROWS), values(rest), values(rest + 1))
     }
@@ -126,6 +127,7 @@ impl Reflection for Principled {
 
     type Functions = Functions;
     type Factors<const C: usize> = Factors<C>;
+    type Precision<T: Real> = T;
 
     #[inline(always)]
     fn functions(cosine: f64, roughness: f64) -> Functions {
@@ -138,22 +140,23 @@ impl Reflection for Principled {
     }
 
     #[inline(always)]
-    fn fill_functions<I: Isa>(
+    fn fill_functions<I: Isa, T: Real>(
         isa: I,
         cosine: &Plane<f64>,
         roughness: &Plane<f64>,
         by_cosine: bool,
-        functions: &mut BlockFunctions,
+        functions: &mut BlockFunctions<T>,
     ) {
-        block::fill_functions(isa, cosine, roughness, by_cosine, functions);
+        T::look_up(isa, roughness, cosine, by_cosine, functions);
     }
 
     #[inline(always)]
-    fn functions_of(functions: &BlockFunctions, pixel: usize) -> Functions {
+    fn functions_of<P: Real>(functions: &BlockFunctions<P>, pixel: usize) -> Functions {
+        let at = |f: usize| functions[f].0[pixel].to_f64();
         Functions {
-            lobe: Lobe::of(|f| functions[f].0[pixel]),
-            by_roughness: Lobe::of(|f| functions[VALUES + f].0[pixel]),
-            by_cosine: Lobe::of(|f| functions[2 * VALUES + f].0[pixel]),
+            lobe: Lobe::of(at),
+            by_roughness: Lobe::of(|f| at(VALUES + f)),
+            by_cosine: Lobe::of(|f| at(2 * VALUES + f)),
         }
     }
 
@@ -166,7 +169,7 @@ impl Reflection for Principled {
     fn fill_factors<T: Real, const C: usize>(
         _: &Directions<T>,
         materials: &Materials<C>,
-        functions: &BlockFunctions,
+        functions: &BlockFunctions<T>,
         factors: &mut [ChannelFactors<T>; C],
     ) {
         block::fill_factors(materials, functions, factors);
@@ -176,7 +179,7 @@ impl Reflection for Principled {
     fn pull_back_block<const C: usize>(
         _: &Directions,
         materials: &Materials<C>,
-        functions: &BlockFunctions,
+        functions: &BlockFunctions<f32>,
         sums: &[ChannelSums; C],
         scale: f64,
         gradient: &mut Materials<C>,
@@ -206,87 +209,96 @@ impl Reflection for Principled {
 
 /// M(F0), and its derivatives by F0 and by the lobe's E and Ē.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Gain {
-    value: f64,
-    by_f0: f64,
-    by_reflected: f64,
-    by_mean: f64,
+pub(crate) struct Gain<T = f64> {
+    value: T,
+    by_f0: T,
+    by_reflected: T,
+    by_mean: T,
 }
 
-impl Gain {
+impl<T: Real> Gain<T> {
     /// ```text
     /// dM/dF̄ = q Ē/n²     dM/dĒ = q F̄(1−F̄)/n²     dM/dE = −F_ms/E²     q = 1/E − 1,  n = 1 − F̄(1−Ē)
     /// ```
     #[inline(always)]
-    fn new(f0: f64, reflected: f64, mean: f64) -> Self {
-        let mean_fresnel = f0 + (1.0 - f0) * SCHLICK_MEAN;
-        let inverse = 1.0 / (1.0 - mean_fresnel * (1.0 - mean));
+    fn new(f0: T, reflected: T, mean: T) -> Self {
+        let of = T::from_f64;
+        let one = of(1.0);
+        let mean_fresnel = f0 + (one - f0) * of(SCHLICK_MEAN);
+        let inverse = one / (one - mean_fresnel * (one - mean));
         let again = mean_fresnel * mean * inverse;
-        let lost = 1.0 / reflected - 1.0;
+        let rest = one / reflected;
+        let lost = rest - one;
         Self {
-            value: 1.0 + again * lost,
-            by_f0: (1.0 - SCHLICK_MEAN) * lost * mean * inverse * inverse,
-            by_reflected: -again / (reflected * reflected),
-            by_mean: lost * mean_fresnel * (1.0 - mean_fresnel) * inverse * inverse,
+            value: one + again * lost,
+            by_f0: of(1.0 - SCHLICK_MEAN) * lost * mean * inverse * inverse,
+            by_reflected: of(0.0) - again * rest * rest,
+            by_mean: lost * mean_fresnel * (one - mean_fresnel) * inverse * inverse,
         }
     }
 
     /// The change with a change of the lobe.
     #[inline(always)]
-    fn along(&self, change: &Surface) -> f64 {
+    fn along(&self, change: &Surface<T>) -> T {
         self.by_reflected * change.reflected + self.by_mean * change.mean
     }
 }
 
 /// kd, A and B of one channel, or a derivative of them.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Mix {
-    pub(crate) diffuse: f64,
-    pub(crate) a: f64,
-    pub(crate) b: f64,
+pub(crate) struct Mix<T = f64> {
+    pub(crate) diffuse: T,
+    pub(crate) a: T,
+    pub(crate) b: T,
 }
 
 /// What mixtures of a pixel have in common, whatever their albedo.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Mixer {
-    metallic: f64,
-    surface: Surface,
+pub(crate) struct Mixer<T = f64> {
+    metallic: T,
+    surface: Surface<T>,
     /// M(0.04)
-    gain: Gain,
+    gain: Gain<T>,
     /// G
-    ground: f64,
+    ground: T,
     /// (1−E_d)/π
-    transmitted: f64,
+    transmitted: T,
 }
 
-impl Mixer {
+impl<T: Real> Mixer<T> {
     #[inline(always)]
-    pub(crate) fn new(metallic: f64, surface: Surface) -> Self {
-        let gain = Gain::new(DIELECTRIC_F0, surface.reflected, surface.mean);
+    pub(crate) fn new(metallic: T, surface: Surface<T>) -> Self {
+        let of = T::from_f64;
+        let gain = Gain::new(of(DIELECTRIC_F0), surface.reflected, surface.mean);
         let ground = gain.value * surface.glass;
         Self {
             metallic,
             surface,
             gain,
             ground,
-            transmitted: (1.0 - ground * surface.dielectric) * FRAC_1_PI,
+            transmitted: (of(1.0) - ground * surface.dielectric) * of(FRAC_1_PI),
         }
     }
 
     /// M(ρ)
     #[inline(always)]
-    fn metal(&self, albedo: f64) -> Gain {
+    pub(crate) fn metal(&self, albedo: T) -> Gain<T> {
         Gain::new(albedo, self.surface.reflected, self.surface.mean)
+    }
+
+    #[inline(always)]
+    fn matt(&self) -> T {
+        T::from_f64(1.0) - self.metallic
     }
 
     /// The mixture with an albedo, and its derivative by that.
     #[inline(always)]
-    pub(crate) fn mix(&self, albedo: f64, metal: &Gain) -> [Mix; 2] {
-        let (m, matt) = (self.metallic, 1.0 - self.metallic);
+    pub(crate) fn mix(&self, albedo: T, metal: &Gain<T>) -> [Mix<T>; 2] {
+        let (m, matt) = (self.metallic, self.matt());
         let ground = matt * self.ground;
         let mix = Mix {
             diffuse: matt * albedo * self.transmitted,
-            a: DIELECTRIC_F0 * ground + m * albedo * metal.value,
+            a: T::from_f64(DIELECTRIC_F0) * ground + m * albedo * metal.value,
             b: ground + m * metal.value,
         };
         let by_albedo = Mix {
@@ -299,24 +311,26 @@ impl Mixer {
 
     /// The derivative by metallic.
     #[inline(always)]
-    fn by_metallic(&self, albedo: f64, metal: &Gain) -> Mix {
+    fn by_metallic(&self, albedo: T, metal: &Gain<T>) -> Mix<T> {
+        let of = T::from_f64;
         Mix {
-            diffuse: -albedo * self.transmitted,
-            a: albedo * metal.value - DIELECTRIC_F0 * self.ground,
+            diffuse: of(0.0) - albedo * self.transmitted,
+            a: albedo * metal.value - of(DIELECTRIC_F0) * self.ground,
             b: metal.value - self.ground,
         }
     }
 
     /// The change with a change of the lobe.
     #[inline(always)]
-    fn along(&self, albedo: f64, metal: &Gain, change: &Surface) -> Mix {
-        let (m, matt) = (self.metallic, 1.0 - self.metallic);
+    fn along(&self, albedo: T, metal: &Gain<T>, change: &Surface<T>) -> Mix<T> {
+        let of = T::from_f64;
+        let (m, matt) = (self.metallic, self.matt());
         let ground = self.gain.along(change) * self.surface.glass + self.gain.value * change.glass;
         let reflected = ground * self.surface.dielectric + self.ground * change.dielectric;
         let metal = m * metal.along(change);
         Mix {
-            diffuse: -matt * albedo * reflected * FRAC_1_PI,
-            a: DIELECTRIC_F0 * matt * ground + albedo * metal,
+            diffuse: of(0.0) - matt * albedo * reflected * of(FRAC_1_PI),
+            a: of(DIELECTRIC_F0) * matt * ground + albedo * metal,
             b: matt * ground + metal,
         }
     }
@@ -371,7 +385,7 @@ fn dot(functions: &ByRow, by_row: &ByRow) -> f64 {
 
 /// What a change of kd, A and B is worth, given what their factors are.
 #[inline(always)]
-pub(crate) fn worth(mix: &Mix, [by_diffuse, by_a, by_b]: [f64; 3]) -> f64 {
+pub(crate) fn worth<T: Real>(mix: &Mix<T>, [by_diffuse, by_a, by_b]: [T; 3]) -> T {
     mix.diffuse * by_diffuse + mix.a * by_a + mix.b * by_b
 }
 

@@ -11,7 +11,7 @@ use crate::descent::Squares;
 use crate::principled::Principled;
 use crate::products::{PixelProducts, Products, pair};
 use crate::samples::{DERIVATIVES, FillResponses, Responses, Sums, UNKNOWNS, unknowns_of_channel};
-use crate::shade::{BlockFunctions, Reflection};
+use crate::shade::{ExactFunctions, Reflection};
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::turns::Tilts;
 
@@ -20,7 +20,7 @@ type Doubles = Plane<f64>;
 /// Models whose squares come from products.
 pub(crate) trait SquaresFromProducts: Reflection {
     /// Adds one channel's squares, gradient and matrix.
-    fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, C>) {
+    fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, Self, C>) {
         add_channel::<Self, C>(isa, channel);
     }
 }
@@ -28,10 +28,10 @@ pub(crate) trait SquaresFromProducts: Reflection {
 impl SquaresFromProducts for Principled {}
 
 /// One channel of a block.
-pub(crate) struct Channel<'a, const C: usize> {
+pub(crate) struct Channel<'a, M: Reflection, const C: usize> {
     pub(crate) directions: &'a Directions<f64>,
     pub(crate) products: &'a Products,
-    pub(crate) functions: &'a BlockFunctions,
+    pub(crate) functions: &'a ExactFunctions<M>,
     pub(crate) materials: &'a Materials<C>,
     pub(crate) channel: usize,
     /// Room for what a sample is made of.
@@ -41,10 +41,10 @@ pub(crate) struct Channel<'a, const C: usize> {
 }
 
 /// Squares from products, at the normals that these were summed at.
-pub(crate) struct Form<'a, M> {
+pub(crate) struct Form<'a, M: Reflection> {
     isa: Instructions,
     products: &'a PixelProducts,
-    functions: Box<BlockFunctions>,
+    functions: Box<ExactFunctions<M>>,
     responses: Responses,
     model: M,
 }
@@ -89,7 +89,7 @@ impl<M: SquaresFromProducts, const C: usize> Squares<C, UNKNOWNS> for Form<'_, M
 }
 
 /// Adds one channel, with all that a pixel sees.
-fn add_channel<M: Reflection, const C: usize>(isa: Instructions, channel: Channel<'_, C>) {
+fn add_channel<M: Reflection, const C: usize>(isa: Instructions, channel: Channel<'_, M, C>) {
     isa.run(FillResponses {
         directions: channel.directions,
         albedo: &channel.materials.albedo[channel.channel],
@@ -99,15 +99,11 @@ fn add_channel<M: Reflection, const C: usize>(isa: Instructions, channel: Channe
         responses: channel.responses,
         model: PhantomData::<M>,
     });
-    isa.run(AddChannel {
-        channel,
-        model: PhantomData::<M>,
-    });
+    isa.run(AddChannel { channel });
 }
 
-struct AddChannel<'a, M, const C: usize> {
-    channel: Channel<'a, C>,
-    model: PhantomData<M>,
+struct AddChannel<'a, M: Reflection, const C: usize> {
+    channel: Channel<'a, M, C>,
 }
 
 impl<M: Reflection, const C: usize> Kernel for AddChannel<'_, M, C> {

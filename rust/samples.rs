@@ -16,7 +16,7 @@ use crate::block::{
 };
 use crate::problem::Problem;
 use crate::sh::COEFFICIENTS;
-use crate::shade::{BlockFunctions, Factors, MAX_ROWS, Material, Reflection};
+use crate::shade::{ExactFunctions, Factors, MAX_ROWS, Material, Reflection};
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::tilted::{TILTS, Tilted};
 use crate::turns::Tilts;
@@ -85,7 +85,7 @@ pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
     directions: Directions<f64>,
     pub materials: Materials<C>,
     basis: Basis<f64>,
-    functions: Box<BlockFunctions>,
+    functions: Box<ExactFunctions<M>>,
     factors: [ChannelFactors<f64>; C],
     /// w_ck
     pub weights: Vec<[Doubles; COEFFICIENTS]>,
@@ -302,7 +302,7 @@ pub(crate) struct FillResponses<'a, M: Reflection> {
     pub(crate) albedo: &'a Doubles,
     pub(crate) roughness: &'a Doubles,
     pub(crate) metallic: &'a Doubles,
-    pub(crate) functions: &'a BlockFunctions,
+    pub(crate) functions: &'a ExactFunctions<M>,
     pub(crate) responses: &'a mut Responses,
     pub(crate) model: PhantomData<M>,
 }

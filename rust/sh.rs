@@ -1,6 +1,8 @@
 //! Real spherical harmonics up to l = 3.
 
-use std::ops::{Add, Mul, Sub};
+use std::ops::{Add, Div, Mul, Sub};
+
+use crate::lobe_table::Tabled;
 
 /// Number of basis functions, (l+1)² for l = 3.
 pub const COEFFICIENTS: usize = 16;
@@ -20,7 +22,15 @@ pub const COSINE_TRANSFER: [f64; 4] = {
 
 /// Precision of basis functions, weights and radiance.
 pub trait Real:
-    Copy + Default + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+    Copy
+    + Default
+    + Send
+    + Sync
+    + Tabled
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
 {
     /// Rounds.
     fn from_f64(value: f64) -> Self;

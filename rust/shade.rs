@@ -39,7 +39,10 @@ pub const MAX_FUNCTIONS: usize = 66;
 pub type ByRow = [f64; MAX_ROWS];
 
 /// The [functions](Reflection::Functions) of a block of pixels.
-pub type BlockFunctions = [Plane<f64>; MAX_FUNCTIONS];
+pub type BlockFunctions<T = f64> = [Plane<T>; MAX_FUNCTIONS];
+
+/// Those of a model M, where nothing is rounded.
+pub type ExactFunctions<M> = BlockFunctions<<M as Reflection>::Precision<f64>>;
 
 /// Material of one pixel with C colour channels; all numbers lie in \[0, 1\].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,21 +69,24 @@ pub trait Reflection: Copy + Debug + Default + Send + Sync + 'static {
     /// Factors of a pixel with C channels.
     type Factors<const C: usize>: Factors<C>;
 
+    /// What functions of blocks are kept in where factors are rounded to T.
+    type Precision<T: Real>: Real;
+
     /// The functions of one pixel at its clamped n·v.
     fn functions(cosine: f64, roughness: f64) -> Self::Functions;
 
     /// Fills in the functions of a block at its clamped n·v; derivatives by n·v only where they are
     /// asked for.
-    fn fill_functions<I: Isa>(
+    fn fill_functions<I: Isa, T: Real>(
         isa: I,
         cosine: &Plane<f64>,
         roughness: &Plane<f64>,
         by_cosine: bool,
-        functions: &mut BlockFunctions,
+        functions: &mut BlockFunctions<Self::Precision<T>>,
     );
 
     /// Those of one pixel of the block.
-    fn functions_of(functions: &BlockFunctions, pixel: usize) -> Self::Functions;
+    fn functions_of<P: Real>(functions: &BlockFunctions<P>, pixel: usize) -> Self::Functions;
 
     /// The factors of a material at its clamped n·v and functions.
     fn factors<const C: usize>(
@@ -108,7 +114,7 @@ pub trait Reflection: Copy + Debug + Default + Send + Sync + 'static {
     fn fill_factors<T: Real, const C: usize>(
         directions: &Directions<T>,
         materials: &Materials<C>,
-        functions: &BlockFunctions,
+        functions: &BlockFunctions<Self::Precision<T>>,
         factors: &mut [ChannelFactors<T>; C],
     ) {
         for x in 0..BLOCK {
@@ -127,7 +133,7 @@ pub trait Reflection: Copy + Debug + Default + Send + Sync + 'static {
     fn pull_back_block<const C: usize>(
         directions: &Directions,
         materials: &Materials<C>,
-        functions: &BlockFunctions,
+        functions: &BlockFunctions<Self::Precision<f32>>,
         sums: &[ChannelSums; C],
         scale: f64,
         gradient: &mut Materials<C>,

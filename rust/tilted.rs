@@ -9,12 +9,10 @@
 //!
 //! and the same for b. No picture changes it, so a sample costs a sum over k, as radiance does.
 
-use std::marker::PhantomData;
-
 use crate::block::{BLOCK, Basis, DIFFUSE, Directions, Materials, Plane};
 use crate::problem::Problem;
 use crate::sh::COEFFICIENTS;
-use crate::shade::{BlockFunctions, Factors, MAX_ROWS, Material, Reflection, each_entry};
+use crate::shade::{ExactFunctions, Factors, MAX_ROWS, Material, Reflection, each_entry};
 use crate::simd::{Instructions, Isa, Kernel};
 use crate::turns::{FillBasisSlopes, GivenDirections, Tilts, Turn, Turns};
 
@@ -105,7 +103,7 @@ impl Tilted {
         directions: &Directions<f64>,
         basis: &Basis<f64>,
         materials: &Materials<C>,
-        functions: &BlockFunctions,
+        functions: &ExactFunctions<M>,
     ) {
         let model = M::default();
         for (tilt, slopes) in self.slopes.iter_mut().enumerate() {
@@ -118,7 +116,7 @@ impl Tilted {
             });
         }
         for (albedo, weights) in materials.albedo.iter().zip(&mut self.weights) {
-            isa.run(FillWeightSlopes {
+            isa.run(FillWeightSlopes::<M> {
                 directions,
                 basis,
                 turns: &self.turns,
@@ -128,7 +126,6 @@ impl Tilted {
                 metallic: &materials.metallic,
                 functions,
                 weights,
-                model: PhantomData::<M>,
             });
         }
     }
@@ -143,9 +140,8 @@ struct FillWeightSlopes<'a, M: Reflection> {
     albedo: &'a Doubles,
     roughness: &'a Doubles,
     metallic: &'a Doubles,
-    functions: &'a BlockFunctions,
+    functions: &'a ExactFunctions<M>,
     weights: &'a mut [[Doubles; COEFFICIENTS]; TILTS],
-    model: PhantomData<M>,
 }
 
 impl<M: Reflection> Kernel for FillWeightSlopes<'_, M> {

@@ -299,7 +299,7 @@ pub struct PullBackTurns<'a, M: Reflection, const C: usize, const K: usize> {
     /// What they are made of.
     pub materials: &'a Materials<C>,
     /// The functions of their roughness and n·v, with derivatives by n·v.
-    pub functions: &'a BlockFunctions,
+    pub functions: &'a BlockFunctions<M::Precision<f32>>,
     /// The adjoint of the factors.
     pub sums: &'a [ChannelSums; C],
     /// The adjoint of the basis functions.

@@ -1,4 +1,4 @@
-"""The 20 lobe functions a_j, b_j of the principled model and its mean reflectance, by quadrature.
+"""The lobe functions of the principled model by quadrature: a_j, b_j, kappa, and Ebar.
 
 In a pixel's frame (z the normal, view direction v and mirror direction in the xz-plane, x towards
 the mirror's side), with alpha = r², GGX D, height-correlated Smith V and x = n·v,
@@ -8,6 +8,10 @@ the mirror's side), with alpha = r², GGX D, height-correlated Smith V and x = n
 over n·l > 0, for the ten real spherical harmonics l ≤ 3 that are even in y, j = l(l+1)/2 + m with
 0 ≤ m ≤ l. Both are given divided by sinᵐ, sin² = 1 − x², which leaves smooth functions of x up to
 x = 1. Ebar = 2 ∫ E x dx with E = 2√π (a_0 + b_0), the part of uniform light that is reflected.
+
+kappa = g/(0.04 a_0 + b_0) with g = ∫ D V n·l F(v·h) Y_0 dl, F by Fresnel's equations for a
+refractive index of 1.5: what a dielectric reflects of uniform light, over what it would with
+Schlick's approximation.
 
 The half vector h = (sin θ cos φ, sin θ sin φ, cos θ) is what is integrated over: dl = 4 v·h dh, and
 D n·h dh = dφ/2π du with tan² θ = alpha² u/(1−u). With n·v = cos θ_v, n·l is
@@ -32,6 +36,19 @@ ORDER = np.array([0, 0, 1, 0, 1, 2, 0, 1, 2, 3])
 
 NEAR_NORMAL = 0.95
 """Above, functions of x are interpolated: dividing by sinᵐ would lose digits."""
+
+REFRACTIVE_INDEX = 1.5
+DIELECTRIC_F0 = ((REFRACTIVE_INDEX - 1) / (REFRACTIVE_INDEX + 1)) ** 2
+"""0.04"""
+
+
+def fresnel(cosine: Array) -> Array:
+    """Reflectance of a dielectric, mean of both polarisations, by Fresnel's equations."""
+    inside = np.sqrt(REFRACTIVE_INDEX**2 - 1 + cosine * cosine)  # n times the cosine inside
+    across = (cosine - inside) / (cosine + inside)
+    index = REFRACTIVE_INDEX**2
+    along = (index * cosine - inside) / (index * cosine + inside)
+    return 0.5 * (across * across + along * along)
 
 
 def harmonics(x: Array, z: Array) -> Array:
@@ -76,14 +93,14 @@ class Quadrature:
         self._near_normal = 0.8 + 0.2 * nodes
 
     def functions(self, r: float, x: float) -> Array:
-        """(20,): the ten a_j/sinᵐ and ten b_j/sinᵐ at roughness r and x = n·v."""
+        """(21,): ten a_j/sinᵐ, ten b_j/sinᵐ and kappa at roughness r and x = n·v."""
         if x <= NEAR_NORMAL:
             return self._direct(r, x)
         return self.along_cosine(r, np.array([x]))[0]
 
     def along_cosine(self, r: float, xs: Array) -> Array:
-        """(X, 20) for one roughness."""
-        values = np.empty((len(xs), 20))
+        """(X, 21) for one roughness."""
+        values = np.empty((len(xs), 21))
         near = xs > NEAR_NORMAL
         if near.any():
             known = np.array([self._direct(r, x) for x in self._near_normal])
@@ -107,11 +124,14 @@ class Quadrature:
             at_mirror = harmonics(np.array(sine), np.array(x))
             grazing = (1 - x) ** 5
             lobes = np.concatenate(((1 - grazing) * at_mirror, grazing * at_mirror))
+            glass = fresnel(np.array(x)) * at_mirror[0]
         else:
-            lobes = self._integrals(r * r, x, sine)
-        return lobes / sine ** np.concatenate((ORDER, ORDER))
+            lobes, glass = self._integrals(r * r, x, sine)
+        kappa = glass / (DIELECTRIC_F0 * lobes[0] + lobes[10])
+        return np.append(lobes / sine ** np.concatenate((ORDER, ORDER)), kappa)
 
-    def _integrals(self, alpha: float, x: float, sine: float) -> Array:
+    def _integrals(self, alpha: float, x: float, sine: float) -> tuple[Array, Array]:
+        """a_j and b_j, (20,), and kappa's numerator."""
         y, weight, cut = self._polar(alpha, x)
         # θ from tan θ = alpha sinh y
         tangent = alpha * np.sinh(y)
@@ -135,9 +155,8 @@ class Quadrature:
         weight = weight * 2 * z * v_h / (cos * (z * to_view + x * np.sqrt(z * z * (1 - e) + e)))
         basis = harmonics(lx.ravel(), z.ravel())
         bias = np.maximum(1 - v_h, 0) ** 5
-        return np.concatenate(
-            (basis @ (weight * (1 - bias)).ravel(), basis @ (weight * bias).ravel())
-        )
+        lobes = (basis @ (weight * (1 - bias)).ravel(), basis @ (weight * bias).ravel())
+        return np.concatenate(lobes), basis[0] @ (weight * fresnel(v_h)).ravel()
 
     def _polar(self, alpha: float, x: float) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Nodes y, their weights, and whether the horizon cuts their circle."""

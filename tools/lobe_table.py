@@ -4,14 +4,14 @@
     python tools/lobe_table.py --check      the table as it is: its errors, and five samples
     python tools/lobe_table.py --samples    write tests/data/lobe_samples.json, by quadrature alone
 
-Needs numpy. The functions are those of lobe_integrals.py: ten a_j/sinᵐ, ten b_j/sinᵐ, then Ebar(r).
-They are C² splines, uniform in s(r) and t(x), x = n·v, both of the form
+Needs numpy. The functions are those of lobe_integrals.py: ten a_j/sinᵐ, ten b_j/sinᵐ, Ebar(r),
+then kappa. They are C² splines, uniform in s(r) and t(x), x = n·v, both of the form
 
     s(r) = w (1+c) r/(r+c) + (1−w) r        s(0) = 0, s(1) = 1, slope finite everywhere
 
 with many knots where the functions change most, alpha near x. The file is little-endian: 8 bytes
 "PBRLOBE1"; the numbers of cells by s and by t (uint32); c and w of s, c and w of t (float32); then
-float32 coefficients [cells_s + 3][cells_t + 3][24], 21 functions and three zeros. Cell i of an axis
+float32 coefficients [cells_s + 3][cells_t + 3][24], 22 functions and two zeros. Cell i of an axis
 takes coefficients i to i+3 with the weights of the uniform cubic B-spline.
 """
 
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from lobe_integrals import ORDER, Array, Quadrature
+from lobe_integrals import DIELECTRIC_F0, ORDER, Array, Quadrature
 
 ROOT = Path(__file__).resolve().parent.parent
 TABLE = ROOT / "rust" / "lobe_table.bin"
@@ -33,7 +33,8 @@ SAMPLES = ROOT / "tests" / "data" / "lobe_samples.json"
 
 MAGIC = b"PBRLOBE1"
 HEADER = struct.Struct("<8s2I4f")
-FUNCTIONS = 21
+FUNCTIONS = 22
+MEAN, KAPPA = 20, 21
 STRIDE = 24
 
 LEAST_COSINE = 1e-4
@@ -95,14 +96,14 @@ BY_COSINE = Axis(36, 0.01953125, 0.625)
 
 @dataclass(frozen=True)
 class Table:
-    """The splines: coefficients (cells_s + 3, cells_t + 3, 21)."""
+    """The splines: coefficients (cells_s + 3, cells_t + 3, 22)."""
 
     s: Axis
     t: Axis
     coefficients: Array
 
     def grid(self, r: Array, x: Array, by_r: bool = False, by_x: bool = False) -> Array:
-        """(R, X, 21) values, or derivatives, at all pairs."""
+        """(R, X, 22) values, or derivatives, at all pairs."""
         return np.einsum(
             "ai,bj,ijk->abk",
             self.s.weights(r, by_r),
@@ -141,6 +142,22 @@ def reflectance(values: Array) -> Array:
     return 2 * np.sqrt(np.pi) * (values[..., 0] + values[..., 10])
 
 
+def dielectric_reflectance(values: Array) -> Array:
+    """What a dielectric reflects of uniform light, multiple scattering included (docs/model.md)."""
+    f0 = DIELECTRIC_F0
+    once = 2 * np.sqrt(np.pi) * values[..., KAPPA] * (f0 * values[..., 0] + values[..., 10])
+    e, mean = reflectance(values), values[..., MEAN]
+    fresnel_mean = f0 + (1 - f0) / 21
+    again = fresnel_mean * mean / (1 - fresnel_mean * (1 - mean))
+    return (1 + again * (1 - e) / e) * once
+
+
+def with_mean(functions: Array, mean: Array) -> Array:
+    """The order of the table: Ebar goes before kappa."""
+    parts = (functions[..., :MEAN], mean[..., None], functions[..., MEAN:])
+    return np.concatenate(parts, axis=-1)
+
+
 def fit() -> Table:
     """Least squares at several samples a cell, first along x, then along r."""
     s, t = BY_ROUGHNESS, BY_COSINE
@@ -157,8 +174,8 @@ def fit() -> Table:
         rcond=None,
     )[0].reshape(t.cells + 3, len(r), -1)
     mean = np.array([quadrature.mean_reflectance(roughness) for roughness in r])
-    mean = np.broadcast_to(mean[None, :, None], (t.cells + 3, len(r), 1))
-    targets = np.concatenate((along_x, mean), axis=2).transpose(1, 0, 2).reshape(len(r), -1)
+    along_x = with_mean(along_x, np.broadcast_to(mean, along_x.shape[:2]))
+    targets = along_x.transpose(1, 0, 2).reshape(len(r), -1)
 
     known = MIRROR_COEFFICIENTS
     weights = s.weights(r)
@@ -167,7 +184,7 @@ def fit() -> Table:
     coefficients = np.concatenate((mirror, rest)).reshape(s.cells + 3, t.cells + 3, FUNCTIONS)
 
     few = coefficients[:BOUNDED_COEFFICIENTS]
-    few[..., :20] /= np.maximum(reflectance(few), 1)[..., None]
+    few[..., :MEAN] /= np.maximum(reflectance(few), 1)[..., None]
     return Table(s, t, coefficients.astype(np.float32).astype(np.float64))
 
 
@@ -175,11 +192,11 @@ def fit() -> Table:
 
 
 def exact(quadrature: Quadrature, r: float, x: Array) -> tuple[Array, Array, Array]:
-    """The functions and their derivatives by r and by x, each (X, 21), by quadrature."""
+    """The functions and their derivatives by r and by x, each (X, 22), by quadrature."""
 
     def at(roughness: float) -> Array:
-        mean = np.full((len(x), 1), quadrature.mean_reflectance(roughness))
-        return np.hstack((quadrature.along_cosine(roughness, x), mean))
+        mean = np.full(len(x), quadrature.mean_reflectance(roughness))
+        return with_mean(quadrature.along_cosine(roughness, x), mean)
 
     # Analytic in r from 0 to 2r and beyond 1; in x from 0 on and, divided by sinᵐ, at 1.
     value = at(r)
@@ -189,7 +206,8 @@ def exact(quadrature: Quadrature, r: float, x: Array) -> tuple[Array, Array, Arr
     by_x = np.zeros_like(value)
     for i, cosine in enumerate(x):
         begin, end = (0.85 * cosine, 1.15 * cosine) if 1.15 * cosine < 1 else (0.8 * cosine, 1.0)
-        by_x[i, :-1] = slope(lambda nodes: quadrature.along_cosine(r, nodes), cosine, begin, end)
+        along = slope(lambda nodes: quadrature.along_cosine(r, nodes), cosine, begin, end)
+        by_x[i] = with_mean(along, np.array(0.0))
     return value, by_r, by_x
 
 
@@ -211,7 +229,7 @@ def print_errors(table: Table) -> None:
     bound = np.array(RESOLVED_COSINE)
     r = np.concatenate(([0.02, 1.0], s.inverse(draw.uniform(float(s.at(bound)), 1, 60))))
     x = np.concatenate(([0.02, 1.0], t.inverse(draw.uniform(float(t.at(bound)), 1, 40))))
-    sine = np.sqrt(1 - x * x)[:, None] ** np.concatenate((ORDER, ORDER, [0]))
+    sine = np.sqrt(1 - x * x)[:, None] ** np.concatenate((ORDER, ORDER))
     found = (table.grid(r, x), table.grid(r, x, by_r=True), table.grid(r, x, by_x=True))
     miss = [
         [np.abs(of[i] - true) for of, true in zip(found, exact(quadrature, q, x), strict=True)]
@@ -221,8 +239,11 @@ def print_errors(table: Table) -> None:
     for name, part in zip(
         ("value", "d/dr", "d/dn·v"), np.moveaxis(np.array(miss), 1, 0), strict=True
     ):
-        of_mean = part[..., -1].max()
-        print(f"  {name:7} {(sine * part).max():.1e} ({part.max():.1e}); Ebar {of_mean:.1e}")
+        lobes, mean, kappa = np.split(part, (MEAN, KAPPA), axis=-1)
+        print(
+            f"  {name:7} {(sine * lobes).max():.1e} ({lobes.max():.1e}); "
+            f"Ebar {mean.max():.1e}, kappa {kappa.max():.1e}"
+        )
 
     def dense(axis: Axis, low: float, high: float) -> Array:
         begin, end = axis.at(np.array([low, high]))
@@ -230,19 +251,28 @@ def print_errors(table: Table) -> None:
 
     r, x = dense(s, 0, 0.25), dense(t, LEAST_COSINE, 0.05)
     truth = np.array([quadrature.along_cosine(roughness, x) for roughness in r])
-    wrong = np.abs(table.grid(r, x)[..., :20] - truth).max(axis=2)
+    wrong = np.abs(np.delete(table.grid(r, x), MEAN, axis=2) - truth)
     print(
-        "r <= 0.25, n·v <= 0.05: largest error where n·v is at least (columns), r at least (rows)"
+        "r <= 0.25, n·v <= 0.05, largest error where n·v is at least (columns), r at least (rows)"
     )
+    print("a_j and b_j:")
+    print_corner(wrong[..., :MEAN].max(axis=2), r, x)
+    print(f"kappa, which is {truth[..., MEAN].min():.3f} to {truth[..., MEAN].max():.3f} there:")
+    print_corner(wrong[..., MEAN], r, x)
+    values = table.grid(dense(s, 0, 1), dense(t, LEAST_COSINE, 1))
+    e, of_dielectric = reflectance(values), dielectric_reflectance(values)
+    least = values[..., [0, 10]].min()
+    print(f"E from {e.min():.6f} to 1 + {e.max() - 1:.1e}; least a_0 or b_0 {least:.1e}")
+    print(f"M(0.04) E_d from {of_dielectric.min():.6f} to 1 + {of_dielectric.max() - 1:.1e}")
+
+
+def print_corner(wrong: Array, r: Array, x: Array) -> None:
+    """Errors (R, X) near r = 0 and n·v = 0."""
     cosines = (1e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02)
     print("       " + "".join(f"{cosine:9}" for cosine in cosines))
     for roughness in (0, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2):
         part = [wrong[np.ix_(r >= roughness, x >= cosine)].max() for cosine in cosines]
         print(f"  {roughness:5}" + "".join(f"{value:9.0e}" for value in part))
-    values = table.grid(dense(s, 0, 1), dense(t, LEAST_COSINE, 1))
-    e = reflectance(values)
-    least = values[..., [0, 10]].min()
-    print(f"E from {e.min():.6f} to 1 + {e.max() - 1:.1e}; least a_0 or b_0 {least:.1e}")
 
 
 def samples() -> list[dict[str, object]]:
@@ -267,7 +297,7 @@ def write_samples(path: Path) -> None:
     """One row a line."""
     about = (
         "Lobe functions of the principled model by quadrature (tools/lobe_integrals.py): ten "
-        "a_j/sin^m, ten b_j/sin^m, Ebar; and their derivatives by roughness and by n.v"
+        "a_j/sin^m, ten b_j/sin^m, Ebar, kappa; and their derivatives by roughness and by n.v"
     )
     lines = ",\n".join(json.dumps(row, separators=(",", ":")) for row in samples())
     path.write_text(f'{{"about":{json.dumps(about)},\n"rows":[\n{lines}\n]}}\n', encoding="utf-8")

@@ -21,13 +21,13 @@ use crate::simd::{Instructions, Isa, Kernel};
 type Doubles = Plane<f64>;
 
 impl SquaresFromProducts for Paper {
-    fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, C>) {
+    fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, Self, C>) {
         isa.run(AddChannel(channel));
     }
 }
 
 /// Adds one channel's squares, gradient and matrix, from its products.
-struct AddChannel<'a, const C: usize>(Channel<'a, C>);
+struct AddChannel<'a, const C: usize>(Channel<'a, Paper, C>);
 
 /// Products of S and S' at the roughness of each pixel.
 #[derive(Default)]

@@ -60,7 +60,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     // Under the interpreter lock, without which nobody forks: a child that was forked while another
     // thread makes the table would wait for it for ever.
     LazyLock::force(&band_table::TABLE);
-    LazyLock::force(&lobe_table::TABLE);
+    lobe_table::prepare();
     // Numpy's functions are looked up when first used, where a Ctrl-C would become a panic.
     module.py().import("numpy")?;
     PyArray1::<f64>::zeros(module.py(), 0, false);
