@@ -74,5 +74,7 @@ def draw(found: Sequence[Outcome], mean: Callable[[Outcome, Recipe, str], Mean])
     handles += panels[0].plot(
         [], [], _PAPER[1], color=_PAPER[0], label="the paper's number (other scenes)"
     )
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=-(-len(handles) // 2), frameon=False
+    )
     return as_png(figure, dpi=110)
