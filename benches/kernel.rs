@@ -315,7 +315,12 @@ fn directional(c: &mut Criterion) {
     group.sample_size(20);
     let example = Example::new(256 * 256, 1);
     let materials = example.materials();
-    for lights in [1, 16] {
+    for (model, lights) in [
+        (Model::Paper, 1),
+        (Model::Paper, 16),
+        (Model::Principled, 1),
+        (Model::Principled, 16),
+    ] {
         let lights: Vec<DirectionalLight> = (0..lights)
             .map(|i| DirectionalLight {
                 direction: DVec3::new(wave(i, 0.7) - 0.5, wave(i, 1.3) - 0.5, 0.5).normalize(),
@@ -325,13 +330,13 @@ fn directional(c: &mut Criterion) {
         group.throughput(Throughput::Elements((256 * 256 * lights.len()) as u64));
         for threads in [1, 2] {
             let id = BenchmarkId::new(
-                format!("{threads} threads"),
+                format!("{model:?}, {threads} threads"),
                 format!("{} lights", lights.len()),
             );
             group.bench_function(id, |b| {
                 b.iter(|| {
                     let Example { normals, views, .. } = &example;
-                    render_directional(normals, views, &materials, &lights, threads).unwrap()
+                    render_directional(normals, views, &materials, &lights, threads, model).unwrap()
                 });
             });
         }

@@ -1,13 +1,18 @@
-//! Light from single directions with the full reflection model: relighting by lamps and the sun.
+//! Light from single directions with the full reflection models: relighting by lamps and the sun.
 //!
-//! SH light cannot hold a sharp lamp, so nothing here is projected. The paper's eqs. 1 and 3-5 are
-//! evaluated as they are, without the approximations of eq. 12 that [`shade`](crate::shade) makes.
+//! SH light cannot hold a sharp lamp, so nothing here is projected: reflection is evaluated point by
+//! point. Of the paper that is eqs. 1 and 3-5 as they are, without the approximations of eq. 12 that
+//! [`shade`](crate::shade) makes; of the principled model the BRDF whose integral over SH light
+//! `shade` has.
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
 use glam::DVec3;
 
 use crate::ggx::{DIELECTRIC_F0, MIN_COSINE, schlick, smith_g1};
+use crate::lobe_table;
+use crate::model::Model;
+use crate::principled::{self, Mixer};
 use crate::render::pictures;
 use crate::shade::Material;
 use crate::{Result, check};
@@ -28,20 +33,138 @@ pub struct DirectionalLight {
     pub color: [f64; 3],
 }
 
-/// Radiance of one pixel under unit light from `light`: π f_r (n·l) by channel.
+/// Radiance of one pixel under unit light from a direction: π f_r (n·l) by channel.
 ///
-/// Light of irradiance π on a surface that faces it is L(l') = π δ(l'−l), so that eq. 1 gives
+/// Light of irradiance π on a surface that faces it is L(l') = π δ(l'−l), so that the paper's eq. 1
+/// gives
 ///
 /// ```text
-/// I = ∫ f_r(v, l') L(l') (n·l') dl' = π f_r(v, l) (n·l),      0 where n·l ≤ 0
-/// f_r = (1−F)(1−m) ρ/π + D F G₁(n·v) G₁(n·l) / (4 (n·v)(n·l)),   h = (v+l)/|v+l|      (3)
+/// I = ∫ f_r(v, l') L(l') (n·l') dl' = π f_r(v, l) (n·l),      0 where n·l ≤ 0,   h = (v+l)/|v+l|
+/// ```
+///
+/// with, as the paper has it,
+///
+/// ```text
+/// f_r = (1−F)(1−m) ρ/π + D F G₁(n·v) G₁(n·l) / (4 (n·v)(n·l))                         (3)
 /// D = α² / (π ((n·h)²(α²−1) + 1)²)                              α = r²                (4)
 /// F = F0 + (1−F0)(1−v·h)⁵,  F0 = 0.04(1−m) + mρ                                       (5)
 /// ```
 ///
+/// and as the principled model has it, with kd and M of [`principled`], Fresnel's equations F_g of
+/// glass, and the height-correlated Smith masking V = G/(4 (n·v)(n·l)) (E. Heitz, "Understanding the
+/// masking-shadowing function in microfacet-based BRDFs", JCGT 2014, eq. 99),
+///
+/// ```text
+/// f_r = kd + D V ((1−m) M(0.04) F_g(v·h) + m M(ρ) F(v·h))       F = ρ + (1−ρ)(1−v·h)⁵
+/// V   = ½ / ((n·l) √((n·v)²(1−α²) + α²) + (n·v) √((n·l)²(1−α²) + α²)).
+/// ```
+///
+/// As elsewhere n·v is at least [`MIN_COSINE`].
+pub struct Surface<'a> {
+    normal: DVec3,
+    view: DVec3,
+    material: &'a Material,
+    n_dot_v: f64,
+    alpha: f64,
+    kind: Kind,
+}
+
+/// What of a surface no light changes.
+enum Kind {
+    Paper,
+    /// Of each channel kd, and by what the dielectric's and the metal's lobe are multiplied.
+    Principled([[f64; 3]; 3]),
+}
+
+impl<'a> Surface<'a> {
+    /// From unit normal and unit view direction (surface to camera).
+    pub fn new(model: Model, normal: DVec3, view: DVec3, material: &'a Material) -> Self {
+        let n_dot_v = normal.dot(view).max(MIN_COSINE);
+        let kind = match model {
+            Model::Paper => Kind::Paper,
+            Model::Principled => Kind::Principled(parts(n_dot_v, material)),
+        };
+        Self {
+            normal,
+            view,
+            material,
+            n_dot_v,
+            alpha: material.roughness * material.roughness,
+            kind,
+        }
+    }
+
+    /// Radiance under unit light from `light`, a unit vector from the surface.
+    #[inline]
+    pub fn reflected(&self, light: DVec3) -> [f64; 3] {
+        let n_dot_l = self.normal.dot(light);
+        let bisector = self.view + light;
+        // From straight behind there is no half vector, and below the smallest normal number
+        // quotients of masking overflow.
+        if n_dot_l < f64::MIN_POSITIVE || bisector == DVec3::ZERO {
+            return [0.0; 3];
+        }
+        let half = bisector.normalize();
+        let cosine = self.view.dot(half).clamp(0.0, 1.0);
+        let grazing = schlick(cosine);
+        let distribution = distribution(self.normal, half, self.alpha);
+        let n_dot_v = self.n_dot_v;
+        match &self.kind {
+            Kind::Paper => {
+                let Material {
+                    albedo,
+                    roughness,
+                    metallic,
+                } = *self.material;
+                let (masking_v, _) = smith_g1(n_dot_v, roughness);
+                let (masking_l, _) = smith_g1(n_dot_l, roughness);
+                // π D G₁ G₁ / (4 (n·v)(n·l)) · (n·l)
+                let lobe = PI * distribution * masking_v * masking_l / (4.0 * n_dot_v);
+                let matt = 1.0 - metallic;
+                albedo.map(|rho| {
+                    let f0 = DIELECTRIC_F0 * matt + metallic * rho;
+                    let fresnel = f0 + (1.0 - f0) * grazing;
+                    (1.0 - fresnel) * matt * rho * n_dot_l + fresnel * lobe
+                })
+            }
+            Kind::Principled(parts) => {
+                // π D V · (n·l)
+                let lobe = PI * distribution * masked_cosine(n_dot_v, n_dot_l, self.alpha);
+                let glass = glass(cosine);
+                let mut reflected = [0.0; 3];
+                for c in 0..3 {
+                    let ([ground, dielectric, metal], rho) = (parts[c], self.material.albedo[c]);
+                    let fresnel = dielectric * glass + metal * (rho + (1.0 - rho) * grazing);
+                    reflected[c] = PI * ground * n_dot_l + lobe * fresnel;
+                }
+                reflected
+            }
+        }
+    }
+}
+
+/// See [`Kind::Principled`].
+fn parts(n_dot_v: f64, material: &Material) -> [[f64; 3]; 3] {
+    let [values, _, _] = lobe_table::values(material.roughness, n_dot_v);
+    let mixer = Mixer::new(material.metallic, principled::Surface::of(|f| values[f]));
+    material.albedo.map(|rho| mixer.parts(rho))
+}
+
+/// Fresnel's equations for unpolarised light at an index of refraction of 1.5, 0.04 head on.
+#[inline]
+fn glass(cosine: f64) -> f64 {
+    // In the form of R. L. Cook, K. E. Torrance, "A reflectance model for computer graphics", 1982,
+    // with g = √(1.5² − 1 + c²).
+    let c = cosine;
+    let g = (1.25 + c * c).sqrt();
+    let (across, along) = ((g - c) / (g + c), (c * (g + c) - 1.0) / (c * (g - c) + 1.0));
+    0.5 * across * across * (1.0 + along * along)
+}
+
+/// D of the angle θ between n and h.
+///
 /// The root of D cancels where α is small: 1 − (n·h)² has lost all digits at the angles where a
-/// narrow lobe lives. With θ between n and h it is (n·h)²(α²−1) + 1 = sin²θ + α² cos²θ, and sin θ =
-/// |n×h| keeps its digits:
+/// narrow lobe lives. But (n·h)²(α²−1) + 1 = sin²θ + α² cos²θ, and sin θ = |n×h| keeps its digits:
 ///
 /// ```text
 /// D = (α / (sin²θ + α² cos²θ))² / π.
@@ -50,37 +173,23 @@ pub struct DirectionalLight {
 /// At θ = 0 this is 1/(πα²), which overflows. But rounded unit vectors that are equal may differ by
 /// ε = 2⁻⁵², and so sin θ counts as no less than that. D stays below 1/(4πε²), a lobe with α ≫ ε is
 /// as it was, and narrower ones fade to what a mirror shows of a point, nothing.
-///
-/// As elsewhere n·v is at least [`MIN_COSINE`].
 #[inline]
-pub fn reflected(normal: DVec3, view: DVec3, material: &Material, light: DVec3) -> [f64; 3] {
-    let n_dot_l = normal.dot(light);
-    let bisector = view + light;
-    // From straight behind there is no half vector, and below the smallest normal number G₁'s
-    // quotient overflows.
-    if n_dot_l < f64::MIN_POSITIVE || bisector == DVec3::ZERO {
-        return [0.0; 3];
-    }
-    let n_dot_v = normal.dot(view).max(MIN_COSINE);
-    let half = bisector.normalize();
-    let grazing = schlick(view.dot(half).clamp(0.0, 1.0));
-
-    let alpha = material.roughness * material.roughness;
+fn distribution(normal: DVec3, half: DVec3, alpha: f64) -> f64 {
     let cosine = normal.dot(half);
     let sine2 = normal.cross(half).length_squared();
     let spread = sine2.max(f64::EPSILON * f64::EPSILON) + alpha * alpha * cosine * cosine;
     let root = alpha / spread;
-    let distribution = FRAC_1_PI * root * root;
-    let (masking_v, _) = smith_g1(n_dot_v, material.roughness);
-    let (masking_l, _) = smith_g1(n_dot_l, material.roughness);
-    // π D G₁ G₁ / (4 (n·v)(n·l)) · (n·l)
-    let lobe = PI * distribution * masking_v * masking_l / (4.0 * n_dot_v);
-    let matt = 1.0 - material.metallic;
-    material.albedo.map(|rho| {
-        let f0 = DIELECTRIC_F0 * matt + material.metallic * rho;
-        let fresnel = f0 + (1.0 - f0) * grazing;
-        (1.0 - fresnel) * matt * rho * n_dot_l + fresnel * lobe
-    })
+    FRAC_1_PI * root * root
+}
+
+/// V (n·l) of the principled model, at most 1/(4 n·v).
+///
+/// (n·l)²(1−α²) + α² is (n·l)² + α² (1−(n·l)²), whose terms may both underflow; a root that is taken
+/// of neither does not.
+#[inline]
+fn masked_cosine(n_dot_v: f64, n_dot_l: f64, alpha: f64) -> f64 {
+    let slanted = |x: f64| x.hypot(alpha * ((1.0 - x) * (1.0 + x)).max(0.0).sqrt());
+    0.5 * n_dot_l / (n_dot_l * slanted(n_dot_v) + n_dot_v * slanted(n_dot_l))
 }
 
 /// Radiance of every pixel under every light: (light, pixel, channel).
@@ -92,6 +201,7 @@ pub fn render_directional(
     materials: &[Material],
     lights: &[DirectionalLight],
     threads: usize,
+    model: Model,
 ) -> Result<Vec<f64>> {
     let pixels = normals.len();
     check::length("views", pixels, views.len())?;
@@ -103,11 +213,15 @@ pub fn render_directional(
         check::moderate("colors", &light.color, LARGEST_COLOR)?;
     }
     pictures(lights.len(), pixels, PIECE, threads, |first, parts| {
-        for (light, part) in lights.iter().zip(parts) {
-            let pixels = part.as_chunks_mut::<3>().0.iter_mut();
-            for (p, pixel) in (first..).zip(pixels) {
-                let unit = reflected(normals[p], views[p], &materials[p], light.direction);
-                *pixel = [0, 1, 2].map(|c| unit[c] * light.color[c]);
+        let count = parts.first().map_or(0, |part| part.len() / 3);
+        for i in 0..count {
+            let p = first + i;
+            let surface = Surface::new(model, normals[p], views[p], &materials[p]);
+            for (light, part) in lights.iter().zip(parts.iter_mut()) {
+                let unit = surface.reflected(light.direction);
+                for c in 0..3 {
+                    part[3 * i + c] = unit[c] * light.color[c];
+                }
             }
         }
     })

@@ -27,7 +27,7 @@
 //! | [`reduced`] | lights with the pixels solved for: the Schur complement, as a matrix or applied |
 //! | [`lbfgs`] | a bounded quasi-Newton method's vectors: pairs, their products, directions |
 //! | [`render`] | all pixels: radiance in float64 |
-//! | [`directional`] | the same under light from single directions, with the full reflection model |
+//! | [`directional`] | the same under light from single directions, with either model's full BRDF |
 //! | [`image_file`] | picture files |
 
 mod arrow;

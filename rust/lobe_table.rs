@@ -34,6 +34,11 @@ const HEADER: usize = 32;
 
 static FILE: &[u8; HEADER + 4 * IN_FILE * KNOTS[0] * KNOTS[1]] = include_bytes!("lobe_table.bin");
 
+/// The table as `tools/lobe_table.py` wrote it.
+pub fn file() -> &'static [u8] {
+    FILE
+}
+
 /// All functions, or a derivative of them; what follows them is nothing.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]

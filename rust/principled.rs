@@ -309,6 +309,16 @@ impl<T: Real> Mixer<T> {
         [mix, by_albedo]
     }
 
+    /// kd, and by what the dielectric's and the metal's lobe are multiplied.
+    pub(crate) fn parts(&self, albedo: T) -> [T; 3] {
+        let (m, matt) = (self.metallic, self.matt());
+        [
+            matt * albedo * self.transmitted,
+            matt * self.gain.value,
+            m * self.metal(albedo).value,
+        ]
+    }
+
     /// The derivative by metallic.
     #[inline(always)]
     fn by_metallic(&self, albedo: T, metal: &Gain<T>) -> Mix<T> {

@@ -90,7 +90,7 @@ def main() -> None:
         {"outside the mask": (OUTSIDE,) * 3},
     )
     path = REPOSITORY / "docs" / "images" / "export-blender.png"
-    images.write_png(path, sheet(rows, key=key), tag="srgb")
+    images.write_png(path, sheet(rows, keys=[key]), tag="srgb")
     print(f"\nfigure: {path}")
 
 

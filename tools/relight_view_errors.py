@@ -2,6 +2,8 @@
 
     python tools/relight_view_errors.py RESULT PANORAMA.hdr...
 
+RESULT is shown by either model, and so are random materials.
+
 Needs playwright and a Chromium, as the tests do, whose helpers it uses.
 """
 
@@ -10,6 +12,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "python"))
 from browser import launched
 from pbrfit import Result, panorama
 from pbrfit.display import ToneMap
+from pbrfit.model import MODELS
 from relight_view import View, expected, made, opened
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -32,7 +36,12 @@ SHOWN: list[tuple[float, ToneMap]] = [(0.0, "none"), (1.5, "neutral")]
 def main() -> None:
     """Print the table as Markdown."""
     folder, *files = map(Path, sys.argv[1:])
-    results = {str(folder): Result.load(folder), "random": made(*RANDOM_SIZE)}
+    maps = {str(folder): Result.load(folder), "random": made(*RANDOM_SIZE)}
+    results = {
+        f"{name}, {model}": replace(result, model=model)
+        for name, result in maps.items()
+        for model in MODELS
+    }
     print("| maps | light | samples | mean | largest | share above 2 |\n|---|---|---|---|---|---|")
     with launched() as browser, tempfile.TemporaryDirectory() as place:
         for name, result in results.items():

@@ -26,6 +26,7 @@ __all__ = [
     "image_format",
     "last_word",
     "lobe_functions",
+    "lobe_table",
     "render",
     "render_directional",
     "sh_basis",
@@ -46,6 +47,7 @@ def lobe_functions(
     r: NDArray[np.float64],
     cosine: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+def lobe_table() -> bytes: ...
 def shade(
     normal: NDArray[np.float64],
     view: NDArray[np.float64],

@@ -7,6 +7,7 @@ use numpy::{
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
 use crate::directional::{DirectionalLight, render_directional as render_directional_pixels};
@@ -26,6 +27,7 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(sh_basis, module)?)?;
     module.add_function(wrap_pyfunction!(ggx_band_weights, module)?)?;
     module.add_function(wrap_pyfunction!(lobe_functions, module)?)?;
+    module.add_function(wrap_pyfunction!(lobe_table_file, module)?)?;
     module.add_function(wrap_pyfunction!(shade, module)?)?;
     module.add_function(wrap_pyfunction!(shade_vjp, module)?)?;
     module.add_function(wrap_pyfunction!(render, module)?)?;
@@ -103,6 +105,12 @@ fn lobe_functions<'py>(
 }
 
 #[pyfunction]
+#[pyo3(name = "lobe_table")]
+fn lobe_table_file(py: Python<'_>) -> Bound<'_, PyBytes> {
+    PyBytes::new(py, lobe_table::file())
+}
+
+#[pyfunction]
 #[pyo3(signature = (normal, view, albedo, roughness, metallic, model = "paper"))]
 fn shade<'py>(
     py: Python<'py>,
@@ -135,7 +143,7 @@ fn shade<'py>(
 
 #[pyfunction]
 #[pyo3(signature = (normal, view, albedo, roughness, metallic, cotangent, model = "paper"))]
-#[expect(clippy::type_complexity)]
+#[expect(clippy::too_many_arguments, clippy::type_complexity)]
 fn shade_vjp<'py>(
     py: Python<'py>,
     normal: &Bound<'py, PyAny>,
@@ -245,7 +253,7 @@ fn render_directional<'py>(
     threads: usize,
     model: &str,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    paper_only(model)?;
+    let model = model.parse()?;
     let pixels = Pixels::new(
         ("normals", normals),
         ("views", views),
@@ -269,17 +277,9 @@ fn render_directional<'py>(
         materials,
         ..
     } = &pixels;
-    let images =
-        py.detach(|| render_directional_pixels(normals, views, materials, &lights, threads))?;
+    let images = py
+        .detach(|| render_directional_pixels(normals, views, materials, &lights, threads, model))?;
     Ok(array3(images, [lights.len(), pixels.count(), 3]).into_pyarray(py))
-}
-
-/// Until there is a kernel for it.
-fn paper_only(model: &str) -> Result<()> {
-    match model.parse()? {
-        Model::Paper => Ok(()),
-        Model::Principled => Err(Error::argument("model", "paper", model)),
-    }
 }
 
 /// Pictures of so many pixels under so many lights must be possible.

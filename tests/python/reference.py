@@ -356,6 +356,14 @@ class Unknowns:
         return np.concatenate([np.ravel(part) for part in parts])
 
 
+def glass(cosine: Array) -> Array:
+    """Fresnel's equations at an index of 1.5, by Snell's law."""
+    inside = np.sqrt(1 - (1 - cosine**2) / 1.5**2)
+    across = (cosine - 1.5 * inside) / (cosine + 1.5 * inside)
+    along = (1.5 * cosine - inside) / (1.5 * cosine + inside)
+    return np.asarray((across**2 + along**2) / 2)
+
+
 def directional(
     normal: Array, view: Array, albedo: Array, roughness: Array, metallic: Array, light: Array
 ) -> Array:

@@ -154,7 +154,9 @@ def test_whole_materials_agree_within_the_gap_of_the_model(
     blender: InBlender, facets: InBlender, result: Result
 ) -> None:
     """docs/export.md and docs/model.md say what is left: the lobe of rough metals."""
-    expected = render(result.materials, result.normals, result.lighting[0], result.fov)
+    expected = render(
+        result.materials, result.normals, result.lighting[0], result.fov, model=result.model
+    )
     metal = result.mask & (result.metallic > 0.5)
     dielectric = result.mask & (result.metallic <= 0.5)
     for picture, matt, shiny in (

@@ -25,8 +25,9 @@ from pbrfit.cli import main
 from pbrfit.color import encode_srgb
 from pbrfit.differences import PALETTE, WHITE
 from pbrfit.history import History, HistoryRow
-from pbrfit.model import render
+from pbrfit.model import Model, render
 from pbrfit.report import budget, lights, originals, write_report
+from pbrfit.report.page import REFLECTION
 from pbrfit.result import Options, Status
 from pbrfit.synthetic import make_scene
 
@@ -66,6 +67,16 @@ def in_memory(**changes: object) -> tuple[Scene, Result]:
     made = make_scene("room", size=SIZE, lights=3, noise=0.01)
     scene = dataclasses.replace(made, truth=None, **changes)  # type: ignore[arg-type]
     return scene, decompose(scene, iterations=3)
+
+
+def test_the_page_says_what_its_maps_are_maps_of(folder: Path, tmp_path: Path, page: Page) -> None:
+    found = Result.load(folder / "result")
+    other: Model = "paper" if found.model == "principled" else "principled"
+    of_other = written(dataclasses.replace(found, model=other), tmp_path / "page.html")
+    for shown, model in ((page, found.model), (of_other, other)):
+        assert f"reflection model {model}" in shown.text
+        assert REFLECTION[model] in shown.text
+    assert REFLECTION[found.model] not in of_other.text
 
 
 def test_ids_are_unique_and_nothing_refers_to_anything_outside(page: Page) -> None:

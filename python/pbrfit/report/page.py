@@ -15,6 +15,7 @@ from pbrfit.drawing import as_svg
 from pbrfit.history_plot import draw_history
 from pbrfit.html import Cell, Table, document, paragraph, table
 from pbrfit.metrics import PROTOCOL
+from pbrfit.model import Model
 from pbrfit.notation import percent, plain
 from pbrfit.report import budget, figures, maps, normals, verdict, viewer
 from pbrfit.report import lights as of_lights
@@ -36,6 +37,20 @@ TITLES = {
     "origin": "How it came about",
 }
 """Headings by anchor, in their order."""
+
+REFLECTION: Mapping[Model, str] = {
+    "paper": (
+        "Surfaces reflect by the paper's model, eq. 12: a round lobe about the mirror direction, "
+        "with Fresnel and masking at the view angle. Renderers have no such lobe, and show metals "
+        "and dark glossy surfaces of these maps differently."
+    ),
+    "principled": (
+        "Surfaces reflect by the principled model: GGX with height-correlated masking, Schlick's "
+        "Fresnel and multiple scattering, as in Blender, glTF and game engines, integrated over "
+        "the light. So the maps mean the same there."
+    ),
+}
+"""What the maps are maps of."""
 
 
 @dataclass(frozen=True)
@@ -326,6 +341,7 @@ def _origin(result: Result) -> str:
             "l(l+1)+m, and point from the surface to where light comes from."
         )
     )
+    parts.append(paragraph(REFLECTION[result.model]))
     parts.append(
         paragraph(f"Errors: {PROTOCOL}. Page written by pbrfit {version('pbrfit')}.", "note")
     )

@@ -1,6 +1,7 @@
 """The interactive relight view of a report: the model in a fragment shader, under lights to turn.
 
-`view.html` and `viewer.css` are the markup, `relight.vert` and `relight.frag` the shaders.
+`view.html` and `viewer.css` are the markup, `relight.vert` and `relight.frag` the shaders, with
+the model of the result from `paper.glsl` or `principled.glsl`.
 `viewer.js` is the view; `planes.js` unpacks the maps, `picture.js` draws them, `light.js` turns
 lights and `panorama.js` reads them. No part needs a server, a network or a build step.
 """
@@ -21,7 +22,7 @@ from pbrfit import metrics
 from pbrfit.display import encoded
 from pbrfit.model import ggx_band_weights, render
 from pbrfit.report.raster import picture_png, reduced
-from pbrfit.report.viewer import maps
+from pbrfit.report.viewer import lobes, maps
 from pbrfit.result import Result
 
 STATIC_SIDE = 512
@@ -66,7 +67,6 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     )
     white = metrics.white_of(first) if small.mask.any() else 1.0
     exposure = round(0.0 - math.log2(white), 1)
-    bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
     data = {
         "width": width,
         "height": height,
@@ -77,7 +77,7 @@ def fragment(result: Result, max_side: int = 1024) -> str:
             {"name": name, "coefficients": light.ravel().tolist()}
             for name, light in zip(result.pictures, result.lighting, strict=True)
         ],
-        "bands": [float(f"{value:.8g}") for value in bands.ravel()],
+        **_table(result.model),
     }
     markup = Template(_text("view.html")).substitute(
         first=escape(result.pictures[0]),
@@ -89,11 +89,20 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     stage = min(max(width / height, 1 / WIDEST), WIDEST)
     aspect = f' style="--relight-aspect: {stage:.6g}"'
     markup = markup.replace('data-state="loading"', f'data-state="loading"{tiny}{aspect}', 1)
-    shaders = _json({"vertex": _text("relight.vert"), "fragment": _text("relight.frag")})
+    shown = _text("relight.frag").replace("MODEL\n", _text(f"{result.model}.glsl"), 1)
+    shaders = _json({"vertex": _text("relight.vert"), "fragment": shown})
     script = "\n".join(
         ["(() => {", '"use strict";', f"const SHADERS = {shaders};", *map(_text, SCRIPTS), "})();"]
     )
     return f"<style>\n{_text('viewer.css')}</style>\n{markup}<script>\n{script}\n</script>\n"
+
+
+def _table(model: str) -> dict[str, Any]:
+    """What the shader of a model takes from a table, by name."""
+    if model == "principled":
+        return {"lobes": lobes.data()}
+    bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
+    return {"bands": [float(f"{value:.8g}") for value in bands.ravel()]}
 
 
 def _text(name: str) -> str:

@@ -43,8 +43,15 @@ class Picture {
     const integers = [gl.RGBA16UI, gl.RGBA_INTEGER, gl.UNSIGNED_SHORT];
     this.texture(0, "geometry", data.width, data.height, integers, textures.geometry);
     this.texture(1, "surface", data.width, data.height, integers, textures.surface);
-    const bands = Float32Array.from(data.bands);
-    this.texture(2, "bands", bands.length / 4, 1, [gl.RGBA32F, gl.RGBA, gl.FLOAT], bands);
+    const floats = [gl.RGBA32F, gl.RGBA, gl.FLOAT];
+    if (data.lobes) {
+      const { axes, width, height, texels } = data.lobes;
+      this.texture(2, "lobes", width, height, floats, texels);
+      gl.uniform3fv(this.at("axes"), axes.flat());
+    } else {
+      const bands = Float32Array.from(data.bands);
+      this.texture(2, "bands", bands.length / 4, 1, floats, bands);
+    }
 
     const unit = (...names) => names.map((name) => data.units[name]);
     gl.uniform4fv(this.at("geometryUnit"), unit("normal_u", "normal_v", "roughness", "facing"));

@@ -288,6 +288,7 @@ async function start(root) {
     const maps = root.querySelector(".relight-maps");
     const planes = await unpacked(maps.textContent, data.units, data.width, data.height);
     maps.remove(); // megabytes of text
+    if (data.lobes) data.lobes = await unpackedLobes(data.lobes);
     const picture = new Picture(canvas, data, planes, SHADERS);
     root.view = new View(root, data, picture);
     canvas.hidden = false;
