@@ -24,10 +24,10 @@ const IN_FILE: usize = 24;
 /// At a knot in memory: whole vectors of any width.
 const STORED: usize = 32;
 /// Cells from r = 0 to 1, and from n·v = 0 to 1; there is a knot more, and one beyond each end.
-const CELLS: [usize; 2] = [52, 36];
+const CELLS: [usize; 2] = [52, 44];
 /// c of both coordinates, and w.
 const BEND: [f64; 2] = [0.15625, 0.01953125];
-const BENT: [f64; 2] = [0.8125, 0.625];
+const BENT: [f64; 2] = [0.8125, 0.5];
 const KNOTS: [usize; 2] = [CELLS[0] + 3, CELLS[1] + 3];
 /// What the file begins with: a name, and the numbers above.
 const HEADER: usize = 32;

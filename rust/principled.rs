@@ -309,16 +309,6 @@ impl<T: Real> Mixer<T> {
         [mix, by_albedo]
     }
 
-    /// kd, and by what the dielectric's and the metal's lobe are multiplied.
-    pub(crate) fn parts(&self, albedo: T) -> [T; 3] {
-        let (m, matt) = (self.metallic, self.matt());
-        [
-            matt * albedo * self.transmitted,
-            matt * self.gain.value,
-            m * self.metal(albedo).value,
-        ]
-    }
-
     /// The derivative by metallic.
     #[inline(always)]
     fn by_metallic(&self, albedo: T, metal: &Gain<T>) -> Mix<T> {
@@ -343,6 +333,18 @@ impl<T: Real> Mixer<T> {
             a: of(DIELECTRIC_F0) * matt * ground + albedo * metal,
             b: matt * ground + metal,
         }
+    }
+}
+
+impl Mixer {
+    /// kd, and by what the dielectric's and the metal's lobe are multiplied.
+    pub(crate) fn parts(&self, albedo: f64) -> [f64; 3] {
+        let (m, matt) = (self.metallic, 1.0 - self.metallic);
+        [
+            matt * albedo * self.transmitted,
+            matt * self.gain.value,
+            m * self.metal(albedo).value,
+        ]
     }
 }
 

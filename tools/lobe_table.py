@@ -91,7 +91,7 @@ class Axis:
 
 
 BY_ROUGHNESS = Axis(52, 0.15625, 0.8125)
-BY_COSINE = Axis(36, 0.01953125, 0.625)
+BY_COSINE = Axis(44, 0.01953125, 0.5)
 
 
 @dataclass(frozen=True)
