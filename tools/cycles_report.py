@@ -1,4 +1,4 @@
-"""Print the figures of docs/cycles.md: checks, noise, times, and how far the closed form is off.
+"""Print the figures of docs/cycles.md: checks, noise, times, and how far the models are off.
 
     python tools/cycles_report.py [--size 64] [--scenes 3] [--kind furnished] [--threads 1]
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from pbrfit import Scene, render
 from pbrfit.color import encode_srgb
+from pbrfit.model import MODELS
 from pbrfit.synthetic import World, draw, random_lights
 from pbrfit.synthetic.cycles import (
     SAMPLES,
@@ -25,7 +26,7 @@ from pbrfit.synthetic.cycles import (
     render_scene,
 )
 from pbrfit.synthetic.cycles.export import export
-from pbrfit.synthetic.cycles.gap import closed_form_gap
+from pbrfit.synthetic.cycles.gap import reflection_gap
 from pbrfit.synthetic.cycles.job import Job, rendered
 from pbrfit.synthetic.cycles.scene import inner_pixels
 
@@ -79,25 +80,28 @@ def main() -> None:
             for shell in ("stage", "open") if transport != "brdf" else ("stage",):
                 if (light, transport) == ("points", "full") or (light, shell) == ("points", "open"):
                     continue
-                gaps = []
+                scenes = []
                 for seed, world in worlds.items():
-                    scene = render_scene(
-                        world,
-                        size,
-                        light=light,
-                        transport=transport,
-                        seed=seed,
-                        shell=shell,
-                        cache=cache,
-                        threads=threads,
+                    scenes.append(
+                        render_scene(
+                            world,
+                            size,
+                            light=light,
+                            transport=transport,
+                            seed=seed,
+                            shell=shell,
+                            cache=cache,
+                            threads=threads,
+                        )
                     )
-                    gaps.append(closed_form_gap(scene))
-                known = [f"{gap.true_light:.3f}" for gap in gaps if gap.true_light is not None]
-                best = [f"{gap.best_light:.3f}" for gap in gaps]
-                print(
-                    f"gap, {light}, {transport}, {shell}: true lights {', '.join(known)};", end=""
-                )
-                print(f" best lights {', '.join(best)}", flush=True)
+                for model in MODELS:
+                    gaps = [reflection_gap(scene, model) for scene in scenes]
+                    known = [f"{gap.true_light:.3f}" for gap in gaps if gap.true_light is not None]
+                    best = [f"{gap.best_light:.3f}" for gap in gaps]
+                    print(f"gap, {model}, {light}, {transport}, {shell}:", end=" ")
+                    print(
+                        f"true lights {', '.join(known)}; best lights {', '.join(best)}", flush=True
+                    )
 
 
 def draw_pictures(
@@ -123,7 +127,9 @@ def draw_pictures(
     assert brdf.truth.lighting is not None
     view = world.cast(size)
     columns = {
-        "closed form": render(view.materials, view.normals, brdf.truth.lighting, view.fov),
+        "principled model": render(
+            *(view.materials, view.normals, brdf.truth.lighting, view.fov), model="principled"
+        ),
         "Cycles, BRDF alone": brdf.images,
         "+ shadows": pictures("panorama", "shadows").images,
         "+ interreflections": pictures("panorama", "full").images,

@@ -18,6 +18,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import InputError, Scene, sh_basis
+from pbrfit.evaluation.gap import spheres
+from pbrfit.model import MODELS
 from pbrfit.synthetic import SceneKind, World, draw, random_lights
 from pbrfit.synthetic.cycles import (
     CyclesError,
@@ -31,7 +33,7 @@ from pbrfit.synthetic.cycles import (
     why_not,
 )
 from pbrfit.synthetic.cycles.export import Mesh, export, light_blockers
-from pbrfit.synthetic.cycles.gap import closed_form_gap
+from pbrfit.synthetic.cycles.gap import reflection_gap
 from pbrfit.synthetic.cycles.job import Job, basis_polynomials, rendered
 from pbrfit.synthetic.cycles.point_lights import random_point_lights
 from pbrfit.synthetic.cycles.scene import inner_pixels
@@ -220,6 +222,7 @@ def test_the_key_depends_on_all_that_matters(fake_worker: Fake) -> None:
         replace(same, seed=1),
         replace(same, transport="shadows"),
         replace(same, specular=0.0),
+        replace(same, distribution="GGX"),
         replace(same, positions=np.zeros((1, 3))),
         replace(same, stage=export(of, 9, 60.0)),
         replace(same, stage=export(of, 8, 50.0)),
@@ -301,6 +304,10 @@ def test_without_bpy_there_is_a_reason(monkeypatch: pytest.MonkeyPatch, tmp_path
     [
         ({"light": "sun"}, "^light: expected one of panorama, points, found 'sun'"),
         ({"transport": "all"}, "^transport: expected one of brdf, shadows, full, found 'all'"),
+        (
+            {"distribution": "Beckmann"},
+            "^distribution: expected one of GGX, MULTI_GGX, found 'Beckmann'",
+        ),
         ({"shell": "none"}, "^shell: expected one of stage, open, found 'none'"),
         ({"lights": 0}, "^lights, held_out: expected 1 or more, found 0 and 16"),
         ({"samples": 0}, "^samples: expected a number from 1, found 0"),
@@ -344,7 +351,7 @@ def test_spheres_are_as_light_and_material_demand(bpy_cache: Path) -> None:
     assert found.metal < 0.004
     assert found.point_light < 0.002
     assert found.mirrored > 0.2
-    assert found.plastic < 0.05
+    assert found.plastic["principled"] < found.plastic["paper"] < 0.05
     assert found.normals < 0.1
 
 
@@ -356,15 +363,31 @@ def test_maps_are_those_of_our_own_rays(bpy_cache: Path) -> None:
     assert found.pixels > 0.5
 
 
-def test_pictures_come_close_to_the_closed_form_only_without_shadows(bpy_cache: Path) -> None:
+def test_pictures_come_close_to_the_models_only_without_shadows(bpy_cache: Path) -> None:
     render = partial(
         render_scene, world("textured"), SIZE, lights=4, held_out=1, samples=32, cache=bpy_cache
     )
-    brdf, full = (closed_form_gap(render(transport=of)) for of in ("brdf", "full"))
-    assert brdf.true_light is not None
-    assert brdf.true_light < 0.15
-    assert full.true_light is not None
-    assert full.true_light > 2 * brdf.true_light
+    scenes = {transport: render(transport=transport) for transport in ("brdf", "full")}
+    error = {
+        (model, transport): reflection_gap(scene, model).true_light or 0.0
+        for model in MODELS
+        for transport, scene in scenes.items()
+    }
+    assert 0 < error["principled", "brdf"] < error["paper", "brdf"] < 0.15
+    for model in MODELS:
+        assert error[model, "full"] > 2 * error[model, "brdf"]
+
+
+def test_spheres_are_what_the_principled_model_says(bpy_cache: Path) -> None:
+    effort = spheres.Effort(24, 800, (0.5,), 4, ("MULTI_GGX",), spheres.SUBSTANCES[:2])
+    found = spheres.measure(effort, cache=bpy_cache)
+    for substance, model, limits in (
+        ("metal", "principled", (0.01, 0.01, 0.01)),
+        ("dielectric", "principled", (0.03, 0.01, 0.01)),
+    ):
+        assert np.all(found.errors["MULTI_GGX", substance, model] <= limits)
+        of_paper = found.errors["MULTI_GGX", substance, "paper"]
+        assert np.all(of_paper > 1.5 * found.errors["MULTI_GGX", substance, model])
 
 
 def test_shadows_of_point_lights_only_take_light_away(bpy_cache: Path) -> None:

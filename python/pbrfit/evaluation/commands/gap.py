@@ -13,49 +13,51 @@ from pbrfit.arguments import (
     unread_is_no_failure,
     whole_number,
 )
+from pbrfit.evaluation.commands.resumable import add_cycles_cache
 
 
 def add(suites: Subcommands) -> None:
     """Add the suite to `pbrfit evaluate`."""
     added = suites.add_parser(
         "gap",
-        help="the reflection model against the full reflection integral",
-        description="Compare the closed form that pbrfit fits with brute-force integration of the "
-        "BRDF that it stands for, over roughness, view angle and SH band. Writes report.html, "
-        "heat maps, gap.csv, spheres.csv and summary.json.",
+        help="the reflection models against full reflection integrals and Cycles",
+        description="Compare the models that pbrfit fits with brute-force integration of BRDFs, "
+        "over roughness, view angle and SH band, and with spheres rendered by Blender Cycles. "
+        "Writes report.html, heat maps, gap.csv, spheres.csv, cycles.csv and summary.json.",
     )
     added.set_defaults(command=_run)
     add_out(added, "folder to write")
-    added.add_argument("--quick", action="store_true", help="a coarser table")
+    added.add_argument("--quick", action="store_true", help="a coarser table, without Cycles")
     added.add_argument("--seed", type=whole_number, default=0, help="of the random lights")
+    add_cycles_cache(added)
     add_quiet(added)
 
 
 def _run(options: argparse.Namespace) -> int:
     from pbrfit.evaluation import gap
-    from pbrfit.evaluation.gap import report
+    from pbrfit.evaluation.gap import report, spheres
     from pbrfit.output import new_folder
+    from pbrfit.synthetic import cycles
 
     effort = gap.QUICK if options.quick else gap.FULL
+    why_not = "--quick leaves Cycles out" if options.quick else cycles.why_not()
+    steps = 3 * len(effort.r) + (0 if why_not else len(spheres.Effort().r))
     with new_folder(options.out, overwrite=options.overwrite, contains=report.CONTAINS) as folder:
-        with progress_bar(len(effort.r), quiet=options.quiet) as bar:
+        with progress_bar(steps, quiet=options.quiet) as bar:
+            begun = 0
 
             def show(roughness: float) -> None:
+                nonlocal begun
                 bar.set_description(f"r = {roughness:g}")
-                bar.update(effort.r.index(roughness) - bar.n)
+                bar.update(begun - bar.n)
+                begun += 1
 
-            measured = gap.measure(effort, seed=options.seed, progress=show)
-            bar.update(len(effort.r) - bar.n)
-        report.write(folder, measured)
+            gaps = gap.measure_all(effort, seed=options.seed, progress=show)
+            on_cycles = why_not or spheres.measure(cache=options.cycles_cache, progress=show)
+            bar.update(steps - bar.n)
+        report.write(folder, gaps, on_cycles)
     if not options.quiet:
         with unread_is_no_failure():
-            print("spheres under random lights, RMSE / RMS radiance, all roughnesses together")
-            for model in measured.models:
-                overall = measured.overall_rmse(model)
-                for material, value in zip(measured.materials, overall, strict=True):
-                    print(f"{value:>8.3f}  {model}, {material.name}")
-            print(
-                f"\nquadrature error {measured.quadrature_error:.1e}; "
-                f"look at {options.out / 'report.html'}"
-            )
+            print("\n".join(report.lines(gaps, on_cycles)))
+            print(f"\nLook at {options.out / 'report.html'}")
     return DONE

@@ -1,8 +1,11 @@
-"""The gap between a reflection model and the integral that it stands for.
+"""The gap between reflection models and the integrals of BRDFs, and Cycles.
 
 A model is a function with the signature of `pbrfit.shade`: material, normal and view in, weights of
-the 16 SH light coefficients out. Here models are compared with brute-force integration of the full
-BRDF (`brute_force.py`), so what is measured is the model alone: no fit, no pictures, no noise.
+the 16 SH light coefficients out. Here models are compared with brute-force integration of a BRDF,
+so what is measured is the model alone: no fit, no pictures, no noise. Against the integral of its
+own BRDF (`brute_force.py` has the paper's, `principled.py` the other) that is what the model's
+approximations cost; against the BRDF that renderers use it is what the model is worth to them.
+`spheres.py` compares with pictures by one such renderer.
 
 **Responses.** The weights of band l at one (r, n·v) are reduced to one number,
 
@@ -24,22 +27,78 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.gap.brute_force import respond, view
+from pbrfit.evaluation.gap import brute_force, principled
+from pbrfit.evaluation.gap.brute_force import view
+from pbrfit.model import MODELS as MODEL_NAMES
 from pbrfit.model import shade
 from pbrfit.synthetic.lights import random_lights
 
-__all__ = ["CLOSED_FORM", "FULL", "MATERIALS", "QUICK", "Effort", "Gap", "Material", "measure"]
+__all__ = [
+    "FULL",
+    "INTEGRATED",
+    "MATERIALS",
+    "MODELS",
+    "PAPER",
+    "PRINCIPLED",
+    "QUICK",
+    "TABULATED",
+    "Effort",
+    "Gap",
+    "Material",
+    "Reference",
+    "measure",
+    "measure_all",
+]
 
 Array = NDArray[np.float64]
 
 Model = Callable[[Array, Array, Array, Array, Array], Array]
 """normal (..., 3), view (..., 3), albedo (..., 3), r (...,), m (...,) -> weights (..., 3, 16)."""
 
-CLOSED_FORM = "closed form"
+MODELS: Mapping[str, Model] = {name: partial(shade, model=name) for name in MODEL_NAMES}
+"""What the package fits, by the names it has everywhere."""
+
+
+class Response(Protocol):
+    """Reflection of one (r, n·v) by brute force."""
+
+    @property
+    def error(self) -> float:
+        """Largest change of any integral when the number of nodes is doubled."""
+
+    def weights(self, albedo: Array, metallic: Array) -> Array:
+        """(..., 3, 16) in the pixel's own frame, as `pbrfit.shade` gives."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A BRDF that is integrated by brute force.
+
+    Attributes
+    ----------
+    name
+        In reports; that of the model that stands for it.
+    respond
+        Its response at r and n·v.
+    """
+
+    name: str
+    respond: Callable[[float, float], Response]
+
+
+PAPER = Reference("paper", brute_force.respond)
+PRINCIPLED = Reference("principled", principled.respond)
+TABULATED = Reference("tabulated", principled.respond_as_tabulated)
+"""Not a BRDF, but what the principled model's table stands for: its Fresnel term is simpler."""
+
+INTEGRATED = "paper, integrated"
+"""Name of the paper's BRDF itself, where it is compared as a model."""
 
 BANDS = 4
 BAND_OF = np.repeat(np.arange(BANDS), 2 * np.arange(BANDS) + 1)
@@ -111,7 +170,7 @@ class Gap:
 
     Attributes
     ----------
-    effort, seed
+    effort, seed, reference
         What was asked for.
     materials
         The M materials.
@@ -130,6 +189,7 @@ class Gap:
 
     effort: Effort
     seed: int
+    reference: Reference
     materials: tuple[Material, ...]
     true: Array
     models: Mapping[str, Array]
@@ -167,19 +227,22 @@ class Gap:
 def measure(
     effort: Effort = FULL,
     *,
-    models: Mapping[str, Model] | None = None,
+    reference: Reference = PRINCIPLED,
+    models: Mapping[str, Model] = MODELS,
     materials: tuple[Material, ...] = MATERIALS,
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Gap:
-    """Compare models with brute-force integration.
+    """Compare models with brute-force integration of one BRDF.
 
     Parameters
     ----------
     effort
         `FULL` or `QUICK`.
+    reference
+        The BRDF.
     models
-        By name; default: `pbrfit.shade`, the paper's closed form (eqs. 6 and 12).
+        By name; default: those of `pbrfit.shade`.
     materials
         What reflects.
     seed
@@ -192,7 +255,6 @@ def measure(
     InputError
         If `effort` holds a roughness or n·v outside (0, 1].
     """
-    models = {CLOSED_FORM: shade} if models is None else models
     albedo = np.array([material.albedo for material in materials])
     metallic = np.array([material.metallic for material in materials])
     rings, shares = _rings(effort.rings)
@@ -206,15 +268,55 @@ def measure(
     worst = 0.0
     for i, r in enumerate(effort.r):
         progress(r)
-        true[:, i], changes = _true_weights(r, effort.n_dot_v, albedo, metallic)
-        on_sphere, on_rings = _true_weights(r, rings, albedo, metallic)
+        true[:, i], changes = _true_weights(reference, r, effort.n_dot_v, albedo, metallic)
+        on_sphere, on_rings = _true_weights(reference, r, rings, albedo, metallic)
         worst = max(worst, changes.max(), math.sqrt(np.square(on_rings) @ shares))
         signal[:, i] = _rms_radiance(on_sphere, shares, power)
         for name, model in models.items():
             found[name][:, i] = _weights(model, r, effort.n_dot_v, albedo, metallic)
             difference = _weights(model, r, rings, albedo, metallic) - on_sphere
             error[name][:, i] = _rms_radiance(difference, shares, power)
-    return Gap(effort, seed, materials, true, found, worst, signal, error)
+    return Gap(effort, seed, reference, materials, true, found, worst, signal, error)
+
+
+def measure_all(
+    effort: Effort = FULL, *, seed: int = 0, progress: Callable[[float], None] = lambda _: None
+) -> tuple[Gap, ...]:
+    """Measure all models against the principled BRDF, and each against what it stands for.
+
+    Parameters
+    ----------
+    effort, seed, progress
+        As for `measure`; `progress` is called for all three.
+
+    Returns
+    -------
+    tuple of Gap
+        By reference, the principled one first.
+    """
+    of_all = {"paper": MODELS["paper"], INTEGRATED: integrated(PAPER), **MODELS}
+    return tuple(
+        measure(effort, reference=reference, models=models, seed=seed, progress=progress)
+        for reference, models in (
+            (PRINCIPLED, of_all),
+            (PAPER, {"paper": MODELS["paper"]}),
+            (TABULATED, {"principled": MODELS["principled"]}),
+        )
+    )
+
+
+def integrated(reference: Reference) -> Model:
+    """Return a BRDF's integral as a model, for pixels in their own frame alone."""
+
+    def model(normal: Array, view: Array, albedo: Array, r: Array, m: Array) -> Array:
+        found = np.empty((*r.shape, 3, 16))
+        n_dot_v = np.einsum("...i,...i->...", normal, view)
+        for i in np.ndindex(*r.shape):
+            response = reference.respond(float(r[i]), float(n_dot_v[i]))
+            found[i] = response.weights(albedo[i], m[i])
+        return found
+
+    return model
 
 
 def response(weights: Array) -> Array:
@@ -237,10 +339,10 @@ def _rings(count: int) -> tuple[tuple[float, ...], Array]:
 
 
 def _true_weights(
-    r: float, n_dot_v: tuple[float, ...], albedo: Array, metallic: Array
+    reference: Reference, r: float, n_dot_v: tuple[float, ...], albedo: Array, metallic: Array
 ) -> tuple[Array, Array]:
     """(M, V, 3, 16) by brute force, and (V,) how much they change with the number of nodes."""
-    exact = [respond(r, x) for x in n_dot_v]
+    exact = [reference.respond(r, x) for x in n_dot_v]
     weights = np.stack([one.weights(albedo, metallic) for one in exact], axis=1)
     return weights, np.array([one.error for one in exact])
 

@@ -1,4 +1,4 @@
-"""The full reflection integral (paper eq. 1 with eqs. 3-5), by brute force.
+"""Reflection integrals by brute force: the paper's (eq. 1 with eqs. 3-5), and any GGX lobe.
 
 One pixel in its own frame: n = z, v = (√(1 − (n·v)²), 0, n·v). Its radiance is Σ_k w_k L_k with
 
@@ -32,12 +32,16 @@ All of these sit at ends of intervals, which is what tanh-sinh quadrature is mad
 crowd towards the ends so fast that any integrable singularity there is passed over, and its error
 falls exponentially with the number of nodes.
 
+The masking is an argument, so that `principled.py` integrates another BRDF by the same rule.
+
 H. Takahasi, M. Mori: Double exponential formulas for numerical integration. Publ. RIMS 9, 1974.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +50,12 @@ from pbrfit._core import InputError
 from pbrfit.model import sh_basis
 
 Array = NDArray[np.float64]
+
+Masking = Callable[[float, Array, float], Array]
+"""G of n·v, n·l and roughness, the joint masking of both directions."""
+
+Fresnel = Callable[[Array], Array]
+"""Of v·h: one factor of the integrand, or a stack of them (F, ...)."""
 
 NODES = 64
 """Of the coarser rule, in each direction and panel; the other has twice as many."""
@@ -84,6 +94,7 @@ class Response:
         return np.asarray(f0 * self.base + self.grazing + body * self.diffuse)
 
 
+@lru_cache(maxsize=4096)
 def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> Response:
     """Integrate the full BRDF at one roughness and view angle.
 
@@ -101,13 +112,18 @@ def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> Response:
     InputError
         If roughness or n·v lies outside its range.
     """
-    for name, value in (("roughness", roughness), ("n_dot_v", n_dot_v)):
-        if not 0 < value <= 1:
-            raise InputError(f"{name}: expected a number in (0, 1], found {value!r}")
+    check_point(roughness, n_dot_v)
     coarse = _integrate(roughness, n_dot_v, nodes)
     fine = _integrate(roughness, n_dot_v, 2 * nodes)
     base, grazing, diffuse = fine
     return Response(base, grazing, diffuse, float(np.abs(fine - coarse).max()))
+
+
+def check_point(roughness: float, n_dot_v: float) -> None:
+    """Raise InputError unless both are in (0, 1]."""
+    for name, value in (("roughness", roughness), ("n_dot_v", n_dot_v)):
+        if not 0 < value <= 1:
+            raise InputError(f"{name}: expected a number in (0, 1], found {value!r}")
 
 
 def view(n_dot_v: float) -> Array:
@@ -117,19 +133,35 @@ def view(n_dot_v: float) -> Array:
 
 def _integrate(roughness: float, n_dot_v: float, nodes: int) -> Array:
     """(3, 16): a, b, c."""
+    lobe = integrate_lobe(roughness, n_dot_v, nodes, _smith, schlick_parts)
+    return np.concatenate([lobe, _body(n_dot_v, *_tanh_sinh(nodes))[None]])
+
+
+def integrate_lobe(
+    roughness: float, n_dot_v: float, nodes: int, masking: Masking, fresnel: Fresnel
+) -> Array:
+    """∫ D G/(4 n·v) g Y dl over n·l > 0, for each of the F factors g that `fresnel` gives.
+
+    Parameters
+    ----------
+    roughness, n_dot_v
+        In (0, 1].
+    nodes
+        Of the rule, in each direction and panel.
+    masking, fresnel
+        G, and g as a stack (F, ...).
+
+    Returns
+    -------
+    (F, 16)
+        In the pixel's own frame; 0 for the functions odd in y.
+    """
     at, weights = _tanh_sinh(nodes)
-    return np.concatenate(
-        [_lobe(roughness, n_dot_v, at, weights), _body(n_dot_v, at, weights)[None]]
-    )
-
-
-def _lobe(roughness: float, n_dot_v: float, at: Array, weights: Array) -> Array:
-    """(2, 16): a, b."""
     v = view(n_dot_v)
     alpha = roughness**2
     view_angle = np.arctan2(v[0], v[2])
     whole, end = (np.pi / 2 - view_angle) / 2, (np.pi / 2 + view_angle) / 2
-    total = np.zeros((2, 16))
+    total: Array | float = 0.0
     for low, high in ((0.0, whole), (whole, end)):
         # 1 − u = α²/(α² + tan²θ) = (α cosθ)²/((α cosθ)² + sin²θ), and only it keeps its digits
         # where the lobe is narrow.
@@ -156,10 +188,10 @@ def _lobe(roughness: float, n_dot_v: float, at: Array, weights: Array) -> Array:
         n_dot_l = np.maximum(l[..., 2], 0.0)
         # Twice, because φ and −φ are alike but for the functions that are odd in y, which cancel.
         element = (first - last) * weights[::-1, None] * limit[:, None] * weights / np.pi
-        element *= _masking(n_dot_v, roughness) * _masking(n_dot_l, roughness)
+        element *= masking(n_dot_v, n_dot_l, roughness)
         element *= v_dot_h / (n_dot_v * cosine[:, None])
-        total += _even(l, np.stack([1 - _schlick(v_dot_h), _schlick(v_dot_h)]) * element)
-    return total
+        total = total + _even(l, fresnel(v_dot_h) * element)
+    return np.asarray(total)
 
 
 def _body(n_dot_v: float, at: Array, weights: Array) -> Array:
@@ -193,14 +225,21 @@ def _beyond(alpha: float, theta: float) -> float:
     return float(wide / (wide + high))
 
 
-def _masking(x: Array | float, roughness: float) -> Array:
-    """Smith's G1 with the paper's k = α²/2 = r⁴/2."""
+def _smith(n_dot_v: float, n_dot_l: Array, roughness: float) -> Array:
+    """Smith's G1 of both directions with the paper's k = α²/2 = r⁴/2."""
     k = roughness**4 / 2
-    return np.asarray(x / (x * (1 - k) + k))
+    of_view = n_dot_v / (n_dot_v * (1 - k) + k)
+    return np.asarray(of_view * n_dot_l / (n_dot_l * (1 - k) + k))
 
 
 def _schlick(v_dot_h: Array) -> Array:
     return np.asarray((1 - np.minimum(v_dot_h, 1.0)) ** 5)
+
+
+def schlick_parts(v_dot_h: Array) -> Array:
+    """(2, ...): what F0 is multiplied with, and what is added."""
+    grazing = _schlick(v_dot_h)
+    return np.stack([1 - grazing, grazing])
 
 
 def _tanh_sinh(nodes: int) -> tuple[Array, Array]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pbrfit.drawing import AMBER, BLACK, BLUE, GREEN, as_png, new_figure
+from pbrfit.drawing import BLACK, BLUE, GREEN, GREY, ORANGE, as_png, new_figure
 from pbrfit.evaluation.gap import Array, Gap
+from pbrfit.evaluation.gap.spheres import ALBEDOS, NOISE, SINGLE, Spheres
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,15 +17,22 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 DPI = 100
-COLORS = (BLACK, AMBER, BLUE, GREEN)
+COLORS = (BLUE, BLACK, ORANGE, GREEN)
 MARKERS = ("o", "D", "v", "^")
-LINES = ("-", "--", ":", "-.")
+LINES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 
 RATIO_SPAN = 4.0
 """Ratios from 1/4 to 4 have colours of their own."""
 
+CYCLES_COLORS = {"paper": BLUE, "principled": ORANGE, SINGLE: GREEN, NOISE: GREY}
+
 DARK = 0.62
 """Share of the colour scale beyond which print on it is white."""
+
+
+def title(gap: Gap, model: str, between: str = " / ") -> str:
+    """Say what is compared with what."""
+    return f"{model} model{between}{gap.reference.name} integral"
 
 
 def draw_ratios(gap: Gap, model: str, material: int) -> bytes:
@@ -36,7 +44,7 @@ def draw_ratios(gap: Gap, model: str, material: int) -> bytes:
         image = _ratio_map(axes, gap, ratio[..., band])
         axes.set_title(f"l = {band}" + (", directional albedo" if band == 0 else ""))
     _ratio_scale(figure, image, grid)
-    figure.suptitle(f"{gap.materials[material].name}: response, {model} / true")
+    figure.suptitle(f"{gap.materials[material].name}: response, {title(gap, model)}")
     return as_png(figure, DPI)
 
 
@@ -50,7 +58,7 @@ def draw_distances(gap: Gap, model: str, material: int) -> bytes:
         axes.set_title(f"l = {band}")
     bar = figure.colorbar(image, ax=grid, shrink=0.6, extend="max")
     bar.set_label("size of the difference; a mirror's response is 1")
-    figure.suptitle(f"{gap.materials[material].name}: {model} less true")
+    figure.suptitle(f"{gap.materials[material].name}: {title(gap, model, ' less ')}")
     return as_png(figure, DPI)
 
 
@@ -66,38 +74,80 @@ def draw_albedos(gap: Gap, model: str) -> bytes:
         image = _ratio_map(axes, gap, ratio[i, ..., 0])
         axes.set_title(gap.materials[i].name)
     _ratio_scale(figure, image, grid)
-    figure.suptitle(f"Light that comes back under even light, {model} / true")
+    figure.suptitle(f"Light that comes back under even light, {title(gap, model)}")
     return as_png(figure, DPI)
 
 
 def draw_spheres(gap: Gap) -> bytes:
-    """Relative error of spheres under random lights over roughness."""
-    figure = new_figure(8, 4.6)
-    axes = figure.subplots()
-    for m, material in enumerate(gap.materials):
-        for line, model in zip(LINES, gap.models, strict=False):
+    """Relative error of spheres under random lights over roughness, a panel for each material."""
+    figure = new_figure(11, 3.4)
+    panels = figure.subplots(1, len(gap.materials), sharey=True)
+    for m, (axes, material) in enumerate(zip(panels, gap.materials, strict=True)):
+        for i, model in enumerate(gap.models):
             axes.plot(
                 gap.effort.r,
                 gap.relative_rmse(model)[m],
-                color=COLORS[m % len(COLORS)],
-                marker=MARKERS[m % len(MARKERS)],
-                linestyle=line,
-                markersize=5,
+                color=COLORS[i % len(COLORS)],
+                marker=MARKERS[i % len(MARKERS)],
+                linestyle=LINES[i % len(LINES)],
+                markersize=4,
                 linewidth=1.6,
-                label=material.name + (f", {model}" if len(gap.models) > 1 else ""),
+                label=model,
             )
-    axes.set(
-        xlabel="roughness r",
-        ylabel="RMSE / RMS radiance",
-        title="Spheres under random lights: error of the model alone",
-        xlim=(0, 1.02),
-        ylim=(0, None),
+        axes.set(xlabel="roughness r", title=material.name, xlim=(0, 1.03), yscale="log")
+        _tidy(axes)
+    panels[0].set_ylabel("RMSE / RMS radiance")
+    panels[0].legend(frameon=False)
+    figure.suptitle(f"Spheres under random lights, against the {gap.reference.name} integral")
+    return as_png(figure, DPI)
+
+
+def draw_cycles(spheres: Spheres) -> bytes:
+    """Errors on Cycles' spheres over roughness: a row a distribution, a column a substance."""
+    from matplotlib.lines import Line2D
+
+    figure = new_figure(10, 6.4)
+    grid = figure.subplots(
+        len(spheres.effort.distributions), len(spheres.effort.substances), sharex=True, sharey=True
     )
+    for row, distribution in zip(grid, spheres.effort.distributions, strict=True):
+        for axes, substance in zip(row, spheres.effort.substances, strict=True):
+            for model, color in CYCLES_COLORS.items():
+                errors = spheres.errors.get((distribution, substance.key, model))
+                if errors is None:
+                    continue
+                for c in range(len(ALBEDOS)):
+                    axes.plot(
+                        spheres.effort.r,
+                        errors[:, c],
+                        color=color,
+                        marker=MARKERS[c],
+                        linestyle=LINES[c],
+                        markersize=5,
+                        linewidth=1.4,
+                    )
+            axes.set(title=f"{substance.name}, {distribution}", yscale="log")
+            _tidy(axes)
+    for axes in grid[-1]:
+        axes.set_xlabel("roughness r")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("RMSE / mean radiance")
+    colors = [Line2D([], [], color=of) for of in CYCLES_COLORS.values()]
+    figure.legend(colors, CYCLES_COLORS, loc="outside lower center", ncols=4, frameon=False)
+    marked = [
+        Line2D([], [], color=BLACK, marker=MARKERS[c], linestyle=LINES[c], markersize=5)
+        for c in range(len(ALBEDOS))
+    ]
+    names = [f"albedo {albedo:g}" for albedo in ALBEDOS]
+    grid[-1, 0].legend(marked, names, loc="center", frameon=False)
+    figure.suptitle("Spheres by Cycles, no bounces, known lights and materials")
+    return as_png(figure, DPI)
+
+
+def _tidy(axes: Axes) -> None:
     axes.grid(color="0.9", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
-    return as_png(figure, DPI)
 
 
 def _ratio_map(axes: Axes, gap: Gap, ratio: Array) -> AxesImage:

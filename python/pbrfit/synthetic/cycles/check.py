@@ -8,13 +8,15 @@ an axis unnoticed. Three spheres:
 - White polished metal. It mirrors: radiance is L(2 (n·v) n - v), in all four bands.
 - White and diffuse again, under one point light: radiance is cos θ / d² in `Rendered`'s unit.
 
-A fourth, of plastic, is compared with the closed form that the package fits. What remains there is
-a difference of models, not an error.
+A fourth, of plastic, is compared with the models that the package fits. What remains there is a
+difference of models, not an error.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +24,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.geometry import view_directions
-from pbrfit.model import sh_basis, shade
+from pbrfit.model import MODELS, sh_basis, shade
 from pbrfit.synthetic.cycles.export import export
-from pbrfit.synthetic.cycles.job import Job, Rendered, rendered
+from pbrfit.synthetic.cycles.job import Job, rendered
 from pbrfit.synthetic.cycles.scene import inner_pixels
-from pbrfit.synthetic.geometry import Sphere
+from pbrfit.synthetic.cycles.spheres import (
+    FOV,
+    relative_rmse,
+    render_sphere,
+    under,
+    where_met,
+)
 from pbrfit.synthetic.lights import random_lights
-from pbrfit.synthetic.surfaces import Layers, Paint
+from pbrfit.synthetic.surfaces import Paint
 from pbrfit.synthetic.world import World
 
 Array = NDArray[np.float64]
 
-FOV = 60.0
-_DISTANCE = 3.0
 _POLISHED = 0.05  # roughness; α = 0.0025 spreads reflections by less than half a degree
 _PLASTIC = Paint(albedo=np.array([0.6, 0.3, 0.1]), roughness=0.5, metallic=0.0)
 _LAMP = np.array([1.5, 1.0, -0.5])
@@ -53,7 +59,7 @@ class SphereCheck:
         The smallest that comes out if the expected light is mirrored in x, y or z, on the white or
         the metal sphere: what a wrong axis would show as.
     plastic
-        Of the closed form against Cycles, albedo (0.6, 0.3, 0.1), roughness 0.5.
+        Of the package's models against Cycles, by name; albedo (0.6, 0.3, 0.1), roughness 0.5.
     normals
         Largest angle between Cycles' normals and the sphere's, in degrees.
     size, samples
@@ -64,7 +70,7 @@ class SphereCheck:
     metal: float
     point_light: float
     mirrored: float
-    plastic: float
+    plastic: Mapping[str, float]
     normals: float
     size: int
     samples: int
@@ -116,29 +122,30 @@ def check_spheres(
     lights = random_lights(4, np.random.default_rng(0))
     white = Paint(albedo=np.ones(3), roughness=1.0, metallic=0.0)
     chrome = Paint(albedo=np.ones(3), roughness=_POLISHED, metallic=1.0)
-    diffuse = _sphere(white, size, samples, 0.0, None, cache, threads)
-    metal = _sphere(chrome, size, samples, 0.5, None, cache, threads)
-    plastic = _sphere(_PLASTIC, size, samples, 0.5, None, cache, threads)
-    lit = _sphere(white, size, 1, 0.0, _LAMP, cache, threads)
+    pictures = partial(render_sphere, size=size, cache=cache, threads=threads)
+    diffuse = pictures(white, samples=samples, specular=0.0)
+    metal = pictures(chrome, samples=samples)
+    plastic = pictures(_PLASTIC, samples=samples)
+    lit = pictures(white, samples=1, specular=0.0, lamp=_LAMP)
 
     seen = inner_pixels(diffuse.segments, diffuse.normals, FOV)
     views = view_directions(size, size, FOV)[seen]
-    normals, points = _exact(views)
+    normals, points = where_met(views)
     mirror = 2 * np.einsum("pi,pi->p", normals, views)[:, None] * normals - views
     expected = {
         "diffuse": sh_basis(normals) * _BANDS / np.pi,
         "metal": sh_basis(mirror),
     }
     found = {
-        "diffuse": _under(diffuse, lights)[:, seen],
-        "metal": _under(metal, lights)[:, seen],
+        "diffuse": under(diffuse, lights)[:, seen],
+        "metal": under(metal, lights)[:, seen],
     }
-    errors = {name: _relative(found[name], of @ lights) for name, of in expected.items()}
+    errors = {name: relative_rmse(found[name], of @ lights) for name, of in expected.items()}
     # Y(±x, ±y, ±z): a mirrored axis changes the sign of some basis functions and of no other.
     probe = np.array([[0.36, 0.48, 0.8]])
     flips = [sh_basis(probe * (1 - 2 * axis)) / sh_basis(probe) for axis in np.eye(3)]
     mirrored = [
-        _relative(found[name], (of * flip) @ lights)
+        relative_rmse(found[name], (of * flip) @ lights)
         for name, of in expected.items()
         for flip in flips
     ]
@@ -148,15 +155,21 @@ def check_spheres(
     cosine = np.einsum("pi,pi->p", normals, towards) / distance
     radiance = np.maximum(cosine, 0.0) / distance**2
 
-    weights = shade(normals, views, _PLASTIC.albedo, _PLASTIC.roughness, _PLASTIC.metallic)
-    closed = np.einsum("pck,nkc->npc", weights, lights)
+    of_plastic = (normals, views, _PLASTIC.albedo, _PLASTIC.roughness, _PLASTIC.metallic)
+    by_model = {
+        model: np.einsum("pck,nkc->npc", shade(*of_plastic, model=model), lights)
+        for model in MODELS
+    }
     angles = np.einsum("pi,pi->p", diffuse.normals[seen], normals)
     return SphereCheck(
         diffuse=errors["diffuse"],
         metal=errors["metal"],
-        point_light=_relative(lit.radiance[0][seen][:, 0], radiance),
+        point_light=relative_rmse(lit.radiance[0][seen][:, 0], radiance),
         mirrored=min(mirrored),
-        plastic=_relative(closed, _under(plastic, lights)[:, seen]),
+        plastic={
+            model: relative_rmse(closed, under(plastic, lights)[:, seen])
+            for model, closed in by_model.items()
+        },
         normals=float(np.degrees(np.arccos(np.minimum(angles, 1.0)).max())),
         size=size,
         samples=samples,
@@ -200,47 +213,3 @@ def check_truth(
         segments=float(np.mean(found.segments != ours.segments)),
         pixels=float(np.mean(inner)),
     )
-
-
-def _sphere(
-    paint: Paint,
-    size: int,
-    samples: int,
-    specular: float,
-    lamp: Array | None,
-    cache: Path | None,
-    threads: int,
-) -> Rendered:
-    world = World(
-        primitives=(Sphere(centre=np.array([0.0, 0.0, -_DISTANCE]), radius=1.0),),
-        surfaces=(Layers(paint),),
-        walls=0,
-        eye=np.zeros(3),
-        turn=np.eye(3),
-    )
-    job = Job(
-        export(world, size, FOV),
-        None if lamp is None else lamp[None],
-        "brdf",
-        samples=samples,
-        specular=specular,
-    )
-    return rendered(job, cache=cache, threads=threads)
-
-
-def _exact(views: Array) -> tuple[Array, Array]:
-    """Normals (P, 3) and points (P, 3) where rays along -views meet the unit sphere."""
-    centre = np.array([0.0, 0.0, -_DISTANCE])
-    along = -views @ centre
-    offset = -along[:, None] * views - centre
-    half_chord = np.sqrt(1.0 - np.einsum("pi,pi->p", offset, offset))
-    points = -(along - half_chord)[:, None] * views
-    return points - centre, points
-
-
-def _under(of: Rendered, lights: Array) -> Array:
-    return np.asarray(np.einsum("khwc,nkc->nhwc", of.radiance.astype(np.float64), lights))
-
-
-def _relative(found: Array, expected: Array) -> float:
-    return float(np.sqrt(np.mean((found - expected) ** 2)) / np.mean(expected))

@@ -1,4 +1,4 @@
-"""How far the closed form is from pictures of a path tracer when the materials are known."""
+"""How far a model is from pictures of a path tracer when the materials are known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.model import render, shade
+from pbrfit.model import DEFAULT_MODEL, Model, render, shade
 from pbrfit.scene import Scene
 
 Array = NDArray[np.float64]
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Gap:
-    """RMSE of the closed form with the true materials, over the mean of the pictures.
+    """RMSE of a model with the true materials, over the mean of the pictures.
 
     Attributes
     ----------
@@ -31,13 +31,15 @@ class Gap:
     best_light: float
 
 
-def closed_form_gap(scene: Scene) -> Gap:
-    """Render a scene's true materials in closed form and compare.
+def reflection_gap(scene: Scene, model: Model = DEFAULT_MODEL) -> Gap:
+    """Render a scene's true materials by a model and compare.
 
     Parameters
     ----------
     scene
         With ground truth, from `render_scene`.
+    model
+        "paper" or "principled".
 
     Raises
     ------
@@ -50,11 +52,16 @@ def closed_form_gap(scene: Scene) -> Gap:
     pictures = scene.images[:, of].astype(np.float64)  # (N, P, 3)
     true_light = None
     if known.lighting is not None:
-        ours = render(known.materials, scene.normals, known.lighting, scene.fov)[:, of]
+        ours = render(known.materials, scene.normals, known.lighting, scene.fov, model=model)[:, of]
         true_light = _relative(ours, pictures)
     maps = known.materials
     weights = shade(
-        scene.normals[of], scene.views[of], maps.albedo[of], maps.roughness[of], maps.metallic[of]
+        scene.normals[of],
+        scene.views[of],
+        maps.albedo[of],
+        maps.roughness[of],
+        maps.metallic[of],
+        model=model,
     )
     best = np.empty_like(pictures)
     for channel in range(3):

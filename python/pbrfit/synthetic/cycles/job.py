@@ -27,6 +27,7 @@ from pbrfit.synthetic.cycles.process import (
 )
 
 Transport = Literal["brdf", "shadows", "full"]
+Distribution = Literal["GGX", "MULTI_GGX"]
 
 _BOUNCES = {  # of light between surfaces
     "brdf": {"all": 0, "diffuse": 0, "glossy": 0},
@@ -100,6 +101,9 @@ class Job:
         Of the renderer's random numbers.
     specular
         Principled's "Specular IOR Level"; 0.5 is F0 = 0.04 at an index of 1.5.
+    distribution
+        Principled's. "GGX": light that leaves a facet towards another is lost. "MULTI_GGX",
+        Blender's default: the lobe is scaled up by it.
     """
 
     stage: Stage
@@ -108,9 +112,11 @@ class Job:
     samples: int
     seed: int = 0
     specular: float = 0.5
+    distribution: Distribution = "MULTI_GGX"
 
     def __post_init__(self) -> None:
         check_choice("transport", self.transport, get_args(Transport))
+        check_choice("distribution", self.distribution, get_args(Distribution))
         if not 1 <= self.samples < 2**24:
             raise InputError(f"samples: expected a number from 1, found {self.samples}")
         if not 0 <= self.seed < 2**31:
@@ -144,6 +150,7 @@ class Job:
             "samples": self.samples,
             "seed": self.seed,
             "specular": self.specular,
+            "distribution": self.distribution,
         }
 
     def arrays(self) -> dict[str, NDArray[Any]]:

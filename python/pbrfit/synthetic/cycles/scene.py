@@ -13,7 +13,7 @@ from pbrfit.geometry import view_directions
 from pbrfit.materials import Materials
 from pbrfit.scene import Scene, Truth
 from pbrfit.synthetic.cycles.export import Shell, check_choice, export
-from pbrfit.synthetic.cycles.job import Job, Rendered, Transport, rendered
+from pbrfit.synthetic.cycles.job import Distribution, Job, Rendered, Transport, rendered
 from pbrfit.synthetic.cycles.point_lights import random_point_lights
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
@@ -26,7 +26,7 @@ MAX_TURN = 30.0
 """Neighbouring pixels of one object whose normals differ by more degrees lie at an edge."""
 
 SAMPLES: dict[tuple[Light, Transport], int] = {
-    ("panorama", "brdf"): 256,
+    ("panorama", "brdf"): 1024,
     ("panorama", "shadows"): 1024,
     ("panorama", "full"): 1024,
     ("points", "brdf"): 1,  # without noise: one light without size, no bounces
@@ -48,6 +48,7 @@ def render_scene(
     seed: int = 0,
     samples: int | None = None,
     shell: Shell = "stage",
+    distribution: Distribution = "MULTI_GGX",
     cache: Path | None = None,
     threads: int = 2,
     timeout: float = 3600.0,
@@ -78,6 +79,8 @@ def render_scene(
     shell
         Which walls block light: "stage" all that the camera sees but the ceiling, "open" the floor
         alone; the others are there for the camera only.
+    distribution
+        Principled's: "GGX", or with light between facets "MULTI_GGX", which is Blender's default.
     cache
         Folder that keeps renders; None = the user's cache. Panoramas of one seed share a render
         whatever their number is.
@@ -120,6 +123,7 @@ def render_scene(
         transport,
         samples=SAMPLES[light, transport] if samples is None else samples,
         seed=seed % 2**31,
+        distribution=distribution,
     )
     found = rendered(job, cache=cache, threads=threads, timeout=timeout)
     mask = inner_pixels(found.segments, found.normals, fov)

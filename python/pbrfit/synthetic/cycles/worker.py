@@ -138,7 +138,7 @@ def add_mesh(
         for key, of in (("albedo", values[:, :3]), ("finish", finish)):
             attribute = data.attributes.new(key, "FLOAT_VECTOR", "POINT")
             attribute.data.foreach_set("vector", np.ascontiguousarray(of).reshape(-1))
-    data.materials.append(material(index, mesh, maps, job["specular"]))
+    data.materials.append(material(index, mesh, maps, job))
     data.update()
     piece = bpy.data.objects.new(f"piece {index}", data)
     piece.pass_index = index + 1
@@ -201,14 +201,14 @@ class Nodes:
         self.add("ShaderNodeOutputMaterial", {"Surface": shader})
 
 
-def material(index: int, mesh: dict[str, Any], maps: dict[str, Any], specular: float) -> Any:
+def material(index: int, mesh: dict[str, Any], maps: dict[str, Any], job: dict[str, Any]) -> Any:
     """Principled, and AOVs of what went into it.
 
     What the camera sees comes from maps with one texel a pixel, looked up where the point is in
     the picture; what other rays see comes from the values at the vertices.
     """
     nodes = Nodes(f"material {index}")
-    inputs: dict[str, Any] = {"IOR": 1.5, "Specular IOR Level": specular}
+    inputs: dict[str, Any] = {"IOR": 1.5, "Specular IOR Level": job["specular"]}
     by_camera = None
     if mesh["varies"]:
         by_camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
@@ -248,7 +248,7 @@ def material(index: int, mesh: dict[str, Any], maps: dict[str, Any], specular: f
         inputs["Base Color"] = (*mesh["albedo"], 1.0)
         inputs["Roughness"], inputs["Metallic"] = mesh["roughness"], mesh["metallic"]
         aov = {"albedo": inputs["Base Color"]}
-    shader = nodes.add("ShaderNodeBsdfPrincipled", inputs, distribution="GGX")
+    shader = nodes.add("ShaderNodeBsdfPrincipled", inputs, distribution=job["distribution"])
     nodes.surface(shader.outputs[0])
     nodes.add("ShaderNodeOutputAOV", {"Color": aov["albedo"]}, aov_name="albedo")
     for name in ("roughness", "metallic"):
