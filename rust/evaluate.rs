@@ -154,7 +154,7 @@ fn evaluate<
     let model = M::default();
     let mut factors: [_; C] = std::array::from_fn(|_| ChannelFactors::default());
     let mut sums: [_; C] = std::array::from_fn(|_| ChannelSums::default());
-    let mut weights = [Plane::default(); K];
+    let mut weights = [[Plane::default(); K]; C];
     let mut residuals = [Plane::default(); GROUP];
 
     let mut turned = FREE_NORMALS.then(Box::<Turned>::default);
@@ -206,13 +206,13 @@ fn evaluate<
             factors: &mut factors,
             model,
         });
+        isa.run(FillWeights {
+            basis: &basis,
+            factors: &factors,
+            weights: &mut weights,
+            model,
+        });
         for c in 0..C {
-            isa.run(FillWeights {
-                basis: &basis,
-                factors: &factors[c],
-                weights: &mut weights,
-                model,
-            });
             piece.look_ahead::<C, FREE_NORMALS>(gradient, block, c, &mut ahead);
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
@@ -225,7 +225,7 @@ fn evaluate<
                     &[]
                 };
                 let step = Residuals::<K, WEIGHTED> {
-                    weights: &weights,
+                    weights: &weights[c],
                     lights,
                     targets: &targets[group.clone()],
                     sample_weights,
@@ -265,7 +265,7 @@ fn evaluate<
                 }
                 if FREE_LIGHTS {
                     isa.run(ByLights {
-                        weights: &weights,
+                        weights: &weights[c],
                         residuals,
                         sums: &mut light_sums[c * pictures..][group],
                         ahead: &mut ahead,

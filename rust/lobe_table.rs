@@ -19,6 +19,9 @@ use crate::simd::{Isa, Vectors};
 /// Functions: a_j and b_j over sinᵐ of the view angle, j = 0 to 9 each, the mean albedo Ē and κ.
 pub const VALUES: usize = 22;
 
+/// Planes from those of the functions to those of their slopes by r, and on to those by n·v: whole
+/// groups of four.
+pub const SECTION: usize = 24;
 /// Numbers at a knot of the file, two of them nothing.
 const IN_FILE: usize = 24;
 /// At a knot in memory: whole vectors of any width.
@@ -69,7 +72,7 @@ pub fn prepare() {
 /// Numbers that the splines are evaluated in.
 pub trait Tabled: Copy + Default + Sized + 'static {
     /// Fills in all functions of a block of pixels at roughness r and the clamped n·v, their slopes by
-    /// r and, where they are asked for, by n·v: three times [`VALUES`] planes.
+    /// r and, where they are asked for, by n·v: three [`SECTION`]s.
     fn look_up<I: Isa>(
         isa: I,
         roughness: &Plane<f64>,
@@ -94,8 +97,8 @@ macro_rules! tabled {
                     Places::<$t>::new(ROUGHNESS, roughness),
                     Places::<$t>::new(COSINE, cosine),
                 );
-                let (value, slopes) = functions.split_at_mut(VALUES);
-                let (by_r, by_x) = slopes.split_at_mut(VALUES);
+                let (value, slopes) = functions.split_at_mut(SECTION);
+                let (by_r, by_x) = slopes.split_at_mut(SECTION);
                 let weights = [&at_r.weights, &at_r.slopes];
                 let table = &*$table;
                 table.fill(isa, [&at_r, &at_x], weights, &at_x.weights, [value, by_r]);
@@ -128,30 +131,31 @@ struct Places<T> {
 ///
 /// With u from 0 to 1 in a cell, the weights are (1−u)³, 3u³−6u²+4, −3u³+3u²+3u+1 and u³, over 6.
 #[inline(always)]
-fn place(coordinate: usize, value: f64) -> (i32, [f64; 4], [f64; 4]) {
-    const SIXTH: f64 = 1.0 / 6.0;
+fn place<T: Real>(coordinate: usize, value: T) -> (i32, [T; 4], [T; 4]) {
+    let of = T::from_f64;
     let (cells, c, w) = (CELLS[coordinate], BEND[coordinate], BENT[coordinate]);
     let scale = cells as f64;
-    let inverse = 1.0 / (value + c);
-    let bent = w * (1.0 + c) * inverse;
-    let along = scale * (bent + 1.0 - w) * value;
-    let slope = scale * (bent * c * inverse + 1.0 - w);
-    // To an i32, which vectors convert to.
-    let first = (along as i32).min(cells as i32 - 1);
-    let u = along - f64::from(first);
-    let rest = 1.0 - u;
+    let inverse = of(1.0) / (value + of(c));
+    let bent = of(scale * w * (1.0 + c)) * inverse;
+    let along = (bent + of(scale * (1.0 - w))) * value;
+    let slope = bent * of(c) * inverse + of(scale * (1.0 - w));
+    let first = along.truncated().min(cells as i32 - 1);
+    let u = along - of(f64::from(first));
+    let rest = of(1.0) - u;
     let (u2, rest2) = (u * u, rest * rest);
+    let (sixth, half, four_sixths) = (of(1.0 / 6.0), of(0.5), of(4.0 / 6.0));
     let weights = [
-        SIXTH * rest2 * rest,
-        SIXTH * (3.0 * u2 * (u - 2.0) + 4.0),
-        SIXTH * (3.0 * rest2 * (rest - 2.0) + 4.0),
-        SIXTH * u2 * u,
+        sixth * rest2 * rest,
+        half * u2 * (u - of(2.0)) + four_sixths,
+        half * rest2 * (rest - of(2.0)) + four_sixths,
+        sixth * u2 * u,
     ];
+    let slope = half * slope;
     let slopes = [
-        -0.5 * slope * rest2,
-        0.5 * slope * u * (3.0 * u - 4.0),
-        0.5 * slope * rest * (4.0 - 3.0 * rest),
-        0.5 * slope * u2,
+        of(0.0) - slope * rest2,
+        slope * u * (of(3.0) * u - of(4.0)),
+        slope * rest * (of(4.0) - of(3.0) * rest),
+        slope * u2,
     ];
     (first, weights, slopes)
 }
@@ -165,11 +169,11 @@ impl<T: Real> Places<T> {
             slopes: Default::default(),
         };
         for x in 0..BLOCK {
-            let (first, weights, slopes) = place(coordinate, values.0[x]);
+            let (first, weights, slopes) = place(coordinate, T::from_f64(values.0[x]));
             places.first[x] = first;
             for i in 0..4 {
-                places.weights[i].0[x] = T::from_f64(weights[i]);
-                places.slopes[i].0[x] = T::from_f64(slopes[i]);
+                places.weights[i].0[x] = weights[i];
+                places.slopes[i].0[x] = slopes[i];
             }
         }
         places
@@ -262,8 +266,8 @@ fn to_planes<T: Real>(rows: &[Row<T>; TOGETHER], begin: usize, functions: &mut [
 
 /// All functions at one roughness and clamped n·v, with their slopes by r and by n·v.
 pub fn values(r: f64, cosine: f64) -> [[f64; VALUES]; 3] {
-    let (row, down, down_slopes) = place(ROUGHNESS, r);
-    let (column, across, across_slopes) = place(COSINE, cosine);
+    let (row, down, down_slopes) = place::<f64>(ROUGHNESS, r);
+    let (column, across, across_slopes) = place::<f64>(COSINE, cosine);
     let mut values = [[0.0; VALUES]; 3];
     for i in 0..4 {
         for j in 0..4 {

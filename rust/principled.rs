@@ -38,7 +38,7 @@ use std::f64::consts::{FRAC_1_PI, PI};
 use crate::block::{ChannelFactors, ChannelSums, Directions, Materials, Plane};
 use crate::ggx::DIELECTRIC_F0;
 use crate::lobe_rows;
-use crate::lobe_table::{self, VALUES};
+use crate::lobe_table::{self, SECTION};
 use crate::sh::{BANDS, Real};
 use crate::shade::{self, BlockFunctions, ByRow, MAX_ENTRIES, Material, Reflection};
 use crate::simd::Isa;
@@ -155,8 +155,8 @@ impl Reflection for Principled {
         let at = |f: usize| functions[f].0[pixel].to_f64();
         Functions {
             lobe: Lobe::of(at),
-            by_roughness: Lobe::of(|f| at(VALUES + f)),
-            by_cosine: Lobe::of(|f| at(2 * VALUES + f)),
+            by_roughness: Lobe::of(|f| at(SECTION + f)),
+            by_cosine: Lobe::of(|f| at(2 * SECTION + f)),
         }
     }
 

@@ -117,7 +117,7 @@ fn render_chunk<M: Reflection>(
     let mut functions = no_functions();
     let model = M::default();
     let mut factors: [ChannelFactors<f64>; 3] = Default::default();
-    let mut weights = [Plane::default(); COEFFICIENTS];
+    let mut weights = [[Plane::default(); COEFFICIENTS]; 3];
     let mut radiance = Plane::default();
     let end = first + parts[0].len() / 3;
     for block in (first..end).step_by(BLOCK) {
@@ -140,16 +140,16 @@ fn render_chunk<M: Reflection>(
             factors: &mut factors,
             model,
         });
+        isa.run(FillWeights {
+            basis: &basis,
+            factors: &factors,
+            weights: &mut weights,
+            model,
+        });
         for c in 0..3 {
-            isa.run(FillWeights {
-                basis: &basis,
-                factors: &factors[c],
-                weights: &mut weights,
-                model,
-            });
             for (light, part) in lights.iter().zip(parts.iter_mut()) {
                 isa.run(Radiance {
-                    weights: &weights,
+                    weights: &weights[c],
                     light: &light[c],
                     radiance: &mut radiance,
                 });

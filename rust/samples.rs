@@ -88,7 +88,7 @@ pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
     functions: Box<ExactFunctions<M>>,
     factors: [ChannelFactors<f64>; C],
     /// w_ck
-    pub weights: Vec<[Doubles; COEFFICIENTS]>,
+    pub weights: Box<[[Doubles; COEFFICIENTS]; C]>,
     responses: Vec<Responses>,
     /// Where D says that normals are free.
     pub tilted: Option<Tilted>,
@@ -146,7 +146,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             basis: Basis::default(),
             functions: no_functions(),
             factors: std::array::from_fn(|_| ChannelFactors::default()),
-            weights: vec![[Doubles::default(); COEFFICIENTS]; C],
+            weights: Box::new([[Doubles::default(); COEFFICIENTS]; C]),
             responses: vec![Responses::default(); C],
             tilted: (D > DERIVATIVES).then(|| Tilted::new(C)),
             given: Vec::new(),
@@ -240,14 +240,12 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             factors: &mut self.factors,
             model: self.model,
         });
-        for (factors, weights) in self.factors.iter().zip(&mut self.weights) {
-            self.isa.run(FillWeights {
-                basis: &self.basis,
-                factors,
-                weights,
-                model: self.model,
-            });
-        }
+        self.isa.run(FillWeights {
+            basis: &self.basis,
+            factors: &self.factors,
+            weights: &mut self.weights,
+            model: self.model,
+        });
     }
 
     /// Adds all samples to the normal equations.

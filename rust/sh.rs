@@ -36,6 +36,8 @@ pub trait Real:
     fn from_f64(value: f64) -> Self;
     /// Exact.
     fn to_f64(self) -> f64;
+    /// Without its fraction; to a number that vectors convert to.
+    fn truncated(self) -> i32;
 }
 
 impl Real for f32 {
@@ -48,6 +50,11 @@ impl Real for f32 {
     fn to_f64(self) -> f64 {
         self.into()
     }
+
+    #[inline(always)]
+    fn truncated(self) -> i32 {
+        self as i32
+    }
 }
 
 impl Real for f64 {
@@ -59,6 +66,11 @@ impl Real for f64 {
     #[inline(always)]
     fn to_f64(self) -> f64 {
         self
+    }
+
+    #[inline(always)]
+    fn truncated(self) -> i32 {
+        self as i32
     }
 }
 

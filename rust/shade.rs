@@ -33,7 +33,7 @@ pub const MAX_ROWS: usize = 10;
 /// Basis functions R_jk of a lobe at most.
 pub const MAX_ENTRIES: usize = 50;
 /// Functions of roughness and n·v at most.
-pub const MAX_FUNCTIONS: usize = 66;
+pub const MAX_FUNCTIONS: usize = 72;
 
 /// One number for each row of a lobe.
 pub type ByRow = [f64; MAX_ROWS];
