@@ -309,11 +309,23 @@ impl<M: Reflection, T: Real, const K: usize> Kernel for FillBasis<'_, M, T, K> {
                 basis.diffuse[k].0[x] = T::from_f64(COSINE_TRANSFER[BAND_OF[k]]) * y[k];
             }
         }
-        for x in 0..BLOCK {
-            let lobe = M::lobe(directions.normal(x), directions.mirror(x));
-            for i in 0..first_entry::<M>(K) {
-                basis.lobe[i].0[x] = lobe[i];
-            }
+        fill_lobe::<M, T, K>(&directions.normal, &directions.mirror, &mut basis.lobe);
+    }
+}
+
+/// A function of its own, from whose arguments the compiler knows that they do not overlap, and a count
+/// that it knows beforehand: else it makes no vector code of so many planes.
+#[inline(always)]
+fn fill_lobe<M: Reflection, T: Real, const K: usize>(
+    normal: &[Plane<T>; 3],
+    mirror: &[Plane<T>; 3],
+    lobe: &mut [Plane<T>; MAX_ENTRIES],
+) {
+    let entries = const { first_entry::<M>(K) };
+    for x in 0..BLOCK {
+        let of_pixel = M::lobe(vector(normal, x), vector(mirror, x));
+        for entry in 0..entries {
+            lobe[entry].0[x] = of_pixel[entry];
         }
     }
 }

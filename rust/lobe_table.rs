@@ -213,18 +213,25 @@ impl<T: Real> LobeTable<T> {
                 for i in 0..4 {
                     knots[i] = &self.knots[first + i * KNOTS[1]..][..4];
                 }
-                let splat = |planes: &[Plane<T>; 4]| planes.each_ref().map(|p| isa.splat(p.0[x]));
-                let (down, across) = (down.map(splat), splat(across));
+                // In loops: a closure given to `map` is not always inlined.
+                let mut across_x = [isa.splat(T::default()); 4];
+                let mut down_x = [across_x; N];
+                for i in 0..4 {
+                    across_x[i] = isa.splat(across[i].0[x]);
+                    for n in 0..N {
+                        down_x[n][i] = isa.splat(down[n][i].0[x]);
+                    }
+                }
                 // As many vectors as the functions need.
                 for v in 0..VALUES.div_ceil(I::LANES) {
                     let mut sums = [isa.splat(T::default()); N];
                     for i in 0..4 {
-                        let mut row = isa.mul(across[0], I::of(&knots[i][0].0)[v]);
+                        let mut row = isa.mul(across_x[0], I::of(&knots[i][0].0)[v]);
                         for j in 1..4 {
-                            row = isa.mul_add(across[j], I::of(&knots[i][j].0)[v], row);
+                            row = isa.mul_add(across_x[j], I::of(&knots[i][j].0)[v], row);
                         }
                         for n in 0..N {
-                            sums[n] = isa.mul_add(down[n][i], row, sums[n]);
+                            sums[n] = isa.mul_add(down_x[n][i], row, sums[n]);
                         }
                     }
                     for n in 0..N {
@@ -233,13 +240,22 @@ impl<T: Real> LobeTable<T> {
                 }
             }
             for n in 0..N {
-                for f in 0..VALUES {
-                    let plane = &mut functions[n][f].0[begin..begin + TOGETHER];
-                    for i in 0..TOGETHER {
-                        plane[i] = rows[n][i].0[f];
-                    }
-                }
+                to_planes(&rows[n], begin, functions[n]);
             }
+        }
+    }
+}
+
+/// From pixel by pixel to function by function.
+///
+/// Never inlined, and so compiled for what all processors have: with AVX-512 the compiler would make
+/// scatters of it, which take several times as long.
+#[inline(never)]
+fn to_planes<T: Real>(rows: &[Row<T>; TOGETHER], begin: usize, functions: &mut [Plane<T>]) {
+    for (f, plane) in functions.iter_mut().take(VALUES).enumerate() {
+        let plane = &mut plane.0[begin..begin + TOGETHER];
+        for i in 0..TOGETHER {
+            plane[i] = rows[i].0[f];
         }
     }
 }

@@ -186,10 +186,11 @@ impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
                 slopes.diffuse[k].0[x] = COSINE_TRANSFER[BAND_OF[k]] * along[k];
             }
         }
+        let entries = const { first_entry::<M>(COEFFICIENTS) };
         for x in 0..BLOCK {
             let by = [by_normal, by_mirror].map(|by| vector(by, x).to_array());
             let along = M::lobe_along([directions.normal(x), directions.mirror(x)], by);
-            for i in 0..first_entry::<M>(COEFFICIENTS) {
+            for i in 0..entries {
                 slopes.lobe[i].0[x] = along[i];
             }
         }

@@ -1,6 +1,6 @@
 """Draw the figure of docs/export.md that has both reflection models, recovered and in Blender.
 
-    python tools/models_in_blender.py [--kind spheres] [--size 192] [--samples 512] [--seed 0]
+    python tools/models_in_blender.py [--kind spheres] [--size 144] [--samples 512] [--seed 0]
 
 Pictures of a synthetic scene, rendered with the principled model, are fitted with either model.
 Each result is relit by pbrfit under a light that no picture had, and exported to glTF and rendered
@@ -44,7 +44,7 @@ def main() -> None:
     """Fit, relight, render, print, draw."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--kind", default="spheres", choices=("spheres", "room", "furnished"))
-    parser.add_argument("--size", type=int, default=192)
+    parser.add_argument("--size", type=int, default=144)
     parser.add_argument("--samples", type=int, default=512)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()

@@ -152,11 +152,11 @@ def test_wrong_normals_are_refined() -> None:
 
 
 def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = room("principled", size=24)
+    scene = room("principled", size=20)
     whole = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
     monkeypatch.setattr(memory, "WHOLE", 0)
     monkeypatch.setattr("pbrfit.tiles.tiling.FEWEST", 16)
-    monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=144, side=16))
+    monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=100, side=14))
     tiled = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
     assert "tiles" in tiled.stages[-1].name
     for name in ("albedo", "roughness", "metallic"):

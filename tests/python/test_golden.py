@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
+
+# Whatever the default is.
+shade = partial(pbrfit.shade, model="paper")
+shade_vjp = partial(pbrfit.shade_vjp, model="paper")
 
 Array = NDArray[np.floating[Any]]
 
@@ -68,10 +73,10 @@ def test_shading(folder: Path, quantity: str) -> None:
     inputs = ("normal", "view", "albedo", "roughness", "metallic")
     pixels: dict[str, Any] = {name: stacked(name) for name in inputs}
     lighting = stacked("lighting").swapaxes(1, 2)  # (cases, 3, 16)
-    weights = pbrfit.shade(**pixels)
+    weights = shade(**pixels)
     # One cotangent a channel, so that the derivatives come out channel by channel.
     cotangent = np.eye(3)[:, :, None] * lighting[:, None]
-    d_albedo, d_roughness, d_metallic, d_normal = pbrfit.shade_vjp(
+    d_albedo, d_roughness, d_metallic, d_normal = shade_vjp(
         **{name: array[:, None] for name, array in pixels.items()}, cotangent=cotangent
     )
     other_channels = d_albedo * (1 - np.eye(3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,11 @@ import pbrfit
 import reference
 from finite_differences import ridders
 from reference import unit
+
+# Whatever the default is.
+render = partial(pbrfit.render, model="paper")
+shade = partial(pbrfit.shade, model="paper")
+shade_vjp = partial(pbrfit.shade_vjp, model="paper")
 
 Array = NDArray[np.floating[Any]]
 
@@ -67,7 +73,7 @@ def test_band_weights() -> None:
 
 def test_shade() -> None:
     pixels = random_pixels(3000, 1)
-    assert_close(pbrfit.shade(**pixels), reference.shade(**pixels), 1e-13, "shade")
+    assert_close(shade(**pixels), reference.shade(**pixels), 1e-13, "shade")
 
 
 def test_shade_vjp() -> None:
@@ -79,7 +85,7 @@ def test_shade_vjp() -> None:
         np.sum(cotangent * d_roughness, axis=(-1, -2)),
         np.sum(cotangent * d_metallic, axis=(-1, -2)),
     )
-    *found, d_normal = pbrfit.shade_vjp(**pixels, cotangent=cotangent)
+    *found, d_normal = shade_vjp(**pixels, cotangent=cotangent)
     for a, b, what in zip(found, expected, ("albedo", "roughness", "metallic"), strict=True):
         assert_close(a, b, 1e-12, f"derivative by {what}")
     # By the normal: the change while it turns, in any direction of its tangent plane.
@@ -114,7 +120,7 @@ PLACES = [
 def jacobian(normal: Array, view: Array, materials: dict[str, Any]) -> dict[str, Array]:
     """Derivatives of every weight by every material, (3, 16) each, from the adjoint."""
     unit_cotangents = np.eye(48).reshape(3, 16, 3, 16)
-    d_albedo, d_roughness, d_metallic, _ = pbrfit.shade_vjp(
+    d_albedo, d_roughness, d_metallic, _ = shade_vjp(
         normal, view, **materials, cotangent=unit_cotangents
     )
     return {"albedo": d_albedo.sum(-1), "roughness": d_roughness, "metallic": d_metallic}
@@ -134,7 +140,7 @@ def test_adjoint_against_finite_differences(
 
     def weights(change: float) -> Array:
         moved = materials | {name: materials[name] + change}
-        return pbrfit.shade(normal, view, **moved)
+        return shade(normal, view, **moved)
 
     # Values are good to 4e-15 or so and the last steps are 1e-5: noise of 1e-10 at the very most.
     step = 2e-3
@@ -161,7 +167,7 @@ def test_adjoint_by_the_normal_against_finite_differences(
     tangent = np.eye(3)[axis]  # of a normal along z
 
     def weights(change: float) -> Array:
-        return pbrfit.shade(unit(normal + change * tangent), view, **material)
+        return shade(unit(normal + change * tangent), view, **material)
 
     # Steps that stay on one side of the clamp: n·v changes by at most as much as the normal.
     room = abs(cosine - 1e-4)
@@ -169,9 +175,7 @@ def test_adjoint_by_the_normal_against_finite_differences(
         numerical, _ = ridders(weights, min(2e-3, room / 2))
     else:  # n·v falls where the normal turns away from the view
         numerical, _ = ridders(weights, -1e-4 if axis == 0 else 1e-4, one_sided=True)
-    d_normal = pbrfit.shade_vjp(
-        normal, view, **material, cotangent=np.eye(48).reshape(3, 16, 3, 16)
-    )[3]
+    d_normal = shade_vjp(normal, view, **material, cotangent=np.eye(48).reshape(3, 16, 3, 16))[3]
     found = d_normal[..., axis]
     assert not d_normal[..., 2].any()
     scale = max(1.0, float(np.abs(numerical).max()))
@@ -189,12 +193,12 @@ def test_adjoint_by_dot_product() -> None:
 
     def contracted(t: float) -> float:
         moved = pixels | {name: pixels[name] + t * v[name] for name in v}
-        return float(np.sum(w * pbrfit.shade(**moved)))
+        return float(np.sum(w * shade(**moved)))
 
     numerical, _ = ridders(contracted, 1e-3)
     adjoint = sum(
         float(np.sum(d * v[name]))
-        for d, name in zip(pbrfit.shade_vjp(**pixels, cotangent=w)[:3], v, strict=True)
+        for d, name in zip(shade_vjp(**pixels, cotangent=w)[:3], v, strict=True)
     )
     assert adjoint == pytest.approx(float(numerical), rel=1e-8)
 
@@ -233,14 +237,14 @@ def test_leading_dimensions_broadcast(
         name: np.broadcast_to(array, shape if name in ("roughness", "metallic") else (*shape, 3))
         for name, array in pixels.items()
     }
-    weights = pbrfit.shade(**pixels)
+    weights = shade(**pixels)
     assert weights.shape == (*shape, 3, 16)
     assert weights.dtype == np.float64
     np.testing.assert_allclose(weights, reference.shade(**full), rtol=0, atol=1e-13)
     # The adjoint answers for every broadcast pixel, and its cotangent broadcasts too.
     cotangent = rng.normal(size=(3, 16))
-    found = pbrfit.shade_vjp(**pixels, cotangent=cotangent)
-    expected = pbrfit.shade_vjp(**full, cotangent=np.tile(cotangent, (*shape, 1, 1)))
+    found = shade_vjp(**pixels, cotangent=cotangent)
+    expected = shade_vjp(**full, cotangent=np.tile(cotangent, (*shape, 1, 1)))
     assert [d.shape for d in found] == [(*shape, 3), shape, shape, (*shape, 3)]
     for a, b in zip(found, expected, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -248,18 +252,18 @@ def test_leading_dimensions_broadcast(
 
 def test_arrays_of_other_layout_and_precision() -> None:
     pixels = random_pixels(40, 7)
-    expected = pbrfit.shade(**pixels)
+    expected = shade(**pixels)
     transposed: dict[str, Any] = {name: np.asfortranarray(array) for name, array in pixels.items()}
-    np.testing.assert_array_equal(pbrfit.shade(**transposed), expected)
+    np.testing.assert_array_equal(shade(**transposed), expected)
     backwards: dict[str, Any] = {name: array[::-1] for name, array in pixels.items()}
-    np.testing.assert_array_equal(pbrfit.shade(**backwards), expected[::-1])
+    np.testing.assert_array_equal(shade(**backwards), expected[::-1])
     single = {name: array.astype(np.float32) for name, array in pixels.items()}
-    found = pbrfit.shade(**single)
+    found = shade(**single)
     assert found.dtype == np.float64
     widened = {name: array.astype(np.float64) for name, array in single.items()}
-    np.testing.assert_array_equal(found, pbrfit.shade(**widened))
+    np.testing.assert_array_equal(found, shade(**widened))
     listed = {name: array.tolist() for name, array in pixels.items()}
-    np.testing.assert_array_equal(pbrfit.shade(**listed), expected)
+    np.testing.assert_array_equal(shade(**listed), expected)
 
 
 # --- Camera and render ---
@@ -299,10 +303,10 @@ def test_render(fov: float) -> None:
         normals, view, materials.albedo, materials.roughness, materials.metallic
     )
     expected = np.einsum("hwck,nkc->nhwc", weights, lighting)
-    several = pbrfit.render(materials, normals, lighting, fov)
+    several = render(materials, normals, lighting, fov)
     assert several.shape == (4, height, width, 3)
     assert_close(several, expected, 1e-13, "render")
-    one = pbrfit.render(materials, normals, lighting[2], fov)
+    one = render(materials, normals, lighting[2], fov)
     assert one.shape == (height, width, 3)
     np.testing.assert_array_equal(one, several[2])
 
@@ -312,9 +316,7 @@ def test_render_leaves_pixels_outside_the_mask_nan() -> None:
     normals = np.broadcast_to([0.0, 0, 1], (2, 3, 3)).copy()
     albedo[0, 1] = roughness[0, 1] = metallic[0, 1] = np.nan
     normals[1, 2] = np.nan
-    picture = pbrfit.render(
-        pbrfit.Materials(albedo, roughness, metallic), normals, np.ones((16, 3)), 60.0
-    )
+    picture = render(pbrfit.Materials(albedo, roughness, metallic), normals, np.ones((16, 3)), 60.0)
     outside = np.zeros((2, 3), dtype=bool)
     outside[0, 1] = outside[1, 2] = True
     np.testing.assert_array_equal(np.isnan(picture).all(axis=-1), outside)
@@ -361,10 +363,10 @@ BAD: list[tuple[str, str, Any]] = [
 def test_shade_refuses_and_names_the_argument(name: str, what: str, value: Any) -> None:
     del what
     with pytest.raises(pbrfit.InputError, match=rf"\b{name}\b") as refusal:
-        pbrfit.shade(**(GOOD | {name: value}))
+        shade(**(GOOD | {name: value}))
     assert "\n" not in str(refusal.value)
     with pytest.raises(pbrfit.InputError, match=rf"\b{name}\b"):
-        pbrfit.shade_vjp(**(GOOD | {name: value}), cotangent=GOOD_COTANGENT)
+        shade_vjp(**(GOOD | {name: value}), cotangent=GOOD_COTANGENT)
 
 
 @pytest.mark.parametrize(
@@ -373,7 +375,7 @@ def test_shade_refuses_and_names_the_argument(name: str, what: str, value: Any) 
 )
 def test_shade_vjp_refuses_a_bad_cotangent(cotangent: Array) -> None:
     with pytest.raises(pbrfit.InputError, match="cotangent"):
-        pbrfit.shade_vjp(**GOOD, cotangent=cotangent)
+        shade_vjp(**GOOD, cotangent=cotangent)
 
 
 @pytest.mark.parametrize(
@@ -423,7 +425,7 @@ def test_render_refuses_and_names_the_array(change: dict[str, Any], name: str) -
     }
     given = good | change
     with pytest.raises(pbrfit.InputError, match=name):
-        pbrfit.render(
+        render(
             pbrfit.Materials(given["albedo"], given["roughness"], given["metallic"]),
             given["normals"],
             given["lighting"],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,10 @@ import pbrfit
 from pbrfit.objective import Objective
 from pbrfit.synthetic import make_scene
 from reference import smith_g1, unit
+
+# Whatever the default is.
+render = partial(pbrfit.render, model="paper")
+shade = partial(pbrfit.shade, model="paper")
 
 Array = NDArray[np.floating[Any]]
 
@@ -85,10 +90,8 @@ def test_radiance_is_equivariant_under_rotation() -> None:
     normal, view = frames(200, 2)
     albedo, (roughness, metallic) = rng.random((200, 3)), rng.random((2, 200))
     lighting = rng.normal(size=(16, 3))
-    before = pbrfit.shade(normal, view, albedo, roughness, metallic)
-    after = pbrfit.shade(
-        unit(normal @ rotation.T), unit(view @ rotation.T), albedo, roughness, metallic
-    )
+    before = shade(normal, view, albedo, roughness, metallic)
+    after = shade(unit(normal @ rotation.T), unit(view @ rotation.T), albedo, roughness, metallic)
     np.testing.assert_allclose(
         np.einsum("pck,kc->pc", after, M @ lighting),
         np.einsum("pck,kc->pc", before, lighting),
@@ -139,7 +142,7 @@ def test_white_furnace() -> None:
     albedo, (roughness, metallic) = rng.random((5000, 3)), rng.random((2, 5000))
     albedo[:500], metallic[250:750] = 1, 0
     roughness[::7], metallic[::5] = 0, 1
-    radiance = CONSTANT_LIGHT * pbrfit.shade(normal, view, albedo, roughness, metallic)[..., 0]
+    radiance = CONSTANT_LIGHT * shade(normal, view, albedo, roughness, metallic)[..., 0]
     cosine = np.sum(normal * view, axis=-1)
     m, r = metallic[:, None], roughness
     f0 = 0.04 * (1 - m) + m * albedo
@@ -197,7 +200,7 @@ def test_white_furnace_gap_is_as_tabled(
     r: float, cosine: float, model: float, exact: float
 ) -> None:
     normal, view = seen_at(cosine)
-    weights = pbrfit.shade(normal, view, WHITE, np.array(r), np.array(1.0))
+    weights = shade(normal, view, WHITE, np.array(r), np.array(1.0))
     assert CONSTANT_LIGHT * weights[0, 0] == pytest.approx(model, abs=6e-5)
     assert hemisphere_reflectance(r, cosine) == pytest.approx(exact, abs=5e-4)
     if r <= 0.5 and cosine >= 0.5:
@@ -211,7 +214,7 @@ def test_a_perfect_mirror_shows_the_light() -> None:
     # White metal of roughness 0: F = G1 = 1 and h_l = 4, so the weights are Y(mirror).
     normal, view = frames(100, 5)
     mirror = 2 * np.sum(normal * view, axis=-1, keepdims=True) * normal - view
-    weights = pbrfit.shade(normal, view, WHITE, np.array(0.0), np.array(1.0))
+    weights = shade(normal, view, WHITE, np.array(0.0), np.array(1.0))
     expected = np.broadcast_to(pbrfit.sh_basis(unit(mirror))[:, None], (100, 3, 16))
     np.testing.assert_allclose(weights, expected, rtol=0, atol=1e-14)
 
@@ -222,8 +225,7 @@ def test_diffuse_term_is_the_cosine_weighted_integral_of_the_light() -> None:
     directions, area = sphere_rule(16, 32)
     irradiance = pbrfit.sh_basis(directions).T @ (area * np.maximum(0, directions @ normal))
     white, black = (
-        pbrfit.shade(normal, view, np.full(3, rho), np.array(0.5), np.array(0.0))[0]
-        for rho in (1.0, 0.0)
+        shade(normal, view, np.full(3, rho), np.array(0.5), np.array(0.0))[0] for rho in (1.0, 0.0)
     )
     fresnel = 0.04 + 0.96 * 0.4**5
     np.testing.assert_allclose(
@@ -242,7 +244,7 @@ def test_specular_term_is_the_zonal_integral_of_the_light() -> None:
     e = r**4
     lobe = (directions[:, 2] > 0) * e / (math.pi * ((1 + u) / 2 * (e - 1) + 1) ** 2)
     moments = pbrfit.sh_basis(unit(turn.apply(directions))).T @ (area * lobe)
-    weights = pbrfit.shade(normal, view, WHITE, np.array(r), np.array(1.0))[0]
+    weights = shade(normal, view, WHITE, np.array(r), np.array(1.0))[0]
     g1 = float(np.real(smith_g1(np.array(cosine), np.array(r))))
     np.testing.assert_allclose(weights, g1 / 4 * moments, rtol=0, atol=1e-13)
 
@@ -252,9 +254,9 @@ def test_metals_have_no_diffuse_term_and_dielectrics_reflect_four_percent() -> N
     h, _ = pbrfit.ggx_band_weights(np.array(0.5))
     at_normal = h[DEGREE] / 4 * pbrfit.sh_basis(normal)
     albedo = np.array([0.9, 0.5, 0.1])
-    metal = pbrfit.shade(normal, view, albedo, np.array(0.5), np.array(1.0))
+    metal = shade(normal, view, albedo, np.array(0.5), np.array(1.0))
     np.testing.assert_allclose(metal, albedo[:, None] * at_normal, rtol=0, atol=1e-15)
-    black = pbrfit.shade(normal, view, np.zeros(3), np.array(0.5), np.array(0.0))
+    black = shade(normal, view, np.zeros(3), np.array(0.5), np.array(0.0))
     np.testing.assert_allclose(black, np.tile(0.04 * at_normal, (3, 1)), rtol=0, atol=1e-15)
 
 
@@ -264,7 +266,7 @@ def test_radiance_is_linear_in_the_light() -> None:
     normals = unit(rng.normal(size=(5, 7, 3)) + np.array([0, 0, 2]))
     first, second = rng.normal(size=(2, 16, 3))
     lights = np.stack([first, second, 2 * first - 0.5 * second])
-    a, b, mixed = pbrfit.render(materials, normals, lights, 60.0)
+    a, b, mixed = render(materials, normals, lights, 60.0)
     np.testing.assert_allclose(mixed, 2 * a - 0.5 * b, rtol=0, atol=1e-13)
 
 

@@ -74,7 +74,7 @@ def test_the_page_says_what_its_maps_are_maps_of(folder: Path, tmp_path: Path, p
     other: Model = "paper" if found.model == "principled" else "principled"
     of_other = written(dataclasses.replace(found, model=other), tmp_path / "page.html")
     for shown, model in ((page, found.model), (of_other, other)):
-        assert f"reflection model {model}" in shown.text
+        assert f"reflection model{model}" in shown.text
         assert REFLECTION[model] in shown.text
     assert REFLECTION[found.model] not in of_other.text
 

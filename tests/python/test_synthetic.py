@@ -462,12 +462,12 @@ def test_exposure(kind: SceneKind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_pictures_are_the_model_of_their_truth(kind: SceneKind) -> None:
-    scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2)
+    scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2, model="paper")
     for images, lighting in (
         (scene.images, lights(scene)),
         relight(scene),
     ):
-        again = render(truth(scene).materials, scene.normals, lighting, scene.fov)
+        again = render(truth(scene).materials, scene.normals, lighting, scene.fov, model="paper")
         np.testing.assert_allclose(images, again, rtol=1e-13, atol=1e-15)
         slow = slow_render(truth(scene).materials, scene.normals, lighting, scene.fov)
         np.testing.assert_allclose(images, slow, rtol=1e-11, atol=1e-12)
