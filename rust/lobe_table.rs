@@ -80,10 +80,13 @@ pub trait Tabled: Copy + Default + Sized + 'static {
         by_cosine: bool,
         functions: &mut [Plane<Self>],
     );
+
+    /// Rows for columns.
+    fn transposed(square: [[Self; 4]; 4]) -> [[Self; 4]; 4];
 }
 
 macro_rules! tabled {
-    ($t:ty, $table:ident) => {
+    ($t:ty, $table:ident, $matrix:ty) => {
         impl Tabled for $t {
             #[inline(always)]
             fn look_up<I: Isa>(
@@ -93,10 +96,12 @@ macro_rules! tabled {
                 by_cosine: bool,
                 functions: &mut [Plane<Self>],
             ) {
-                let (at_r, at_x) = (
-                    Places::<$t>::new(ROUGHNESS, roughness),
-                    Places::<$t>::new(COSINE, cosine),
-                );
+                let at_r = Places::<$t>::new::<true>(ROUGHNESS, roughness);
+                let at_x = if by_cosine {
+                    Places::<$t>::new::<true>(COSINE, cosine)
+                } else {
+                    Places::<$t>::new::<false>(COSINE, cosine)
+                };
                 let (value, slopes) = functions.split_at_mut(SECTION);
                 let (by_r, by_x) = slopes.split_at_mut(SECTION);
                 let weights = [&at_r.weights, &at_r.slopes];
@@ -107,12 +112,20 @@ macro_rules! tabled {
                     table.fill(isa, [&at_r, &at_x], weights, &at_x.slopes, [by_x]);
                 }
             }
+
+            #[inline(always)]
+            fn transposed(square: [[Self; 4]; 4]) -> [[Self; 4]; 4] {
+                <$matrix>::from_cols_array_2d(&square)
+                    .transpose()
+                    .to_cols_array_2d()
+            }
         }
     };
 }
 
-tabled!(f32, SINGLE);
-tabled!(f64, DOUBLE);
+// glam's matrices, because it transposes them in registers.
+tabled!(f32, SINGLE, glam::Mat4);
+tabled!(f64, DOUBLE, glam::DMat4);
 
 /// Number of a coordinate.
 const ROUGHNESS: usize = 0;
@@ -161,8 +174,9 @@ fn place<T: Real>(coordinate: usize, value: T) -> (i32, [T; 4], [T; 4]) {
 }
 
 impl<T: Real> Places<T> {
+    /// Without slopes, these stay 0.
     #[inline(always)]
-    fn new(coordinate: usize, values: &Plane<f64>) -> Self {
+    fn new<const SLOPES: bool>(coordinate: usize, values: &Plane<f64>) -> Self {
         let mut places = Self {
             first: [0; BLOCK],
             weights: Default::default(),
@@ -173,7 +187,9 @@ impl<T: Real> Places<T> {
             places.first[x] = first;
             for i in 0..4 {
                 places.weights[i].0[x] = weights[i];
-                places.slopes[i].0[x] = slopes[i];
+                if SLOPES {
+                    places.slopes[i].0[x] = slopes[i];
+                }
             }
         }
         places
@@ -250,16 +266,19 @@ impl<T: Real> LobeTable<T> {
     }
 }
 
-/// From pixel by pixel to function by function.
+/// From pixel by pixel to function by function, in squares of four.
 ///
 /// Never inlined, and so compiled for what all processors have: with AVX-512 the compiler would make
 /// scatters of it, which take several times as long.
 #[inline(never)]
-fn to_planes<T: Real>(rows: &[Row<T>; TOGETHER], begin: usize, functions: &mut [Plane<T>]) {
-    for (f, plane) in functions.iter_mut().take(VALUES).enumerate() {
-        let plane = &mut plane.0[begin..begin + TOGETHER];
-        for i in 0..TOGETHER {
-            plane[i] = rows[i].0[f];
+fn to_planes<T: Tabled>(rows: &[Row<T>; TOGETHER], begin: usize, functions: &mut [Plane<T>]) {
+    let groups = functions[..SECTION].as_chunks_mut::<4>().0;
+    for (group, planes) in groups.iter_mut().enumerate() {
+        for i in (0..TOGETHER).step_by(4) {
+            let some = [0, 1, 2, 3].map(|j| rows[i + j].0.as_chunks::<4>().0[group]);
+            for (plane, values) in planes.iter_mut().zip(T::transposed(some)) {
+                plane.0[begin + i..][..4].copy_from_slice(&values);
+            }
         }
     }
 }
