@@ -31,19 +31,17 @@ def expected(case: Planted) -> tuple[float, Array]:
     """Loss and gradient: the mean of ω (I − T)², through the weights of each pixel."""
     unknowns, pixels = case.unknowns, case.unknowns.pixels
     albedo, r, m, lighting = reference.unpack(unknowns.expand(case.x), pixels)
-    materials = [np.ascontiguousarray(part) for part in (albedo, r, m)]
     tilts = unknowns.tilts(case.x)
     normals = case.normals if tilts is None else reference.turned(case.normals, tilts)
-    w = _core.shade(normals, case.views, *materials, "principled")
+    pixel = (normals, case.views, albedo.copy(), r, m)
+    w = _core.shade(*pixel, "principled")
     residual = np.einsum("pck,nkc->npc", w, lighting) - case.images
     omega = np.ones_like(residual)
     if case.weights is not None:
         omega *= case.weights if case.weights.ndim == 3 else case.weights[..., None]
     scaled = 2 * omega * residual / omega.sum()
     by_weight = np.einsum("npc,nkc->pck", scaled, lighting)
-    by_albedo, by_r, by_m, by_normal = _core.shade_vjp(
-        normals, case.views, *materials, by_weight, "principled"
-    )
+    by_albedo, by_r, by_m, by_normal = _core.shade_vjp(*pixel, by_weight, "principled")
     gradient = [by_albedo.T, by_r, by_m]
     for tilt in range(0 if tilts is None else 2):
         step = 1j * reference.STEP * (np.arange(2) == tilt)[:, None]
