@@ -122,8 +122,8 @@ def test_weights_are_lobes_rotated_to_the_world() -> None:
 def test_light_from_all_directions_is_light_of_harmonics(
     r: float, metallic: float, cosine: float
 ) -> None:
-    # ∫ f_r n·l Y_k dl with f_r as hard lights see it. On dielectrics these have Fresnel's equations;
-    # harmonics have Schlick's term, scaled to what a uniform light shows of them.
+    # ∫ f_r n·l Y_k dl with f_r as hard lights see it. On dielectrics these have Fresnel's
+    # equations; harmonics have Schlick's term, scaled to what a uniform light shows of them.
     normal, view = (a[0] for a in seen_at(cosine, 3))
     lights = Lights.about_mirror(normal, view, r)
     albedo = np.array([0.9, 0.4, 0.0])
