@@ -3,11 +3,16 @@
 The weights of a pixel are integrals over light directions in world space, without a local frame and
 without a table: w_ck = ∫ f_c(l) n·l Y_k(l) dl over n·l > 0, with
 
-    f_c = D V [(1−m) M(0.04) F(0.04) + m M(ρ_c) F(ρ_c)] + kd_c    F(F0) = F0 + (1−F0)(1−v·h)⁵
-    kd_c = (1−m) ρ_c (1−E_d)/π                                    E_d = ∫ D V F(0.04) n·l dl
+    f_c  = D V [(1−m) M(0.04) κ F(0.04) + m M(ρ_c) F(ρ_c)] + kd_c
+    F(F0) = F0 + (1−F0)(1−v·h)⁵
+    kd_c = (1−m) ρ_c (1−E_d)/π            E_d = M(0.04) ∫ D V F_glass n·l dl
+
+κ makes the dielectric lobe reflect as much of a uniform light as Fresnel's equations for glass,
+F_glass, in place of Schlick's F do: κ ∫ D V F(0.04) n·l dl = ∫ D V F_glass n·l dl.
 
 GGX D (Walter et al. 2007), V = G/(4 n·l n·v) with height-correlated Smith G (Heitz 2014), Schlick's
-F (1994), and M the multiple scattering factor of a lobe (Kulla and Conty 2017, Turquin 2019).
+F (1994), Fresnel's equations for unpolarised light and a refractive index of 1.5, and M the
+multiple scattering factor of a lobe (Kulla and Conty 2017, Turquin 2019).
 """
 
 from __future__ import annotations
@@ -85,6 +90,14 @@ def lobe(normal: Array, view: Array, light: Array, r: float) -> tuple[Array, Arr
     return distribution * visibility * n_l, (1 - v_h) ** 5
 
 
+def glass(cosine: Array) -> Array:
+    """What a plane of refractive index 1.5 reflects of unpolarised light (Fresnel's equations)."""
+    inside = np.sqrt(1 - (1 - cosine**2) / 1.5**2)
+    across = (cosine - 1.5 * inside) / (cosine + 1.5 * inside)
+    along = (1.5 * cosine - inside) / (1.5 * cosine + inside)
+    return np.asarray((across**2 + along**2) / 2)
+
+
 def at_cosine(cosine: float) -> tuple[Array, Array]:
     """A normal and a view in the frame of the lobe functions: mirror direction towards +x."""
     return np.array([0.0, 0, 1]), np.array([-math.sqrt(1 - cosine**2), 0, cosine])
@@ -130,9 +143,14 @@ def shade(
     response, bias = lobe(normal, view, lights.directions, r)
     mean = mean_reflectance(r) if mean is None else mean
     e = float(response @ lights.area)
-    dielectric = DIELECTRIC_F0 + (1 - DIELECTRIC_F0) * bias
-    e_d = float((response * dielectric) @ lights.area)
-    of_dielectric = multiple_scattering(np.array(DIELECTRIC_F0), e, mean) * dielectric
+    gain = multiple_scattering(np.array(DIELECTRIC_F0), e, mean)
+    schlick = DIELECTRIC_F0 + (1 - DIELECTRIC_F0) * bias
+    bisector = lights.directions + view
+    v_h = (bisector / np.linalg.norm(bisector, axis=-1, keepdims=True)) @ view
+    of_glass = float((response * glass(v_h)) @ lights.area)
+    kappa = of_glass / float((response * schlick) @ lights.area)
+    e_d = float(gain) * of_glass
+    of_dielectric = gain * kappa * schlick
     of_metal = multiple_scattering(albedo, e, mean)[:, None] * (
         albedo[:, None] + (1 - albedo[:, None]) * bias
     )
