@@ -65,8 +65,7 @@ def add_model(parser: argparse.ArgumentParser, default: str | None = None) -> No
     meaning = f"how surfaces reflect light. {MODELS_IN_WORDS}"
     if default is None:
         meaning += (
-            " (default: what the scene was rendered with, where it says so, else "
-            f"{DEFAULT_MODEL})"
+            f" (default: what the scene was rendered with, where it says so, else {DEFAULT_MODEL})"
         )
     parser.add_argument("--model", choices=MODELS, default=default, help=meaning)
 
