@@ -39,6 +39,8 @@ FUZZ_JOBS ?= 2
 # LLVM counts covered branches and compared values for libFuzzer.
 FUZZ_LLVM := -coverage-level=4 -coverage-inline-8bit-counters -coverage-pc-table -coverage-trace-compares
 FUZZ_FLAGS := -Cpasses=sancov-module $(patsubst -%,-Cllvm-args=-sanitizer-%,$(FUZZ_LLVM)) --cfg fuzzing
+# of test: Python tests at once, a file each
+TEST_JOBS ?= 2
 # of test-arrays
 EXAMPLES ?= 2000
 
@@ -49,7 +51,7 @@ demo: $(VENV)/installed
 
 test: $(VENV)/tools lint
 	cargo test --release
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses $(TEST_JOBS) --dist loadfile
 
 test-acquire: $(ACQUIRE)/installed
 	$(ACQUIRE)/bin/pytest tests/acquire

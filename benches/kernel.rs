@@ -110,6 +110,25 @@ fn pictures(c: &mut Criterion) {
     group.finish();
 }
 
+/// Both models: they differ in what every pixel costs once, not in what a picture costs.
+fn models(c: &mut Criterion) {
+    let mut group = c.benchmark_group("value_and_grad, 512², 2 threads, by model and pictures");
+    group.sample_size(20);
+    for pictures in [4, 16, 64] {
+        let example = Example::new(512 * 512, pictures);
+        for model in [Model::Paper, Model::Principled] {
+            let options = Options {
+                model,
+                threads: 2,
+                ..Options::default()
+            };
+            let name = format!("{model:?}");
+            example.bench(&mut group, &name, &pictures.to_string(), options);
+        }
+    }
+    group.finish();
+}
+
 /// What is known or absent should cost nothing.
 fn parts(c: &mut Criterion) {
     let mut group = c.benchmark_group("value_and_grad, 256², 16 pictures, 1 thread");
@@ -441,6 +460,7 @@ criterion_group!(
     pixel,
     sizes,
     pictures,
+    models,
     parts,
     pixel_fit,
     free_normals_of_pixels,

@@ -151,7 +151,12 @@ fn place<T: Real>(coordinate: usize, value: T) -> (i32, [T; 4], [T; 4]) {
     let inverse = of(1.0) / (value + of(c));
     let bent = of(scale * w * (1.0 + c)) * inverse;
     let along = (bent + of(scale * (1.0 - w))) * value;
-    let slope = bent * of(c) * inverse + of(scale * (1.0 - w));
+    let mut slope = bent * of(c) * inverse + of(scale * (1.0 - w));
+    // A mirror's knots are alike, but of their differences rounding would leave something: a slope of
+    // 10⁻¹⁴, by which Newton's method would move as far as it can.
+    if coordinate == ROUGHNESS && value.to_f64() <= 0.0 {
+        slope = of(0.0);
+    }
     let first = along.truncated().min(cells as i32 - 1);
     let u = along - of(f64::from(first));
     let rest = of(1.0) - u;

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pbrfit import Objective, Priors, Scene, decompose, memory, solve, uncertainty
 from pbrfit.gradient_check import check_gradients
 from pbrfit.model import MODELS, Model
+from pbrfit.second_order.lights import options
 from pbrfit.synthetic import make_scene
 from pbrfit.tiles import fit_tiles
 
@@ -60,6 +61,21 @@ def test_the_gradient_agrees_where_there_is_less_or_more_than_pictures(
         weights = np.random.default_rng(0).random(scene.images.shape[:3])
         scene = dataclasses.replace(scene, weights=weights)
     assert [check for check in check_gradients(Objective(scene)) if not check.passed] == []
+
+
+@both_models
+def test_mirrors_do_not_move_with_the_lights(model: Model) -> None:
+    scene = room(model)
+    assert scene.truth is not None
+    objective = Objective(scene, model=model, priors=None)
+    true = scene.truth.materials
+    x = objective.pack(true.albedo, np.zeros_like(true.roughness), true.metallic)
+    pixels = np.arange(objective.pixels, dtype=np.uint64)
+    how = options(objective, x, pixels, None) | {"damping": 1e-3}
+    moves = np.random.default_rng(0).normal(size=x[objective.layout.lighting].size)
+    # At roughness 0 nothing depends on roughness; what rounding leaves of that would go any way.
+    followed = objective.problem.follow_lights(objective.for_core(x), pixels, moves, **how)
+    assert not followed[:, 3].any()
 
 
 @both_models

@@ -235,6 +235,12 @@ def test_a_mirror_shows_the_harmonics_of_its_direction() -> None:
     assert (np.abs(by_r) < 1e-5).all()
 
 
+def test_slopes_by_roughness_are_nothing_at_all_at_a_mirror() -> None:
+    cosine = np.linspace(LEAST_COSINE, 1, 200)
+    _, by_r, _ = _core.lobe_functions(np.zeros_like(cosine), cosine)
+    assert not by_r.any()
+
+
 def test_functions_leave_the_mirror_as_the_fourth_power_of_roughness() -> None:
     cosine = np.linspace(0.1, 1, 50)
     at_mirror = functions(0.0, cosine)[0]

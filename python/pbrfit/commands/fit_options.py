@@ -62,13 +62,12 @@ MODELS_IN_WORDS = (
 
 def add_model(parser: argparse.ArgumentParser, default: str | None = None) -> None:
     """Add `--model`; without it the scene decides, unless there is a `default`."""
-    without = default or f"what the scene was rendered with, where it says so, else {DEFAULT_MODEL}"
-    parser.add_argument(
-        "--model",
-        choices=MODELS,
-        default=default,
-        help=f"how surfaces reflect light. {MODELS_IN_WORDS} (default: {without})",
-    )
+    meaning = f"how surfaces reflect light. {MODELS_IN_WORDS}"
+    if default is None:
+        meaning += (
+            f" (default: what the scene was rendered with, where it says so, else {DEFAULT_MODEL})"
+        )
+    parser.add_argument("--model", choices=MODELS, default=default, help=meaning)
 
 
 def add_unknowns(parser: argparse.ArgumentParser, what_order: str) -> None:
