@@ -3,16 +3,15 @@
 The weights of a pixel are integrals over light directions in world space, without a local frame and
 without a table: w_ck = ∫ f_c(l) n·l Y_k(l) dl over n·l > 0, with
 
-    f_c  = D V [(1−m) M(0.04) κ F(0.04) + m M(ρ_c) F(ρ_c)] + kd_c
-    F(F0) = F0 + (1−F0)(1−v·h)⁵
-    kd_c = (1−m) ρ_c (1−E_d)/π            E_d = M(0.04) ∫ D V F_glass n·l dl
+    f_c = D V [(1−m) M(0.04) κ F(0.04) + m M(ρ_c) F(ρ_c)] + kd_c    F(F0) = F0 + (1−F0)(1−v·h)⁵
+    kd_c = (1−m) ρ_c (1−E_d)/π                            E_d = M(0.04) ∫ D V F_glass n·l dl
 
-κ makes the dielectric lobe reflect as much of a uniform light as Fresnel's equations for glass,
-F_glass, in place of Schlick's F do: κ ∫ D V F(0.04) n·l dl = ∫ D V F_glass n·l dl.
+κ makes the dielectric lobe reflect as much of a uniform light as with Fresnel's equations for
+glass, F_glass, in place of Schlick's: κ ∫ D V F(0.04) n·l dl = ∫ D V F_glass n·l dl.
 
-GGX D (Walter et al. 2007), V = G/(4 n·l n·v) with height-correlated Smith G (Heitz 2014), Schlick's
-F (1994), Fresnel's equations for unpolarised light and a refractive index of 1.5, and M the
-multiple scattering factor of a lobe (Kulla and Conty 2017, Turquin 2019).
+GGX D (Walter et al. 2007), V = G/(4 n·l n·v) with height-correlated Smith G (Heitz 2014),
+Schlick's F (1994), Fresnel's equations for unpolarised light and a refractive index of 1.5, and M
+the multiple scattering factor of a lobe (Kulla and Conty 2017, Turquin 2019).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from reference import sh_basis
+from reference import glass, sh_basis
 
 Array = NDArray[np.floating[Any]]
 
@@ -78,7 +77,7 @@ def tanh_sinh(count: int) -> tuple[Array, Array]:
 
 
 def lobe(normal: Array, view: Array, light: Array, r: float) -> tuple[Array, Array]:
-    """D V n·l and (1−v·h)⁵ at light directions (K, 3)."""
+    """D V n·l and v·h at light directions (K, 3)."""
     e = r**4
     half = view + light
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
@@ -87,15 +86,12 @@ def lobe(normal: Array, view: Array, light: Array, r: float) -> tuple[Array, Arr
     aside = np.sum(np.cross(normal, half) ** 2, axis=-1)
     distribution = e / (math.pi * (e * n_h**2 + aside) ** 2)
     visibility = 0.5 / (n_l * math.sqrt(n_v**2 * (1 - e) + e) + n_v * np.sqrt(n_l**2 * (1 - e) + e))
-    return distribution * visibility * n_l, (1 - v_h) ** 5
+    return distribution * visibility * n_l, v_h
 
 
-def glass(cosine: Array) -> Array:
-    """What a plane of refractive index 1.5 reflects of unpolarised light (Fresnel's equations)."""
-    inside = np.sqrt(1 - (1 - cosine**2) / 1.5**2)
-    across = (cosine - 1.5 * inside) / (cosine + 1.5 * inside)
-    along = (1.5 * cosine - inside) / (1.5 * cosine + inside)
-    return np.asarray((across**2 + along**2) / 2)
+def schlick(f0: Array | float, cosine: Array) -> Array:
+    """Schlick's fit to Fresnel's equations."""
+    return np.asarray(f0 + (1 - f0) * (1 - cosine) ** 5)
 
 
 def at_cosine(cosine: float) -> tuple[Array, Array]:
@@ -104,13 +100,16 @@ def at_cosine(cosine: float) -> tuple[Array, Array]:
 
 
 def lobe_functions(r: float, cosine: float, polar: int = 160, around: int = 320) -> Array:
-    """Ten a_j, then ten b_j, (20,), with their sinᵐ."""
+    """Ten a_j and ten b_j with their sinᵐ, then κ, (21,)."""
     normal, view = at_cosine(cosine)
     lights = Lights.about_mirror(normal, view, r, polar, around)
-    response, bias = lobe(normal, view, lights.directions, r)
+    response, v_h = lobe(normal, view, lights.directions, r)
     basis = sh_basis(lights.directions)[:, EVEN]
     response = response * lights.area
-    return np.concatenate(((response * (1 - bias)) @ basis, (response * bias) @ basis))
+    grazing = (1 - v_h) ** 5
+    a, b = (response * (1 - grazing)) @ basis, (response * grazing) @ basis
+    kappa = (response @ glass(v_h)) / (response @ schlick(DIELECTRIC_F0, v_h))
+    return np.concatenate((a, b, [kappa]))
 
 
 def reflectance(r: float, cosine: float, polar: int, around: int) -> float:
@@ -140,23 +139,17 @@ def shade(
 ) -> Array:
     """Weights of one pixel, (3, 16); `mean` is its `mean_reflectance`, if that is known."""
     lights = Lights.about_mirror(normal, view, r)
-    response, bias = lobe(normal, view, lights.directions, r)
+    response, v_h = lobe(normal, view, lights.directions, r)
     mean = mean_reflectance(r) if mean is None else mean
     e = float(response @ lights.area)
     gain = multiple_scattering(np.array(DIELECTRIC_F0), e, mean)
-    schlick = DIELECTRIC_F0 + (1 - DIELECTRIC_F0) * bias
-    bisector = lights.directions + view
-    v_h = (bisector / np.linalg.norm(bisector, axis=-1, keepdims=True)) @ view
-    of_glass = float((response * glass(v_h)) @ lights.area)
-    kappa = of_glass / float((response * schlick) @ lights.area)
-    e_d = float(gain) * of_glass
-    of_dielectric = gain * kappa * schlick
-    of_metal = multiple_scattering(albedo, e, mean)[:, None] * (
-        albedo[:, None] + (1 - albedo[:, None]) * bias
-    )
-    kd = (1 - metallic) * albedo * (1 - e_d) / math.pi
+    once = float((response * glass(v_h)) @ lights.area)
+    fresnel = schlick(DIELECTRIC_F0, v_h)
+    kappa = once / float((response * fresnel) @ lights.area)
+    kd = (1 - metallic) * albedo * (1 - float(gain) * once) / math.pi
+    of_metal = multiple_scattering(albedo, e, mean)[:, None] * schlick(albedo[:, None], v_h)
     n_l = np.maximum(lights.directions @ normal, 0)
-    reflected = response * ((1 - metallic) * of_dielectric + metallic * of_metal)
+    reflected = response * ((1 - metallic) * gain * kappa * fresnel + metallic * of_metal)
     reflected = reflected + kd[:, None] * n_l
     return np.asarray((reflected * lights.area) @ sh_basis(lights.directions))
 

@@ -17,11 +17,13 @@ from finite_differences import ridders
 from pbrfit import _core
 from pbrfit.model import sh_basis
 from principled_reference import EVEN, ORDER
+from reference import glass
 
 Array = NDArray[np.float64]
 
 COUNT = 22
 """Functions: ten a_j, ten b_j, Ebar and kappa."""
+MEAN, KAPPA = 20, 21
 SINE_POWERS = np.concatenate((ORDER, ORDER, [0, 0]))
 LEAST_COSINE = 1e-4
 RESOLVED = 0.02
@@ -38,6 +40,14 @@ def functions(r: Array | float, cosine: Array | float) -> tuple[Array, Array, Ar
 def reflectance(value: Array) -> Array:
     """E, the part of uniform light that a white lobe reflects once."""
     return np.asarray(2 * math.sqrt(math.pi) * (value[..., 0] + value[..., 10]))
+
+
+def dielectric_reflectance(value: Array) -> Array:
+    """E_d, of uniform light, with what is reflected several times."""
+    once = 2 * math.sqrt(math.pi) * (0.04 * value[..., 0] + value[..., 10])
+    mean_fresnel, e, mean = 0.04 + 0.96 / 21, reflectance(value), value[..., MEAN]
+    again = mean_fresnel * mean / (1 - mean_fresnel * (1 - mean))
+    return np.asarray((1 + again * (1 - e) / e) * value[..., KAPPA] * once)
 
 
 class Samples:
@@ -70,33 +80,34 @@ SAMPLES = Samples()
 
 def test_values_and_slopes_are_those_of_the_integrals() -> None:
     value, by_r, by_cosine = SAMPLES.where((SAMPLES.r >= RESOLVED) & (SAMPLES.cosine >= RESOLVED))
-    assert value[:, :21].max() <= 4e-6
-    assert value.max() <= 1e-5  # of kappa
+    assert value[:, :KAPPA].max() <= 3e-6
+    assert value[:, KAPPA].max() <= 1e-5
     assert by_r.max() <= 5e-4
     assert by_cosine.max() <= 2e-3
 
 
 @pytest.mark.parametrize(
-    ("r", "cosine"), [(0.06, 0.11), (0.13, 0.43), (0.31, 0.08), (0.47, 0.93), (0.83, 0.29)]
+    ("r", "cosine"), [(0.06, 0.11), (0.13, 0.58), (0.31, 0.08), (0.47, 0.93), (0.83, 0.29)]
 )
 def test_another_quadrature_gives_the_same(r: float, cosine: float) -> None:
     # About the mirror direction instead of half vectors, and at places that nobody chose before.
     expected = principled_reference.lobe_functions(r, cosine)
-    value, by_r, by_cosine = functions(r, cosine)
-    sine = math.sqrt(1 - cosine**2) ** SINE_POWERS[:20]
-    np.testing.assert_allclose(value[:20] * sine, expected, rtol=0, atol=1e-5)
+    value, by_r, by_cosine = (np.delete(part, MEAN) for part in functions(r, cosine))
+    powers = np.delete(SINE_POWERS, MEAN)
+    sine = math.sqrt(1 - cosine**2) ** powers
+    np.testing.assert_allclose(value * sine, expected, rtol=0, atol=1e-5)
     step = 1e-4
 
     def slope(dr: float, dx: float) -> Array:
         ends = [
             principled_reference.lobe_functions(r + s * dr, cosine + s * dx)
-            / math.sqrt(1 - (cosine + s * dx) ** 2) ** SINE_POWERS[:20]
+            / math.sqrt(1 - (cosine + s * dx) ** 2) ** powers
             for s in (1, -1)
         ]
         return np.asarray((ends[0] - ends[1]) / (2 * step))
 
-    np.testing.assert_allclose(by_r[:20], slope(step, 0), rtol=0, atol=5e-4)
-    np.testing.assert_allclose(by_cosine[:20], slope(0, step), rtol=0, atol=2e-3)
+    np.testing.assert_allclose(by_r, slope(step, 0), rtol=0, atol=5e-4)
+    np.testing.assert_allclose(by_cosine, slope(0, step), rtol=0, atol=2e-3)
 
 
 def test_mean_reflectance_is_the_mean_of_the_reflectance() -> None:
@@ -105,10 +116,10 @@ def test_mean_reflectance_is_the_mean_of_the_reflectance() -> None:
     r = np.linspace(0, 1, 41)
     value, by_r, by_cosine = functions(r[:, None], np.maximum(root**2, LEAST_COSINE))
     mean = reflectance(value) @ (2 * weights * root**3)
-    np.testing.assert_allclose(value[:, 0, 20], mean, rtol=0, atol=1e-5)
-    assert (np.ptp(value[..., 20], axis=1) < 1e-14).all()
-    assert (np.abs(by_cosine[..., 20]) < 1e-9).all()
-    assert (by_r[1:, 0, 20] < 0).all()
+    np.testing.assert_allclose(value[:, 0, MEAN], mean, rtol=0, atol=1e-5)
+    assert (np.ptp(value[..., MEAN], axis=1) < 1e-14).all()
+    assert (np.abs(by_cosine[..., MEAN]) < 1e-9).all()
+    assert (by_r[1:, 0, MEAN] < 0).all()
 
 
 # --- Derivatives are those of the table itself ---
@@ -183,10 +194,25 @@ def test_reflectance_lies_between_nothing_and_all() -> None:
     value, _, _ = functions(r[:, None], cosine)
     reflected = reflectance(value)
     assert (reflected > 0.3).all()
-    assert (reflected <= 1 + 1e-6).all()
-    assert (value[..., [0, 10]] >= -1e-6).all()  # each lobe's own part too
-    assert (value[..., 20] > 0.4).all()
-    assert (value[..., 20] <= 1 + 1e-6).all()
+    assert (reflected <= 1 + 1e-7).all()
+    assert (value[..., [0, 10]] >= -1e-8).all()  # each lobe's own part too
+    assert (value[..., MEAN] > 0.4).all()
+    assert (value[..., MEAN] <= 1 + 1e-6).all()
+    # So the ground of a dielectric always gets some.
+    of_dielectric = dielectric_reflectance(value)
+    assert (of_dielectric > 0.01).all()
+    assert (of_dielectric <= 1 - 5e-4).all()
+
+
+def test_kappa_is_a_mean_of_what_glass_reflects_over_what_its_fit_does() -> None:
+    r, cosine = np.linspace(0, 1, 101)[:, None], np.geomspace(LEAST_COSINE, 1, 200)
+    kappa = functions(r, cosine)[0][..., KAPPA]
+    v_h = np.linspace(0, 1, 10001)
+    ratio = glass(v_h) / principled_reference.schlick(0.04, v_h)
+    assert (kappa >= ratio.min() - 1e-4).all()
+    assert (kappa <= ratio.max() + 1e-4).all()
+    assert ratio.min() < 0.95
+    assert ratio.max() > 1.25
 
 
 # --- Below 0.02 ---
@@ -202,10 +228,10 @@ def test_a_mirror_shows_the_harmonics_of_its_direction() -> None:
     expected = np.concatenate(((1 - grazing) * basis, grazing * basis), axis=1)
     found = value[:, :20] * sine[:, None] ** SINE_POWERS[:20]
     np.testing.assert_allclose(found, expected, rtol=0, atol=6e-6)
-    np.testing.assert_allclose(value[:, 20], 1, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(value[:, MEAN], 1, rtol=0, atol=1e-7)
     schlick = 0.04 + 0.96 * grazing[:, 0]
-    expected = principled_reference.glass(cosine) / schlick
-    np.testing.assert_allclose(value[:, 21], expected, rtol=0, atol=4e-5)
+    expected = glass(cosine) / schlick
+    np.testing.assert_allclose(value[:, KAPPA], expected, rtol=0, atol=4e-5)
     assert (np.abs(by_r) < 1e-5).all()
 
 

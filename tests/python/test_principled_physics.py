@@ -15,7 +15,7 @@ from finite_differences import ridders
 from pbrfit import _core
 from pbrfit.model import sh_basis
 from principled_reference import EVEN, ORDER, Lights
-from reference import unit
+from reference import glass, unit
 
 Array = NDArray[np.floating[Any]]
 Doubles = NDArray[np.float64]
@@ -63,7 +63,7 @@ def seen_at(cosine: float | Array, seed: int = 0) -> tuple[Array, Array]:
 
 
 def lobes(r: Array, normal: Array, view: Array) -> tuple[Array, Array, Array, Array]:
-    """The table's a_j and b_j with their sinᵐ, (P, 10) each, Ebar and kappa (P,)."""
+    """The table's a_j and b_j with their sinᵐ, (P, 10) each, Ebar and kappa, (P,) each."""
     cosine = np.clip(np.sum(normal * view, axis=-1), 1e-4, 1)
     value, _, _ = _core.lobe_functions(r.astype(np.float64), cosine.astype(np.float64))
     sine = np.linalg.norm(np.cross(normal, view), axis=-1)[:, None] ** ORDER
@@ -96,7 +96,6 @@ def test_weights_are_lobes_rotated_to_the_world() -> None:
     view[60:80] = unit(normal[60:80] + 1e-6 * view[60:80])
     a, b, mean, kappa = lobes(r, normal, view)
     e = CONSTANT_LIGHT * (a + b)[:, 0]
-    e_d = CONSTANT_LIGHT * (0.04 * a + b)[:, 0]
     m, rho = metallic[:, None], albedo
 
     def gain(f0: Array) -> Array:
@@ -104,9 +103,10 @@ def test_weights_are_lobes_rotated_to_the_world() -> None:
             principled_reference.multiple_scattering(f0, e[:, None], mean[:, None])  # type: ignore[arg-type]
         )
 
-    ground = kappa[:, None] * gain(np.full((1, 1), 0.04))
+    ground = gain(np.full((1, 1), 0.04)) * kappa[:, None]
+    e_d = CONSTANT_LIGHT * ground * (0.04 * a + b)[:, :1]
     dielectric, metal = (1 - m) * ground, m * gain(rho)
-    kd = (1 - m) * rho * (1 - ground * e_d[:, None]) / math.pi
+    kd = (1 - m) * rho * (1 - e_d) / math.pi
     by_row = (0.04 * dielectric + rho * metal)[..., None] * a[:, None]
     by_row = by_row + (dielectric + metal)[..., None] * b[:, None]
     found = shade(normal, view, albedo, r, metallic)
@@ -122,8 +122,8 @@ def test_weights_are_lobes_rotated_to_the_world() -> None:
 def test_light_from_all_directions_is_light_of_harmonics(
     r: float, metallic: float, cosine: float
 ) -> None:
-    # ∫ f_r n·l Y_k dl with f_r as hard lights see it. On dielectrics these have Fresnel's
-    # equations; harmonics have Schlick's term, scaled to what a uniform light shows of them.
+    # ∫ f_r n·l Y_k dl with f_r as hard lights see it: there a dielectric has Fresnel's equations,
+    # and here Schlick's fit times kappa, which is as much but elsewhere.
     normal, view = (a[0] for a in seen_at(cosine, 3))
     lights = Lights.about_mirror(normal, view, r)
     albedo = np.array([0.9, 0.4, 0.0])
@@ -133,11 +133,17 @@ def test_light_from_all_directions_is_light_of_harmonics(
     response = _core.render_directional(
         *pixel, unit(lights.directions), color, 1, "principled"
     ).reshape(count, 3)
-    integral = (response * lights.area[:, None]).T @ sh_basis(unit(lights.directions)) / math.pi
-    weights = shade(*pixel)[0]
-    np.testing.assert_allclose(weights[:, 0], integral[:, 0], rtol=0, atol=1e-5)
-    bound = 1e-5 + (1 - metallic) * 5e-3
-    np.testing.assert_allclose(weights, integral, rtol=0, atol=bound)
+    basis = sh_basis(unit(lights.directions))
+    integral = (response * lights.area[:, None]).T @ basis / math.pi
+    a, b, mean, kappa = lobes(*(part[:1] for part in (pixel[3], normal[None], view[None])))
+    e = float(CONSTANT_LIGHT * (a + b)[0, 0])
+    gain = principled_reference.multiple_scattering(np.array(0.04), e, float(mean[0]))
+    values, v_h = principled_reference.lobe(normal, view, lights.directions, r)
+    elsewhere = kappa[0] * principled_reference.schlick(0.04, v_h) - glass(v_h)
+    moved = (1 - metallic) * gain * (values * lights.area * elsewhere) @ basis
+    np.testing.assert_allclose(shade(*pixel)[0], integral + moved, rtol=0, atol=1e-5)
+    assert abs(moved[0]) < 1e-5
+    assert metallic == 1 or np.abs(moved).max() > 2e-5
 
 
 # --- Reciprocity and energy ---
@@ -179,8 +185,10 @@ def furnace(albedo: float, metallic: float) -> Array:
     return np.asarray(CONSTANT_LIGHT * weights[:, 0, 0].reshape(len(FURNACE_R), -1))
 
 
-def test_a_white_metal_reflects_all_light() -> None:
-    np.testing.assert_allclose(furnace(1.0, 1.0), 1, rtol=0, atol=1e-12)
+@pytest.mark.parametrize("metallic", [0.0, 0.3, 1.0])
+def test_a_white_surface_reflects_all_light(metallic: float) -> None:
+    # A metal by M, a dielectric because its ground gets what its lobe leaves.
+    np.testing.assert_allclose(furnace(1.0, metallic), 1, rtol=0, atol=1e-12)
 
 
 def test_metals_reflect_less_than_all_and_more_with_albedo() -> None:
@@ -193,15 +201,14 @@ def test_metals_reflect_less_than_all_and_more_with_albedo() -> None:
         darker = lighter
 
 
-def test_a_white_dielectric_reflects_all_light() -> None:
-    # The matt ground gets what the lobe leaves, with what is scattered again.
-    np.testing.assert_allclose(furnace(1.0, 0.0), 1, rtol=0, atol=1e-12)
-
-
-def test_a_black_dielectric_reflects_less_than_all() -> None:
+def test_dielectrics_reflect_less_than_all_and_more_with_albedo() -> None:
     black = furnace(0.0, 0.0)
-    assert (black > 0).all()
-    assert (black <= 1).all()
+    assert (black > 0.01).all()
+    assert (black < 1).all()
+    for albedo in (0.1, 0.5, 0.9):
+        # What the lobe leaves, times the albedo.
+        expected = black + albedo * (1 - black)
+        np.testing.assert_allclose(furnace(albedo, 0.0), expected, rtol=0, atol=1e-12)
 
 
 def test_a_perfect_mirror_shows_the_light() -> None:
