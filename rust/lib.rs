@@ -2,19 +2,26 @@
 //! one view.
 //!
 //! A pixel's radiance in colour channel c is linear in the light, whose real spherical-harmonic
-//! coefficients (l ≤ 3) are L_kc:
+//! coefficients (l ≤ 3) are L_kc. Its weights are a matt part and a lobe, by one of two [`model`]s:
 //!
 //! ```text
-//! I_c = Σ_k w_ck L_kc,     w_ck = kd_c A_l Y_k(n) + ks_c h_l(r) Y_k(mirror)
+//! I_c  = Σ_k w_ck L_kc                         w_ck = kd_c A_l Y_k(n) + Σ_j s_cj R_jk
+//! paper:       s_cl = ks_c h_l(r)              R_lk = Y_k(mirror) in band l
+//! principled:  s_cj = A_c a_j + B_c b_j        R_jk: the harmonics even in y of the pixel's frame
 //! ```
 //!
 //! | module | holds |
 //! |---|---|
 //! | [`sh`] | the basis Y_k and the cosine transfer A_l |
-//! | [`ggx`] | h_l(r), masking and Fresnel, with derivatives |
-//! | [`shade`] | one pixel: material → weights w_ck, and the adjoint |
+//! | [`model`] | the reflection models, by name |
+//! | [`shade`] | one pixel: material → weights w_ck, and the adjoint; what a model has to give |
+//! | [`paper`] | kd and s of the paper's model, eq. 12 |
+//! | [`ggx`] | its h_l(r), masking and Fresnel, with derivatives |
+//! | [`principled`] | kd and s of the microfacet model of Blender, glTF and game engines |
+//! | [`lobe_table`] | its a_j, b_j, mean albedo and κ by roughness and n·v, from a table |
+//! | [`lobe_rows`] | its R_jk, and how these turn |
 //! | [`tilt`] | a normal that turns away from the given one, and its derivatives |
-//! | [`band_table`] | h_l(r) from a table, for the fast path |
+//! | [`band_table`] | the paper's h_l(r) from a table, for the fast path |
 //! | [`simd`] | the choice of vector instructions at run time |
 //! | [`block`] | the same for a block of pixels in float32, and the products with lights and residuals |
 //! | [`turns`] | blocks of pixels whose normals are free |
