@@ -55,8 +55,8 @@ def expected(case: Planted) -> tuple[float, Array]:
 def assert_agrees(found: tuple[float, Array], case: Planted) -> None:
     """As with the paper's model, but for roughness.
 
-    Slopes of the table's splines lose 3e-5 in float32, a tenth of their own error, which shows where
-    little light comes by the lobe.
+    Slopes of the table's splines lose 3e-5 in float32, a tenth of their own error, which shows
+    where little light comes by the lobe.
     """
     assert_agrees_within(found, expected(case), case, {"roughness": 5e-5})
 
