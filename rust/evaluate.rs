@@ -10,9 +10,7 @@ use crate::block::{
     FillWeights, Flush, GROUP, Load, Materials, Parts, Plane, PullBack, Reduce, Residuals,
     WideParts,
 };
-use crate::model::Model;
-use crate::paper::Paper;
-use crate::principled::Principled;
+use crate::model::{Model, with_model};
 use crate::problem::Problem;
 use crate::robust::{Robust, Tame};
 use crate::shade::Reflection;
@@ -64,13 +62,10 @@ pub struct Has {
 
 /// The version for a problem.
 pub fn choose(model: Model, channels: usize, coefficients: usize, has: Has) -> Evaluate {
-    match model {
-        Model::Paper => with_model::<Paper>(channels, coefficients, has),
-        Model::Principled => with_model::<Principled>(channels, coefficients, has),
-    }
+    with_model!(model, M => of_model::<M>(channels, coefficients, has))
 }
 
-fn with_model<M: Reflection>(channels: usize, coefficients: usize, has: Has) -> Evaluate {
+fn of_model<M: Reflection>(channels: usize, coefficients: usize, has: Has) -> Evaluate {
     match (channels, coefficients) {
         (1, 9) => with::<M, 1, 9>(has),
         (1, _) => with::<M, 1, 16>(has),

@@ -7,9 +7,7 @@
 //! are is the model's own ([`AlbedoFromProducts`]).
 
 use crate::block::{BLOCK, FillFunctions, Plane, no_functions};
-use crate::model::Model;
-use crate::paper::Paper;
-use crate::principled::Principled;
+use crate::model::with_model;
 use crate::problem::Problem;
 use crate::products::{PixelProducts, Products};
 use crate::sh::COEFFICIENTS;
@@ -101,19 +99,13 @@ impl Problem {
         check::unit_interval("roughness", roughness)?;
         check::unit_interval("metallic", metallic)?;
         let nodes = [roughness, metallic];
-        match self.model() {
-            Model::Paper => material_grid::<Paper>(self, x, pixels, nodes),
-            Model::Principled => material_grid::<Principled>(self, x, pixels, nodes),
-        }
+        with_model!(self.model(), M => material_grid::<M>(self, x, pixels, nodes))
     }
 
     /// The albedo that explains each of `pixels` best with the roughness and metallic of x, and the
     /// lights of x.
     pub fn best_albedo(&self, x: &[f64], pixels: &[usize]) -> Result<BestAlbedo> {
-        match self.model() {
-            Model::Paper => best_albedo::<Paper>(self, x, pixels),
-            Model::Principled => best_albedo::<Principled>(self, x, pixels),
-        }
+        with_model!(self.model(), M => best_albedo::<M>(self, x, pixels))
     }
 }
 

@@ -14,6 +14,23 @@ pub enum Model {
     Principled,
 }
 
+/// `with_model!(model, M => f::<M>(…))`: code that is compiled for each model, with its type as M.
+macro_rules! with_model {
+    ($model:expr, $type:ident => $code:expr) => {
+        match $model {
+            $crate::model::Model::Paper => {
+                type $type = $crate::paper::Paper;
+                $code
+            }
+            $crate::model::Model::Principled => {
+                type $type = $crate::principled::Principled;
+                $code
+            }
+        }
+    };
+}
+pub(crate) use with_model;
+
 impl FromStr for Model {
     type Err = Error;
 

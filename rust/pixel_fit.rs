@@ -17,9 +17,7 @@
 use crate::block::{BLOCK, Materials, Plane};
 use crate::descent::{Descent, Point, Pull};
 use crate::material_grid::{self, AlbedoFromProducts};
-use crate::model::Model;
-use crate::paper::Paper;
-use crate::principled::Principled;
+use crate::model::with_model;
 use crate::problem::Problem;
 use crate::product_form::{Form, SquaresFromProducts};
 use crate::residual_steps::ResidualSteps;
@@ -103,10 +101,7 @@ impl Problem {
             check::moderate("precision", pull.precision, LARGEST_PULL)?;
             check::not_negative("precision", pull.precision)?;
         }
-        match self.model() {
-            Model::Paper => fit_by_kind::<Paper>(self, x, pixels, search),
-            Model::Principled => fit_by_kind::<Principled>(self, x, pixels, search),
-        }
+        with_model!(self.model(), M => fit_by_kind::<M>(self, x, pixels, search))
     }
 }
 

@@ -7,9 +7,7 @@ use glam::DVec3;
 use crate::block::{BLOCK, Directions, Plane};
 use crate::check::LARGEST_F32;
 use crate::evaluate::{self, Evaluate, Has, Piece};
-use crate::model::Model;
-use crate::paper::Paper;
-use crate::principled::Principled;
+use crate::model::{Model, with_model};
 use crate::remainders::{self, DirectionRemainders};
 use crate::robust::Robust;
 use crate::sh::COEFFICIENTS;
@@ -338,11 +336,12 @@ impl Problem {
         let pieces = pool::map(
             self.threads,
             pixels.chunks(BLOCK).collect(),
-            |pixels: &[usize]| match (self.model, self.channels) {
-                (Model::Paper, 1) => self.residuals_of::<Paper, 1>(maps, lighting, pixels),
-                (Model::Paper, _) => self.residuals_of::<Paper, 3>(maps, lighting, pixels),
-                (_, 1) => self.residuals_of::<Principled, 1>(maps, lighting, pixels),
-                (_, _) => self.residuals_of::<Principled, 3>(maps, lighting, pixels),
+            |pixels: &[usize]| {
+                with_model!(self.model, M => if self.channels == 1 {
+                    self.residuals_of::<M, 1>(maps, lighting, pixels)
+                } else {
+                    self.residuals_of::<M, 3>(maps, lighting, pixels)
+                })
             },
         );
         let mut residuals = Vec::with_capacity(self.pictures * pixels.len() * self.channels);
@@ -437,12 +436,11 @@ impl Problem {
         // A few pieces at a time: with weights each holds a matrix for every picture.
         for pieces in pieces.chunks(PIECES_AT_ONCE) {
             let partials = pool::map(self.threads, pieces.to_vec(), |blocks| {
-                match (self.model, self.channels) {
-                    (Model::Paper, 1) => self.equations_of_chunk::<Paper, 1>(maps, blocks),
-                    (Model::Paper, _) => self.equations_of_chunk::<Paper, 3>(maps, blocks),
-                    (_, 1) => self.equations_of_chunk::<Principled, 1>(maps, blocks),
-                    (_, _) => self.equations_of_chunk::<Principled, 3>(maps, blocks),
-                }
+                with_model!(self.model, M => if self.channels == 1 {
+                    self.equations_of_chunk::<M, 1>(maps, blocks)
+                } else {
+                    self.equations_of_chunk::<M, 3>(maps, blocks)
+                })
             });
             for partial in partials {
                 let Some(total) = &mut total else {

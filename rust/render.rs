@@ -6,9 +6,7 @@ use crate::block::{
     BLOCK, Basis, ChannelFactors, Directions, FillBasis, FillFactors, FillWeights, Materials,
     Plane, Radiance, no_functions,
 };
-use crate::model::Model;
-use crate::paper::Paper;
-use crate::principled::Principled;
+use crate::model::{Model, with_model};
 use crate::sh::COEFFICIENTS;
 use crate::shade::{Material, Reflection};
 use crate::simd::Instructions;
@@ -53,11 +51,9 @@ pub fn render(
         CHUNK * BLOCK,
         threads,
         |first, parts| {
-            let fill = match model {
-                Model::Paper => render_chunk::<Paper>,
-                Model::Principled => render_chunk::<Principled>,
-            };
-            fill(normals, views, materials, &lights, first, parts);
+            with_model!(model, M => {
+                render_chunk::<M>(normals, views, materials, &lights, first, parts);
+            });
         },
     )
 }

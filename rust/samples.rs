@@ -35,31 +35,18 @@ type Doubles = Plane<f64>;
 /// `f::<M, C, D, U>(…)` for the kind of problem.
 macro_rules! by_kind {
     ($problem:expr, $f:ident($($argument:expr),*)) => {{
-        use $crate::model::Model;
-        use $crate::paper::Paper;
-        use $crate::principled::Principled;
-        use $crate::samples::by_kind_of;
-        match $problem.model() {
-            Model::Paper => by_kind_of!(Paper, $problem, $f($($argument),*)),
-            Model::Principled => by_kind_of!(Principled, $problem, $f($($argument),*)),
-        }
-    }};
-}
-
-/// The same for a model M.
-macro_rules! by_kind_of {
-    ($model:ty, $problem:expr, $f:ident($($argument:expr),*)) => {{
         use $crate::samples::{DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS};
-        match ($problem.channels(), $problem.free_normals()) {
-            (1, false) => $f::<$model, 1, DERIVATIVES, UNKNOWNS>($($argument),*),
-            (_, false) => $f::<$model, 3, DERIVATIVES, UNKNOWNS>($($argument),*),
-            (1, true) => $f::<$model, 1, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
-            (_, true) => $f::<$model, 3, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
-        }
+        $crate::model::with_model!($problem.model(), M => {
+            match ($problem.channels(), $problem.free_normals()) {
+                (1, false) => $f::<M, 1, DERIVATIVES, UNKNOWNS>($($argument),*),
+                (_, false) => $f::<M, 3, DERIVATIVES, UNKNOWNS>($($argument),*),
+                (1, true) => $f::<M, 1, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
+                (_, true) => $f::<M, 3, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
+            }
+        })
     }};
 }
 pub(crate) use by_kind;
-pub(crate) use by_kind_of;
 
 /// Where the derivatives of a channel belong among the unknowns of a pixel: albedo by channel,
 /// roughness, metallic, tilts.

@@ -12,9 +12,7 @@ use pyo3::types::PyBytes;
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
 use crate::directional::{DirectionalLight, render_directional as render_directional_pixels};
 use crate::lobe_table;
-use crate::model::Model;
-use crate::paper::Paper;
-use crate::principled::Principled;
+use crate::model::{Model, with_model};
 use crate::problem::MAX_SAMPLES;
 use crate::render::render as render_pixels;
 use crate::shade::{
@@ -131,10 +129,7 @@ fn shade<'py>(
     )?;
     let weights = py.detach(|| {
         pixels.check()?;
-        match model {
-            Model::Paper => pixels.shade::<Paper>(),
-            Model::Principled => pixels.shade::<Principled>(),
-        }
+        with_model!(model, M => pixels.shade::<M>())
     })?;
     let shape = [pixels.count(), 3, sh::COEFFICIENTS];
     let weights = weights.into_flattened().into_flattened();
@@ -179,10 +174,7 @@ fn shade_vjp<'py>(
             .0
             .as_chunks::<3>()
             .0;
-        match model {
-            Model::Paper => pixels.pull_back::<Paper>(weights),
-            Model::Principled => pixels.pull_back::<Principled>(weights),
-        }
+        with_model!(model, M => pixels.pull_back::<M>(weights))
     })?;
     let (materials, normals) = (
         || gradients.iter().map(|g| g.0),
