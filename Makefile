@@ -25,9 +25,9 @@ ACQUIRE := .venv-acquire
 FUZZ := .venv-fuzz
 CLUSTER := .venv-cluster
 CYCLES_PYTHON ?= python3.11
-CYCLES_NEEDS := python/pbrfit/synthetic/cycles/requirements.txt
+CYCLES_NEEDS := evaluation/pbrfit_evaluation/cycles/requirements.txt
 SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find rust -name '*.rs')
-PYTHON_SOURCES := $(shell find python -name '*.py')
+PYTHON_SOURCES := $(shell find python evaluation -name '*.py')
 DEMO ?= out/demo
 # of bench-peers: threads of every peer, and what else `python -m peers --help` lists
 THREADS ?= 2
@@ -63,7 +63,7 @@ test-fuzz: $(FUZZ)/installed target/fuzz/built
 test-cluster: $(CLUSTER)/installed
 	$(CLUSTER)/bin/pytest tests/cluster
 test-arrays: $(VENV)/tools
-	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/test_array_interface.py
+	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/commands/test_array_interface.py
 
 test-limits: $(VENV)/tools
 	$(BIN)/python tests/limits/interrupts.py
@@ -122,13 +122,13 @@ $(VENV)/installed: $(SOURCES)
 
 # Without the core's own rules about when to rebuild, but with everything that tests need.
 $(VENV)/tools: $(VENV)/installed
-	$(BIN)/pip install --quiet --editable '.[test,lint]'
+	$(BIN)/pip install --quiet --editable '.[test,lint]' --editable evaluation
 	touch $@
 
 # Peers one by one: what cannot be installed is left out, with a message here and in the results.
 $(PEERS)/installed: $(SOURCES) $(PYTHON_SOURCES) benches/peers/requirements.txt
 	test -d $(PEERS) || $(PYTHON) -m venv $(PEERS)
-	$(PEERS)/bin/pip install --quiet .
+	$(PEERS)/bin/pip install --quiet . ./evaluation
 	@grep -v '^#' benches/peers/requirements.txt | while read -r peer; do \
 		echo "installing $$peer"; \
 		$(PEERS)/bin/pip install --quiet "$$peer" < /dev/null || echo "bench-peers: no $$peer; going on without"; \
@@ -138,12 +138,12 @@ $(PEERS)/installed: $(SOURCES) $(PYTHON_SOURCES) benches/peers/requirements.txt
 $(ACQUIRE)/installed: $(SOURCES)
 	test -d $(ACQUIRE) || $(PYTHON) -m venv $(ACQUIRE)
 	@echo "installing PyTorch, diffusers, transformers and openai: 5 GB"
-	$(ACQUIRE)/bin/pip install --quiet --editable '.[test,diffusion,openai,segment]'
+	$(ACQUIRE)/bin/pip install --quiet --editable '.[test,diffusion,openai,segment]' --editable evaluation
 	touch $@
 
 $(FUZZ)/installed: $(SOURCES)
 	test -d $(FUZZ) || $(PYTHON) -m venv $(FUZZ)
-	$(FUZZ)/bin/pip install --quiet --editable '.[test]'
+	$(FUZZ)/bin/pip install --quiet --editable '.[test]' --editable evaluation
 	@$(FUZZ)/bin/pip install --quiet atheris || echo "test-fuzz: no atheris for this machine; going on without"
 	touch $@
 
@@ -153,7 +153,7 @@ target/fuzz/built: $(SOURCES) $(wildcard tests/fuzz/rust/Cargo.* tests/fuzz/rust
 
 $(CLUSTER)/installed: $(SOURCES)
 	test -d $(CLUSTER) || $(PYTHON) -m venv $(CLUSTER)
-	$(CLUSTER)/bin/pip install --quiet --editable '.[test,cluster]'
+	$(CLUSTER)/bin/pip install --quiet --editable '.[test,cluster]' --editable evaluation
 	touch $@
 
 $(CYCLES)/installed: $(CYCLES_NEEDS)

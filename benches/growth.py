@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 import pbrfit
-from pbrfit.evaluation.summary import machine
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.summary import machine
 
 BASE = 512
 NOISE = 0.01

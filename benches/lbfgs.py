@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from scipy import optimize
 from threadpoolctl import threadpool_limits
 
-from pbrfit import projected_lbfgs
-from pbrfit.evaluation.convergence.cases import Case, make
-from pbrfit.evaluation.summary import machine
-from pbrfit.objective import Objective
-from pbrfit.projected_lbfgs import Bounds
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.solvers import projected_lbfgs
+from pbrfit.fit.solvers.projected_lbfgs import Bounds
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.convergence.cases import Case, make
+from pbrfit_evaluation.summary import machine
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,8 @@ LOWEST_ROUGHNESS = 0.1
 INTRODUCTION = """\
 # The bounded L-BFGS beside scipy's
 
-{machine}, {threads} threads. `make bench-lbfgs` writes this page; `pbrfit.projected_lbfgs` is what
+{machine}, {threads} threads. `make bench-lbfgs` writes this page;
+`pbrfit.fit.solvers.projected_lbfgs` is what
 is measured, with {pairs} pairs beside scipy's L-BFGS-B with {scipy_pairs}.
 
 """

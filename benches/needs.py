@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 import pbrfit
-from pbrfit.evaluation.summary import machine
-from pbrfit.objective import Objective
-from pbrfit.priors import Priors
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.penalties import Priors
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.summary import machine
 
 ROUNDS = 41
 """Turns of each case; a median is taken."""

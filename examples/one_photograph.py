@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pbrfit import images
-from pbrfit.color import encode_srgb
-from pbrfit.evaluation.review.damage import Kind, damaged
-from pbrfit.evaluation.review.pictures import relights
-from pbrfit.output import new_folder
+from pbrfit.io import images
+from pbrfit.io.color import encode_srgb
+from pbrfit.io.output import new_folder
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.review.damage import Kind, damaged
+from pbrfit_evaluation.review.pictures import relights
 
 SEED = 2003
 PICTURES = 12

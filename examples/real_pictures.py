@@ -17,8 +17,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pbrfit import InputError
-from pbrfit.evaluation.real.sources import SETS, PublicSet, absent, find_sources, write_scene
-from pbrfit.output import new_folder
+from pbrfit.io.output import new_folder
+from pbrfit_evaluation.real.sources import SETS, PublicSet, absent, find_sources, write_scene
 
 
 def main() -> int:

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from pbrfit import Scene, render
-from pbrfit.color import encode_srgb
-from pbrfit.model import MODELS
+from pbrfit.io.color import encode_srgb
+from pbrfit.model.reflection import MODELS
 from pbrfit.synthetic import World, draw, random_lights
-from pbrfit.synthetic.cycles import (
+from pbrfit_evaluation.cycles import (
     SAMPLES,
     Light,
     Transport,
@@ -25,10 +25,10 @@ from pbrfit.synthetic.cycles import (
     check_truth,
     render_scene,
 )
-from pbrfit.synthetic.cycles.export import export
-from pbrfit.synthetic.cycles.gap import reflection_gap
-from pbrfit.synthetic.cycles.job import Job, rendered
-from pbrfit.synthetic.cycles.scene import inner_pixels
+from pbrfit_evaluation.cycles.export import export
+from pbrfit_evaluation.cycles.gap import reflection_gap
+from pbrfit_evaluation.cycles.job import Job, rendered
+from pbrfit_evaluation.cycles.scene import inner_pixels
 
 FIRST_SEED = 9000  # tuned on by nobody
 

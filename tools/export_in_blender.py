@@ -20,16 +20,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(REPOSITORY / "tests" / "python"))
+sys.path[:0] = [
+    str(REPOSITORY / "tests" / "python" / "export"),
+    str(REPOSITORY / "tests" / "support"),
+]
+
+from test_export_blender import difference, diffuse  # noqa: E402
 
 from blender_card import Rendering, in_blender, lopsided_lights, relief  # noqa: E402
-from pbrfit import Result, images, panorama, relight  # noqa: E402
-from pbrfit.colormap import blue_to_yellow  # noqa: E402
+from pbrfit import Result, relight  # noqa: E402
 from pbrfit.export import export_result  # noqa: E402
 from pbrfit.export.view_mesh import Geometry  # noqa: E402
-from pbrfit.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
+from pbrfit.io import images  # noqa: E402
+from pbrfit.model import panorama  # noqa: E402
+from pbrfit.result.colormap import blue_to_yellow  # noqa: E402
+from pbrfit.result.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
 from pbrfit.synthetic import make_scene  # noqa: E402
-from test_export_blender import difference, diffuse  # noqa: E402
 
 HDRI = "hdri/venice_sunset_1k.hdr"
 SPAN = 0.5

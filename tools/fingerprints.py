@@ -177,13 +177,16 @@ def in_tiles() -> AbstractContextManager[object]:
     """Every picture is a large one: a subset of every second pixel, then tiles of 30."""
     from contextlib import ExitStack
 
-    from pbrfit import memory, solve
-    from pbrfit.tiles import fit_tiles
+    from pbrfit.fit import decompose as decompose_module
+    from pbrfit.fit import memory
+    from pbrfit.fit.tiles import fit_tiles
 
     stack = ExitStack()
     stack.enter_context(mock.patch.object(memory, "WHOLE", 0))
-    stack.enter_context(mock.patch("pbrfit.tiles.tiling.FEWEST", 16))
-    stack.enter_context(mock.patch.object(solve, "fit_tiles", partial(fit_tiles, few=1296, side=30)))
+    stack.enter_context(mock.patch("pbrfit.fit.tiles.tiling.FEWEST", 16))
+    stack.enter_context(
+        mock.patch.object(decompose_module, "fit_tiles", partial(fit_tiles, few=1296, side=30))
+    )
     return stack
 
 

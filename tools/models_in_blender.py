@@ -21,13 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(REPOSITORY / "tests" / "python"))
+sys.path[:0] = [
+    str(REPOSITORY / "tests" / "python" / "export"),
+    str(REPOSITORY / "tests" / "support"),
+]
 
 from blender_card import Rendering, in_blender  # noqa: E402
-from pbrfit import Result, decompose, images, relight  # noqa: E402
-from pbrfit.colormap import blue_to_yellow  # noqa: E402
+from pbrfit import Result, decompose, relight  # noqa: E402
 from pbrfit.export import export_result  # noqa: E402
-from pbrfit.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
+from pbrfit.io import images  # noqa: E402
+from pbrfit.result.colormap import blue_to_yellow  # noqa: E402
+from pbrfit.result.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
 from pbrfit.synthetic import make_scene  # noqa: E402
 
 PICTURES = 16

@@ -9,8 +9,10 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from pbrfit import DirectionalLight, Result, Scene, display, images, metrics, relight
-from pbrfit.sheet import Panel, Row, displayed, outside_grey, sheet
+from pbrfit import DirectionalLight, Result, Scene, relight
+from pbrfit.io import display, images
+from pbrfit.result import metrics
+from pbrfit.result.sheet import Panel, Row, displayed, outside_grey, sheet
 
 LAMP = DirectionalLight(-50, 35, (1.6, 1.6, 1.6))
 

@@ -1,7 +1,7 @@
 """The picture of docs/relight.md: a result relit, above its true materials under the same lights.
 
 python tools/relight_sheet.py DEMO PANORAMA OUT.png, with what `pbrfit demo DEMO` and
-`pbrfit.panorama` wrote or read.
+`pbrfit.model.panorama` wrote or read.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import DirectionalLight, Result, Scene, display, images, panorama, relight
-from pbrfit.sheet import Panel, Row, sheet
+from pbrfit import DirectionalLight, Result, Scene, relight
+from pbrfit.io import display, images
+from pbrfit.model import panorama
+from pbrfit.result.sheet import Panel, Row, sheet
 
 SCALE = 2
 

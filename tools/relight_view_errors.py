@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "python"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from browser import launched
-from pbrfit import Result, panorama
-from pbrfit.display import ToneMap
-from pbrfit.model import MODELS
+from pbrfit import Result
+from pbrfit.io.display import ToneMap
+from pbrfit.model import panorama
+from pbrfit.model.reflection import MODELS
 from relight_view import View, expected, made, opened
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from pbrfit.color import encode_srgb
-from pbrfit.scene import Scene
+from pbrfit.io.color import encode_srgb
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 
 SEEDS, SIZE, HEADER = (101, 104, 12, 60), 150, 18

@@ -3,7 +3,7 @@
     python tools/sh_relighting.py PANORAMA...
 
 A sphere is rendered under each panorama twice: under its SH projection with the model that pbrfit
-fits, and under every pixel of it with the full one (`pbrfit.model.render_directional`).
+fits, and under every pixel of it with the full one (`pbrfit.model.reflection.render_directional`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import Materials, panorama
-from pbrfit.model import Model, render, render_directional
+from pbrfit import Materials
+from pbrfit.model import panorama
+from pbrfit.model.reflection import Model, render, render_directional
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.float32_model import (
+from pbrfit_evaluation.float32_model import (
     BAND_OF,
     BANDS,
     DIELECTRIC_F0,

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pbrfit.evaluation.torch_loss import einsum_form, matrix_form
+from pbrfit_evaluation.torch_loss import einsum_form, matrix_form
 from peers.case import Case
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
-from pbrfit import process_memory
+from pbrfit.batch import process_memory
 from peers.case import Case
 from peers.roster import Entry, Peer
 

@@ -1,15 +1,15 @@
 """pbrfit: physically based materials and lighting from several pictures of one view."""
 
 from pbrfit._core import InputError
-from pbrfit.geometry import view_directions
-from pbrfit.materials import Materials
-from pbrfit.model import ggx_band_weights, render, sh_basis, shade, shade_vjp
-from pbrfit.objective import Objective
-from pbrfit.priors import Priors
-from pbrfit.relighting import DirectionalLight, relight
-from pbrfit.result import Result, Status
-from pbrfit.scene import Scene, Truth
-from pbrfit.solve import Progress, decompose
+from pbrfit.fit.decompose import Progress, decompose
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.model.geometry import view_directions
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
+from pbrfit.result.relighting import DirectionalLight, relight
+from pbrfit.result.result import Result, Status
+from pbrfit.scene.scene import Scene, Truth
 
 __all__ = [
     "DirectionalLight",

@@ -13,14 +13,14 @@ from typing import Any, NoReturn
 
 from pbrfit import ending
 from pbrfit._core import InputError, last_word
-from pbrfit.arguments import (
+from pbrfit.commands import add_commands
+from pbrfit.commands.arguments import (
     INTERRUPTED,
     UNUSABLE,
     complain,
     message_of,
     with_signed_values,
 )
-from pbrfit.commands import add_commands
 
 
 def run() -> NoReturn:
@@ -70,10 +70,22 @@ class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that complains in one line and takes no shortened flags."""
+    """Parser that complains in one line and takes no shortened flags.
 
-    def __init__(self, **arguments: Any) -> None:
+    `complete` adds its options when it is first asked to parse, for commands that are looked up.
+    """
+
+    def __init__(
+        self, *, complete: Callable[[argparse.ArgumentParser], None] | None = None, **arguments: Any
+    ) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_HelpFormatter, **arguments)
+        self._complete = complete
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        if self._complete is not None:
+            complete, self._complete = self._complete, None
+            complete(self)
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
         self.exit(UNUSABLE, f"{self.prog}: {message}; see {self.prog} --help\n")

@@ -11,7 +11,7 @@ from PIL import Image
 
 from acquire.image_service import KEY, Answer, Call, Serve, Service, failure, picture
 from pbrfit.cli import main
-from pbrfit.scene import Scene
+from pbrfit.scene.scene import Scene
 
 FREE = ("--normals", "flat", "--segments", "none", "--no-review", "--fov", "50")
 

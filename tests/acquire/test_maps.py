@@ -12,15 +12,15 @@ import pytest
 from numpy.typing import NDArray
 
 from acquire.tiny_maps import save_tiny_marigold_normals, save_tiny_sam2
-from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, estimate
 from pbrfit.acquire.normals.marigold import at_size, seen_size
 from pbrfit.acquire.padding import resized
 from pbrfit.acquire.segments import segment
 from pbrfit.cli import main
-from pbrfit.normal_files import UNCERTAINTY
-from pbrfit.scene import Scene
+from pbrfit.io import images
+from pbrfit.io.normal_files import UNCERTAINTY
+from pbrfit.scene.scene import Scene
 
 SIZES = [(97, 131), (131, 97), (64, 64)]
 

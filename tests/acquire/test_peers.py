@@ -11,9 +11,9 @@ import pytest
 from acquire.tiny_maps import TARGETS, save_tiny_marigold_iid, save_tiny_rgbx
 from pbrfit._core import InputError
 from pbrfit.cli import main
-from pbrfit.color import decode_srgb
-from pbrfit.evaluation.peers.marigold import Marigold, targets
-from pbrfit.evaluation.peers.rgbx import RgbToX
+from pbrfit.io.color import decode_srgb
+from pbrfit_evaluation.peers.marigold import Marigold, targets
+from pbrfit_evaluation.peers.rgbx import RgbToX
 
 
 @pytest.fixture(scope="module")

@@ -20,20 +20,22 @@ from numpy.typing import NDArray
 from fuzz import crafted, damage, declared, seeds
 from fuzz.seeds import Seed
 from fuzz.task import TASK, work
-from pbrfit import images, panorama, scene_folder
 from pbrfit.acquire import journal
 from pbrfit.acquire.generators import Request
 from pbrfit.acquire.normals import depth, given
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import read_prompts
-from pbrfit.evaluation import jobs
-from pbrfit.history import History
-from pbrfit.lighting import Lighting
-from pbrfit.materials import read_materials
-from pbrfit.normal_files import Convention, read_normals, read_uncertainty
-from pbrfit.result import Result
-from pbrfit.scene import Scene
-from pbrfit.weight_files import read_weights
+from pbrfit.io import images
+from pbrfit.io.normal_files import Convention, read_normals, read_uncertainty
+from pbrfit.io.weight_files import read_weights
+from pbrfit.model import panorama
+from pbrfit.model.lighting import Lighting
+from pbrfit.model.materials import read_materials
+from pbrfit.result.history import History
+from pbrfit.result.result import Result
+from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation import jobs
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
 from fuzz.damage import png_chunk
-from pbrfit import images
-from pbrfit.color import encode_srgb
-from pbrfit.scene import Scene
+from pbrfit.io import images
+from pbrfit.io.color import encode_srgb
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 
 _RNG = np.random.default_rng(11)
@@ -280,7 +280,7 @@ def _files(write: Callable[[Path], object]) -> dict[str, bytes]:
 def result_folder() -> Iterator[Seed]:
     """A result with uncertainty and refined normals; each file that is read once as the target."""
     from pbrfit import decompose
-    from pbrfit.refinement import Refinement
+    from pbrfit.result.refinement import Refinement
 
     scene = _scene()
     fit = decompose(scene, iterations=5, uncertainty=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pbrfit.evaluation import jobs
+from pbrfit_evaluation import jobs
 
 
 @dataclass(frozen=True)

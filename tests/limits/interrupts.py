@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from pbrfit.cli import main as command
-from pbrfit.scene import Scene
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 
 LIGHTS = 8

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pbrfit import Scene, decompose
-from pbrfit.priors import Priors
-from pbrfit.solvers import Run
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.fit.solvers import Run
 from pbrfit.synthetic import make_scene
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pbrfit.output import digest
-from pbrfit.result import FILES, Result
+from pbrfit.io.output import digest
+from pbrfit.result.result import FILES, Result
 from pbrfit.synthetic import make_scene
 
 SIZE, LIGHTS = 16, 4

@@ -31,7 +31,7 @@ from batches import (
     started,
     statuses,
 )
-from pbrfit.scene import Scene
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="made for Linux")

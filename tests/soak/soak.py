@@ -148,7 +148,7 @@ def main() -> int:
         before = temporaries()
         states: list[State] = []
         if options.jobs:
-            from pbrfit.evaluation import jobs
+            from pbrfit_evaluation import jobs
 
             parent: list[State] = []
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.sheet import OUTSIDE, Panel, Row, sheet
+from pbrfit.result.sheet import OUTSIDE, Panel, Row, sheet
 
 COLUMNS = 5
 """Pictures side by side, so that two dozen of them are five rows."""

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import geometry, images
 from pbrfit._core import InputError
 from pbrfit.acquire.generation_report import FILE, SHEET, GenerationReport
 from pbrfit.acquire.generators import Generator, Request
@@ -28,11 +27,13 @@ from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.rounds import REGENERATE, Reviewer, Rounds
 from pbrfit.acquire.scene_place import PHOTO, PICTURES, check_place, place
-from pbrfit.color import ColorSpace
-from pbrfit.normal_files import write_normals
-from pbrfit.scene_folder import DEFAULT_FOV
-from pbrfit.sheet import as_png
-from pbrfit.weight_files import WEIGHT_FILE, write_weights
+from pbrfit.io import images
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.normal_files import write_normals
+from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
+from pbrfit.model import geometry
+from pbrfit.result.sheet import as_png
+from pbrfit.scene.folder import DEFAULT_FOV
 
 log = logging.getLogger("pbrfit")
 

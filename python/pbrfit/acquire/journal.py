@@ -26,9 +26,9 @@ from PIL.PngImagePlugin import PngInfo
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.photo import Photo
-from pbrfit.json_files import UNFIT, read_json, seed, table, text, whole
-from pbrfit.output import new_file
-from pbrfit.quoting import listed, quoted
+from pbrfit.io.json_files import UNFIT, read_json, seed, table, text, whole
+from pbrfit.io.output import new_file
+from pbrfit.io.quoting import listed, quoted
 
 FOLDER = "generation"
 """Its name in a scene folder."""

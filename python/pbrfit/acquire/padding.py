@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit._core import InputError
-from pbrfit.color import decode_srgb, encode_srgb
-from pbrfit.resampling import averaged
+from pbrfit.io.color import decode_srgb, encode_srgb
+from pbrfit.io.resampling import averaged
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import images
 from pbrfit._core import InputError
-from pbrfit.color import ColorSpace
-from pbrfit.display import encoded
-from pbrfit.geometry import fov_from_focal_length
-from pbrfit.resampling import averaged, reduced_size
+from pbrfit.io import images
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.display import encoded
+from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.model.geometry import fov_from_focal_length
 
 LEAST_SIDE = 64
 """Fewest pixels of a side: below, FLUX.2 refuses, and a picture shows nothing to imagine from."""
@@ -82,7 +82,8 @@ def read_photo(
 ) -> Photo:
     """Read a photograph: EXR, HDR, PNG, JPEG or TIFF, of any depth, colour or grey.
 
-    The colour is decided as by `pbrfit.images.read_picture`, the EXIF orientation is applied, and
+    The colour is decided as by `pbrfit.io.images.read_picture`, the EXIF orientation is applied,
+    and
     alpha below a half leaves pixels out.
 
     Parameters

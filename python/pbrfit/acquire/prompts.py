@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.quoting import listed, quoted, shown
+from pbrfit.io.quoting import listed, quoted, shown
 
 SHIPPED = "prompts.toml"
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pbrfit.acquire.generators import RETRY_STEP, Generator, Refused, Request
 from pbrfit.acquire.journal import Entry, Journal
 from pbrfit.acquire.photo import Photo
-from pbrfit.color import decode_srgb
+from pbrfit.io.color import decode_srgb
 
 if TYPE_CHECKING:
     from pbrfit.acquire.review import Check, Verdict

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import images, scene_folder
 from pbrfit._core import InputError
-from pbrfit.color import ColorSpace
-from pbrfit.metrics import display, white_of
+from pbrfit.io import images
+from pbrfit.io.color import ColorSpace
+from pbrfit.result.metrics import display, white_of
+from pbrfit.scene import folder as scene_folder
 
 
 @dataclass(frozen=True, eq=False)

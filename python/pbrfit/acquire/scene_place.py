@@ -17,7 +17,7 @@ from pathlib import Path
 from pbrfit._core import InputError
 from pbrfit.acquire import journal
 from pbrfit.acquire.photo import Photo
-from pbrfit.output import making, naming, undisturbed, unfinished
+from pbrfit.io.output import making, naming, undisturbed, unfinished
 
 PICTURES = "images"
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
 from pbrfit.acquire.extras import need, versions
 from pbrfit.acquire.normals.maps import check_reducible
-from pbrfit.resampling import at_centres
-from pbrfit.scene_folder import MAX_ID
+from pbrfit.io import images
+from pbrfit.io.resampling import at_centres
+from pbrfit.scene.folder import MAX_ID
 
 MODEL = "facebook/sam2.1-hiera-large"
 

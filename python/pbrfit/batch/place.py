@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from pbrfit.output import ASIDE, making, unfinished
+from pbrfit.io.output import ASIDE, making, unfinished
 
 NAME = ".pbrfit"
 

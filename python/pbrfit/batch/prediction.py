@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pbrfit import images, memory, scene_folder
 from pbrfit._core import image_format
 from pbrfit.batch.settings import Fitting, Reading
-from pbrfit.layout import Layout
-from pbrfit.refinement import LEAST_PICTURES
-from pbrfit.resampling import reduced_size
-from pbrfit.weight_files import WEIGHT_FILE
+from pbrfit.fit import memory
+from pbrfit.fit.parameters import Layout
+from pbrfit.io import images
+from pbrfit.io.resampling import reduced_size
+from pbrfit.io.weight_files import WEIGHT_FILE
+from pbrfit.result.refinement import LEAST_PICTURES
+from pbrfit.scene import folder as scene_folder
 
 DECODING_BYTES = 48
 """Of a pixel of a file while it is read: its content, samples, float32 and what is marked."""

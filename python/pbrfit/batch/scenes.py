@@ -14,9 +14,9 @@ from pbrfit._core import InputError
 from pbrfit.batch.settings import Fitting, Reading
 
 if TYPE_CHECKING:
-    from pbrfit.result import Result
-    from pbrfit.scene import Scene
-    from pbrfit.solve import Progress
+    from pbrfit.fit.decompose import Progress
+    from pbrfit.result.result import Result
+    from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
 
@@ -108,10 +108,11 @@ def decompose_scene(
     InputError, OSError, MemoryError
         If the scene cannot be used, or its result not be written. The message names the file.
     """
-    from pbrfit import alignment, process_memory
+    from pbrfit.batch import process_memory
     from pbrfit.batch.unchanged import check_model, kept
-    from pbrfit.output import new_folder
-    from pbrfit.result import CONTAINS
+    from pbrfit.io.output import new_folder
+    from pbrfit.result.result import CONTAINS
+    from pbrfit.scene import alignment
 
     wanted = _Wanted(task, show)
     wanted.check()

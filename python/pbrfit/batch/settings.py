@@ -7,17 +7,17 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pbrfit.color import ColorSpace
-from pbrfit.images import CODE_RANGE
-from pbrfit.priors import Priors
-from pbrfit.refinement import RefineNormals
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.images import CODE_RANGE
+from pbrfit.result.refinement import RefineNormals
 
 if TYPE_CHECKING:
-    from pbrfit.model import Model
-    from pbrfit.result import Options, Result
-    from pbrfit.scene import Scene
-    from pbrfit.solve import Loss, Progress
-    from pbrfit.solvers import Solver
+    from pbrfit.fit.decompose import Loss, Progress
+    from pbrfit.fit.solvers import Solver
+    from pbrfit.model.reflection import Model
+    from pbrfit.result.result import Options, Result
+    from pbrfit.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Reading:
 
     def load(self, path: Path) -> Scene:
         """Read a scene folder."""
-        from pbrfit.scene import Scene
+        from pbrfit.scene.scene import Scene
 
         return Scene.load(path, **{one.name: getattr(self, one.name) for one in fields(self)})
 
@@ -59,14 +59,14 @@ class Fitting:
 
     def fit(self, scene: Scene, threads: int, progress: Callable[[Progress], None]) -> Result:
         """Decompose a scene."""
-        from pbrfit.solve import decompose
+        from pbrfit.fit.decompose import decompose
 
         arguments = {one.name: getattr(self, one.name) for one in fields(self)}
         return decompose(scene, threads=threads, progress=progress, **arguments)
 
     def options(self) -> Options:
         """What a result of `fit` says about its options."""
-        from pbrfit.result import Options
+        from pbrfit.result.result import Options
 
         arguments = {one.name: getattr(self, one.name) for one in fields(self)}
         return Options(**{**arguments, "priors": asdict(self.priors)})

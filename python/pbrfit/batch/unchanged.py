@@ -9,13 +9,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from pbrfit import scene_folder
 from pbrfit._core import InputError
 from pbrfit.batch.settings import Fitting, Reading
-from pbrfit.json_files import table
-from pbrfit.model import chosen_model
-from pbrfit.output import digest
-from pbrfit.result import FILES, model_of
+from pbrfit.io.json_files import table
+from pbrfit.io.output import digest
+from pbrfit.model.reflection import chosen_model
+from pbrfit.result.result import FILES, model_of
+from pbrfit.scene import folder as scene_folder
 
 
 def kept(output: Path, scene: Path, reading: Reading, fitting: Fitting) -> Mapping[str, Any] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pbrfit.arguments import Subcommands
 from pbrfit.commands import (
     check_gradients,
     decompose,
@@ -17,6 +16,7 @@ from pbrfit.commands import (
     segments,
     synth,
 )
+from pbrfit.commands.arguments import Subcommands
 
 COMMANDS = (
     decompose,

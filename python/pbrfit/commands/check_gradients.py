@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.arguments import (
+from pbrfit.commands.arguments import (
     DONE,
     SOME_FAILED,
     Subcommands,
@@ -34,8 +34,8 @@ def add(commands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pbrfit.gradient_check import check_gradients
-    from pbrfit.objective import Objective
+    from pbrfit.fit.gradient_check import check_gradients
+    from pbrfit.fit.objective import Objective
 
     scene = load(options.scene, options)
     objective = Objective(

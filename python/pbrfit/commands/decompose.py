@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit._core import InputError
-from pbrfit.arguments import (
+from pbrfit.commands.arguments import (
     DONE,
     SOME_FAILED,
     UNUSABLE,
@@ -80,8 +80,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing: bool) -> None:
-    from pbrfit.output import check_free
-    from pbrfit.result import CONTAINS
+    from pbrfit.io.output import check_free
+    from pbrfit.result.result import CONTAINS
 
     taken = {output.resolve(): output for output in outputs}
     for path in scenes:
@@ -134,13 +134,13 @@ def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
 def _run_all(
     scenes: Sequence[Path], outputs: Sequence[Path], options: argparse.Namespace, *, one: bool
 ) -> int:
-    from pbrfit import memory
     from pbrfit.batch import place
     from pbrfit.batch.cluster import LOCAL
     from pbrfit.batch.driver import drive
     from pbrfit.batch.executors import workers
     from pbrfit.batch.scenes import memory_of
     from pbrfit.commands.scene_display import SceneDisplay
+    from pbrfit.fit import memory
 
     where = place.of_one(options.out) if one else place.of_batch(options.out)
     display = SceneDisplay(len(scenes), quiet=options.quiet, as_json=options.json)
@@ -218,7 +218,7 @@ def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
 
 def _may_be_scene(path: Path) -> bool:
     """Whether it is a scene folder; one that nobody may look into will fail and say why."""
-    from pbrfit import scene_folder
+    from pbrfit.scene import folder as scene_folder
 
     try:
         return scene_folder.is_scene(path)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pbrfit.arguments import DONE, Subcommands, add_command, add_priors, add_quiet
+from pbrfit.commands.arguments import DONE, Subcommands, add_command, add_priors, add_quiet
 from pbrfit.commands.fit_options import (
     add_model,
     add_refinement,
@@ -16,10 +16,10 @@ from pbrfit.commands.fit_options import (
     fitting,
 )
 from pbrfit.commands.synth import add_synthetic, make_scene
-from pbrfit.model import DEFAULT_MODEL
+from pbrfit.model.reflection import DEFAULT_MODEL
 
 if TYPE_CHECKING:
-    from pbrfit.result import Result
+    from pbrfit.result.result import Result
 
 
 def add(commands: Subcommands) -> None:
@@ -46,10 +46,10 @@ FRAMES = 48
 
 def _run(options: argparse.Namespace) -> int:
     from pbrfit.batch.scenes import table
-    from pbrfit.output import new_folder
-    from pbrfit.preview import plot_history
+    from pbrfit.io.output import new_folder
     from pbrfit.report import write_report
-    from pbrfit.scene import Scene
+    from pbrfit.result.preview import plot_history
+    from pbrfit.scene.scene import Scene
 
     parts = ("scene", "result")
     with new_folder(options.out, overwrite=options.overwrite, contains=parts) as folder:
@@ -72,8 +72,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _relight(result: Result, folder: Path, threads: int) -> None:
-    from pbrfit.relighting import DirectionalLight, relight
-    from pbrfit.relit_files import Screen, write_animation, write_png
+    from pbrfit.io.relit_files import Screen, write_animation, write_png
+    from pbrfit.result.relighting import DirectionalLight, relight
 
     lamp, screen = DirectionalLight(*LAMP), Screen()
     frames = (

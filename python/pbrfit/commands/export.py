@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit._core import InputError
-from pbrfit.arguments import (
+from pbrfit.commands.arguments import (
     DONE,
     Subcommands,
     add_command,
@@ -60,8 +60,8 @@ def add(commands: Subcommands) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from pbrfit.export import CONTAINS, export_result
-    from pbrfit.output import check_free
-    from pbrfit.result import Result
+    from pbrfit.io.output import check_free
+    from pbrfit.result.result import Result
 
     if options.result.resolve().is_relative_to(options.out.resolve()):
         raise InputError(

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pbrfit.arguments import add_threads, given_priors, progress_bar, whole_number
-from pbrfit.model import DEFAULT_MODEL, MODELS
-from pbrfit.refinement import CHOICES
-from pbrfit.robust import LOSSES
-from pbrfit.solvers import SOLVERS
+from pbrfit.commands.arguments import add_threads, given_priors, progress_bar, whole_number
+from pbrfit.fit.robust import LOSSES
+from pbrfit.fit.solvers import SOLVERS
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
+from pbrfit.result.refinement import CHOICES
 
 if TYPE_CHECKING:
     from pbrfit.batch.settings import Fitting
-    from pbrfit.solve import Progress
+    from pbrfit.fit.decompose import Progress
 
 EXPOSURES = {"auto": None, "as-is": False, "equal": True}
 """`equal_exposures` by what it is called here."""

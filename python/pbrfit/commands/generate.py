@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from pbrfit._core import InputError
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.arguments import (
+from pbrfit.commands.arguments import (
     DONE,
     Subcommands,
     add_command,
@@ -23,8 +23,8 @@ from pbrfit.arguments import (
     unread_is_no_failure,
     whole_number,
 )
-from pbrfit.color import ColorSpace
 from pbrfit.commands.network_options import source
+from pbrfit.io.color import ColorSpace
 
 if TYPE_CHECKING:
     from pbrfit.acquire.generation import Progress
@@ -213,7 +213,7 @@ def _run(options: argparse.Namespace) -> int:
     from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
 
     if options.save_prompts is not None:
-        from pbrfit.output import new_file
+        from pbrfit.io.output import new_file
 
         with new_file(options.save_prompts, overwrite=options.overwrite) as file:
             file.write_text(shipped_text(), encoding="utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.arguments import DONE, Subcommands, add_command
+from pbrfit.commands.arguments import DONE, Subcommands, add_command
 from pbrfit.commands.scene_options import add_input, load
 
 
@@ -26,7 +26,9 @@ def add(commands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pbrfit import images, inspection, preview
+    from pbrfit.io import images
+    from pbrfit.report import inspection
+    from pbrfit.result import preview
 
     scene = load(options.scene, options)
     for topic, fact in inspection.facts(scene):

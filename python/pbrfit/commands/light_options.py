@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from pbrfit._core import InputError
-from pbrfit.arguments import number, numbers
-from pbrfit.panorama import Window
+from pbrfit.commands.arguments import number, numbers
+from pbrfit.model.panorama import Window
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from pbrfit.relighting import DirectionalLight
+    from pbrfit.result.relighting import DirectionalLight
 
 NAMES_SHOWN = 32
 
@@ -86,8 +86,8 @@ def choose_light(options: argparse.Namespace) -> ChosenLight:
     InputError, OSError
         If a file cannot be used.
     """
-    from pbrfit.lighting import Lighting, rotated
-    from pbrfit.relighting import DirectionalLight
+    from pbrfit.model.lighting import Lighting, rotated
+    from pbrfit.result.relighting import DirectionalLight
 
     if options.light is not None:
         azimuth, elevation = options.light
@@ -111,7 +111,7 @@ def choose_light(options: argparse.Namespace) -> ChosenLight:
 
 def _projected(options: argparse.Namespace, degrees: float, turn: str) -> ChosenLight:
     """SH light of a panorama."""
-    from pbrfit import panorama
+    from pbrfit.model import panorama
 
     pixels = panorama.read(options.env)
     plain = panorama.project(pixels, degrees)

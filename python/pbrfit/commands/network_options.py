@@ -9,8 +9,8 @@ from typing import Any, get_args
 
 from pbrfit._core import InputError
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.arguments import Subcommands
-from pbrfit.color import ColorSpace
+from pbrfit.commands.arguments import Subcommands
+from pbrfit.io.color import ColorSpace
 
 Group = Subcommands
 """An `argparse` group, or a parser."""

@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pbrfit.arguments import (
+from pbrfit.commands.arguments import (
     DONE,
     Subcommands,
     add_command,
@@ -128,7 +128,7 @@ def add(commands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pbrfit import scene_completion
+    from pbrfit.scene import completion as scene_completion
 
     scene_completion.check_normals_can_be_added(options.scene, overwrite=options.overwrite)
     kind = _kind(options.source)
@@ -165,9 +165,10 @@ def _estimated(
     """The normals, and where they come from in words."""
     import numpy as np
 
-    from pbrfit import scene_completion, scene_folder
     from pbrfit.acquire.normals import estimate
     from pbrfit.acquire.scene_picture import shown
+    from pbrfit.scene import completion as scene_completion
+    from pbrfit.scene import folder as scene_folder
 
     size = scene_completion.picture_size(options.scene)
     blank: NDArray[np.uint8] = np.zeros((*size, 3), np.uint8)  # only its size matters

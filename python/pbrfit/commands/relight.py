@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, get_args
 
 from pbrfit._core import InputError
-from pbrfit.arguments import (
+from pbrfit.commands.arguments import (
     DONE,
     Subcommands,
     add_command,
@@ -20,16 +20,16 @@ from pbrfit.arguments import (
     unread_is_no_failure,
 )
 from pbrfit.commands.light_options import add_light, choose_light
-from pbrfit.display import ToneMap
-from pbrfit.model import MODELS
+from pbrfit.io.display import ToneMap
+from pbrfit.model.reflection import MODELS
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from pbrfit.relighting import DirectionalLight
-    from pbrfit.relit_files import Radiance, Range, Screen
-    from pbrfit.result import Result
+    from pbrfit.io.relit_files import Radiance, Range, Screen
+    from pbrfit.result.relighting import DirectionalLight
+    from pbrfit.result.result import Result
 
 FPS = 12.0
 MANY = 0.98
@@ -95,8 +95,8 @@ def add(commands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pbrfit.relit_files import Range, Screen
-    from pbrfit.result import Result
+    from pbrfit.io.relit_files import Range, Screen
+    from pbrfit.result.result import Result
 
     kind = _kind(options)
     _check_belonging(options, kind)
@@ -198,7 +198,7 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
 
 def _check_free(options: argparse.Namespace, kind: str) -> None:
     """Complain about the output before there is any work."""
-    from pbrfit.output import check_free, check_free_file
+    from pbrfit.io.output import check_free, check_free_file
 
     used = [options.result / name for name in ("materials.exr", "preview.png")]
     used += [path for path in (options.env, options.sh) if path is not None]
@@ -219,7 +219,7 @@ def _frames(
     result: Result, light: NDArray[np.float64] | DirectionalLight, options: argparse.Namespace
 ) -> Iterator[Radiance]:
     """The picture, or those of a turntable, one at a time."""
-    from pbrfit.relighting import relight, turned
+    from pbrfit.result.relighting import relight, turned
 
     yield relight(result, light, options.threads)
     count = options.turntable or 1
@@ -230,8 +230,8 @@ def _frames(
 def _write(
     options: argparse.Namespace, kind: str, frames: Iterator[Radiance], screen: Screen
 ) -> None:
-    from pbrfit import relit_files
-    from pbrfit.output import new_file, new_folder
+    from pbrfit.io import relit_files
+    from pbrfit.io.output import new_file, new_folder
 
     if kind == "folder":
         with new_folder(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.arguments import DONE, Subcommands, add_command, add_quiet, add_result
+from pbrfit.commands.arguments import DONE, Subcommands, add_command, add_quiet, add_result
 
 
 def add(commands: Subcommands) -> None:
@@ -25,7 +25,7 @@ def add(commands: Subcommands) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from pbrfit.report import write_report
-    from pbrfit.result import Result
+    from pbrfit.result.result import Result
 
     result = Result.load(options.result)
     write_report(result, options.out, options.scene, options.overwrite)

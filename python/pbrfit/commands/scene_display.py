@@ -7,9 +7,9 @@ from contextlib import AbstractContextManager, nullcontext
 from types import TracebackType
 from typing import Any, Self
 
-from pbrfit.arguments import complain, progress_bar, unread_is_no_failure
 from pbrfit.batch.driver import Attempt, repeat_log
 from pbrfit.batch.scenes import SceneOutcome, SceneTask
+from pbrfit.commands.arguments import complain, progress_bar, unread_is_no_failure
 
 
 class SceneDisplay:

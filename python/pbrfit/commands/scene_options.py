@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from pbrfit.arguments import code_range
-from pbrfit.color import ColorSpace
-from pbrfit.images import CODE_RANGE
+from pbrfit.commands.arguments import code_range
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.images import CODE_RANGE
 
 if TYPE_CHECKING:
     from pbrfit.batch.settings import Reading
-    from pbrfit.scene import Scene
+    from pbrfit.scene.scene import Scene
 
 
 def add_input(parser: argparse.ArgumentParser) -> None:

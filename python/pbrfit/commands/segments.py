@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.arguments import (
+from pbrfit.commands.arguments import (
     DONE,
     Subcommands,
     add_command,
@@ -63,9 +63,10 @@ def add(commands: Subcommands) -> None:
 def _run(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from pbrfit import scene_completion, scene_folder
     from pbrfit.acquire.scene_picture import shown
     from pbrfit.acquire.segments import segment
+    from pbrfit.scene import completion as scene_completion
+    from pbrfit.scene import folder as scene_folder
 
     scene_completion.check_no_segments(options.scene, overwrite=options.overwrite)
     kind = "sam2" if options.source == "sam2" else "file"

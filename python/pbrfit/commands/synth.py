@@ -6,12 +6,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pbrfit.arguments import DONE, Subcommands, add_command, whole_number
+from pbrfit.commands.arguments import DONE, Subcommands, add_command, whole_number
 from pbrfit.commands.fit_options import add_model, add_sh_order
-from pbrfit.model import DEFAULT_MODEL
+from pbrfit.model.reflection import DEFAULT_MODEL
 
 if TYPE_CHECKING:
-    from pbrfit.scene import Scene
+    from pbrfit.scene.scene import Scene
 
 
 def add(commands: Subcommands) -> None:
@@ -70,8 +70,8 @@ def make_scene(options: argparse.Namespace) -> Scene:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from pbrfit.output import check_free
-    from pbrfit.scene_folder import CONTAINS
+    from pbrfit.io.output import check_free
+    from pbrfit.scene.folder import CONTAINS
 
     check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
     make_scene(options).save(options.out, overwrite=options.overwrite)

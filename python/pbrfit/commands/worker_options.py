@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from pbrfit.arguments import positive
+from pbrfit.commands.arguments import positive
 
 
 def add_jobs(parser: argparse.ArgumentParser, what: str, default: int | None = None) -> None:

@@ -20,16 +20,16 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from pbrfit import images
 from pbrfit.export.gltf import glb
 from pbrfit.export.lights import FILES as LIGHT_FILES
 from pbrfit.export.lights import LightPanorama, write_lights
 from pbrfit.export.maps import Bits, Maps, NormalConvention
 from pbrfit.export.presets import Format, Plan, PresetName, plan
 from pbrfit.export.view_mesh import Geometry
-from pbrfit.materials import write_materials
-from pbrfit.output import new_folder
-from pbrfit.result import Result
+from pbrfit.io import images
+from pbrfit.io.output import new_folder
+from pbrfit.model.materials import write_materials
+from pbrfit.result.result import Result
 
 __all__ = ["Exported", "ExportedFile", "LightPanorama", "export_result"]
 

@@ -12,9 +12,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pbrfit import images
 from pbrfit.export.maps import BASE_COLOR, NORMAL, Bits, Maps, Texture
 from pbrfit.export.view_mesh import Geometry, ViewMesh, camera, card, facets
+from pbrfit.io import images
 
 _FLOAT, _UNSIGNED_SHORT, _UNSIGNED_INT = 5126, 5123, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963

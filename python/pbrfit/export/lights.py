@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit import images
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
-from pbrfit.lighting import BAND_OF, Lighting
-from pbrfit.result import Result
+from pbrfit.io import images
+from pbrfit.model.lighting import BAND_OF, Lighting
+from pbrfit.result.result import Result
 
 HEIGHT = 64
 """Rows of a panorama. Nothing in l ≤ 3 is finer than 20 of them; what linear interpolation between

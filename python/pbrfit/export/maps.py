@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.color import encode_srgb
-from pbrfit.materials import nearest_inside
-from pbrfit.result import Result
+from pbrfit.io.color import encode_srgb
+from pbrfit.model.materials import nearest_inside
+from pbrfit.result.result import Result
 
 NormalConvention = Literal["opengl", "directx"]
 """Which way the green channel of a normal map points: up, or down."""

@@ -24,13 +24,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import panorama
-from pbrfit.geometry import view_directions
-from pbrfit.model import sh_basis, shade
-from pbrfit.sampling import spread
+from pbrfit.fit.sampling import spread
+from pbrfit.model import panorama
+from pbrfit.model.geometry import view_directions
+from pbrfit.model.reflection import sh_basis, shade
 
 if TYPE_CHECKING:
-    from pbrfit.result import Result
+    from pbrfit.result.result import Result
 
 Array = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit._core import InputError
-from pbrfit.output import new_file
+from pbrfit.io.output import new_file
 
 if TYPE_CHECKING:
-    from pbrfit.result import Result
-    from pbrfit.scene import Scene
+    from pbrfit.result.result import Result
+    from pbrfit.scene.scene import Scene
 
 SUFFIXES = (".html", ".htm")
 

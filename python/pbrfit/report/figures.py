@@ -7,9 +7,9 @@ from html import escape
 
 import numpy as np
 
-from pbrfit import differences
-from pbrfit.differences import PALETTE
-from pbrfit.html import png_address
+from pbrfit.report.html import png_address
+from pbrfit.result import differences
+from pbrfit.result.differences import PALETTE
 
 PIXELATED = 300
 """Pictures with a shorter longer side are shown with square pixels, not blurred."""

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import metrics, panorama
-from pbrfit.color import encode_srgb
-from pbrfit.materials import Materials
-from pbrfit.model import Model, render
+from pbrfit.io.color import encode_srgb
+from pbrfit.model import panorama
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import Model, render
 from pbrfit.report import raster
 from pbrfit.report.maps import ball_normals
+from pbrfit.result import metrics
 
 BALL_SIDE = 96
 PANORAMA_HEIGHT = 96

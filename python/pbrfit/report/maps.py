@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import differences
-from pbrfit.color import encode_srgb
-from pbrfit.differences import Difference
-from pbrfit.html import paragraph
-from pbrfit.materials import Materials
-from pbrfit.notation import percent, plain
+from pbrfit.fit.uncertainty import PARAMETERS
+from pbrfit.io.color import encode_srgb
+from pbrfit.io.resampling import reduced_size
+from pbrfit.model.materials import Materials
 from pbrfit.report import budget, figures, raster
 from pbrfit.report.budget import Fitted
-from pbrfit.resampling import reduced_size
-from pbrfit.result import Result
-from pbrfit.uncertainty import PARAMETERS
+from pbrfit.report.html import paragraph
+from pbrfit.report.notation import percent, plain
+from pbrfit.result import differences
+from pbrfit.result.differences import Difference
+from pbrfit.result.result import Result
 
 BALL_SIDE = 96
 

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from pbrfit import differences
-from pbrfit.html import Cell, Table, paragraph, table
-from pbrfit.notation import percent, plain
 from pbrfit.report import figures
+from pbrfit.report.html import Cell, Table, paragraph, table
 from pbrfit.report.maps import Block, Shown, difference_shown, normals_shown
-from pbrfit.result import Result
+from pbrfit.report.notation import percent, plain
+from pbrfit.result import differences
+from pbrfit.result.result import Result
 
 LABELS = {
     "noise": "noise of a sample (standard deviation)",

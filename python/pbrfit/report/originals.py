@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.result import Result
-from pbrfit.scene import Scene, Source
+from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene, Source
 
 log = logging.getLogger("pbrfit")
 

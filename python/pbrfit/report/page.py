@@ -10,20 +10,20 @@ from html import escape
 from importlib.metadata import version
 from pathlib import Path
 
-from pbrfit import differences
-from pbrfit.drawing import as_svg
-from pbrfit.history_plot import draw_history
-from pbrfit.html import Cell, Table, document, paragraph, table
-from pbrfit.metrics import PROTOCOL
-from pbrfit.model import Model
-from pbrfit.notation import percent, plain
+from pbrfit.io.resampling import reduced_size
+from pbrfit.model.reflection import Model
 from pbrfit.report import budget, figures, maps, normals, verdict, viewer
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
+from pbrfit.report.html import Cell, Table, document, paragraph, table
+from pbrfit.report.notation import percent, plain
 from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
-from pbrfit.resampling import reduced_size
-from pbrfit.result import Result
+from pbrfit.result import differences
+from pbrfit.result.drawing import as_svg
+from pbrfit.result.history_plot import draw_history
+from pbrfit.result.metrics import PROTOCOL
+from pbrfit.result.result import Result
 
 OPEN_TABLE = 24
 """Tables with more rows are folded away."""

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit import differences, metrics
-from pbrfit.html import Cell, Table
-from pbrfit.model import render
-from pbrfit.notation import percent, plain
+from pbrfit.model.reflection import render
 from pbrfit.report import budget, lights, raster
+from pbrfit.report.html import Cell, Table
 from pbrfit.report.lights import Light
-from pbrfit.result import Result
-from pbrfit.scene import Scene
+from pbrfit.report.notation import percent, plain
+from pbrfit.result import differences, metrics
+from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene
 
 HIGH = 95
 """Percentile of the residuals that is told beside their root mean square."""

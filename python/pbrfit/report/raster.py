@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.differences import OUTSIDE, PALETTE, Difference
-from pbrfit.resampling import averaged, reduced_size
+from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
 
 Values = NDArray[np.floating[Any]]
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pbrfit.html import Cell, Table
-from pbrfit.notation import percent, plain
+from pbrfit.fit.uncertainty import PARAMETERS
 from pbrfit.report import normals
+from pbrfit.report.html import Cell, Table
+from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
-from pbrfit.result import Result, Status
-from pbrfit.uncertainty import PARAMETERS
+from pbrfit.result.result import Result, Status
 
 EXPLAINED = (
     (0.01, "explain the pictures almost exactly"),

@@ -6,29 +6,24 @@ what a fit of them cannot recover is the fault of the fit, or of the noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.model import DEFAULT_MODEL, Model, checked_model, render
-from pbrfit.scene import Scene, Truth
+from pbrfit.model.reflection import DEFAULT_MODEL, Model, checked_model, render
+from pbrfit.scene.scene import Scene, Truth
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
-from pbrfit.synthetic.scenes import SceneKind, build, draw
-from pbrfit.synthetic.textures import MaterialSet, load_textures
+from pbrfit.synthetic.scenes import build, draw
 from pbrfit.synthetic.world import RayCast, World
 
 __all__ = [
-    "MaterialSet",
     "RayCast",
-    "SceneKind",
     "World",
     "build",
     "draw",
-    "load_textures",
     "make_scene",
     "random_lights",
 ]
@@ -37,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 def make_scene(
-    kind: SceneKind,
+    kind: str,
     *,
     size: int = 128,
     lights: int = 16,
@@ -47,7 +42,7 @@ def make_scene(
     seed: int = 0,
     fov: float = 60.0,
     model: Model = DEFAULT_MODEL,
-    textures: Path | Sequence[MaterialSet] | None = None,
+    textures: Any = None,
 ) -> Scene:
     """Draw a scene and its lights, and render the pictures in float64.
 
@@ -77,8 +72,8 @@ def make_scene(
         "paper" or "principled": how surfaces reflect light. Neither geometry, materials nor lights
         depend on it, but for the exposure of the lights.
     textures
-        For "detailed" alone: a folder of texture maps, or the sets that `load_textures` read
-        from one. None for procedural detail.
+        For "detailed" alone: a folder of texture maps, or the sets that
+        `pbrfit_evaluation.rooms.load_textures` read from one. None for procedural detail.
 
     Returns
     -------

@@ -18,7 +18,7 @@ from numpy.polynomial.legendre import poly2leg
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.model import sh_basis
+from pbrfit.model.reflection import sh_basis
 
 Array = NDArray[np.float64]
 

@@ -2,32 +2,33 @@
 
 The stage (shell, pieces and camera) is drawn before the surfaces, and neither depends on the size
 or the field of view of the picture: the same generator state gives the same scene in any
-resolution, "room" and "textured" share their geometry, and so do "furnished" and "detailed". Only
-"detailed" averages its materials over what a pixel covers, as pictures of fine textures must be.
+resolution, and "room" and "textured" share their geometry. Other packages add kinds through the
+entry point group `pbrfit.scenes`: functions of the random source and of textures that give a
+`World`. pbrfit-evaluation has two, "furnished" and "detailed".
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Literal, get_args
+from importlib.metadata import entry_points
+from typing import Any
 
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.synthetic.detailed import draw_detailed
-from pbrfit.synthetic.furnished import draw_furnished
 from pbrfit.synthetic.stages import case_stage, room_stage
 from pbrfit.synthetic.surfaces import case_surfaces, plain_surfaces, textured_surfaces
-from pbrfit.synthetic.textures import MaterialSet, load_textures
 from pbrfit.synthetic.world import RayCast, World
 
-SceneKind = Literal["room", "spheres", "textured", "furnished", "detailed"]
+KINDS = ("room", "spheres", "textured")
+"""Kinds that are always there."""
+
+ADDED_KINDS = ("furnished", "detailed")
+"""Kinds that pbrfit-evaluation adds."""
+
+GROUP = "pbrfit.scenes"
 
 
-def draw(
-    kind: SceneKind, rng: np.random.Generator, textures: Path | Sequence[MaterialSet] | None = None
-) -> World:
+def draw(kind: str, rng: np.random.Generator, textures: Any = None) -> World:
     """Draw a scene.
 
     Parameters
@@ -36,14 +37,13 @@ def draw(
         "room": furniture of constant materials, at least a third of the pieces metal.
         "spheres": a grid, roughness growing from left to right, metal and dielectric rows.
         "textured": the room with patterns in albedo, roughness and, on some pieces, metallic.
-        "furnished": a room with furniture and things on it, 20 to 38 solids, many of several
-        paints and at least a tenth of the picture metal.
-        "detailed": that room with texture maps, or with finer patterns and relief.
+        With pbrfit-evaluation also "furnished", a room with furniture and things on it, and
+        "detailed", that room with texture maps, or with finer patterns and relief.
     rng
         Source of randomness; the same state gives the same scene.
     textures
-        For "detailed" alone: a folder of texture maps (see `load_textures`), or the sets that
-        were read from one. None for procedural detail.
+        For kinds that take some: a folder of texture maps, or the sets that were read from one.
+        None for procedural detail.
 
     Returns
     -------
@@ -52,17 +52,14 @@ def draw(
     Raises
     ------
     InputError
-        When `kind` is unknown, or the textures cannot be used.
+        When `kind` is unknown, its package is not installed, or the textures cannot be used.
     """
-    if kind not in get_args(SceneKind):
-        raise InputError(f"kind: expected one of {', '.join(get_args(SceneKind))}, found {kind!r}")
-    if textures is not None and kind != "detailed":
+    if kind not in KINDS:
+        world = _added(kind)(rng, textures)
+        assert isinstance(world, World)
+        return world
+    if textures is not None:
         raise InputError(f"textures: expected the kind detailed with them, found {kind}")
-    if kind == "furnished":
-        return draw_furnished(rng).world
-    if kind == "detailed":
-        sets = load_textures(textures) if isinstance(textures, Path) else textures or ()
-        return draw_detailed(draw_furnished(rng), sets, rng)
     if kind == "spheres":
         columns, rows = rng.integers(4, 6, size=2)
         stage = case_stage(rows, columns, rng)
@@ -80,12 +77,20 @@ def draw(
     )
 
 
+def _added(kind: str) -> Any:
+    """Look up what another package draws a kind with."""
+    for point in entry_points(group=GROUP, name=kind):
+        return point.load()
+    if kind in ADDED_KINDS:
+        raise InputError(
+            f"kind: {kind} is drawn by pbrfit-evaluation: pip install pbrfit-evaluation"
+        )
+    expected = ", ".join((*KINDS, *ADDED_KINDS))
+    raise InputError(f"kind: expected one of {expected}, found {kind!r}")
+
+
 def build(
-    kind: SceneKind,
-    size: int,
-    rng: np.random.Generator,
-    fov: float = 60.0,
-    textures: Path | Sequence[MaterialSet] | None = None,
+    kind: str, size: int, rng: np.random.Generator, fov: float = 60.0, textures: Any = None
 ) -> RayCast:
     """Draw a scene and cast one ray through every pixel centre: `draw`, then `World.cast`.
 

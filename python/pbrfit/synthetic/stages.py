@@ -12,16 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.geometry import view_directions
-from pbrfit.synthetic.geometry import (
-    Box,
-    Cylinder,
-    Plane,
-    Primitive,
-    Sphere,
-    rotation,
-    trace,
-)
+from pbrfit.model.geometry import view_directions
+from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, rotation, trace
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.geometry import view_directions
-from pbrfit.materials import Materials
+from pbrfit.model.geometry import view_directions
+from pbrfit.model.materials import Materials
 from pbrfit.synthetic.geometry import Primitive, trace
 from pbrfit.synthetic.surfaces import Spots, Surface
 

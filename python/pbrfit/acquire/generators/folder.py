@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit import images
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Request
 from pbrfit.acquire.padding import resized
 from pbrfit.acquire.photo import LEAST_SIDE, Photo, exposure_of
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.color import ColorSpace
-from pbrfit.display import encoded
-from pbrfit.output import digest
+from pbrfit.io import images
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.display import encoded
+from pbrfit.io.output import digest
 
 ASPECT_TOLERANCE = 0.01
 """Sizes a model rounds to multiples of 8 or 16 differ from the photo's shape by no more."""

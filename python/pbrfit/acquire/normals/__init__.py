@@ -70,7 +70,7 @@ def estimate(
         (H, W), the pixels that matter; None = all. For messages alone.
     options
         Of the source: those of `marigold.from_picture`; ``kind`` and ``view_width`` of
-        `depth.from_file`; ``convention``, a `pbrfit.normal_files.Convention`, of a file.
+        `depth.from_file`; ``convention``, a `pbrfit.io.normal_files.Convention`, of a file.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def estimate(
         record = {"source": "depth", "file": path.name, "fov": fov, "kind": "z", **given}
         return _checked(path, Normals(found.normals, record=record, known=found.known), mask)
     from pbrfit.acquire.normals.given import from_file
-    from pbrfit.normal_files import Convention
+    from pbrfit.io.normal_files import Convention
 
     path = Path(source)
     if not path.exists() and path.name == source and not path.suffix:

@@ -15,10 +15,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import geometry, images
 from pbrfit._core import InputError
 from pbrfit.acquire.normals.maps import check_reducible, fit_to_size, read_npy
-from pbrfit.quoting import listed
+from pbrfit.io import images
+from pbrfit.io.quoting import listed
+from pbrfit.model import geometry
 
 log = logging.getLogger("pbrfit")
 

@@ -10,9 +10,9 @@ from numpy.lib.format import MAGIC_PREFIX
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.quoting import shown
-from pbrfit.resampling import averaged, reduced_size
-from pbrfit.scene import MIN_NORMAL_LENGTH
+from pbrfit.io.quoting import shown
+from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.scene.scene import MIN_NORMAL_LENGTH
 
 
 def fit_to_size(

@@ -7,7 +7,7 @@ Alone, against the photograph (`Reviewer.picture`):
 - *exposure*: enough of it is neither clipped nor black;
 - *copy*: it is not the photograph again with another tone curve;
 - *edges*: its edges are those of the photograph, wherever the light comes from;
-- *shift*, *warp*: and they are where the photograph has them (`pbrfit.alignment`).
+- *shift*, *warp*: and they are where the photograph has them (`pbrfit.scene.alignment`).
 
 With the photograph and the other pictures (`Reviewer.together`), which tell what is albedo and what
 light:
@@ -30,11 +30,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import alignment
 from pbrfit._core import InputError
 from pbrfit.acquire.review import illumination, structure
-from pbrfit.alignment import Alignment
-from pbrfit.resampling import averaged, averaged_channels, reduced_size
+from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
+from pbrfit.scene import alignment
+from pbrfit.scene.alignment import Alignment
 
 LEAST_USABLE = 0.2
 """Share of pixels that must be neither clipped nor black."""
@@ -48,7 +48,7 @@ LEAST_CHANGE = 0.04
 LEAST_AGREEMENT = 0.15
 LEAST_AGREEMENT_TOGETHER = 0.4
 """Correlation of edges with the photograph, and with what the others share, which relief under one
-lamp does not blur; see `pbrfit.alignment`."""
+lamp does not blur; see `pbrfit.scene.alignment`."""
 
 MOST_SHIFT = 1.0
 """Pixels at the size that is compared."""

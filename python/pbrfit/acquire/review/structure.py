@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.alignment import gradient
-from pbrfit.resampling import averaged
+from pbrfit.io.resampling import averaged
+from pbrfit.scene.alignment import gradient
 
 _FLOOR = 0.02  # ε, of white
 _NOISE = 0.02  # s₀, gradient of a logarithm

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit import metrics
-from pbrfit.display import encoded
-from pbrfit.model import ggx_band_weights, render
+from pbrfit.io.display import encoded
+from pbrfit.model.reflection import ggx_band_weights, render
 from pbrfit.report.raster import picture_png, reduced
 from pbrfit.report.viewer import lobes, maps
-from pbrfit.result import Result
+from pbrfit.result import metrics
+from pbrfit.result.result import Result
 
 STATIC_SIDE = 512
 """Longer side of the picture that stands in where the view cannot run."""

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.geometry import view_directions
-from pbrfit.materials import Materials
+from pbrfit.model.geometry import view_directions
+from pbrfit.model.materials import Materials
 from pbrfit.report.raster import reduced
-from pbrfit.result import Result
+from pbrfit.result.result import Result
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,272 @@
+"""The synthetic cases: materials that keep to their segments or not, segments right or wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import DEFAULT_MODEL, Model, chosen_model, render
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import make_scene
+from pbrfit.synthetic.exposure import MEAN_RADIANCE
+from pbrfit.synthetic.patterns import Pattern, checker, clouds, patches, stripes
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
+Ids = NDArray[np.integer[Any]]
+
+CaseName = Literal["constant", "varying", "shifted", "merged", "none", "grey", "shadowed"]
+CASES: tuple[CaseName, ...] = get_args(CaseName)
+
+TITLES: dict[CaseName, str] = {
+    "constant": "constant in true segments",
+    "varying": "varying inside segments",
+    "shifted": "segments shifted by a pixel",
+    "merged": "a third of the segments merged",
+    "none": "no segments",
+    "grey": "constant, grey lights",
+    "shadowed": "constant, shadows the model does not know",
+}
+"""What tables and plots say."""
+
+VARIED_IN: tuple[CaseName, ...] = ("constant", "varying", "merged")
+"""Cases in which the weights of priors are varied: those that differ in segments and materials."""
+
+PICTURES = 16
+"""For training; as many are held out."""
+
+SPREAD = (0.08, 0.12)
+"""Standard deviation of the roughness inside a varying segment, before it is clipped to `RANGE`."""
+
+RANGE = (0.05, 1.0)
+
+PATTERNS = (clouds, checker, stripes, patches)
+"""Every second segment varies smoothly, the others by one of the three with outlines in turn."""
+
+PERIOD = (0.1, 0.3)
+"""Of the patterns, in widths of the picture; at most the side of a square as large as the segment,
+or a tile could hold all of it."""
+
+MERGED = 1 / 3
+"""Share of the segments that take another's id."""
+
+SHADOW_DIAMETER, SHADOW_LIGHT = 0.25, 0.3
+"""Each picture has a disc so wide, in widths, where so much of the light is left: up to 5 % of its
+area."""
+
+
+def case(
+    name: CaseName,
+    seed: int,
+    *,
+    size: int = 64,
+    noise: float = 0.01,
+    kind: str = "room",
+    model: Model = DEFAULT_MODEL,
+) -> Scene:
+    """Make a scene of a case, with its truth and held-out lights.
+
+    All but the last two and "varying" have the same pictures for the same seed: those of
+    `make_scene`, with roughness and metallic the median of their segment wherever the kind lets
+    them vary ("room" does not). In "varying" a pattern is added to that roughness, `SPREAD` strong,
+    and the pictures are rendered anew under the same lights; in "grey" they are rendered under
+    lights without colour; in "shadowed" each has a dark disc. The segments are the true ones, but
+    for "shifted" by one pixel to the right and one down; "merged", where `MERGED` of them take the
+    id of another, in turn of a neighbour and of any other; and "none".
+
+    Parameters
+    ----------
+    name
+        Which case.
+    seed
+        Of the scene, its lights and its noise, which are those of `make_scene`; and of what is
+        changed here, which is drawn apart from them.
+    size
+        Width and height of the pictures in pixels.
+    noise
+        Standard deviation of the noise, in radiance; the pictures have a mean of 0.4.
+    kind, model
+        As for `make_scene`.
+
+    Raises
+    ------
+    InputError
+        If there is no such case, or as for `make_scene`.
+    """
+    if name not in CASES:
+        raise InputError(f"case: expected one of {', '.join(CASES)}, found {name!r}")
+    if not 0.0 <= noise < np.inf:
+        raise InputError(f"noise: expected a finite standard deviation >= 0, found {noise}")
+    scene = make_scene(kind, size=size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model)
+    assert scene.truth is not None
+    assert scene.segments is not None
+    # The first four are make_scene's own, and the fourth is its noise.
+    streams = np.random.SeedSequence(seed).spawn(7)
+    noise_rng, pattern_rng, merging_rng, shadow_rng = map(np.random.default_rng, streams[3:])
+
+    materials = constant(scene.truth.materials, scene.segments)
+    if name == "varying":
+        roughness = varied(materials.roughness, scene.segments, pattern_rng)
+        materials = replace(materials, roughness=roughness)
+    segments: Ids | None = scene.segments
+    if name == "shifted":
+        segments = shifted(scene.segments)
+    elif name == "merged":
+        segments = merged(scene.segments, merging_rng)
+    elif name == "none":
+        segments = None
+    if name == "grey":
+        scene = _under_grey_lights(scene)
+    made = replace(_rendered(scene, materials, noise, noise_rng), segments=segments)
+    if name == "shadowed":
+        made = replace(made, images=shadowed(made.images, shadow_rng))
+    return made
+
+
+def constant(materials: Materials, segments: Ids) -> Materials:
+    """Materials with the median roughness and metallic of each segment; albedo as it is."""
+    roughness, metallic = materials.roughness.copy(), materials.metallic.copy()
+    for i in np.unique(segments):
+        here = segments == i
+        for values in (roughness, metallic):
+            values[here] = np.quantile(values[here], 0.5, method="inverted_cdf")
+    return replace(materials, roughness=roughness, metallic=metallic)
+
+
+def varied(roughness: Floats, segments: Ids, rng: Generator) -> Array:
+    """Roughness with a pattern of mean 0 added inside each segment.
+
+    Patterns are painted on the picture. Their points are (x, y, x + y) in widths of it: a plane on
+    which a pattern along any axis varies.
+
+    Parameters
+    ----------
+    roughness, segments
+        (H, W).
+    rng
+        Source of randomness; the same state gives the same patterns at any picture size, but for
+        the smallest segments.
+
+    Returns
+    -------
+    ndarray
+        (H, W), within `RANGE`.
+    """
+    height, width = segments.shape
+    y, x = (np.mgrid[:height, :width] + 0.5) / width
+    points = np.stack([x, y, x + y], axis=-1)
+    found = roughness.astype(np.float64)
+    for order, i in enumerate(np.unique(segments)):
+        here = segments == i
+        side = np.sqrt(here.sum()) / width
+        pattern = _maker(order)(rng, min(rng.uniform(*PERIOD), side))
+        values = pattern(points[here])
+        values = values - values.mean()
+        deviation, spread = values.std(), rng.uniform(*SPREAD)
+        if deviation > 0:  # a segment of a few pixels may lie inside one tile
+            found[here] += spread / deviation * values
+    return np.asarray(np.clip(found, *RANGE))
+
+
+def shifted(segments: Ids) -> Ids:
+    """Move the segments one pixel right and down; the first row and column stay."""
+    return np.pad(segments, ((1, 0), (1, 0)), mode="edge")[:-1, :-1]
+
+
+def merged(segments: Ids, rng: Generator) -> Ids:
+    """Give `MERGED` of the segments another's id, in turn a neighbour's and any other's.
+
+    Those that give their ids keep them, so as many ids are missing afterwards; where nothing
+    but merged segments is around, any other's is taken. A single segment stays.
+    """
+    ids = rng.permutation(np.unique(segments))
+    count = round(MERGED * len(ids))
+    takers, givers = ids[:count], ids[count:]
+    found = segments.copy()
+    for order, i in enumerate(takers):
+        near = np.intersect1d(givers, _neighbours(segments, i))
+        found[segments == i] = rng.choice(near if order % 2 == 0 and len(near) else givers)
+    return found
+
+
+def shadowed(images: Floats, rng: Generator) -> Array:
+    """Darken a disc of `SHADOW_DIAMETER` in each of the pictures (N, H, W, 3), somewhere."""
+    height, width = images.shape[1:3]
+    y, x = (np.mgrid[:height, :width] + 0.5) / width
+    light = np.ones(images.shape[:3])
+    for of_picture in light:
+        middle = rng.uniform((0, 0), (1, height / width))
+        inside = np.hypot(x - middle[0], y - middle[1]) <= SHADOW_DIAMETER / 2
+        of_picture[inside] = SHADOW_LIGHT
+    return np.asarray(light[..., None] * images)
+
+
+def _under_grey_lights(scene: Scene) -> Scene:
+    """The scene whose lights, held-out ones too, are their mean over channels; not rendered."""
+    truth = scene.truth
+    assert truth is not None
+    assert truth.lighting is not None
+    assert truth.relight_lighting is not None
+    lights = replace(
+        truth,
+        lighting=_grey(truth.lighting),
+        relight_lighting=_grey(truth.relight_lighting),
+    )
+    return replace(scene, truth=lights)
+
+
+def _grey(lighting: Array) -> Array:
+    return np.repeat(lighting.mean(axis=-1, keepdims=True), 3, axis=-1)
+
+
+def _maker(order: int) -> Callable[[Generator, float], Pattern]:
+    smooth, *outlined = PATTERNS
+    return smooth if order % 2 == 0 else outlined[order // 2 % len(outlined)]
+
+
+def _neighbours(segments: Ids, i: int) -> Ids:
+    """Ids of the segments that share a border with segment i."""
+    pairs = np.concatenate(
+        [
+            np.stack([segments[1:], segments[:-1]], axis=-1).reshape(-1, 2),
+            np.stack([segments[:, 1:], segments[:, :-1]], axis=-1).reshape(-1, 2),
+        ]
+    )
+    touching = pairs[(pairs == i).any(axis=-1)]
+    return np.unique(touching[touching != i])
+
+
+def _rendered(scene: Scene, materials: Materials, noise: float, rng: Generator) -> Scene:
+    """The scene with other materials, under its lights in an exposure of the usual mean."""
+    truth = scene.truth
+    assert truth is not None
+    assert truth.lighting is not None
+    assert truth.relight_lighting is not None
+    rendered = partial(
+        render, materials, scene.normals, fov=scene.fov, model=chosen_model(None, scene.model)
+    )
+    images = rendered(truth.lighting)
+    exposure = MEAN_RADIANCE / images.mean()
+    images *= exposure
+    if noise > 0.0:
+        images += rng.normal(scale=noise, size=images.shape)
+    relight_lighting = exposure * truth.relight_lighting
+    return replace(
+        scene,
+        images=images,
+        truth=replace(
+            truth,
+            materials=materials,
+            lighting=exposure * truth.lighting,
+            relight_images=rendered(relight_lighting),
+            relight_lighting=relight_lighting,
+        ),
+    )

@@ -1,0 +1,106 @@
+"""What is compared: sets of priors, and losses at which outliers pull less."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from pbrfit.fit.decompose import decompose
+from pbrfit.fit.priors.penalties import Priors, prior_names
+from pbrfit.model.reflection import Model
+from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.recipes import PAPER_PRIORS
+
+Robust = Literal["none", "huber", "cauchy"]
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Options of a fit that are compared.
+
+    Attributes
+    ----------
+    key, title
+        For files, and for people.
+    priors
+        None = no priors.
+    robust
+        The loss of a residual; "none" = its square.
+    """
+
+    key: str
+    title: str
+    priors: Priors | None
+    robust: Robust = "none"
+
+    def fit(
+        self, scene: Scene, *, iterations: int, threads: int, model: Model | None = None
+    ) -> Result:
+        """Decompose a scene with these options and its normals as they are."""
+        return decompose(
+            scene,
+            iterations=iterations,
+            priors=self.priors,
+            robust=self.robust,
+            refine_normals="off",
+            model=model,
+            threads=threads,
+        )
+
+
+def alone(name: str, weight: float) -> Configuration:
+    """A single prior of some weight."""
+    priors = replace(Priors.none(), **{name: weight})
+    return Configuration(f"{name}={weight:g}", f"{name} {weight:g} alone", priors)
+
+
+def each_off(of: Configuration) -> list[Configuration]:
+    """A configuration without each of its priors in turn."""
+    assert of.priors is not None
+    return [
+        replace(
+            of,
+            key=f"{of.key}-no-{name}",
+            title=f"{of.title} without {name}",
+            priors=replace(of.priors, **{name: 0.0}),
+        )
+        for name in prior_names()
+        if getattr(of.priors, name) != 0
+    ]
+
+
+NONE = Configuration("none", "no priors", None)
+"""What all others are compared with."""
+
+DEFAULT = Configuration("default", "default", Priors())
+PAPER = Configuration("paper", "the paper's four", PAPER_PRIORS)
+HUBER = Configuration("huber", "default, Huber loss", Priors(), "huber")
+CAUCHY = Configuration("cauchy", "default, Cauchy loss", Priors(), "cauchy")
+
+WEIGHTS = replace(PAPER_PRIORS, material=Priors().material)
+"""At which each prior is tried alone."""
+
+CONFIGURATIONS: tuple[Configuration, ...] = (
+    NONE,
+    DEFAULT,
+    alone("material", WEIGHTS.material),
+    PAPER,
+    *each_off(PAPER),
+    HUBER,
+    CAUCHY,
+)
+"""The rows of the tables."""
+
+FEW: tuple[Configuration, ...] = (NONE, DEFAULT, alone("cohesion", WEIGHTS.cohesion))
+"""For a quick look; and what pictures show."""
+
+VARIED: tuple[str, ...] = ("material", "cohesion")
+"""Priors whose weight is varied, each alone."""
+
+
+def curves(weights: Iterable[float]) -> tuple[Configuration, ...]:
+    """Each prior of `VARIED` at several weights; weight 0 is `NONE`."""
+    weights = tuple(weights)
+    return tuple(alone(name, weight) for name in VARIED for weight in weights)

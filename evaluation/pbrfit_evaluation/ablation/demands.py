@@ -1,0 +1,97 @@
+"""What the default priors have to hold on rooms with noise, and whether they do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pbrfit_evaluation.ablation.cases import CaseName
+
+Metric = Literal["recon", "albedo", "roughness", "metallic", "relight"]
+METRICS: tuple[Metric, ...] = ("recon", "albedo", "roughness", "metallic", "relight")
+
+
+@dataclass(frozen=True)
+class Demand:
+    """An upper limit.
+
+    Attributes
+    ----------
+    part
+        (a): segments and prior are right. (b): materials vary inside segments. (c): segments are
+        wrong.
+    case
+        Of the scenes.
+    metric
+        RMSE of this.
+    limit
+        What it may be at most.
+    relative
+        Whether the limit is on the ratio to the fit without priors.
+    """
+
+    part: Literal["a", "b", "c"]
+    case: CaseName
+    metric: Metric
+    limit: float
+    relative: bool = True
+
+
+DEMANDS: tuple[Demand, ...] = (
+    Demand("a", "constant", "roughness", 0.5),
+    Demand("a", "constant", "metallic", 0.03, relative=False),
+    Demand("a", "constant", "albedo", 1.0),
+    *(Demand("b", "varying", metric, 1.25) for metric in METRICS),
+    *(Demand("c", "shifted", metric, 1.25) for metric in METRICS),
+    *(Demand("c", "merged", metric, 1.25) for metric in METRICS),
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a demand is met.
+
+    Attributes
+    ----------
+    demand
+        Which one.
+    without, found
+        Mean RMSE over the rooms, without priors and with them.
+    value
+        What is held against the limit: `found`, or its ratio to `without`.
+    rooms
+        The same of each room.
+    """
+
+    demand: Demand
+    without: float
+    found: float
+    value: float
+    rooms: tuple[float, ...]
+
+    @property
+    def holds(self) -> bool:
+        """In the mean."""
+        return self.value <= self.demand.limit
+
+    @property
+    def holding(self) -> int:
+        """Number of rooms in which it holds."""
+        return sum(room <= self.demand.limit for room in self.rooms)
+
+
+def judge(demand: Demand, without: Sequence[float], found: Sequence[float]) -> Verdict:
+    """Judge by the RMSE of each room, without priors and with them; at least one room.
+
+    The ratio in the mean is that of the mean errors. A mean of ratios would be ruled by rooms whose
+    error is small either way.
+    """
+    before, after = np.asarray(without, np.float64), np.asarray(found, np.float64)
+    rooms = after / before if demand.relative else after
+    mean = float(after.mean() / before.mean()) if demand.relative else float(after.mean())
+    return Verdict(
+        demand, float(before.mean()), float(after.mean()), mean, tuple(map(float, rooms))
+    )

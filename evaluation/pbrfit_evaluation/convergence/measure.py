@@ -1,0 +1,195 @@
+"""Errors while a solver runs, and the time it needs to reach given ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, astuple, dataclass, fields
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import chosen_model, render
+from pbrfit.result import metrics
+from pbrfit.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+Quantity = Literal["recon", "albedo", "albedo_scaled", "roughness", "metallic", "relight"]
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+
+TARGETS: dict[Quantity, tuple[float, ...]] = {
+    "recon": (1e-2, 3e-3, 1e-3, 3e-4, 1e-4),
+    "albedo": (0.1, 0.05, 0.02, 0.01),
+    "albedo_scaled": (0.1, 0.05, 0.02, 0.01),
+    "roughness": (0.1, 0.05, 0.02, 0.01),
+    "metallic": (0.1, 0.05, 0.02, 0.01),
+    "relight": (0.1, 0.05, 0.02, 0.01),
+}
+"""Errors whose time is asked for. `recon` and `relight` in picture units, mean radiance 0.4."""
+
+CHECKPOINT_RATIO = 1.12
+"""Evaluations from one checkpoint to the next: twenty a decade. Times to reach an error can be
+late by as much, never early."""
+
+State = Callable[[], tuple[Materials, Array]]
+"""Gives the maps and lights (N, 16, 3) as they are now."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of maps and lights against the truth of a scene. All RMSE, computed in float64.
+
+    `recon` is against the pictures that were fitted, noise included; `albedo_scaled` after the best
+    factor a channel; `relight` of the maps under the true held-out lights.
+    """
+
+    recon: float
+    albedo: float
+    albedo_scaled: float
+    roughness: float
+    metallic: float
+    relight: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """A checkpoint: what it had cost by then, and the errors.
+
+    `seconds` is wall time without measuring.
+    """
+
+    seconds: float
+    iteration: int
+    evaluations: int
+    errors: Errors
+
+    def as_row(self) -> list[float]:
+        """Numbers in the order of `POINT_COLUMNS`."""
+        return [self.seconds, self.iteration, self.evaluations, *astuple(self.errors)]
+
+    @classmethod
+    def from_row(cls, row: Sequence[float]) -> Point:
+        """Undo `as_row`."""
+        return cls(float(row[0]), int(row[1]), int(row[2]), Errors(*map(float, row[3:])))
+
+
+POINT_COLUMNS = ("seconds", "iteration", "evaluations", *(f.name for f in fields(Errors)))
+
+
+def measure(scene: Scene, materials: Materials, lighting: Array, threads: int = 0) -> Errors:
+    """Errors of maps and lights in the scene's units, which needs ground truth and held-out lights.
+
+    Maps of float32 solvers may leave [0, 1] by a rounding: they are clipped first.
+    """
+    truth = scene.truth
+    if truth is None or truth.relight_images is None or truth.relight_lighting is None:
+        raise InputError("scene: expected ground truth with held-out pictures, found none")
+    true = truth.materials
+    found = Materials(
+        *(np.clip(m, 0, 1) for m in (materials.albedo, materials.roughness, materials.metallic))
+    )
+
+    def rendered(lights: Array) -> Array:
+        model = chosen_model(None, scene.model)
+        return render(found, scene.normals, lights, scene.fov, threads, model=model)
+
+    scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
+    return Errors(
+        recon=metrics.rmse(rendered(lighting), scene.images),
+        albedo=metrics.rmse(found.albedo, true.albedo),
+        albedo_scaled=metrics.rmse(scaled, true.albedo),
+        roughness=metrics.rmse(found.roughness, true.roughness),
+        metallic=metrics.rmse(found.metallic, true.metallic),
+        relight=metrics.rmse(rendered(truth.relight_lighting), truth.relight_images),
+    )
+
+
+class Tracker:
+    """Measures a run at numbers of evaluations that grow by 12 %, the first and the last included.
+
+    A solver calls `visit` whenever it has a state, with the clock stopped.
+    """
+
+    def __init__(self, scene: Scene, threads: int = 0) -> None:
+        self._scene = scene
+        self._threads = threads
+        self._next = 0.0
+        self.points: list[Point] = []
+
+    def visit(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
+        """Measure, if it is time to."""
+        if evaluations >= self._next:
+            self._measure(seconds, iteration, evaluations, state)
+
+    def end(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
+        """Measure what the solver hands back; it takes the place of a checkpoint just before."""
+        if self.points and self.points[-1].evaluations == evaluations:
+            self.points.pop()
+        self._measure(seconds, iteration, evaluations, state)
+
+    def _measure(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
+        errors = measure(self._scene, *state(), threads=self._threads)
+        self.points.append(Point(seconds, iteration, evaluations, errors))
+        self._next = max(evaluations + 1, CHECKPOINT_RATIO * evaluations)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """When a run first had an error of at most `target`.
+
+    Attributes
+    ----------
+    seconds, evaluations
+        None if it never had.
+    kept
+        Whether its last state still had it. Errors of maps go up and down, and restarts throw a
+        fit back: no user can see the moment at which the maps were best.
+    """
+
+    quantity: Quantity
+    target: float
+    seconds: float | None
+    evaluations: int | None
+    kept: bool
+
+
+def first_reached(points: Sequence[Point], quantity: Quantity, target: float) -> Reached:
+    """First checkpoint with an error of at most `target`; one that is not a number reaches none."""
+    for point in points:
+        if getattr(point.errors, quantity) <= target:
+            kept = getattr(points[-1].errors, quantity) <= target
+            return Reached(quantity, target, point.seconds, point.evaluations, kept)
+    return Reached(quantity, target, None, None, kept=False)
+
+
+def median_reached(times: Sequence[float | None]) -> float | None:
+    """Median of times to reach an error, None = never, later than all others.
+
+    None if the median is. Of an even number the later of the middle two, so that no time is made
+    up between one that was and one that was not.
+    """
+    if not times:
+        return None
+    ordered = sorted(math.inf if time is None else time for time in times)
+    middle = ordered[len(ordered) // 2]
+    return None if math.isinf(middle) else middle
+
+
+def final(points: Sequence[Point]) -> dict[str, float]:
+    """Errors of the last state and what it cost, by name."""
+    last = points[-1]
+    return asdict(last.errors) | {"seconds": last.seconds, "evaluations": last.evaluations}
+
+
+def on_grid(grid: Array, cost: Sequence[float], error: Sequence[float]) -> Array:
+    """Errors at the costs of `grid`: NaN before the first checkpoint, the last one's after it.
+
+    Between checkpoints straight lines on logarithmic axes.
+    """
+    x = np.log(np.maximum(cost, np.finfo(np.float64).tiny))
+    y = np.log(np.maximum(error, np.finfo(np.float64).tiny))
+    return np.asarray(np.exp(np.interp(np.log(grid), x, y, left=np.nan)))

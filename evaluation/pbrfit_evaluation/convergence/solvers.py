@@ -1,0 +1,217 @@
+"""Every way to fit a scene that the suite compares. A new solver is one more entry in `SOLVERS`.
+
+All minimise the same objective, that without priors: otherwise a lower loss would say nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.util import find_spec
+from typing import Any
+
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.fit.decompose import Progress, decompose
+from pbrfit.fit.objective import Objective
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import MODELS, Model
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.convergence import torch_peer
+from pbrfit_evaluation.convergence.cases import true_lighting
+from pbrfit_evaluation.convergence.measure import Tracker
+from pbrfit_evaluation.convergence.torch_peer import Limits, Settings
+from pbrfit_evaluation.recipes import paper_start
+
+Start = Materials | tuple[Materials, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long a run may go on.
+
+    Attributes
+    ----------
+    iterations
+        Of `pbrfit.decompose`.
+    evaluations
+        Of a peer, which does not stop by itself.
+    seconds
+        Of any.
+    """
+
+    iterations: int
+    evaluations: int
+    seconds: float
+
+
+Run = Callable[[Scene, Budget, Tracker, int], str]
+"""Fits a scene with so many threads, shows the tracker its states, returns why it ended."""
+
+
+@dataclass(frozen=True)
+class Solver:
+    """One of those that are compared.
+
+    Attributes
+    ----------
+    name
+        Fit for files and tables.
+    title
+        What plots say.
+    what
+        A sentence on it.
+    run
+        Does it.
+    needs
+        Packages beyond those that this one depends on.
+    models
+        That it knows.
+    """
+
+    name: str
+    title: str
+    what: str
+    run: Run
+    needs: tuple[str, ...] = ()
+    models: tuple[Model, ...] = MODELS
+
+    @property
+    def missing(self) -> str:
+        """Why it cannot run here; empty if it can."""
+        absent = [package for package in self.needs if find_spec(package) is None]
+        return f"not run: {', '.join(absent)} is not installed" if absent else ""
+
+    def why_not(self, model: Model) -> str:
+        """Why it cannot fit a model here; empty if it can."""
+        unknown = "" if model in self.models else f"not run: it knows no model {model}"
+        return unknown or self.missing
+
+
+def fit_with_ours(
+    scene: Scene,
+    budget: Budget,
+    tracker: Tracker,
+    threads: int,
+    *,
+    solver: Any = "lbfgsb",
+    start: Callable[[Scene], Start] | None = None,
+    known_lights: bool = False,
+    times_iterations: int = 1,
+) -> str:
+    """Run `pbrfit.decompose`: from its own start, or in one stage from that of `start`."""
+    if known_lights:
+        scene = replace(scene, lighting=true_lighting(scene))
+
+    def visit(progress: Progress) -> None:
+        tracker.visit(progress.elapsed_s, progress.iteration, progress.evaluations, progress.state)
+
+    result = decompose(
+        scene,
+        solver=solver,
+        iterations=times_iterations * budget.iterations,
+        time_limit=budget.seconds,
+        start=None if start is None else start(scene),
+        threads=threads,
+        priors=None,
+        refine_normals="off",
+        progress=visit,
+    )
+    iterations = int(result.history["iteration"][-1])
+    tracker.end(
+        result.seconds, iterations, result.evaluations, lambda: (result.materials, result.lighting)
+    )
+    return result.stop_reason
+
+
+def fit_with_torch(
+    scene: Scene, budget: Budget, tracker: Tracker, threads: int, *, settings: Settings
+) -> str:
+    """Run one of PyTorch's optimisers from our default start."""
+    limits = Limits(budget.evaluations, budget.seconds)
+    return torch_peer.fit(scene, settings, limits, tracker, threads)
+
+
+def default_start(scene: Scene) -> Start:
+    """Where `pbrfit.decompose` starts if it is told nothing, lights included."""
+    objective = Objective(scene)
+    return objective.unpack(objective.start())
+
+
+SOLVERS: tuple[Solver, ...] = (
+    Solver(
+        "lbfgsb",
+        "L-BFGS-B, staged",
+        "pbrfit.decompose without priors: scipy's L-BFGS-B in three stages that keep off "
+        "roughness 0.",
+        fit_with_ours,
+    ),
+    Solver(
+        "lbfgsb-long",
+        "L-BFGS-B, staged, 4 × iterations",
+        "The same with four times as many iterations. Its stages are as much longer.",
+        partial(fit_with_ours, times_iterations=4),
+    ),
+    Solver(
+        "lbfgsb-one-stage",
+        "L-BFGS-B, one stage",
+        "From the default start, without stages and restarts.",
+        partial(fit_with_ours, start=default_start),
+    ),
+    Solver(
+        "lbfgsb-paper",
+        "L-BFGS-B, paper's recipe",
+        "The paper's recipe as we read it: one stage from the mean picture exposed to a mean of "
+        "0.4, roughness 0.5, metallic 0.1.",
+        partial(fit_with_ours, start=paper_start),
+    ),
+    Solver(
+        "gauss-newton",
+        "Gauss–Newton",
+        "Lights and some pixels' materials together, restarts pixel by pixel, then all pixels.",
+        partial(fit_with_ours, solver="gauss-newton"),
+    ),
+    Solver(
+        "auto",
+        "auto",
+        "Gauss–Newton first, then bounded L-BFGS on the whole objective.",
+        partial(fit_with_ours, solver="auto"),
+    ),
+    Solver(
+        "torch-lbfgs",
+        "PyTorch L-BFGS",
+        "torch.optim.LBFGS with the strong Wolfe line search, maps through a sigmoid, from the "
+        "default start; float32, automatic differentiation.",
+        partial(fit_with_torch, settings=torch_peer.LBFGS),
+        needs=("torch",),
+        models=("paper",),
+    ),
+    Solver(
+        "torch-adam",
+        "PyTorch Adam",
+        "torch.optim.Adam with a cosine of learning rates, maps through a sigmoid, from the "
+        "default start; float32, automatic differentiation.",
+        partial(fit_with_torch, settings=torch_peer.ADAM),
+        needs=("torch",),
+        models=("paper",),
+    ),
+    Solver(
+        "lbfgsb-known-lights",
+        "L-BFGS-B, lights known",
+        "L-BFGS-B, staged, given the true lights, so that only materials are fitted: what is slow "
+        "or caught here is so for each pixel by itself. No solver of the whole problem, and no "
+        "bound on those: they can end lower.",
+        partial(fit_with_ours, known_lights=True),
+    ),
+)
+
+
+def by_name(name: str) -> Solver:
+    """Look a solver up; InputError if there is none of this name."""
+    for solver in SOLVERS:
+        if solver.name == name:
+            return solver
+    names = ", ".join(solver.name for solver in SOLVERS)
+    raise InputError(f"solver: expected one of {names}, found {name!r}")

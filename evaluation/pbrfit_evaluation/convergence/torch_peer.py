@@ -1,0 +1,320 @@
+"""PyTorch's own optimisers on the same problem: float32, gradients by automatic differentiation.
+
+PyTorch is optional (`pip install pbrfit-evaluation[peers]`) and imported by `fit` alone.
+
+**Bounds.** torch.optim knows none. L-BFGS has to run on unknowns without bounds: a map is the
+sigmoid of its unknown. Adam may do the same, or clamp maps to [0, 1] after each step.
+
+**Scale of the loss.** torch.optim.LBFGS drops a pair of step and gradient change whose product is
+at most 1e-10, a fixed number, so on a mean over many samples it would forget all curvature: it gets
+the sum. The same factor makes no difference to Adam but for its epsilon.
+
+**Units of the lights.** Both optimisers start with a step that has no idea of curvature. Lights are
+unknowns in units of `light_unit`, so that a step moves them as far as it should beside the maps.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.objective import Objective
+from pbrfit.model.materials import Materials
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.convergence.measure import State
+from pbrfit_evaluation.float32_model import View
+
+if TYPE_CHECKING:
+    import torch
+
+Array = NDArray[np.float64]
+
+SIGMOID_RANGE = (0.01, 0.99)
+"""Start values are brought in here: at 0 and 1 a sigmoid's unknown is infinite."""
+
+VISIT_EVERY = 5
+"""L-BFGS iterations between two looks at the state; a look after each of the first few."""
+
+
+TRIED = 5
+"""Evaluations by which a number of threads is judged."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How an optimiser is run; see `torch_peer.py` for what was tried.
+
+    Attributes
+    ----------
+    optimiser
+        `torch.optim.LBFGS` with the strong Wolfe line search, or `torch.optim.Adam`.
+    bounds
+        How maps stay in [0, 1].
+    rate
+        Learning rate; of Adam the first of a cosine that ends at 0 with the last step.
+    light_unit
+        Lights are this times their unknowns, in the scaled pictures' units (mean radiance 0.4).
+    history
+        Pairs that L-BFGS remembers.
+    beta2
+        Adam's second decay.
+    compiled
+        Whether the loss goes through torch.compile.
+    """
+
+    optimiser: Literal["lbfgs", "adam"]
+    bounds: Literal["sigmoid", "clamp"]
+    rate: float
+    light_unit: float = 1.0
+    history: int = 10
+    beta2: float = 0.999
+    compiled: bool = False
+
+
+LBFGS = Settings("lbfgs", "sigmoid", rate=1.0, light_unit=0.3)
+ADAM = Settings("adam", "sigmoid", rate=0.1, beta2=0.99)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """A run ends at the first of these."""
+
+    evaluations: int
+    seconds: float
+
+
+class Observer(Protocol):
+    """Whoever is shown the states, with the clock stopped: their cost, and how to see them."""
+
+    def visit(self, seconds: float, iteration: int, evaluations: int, state: State, /) -> None:
+        """Look at a state on the way, the start included; may raise to end the run."""
+
+    def end(self, seconds: float, iteration: int, evaluations: int, state: State, /) -> None:
+        """Look at what is handed back."""
+
+
+def fit(
+    scene: Scene,
+    settings: Settings,
+    limits: Limits,
+    tracker: Observer,
+    threads: int,
+    *,
+    start: Materials | None = None,
+) -> str:
+    """Fit from these maps, or from the default start; returns why it ended.
+
+    The clock starts with the pictures as arrays. Importing PyTorch, compiling, trying numbers of
+    threads, and making the start with the lights that fit it, which this package does, are not on
+    it.
+    """
+    objective = Objective(scene, threads=threads, model="paper")  # which is what they have
+    if start is None:
+        x = objective.start()
+    else:
+        x = objective.pack(start.albedo, start.roughness, start.metallic)
+    problem = Problem(scene, objective, x, settings)
+    _choose_threads(problem, threads)
+    clock = _Clock()
+    if not settings.compiled:  # else it would be compiled again
+        problem = Problem(scene, objective, x, settings)
+    run = _lbfgs if settings.optimiser == "lbfgs" else _adam
+    iterations, evaluations, reason = run(problem, settings, limits, tracker, clock)
+    clock.stop()
+    tracker.end(clock.seconds, iterations, evaluations, problem.state)
+    return reason
+
+
+class Problem:
+    """The objective as a function of float32 tensors without bounds, or with clamped ones."""
+
+    def __init__(
+        self, scene: Scene, objective: Objective, start: Array, settings: Settings
+    ) -> None:
+        import torch
+
+        from pbrfit_evaluation.torch_loss import matrix_form
+
+        valid = scene.valid
+        images = np.stack([scene.samples(i) for i in range(len(scene.images))]) / objective.scale
+        normals = scene.normals[valid].astype(np.float64)
+        view = View(images.astype(np.float32), normals, scene.views[valid])
+        loss = matrix_form(view)
+        # A shape of its own for each scene: nothing is gained by code for any shape.
+        self._loss = torch.compile(loss, dynamic=False) if settings.compiled else loss
+        self._samples = view.images.size
+        self._objective = objective
+        self._sigmoid = settings.bounds == "sigmoid"
+        self._light_unit = settings.light_unit
+        p = view.pixels
+        materials = start[: 5 * p]
+        if self._sigmoid:
+            materials = np.clip(materials, *SIGMOID_RANGE)
+            materials = np.log(materials / (1 - materials))
+        self.maps = torch.tensor(materials.reshape(5, p), dtype=torch.float32, requires_grad=True)
+        self.lights = torch.tensor(
+            start[5 * p :].reshape(-1, 16, 3) / self._light_unit,
+            dtype=torch.float32,
+            requires_grad=True,
+        )
+
+    @property
+    def unknowns(self) -> list[torch.Tensor]:
+        """What an optimiser may change."""
+        return [self.maps, self.lights]
+
+    def evaluate(self, factor: float = 1.0) -> torch.Tensor:
+        """Loss times a factor; the gradient is kept in the unknowns."""
+        for unknown in self.unknowns:
+            unknown.grad = None
+        maps = self.maps.sigmoid() if self._sigmoid else self.maps
+        loss = factor * self._loss(maps[:3], maps[3], maps[4], self._light_unit * self.lights)
+        loss.backward()  # type: ignore[no-untyped-call, unused-ignore]
+        return loss
+
+    @property
+    def samples(self) -> int:
+        """Terms in the mean that the loss is."""
+        return self._samples
+
+    def clamp(self) -> None:
+        """Bring maps back to [0, 1], where they are their own unknowns."""
+        self.maps.data.clamp_(0, 1)
+
+    def state(self) -> tuple[Materials, Array]:
+        """Maps and lights in the scene's units."""
+        maps = (self.maps.sigmoid() if self._sigmoid else self.maps).detach()
+        lights = self._light_unit * self.lights.detach()
+        x = np.concatenate([maps.numpy().ravel(), lights.numpy().ravel()]).astype(np.float64)
+        return self._objective.unpack(x)
+
+
+def _choose_threads(problem: Problem, threads: int) -> None:
+    """Take one thread or all, whichever evaluates faster: pictures may be too small to share.
+
+    On a busy machine, too, threads that wait for each other can take a hundred times as long.
+    """
+    import torch
+
+    times = {}
+    for count in sorted({1, threads}):
+        torch.set_num_threads(count)
+        problem.evaluate()
+        began = time.perf_counter()
+        for _ in range(TRIED):
+            problem.evaluate()
+        times[count] = time.perf_counter() - began
+    torch.set_num_threads(min(times, key=lambda count: times[count]))
+
+
+class _Clock:
+    """Wall time that can be stopped for measuring."""
+
+    def __init__(self) -> None:
+        self._before = 0.0
+        self._since: float | None = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        running = 0.0 if self._since is None else time.perf_counter() - self._since
+        return self._before + running
+
+    def stop(self) -> None:
+        self._before, self._since = self.seconds, None
+
+    def go_on(self) -> None:
+        self._since = time.perf_counter()
+
+
+def _adam(
+    problem: Problem, settings: Settings, limits: Limits, tracker: Observer, clock: _Clock
+) -> tuple[int, int, str]:
+    import torch
+
+    optimiser = torch.optim.Adam(
+        problem.unknowns, lr=settings.rate, betas=(0.9, settings.beta2), eps=1e-12
+    )
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, limits.evaluations)
+    for step in range(limits.evaluations):
+        if clock.seconds >= limits.seconds:
+            return step, step, f"time limit of {limits.seconds:g} s reached"
+        loss = problem.evaluate(problem.samples)
+        if step == 0:
+            _visit(problem, tracker, clock, 0, 1)
+        elif not math.isfinite(float(loss.detach())):
+            return step, step, "the loss is not finite"
+        optimiser.step()
+        schedule.step()
+        if settings.bounds == "clamp":
+            problem.clamp()
+        _visit(problem, tracker, clock, step + 1, step + 1)
+    return limits.evaluations, limits.evaluations, f"{limits.evaluations} steps done"
+
+
+def _lbfgs(
+    problem: Problem, settings: Settings, limits: Limits, tracker: Observer, clock: _Clock
+) -> tuple[int, int, str]:
+    import torch
+
+    optimiser = torch.optim.LBFGS(
+        problem.unknowns,
+        lr=settings.rate,
+        max_iter=VISIT_EVERY,
+        max_eval=10**9,
+        tolerance_grad=0.0,
+        tolerance_change=0.0,
+        history_size=settings.history,
+        line_search_fn="strong_wolfe",
+    )
+    evaluations = 0
+    repeated = False
+
+    def closure() -> torch.Tensor:
+        nonlocal evaluations, repeated
+        if repeated:
+            # Each call of `step` begins by evaluating again where the last one ended. That is a
+            # price of looking in on it, not of the method: off the clock and not counted.
+            clock.stop()
+            loss = problem.evaluate(problem.samples)
+            clock.go_on()
+            repeated = False
+            return loss
+        evaluations += 1
+        loss = problem.evaluate(problem.samples)
+        if evaluations == 1:
+            _visit(problem, tracker, clock, 0, 1)
+        return loss
+
+    iterations = 0
+    while evaluations < limits.evaluations:
+        if clock.seconds >= limits.seconds:
+            return iterations, evaluations, f"time limit of {limits.seconds:g} s reached"
+        before = evaluations
+        for group in optimiser.param_groups:
+            group["max_iter"] = 1 if iterations < 2 * VISIT_EVERY else VISIT_EVERY
+        optimiser.step(closure)
+        repeated = True
+        iterations = int(_state(optimiser)["n_iter"])
+        if evaluations == before:
+            return iterations, evaluations, "no step lowers the loss further"
+        if not bool(torch.isfinite(problem.maps).all()):
+            return iterations, evaluations, "the unknowns are not finite"
+        _visit(problem, tracker, clock, iterations, evaluations)
+    return iterations, evaluations, f"{evaluations} evaluations done"
+
+
+def _state(optimiser: torch.optim.LBFGS) -> Any:
+    return next(iter(optimiser.state.values()))
+
+
+def _visit(
+    problem: Problem, tracker: Observer, clock: _Clock, iteration: int, evaluations: int
+) -> None:
+    clock.stop()
+    tracker.visit(clock.seconds, iteration, evaluations, problem.state)
+    clock.go_on()

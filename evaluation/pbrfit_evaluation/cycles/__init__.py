@@ -1,0 +1,27 @@
+"""Pictures of synthetic worlds by Cycles, Blender's path tracer, for ground truth beyond our model.
+
+Cycles runs in a Python of its own that has bpy (`make cycles-env`); nothing here imports it. See
+docs/cycles.md.
+"""
+
+from __future__ import annotations
+
+from pbrfit_evaluation.cycles.check import SphereCheck, TruthCheck, check_spheres, check_truth
+from pbrfit_evaluation.cycles.job import Transport, default_cache
+from pbrfit_evaluation.cycles.process import CyclesError, CyclesNotFoundError, why_not
+from pbrfit_evaluation.cycles.scene import SAMPLES, Light, render_scene
+
+__all__ = [
+    "SAMPLES",
+    "CyclesError",
+    "CyclesNotFoundError",
+    "Light",
+    "SphereCheck",
+    "Transport",
+    "TruthCheck",
+    "check_spheres",
+    "check_truth",
+    "default_cache",
+    "render_scene",
+    "why_not",
+]

@@ -1,0 +1,199 @@
+"""A world rendered by Cycles as a `Scene` with ground truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.model.geometry import view_directions
+from pbrfit.model.materials import Materials
+from pbrfit.scene.scene import Scene, Truth
+from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
+from pbrfit.synthetic.lights import random_lights
+from pbrfit.synthetic.world import World
+from pbrfit_evaluation.cycles.export import Shell, check_choice, export
+from pbrfit_evaluation.cycles.job import Distribution, Job, Rendered, Transport, rendered
+from pbrfit_evaluation.cycles.point_lights import random_point_lights
+
+Array = NDArray[np.float64]
+Light = Literal["panorama", "points"]
+
+MAX_TURN = 30.0
+"""Neighbouring pixels of one object whose normals differ by more degrees lie at an edge."""
+
+SAMPLES: dict[tuple[Light, Transport], int] = {
+    ("panorama", "brdf"): 1024,
+    ("panorama", "shadows"): 1024,
+    ("panorama", "full"): 1024,
+    ("points", "brdf"): 1,  # without noise: one light without size, no bounces
+    ("points", "shadows"): 1,
+    ("points", "full"): 256,
+}
+"""Light paths a pixel unless told otherwise; docs/cycles.md has the noise they leave."""
+
+
+def render_scene(
+    world: World,
+    size: int = 128,
+    fov: float = 60.0,
+    *,
+    light: Light = "panorama",
+    transport: Transport = "full",
+    lights: int = 16,
+    held_out: int = 16,
+    seed: int = 0,
+    samples: int | None = None,
+    shell: Shell = "stage",
+    distribution: Distribution = "MULTI_GGX",
+    cache: Path | None = None,
+    threads: int = 2,
+    timeout: float = 3600.0,
+) -> Scene:
+    """Render pictures of a world with Blender's path tracer.
+
+    Parameters
+    ----------
+    world
+        What to render; see `pbrfit.synthetic.draw`.
+    size
+        Width and height of the pictures in pixels.
+    fov
+        Horizontal field of view in degrees, 0 < fov < 180.
+    light
+        "panorama": SH lights of order 3 from infinitely far away, the ones `make_scene` draws with
+        the same seed. "points": one coloured point light a picture, inside the room.
+    transport
+        "brdf": Principled instead of the closed form, nothing else. "shadows": surfaces block
+        light too. "full": and reflect it on each other.
+    lights, held_out
+        Number of pictures N, and of held-out pictures M, each at least 1. Point lights have no
+        held-out pictures, because no known SH light belongs to them.
+    seed
+        Of the lights, as in `make_scene`, and of the renderer.
+    samples
+        Light paths a pixel; None = by `light` and `transport` (`SAMPLES`).
+    shell
+        Which walls block light: "stage" all that the camera sees but the ceiling, "open" the floor
+        alone; the others are there for the camera only.
+    distribution
+        Principled's: "GGX", or with light between facets "MULTI_GGX", which is Blender's default.
+    cache
+        Folder that keeps renders; None = the user's cache. Panoramas of one seed share a render
+        whatever their number is.
+    threads
+        Of the renderer; the pixels do not depend on it.
+    timeout
+        Seconds after which the renderer is stopped.
+
+    Returns
+    -------
+    Scene
+        float64 radiance in linear Rec.709, exposed as by `make_scene`. The truth is what Cycles
+        saw at the pixels' centres. The mask leaves out pixels at edges: those with a neighbour of
+        another object or with a normal turned by more than `MAX_TURN`. `truth.lighting` and the
+        relight pictures are there for panoramas alone.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of its range.
+    CyclesNotFoundError
+        If there is no Python with bpy.
+    CyclesError
+        If the renderer fails.
+    """
+    check_choice("light", light, get_args(Light))
+    check_choice("transport", transport, get_args(Transport))
+    if lights < 1 or held_out < 1:
+        raise InputError(f"lights, held_out: expected 1 or more, found {lights} and {held_out}")
+    if seed < 0:
+        raise InputError(f"seed: expected a non-negative integer, found {seed}")
+    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
+    stage = export(world, size, fov, shell)
+    positions = colors = None
+    if light == "points":
+        positions, colors = random_point_lights(stage, world.walls, lights, streams[1])
+    job = Job(
+        stage,
+        positions,
+        transport,
+        samples=SAMPLES[light, transport] if samples is None else samples,
+        seed=seed % 2**31,
+        distribution=distribution,
+    )
+    found = rendered(job, cache=cache, threads=threads, timeout=timeout)
+    mask = inner_pixels(found.segments, found.normals, fov)
+    if not mask.any():
+        raise InputError(f"size: expected pixels away from edges, found none at {size}")
+
+    def exposed(lighting: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        images = np.einsum("khwc,nkc->nhwc", found.radiance.astype(np.float64), lighting)
+        gain = gains(images[:, mask], rng)
+        return gain[:, None, None] * lighting, gain[:, None, None, None] * images
+
+    relight_lighting = relight_images = lighting = None
+    if colors is not None:  # each picture has its own light: coefficients N × N × 3
+        chosen = np.eye(lights)[..., None] * colors[:, None, :]
+        _, images = exposed(chosen, streams[1])
+    else:
+        lighting, images = exposed(random_lights(lights, streams[1]), streams[1])
+        relight_lighting, relight_images = exposed(random_lights(held_out, streams[2]), streams[2])
+    level = MEAN_RADIANCE / images[:, mask].mean()
+    return Scene(
+        images=level * images,
+        normals=np.where(mask[..., None], found.normals, np.nan).astype(np.float64),
+        fov=fov,
+        mask=mask,
+        segments=found.segments,
+        names=tuple(f"light_{i:02d}" for i in range(lights)),
+        truth=Truth(
+            materials=_materials(found, mask),
+            lighting=None if lighting is None else level * lighting,
+            relight_images=None if relight_images is None else level * relight_images,
+            relight_lighting=None if relight_lighting is None else level * relight_lighting,
+        ),
+    )
+
+
+def inner_pixels(
+    segments: NDArray[np.integer[Any]], normals: NDArray[np.floating[Any]], fov: float
+) -> NDArray[np.bool_]:
+    """Pixels of an object, facing the camera, all of whose four neighbours continue its surface.
+
+    Parameters
+    ----------
+    segments
+        (H, W) object ids, 0 = nothing there.
+    normals
+        (H, W, 3) unit normals in camera space.
+    fov
+        Horizontal field of view in degrees.
+
+    Returns
+    -------
+    (H, W) bool.
+    """
+    views = view_directions(segments.shape[0], segments.shape[1], fov)
+    inner = (segments > 0) & (np.einsum("hwi,hwi->hw", normals, views) > 0)
+    least = np.cos(np.radians(MAX_TURN))
+    for a, b in ((np.s_[1:, :], np.s_[:-1, :]), (np.s_[:, 1:], np.s_[:, :-1])):
+        alike = np.einsum("hwi,hwi->hw", normals[a], normals[b]) >= least
+        edge = (segments[a] != segments[b]) | ~alike
+        inner[a] &= ~edge
+        inner[b] &= ~edge
+    return np.asarray(inner)
+
+
+def _materials(found: Rendered, mask: NDArray[np.bool_]) -> Materials:
+    def of(values: NDArray[np.float32]) -> Array:
+        clipped = np.clip(values.astype(np.float64), 0.0, 1.0)
+        clipped[~mask] = np.nan
+        return clipped
+
+    return Materials(
+        albedo=of(found.albedo), roughness=of(found.roughness), metallic=of(found.metallic)
+    )

@@ -1,0 +1,200 @@
+"""Many tasks in several processes, each result kept on disk: interrupted runs can go on.
+
+Every task ends in a record, `records/KEY.json` in the folder of the suite, which is there whole or
+not at all. A later run uses a record again if task and code are the same: the record holds a
+digest of both.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import pbrfit
+from pbrfit.batch.driver import Attempt, drive, repeat_log
+from pbrfit.batch.executors import workers
+from pbrfit.io.json_files import UNFIT, number, table
+
+RECORDS = "records"
+"""Folder of the records, in that of the suite."""
+
+PART = ".part"
+"""Ending of a record that is being written."""
+
+_HEAD = b'{\n "digest": "'
+"""What every record begins with."""
+
+WRITERS = frozenset(
+    {"drawing.py", "history_plot.py", "html.py", "page.py", "plot.py", "plots.py", "report.py"}
+)
+WRITING_FOLDERS = frozenset({"commands", "report", "viewer"})
+"""Files, and folders of files, that take no part in the results of a suite."""
+
+Values = Mapping[str, Any]
+"""What a task found: anything that JSON can hold."""
+
+
+class Task(Protocol):
+    """A frozen dataclass that can be pickled; its `repr` says everything that matters."""
+
+    @property
+    def key(self) -> str:
+        """Unique name, fit for a file."""
+
+
+T = TypeVar("T", bound=Task)
+
+
+@dataclass(frozen=True)
+class Record:
+    """What became of a task: `values`, or in one line the `error`; and the seconds it took."""
+
+    key: str
+    values: Values | None
+    error: str | None
+    seconds: float
+
+
+def run(
+    tasks: Sequence[T],
+    work: Callable[[T, int], Values],
+    folder: Path,
+    *,
+    jobs: int | None = 1,
+    cluster: str | None = None,
+    progress: Callable[[Record], None] = lambda _: None,
+) -> list[Record]:
+    """Do all tasks, or take their records from an earlier run.
+
+    Parameters
+    ----------
+    tasks
+        With different keys.
+    work
+        A function of a module, called with a task and the number of threads it may use.
+    folder
+        Exists. Records that are there already are used again if they are of the same task and
+        code, and ended well.
+    jobs, cluster
+        How many tasks run at the same time, and where; see `pbrfit.batch.executors.workers`.
+    progress
+        Called with each record, found or made.
+
+    Returns
+    -------
+    list of Record
+        In the order of `tasks`. A task that raises ends in a record with an error and does not
+        stop the others.
+    """
+    records = folder / RECORDS
+    records.mkdir(exist_ok=True)
+    done: dict[str, Record] = {}
+    missing: list[T] = []
+    for task in tasks:
+        found = _load(records, task)
+        if found is None:
+            missing.append(task)
+        else:
+            done[task.key] = found
+            progress(found)
+
+    def keep(task: T, record: Record) -> None:
+        _save(records, task, record)
+        done[task.key] = record
+        progress(record)
+
+    def end(task: T, attempt: Attempt[Values]) -> None:
+        repeat_log(attempt.said)
+        error, raised = attempt.error, attempt.raised
+        if error and raised and not error.startswith(raised):
+            error = f"{raised}: {error}"
+        keep(task, Record(task.key, attempt.value, error, attempt.seconds))
+
+    if missing:
+        done_by = workers(jobs, cluster, most=len(missing))
+        drive(missing, partial(_plainly, work), done_by, ended=end)
+    return [done[task.key] for task in tasks]
+
+
+def _plainly(work: Callable[[T, int], Values], task: T, threads: int) -> Values:
+    """By way of JSON, so that a new record is what it will be when it is read back."""
+    values: Values = json.loads(json.dumps(work(task, threads or os.cpu_count() or 1)))
+    return values
+
+
+def _load(records: Path, task: Task) -> Record | None:
+    try:
+        content = json.loads((records / f"{task.key}.json").read_text(encoding="utf-8"))
+        if content["digest"] == _digest(task) and content["error"] is None:
+            return Record(task.key, table(content["values"]), None, number(content["seconds"]))
+    except (OSError, *UNFIT):
+        pass  # absent or broken: it is made again
+    return None
+
+
+def _save(records: Path, task: Task, record: Record) -> None:
+    content = {
+        "digest": _digest(task),
+        "task": repr(task),
+        "error": record.error,
+        "seconds": record.seconds,
+        "values": record.values,
+    }
+    path = records / f"{task.key}.json"
+    temporary = path.with_suffix(PART)
+    try:
+        temporary.write_text(json.dumps(content, indent=1, allow_nan=True), encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def digest_of_files(folder: Path, paths: Iterable[Path] | None = None) -> str:
+    """sha256 of names and contents of files: of all below a folder, or of some of them.
+
+    A task that holds it is done again when its input changes.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*") if paths is None else paths):
+        if path.is_file():
+            digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def is_record(path: Path) -> bool:
+    """Whether a file was written by `run`, by its name and first words."""
+    if path.suffix == PART:
+        return True
+    if path.suffix != ".json" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(_HEAD)) == _HEAD
+
+
+def _digest(task: Task) -> str:
+    return hashlib.sha256(f"{_code()} {task!r}".encode()).hexdigest()
+
+
+@cache
+def _code() -> str:
+    """Digest of the package: results of other code are other results.
+
+    What only writes about results does not count.
+    """
+    digest = hashlib.sha256()
+    package = Path(pbrfit.__file__).parent
+    for path in sorted(package.rglob("*")):
+        writes = path.name in WRITERS or path.parent.name in WRITING_FOLDERS
+        if path.suffix in (".py", ".so", ".pyd") and not writes:
+            digest.update(path.relative_to(package).as_posix().encode() + b"\0")
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,150 @@
+"""Pictures damaged on purpose, as generators do: moved, bent, painted over.
+
+All work on linear radiance (H, W, 3). Lengths are in pixels at a longer side of 512 and grow with
+the picture.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.io.color import encode_srgb
+
+Array = NDArray[np.float64]
+
+Kind = Literal["shift", "warp", "recolour", "recolour-object", "clone", "fill", "texture"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+REPAINTS: tuple[Kind, ...] = KINDS[2:]
+
+WHAT: dict[Kind, str] = {
+    "shift": "moved as a whole, by 2 to 8 pixels",
+    "warp": "bent smoothly, by 3 to 8 pixels where it is most",
+    "recolour": "2 to 5 % of the area in another colour of about the same brightness",
+    "recolour-object": "one object, 2 to 25 % of the area, likewise",
+    "clone": "2 to 5 % of the area replaced by another part of the picture",
+    "fill": "2 to 5 % of the area filled smoothly from around it: something removed",
+    "texture": "2 to 5 % of the area under coloured stripes, in the light that was there",
+}
+
+SHIFT = (2.0, 8.0)
+WARP = (3.0, 8.0)
+AREA = (0.02, 0.05)
+OBJECT = (0.02, 0.25)
+SEEN = 0.08
+"""Mean change of sRGB values in a repainted area, below which it does not count as repainted."""
+
+CHANGED = 0.05
+"""... and the change above which a pixel counts; `AREA[0]` of the picture must."""
+
+_TRIES = 200
+
+
+def damaged(
+    image: Array, kind: Kind, segments: NDArray[Any], rng: np.random.Generator
+) -> tuple[Array, dict[str, float]]:
+    """Damage a picture.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) linear, white = 1.
+    kind
+        What is to be done, see `WHAT`.
+    segments
+        (H, W) ids of objects, 0 = none.
+    rng
+        Source of randomness.
+
+    Returns
+    -------
+    The picture, and how much was done to it: pixels, or share of the area and change.
+    """
+    unit = max(image.shape[:2]) / 512
+    if kind == "shift":
+        angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(*SHIFT)
+        whole = np.full(image.shape[:2], unit * length)
+        moved = _moved(image, np.sin(angle) * whole, np.cos(angle) * whole)
+        return moved, {"pixels": length}
+    if kind == "warp":
+        from scipy.ndimage import gaussian_filter
+
+        width, length = unit * rng.uniform(25, 60), rng.uniform(*WARP)
+        field = [gaussian_filter(rng.normal(size=image.shape[:2]), width) for _ in range(2)]
+        most = np.hypot(*field).max() / (unit * length)
+        return _moved(image, field[0] / most, field[1] / most), {"pixels": length, "width": width}
+    for _ in range(_TRIES):
+        area = _area(kind, segments, rng)
+        found = _repainted(image, area, kind, rng)
+        change = np.abs(_shown(found) - _shown(image)).mean(axis=-1)
+        seen = np.count_nonzero(change[area] > CHANGED) >= AREA[0] * area.size
+        if seen and change[area].mean() > SEEN:
+            return found, {"area": float(area.mean()), "change": float(change[area].mean())}
+    raise ValueError(f"{kind}: expected a place where a repaint can be seen, found none")
+
+
+def _shown(image: Array) -> Array:
+    return encode_srgb(np.clip(image, 0, 1))
+
+
+def _moved(image: Array, down: Array, right: Array) -> Array:
+    from scipy.ndimage import map_coordinates
+
+    row, column = np.mgrid[: image.shape[0], : image.shape[1]]
+    places = [row - down, column - right]
+    planes = [map_coordinates(image[..., c], places, order=3, mode="nearest") for c in range(3)]
+    return np.asarray(np.stack(planes, axis=-1).clip(0))
+
+
+def _area(kind: Kind, segments: NDArray[Any], rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Where to paint: an object, else a rounded patch."""
+    from scipy.ndimage import gaussian_filter
+
+    height, width = segments.shape
+    if kind == "recolour-object":
+        ids, counts = np.unique(segments[segments > 0], return_counts=True)
+        shares = counts / segments.size
+        fit = ids[(shares >= OBJECT[0]) & (shares <= OBJECT[1])]
+        if fit.size:
+            return np.asarray(segments == rng.choice(fit))
+    share = rng.uniform(*AREA)
+    ragged = gaussian_filter(rng.normal(size=segments.shape), 0.05 * max(height, width))
+    row, column = np.mgrid[:height, :width]
+    centre = rng.uniform(0.12, 0.88, 2) * (height, width)
+    distance = np.hypot(row - centre[0], column - centre[1])
+    outline = distance / np.sqrt(share * height * width / np.pi) + 0.35 * ragged / ragged.std()
+    return np.asarray(outline < np.quantile(outline, share))
+
+
+def _repainted(
+    image: Array, area: NDArray[np.bool_], kind: Kind, rng: np.random.Generator
+) -> Array:
+    from scipy.ndimage import gaussian_filter
+
+    unit = max(image.shape[:2]) / 512
+
+    def smooth(plane: Array, width: float) -> Array:
+        return np.asarray(gaussian_filter(plane, unit * width))
+
+    if kind in ("recolour", "recolour-object"):
+        gain = np.exp(rng.uniform(-0.9, 0.9, 3))
+        new = image * gain / gain.mean()
+    elif kind == "clone":
+        away = [rng.integers(side // 8, side - side // 8) for side in image.shape[:2]]
+        new = np.roll(image, away, axis=(0, 1))
+    elif kind == "fill":
+        around = smooth((~area).astype(np.float64), 25) + 1e-6
+        new = np.stack([smooth(image[..., c] * ~area, 25) / around for c in range(3)], axis=-1)
+        new *= 1 + rng.normal(scale=0.02, size=new.shape)
+    else:
+        light = smooth(image.mean(axis=-1), 15)[..., None]
+        row, column = np.mgrid[: image.shape[0], : image.shape[1]]
+        angle, period = rng.uniform(0, np.pi), unit * rng.uniform(8, 30)
+        along = column * np.cos(angle) + row * np.sin(angle)
+        stripe = (np.sin(2 * np.pi * along / period) > 0)[..., None]
+        colors = rng.uniform(0.3, 1.7, (2, 3))
+        new = light * np.where(stripe, *colors)
+    soft = smooth(area.astype(np.float64), 0.8)[..., None]
+    return np.asarray((image * (1 - soft) + new * soft).clip(0))

@@ -1,0 +1,236 @@
+"""Arrangements: furniture along the walls of a room and about a table, and a camera.
+
+Rooms differ in size, furniture, arrangement and camera. A room is drawn again until enough of its
+furniture, and of what may be of metal, is in view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pbrfit.model.geometry import view_directions
+from pbrfit.synthetic.geometry import Hits, Primitive, rotation, trace
+from pbrfit.synthetic.stages import Stage, shell
+from pbrfit_evaluation.rooms import furniture
+from pbrfit_evaluation.rooms.coverings import MAY_BE_METAL
+from pbrfit_evaluation.rooms.furniture import Piece
+from pbrfit_evaluation.rooms.parts import Parts, moved, reach, retagged, turned
+
+Rng = np.random.Generator
+
+_GLANCE = 32  # side in pixels of the picture by which a room is judged
+_LEAST_PIECES = 20  # to be seen, each in at least _LEAST_PIXELS of the glance
+_LEAST_PIXELS = 2
+_LEAST_FURNITURE = 0.36  # share of the glance
+_LEAST_POSSIBLE_METAL = 0.19  # share of the glance that parts cover which may be of metal
+_MOST_PARTS = 31, 39  # of a room: its limit is drawn between these
+_GAP = 0.06  # metres between things that stand side by side
+
+
+@dataclass(frozen=True)
+class Room:
+    """A furnished room without materials.
+
+    Attributes
+    ----------
+    stage
+        Walls, primitives of all furniture, camera.
+    parts
+        The furniture in the room, in the order of the stage's pieces. Parts with the same tag have
+        the same material.
+    """
+
+    stage: Stage
+    parts: Parts
+
+
+@dataclass
+class _Plan:
+    """The floor as it fills up."""
+
+    walls: Sequence[Primitive]
+    most: int  # parts
+    taken: list[tuple[float, float, float, float]]
+    parts: Parts = ()
+    pieces: int = 0
+
+    def is_free(self, x: float, z: float, half_x: float, half_z: float) -> bool:
+        return all(
+            abs(x - a) >= half_x + half_a + _GAP or abs(z - b) >= half_z + half_b + _GAP
+            for a, b, half_a, half_b in self.taken
+        )
+
+    def place(self, piece: Piece, at: tuple[float, float, float], yaw: float) -> bool:
+        """Add a piece that has its place, unless it would run into a wall or be too much."""
+        parts = moved(turned(retagged(piece.parts, f"{self.pieces}"), yaw), *at)
+        if len(self.parts) + len(parts) > self.most:
+            return False
+        for wall in self.walls:
+            outwards = -wall.rotation[:, 1]
+            if reach(parts, outwards) > wall.centre @ outwards + 1e-9:
+                return False
+        self.parts += parts
+        self.pieces += 1
+        return True
+
+    def stand(self, piece: Piece, x: float, z: float, yaw: float) -> bool:
+        """Stand a piece on the floor, unless something else is in its way."""
+        c, s = abs(np.cos(np.radians(yaw))), abs(np.sin(np.radians(yaw)))
+        half_x = c * piece.half[0] + s * piece.half[1]
+        half_z = s * piece.half[0] + c * piece.half[1]
+        if not self.is_free(x, z, half_x, half_z) or not self.place(piece, (x, 0.0, z), yaw):
+            return False
+        self.taken.append((x, z, half_x, half_z))
+        return True
+
+
+def draw_room(rng: Rng) -> Room:
+    """Draw rooms until one shows enough; the best of 10 if none does."""
+    best, best_score = None, -1.0
+    for _ in range(10):
+        room = _arrange(rng)
+        score = _score(room)
+        if score > best_score:
+            best, best_score = room, score
+        if score >= 1.0:
+            break
+    assert best is not None
+    return best
+
+
+def _score(room: Room) -> float:
+    """Least ratio of what a room shows to what it should: pieces, furniture, possible metal."""
+    hits = look(room.stage, _GLANCE)
+    walls = len(room.stage.walls)
+    pixels = np.bincount(hits.index, minlength=len(room.stage.primitives))[walls:]
+    metal_pixels = sum(
+        int(n) for n, part in zip(pixels, room.parts, strict=True) if part.role in MAY_BE_METAL
+    )
+    return min(
+        float(np.sum(pixels >= _LEAST_PIXELS)) / _LEAST_PIECES,
+        float(pixels.sum()) / len(hits.index) / _LEAST_FURNITURE,
+        metal_pixels / len(hits.index) / _LEAST_POSSIBLE_METAL,
+    )
+
+
+def look(stage: Stage, size: int) -> Hits:
+    """Cast the rays of a square picture of 60 degrees."""
+    rays = -view_directions(size, size, 60.0).reshape(-1, 3)
+    return trace(stage.primitives, stage.eye, rays @ stage.turn.T)
+
+
+def _arrange(rng: Rng) -> Room:
+    width, depth, height = rng.uniform([3.2, 3.0, 2.4], [4.4, 3.9, 2.9])
+    low, high = np.array([-width / 2, 0.0, -depth]), np.array([width / 2, height, 1.4])
+    walls = shell(low, high)
+    plan = _Plan(walls, most=int(rng.integers(*_MOST_PARTS)), taken=[])
+    if rng.random() < 0.4:  # a wall of books, and less in the middle
+        plan.stand(furniture.bookcase(rng), rng.uniform(-0.5, 0.5), 0.25 - depth, 0.0)
+    _fill_middle(plan, rng, depth, height)
+    free = _fill_back(plan, rng, width, depth)
+    _hang_on_back(plan, rng, free, depth)
+    for side in rng.permutation([-1, 1]):
+        _fill_side(plan, rng, int(side), width, depth)
+
+    aside = rng.uniform(-0.3, 0.3) * width
+    eye = np.array([aside, rng.uniform(1.25, 1.75), rng.uniform(0.0, 0.35)])
+    target = np.array([rng.uniform(-0.35, 0.35), rng.uniform(0.72, 1.0), -0.65 * depth])
+    x, y, z = target - eye
+    yaw, pitch = np.degrees(np.arctan2(-x, -z)), np.degrees(np.arctan2(y, np.hypot(x, z)))
+    stage = Stage(
+        walls=walls,
+        pieces=[part.primitive for part in plan.parts],
+        eye=eye,
+        turn=rotation(1, yaw) @ rotation(0, pitch),
+    )
+    return Room(stage, plan.parts)
+
+
+def _fill_middle(plan: _Plan, rng: Rng, depth: float, height: float) -> None:
+    """Stand a table with seats about it, on a rug and under a lamp or not."""
+    x, z = rng.uniform(-0.3, 0.3), -0.56 * depth + rng.uniform(-0.1, 0.15)
+    low = bool(rng.random() < 0.45)
+    yaw = rng.uniform(-20, 20)
+    plan.stand(furniture.table(rng, low=low), x, z, yaw)
+    if rng.random() < 0.6:
+        plan.place(furniture.rug(rng), (x, 0.0, z), rng.uniform(-8, 8))
+    seats = (furniture.stool, furniture.armchair) if low else (furniture.chair, furniture.stool)
+    wanted = int(rng.integers(1, 3))
+    for side in rng.permutation([-1, 1, -1, 1]):
+        seat = seats[rng.integers(2)](rng)
+        at = x + side * rng.uniform(0.85, 1.15)
+        turn = -90 * side + rng.uniform(-25, 25)
+        if wanted:
+            wanted -= plan.stand(seat, at, z + rng.uniform(-0.25, 0.35), turn)
+    if rng.random() < 0.5:
+        lamp = furniture.pendant(rng, height, rng.uniform(1.5, 1.75))
+        plan.place(lamp, (x + rng.uniform(-0.3, 0.3), 0.0, z - rng.uniform(0.0, 0.5)), 0.0)
+
+
+_ALONG_WALLS: tuple[Callable[[Rng], Piece], ...] = (
+    furniture.bookcase,
+    furniture.sideboard,
+    furniture.locker,
+    furniture.chest,
+    furniture.armchair,
+    furniture.floor_lamp,
+    furniture.potted_tree,
+    furniture.urn,
+)
+
+
+def _fill_back(
+    plan: _Plan, rng: Rng, width: float, depth: float
+) -> list[tuple[float, float, float]]:
+    """Fill the back wall from left to right; return the stretches that stay free above 1 m.
+
+    A stretch is its ends along x and the height of what stands there.
+    """
+    stretches = []
+    left = -width / 2 + rng.uniform(0.05, 0.25)
+    for i in rng.permutation(len(_ALONG_WALLS)):
+        piece = _ALONG_WALLS[i](rng)
+        x = left + piece.half[0]
+        if x + piece.half[0] > width / 2 - 0.05:
+            continue
+        if plan.stand(piece, x, -depth + piece.half[1] + 0.02, 0.0):
+            top = max(0.0, *(float(part.primitive.centre[1]) for part in piece.parts))
+            if max(top, piece.height) < 1.1:
+                stretches.append((left, left + 2 * piece.half[0], max(top + 0.2, piece.height)))
+            left += 2 * piece.half[0] + rng.uniform(_GAP + 0.01, 0.3)
+    return stretches
+
+
+def _hang_on_back(
+    plan: _Plan, rng: Rng, free: list[tuple[float, float, float]], depth: float
+) -> None:
+    """Hang pictures, mirrors and shelves where there is room for them."""
+    for start, end, top in free:
+        hung = furniture.wall_shelf(rng) if rng.random() < 0.25 else furniture.picture(rng)
+        y = max(top + 0.12 + hung.height / 2, rng.uniform(1.35, 1.6))
+        if end - start > 1.6 * hung.half[0] and y < 1.9:
+            plan.place(hung, ((start + end) / 2, y, -depth), 0.0)
+
+
+def _fill_side(plan: _Plan, rng: Rng, side: int, width: float, depth: float) -> None:
+    """Stand one or two pieces along the left (-1) or right (1) wall; hang a picture above."""
+    wall, yaw = side * width / 2, -90.0 * side
+    for i in rng.permutation(len(_ALONG_WALLS))[:3]:
+        piece = _ALONG_WALLS[i](rng)
+        if len(plan.parts) > plan.most - 8 and len(piece.parts) > 5:
+            continue
+        z = rng.uniform(-depth + 0.6, -1.5)
+        if plan.stand(piece, wall - side * (piece.half[1] + 0.02), z, yaw) and piece.height < 1.0:
+            break
+    if rng.random() < 0.6:
+        hung = furniture.picture(rng)
+        at = (wall, rng.uniform(1.5, 1.7), rng.uniform(-depth + 0.6, -1.8))
+        tall = any(
+            abs(z - at[2]) < half_z + hung.half[0] and abs(x - wall) < half_x + 0.2
+            for x, z, half_x, half_z in plan.taken
+        )
+        if not tall:
+            plan.place(hung, at, yaw)

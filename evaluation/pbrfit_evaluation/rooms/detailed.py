@@ -1,0 +1,263 @@
+"""Detailed rooms: the furnished rooms with finer materials.
+
+With texture maps, most of the pieces and walls take a set of maps: metallic if they are of metal,
+else dielectric; walls, floor and ceiling only sets that repeat without a seam. Where there is no
+set of that sort, for the rest, and without maps, the paints of the furnished room stay and gain
+relief, grain and stains of several sizes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.synthetic.geometry import Plane, Primitive
+from pbrfit.synthetic.patterns import edge
+from pbrfit.synthetic.surfaces import METALS, Finish, Layers, Spots, Surface
+from pbrfit.synthetic.world import World
+from pbrfit_evaluation.rooms.furnished import Furnished
+from pbrfit_evaluation.rooms.mapping import chart
+from pbrfit_evaluation.rooms.palette import DARKEST, LIGHTEST, LIGHTEST_METAL
+from pbrfit_evaluation.rooms.textures import MaterialSet
+
+Array = NDArray[np.float64]
+Rng = np.random.Generator
+
+LEAST_ROUGHNESS = 0.12
+"""Roughness is raised to this: below it, lights of order 3 look the same in every surface."""
+
+_TEXTURED = 0.75  # share of the materials that take maps, where there are any
+
+
+@dataclass(frozen=True)
+class Textured(Surface):
+    """Maps of a set on one primitive.
+
+    Attributes
+    ----------
+    primitive
+        What is covered; it decides how the maps are laid on.
+    maps
+        The set.
+    tile
+        Metres that the maps are wide.
+    offset
+        (2,) of the maps, in tiles.
+    quarter
+        By how many quarter turns the maps are turned counter-clockwise.
+    gain
+        (3,) factors of the albedo.
+    """
+
+    primitive: Primitive
+    maps: MaterialSet
+    tile: float
+    offset: Array
+    quarter: int
+    gain: Array
+
+    def at(self, spots: Spots) -> Finish:
+        """Look the maps up; see `Surface.at`."""
+        on = chart(self.primitive, spots.points, spots.normals, self.tile)
+        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter % 4]
+        u, v = c * on.u + s * on.v, c * on.v - s * on.u
+        right, up = c * on.right + s * on.up, c * on.up - s * on.right
+        texels = spots.width * on.squeeze * (len(self.maps.levels[0]) / self.tile)
+        found = self.maps.sample(u + self.offset[0], v + self.offset[1], texels)
+        normals = None
+        if self.maps.relief:
+            x, y, z = found[:, 5:, None].transpose(1, 0, 2)
+            normals = x * right + y * up + z * spots.normals
+            normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        return Finish(
+            albedo=np.clip(found[:, :3] * self.gain, DARKEST, LIGHTEST_METAL),
+            roughness=np.clip(found[:, 3], LEAST_ROUGHNESS, 1.0),
+            metallic=np.clip(found[:, 4], 0.0, 1.0),
+            normals=normals,
+        )
+
+
+@dataclass(frozen=True)
+class Fractal:
+    """Sums of value noise from coarse to fine; what is finer than a pixel fades out.
+
+    Attributes
+    ----------
+    table
+        (octaves, 16, 16, 16) values in [-1, 1] on the lattices.
+    offset
+        (octaves, 3) of the lattices, in cells.
+    scale
+        Metres of the coarsest cell; each further octave has half of it, and 0.6 of the strength.
+    """
+
+    table: Array
+    offset: Array
+    scale: float
+
+    def __call__(self, points: Array, width: Array) -> Array:
+        """(P,) in about [-1, 1] at object-space points (P, 3) for pixels of this width (P,)."""
+        total = np.zeros(len(points))
+        cells = self.table.shape[1]
+        for octave, (table, offset) in enumerate(zip(self.table, self.offset, strict=True)):
+            cell = self.scale / 2**octave
+            strength = 0.6**octave * edge(cell / np.maximum(width, 1e-9) - 2.0, 1.0)
+            position = points / cell + offset
+            corner = np.floor(position)
+            f = position - corner
+            f = f * f * f * (f * (6 * f - 15) + 10)  # slopes are continuous, and so is the relief
+            i, j, k = corner.astype(np.int64).T % cells
+            ends = [np.stack([1 - f, f])[:, :, axis] for axis in range(3)]
+            value = np.zeros(len(points))
+            for a, b, c in np.ndindex(2, 2, 2):
+                weight = ends[0][a] * ends[1][b] * ends[2][c]
+                value += weight * table[(i + a) % cells, (j + b) % cells, (k + c) % cells]
+            total += strength * value
+        return total
+
+
+def _fractal(rng: Rng, scale: float, octaves: int) -> Fractal:
+    return Fractal(
+        table=rng.uniform(-1, 1, size=(octaves, 16, 16, 16)),
+        offset=rng.uniform(0, 16, size=(octaves, 3)),
+        scale=scale,
+    )
+
+
+@dataclass(frozen=True)
+class Weathered(Surface):
+    """Another surface with relief, grain and stains.
+
+    Attributes
+    ----------
+    base
+        The surface below.
+    relief
+        Height; its slope is `depth` at most, about.
+    grain
+        Changes of roughness and tone.
+    depth
+        Height in metres of the coarsest bumps.
+    tone, dullness
+        How far grain and hollows change the albedo, as a factor, and the roughness.
+    """
+
+    base: Surface
+    relief: Fractal
+    grain: Fractal
+    depth: float
+    tone: float
+    dullness: float
+
+    def at(self, spots: Spots) -> Finish:
+        """Roughen the surface below; see `Surface.at`."""
+        below = self.base.at(spots)
+        height = self.relief(spots.points, spots.width)
+        # The height field's gradient, one-sided over a third of the pixel or a millimetre.
+        step = np.maximum(spots.width / 3, 1e-3)
+        gradient = np.empty_like(spots.points)
+        for axis in range(3):
+            beside = spots.points.copy()
+            beside[:, axis] += step
+            gradient[:, axis] = (self.relief(beside, spots.width) - height) / step
+        along = np.einsum("pi,pi->p", gradient, spots.normals)[:, None] * spots.normals
+        normals = spots.normals - self.depth * (gradient - along)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        grain = self.grain(spots.points, spots.width)
+        tone = self.tone * (1 - 0.7 * below.metallic) * (0.6 * grain + 0.5 * height)
+        lightest = LIGHTEST + (LIGHTEST_METAL - LIGHTEST) * below.metallic[:, None]
+        roughness = below.roughness + self.dullness * (grain - height)
+        return Finish(
+            albedo=np.clip(below.albedo * (1 + tone[:, None]), DARKEST, lightest),
+            roughness=np.clip(roughness, LEAST_ROUGHNESS, 0.95),
+            metallic=below.metallic,
+            normals=normals,
+        )
+
+
+def draw_detailed(room: Furnished, sets: Sequence[MaterialSet], rng: Rng) -> World:
+    """Give a furnished room finer materials.
+
+    Parameters
+    ----------
+    room
+        Geometry, and for each piece whether it is metal.
+    sets
+        Texture maps; none for procedural detail.
+    rng
+        Source of randomness.
+    """
+    world = room.world
+    bare = [one for one in sets if one.metallic >= 0.3]
+    coated = [one for one in sets if one.metallic < 0.3]
+    walls = [f"wall/{min(i, 2)}" if i != 4 else "wall/back" for i in range(world.walls)]
+    tags = [*walls, *room.tags]
+    choice: dict[str, Surface] = {}
+    surfaces: list[Surface] = []
+    for primitive, surface, tag in zip(world.primitives, world.surfaces, tags, strict=True):
+        assert isinstance(surface, Layers)
+        if tag not in choice:
+            fitting = bare if surface.base.metallic >= 0.5 else coated
+            if isinstance(primitive, Plane):
+                fitting = [one for one in fitting if one.repeats]
+            if fitting and rng.random() < _TEXTURED:
+                choice[tag] = _textured(surface, primitive, fitting, rng)
+            else:
+                choice[tag] = _weathered(surface, rng)
+        surfaces.append(_laid_on(choice[tag], surface, primitive))
+    return replace(world, surfaces=tuple(surfaces))
+
+
+def _laid_on(drawn: Surface, base: Surface, primitive: Primitive) -> Surface:
+    """Lay a material that was drawn for a tag on one of its primitives."""
+    if isinstance(drawn, Weathered):
+        return replace(drawn, base=base)
+    assert isinstance(drawn, Textured)
+    quarter = drawn.quarter
+    if isinstance(primitive, Plane) and primitive.rotation[1, 1] ** 2 < 0.5:
+        # Upright on walls: v grows along +y of the scene.
+        up = primitive.rotation.T @ np.array([0.0, 1.0, 0.0])
+        # On a plane, right is x and up is -z.
+        quarter = int(np.argmax([-up[2], up[0], up[2], -up[0]]))
+    return replace(drawn, primitive=primitive, quarter=quarter)
+
+
+def _textured(
+    surface: Layers, primitive: Primitive, sets: Sequence[MaterialSet], rng: Rng
+) -> Textured:
+    """Draw a set, its scale and its place; half of the time its colour is that of the surface."""
+    maps = sets[int(rng.integers(len(sets)))]
+    if surface.base.metallic >= 0.5:
+        whole = [one for one in sets if one.metallic >= 0.9]
+        if whole and rng.random() < 0.6:
+            maps = whole[int(rng.integers(len(whole)))]
+    mean = np.maximum(maps.mean[:3], DARKEST)
+    gain = np.ones(3)
+    if maps.metallic >= 0.9:
+        gain = METALS[rng.integers(len(METALS))] / mean
+    elif maps.metallic < 0.1 and rng.random() < 0.5:
+        gain = np.minimum(surface.base.albedo / mean, 6.0)
+    large = isinstance(primitive, Plane)
+    return Textured(
+        primitive=primitive,
+        maps=maps,
+        tile=float(rng.uniform(1.2, 2.2) if large else rng.uniform(0.5, 1.0)),
+        offset=rng.random(2),
+        quarter=int(rng.integers(4)),
+        gain=gain,
+    )
+
+
+def _weathered(surface: Layers, rng: Rng) -> Weathered:
+    soft = surface.base.roughness > 0.7
+    return Weathered(
+        base=surface,
+        relief=_fractal(rng, rng.uniform(0.15, 0.35), 5),
+        grain=_fractal(rng, rng.uniform(0.1, 0.4), 5),
+        depth=float(rng.uniform(0.006, 0.025 if soft else 0.012)),
+        tone=float(rng.uniform(0.15, 0.4)),
+        dullness=float(rng.uniform(0.04, 0.12)),
+    )

@@ -1,0 +1,92 @@
+"""Furnished rooms: an arrangement with a material for each part of it.
+
+A few of the materials are exchanged until metal has its share of the picture: `METAL_SHARE`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.synthetic.geometry import Primitive
+from pbrfit.synthetic.surfaces import Spots, Surface
+from pbrfit.synthetic.world import World
+from pbrfit_evaluation.rooms.arrangement import Room, draw_room, look
+from pbrfit_evaluation.rooms.coverings import MAY_BE_METAL, covering, metal, unmetal
+from pbrfit_evaluation.rooms.shell_coverings import shell_coverings
+
+Rng = np.random.Generator
+
+METAL_SHARE = (0.13, 0.3, 0.45)
+"""Share of the picture with metallic >= 0.5, at 48 x 48 and 60 degrees: its least value is drawn
+between the first two, its largest is the third."""
+
+_PROBE = 48
+
+
+@dataclass(frozen=True)
+class Furnished:
+    """A furnished room with its materials.
+
+    Attributes
+    ----------
+    world
+        Walls, furniture, surfaces and camera.
+    tags
+        For each piece after the walls: pieces with the same tag have the same material.
+    """
+
+    world: World
+    tags: tuple[str, ...]
+
+
+def draw_furnished(rng: Rng) -> Furnished:
+    """Draw a furnished room with its materials."""
+    room = draw_room(rng)
+    stage = room.stage
+    tags = [part.tag for part in room.parts]
+    by_tag: dict[str, Surface] = {}
+    for part in room.parts:
+        if part.tag not in by_tag:
+            by_tag[part.tag] = covering(part, rng)
+    covers = shell_coverings(tuple(stage.walls), rng)
+    _balance(by_tag, room, rng)
+    world = World(
+        primitives=tuple(stage.primitives),
+        surfaces=(*covers, *(by_tag[tag] for tag in tags)),
+        walls=len(stage.walls),
+        eye=stage.eye,
+        turn=stage.turn,
+    )
+    return Furnished(world, tuple(tags))
+
+
+def _balance(by_tag: dict[str, Surface], room: Room, rng: Rng) -> None:
+    """Change materials, the largest first, until metal has its share of the picture."""
+    hits = look(room.stage, _PROBE)
+    walls = len(room.stage.walls)
+    first: dict[str, Primitive] = {}
+    seen: dict[str, NDArray[np.intp]] = {}
+    for i, part in enumerate(room.parts):
+        if part.role in MAY_BE_METAL:
+            first.setdefault(part.tag, part.primitive)
+            here = np.flatnonzero(hits.index == walls + i)
+            seen[part.tag] = np.concatenate([seen.get(part.tag, here[:0]), here])
+    order = sorted(seen, key=lambda tag: (-len(seen[tag]), tag))
+
+    def share(tag: str) -> float:
+        points = hits.local[seen[tag]]
+        spots = Spots(points, hits.normals[seen[tag]], np.zeros(len(points)))
+        return float(np.sum(by_tag[tag].at(spots).metallic >= 0.5)) / len(hits.index)
+
+    least = rng.uniform(*METAL_SHARE[:2])
+    shares = {tag: share(tag) for tag in order}
+    for tag in order:
+        total = sum(shares.values())
+        if total > METAL_SHARE[2] and shares[tag] > 0:
+            by_tag[tag] = unmetal(rng)
+        elif total < least and shares[tag] < 0.5 * len(seen[tag]) / len(hits.index):
+            by_tag[tag] = metal(rng, first[tag])
+        shares[tag] = share(tag)

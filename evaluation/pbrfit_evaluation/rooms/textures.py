@@ -1,0 +1,265 @@
+"""Sets of texture maps: found in a folder, read, and averaged for every distance.
+
+A set is the maps of one material. Their roles are known by the ends of their names, which may
+begin with the name of the set or be the whole name (then the folder names the set):
+
+    albedo, base_color, basecolor, color, col, diffuse, diff      sRGB unless the file says else
+    roughness, rough                                              stored values
+    metallic, metalness, metal                                    stored values; absent: 0
+    orm, arm, occlusionroughmetal, roughnessmetallic, ...         G roughness, B metallic
+    normal, nor, nrm, each also with gl or dx                     2v - 1; absent: smooth
+
+A resolution such as 1k may follow. Normals have Y up in the picture (OpenGL) unless the name says
+dx. Maps of the name X_shared belong to every set whose name begins with X. Other pictures are left
+alone.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io import images
+from pbrfit.io.resampling import averaged_channels
+
+Maps = NDArray[np.float32]
+
+_ROLES = {
+    "albedo": r"albedo|base_?colou?r|colou?r|col|diffuse|diff",
+    "packed": r"orm|arm|(?:occlusion|ao)?rough(?:ness)?metal(?:lic|ness)?"
+    r"|metal(?:lic|ness)?rough(?:ness)?|metallic_roughness|roughness_metallic",
+    "roughness": r"roughness|rough",
+    "metallic": r"metallic|metalness|metal",
+    "normal": r"normal|nor|nrm",
+}
+_NAME = {
+    role: re.compile(
+        rf"^(?:(?P<name>.*?)[_\-. ])?(?:{words})"
+        r"(?P<kind>[_\-. ]?(?:gl|dx|opengl|directx))?(?:[_\-. ]\d+k)?$",
+        re.IGNORECASE,
+    )
+    for role, words in _ROLES.items()
+}
+_PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr"}
+_FINEST = 512  # texels along the side of the finest maps kept
+_CHANNELS = 8  # albedo (3), roughness, metallic, normal (3)
+
+
+@dataclass(frozen=True)
+class MaterialSet:
+    """The maps of one material, square, each level half the size of the one before.
+
+    Attributes
+    ----------
+    name
+        Folder or file name that the maps share.
+    levels
+        (T, T, 8) float32 each, T a power of two down to 1: albedo in linear Rec.709, roughness,
+        metallic, and the mean normal in tangent space, not of unit length (x right, y up in the
+        picture).
+        Row 0 is the top. A texel is the mean of the four finer ones that it covers.
+    relief
+        Whether there is a normal map.
+    """
+
+    name: str
+    levels: tuple[Maps, ...]
+    relief: bool
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the maps may cover a wall: no seam to speak of, and even brightness.
+
+        The step of the albedo across a border is at most 3 times the steps inside, and the
+        standard deviation of the brightness over 4 x 4 fields at most a quarter of its mean.
+        """
+        maps = self.levels[max(0, len(self.levels) - 8)][..., :3]  # 128 x 128 or less
+        for axis in (0, 1):
+            steps = np.abs(np.diff(maps, axis=axis)).mean()
+            border = np.abs(maps.take(0, axis) - maps.take(-1, axis)).mean()
+            if border > 3 * steps + 1e-3:
+                return False
+        fields = self.levels[max(0, len(self.levels) - 3)][..., :3].mean(axis=-1)
+        return bool(fields.std() <= 0.25 * fields.mean())
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """(8,) mean of all maps."""
+        return np.asarray(self.levels[-1][0, 0], dtype=np.float64)
+
+    @property
+    def metallic(self) -> float:
+        """Mean metallic."""
+        return float(self.mean[4])
+
+    def sample(
+        self, u: NDArray[np.float64], v: NDArray[np.float64], texels: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Look up the maps, averaged over what a pixel covers; they repeat.
+
+        Parameters
+        ----------
+        u, v
+            (P,) coordinates, 1 = the whole map; u to the right, v up.
+        texels
+            (P,) how many of the finest texels a pixel is wide.
+
+        Returns
+        -------
+        ndarray
+            (P, 8): linear between texels and between levels.
+        """
+        level = np.log2(np.maximum(texels, 1.0)).clip(0.0, len(self.levels) - 1)
+        lower = np.minimum(level.astype(np.int64), max(len(self.levels) - 2, 0))
+        found = np.zeros((len(u), _CHANNELS))
+        for i, maps in enumerate(self.levels):
+            for here, weight in (
+                (np.flatnonzero(lower == i), 1 - (level - lower)),
+                (np.flatnonzero(lower == i - 1), level - lower),
+            ):
+                if len(here):
+                    found[here] += weight[here, None] * _bilinear(maps, u[here], v[here])
+        return found
+
+
+def _bilinear(maps: Maps, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    side = len(maps)
+    x, y = (u - np.floor(u)) * side - 0.5, (np.ceil(v) - v) * side - 0.5  # row 0 is the top
+    i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    a, b = (x - i)[:, None], (y - j)[:, None]
+    i, j, right, below = i % side, j % side, (i + 1) % side, (j + 1) % side
+    top = (1 - a) * maps[j, i] + a * maps[j, right]
+    bottom = (1 - a) * maps[below, i] + a * maps[below, right]
+    return np.asarray((1 - b) * top + b * bottom)
+
+
+def load_textures(folder: Path) -> tuple[MaterialSet, ...]:
+    """Read all sets of texture maps in a folder and the folders below it, in order of their paths.
+
+    Parameters
+    ----------
+    folder
+        See the module for the names that are known.
+
+    Returns
+    -------
+    tuple of MaterialSet
+
+    Raises
+    ------
+    InputError
+        When there is no folder or no set in it, when a set lacks its albedo or its roughness, has
+        two maps of one role, or a map cannot be read.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder of texture maps, found none")
+    found: dict[tuple[Path, str], dict[str, Path]] = {}
+    for path in sorted(folder.rglob("*")):
+        role, name = _role(path)
+        if not role:
+            continue
+        maps = found.setdefault((path.parent, name), {})
+        if role.split("-")[0] in {known.split("-")[0] for known in maps}:
+            raise InputError(
+                f"{path}: expected one {role.split('-')[0]} map of a set, found a second"
+            )
+        maps[role] = path
+    for (parent, name), shared in list(found.items()):
+        if name.endswith("_shared"):
+            del found[parent, name]
+            for (other, member), maps in found.items():
+                if other == parent and member.startswith(name.removesuffix("shared")):
+                    maps.update({role: path for role, path in shared.items() if role not in maps})
+    # A lone normal map belongs to something else than a material.
+    sets = [
+        _load_set(name or parent.name, parent, maps)
+        for (parent, name), maps in found.items()
+        if any(not role.startswith("normal") for role in maps)
+    ]
+    if not sets:
+        raise InputError(
+            f"{folder}: expected texture maps such as NAME_albedo.png and NAME_roughness.png, "
+            "found none"
+        )
+    return tuple(sets)
+
+
+def _role(path: Path) -> tuple[str, str]:
+    """Role and name of the set, both empty for a file that is no texture map."""
+    if path.suffix.lower() in _PICTURES:
+        for role, pattern in _NAME.items():
+            match = pattern.match(path.stem)
+            if match:
+                kind = (match["kind"] or "").lower()
+                down = role == "normal" and ("dx" in kind or "directx" in kind)
+                return ("normal-dx" if down else role), match["name"] or ""
+    return "", ""
+
+
+def _load_set(name: str, parent: Path, paths: dict[str, Path]) -> MaterialSet:
+    if "albedo" not in paths:
+        raise InputError(f"{parent}: expected an albedo or base colour map of {name}, found none")
+    if "roughness" not in paths and "packed" not in paths:
+        raise InputError(f"{parent}: expected a roughness map of {name}, found none")
+    packed = None
+    if "packed" in paths:
+        packed = _read(paths["packed"], "occlusion, roughness and metallic", 3)
+    layers = [_reduced(images.read_picture(paths["albedo"]).pixels)]
+    for role, channel in (("roughness", 1), ("metallic", 2)):
+        if role in paths:
+            layers.append(_read(paths[role], role, 1))
+        elif packed is not None:
+            layers.append(packed[..., channel : channel + 1])
+        else:
+            layers.append(np.zeros((1, 1, 1), dtype=np.float32))
+    relief = [role for role in paths if role.startswith("normal")]
+    if relief:
+        vectors = 2 * _read(paths[relief[0]], "normals", 3) - 1
+        vectors[..., 2] = np.maximum(vectors[..., 2], 0.05)  # a surface that faces outwards
+        if relief[0] == "normal-dx":
+            vectors[..., 1] *= -1
+        layers.append(vectors)
+    else:
+        layers.append(np.array([[[0.0, 0.0, 1.0]]], dtype=np.float32))
+    side = min(_FINEST, 2 ** int(np.log2(max(max(layer.shape[:2]) for layer in layers))))
+    maps = np.concatenate([_resized(layer, side) for layer in layers], axis=-1)
+    levels = [maps]
+    while len(levels[-1]) > 1:
+        levels.append(_block_means(levels[-1], 2))
+    return MaterialSet(name=name, levels=tuple(levels), relief=bool(relief))
+
+
+def _read(path: Path, what: str, channels: int) -> Maps:
+    """(H, W, channels) of a map of data, not much finer than needed."""
+    stored = images.read_data(path)
+    if stored.shape[2] < channels:
+        raise InputError(f"{path}: expected {what} in {channels} channels, found {stored.shape[2]}")
+    return _reduced(stored[..., :channels])
+
+
+def _reduced(layer: NDArray[Any]) -> Maps:
+    """Average blocks of a large map, as long as it stays finer than the finest level."""
+    return _block_means(layer, max(1, min(layer.shape[:2]) // _FINEST))
+
+
+def _block_means(layer: NDArray[Any], factor: int) -> Maps:
+    """Mean of each block of factor x factor; what is left over at the far edges is dropped."""
+    height, width = (n // factor for n in layer.shape[:2])
+    rows = np.zeros((height, *layer.shape[1:]), dtype=layer.dtype)
+    for i in range(factor):
+        rows += layer[i : height * factor : factor]
+    total = np.zeros((height, width, layer.shape[2]), dtype=layer.dtype)
+    for j in range(factor):
+        total += rows[:, j : width * factor : factor]
+    return np.asarray(total / factor**2, dtype=np.float32)
+
+
+def _resized(layer: Maps, side: int) -> Maps:
+    """Average over the squares of a (side, side) grid: texels are shared by area."""
+    return averaged_channels(layer, (side, side)).astype(np.float32)

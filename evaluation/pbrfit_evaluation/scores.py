@@ -1,0 +1,117 @@
+"""Every figure that a suite reports about a result whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.model.reflection import render
+from pbrfit.result import metrics
+from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene
+
+PROTOCOL = (
+    "pbrfit-scores-1: RMSE over valid pixels and channels, linear values; relight under the true "
+    "held-out lights; metal = true metallic >= 0.5; scaled = after the best factor a channel; "
+    "PSNR and SSIM in sRGB, pictures exposed so that the truth's 98th percentile is white"
+)
+
+METAL = 0.5
+"""Pixels whose true metallic is at least this are metal."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Errors of one result; None where there is nothing to compare with.
+
+    RMSE unless the name says otherwise. `recon` in picture units, `psnr` in dB, `seconds` of the
+    fit alone.
+    """
+
+    recon: float
+    albedo: float
+    roughness: float
+    metallic: float
+    relight: float | None
+    roughness_on_metal: float | None
+    metallic_on_metal: float | None
+    albedo_scaled: float
+    relight_scaled: float | None
+    albedo_psnr: float
+    albedo_ssim: float
+    relight_psnr: float | None
+    relight_ssim: float | None
+    seconds: float
+    evaluations: float
+
+    def as_json(self) -> dict[str, float | None]:
+        """For a record."""
+        return asdict(self)
+
+
+def score(result: Result, scene: Scene, threads: int = 0) -> Scores:
+    """Compare a result with the truth of its scene; without truth it is an AssertionError."""
+    truth = scene.truth
+    assert truth is not None
+    found, true = result.materials, truth.materials
+    errors = result.metrics
+    valid = scene.valid
+    metal = np.where(valid, true.metallic, 0.0) >= METAL
+    scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
+    relight = None
+    if truth.relight_images is not None and truth.relight_lighting is not None:
+        rendered = render(
+            *(found, result.normals, truth.relight_lighting, result.fov, threads),
+            model=result.model,
+        )
+        relight = _relight(rendered, np.where(valid[..., None], truth.relight_images, np.nan))
+    albedos = metrics.display(found.albedo, 1.0), metrics.display(true.albedo, 1.0)
+    return Scores(
+        recon=errors["recon_rmse"],
+        albedo=metrics.rmse(found.albedo, true.albedo),
+        roughness=metrics.rmse(found.roughness, true.roughness),
+        metallic=metrics.rmse(found.metallic, true.metallic),
+        relight=relight.rmse if relight else None,
+        roughness_on_metal=_on(metal, found.roughness, true.roughness),
+        metallic_on_metal=_on(metal, found.metallic, true.metallic),
+        albedo_scaled=metrics.rmse(scaled, true.albedo),
+        relight_scaled=relight.scaled if relight else None,
+        albedo_psnr=metrics.psnr(*albedos),
+        albedo_ssim=metrics.ssim(*albedos),
+        relight_psnr=relight.psnr if relight else None,
+        relight_ssim=relight.ssim if relight else None,
+        seconds=result.seconds,
+        evaluations=result.evaluations,
+    )
+
+
+@dataclass(frozen=True)
+class _Relight:
+    rmse: float
+    scaled: float
+    psnr: float
+    ssim: float
+
+
+def _relight(rendered: NDArray[np.float64], true: NDArray[np.float64]) -> _Relight:
+    """Relit pictures (M, H, W, 3) against the truth; PSNR and SSIM are means over pictures."""
+    pairs = [
+        (metrics.display(a, white), metrics.display(b, white))
+        for a, b in zip(rendered, true, strict=True)
+        for white in [metrics.white_of(b)]
+    ]
+    return _Relight(
+        rmse=metrics.rmse(rendered, true),
+        scaled=metrics.rmse(metrics.scaled_per_channel(rendered, true), true),
+        psnr=float(np.mean([metrics.psnr(*pair) for pair in pairs])),
+        ssim=float(np.mean([metrics.ssim(*pair) for pair in pairs])),
+    )
+
+
+def _on(
+    pixels: NDArray[np.bool_], found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]
+) -> float | None:
+    return metrics.rmse(found[pixels], true[pixels]) if pixels.any() else None

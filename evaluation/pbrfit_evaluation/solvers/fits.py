@@ -1,0 +1,134 @@
+"""What the parts share: the solvers by name, scenes, and the objective of a result in float64."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.decompose import decompose
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.model.reflection import DEFAULT_MODEL, Model, chosen_model, render
+from pbrfit.result import metrics
+from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import make_scene
+
+Array = NDArray[np.float64]
+
+Name = Literal["gauss-newton", "auto", "lbfgsb"]
+AUTO: Name = "auto"
+GAUSS_NEWTON: Name = "gauss-newton"
+LBFGSB: Name = "lbfgsb"
+
+FIRST_SEED = 1000
+"""Of the rooms: those of `pbrfit evaluate table1`, on which nothing was tuned."""
+
+PICTURES = 16
+
+
+def fit(scene: Scene, solver: Name, **options: Any) -> Result:
+    """Run `pbrfit.decompose` by one of the solvers, with the normals held."""
+    chosen: Any = solver
+    return decompose(scene, solver=chosen, refine_normals="off", **options)
+
+
+def room(
+    seed: int,
+    size: int,
+    *,
+    noise: float = 0.0,
+    held_out: int = PICTURES,
+    model: Model = DEFAULT_MODEL,
+) -> Scene:
+    """Make a furnished room as in table1's base row: 16 pictures of mean radiance 0.4."""
+    return make_scene(
+        "furnished",
+        size=size,
+        lights=PICTURES,
+        held_out=held_out,
+        seed=seed,
+        noise=noise,
+        model=model,
+    )
+
+
+def in_float32(scene: Scene) -> Scene:
+    """The scene with each sample rounded once to float32."""
+    return replace(scene, images=scene.images.astype(np.float32))
+
+
+def rms(scene: Scene) -> float:
+    """Root mean square radiance of the pictures over the valid pixels."""
+    squares = [np.mean(np.square(scene.samples(i), dtype=np.float64)) for i in _pictures(scene)]
+    return float(np.sqrt(np.mean(squares)))
+
+
+def residual(scene: Scene, result: Result, threads: int = 0) -> float:
+    """RMS difference of pictures and reconstruction, rendered and compared in float64."""
+    found = [
+        metrics.rmse(
+            render(
+                *(result.materials, scene.normals, light, scene.fov, threads), model=result.model
+            ),
+            scene.images[i],
+        )
+        for i, light in enumerate(result.lighting)
+    ]
+    return float(np.sqrt(np.mean(np.square(found))))
+
+
+def clean_residual(scene: Scene, result: Result, threads: int = 0) -> float:
+    """RMS difference of the reconstruction and the true pictures without their noise."""
+    truth = scene.truth
+    assert truth is not None
+    assert truth.lighting is not None
+
+    def pictures(materials: Any, lighting: Array, model: Model) -> Array:
+        return render(materials, scene.normals, lighting, scene.fov, threads, model=model)
+
+    return metrics.rmse(
+        pictures(result.materials, result.lighting, result.model),
+        pictures(truth.materials, truth.lighting, chosen_model(None, scene.model)),
+    )
+
+
+def objective_value(
+    scene: Scene,
+    result: Result,
+    *,
+    priors: Priors | None = None,
+    robust: tuple[str, float] | None = None,
+    threads: int = 0,
+) -> float:
+    """What the solvers minimise, at a result: data term and penalties of fixed weight.
+
+    Parameters
+    ----------
+    scene
+        With pictures of about the same exposure and without weights.
+    result
+        Of a fit of all unknowns.
+    priors
+        With `material` 0, because that one is learnt as a fit runs. None = no penalties.
+    robust
+        A loss and its scale in units of the scaled pictures; None = squares, which are computed in
+        float64. A robust loss comes from the fast objective in float32.
+    """
+    objective = Objective(scene, threads=threads, priors=priors, model=result.model)
+    materials = result.materials
+    x = objective.pack(
+        materials.albedo, materials.roughness, materials.metallic, result.lighting
+    ).clip(*objective.bounds.T)
+    penalties = objective.add_penalties(x, np.zeros_like(x))
+    if robust is None:
+        return (residual(scene, result, threads) / objective.scale) ** 2 + penalties
+    objective.robust = robust
+    return objective.data_value_and_grad(x)[0] + penalties
+
+
+def _pictures(scene: Scene) -> range:
+    return range(len(scene.images))

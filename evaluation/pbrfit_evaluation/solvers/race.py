@@ -1,0 +1,271 @@
+"""Part "race": seconds until the objective is as low as where the paper's recipe ends.
+
+The mark is what L-BFGS-B ends at after the paper's 500 iterations from the paper's start. All
+others run until their own objective, of all pixels and in float64, is at most that. Each run has a
+process of its own, one after the other.
+
+The clock does not run while the objective is measured. Importing and compiling libraries, and
+making the start, are not on it; scaling the pictures and copying them is, for every runner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.decompose import Progress
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import Model, chosen_model, render
+from pbrfit.result import metrics
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.convergence import torch_peer
+from pbrfit_evaluation.recipes import paper_start
+from pbrfit_evaluation.solvers.fits import (
+    AUTO,
+    FIRST_SEED,
+    GAUSS_NEWTON,
+    LBFGSB,
+    Name,
+    fit,
+    in_float32,
+    room,
+)
+from pbrfit_evaluation.solvers.own_process import call
+
+Array = NDArray[np.float64]
+State = Callable[[], tuple[Materials, Array]]
+
+THREADS = 2
+CHECKPOINT_RATIO = 1.12
+"""Evaluations between two measurements, until one is near the mark."""
+
+NEAR = 1.05
+"""Below so many times the mark, by the runner's own account, every state is measured."""
+
+PEER_EVALUATIONS = 1500
+PEER_PATIENCE = 10.0
+"""A peer that has not reached the mark after so many evaluations, or so many times the seconds of
+the paper's recipe, is given up."""
+
+OVER_LBFGSB, OVER_TORCH = 20.0, 10.0
+"""How much sooner `gauss-newton` and `auto` have to be there, at least."""
+
+REHEARSAL_SIZE = 32
+
+PAPER = "lbfgsb, paper's recipe"
+MODEL: Model = "paper"
+"""The one that PyTorch's runner has."""
+
+TORCH = "torch.compile, L-BFGS"
+
+
+@dataclass(frozen=True)
+class Runner:
+    """One of those that race.
+
+    Attributes
+    ----------
+    name
+        What tables and plots say.
+    key
+        Fit for files.
+    solver
+        Of `pbrfit.decompose`; None = PyTorch.
+    from_paper_start
+        Whether it starts where the paper's recipe does. "lbfgsb" as it is has its own start and
+        stages, without which it is the paper's recipe.
+    """
+
+    name: str
+    key: str
+    solver: Name | None
+    from_paper_start: bool = True
+
+    @property
+    def missing(self) -> str:
+        """Why it cannot run here; empty if it can."""
+        absent = self.solver is None and find_spec("torch") is None
+        return "not run: torch is not installed" if absent else ""
+
+
+RUNNERS: tuple[Runner, ...] = (
+    Runner(PAPER, "paper", LBFGSB),
+    Runner("gauss-newton", "gauss-newton", GAUSS_NEWTON),
+    Runner("auto", "auto", AUTO),
+    Runner("lbfgsb", "lbfgsb", LBFGSB, from_paper_start=False),
+    Runner(TORCH, "torch", None),
+)
+BY_KEY = {runner.key: runner for runner in RUNNERS}
+
+
+@dataclass(frozen=True)
+class Mark:
+    """What the paper's recipe ended at: RMS residual in picture units; and its seconds."""
+
+    residual: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """A runner on a scene; `mark` is None for the paper's recipe, which makes it."""
+
+    runner: str
+    seed: int
+    size: int
+    iterations: int
+    mark: Mark | None = None
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        return f"race_{self.runner}_{self.seed}"
+
+
+def plan_marks(scenes: int, size: int, iterations: int) -> list[Task]:
+    """The paper's recipe on each scene, which has to be first."""
+    return [Task("paper", FIRST_SEED + i, size, iterations) for i in range(scenes)]
+
+
+def plan_rest(marks: Sequence[tuple[Task, Mapping[str, Any] | None]]) -> list[Task]:
+    """All others on the scenes whose mark is known."""
+    return [
+        replace(task, runner=runner.key, mark=Mark(values["residual"], values["seconds"]))
+        for task, values in marks
+        if values is not None
+        for runner in RUNNERS[1:]
+        if not runner.missing
+    ]
+
+
+def work(task: Task, threads: int) -> dict[str, Any]:
+    """One run in a process of its own."""
+    found: dict[str, Any] = call(run, task, min(threads, THREADS))
+    return found
+
+
+def run(task: Task, threads: int) -> dict[str, Any]:
+    """One run, after a small one that loads libraries and wakes threads."""
+    runner = BY_KEY[task.runner]
+    small = in_float32(room(0, REHEARSAL_SIZE, held_out=1, model=MODEL))
+    rehearsal = replace(task, iterations=5, mark=Mark(0.0, 0.1))
+    _start_run(runner, small, rehearsal, Tracker(small, 0.0, threads), threads)
+    scene = in_float32(room(task.seed, task.size, held_out=1, model=MODEL))
+    tracker = Tracker(scene, task.mark.residual if task.mark else 0.0, threads)
+    reason = _start_run(runner, scene, task, tracker, threads)
+    points = tracker.points
+    return {
+        "points": points,
+        "residual": points[-1][2],
+        "seconds": points[-1][0],
+        "evaluations": points[-1][1],
+        "is_mark": task.mark is None,
+        "reached": tracker.reached,
+        "stop_reason": reason,
+        "threads": threads,
+        "pictures_rms": float(np.sqrt(np.mean(np.square(scene.images, dtype=np.float64)))),
+    }
+
+
+def _start_run(runner: Runner, scene: Scene, task: Task, tracker: Tracker, threads: int) -> str:
+    start = paper_start(scene) if runner.from_paper_start else None
+    if runner.solver is None:
+        assert task.mark is not None
+        limits = torch_peer.Limits(PEER_EVALUATIONS, PEER_PATIENCE * task.mark.seconds)
+        settings = replace(torch_peer.LBFGS, compiled=True)
+        try:
+            return torch_peer.fit(scene, settings, limits, tracker, threads, start=start)
+        except ReachedError:
+            return "the mark is reached"
+
+    def visit(progress: Progress) -> None:
+        tracker.visit(
+            progress.elapsed_s,
+            progress.iteration,
+            progress.evaluations,
+            progress.state,
+            claimed=progress.recon_rmse,
+        )
+
+    result = fit(
+        scene,
+        runner.solver,
+        start=start,
+        iterations=task.iterations,
+        threads=threads,
+        priors=None,
+        uncertainty=False,
+        progress=visit,
+    )
+    state = result.materials, result.lighting
+    tracker.end(result.seconds, 0, result.evaluations, lambda: state)
+    return result.stop_reason
+
+
+class ReachedError(Exception):
+    """The way out of a peer's loop: the mark is reached, and the rest of no interest."""
+
+
+class Tracker:
+    """Measures a run's residual over all pixels in float64, with the clock stopped.
+
+    At the first states and at numbers of evaluations that grow by 12 %; and at every state that is
+    near the mark by the runner's own account until one has reached it. A runner whose account is
+    not known is measured at every state it shows, and stopped when it is there.
+    """
+
+    def __init__(self, scene: Scene, mark: float, threads: int) -> None:
+        self._scene = scene
+        self._mark = mark
+        self._threads = threads
+        self._next = 0.0
+        self.points: list[tuple[float, int, float]] = []
+        """(seconds, evaluations, residual)"""
+        self.reached: float | None = None
+        """Seconds when the mark was first reached."""
+
+    def visit(
+        self,
+        seconds: float,
+        _iteration: int,
+        evaluations: int,
+        state: State,
+        claimed: float | None = None,
+    ) -> None:
+        """Measure, if it is time to."""
+        near = claimed is None or claimed <= NEAR * self._mark
+        if evaluations >= self._next or (near and self.reached is None):
+            self._measure(seconds, evaluations, state)
+            if claimed is None and self.reached is not None:
+                raise ReachedError
+
+    def end(self, seconds: float, _iteration: int, evaluations: int, state: State) -> None:
+        """Measure what is handed back."""
+        self._measure(seconds, evaluations, state)
+
+    def _measure(self, seconds: float, evaluations: int, state: State) -> None:
+        residual = self._residual(*state())
+        self.points.append((seconds, evaluations, residual))
+        self._next = max(evaluations + 1, CHECKPOINT_RATIO * evaluations)
+        if self.reached is None and residual <= self._mark:
+            self.reached = seconds
+
+    def _residual(self, materials: Materials, lighting: Array) -> float:
+        scene = self._scene
+        squares = []
+        # Picture by picture: all at once would be held in float64. Maps of float32 runners may
+        # leave [0, 1] by a rounding.
+        maps = (materials.albedo, materials.roughness, materials.metallic)
+        inside = Materials(*(np.clip(values, 0, 1) for values in maps))
+        for light, image in zip(lighting, scene.images, strict=True):
+            rendered = render(
+                *(inside, scene.normals, light, scene.fov, self._threads),
+                model=chosen_model(None, scene.model),
+            )
+            squares.append(metrics.rmse(rendered, image) ** 2)
+        return float(np.sqrt(np.mean(squares)))

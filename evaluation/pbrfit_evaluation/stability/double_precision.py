@@ -1,0 +1,277 @@
+"""The objective in float64, and the size that its rounding errors are measured against.
+
+Vectorised numpy on top of `pbrfit.shade` and `pbrfit.shade_vjp`, in pieces that fit the cache; sums
+over pieces are exact (`math.fsum`). It shares with the fast objective the model in double
+precision, not the arithmetic that is under test.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import _core
+from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
+
+PIECE = 4096
+"""Pixels at a time."""
+
+COSINE_TRANSFER = np.repeat([math.pi, 2 * math.pi / 3, math.pi / 4, 0.0], [1, 3, 5, 7])
+FIRST_OF_BAND = (0, 1, 4, 9)
+BAND_OF = np.repeat([0, 1, 2, 3], [1, 3, 5, 7])
+BASIS_SIZE = np.sqrt((2 * BAND_OF + 1) / (4 * math.pi))
+"""Largest value of a band's basis functions. They are polynomials whose terms cancel, so their
+errors go with this and not with their value."""
+
+MODEL: Model = "paper"
+"""Whose terms the natural scales below are made of."""
+
+DIELECTRIC_F0 = 0.04
+MIN_COSINE = 1e-4
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """Directions and materials: normals, views, albedo (P, 3); roughness, metallic (P,)."""
+
+    normals: Array
+    views: Array
+    albedo: Array
+    roughness: Array
+    metallic: Array
+
+    def __len__(self) -> int:
+        return len(self.roughness)
+
+    def __getitem__(self, rows: slice | NDArray[np.intp]) -> Pixels:
+        return Pixels(
+            self.normals[rows],
+            self.views[rows],
+            self.albedo[rows],
+            self.roughness[rows],
+            self.metallic[rows],
+        )
+
+    def shade(self) -> Array:
+        """Weights, (P, 3, 16)."""
+        return shade(
+            *(self.normals, self.views, self.albedo, self.roughness, self.metallic), model=MODEL
+        )
+
+    def render(self, lighting: Array, threads: int = 0) -> Array:
+        """Radiance (N, P, 3) in float64."""
+        return _core.render(
+            self.normals,
+            self.views,
+            self.albedo,
+            self.roughness,
+            self.metallic,
+            lighting,
+            threads,
+            MODEL,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Pictures and a point at which their objective is evaluated.
+
+    Attributes
+    ----------
+    pixels
+        P of them.
+    lighting
+        (N, 16, 3).
+    images
+        (N, P, 3) float32 targets.
+    """
+
+    pixels: Pixels
+    lighting: Array
+    images: NDArray[np.float32]
+
+    @cached_property
+    def x(self) -> Array:
+        """The point as the fast objective takes it."""
+        p = self.pixels
+        return np.concatenate([p.albedo.T.ravel(), p.roughness, p.metallic, self.lighting.ravel()])
+
+    def problem(self, threads: int = 0) -> _core.Problem:
+        """The fast objective."""
+        return _core.Problem(
+            self.images, self.pixels.normals, self.pixels.views, threads, model=MODEL
+        )
+
+    def blocks(self) -> dict[str, slice]:
+        """Where in x and the gradient each kind of unknown lies."""
+        p = len(self.pixels)
+        return {
+            "albedo": slice(0, 3 * p),
+            "roughness": slice(3 * p, 4 * p),
+            "metallic": slice(4 * p, 5 * p),
+            "lights": slice(5 * p, 5 * p + self.lighting.size),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Loss and gradient, each with its natural scale.
+
+    The scale is the same sum with every term replaced by its size, down to the single products
+    that make up a weight; each residual I − T by Σ_k |w_k L_k| + |T|; and each basis function by
+    the largest value in its band. However floating-point
+    arithmetic orders the terms, its error is a small multiple of its precision times that scale;
+    relative to the sum itself it can be anything, because terms cancel.
+    """
+
+    loss: float
+    gradient: Array
+    loss_scale: float
+    gradient_scale: Array
+
+
+def evaluate(case: Case) -> Evaluation:
+    """Loss and gradient of a case in float64, with scales."""
+    count = len(case.pixels)
+    lights = np.ascontiguousarray(case.lighting.transpose(2, 0, 1))  # (3, N, 16)
+    factor = 2.0 / (3 * count * len(case.lighting))
+    materials = np.empty((2, 5, count))
+    by_lights = []
+    losses, loss_scales = [], []
+    for start in range(0, count, PIECE):
+        piece = case.pixels[start : start + PIECE]
+        rows = slice(start, start + len(piece))
+        weights = piece.shade().transpose(1, 0, 2)  # (3, P, 16)
+        sizes = _Sizes(piece)
+        targets = case.images[:, rows].transpose(2, 1, 0).astype(np.float64)  # (3, P, N)
+        residual = weights @ lights.transpose(0, 2, 1) - targets
+        size = sizes.weights @ np.abs(lights).transpose(0, 2, 1) + np.abs(targets)
+        losses.append(float(np.sum(residual * residual)))
+        loss_scales.append(float(np.sum(np.abs(residual) * size)))
+        by_weights = factor * (residual @ lights)
+        d_albedo, d_roughness, d_metallic, _ = shade_vjp(
+            piece.normals,
+            piece.views,
+            piece.albedo,
+            piece.roughness,
+            piece.metallic,
+            by_weights.transpose(1, 0, 2),
+            model=MODEL,
+        )
+        materials[0, :3, rows] = d_albedo.T
+        materials[0, 3, rows] = d_roughness
+        materials[0, 4, rows] = d_metallic
+        materials[1, :, rows] = sizes.by_material(factor * (size @ np.abs(lights)))
+        by_lights.append(
+            factor
+            * np.stack(
+                [residual.transpose(0, 2, 1) @ weights, size.transpose(0, 2, 1) @ sizes.weights]
+            )
+        )
+    lights_sum = _exact_sum(by_lights).transpose(0, 2, 3, 1)  # (2, N, 16, 3)
+    return Evaluation(
+        math.fsum(losses) * factor / 2,
+        np.concatenate([materials[0].ravel(), lights_sum[0].ravel()]),
+        math.fsum(loss_scales) * factor,
+        np.concatenate([materials[1].ravel(), lights_sum[1].ravel()]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """What is summed over all samples: the loss, and the gradient by the lights.
+
+    Here the scale takes residuals as they are, because this is about the summation.
+    """
+
+    loss: float
+    by_lights: Array
+    by_lights_scale: Array
+
+
+def sums(case: Case) -> Sums:
+    """The part of `evaluate` that accumulates, without the material gradients."""
+    count = len(case.pixels)
+    lights = np.ascontiguousarray(case.lighting.transpose(2, 0, 1))
+    factor = 2.0 / (3 * count * len(case.lighting))
+    losses, by_lights = [], []
+    for start in range(0, count, PIECE):
+        piece = case.pixels[start : start + PIECE]
+        weights = piece.shade().transpose(1, 0, 2)
+        targets = case.images[:, start : start + PIECE].transpose(2, 0, 1).astype(np.float64)
+        residual = lights @ weights.transpose(0, 2, 1) - targets  # (3, N, P)
+        losses.append(float(np.sum(residual * residual)))
+        by_lights.append(
+            factor * np.stack([residual @ weights, np.abs(residual) @ _Sizes(piece).weights])
+        )
+    total = _exact_sum(by_lights).transpose(0, 2, 3, 1)
+    return Sums(math.fsum(losses) * factor / 2, total[0].ravel(), total[1].ravel())
+
+
+def _exact_sum(parts: list[Array]) -> Array:
+    """Sum of equal arrays, correctly rounded entry by entry."""
+    stacked = np.stack(parts)
+    flat = stacked.reshape(len(parts), -1)
+    return np.array([math.fsum(column) for column in flat.T]).reshape(stacked.shape[1:])
+
+
+class _Sizes:
+    """Sizes of the terms that make up weights and their derivatives, for some pixels."""
+
+    def __init__(self, pixels: Pixels) -> None:
+        cosine = np.sum(pixels.normals * pixels.views, axis=-1)
+        cosine = np.maximum(cosine, MIN_COSINE)
+        rho = pixels.albedo.T  # (3, P), as all below
+        r, m = pixels.roughness, pixels.metallic
+        h, slope = (np.abs(b) for b in ggx_band_weights(r))
+        schlick = (1 - cosine) ** 5
+        k = r**4 / 2
+        below = cosine * (1 - k) + k
+        g1 = cosine / below
+        g1_slope = cosine * (1 - cosine) / below**2 * 2 * r**3
+        f0 = DIELECTRIC_F0 * (1 - m) + m * rho
+        fresnel = f0 + (1 - f0) * schlick
+        transmitted = (1 - fresnel) / math.pi
+        # Factors of the two sets of basis functions, and their derivatives' terms.
+        self._specular = (fresnel * g1 / 4)[..., None] * h  # (3, P, 4)
+        self._diffuse = transmitted * (1 - m) * rho
+        by_f0 = (1 - schlick) * (1 - m) * rho / math.pi
+        self._by_albedo = (transmitted * (1 - m) + m * by_f0, (m * (1 - schlick) * g1 / 4, h))
+        contrast = np.abs(rho - DIELECTRIC_F0)
+        self._by_metallic = (
+            transmitted * rho + contrast * by_f0,
+            (contrast * (1 - schlick) * g1 / 4, h),
+        )
+        self._by_roughness = (fresnel / 4)[..., None] * (
+            g1_slope[:, None] * h + g1[:, None] * slope
+        )  # (3, P, 4)
+
+    @cached_property
+    def weights(self) -> Array:
+        """(3, P, 16)."""
+        diffuse = self._diffuse[..., None] * (COSINE_TRANSFER * BASIS_SIZE)
+        return np.asarray(diffuse + self._specular[..., BAND_OF] * BASIS_SIZE)
+
+    def by_material(self, by_weights: Array) -> Array:
+        """Sizes (5, P) of the material derivatives from sizes (3, P, 16) of those by weights."""
+        at_normal = np.sum(by_weights * (COSINE_TRANSFER * BASIS_SIZE), axis=-1)
+        at_mirror = by_weights * BASIS_SIZE
+        bands = np.add.reduceat(at_mirror, FIRST_OF_BAND, axis=-1)
+
+        def pull_back(factors: tuple[Array, tuple[Array, Array]]) -> Array:
+            diffuse, (specular, h) = factors
+            return np.asarray(diffuse * at_normal + specular * np.sum(h * bands, axis=-1))
+
+        return np.concatenate(
+            [
+                pull_back(self._by_albedo),
+                np.sum(self._by_roughness * bands, axis=(0, -1))[None],
+                pull_back(self._by_metallic).sum(axis=0)[None],
+            ]
+        )

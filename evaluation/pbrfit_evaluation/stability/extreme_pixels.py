@@ -1,0 +1,142 @@
+"""Random and extreme pixels, lights and pictures that the stability suite evaluates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from pbrfit_evaluation.stability.double_precision import Case, Pixels
+
+Array = NDArray[np.float64]
+
+NEAR = 1e-8
+"""How near to a special value "near" is."""
+
+
+def random_pixels(rng: Generator, count: int) -> Pixels:
+    """Draw materials all over their range, seen at all cosines from 0.05 to 1."""
+    views = _unit(np.stack([*rng.uniform(-0.6, 0.6, (2, count)), np.ones(count)], axis=-1))
+    return Pixels(
+        seen_at(rng, views, rng.uniform(0.05, 1.0, count)),
+        views,
+        rng.uniform(0, 1, (count, 3)),
+        rng.uniform(0, 1, count),
+        rng.uniform(0, 1, count),
+    )
+
+
+def seen_at(rng: Generator, views: Array, cosine: Array) -> Array:
+    """Normals (P, 3) with the given n·v, turned about the view direction at random."""
+    across = _unit(np.cross(views, rng.normal(size=views.shape)))
+    return np.asarray(cosine[:, None] * views + np.sqrt(1 - cosine**2)[:, None] * across)
+
+
+def random_lights(rng: Generator, count: int, variation: float = 0.5) -> Array:
+    """Lights (N, 16, 3) of radiance about 1, with bands that vary by `variation` and fall off."""
+    spread = np.repeat([0.3, 1.0, 0.6, 0.4], [1, 3, 5, 7])
+    lights = variation * spread[:, None] * rng.normal(size=(count, 16, 3))
+    lights[:, 0] += 2.0
+    return np.asarray(lights)
+
+
+def random_targets(rng: Generator, pictures: int, pixels: int) -> NDArray[np.float32]:
+    """Radiance (N, P, 3) that has nothing to do with the pixels: residuals like the signal."""
+    return rng.uniform(0, 2, (pictures, pixels, 3)).astype(np.float32)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Pixels that have something special."""
+
+    name: str
+    make: Callable[[Generator, Case], Case]
+
+
+def make_case(rng: Generator, kind: Kind, pixels: int, pictures: int) -> Case:
+    """Draw a case of one kind."""
+    plain = Case(
+        random_pixels(rng, pixels),
+        random_lights(rng, pictures),
+        random_targets(rng, pictures, pixels),
+    )
+    return kind.make(rng, plain)
+
+
+def _with_roughness(center: float, low: float, high: float) -> Callable[[Generator, Case], Case]:
+    """Roughness within [low, high] of `center`, one pixel in eight exactly on it."""
+
+    def make(rng: Generator, case: Case) -> Case:
+        r = center + rng.uniform(low, high, len(case.pixels))
+        r[::8] = center
+        return replace(case, pixels=replace(case.pixels, roughness=r))
+
+    return make
+
+
+def _grazing(rng: Generator, case: Case) -> Case:
+    # From facing the camera to beyond the clamp; one in eight faces away.
+    cosine = 10.0 ** rng.uniform(-7, 0, len(case.pixels))
+    cosine[::8] *= -1
+    normals = seen_at(rng, case.pixels.views, cosine)
+    return replace(case, pixels=replace(case.pixels, normals=normals))
+
+
+def _on_bounds(rng: Generator, case: Case) -> Case:
+    # Albedo, roughness and metallic exactly 0 or 1, in all combinations.
+    n = len(case.pixels)
+    albedo = rng.integers(0, 2, (n, 3)).astype(np.float64)
+    roughness, metallic = rng.integers(0, 2, (2, n)).astype(np.float64)
+    pixels = replace(case.pixels, albedo=albedo, roughness=roughness, metallic=metallic)
+    return replace(case, pixels=pixels)
+
+
+def _scaled(low: float, high: float) -> Callable[[Generator, Case], Case]:
+    """Pictures of different exposure, log-uniform between low and high."""
+
+    def make(rng: Generator, case: Case) -> Case:
+        scale = np.exp(rng.uniform(np.log(low), np.log(high), (len(case.lighting), 1, 1)))
+        scale[0], scale[-1] = low, high
+        images = (case.images * scale).astype(np.float32)
+        return Case(case.pixels, case.lighting * scale, images)
+
+    return make
+
+
+def _dark_channel(_: Generator, case: Case) -> Case:
+    # Blue is black in light and picture, in half of the pictures in the picture alone.
+    lighting, images = case.lighting.copy(), case.images.copy()
+    images[..., 2] = 0
+    lighting[: len(lighting) // 2, :, 2] = 0
+    return Case(case.pixels, lighting, images)
+
+
+def _everything(rng: Generator, case: Case) -> Case:
+    for kind in (_grazing, _on_bounds, _scaled(1e-6, 1e6), _dark_channel):
+        case = kind(rng, case)
+    return case
+
+
+KINDS = (
+    Kind("random", lambda _, case: case),
+    Kind("r near 0", _with_roughness(0.0, 0.0, NEAR)),
+    Kind("r near 1", _with_roughness(1.0, -NEAR, 0.0)),
+    Kind("r across 0.4", _with_roughness(0.4, -NEAR, NEAR)),
+    Kind("n·v from 1 to 10⁻⁷, or negative", _grazing),
+    Kind("ρ, r, m exactly 0 or 1", _on_bounds),
+    Kind("lights × 10⁻⁶", _scaled(1e-6, 1e-6)),
+    Kind("lights × 10⁶", _scaled(1e6, 1e6)),
+    Kind("lights × 10⁻⁶ … 10⁶ in one problem", _scaled(1e-6, 1e6)),
+    Kind("blue dark", _dark_channel),
+    Kind("grazing, on bounds, mixed lights, blue dark", _everything),
+)
+
+MANY_PICTURES = Kind("random, 32 times as many pictures", lambda _, case: case)
+"""What depends on a pixel is summed over its pictures too."""

@@ -1,0 +1,195 @@
+"""The rows of Table 1: what each changes about the base, and what the paper found there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pbrfit.model.reflection import Model
+from pbrfit.result.refinement import RefineNormals
+from pbrfit_evaluation.recipes import Recipe
+
+COLUMNS = ("recon", "albedo", "roughness", "metallic", "relight")
+"""What the paper reports."""
+
+PLAIN: tuple[Recipe, ...] = ("plain", "default", "paper", "constant", "start")
+"""The paper has no priors in any row but one, so ours without priors come first."""
+
+REFINED: tuple[Recipe, ...] = ("plain", "default")
+"""The paper's recipe and guesses cannot refine normals."""
+
+REGULARIZED: tuple[Recipe, ...] = ("default", "paper-priors", "constant", "start")
+
+Renderer = Literal["own", "cycles"]
+NormalSource = Literal["true", "predicted"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setup.
+
+    Attributes
+    ----------
+    key, name
+        For files, and for people.
+    what
+        What sets it apart, in a sentence.
+    scene
+        Kind of scene.
+    renderer
+        Whose pictures: our forward model's, or Blender Cycles'.
+    light, transport
+        Of Cycles: see `pbrfit_evaluation.cycles.render_scene`.
+    normals
+        The true ones, or those of a simulated or given estimator.
+    refine_normals
+        As for `pbrfit.decompose`.
+    sh_order
+        That the decomposition fits; the true lights have order 3.
+    fov
+        That the decomposition is told, in degrees; the true one is 60.
+    swapped
+        Whether our renderer uses the other model than the one that is fitted, instead of the same.
+    recipes
+        Ways to explain its scenes.
+    paper
+        The paper's RMSE, on the paper's scenes.
+    paper_row
+        What the paper calls its row.
+    """
+
+    key: str
+    name: str
+    what: str
+    scene: Literal["furnished", "detailed"] = "furnished"
+    renderer: Renderer = "own"
+    light: Literal["panorama", "points"] = "panorama"
+    transport: Literal["brdf", "shadows", "full"] = "full"
+    normals: NormalSource = "true"
+    refine_normals: RefineNormals = "off"
+    sh_order: int = 3
+    fov: float = 60.0
+    swapped: bool = False
+    recipes: tuple[Recipe, ...] = PLAIN
+    paper: Mapping[str, float] = field(default_factory=dict)
+    paper_row: str = ""
+
+
+def _paper(*errors: float) -> dict[str, float]:
+    return dict(zip(COLUMNS, errors, strict=False))
+
+
+ROWS = (
+    Row(
+        "base",
+        "Base",
+        "Our renderer, SH3 lights, true normals, true field of view.",
+        paper=_paper(0.001, 0.065, 0.232, 0.186, 0.166),
+        paper_row="Base",
+    ),
+    Row(
+        "sh2",
+        "SH2 decomposition",
+        "The base pictures, explained by lights of order 2.",
+        sh_order=2,
+        paper=_paper(0.002, 0.064, 0.242, 0.147, 0.154),
+        paper_row="SH2 decomp",
+    ),
+    Row(
+        "normals",
+        "Predicted normals",
+        "The base pictures with normals as a learned estimator gives them.",
+        normals="predicted",
+        paper=_paper(0.016, 0.160, 0.341, 0.446, 0.201),
+        paper_row="Pred. normals",
+    ),
+    Row(
+        "normals-refined",
+        "Predicted normals, refined",
+        "The same scenes and normals, refined where the pictures say that they are wrong.",
+        normals="predicted",
+        refine_normals="auto",
+        recipes=REFINED,
+    ),
+    Row(
+        "fov90",
+        "FOV 90",
+        "The base pictures, with a field of view of 90 degrees where 60 is true.",
+        fov=90.0,
+        paper=_paper(0.004, 0.091, 0.283, 0.194, 0.143),
+        paper_row="FOV=90",
+    ),
+    Row(
+        "other-model",
+        "Pictures of the other model",
+        "The base scenes, rendered with the other reflection model than the one that is fitted.",
+        swapped=True,
+    ),
+    Row(
+        "detailed",
+        "Detailed scenes",
+        "Our renderer, the rooms with textures on everything.",
+        scene="detailed",
+    ),
+    Row(
+        "cycles-brdf",
+        "Cycles, panorama: BRDF alone",
+        "Cycles, a panorama that encodes the SH3 light, nothing blocks or reflects it.",
+        renderer="cycles",
+        transport="brdf",
+    ),
+    Row(
+        "cycles-shadows",
+        "Cycles, panorama: and shadows",
+        "As before, but furniture, floor and the walls in view block the light.",
+        renderer="cycles",
+        transport="shadows",
+    ),
+    Row(
+        "cycles-panorama",
+        "Cycles, panorama",
+        "As before, and light bounces: all that a path tracer does.",
+        renderer="cycles",
+    ),
+    Row(
+        "cycles-points-unshadowed",
+        "Cycles, point lights without shadows",
+        "Direct light of lamps without size inside the room.",
+        renderer="cycles",
+        light="points",
+        transport="brdf",
+    ),
+    Row(
+        "cycles-points",
+        "Cycles, point lights",
+        "As before, with shadows.",
+        renderer="cycles",
+        light="points",
+        transport="shadows",
+        paper=_paper(0.040, 0.386, 0.408, 0.630),
+        paper_row="Cycles (point lights)",
+    ),
+    Row(
+        "cycles-detailed",
+        "Detailed scenes, Cycles, panorama",
+        "The rooms with textures, rendered with all that a path tracer does.",
+        scene="detailed",
+        renderer="cycles",
+        paper=_paper(0.043, 0.222, 0.334, 0.435, 0.210),
+        paper_row="NFINITE",
+    ),
+    Row(
+        "regularized",
+        "Regularised",
+        "The base pictures, explained with priors; the paper's on roughness and metallic have the "
+        "true segments.",
+        recipes=REGULARIZED,
+        paper=_paper(0.010, 0.066, 0.241, 0.248, 0.160),
+        paper_row="Regularized",
+    ),
+)
+
+OTHER: dict[Model, Model] = {"paper": "principled", "principled": "paper"}
+
+BY_KEY = {row.key: row for row in ROWS}

@@ -1,0 +1,1 @@
+"""From Scene to Result: options, objective, priors, solvers, normals, tiles, uncertainty."""

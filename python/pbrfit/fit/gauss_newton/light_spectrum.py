@@ -1,0 +1,126 @@
+"""What pixels say about the lights when their materials are fitted too, direction by direction.
+
+With G the information if materials were known and S = G − Σ_p Bᵀ A⁻¹ B what is left of it
+(`normal_equations`), directions of the light are scaled to the same effect on the pictures,
+√(vᵀ G v). In these units S has eigenvalues λ in [0, 1]: the share of information that is left. Few
+are much below 1, however many pictures there are: those directions that materials can imitate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import _core
+from pbrfit.fit.gauss_newton.normal_equations import Eliminated, chunks, eliminate
+from pbrfit.fit.parameters import Layout
+
+Array = NDArray[np.float64]
+
+DARK = 1e-12
+"""Of the largest eigenvalue of G: directions of the light that no pixel sees any more than this
+move no material, and are left out."""
+
+MOST_WHOLE = 1600
+"""Up to so many unknowns all eigenvalues are computed, which takes time with their cube."""
+
+LEADING = 160
+"""Smallest eigenvalues that are computed where there are more unknowns."""
+
+ITERATIONS = 2
+"""Of subspace iteration, before the one that tells eigenvalues."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Directions of the light by how much the pixels tell about them, the least known first.
+
+    Attributes
+    ----------
+    left
+        (R,): λ, rising.
+    vectors
+        (M, R): their directions, of length 1 in units in which G is 1.
+    rest
+        Σ (1 − λ) of the directions that were not computed is at most this; 0 where all were.
+    to_units, from_units
+        (lights, K, K), a light in a channel each: T⁻¹ and T with Tᵀ G T = 1; T is 0 where G is.
+    """
+
+    left: Array
+    vectors: Array
+    rest: float
+    to_units: Array
+    from_units: Array
+
+
+def spectrum(
+    problem: _core.Problem,
+    x: Array,
+    layout: Layout,
+    pixels: NDArray[np.uint64],
+    held: NDArray[np.bool_],
+) -> Spectrum:
+    """Over some pixels; `held` (P', D) are unknowns that are no unknowns."""
+    lights, k = layout.pictures * layout.light_channels, layout.coefficients
+    size = lights * k
+    parts = [
+        eliminate(problem, x, layout, pixels[chunk], held[chunk])
+        for chunk in chunks(len(pixels), 8 * held.shape[1] * size)
+    ]
+    alone = np.sum([part.information_alone(layout) for part in parts], axis=0)
+    to_units, from_units = _units(alone.reshape(lights, k, k))
+    if size > MOST_WHOLE:
+        left, vectors = _leading(parts, from_units, layout)
+        rest = (size - len(left)) * max(0.0, 1 - float(left[-1]))
+        return Spectrum(left, vectors, rest, to_units, from_units)
+    shared = np.zeros((size, size))
+    for part in parts:
+        shared += part.information(layout)
+    # Scaled block by block: T has blocks of one light.
+    scaled = np.einsum(
+        "aki,akbl,blj->aibj", from_units, shared.reshape(lights, k, lights, k), from_units,
+        optimize=True,
+    ).reshape(size, size)  # fmt: skip
+    unseen = ~from_units.any(axis=1).ravel()
+    scaled[unseen, unseen] = 1
+    left, vectors = np.linalg.eigh(scaled)
+    return Spectrum(left, vectors, 0.0, to_units, from_units)
+
+
+def _units(alone: Array) -> tuple[Array, Array]:
+    sizes, directions = np.linalg.eigh(alone)
+    seen = sizes > DARK * sizes.max()
+    roots = np.sqrt(np.where(seen, sizes, 0))
+    inverses = np.zeros_like(roots)
+    np.divide(1, roots, where=seen, out=inverses)
+    return roots[:, :, None] * directions.transpose(0, 2, 1), directions * inverses[:, None, :]
+
+
+def _leading(parts: list[Eliminated], from_units: Array, layout: Layout) -> tuple[Array, Array]:
+    """Smallest λ and their directions.
+
+    Subspace iteration with 1 − Tᵀ S T = Σ_p Tᵀ Bᵀ A⁻¹ B T from random directions (N. Halko,
+    P. Martinsson, J. Tropp, SIAM Review 53, 2011), and the Rayleigh-Ritz values of its result. This
+    matrix has few large eigenvalues, so it converges at once; and it is applied pixel by pixel, in
+    time that is linear in the number of pictures.
+    """
+    blocks, k, _ = from_units.shape
+    n = layout.pictures
+
+    def apply(directions: Array) -> Array:
+        lights = from_units @ directions.reshape(blocks, k, -1)
+        lights = lights.reshape(n, -1, k, directions.shape[1])
+        moved = np.zeros_like(lights)
+        for part in parts:
+            moved += part.imitated(lights, layout)
+        units = from_units.transpose(0, 2, 1) @ moved.reshape(blocks, k, -1)
+        return np.asarray(units.reshape(directions.shape))
+
+    found = np.random.default_rng(0).normal(size=(blocks * k, LEADING))
+    for _ in range(ITERATIONS):
+        found, _ = np.linalg.qr(apply(found))
+    lost, turn = np.linalg.eigh(found.T @ apply(found))
+    return 1 - lost[::-1], found @ turn[:, ::-1]

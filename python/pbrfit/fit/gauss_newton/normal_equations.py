@@ -1,0 +1,246 @@
+"""Normal equations of materials and lights: pixels solved for, lights left (Schur complement)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import _core
+from pbrfit.fit.parameters import Layout
+
+Array = NDArray[np.float64]
+
+RIDGE = 1e-12
+"""Added to matrices of unit diagonal before they are inverted; far below what data can tell."""
+
+LIGHT_RIDGE = 1e-13
+"""Of the largest diagonal entry of the lights' system: they may have directions that no pixel sees.
+"""
+
+SINGULAR = 1e8
+"""Where the other unknowns of a pixel raise a variance by more than this, rounding has decided it:
+the matrices are sums of float64 products, and the pictures have 7 digits."""
+
+WORKING_SET = 1 << 24
+"""Bytes of the largest array that a piece of work may need."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """Inverse matrices of pixels, (P, D, D), and the unknowns about which they say nothing, (P, D).
+
+    Rows and columns of the latter and of unknowns that are held are 0.
+    """
+
+    matrices: Array
+    singular: NDArray[np.bool_]
+
+
+def inverse(matrices: Array, held: NDArray[np.bool_]) -> Inverse:
+    """Of symmetric positive semidefinite matrices (P, D, D) without the unknowns `held` (P, D).
+
+    An unknown is singular if radiance does not depend on it at all, or if others can make up for
+    it completely.
+    """
+    scaled, scale = _scaled(matrices, held)
+    inverted = np.linalg.inv(scaled)
+    inflation = np.einsum("pii->pi", inverted)
+    singular = ~held & ((scale == 0) | (inflation > SINGULAR))
+    return Inverse(inverted * scale[:, :, None] * scale[:, None, :], singular)
+
+
+def _scaled(matrices: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Matrices S A S + ridge of unit diagonal, and the diagonal of S (P, D).
+
+    An unknown in which radiance is flat would spoil the others without this. S is 0 for those that
+    are held and for those on which radiance does not depend.
+    """
+    diagonal = np.einsum("pii->pi", matrices)
+    used = ~held & (diagonal > np.finfo(np.float64).tiny)
+    scale = np.zeros_like(diagonal)
+    np.divide(1, np.sqrt(diagonal, where=used, out=scale), where=used, out=scale)
+    scaled = matrices * scale[:, :, None] * scale[:, None, :]
+    np.einsum("pii->pi", scaled)[:] = 1 + RIDGE
+    return scaled, scale
+
+
+def held_at_bounds(x: Array, layout: Layout) -> NDArray[np.bool_]:
+    """(P, D): unknowns of pixels that lie on a bound."""
+    materials = x[layout.maps].reshape(-1, layout.pixels).T
+    return (materials <= 0) | (materials >= 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """Some pixels whose materials are solved for, and what that leaves for the lights.
+
+    With J the derivatives of a pixel's radiance by its D unknowns, ω the weights of its samples and
+    w_ck the derivatives by the light,
+
+        A = Σ_ic ω_ic J_ic J_icᵀ      B[θ, ick] = ω_ic J_icθ w_ck
+
+    The M unknowns of the lights are (N, light channels, K). Each pixel's share of what is left is
+    positive semidefinite: pixels are not scaled apart, so the sum is too.
+
+    Attributes
+    ----------
+    jacobian
+        (P, N, C, D): J, 0 for unknowns that are held.
+    by_light, weights
+        (P, C, K) and (P, N, C): w and ω.
+    whiten
+        (P, D, D), lower triangular: U with U A Uᵀ = 1, so that A⁻¹ = Uᵀ U; 0 for what is held.
+    rows
+        (P, D, N, C): U Jᵀ Ω. Times w they are U B, so Bᵀ A⁻¹ B is the sum of their squares.
+    """
+
+    jacobian: Array
+    by_light: Array
+    weights: Array
+    whiten: Array
+    rows: Array
+
+    def information_alone(self, layout: Layout) -> Array:
+        """(N, light channels, K, K): what the pixels say about lights if materials are known."""
+        w = self.by_light
+        gram = np.einsum("pnc,pck,pcl->nckl", self.weights, w, w, optimize=True)
+        if layout.light_channels < layout.channels:
+            gram = gram.sum(axis=1, keepdims=True)
+        return np.asarray(gram)
+
+    def information(self, layout: Layout) -> Array:
+        """(M, M): what is left of it when materials are solved for, G − Σ_p Bᵀ A⁻¹ B."""
+        channels, unknowns = layout.channels, self.rows.shape[1]
+        n, lit, k = layout.pictures, layout.light_channels, layout.coefficients
+        blocks = np.zeros((n, lit, k, n, lit, k))
+        found = blocks.reshape(n * lit * k, -1)
+        for chunk in chunks(len(self.rows), 8 * unknowns * len(found)):
+            # Row c is that of the albedo of channel c: A is diagonal in these, U triangular.
+            for c in range(channels):
+                rows = self.rows[chunk, c, :, c, None] * self.by_light[chunk, None, c]
+                rows = rows.reshape(len(rows), -1)
+                blocks[:, c % lit, :, :, c % lit] -= (rows.T @ rows).reshape(n, k, n, k)
+            rest = self.light_rows(chunk, layout)
+            found -= rest.T @ rest
+        lights = np.arange(n * lit)
+        by_light = found.reshape(n * lit, k, n * lit, k)
+        by_light[lights, :, lights, :] += self.information_alone(layout).reshape(-1, k, k)
+        return found
+
+    def imitated(self, lights: Array, layout: Layout) -> Array:
+        """Σ_p Bᵀ A⁻¹ B v, the part of v that materials imitate, for `lights` (N, ·, K, R) = v."""
+        n, lit, k, count = lights.shape
+        channels = layout.channels
+        found = np.zeros_like(lights)
+        by_coefficient = lights.transpose(1, 2, 0, 3).reshape(lit, k, n * count)
+        for chunk in chunks(len(self.rows), 8 * n * channels * count):
+            w = self.by_light[chunk]
+            rows = self.rows[chunk].transpose(0, 1, 3, 2).reshape(len(w), -1, channels * n)
+            radiance = np.empty((len(w), channels, n * count))
+            for c in range(channels):
+                np.matmul(w[:, c], by_coefficient[c % lit], out=radiance[:, c])
+            moved = rows.transpose(0, 2, 1) @ (rows @ radiance.reshape(len(w), -1, count))
+            moved = moved.reshape(len(w), channels, n * count)
+            for c in range(channels):
+                by_light = (w[:, c].T @ moved[:, c]).reshape(k, n, count)
+                found[:, c % lit] += by_light.transpose(1, 0, 2)
+        return found
+
+    def light_rows(self, chunk: slice, layout: Layout) -> Array:
+        """U B of roughness and metallic, (pixels · unknowns, M)."""
+        rows = self.rows[chunk, layout.channels :, ..., None] * self.by_light[chunk, None, None]
+        if layout.light_channels < layout.channels:
+            rows = rows.sum(axis=3)
+        return rows.reshape(-1, layout.pictures * layout.light_channels * layout.coefficients)
+
+
+def eliminate(
+    problem: _core.Problem,
+    x: Array,
+    layout: Layout,
+    pixels: NDArray[np.uint64],
+    held: NDArray[np.bool_],
+    *,
+    precision: Array | None = None,
+    damping: float = 0.0,
+) -> Eliminated:
+    """Solve some pixels' normal equations for their materials.
+
+    `precision` (P, D) is added to the diagonal of A, then the share `damping` of the diagonal to
+    itself.
+    """
+    by_material, by_light, weights = problem.derivatives(x, pixels)
+    jacobian = _by_unknowns(by_material, layout)
+    jacobian *= ~held[:, None, None, :]
+    matrices = _products(jacobian, weights)
+    if precision is not None:
+        np.einsum("pii->pi", matrices)[:] += precision
+    scaled, scale = _scaled(matrices, held)
+    np.einsum("pii->pi", scaled)[:] += damping
+    # A⁻¹ = S (L Lᵀ)⁻¹ S with Cholesky's L, so U = L⁻¹ S.
+    whiten = np.linalg.inv(np.linalg.cholesky(scaled)) * scale[:, None, :]
+    weighted = (jacobian * weights[..., None]).reshape(len(jacobian), -1, held.shape[1])
+    rows = (whiten @ weighted.transpose(0, 2, 1)).reshape(len(weighted), -1, *weights.shape[1:])
+    return Eliminated(jacobian, by_light, weights, whiten, rows)
+
+
+def chunks(count: int, bytes_each: int) -> list[slice]:
+    """Ranges of pixels that need no more than the working set; at least one pixel each."""
+    step = max(1, WORKING_SET // bytes_each)
+    return [slice(first, min(first + step, count)) for first in range(0, count, step)]
+
+
+def _by_unknowns(by_material: Array, layout: Layout) -> Array:
+    """(P, N, C, D) from (P, N, C, 3): the albedo of a channel changes that channel alone."""
+    c = layout.channels
+    unknowns = c + (1 if layout.metallic_known else 2)
+    jacobian = np.zeros((*by_material.shape[:3], unknowns))
+    for channel in range(c):
+        jacobian[:, :, channel, channel] = by_material[:, :, channel, 0]
+    jacobian[..., c:] = by_material[..., 1 : 1 + unknowns - c]
+    return jacobian
+
+
+def _products(jacobian: Array, weights: Array) -> Array:
+    """Jᵀ Ω J, (P, D, D)."""
+    pixels, unknowns = len(jacobian), jacobian.shape[-1]
+    rows = jacobian.reshape(pixels, -1, unknowns)
+    weighted = rows * weights.reshape(pixels, -1, 1)
+    return np.asarray(weighted.transpose(0, 2, 1) @ rows)
+
+
+def as_in_x(moves: Array, layout: Layout) -> Array:
+    """From (light channel, picture, coefficient), as the core has them, to the order in x."""
+    shape = (layout.light_channels, layout.pictures, layout.coefficients)
+    return moves.reshape(shape).transpose(1, 2, 0).ravel()
+
+
+class Cholesky:
+    """Solves with the matrix of some pixels, damped by a share of its diagonal.
+
+    Attributes
+    ----------
+    diagonal
+        Of the matrix without damping.
+
+    Raises
+    ------
+    LinAlgError
+        If the matrix is not positive definite, which rounding can do to it.
+    """
+
+    def __init__(self, matrix: Array, damping: float) -> None:
+        from scipy.linalg import cho_factor
+
+        diagonal = np.einsum("ii->i", matrix)
+        self.diagonal = diagonal.copy()
+        diagonal += damping * np.abs(diagonal) + LIGHT_RIDGE * diagonal.max() + np.finfo(float).tiny
+        self._factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
+
+    def solve(self, right: Array) -> Array:
+        """The vector that the matrix takes to `right`."""
+        from scipy.linalg import cho_solve
+
+        return np.asarray(cho_solve(self._factor, right, check_finite=False))

@@ -1,0 +1,147 @@
+"""Compare the gradient of an objective with finite differences: a check that users can run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.penalties import Penalty
+
+ValueAndGrad = Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]
+
+TOLERANCE = 1e-4
+"""Relative. The objective is evaluated in float32 inside, so differences carry noise of 1e-5."""
+
+HUBER_TOLERANCE = 1e-3
+"""With Huber's loss, whose slope has corners: differences across them are less exact, the more so
+the fewer samples there are."""
+
+DIRECTIONS = 3
+FIRST_STEP = 0.1
+SHRINK = 1.4
+STEPS = 8
+
+
+@dataclass(frozen=True)
+class GradientCheck:
+    """One derivative along a direction, both ways.
+
+    Attributes
+    ----------
+    function
+        What is derived: "loss", with all its penalties, or the name of a penalty on its own.
+    unknowns
+        The kind that the direction lies in.
+    analytic, numeric
+        By the gradient, and by finite differences.
+    tolerance
+        Relative error that is none.
+    """
+
+    function: str
+    unknowns: str
+    analytic: float
+    numeric: float
+    tolerance: float = TOLERANCE
+
+    @property
+    def relative_error(self) -> float:
+        """|analytic - numeric| over the larger of the two."""
+        largest = max(abs(self.analytic), abs(self.numeric))
+        return abs(self.analytic - self.numeric) / largest if largest else 0.0
+
+    @property
+    def passed(self) -> bool:
+        """Whether both agree within `tolerance`."""
+        return self.relative_error <= self.tolerance
+
+
+def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientCheck]:
+    """Derivatives along random directions, for each kind of unknown apart.
+
+    First of the loss, then of each penalty on its own, which beside the data may be too small to
+    show an error. Materials are drawn from [0.25, 0.75], tilts, where there are, from [-0.2, 0.2];
+    lights are the ones that fit them.
+    Directions follow the signs of the gradient, so that contributions do not cancel.
+    """
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0.25, 0.75, objective.size)
+    if objective.tilts is not None:
+        x[objective.tilts] = 0.8 * (x[objective.tilts] - 0.5)
+    x = objective.with_best_lights(x)
+    if objective.lighting is not None:
+        # Away from the best lights, where their gradient is zero.
+        lights = x[objective.lighting]
+        lights *= rng.uniform(0.8, 1.2, lights.size)
+    checks = _along_blocks("loss", objective.value_and_grad, objective, x, rng)
+    if objective.robust is not None and objective.robust[0] == "huber":
+        checks = [replace(check, tolerance=HUBER_TOLERANCE) for check in checks]
+    for penalty in objective.penalties:
+        found = _along_blocks(penalty.name, _alone(penalty), objective, x, rng)
+        # Without what the penalty does not depend on.
+        checks += [check for check in found if check.analytic or check.numeric]
+    return checks
+
+
+def _along_blocks(
+    name: str,
+    value_and_grad: ValueAndGrad,
+    objective: Objective,
+    x: NDArray[np.float64],
+    rng: np.random.Generator,
+) -> list[GradientCheck]:
+    _, gradient = value_and_grad(x)
+    checks = []
+    for unknowns in ("albedo", "roughness", "metallic", "tilts", "lighting"):
+        block: slice | None = getattr(objective, unknowns)
+        if block is None:
+            continue  # known, no unknown
+        for _ in range(DIRECTIONS):
+            direction = np.zeros(objective.size)
+            amounts = rng.uniform(0.5, 1.0, block.stop - block.start)
+            # Where the gradient is 0, forwards: a difference would show that it should not be.
+            signs = np.where(gradient[block] < 0, -1, 1)
+            # In units of the unknowns' own size, so that steps show above float32 noise.
+            size = np.sqrt(np.mean(np.square(x[block])))
+            direction[block] = size * amounts * signs
+
+            def along(step: float, direction: NDArray[np.float64] = direction) -> float:
+                return value_and_grad(x + step * direction)[0]
+
+            analytic = float(gradient @ direction)
+            checks.append(GradientCheck(name, unknowns, analytic, ridders(along)))
+    return checks
+
+
+def _alone(penalty: Penalty) -> ValueAndGrad:
+    def value_and_grad(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        gradient = np.zeros_like(x)
+        return penalty.value_and_grad(x, gradient), gradient
+
+    return value_and_grad
+
+
+def ridders(f: Callable[[float], float]) -> float:
+    """df/ds at s = 0 by Ridders' method.
+
+    Central differences with steps that shrink by a constant factor are extrapolated to step zero;
+    each column of the table removes one more even power of the step. The entry that changes least
+    from its neighbours is taken (C. J. F. Ridders, Adv. Eng. Software 4, 1982).
+    """
+    best, best_change = np.nan, np.inf
+    previous: list[float] = []
+    for i in range(STEPS):
+        step = FIRST_STEP / SHRINK**i
+        row = [(f(step) - f(-step)) / (2 * step)]
+        for j, older in enumerate(previous):
+            factor = SHRINK ** (2 * (j + 1))
+            row.append((factor * row[j] - older) / (factor - 1))
+            change = max(abs(row[-1] - row[j]), abs(row[-1] - older))
+            if change < best_change:
+                best, best_change = row[-1], change
+        previous = row
+    return best

@@ -1,0 +1,327 @@
+"""How much memory a fit will need, and how much there is: said before anything large is made."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from pbrfit._core import InputError
+from pbrfit.fit.parameters import Layout
+from pbrfit.fit.solvers.projected_lbfgs import CORRECTIONS, choose
+from pbrfit.fit.tiles.tiling import FEW
+from pbrfit.scene.scene import Scene
+
+log = logging.getLogger("pbrfit")
+
+Method = Literal["auto", "gauss-newton", "lbfgsb"]
+"""Solvers whose memory is known."""
+
+METHODS: tuple[Method, ...] = get_args(Method)
+
+SCIPY_BYTES = 480
+"""An unknown, measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and
+gradient."""
+
+PROJECTED_BYTES = 8 * CORRECTIONS + 16 * 8
+"""An unknown, of `projected_lbfgs`: pairs in float32; in float64 the start, x, the next x, the way
+there, two gradients and the core's copy of x; the rest, measured on whole fits of 640² with 16
+pictures, is what the stages before it and the history hold."""
+
+BLOCK = 128
+"""Pixels are padded to whole blocks of so many in the Rust core."""
+
+DIRECTION_BYTES = 32 + 24
+"""Of a pixel in the Rust core: normal and mirror direction in float32 and what that leaves of them,
+n·v in float64."""
+
+GIVEN_DIRECTION_BYTES = 48
+"""The same where normals are free: given normal and view direction in float64."""
+
+REFINING_BYTES = 8 * (7 + 3 * 5) + 64 + 3 * 24 + 2 * 32
+"""Of a pixel while its normal is refined, beside cores: its unknowns with tilts, and without them
+in three states; pairs of neighbours and their weights; normals in three states; what two fits were
+drawn to. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 beside the rest."""
+
+VECTOR_BYTES = 5 * 24
+"""Of a pixel while the core is made: view directions, and two copies of those and of normals."""
+
+WHOLE = 1 << 21
+"""Valid pixels up to which the solver auto fits all of them at once; larger pictures are fitted in
+tiles."""
+
+WORTH_SAYING = 2**30
+"""A fit that needs more bytes says so."""
+
+MAPS_BYTES = 470
+"""Of a pixel: the maps that a fit in tiles finds, and what is made of them when they are written.
+8 MP with 16 pictures took 466 at their peak."""
+
+ROOT = Path("/")
+"""Where the system's files are; tests have their own."""
+
+
+@dataclass(frozen=True)
+class FitMemory:
+    """Bytes that a fit needs beside the interpreter and its libraries.
+
+    Attributes
+    ----------
+    scene
+        Its arrays, which are there already.
+    core
+        Pictures and directions in the Rust core.
+    making
+        For a while, beside these, while the core is made: pictures in the unit of x.
+    solver
+        Beside scene and core while the solver runs: its vectors.
+    refining
+        Beside all of these while the solver fits refined normals: cores of the fits before and of
+        free normals, and states of all pixels; 0 where normals are held.
+    """
+
+    scene: int
+    core: int
+    making: int
+    solver: int
+    refining: int = 0
+
+    @property
+    def further(self) -> int:
+        """That are not there yet."""
+        return self.core + max(self.making, self.solver) + self.refining
+
+    @property
+    def peak(self) -> int:
+        """At the peak."""
+        return self.scene + self.further
+
+
+def of_fit(
+    scene: Scene, layout: Layout, method: Method, *, refine_normals: bool = False
+) -> FitMemory:
+    """What `decompose` needs of memory with a solver.
+
+    Parameters
+    ----------
+    scene, layout
+        What is fitted.
+    method
+        "lbfgsb", or "auto", whose largest part is the L-BFGS at its end.
+    refine_normals
+        Whether normals may be refined.
+    """
+    return of_layout(
+        layout,
+        method,
+        held=bytes_of(scene),
+        exact=scene.images.dtype != np.float32,
+        refine_normals=refine_normals,
+    )
+
+
+def bytes_of(scene: Scene) -> int:
+    """Of the arrays of a scene."""
+    arrays = scene.images, scene.normals, scene.weights, scene.normal_sigma
+    return sum(array.nbytes for array in arrays if array is not None)
+
+
+def of_layout(
+    layout: Layout,
+    method: Method,
+    *,
+    held: int,
+    exact: bool = False,
+    refine_normals: bool = False,
+) -> FitMemory:
+    """What a fit of some layout needs of memory with a solver.
+
+    Parameters
+    ----------
+    layout, method, refine_normals
+        As of `of_fit`.
+    held
+        Bytes of the scene's arrays.
+    exact
+        Whether pictures are in float64; then the core has them in 48 bits.
+    """
+    pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
+    planes = pictures * (channels + layout.weighted)
+    blocks = BLOCK * -(-pixels // BLOCK)
+    driver = "scipy" if method == "lbfgsb" else choose(layout.size)
+    of_unknown = SCIPY_BYTES if driver == "scipy" else PROJECTED_BYTES
+    samples = 4 * (planes + exact * pictures * channels)
+    core = (samples + DIRECTION_BYTES) * blocks
+    refining = 0
+    if refine_normals:
+        # The first fit, the one before the last, and free normals.
+        refining = 2 * core + (samples + GIVEN_DIRECTION_BYTES) * blocks
+        refining += REFINING_BYTES * pixels
+    return FitMemory(
+        scene=held,
+        core=core,
+        making=(samples + VECTOR_BYTES) * pixels,
+        solver=of_unknown * layout.size,
+        refining=refining,
+    )
+
+
+def of_tiles(
+    layout: Layout, *, held: int, exact: bool = False, refine_normals: bool = False
+) -> FitMemory:
+    """The same where the scene is fitted in tiles: as of a lattice, and maps of all pixels."""
+    few = replace(layout, valid=np.ones((1, min(FEW, layout.pixels)), dtype=bool), segments=None)
+    lattice = of_layout(few, "auto", held=held, exact=exact, refine_normals=refine_normals)
+    return replace(lattice, solver=lattice.solver + MAPS_BYTES * layout.pixels)
+
+
+def check(method: Method, needed: FitMemory) -> None:
+    """Say how much memory a fit needs if that is much, and refuse it if there is not so much.
+
+    Raises
+    ------
+    InputError
+        If more is needed than the process may still have. Where that cannot be told, never.
+    """
+    free = available()
+    if free is not None and needed.further > free:
+        advice = "; solver auto needs less" if method == "lbfgsb" else ""
+        if needed.refining:
+            advice += f"; refine_normals off needs {size(needed.refining)} less"
+        raise InputError(
+            f"solver {method}: expected {size(needed.further)} of memory to be available, "
+            f"found {size(free)}; use smaller or fewer pictures{advice}"
+        )
+    if needed.further > WORTH_SAYING:
+        known = "" if free is None else f"; {size(free)} are available"
+        log.warning("solver %s needs about %s of memory%s", method, size(needed.further), known)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a scene is fitted.
+
+    Attributes
+    ----------
+    tiled
+        In tiles, or all pixels at once.
+    refine_normals
+        Whether normals may be refined.
+    needed
+        What that takes.
+    hindered
+        Why normals are not refined for lack of memory; else None.
+    """
+
+    tiled: bool
+    refine_normals: bool
+    needed: FitMemory
+    hindered: str | None = None
+
+
+def plan(
+    layout: Layout,
+    solver: Method,
+    *,
+    held: int,
+    exact: bool = False,
+    refine_normals: bool,
+    optional: bool = False,
+) -> Plan:
+    """How a scene is fitted: the first of these ways that there is memory for.
+
+    The solver auto fits it at once, or in tiles where it has more than `WHOLE` valid pixels; or in
+    tiles all the same; or without refining normals, where that is `optional`. The other solvers
+    have no tiles. Where there is memory for none, it is the way that needs least. Other arguments
+    are those of `of_layout`.
+    """
+    ways = []
+    for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
+        if solver != "auto" or layout.pixels <= WHOLE:
+            needed = of_layout(layout, solver, held=held, exact=exact, refine_normals=refining)
+            ways.append(Plan(False, refining, needed))
+        if solver == "auto":
+            needed = of_tiles(layout, held=held, exact=exact, refine_normals=refining)
+            ways.append(Plan(True, refining, needed))
+    free = available()
+    fit = [way for way in ways if free is None or way.needed.further <= free]
+    chosen = fit[0] if fit else min(ways, key=lambda way: way.needed.further)
+    if chosen.refine_normals == refine_normals or free is None:
+        return chosen
+    least = min(way.needed.further for way in ways if way.refine_normals)
+    return replace(
+        chosen,
+        hindered=f"it needs {size(least)} of memory, and {size(free)} are available",
+    )
+
+
+def available() -> int | None:
+    """Bytes that this process may still take without swapping; None where the system does not say.
+
+    The least of what the machine has left and what the process's control groups (containers, batch
+    jobs) still allow.
+    """
+    limits = [_machine_has(), *_groups_allow()]
+    return min((limit for limit in limits if limit is not None), default=None)
+
+
+def size(count: float) -> str:
+    """Bytes for people."""
+    return f"{count / 2**30:.1f} GiB" if count >= 2**30 else f"{count / 2**20:.0f} MiB"
+
+
+def _machine_has() -> int | None:
+    for line in _lines("proc/meminfo"):
+        name, _, amount = line.partition(":")
+        if name == "MemAvailable":
+            return 1024 * int(amount.split()[0])
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None  # macOS and Windows
+
+
+def _groups_allow() -> list[int]:
+    """What each group that the process is in, and each around it, has left."""
+    left = []
+    for line in _lines("proc/self/cgroup"):
+        _, controllers, path = line.split(":", 2)
+        if controllers == "":
+            root, limit, usage = "sys/fs/cgroup", "memory.max", "memory.current"
+            reclaimable = "inactive_file"
+        elif "memory" in controllers.split(","):
+            root, limit, usage = (
+                "sys/fs/cgroup/memory",
+                "memory.limit_in_bytes",
+                "memory.usage_in_bytes",
+            )
+            reclaimable = "total_inactive_file"
+        else:
+            continue
+        group = Path(path.lstrip("/"))
+        # In a container the path may be that outside of it; then only the root is there.
+        for folder in (group, *group.parents):
+            most, used = (_number(f"{root}/{folder}/{file}") for file in (limit, usage))
+            if most is None or used is None:
+                continue
+            statistics = dict(line.split() for line in _lines(f"{root}/{folder}/memory.stat"))
+            # Files that were read once count as used, and are given up when memory is wanted.
+            left.append(max(0, most - used + int(statistics.get(reclaimable, 0))))
+    return left
+
+
+def _lines(path: str) -> list[str]:
+    try:
+        return (ROOT / path).read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+
+
+def _number(path: str) -> int | None:
+    """The number in a file; None where there is none, or "max"."""
+    text = "".join(_lines(path))
+    return int(text) if text.isdecimal() else None

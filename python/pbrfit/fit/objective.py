@@ -1,0 +1,648 @@
+"""Objective: a scene as a function of one vector, for this package's solver or any other."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pbrfit import _core
+from pbrfit._core import InputError
+from pbrfit.fit.parameters import Layout
+from pbrfit.fit.priors.penalties import Priors, penalties
+from pbrfit.fit.robust import MOST_PIXELS, loss_scale, noise_sigma, pull
+from pbrfit.fit.sampling import spread
+from pbrfit.io.checks import real_array, real_number
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import Model, chosen_model, whole_number
+from pbrfit.scene.exposure import relative_exposures
+from pbrfit.scene.scene import Scene, equal_channels
+
+MEAN_RADIANCE = 0.4
+"""Mean valid radiance after division by the scene scale, so that exposure does not matter."""
+
+START_MEAN_ALBEDO = 0.5
+"""The mean picture is scaled to this mean, the middle of the range. The scale between albedo and
+light is what the fit finds last, so it matters where it starts: from 0.4, its own mean, the errors
+on synthetic rooms after 500 iterations are 1.5 times as large."""
+
+START_ROUGHNESS = 0.5
+START_METALLIC = 0.25
+START_ALBEDO_RANGE = (0.02, 0.98)
+"""The start keeps clear of the bounds, where the gradient by albedo may vanish."""
+
+LARGEST_LIGHT = 1e15
+"""Known lights beyond this multiple of the scene scale are refused: float32 has to hold the squares
+of residuals."""
+
+LIGHT_RIDGE = 1e-6
+"""Of the mean eigenvalue: keeps the lights finite where the normals show only part of a sphere."""
+
+LEAST_SIGMA = 1e-4 * MEAN_RADIANCE
+"""Of the noise that a robust loss allows for: pictures may be explained perfectly."""
+
+SH_ORDERS = (2, 3)
+"""Highest bands that the lights may have."""
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """What pictures and their weights are divided by before they are fitted.
+
+    Attributes
+    ----------
+    scale
+        The scene scale, in picture units.
+    exposures
+        (N,), beside it; None = nothing.
+    largest_weight
+        Of a valid sample; 1 where all are the same.
+    """
+
+    scale: float
+    exposures: NDArray[np.float64] | None
+    largest_weight: float
+
+    @classmethod
+    def of(cls, scene: Scene, equal_exposures: bool | None = None) -> Units:
+        """Of a scene; `equal_exposures` as for `Objective`.
+
+        Raises
+        ------
+        InputError
+            If the pictures are black on the whole.
+        """
+        exposures = relative_exposures(scene, equal_exposures)
+        largest = 1.0
+        if scene.weights is not None and scene.weighted:
+            largest = max(float(of_picture[scene.valid].max()) for of_picture in scene.weights)
+        divided_by = np.ones(len(scene.images)) if exposures is None else exposures
+        return cls(_scene_scale(scene, largest, divided_by), exposures, largest)
+
+
+class Objective:
+    """Mean squared error of the pictures as a function of x, with its gradient, plus penalties.
+
+    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts |
+    lighting (N, K, C)], float64, without what is known: metallic where it is fixed, known lights,
+    and normals unless they are free. What a scene does not need is not computed: grey pictures have
+    C = 1, lights of order 2 have K = 9 coefficients instead of 16, lights that are the same in all
+    channels are there once, (N, K). Samples count as much as `scene.weights` says. Inside, pictures
+    are divided by one scene scale that makes their mean valid radiance 0.4, and where exposures are
+    far apart each by its own (`pbrfit.scene.exposure`); `pack` and `unpack` convert between x and
+    maps and lights of three channels in the scene's own units.
+
+    The tilt (a, b) of a pixel turns its given normal n₀ to n = (n₀ + a t₁ + b t₂)/√(1 + a² + b²),
+    with tangents t₁ and t₂ at n₀ (docs/model.md has them).
+
+    Parameters
+    ----------
+    scene
+        The pictures.
+    threads
+        0 = one for each processor. Results do not depend on it, to the last bit.
+    sh_order
+        Highest band of the lights: 3, or 2 to leave out band 3.
+    metallic
+        A number in [0, 1] that all pixels have, then it is no unknown; None = free.
+    mono_light
+        Whether lights are the same in all channels.
+    priors
+        Weights of the penalties; None = no penalties. The prior learnt while a fit runs
+        (`Priors.material`) is left to the solver, and `Priors.monochrome` is 0 if not given.
+    equal_exposures
+        Whether pictures are divided by their exposures; None = where these are far apart.
+    free_normals
+        Whether the scene's normals are where unknown ones start, instead of what is known.
+    model
+        "paper" or "principled": how surfaces reflect light; None = what the scene says that its
+        pictures were rendered with, else the default.
+    units
+        What to divide pictures by, then `equal_exposures` is not asked; None = found from them. A
+        part of a scene has the units of the whole.
+
+    Attributes
+    ----------
+    layout
+        Where the unknowns lie in x.
+    problem
+        The pictures in the core; `for_core` gives x as it takes it.
+    samples
+        Number of samples (of one pixel, picture and channel) of some weight.
+    total_weight
+        Sum of their weights, of which the largest is 1. The data term is the weighted sum of
+        squares divided by this.
+    weights
+        (N, P) float32 weights of the samples, at most 1; None where all are the same.
+    known_metallic
+        `metallic`.
+    model
+        That was decided for.
+    robust
+        Loss that takes the place of the squares, "huber" or "cauchy", and its scale in units of the
+        divided pictures; None = squares. A solver may change it between evaluations.
+    penalties
+        List of the terms beside the data. A solver may change it between evaluations.
+    size
+        Length of x.
+    pixels
+        P, the number of valid pixels.
+    channels
+        C: 1 where the pictures (and the lights, if they are known) are grey, that is, all three
+        channels are exactly equal in all valid samples; else 3.
+    coefficients
+        K, of one light in one channel: 9 or 16.
+    albedo, roughness
+        Slices of x: where they lie.
+    metallic, tilts, lighting
+        Slices of x, or None where they are known; `tilts` are a plane of a and one of b.
+    scale
+        The scene scale, in picture units.
+    exposures
+        (N,): what pictures are divided by beside the scene scale; None = nothing.
+
+    Raises
+    ------
+    InputError
+        If the pictures are black on the whole, an option is none of the above, or known lights do
+        not go with the pictures or with `sh_order`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        threads: int = 0,
+        sh_order: int = 3,
+        metallic: float | None = None,
+        mono_light: bool = False,
+        priors: Priors | None = None,
+        equal_exposures: bool | None = None,
+        free_normals: bool = False,
+        model: Model | None = None,
+        units: Units | None = None,
+    ) -> None:
+        self.model = chosen_model(model, scene.model)
+        threads = whole_number("threads", threads)
+        sh_order = whole_number("sh_order", sh_order)
+        if sh_order not in SH_ORDERS:
+            raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
+        self.known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
+        layout = Layout.of(
+            scene,
+            sh_order=sh_order,
+            metallic_known=metallic is not None,
+            mono_light=mono_light,
+            free_normals=free_normals,
+        )
+        self.channels, self.coefficients = layout.channels, layout.coefficients
+        self._lay_out(layout)
+        units = units or Units.of(scene, equal_exposures)
+        self.weights = weights = _weights(scene, units.largest_weight) if layout.weighted else None
+        self.samples = self.channels * (
+            layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
+        )
+        self.total_weight = (
+            float(self.samples)
+            if weights is None
+            else self.channels * float(weights.sum(dtype=np.float64))
+        )
+        self.scale, self.exposures = units.scale, units.exposures
+        exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
+        self._units = self.scale * exposures  # picture units of radiance 1, by picture
+        self.robust: tuple[str, float] | None = None
+
+        self._scene, self.threads = scene, threads
+        # Which of the scene's valid pixels take part.
+        self._chosen: slice | NDArray[np.uint64] = slice(None)
+        self._exact = self._has_more_digits()
+        self.problem = self._problem(weights)
+        self.penalties = [] if priors is None else penalties(layout, priors)
+
+    def _lay_out(self, layout: Layout) -> None:
+        self.layout, self.pixels, self.size = layout, layout.pixels, layout.size
+        self.albedo, self.roughness = layout.albedo, layout.roughness
+        self.metallic, self.tilts = layout.metallic, layout.tilts
+        self.lighting = layout.lighting
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """(size, 2): [0, 1] for materials, infinite for the rest. Made anew: it is large."""
+        bounds = np.empty((self.size, 2))
+        bounds[self.layout.materials] = (0.0, 1.0)
+        bounds[self.layout.materials.stop :] = (-np.inf, np.inf)
+        return bounds
+
+    def start(self) -> NDArray[np.float64]:
+        """Albedo from the mean picture, constant roughness and metallic, best lights for them.
+
+        Where normals are free they are the given ones.
+        """
+        maps = np.empty(self.layout.maps.stop)
+        albedo = START_MEAN_ALBEDO / MEAN_RADIANCE * self._mean_image()
+        maps[self.albedo] = np.clip(albedo, *START_ALBEDO_RANGE).T.ravel()
+        maps[self.roughness] = START_ROUGHNESS
+        if self.metallic is not None:
+            maps[self.metallic] = START_METALLIC
+        if self.tilts is not None:
+            maps[self.tilts] = 0.0
+        return self.with_best_lights(maps)
+
+    def with_best_lights(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """X with the maps of `maps`, which is x or its first part, and the lights that fit best.
+
+        Radiance is linear in the light, so this is a linear least-squares problem a channel (one
+        for all, with the sums of their normal equations, where they share the light), and for each
+        picture apart where samples have weights. Penalties take no part.
+        """
+        maps = np.array(maps[self.layout.maps], dtype=np.float64)
+        if self.lighting is None:
+            return maps
+        gram, right = self.problem.light_equations(maps)
+        if self.layout.light_channels < self.channels:
+            gram, right = gram.sum(axis=0, keepdims=True), right.sum(axis=0, keepdims=True)
+        k = self.coefficients
+        ridge = LIGHT_RIDGE * np.trace(gram, axis1=-2, axis2=-1) / k
+        # A Gram matrix of zeros (nothing reflects) gives lights of 0 instead of an error.
+        ridge += np.finfo(np.float64).tiny
+        gram += ridge[..., None, None] * np.eye(k)
+        if gram.shape[1] == 1:
+            lights = np.linalg.solve(gram[:, 0], right.transpose(0, 2, 1)).transpose(2, 1, 0)
+        else:
+            lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
+        return np.concatenate([maps, lights.ravel()])
+
+    def with_best_albedo(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """X with the albedo of some pixels put to what fits best to the rest of x.
+
+        Returned with the weighted sum of squared residuals that each of these pixels, given by
+        indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
+        degree 4 in the albedo of each channel. Penalties take no part.
+        """
+        x = x.copy()
+        return x, self.put_best_albedo(x, pixels)
+
+    def put_best_albedo(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
+    ) -> NDArray[np.float64]:
+        """As `with_best_albedo`, in x itself; returned are the sums alone."""
+        albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
+        x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
+        return squares
+
+    def value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+        """Loss at x and its gradient: (float, (size,) float64). x is not changed.
+
+        Raises
+        ------
+        InputError
+            If x has another length, is not finite, or leaves its bounds.
+        """
+        x = real_array("x", x)
+        data, gradient = self.data_value_and_grad(x)
+        return data + self.add_penalties(x, gradient), gradient
+
+    def data_value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+        """As `value_and_grad`, without the penalties."""
+        loss, gradient = self.problem.value_and_grad(self.for_core(x), self.robust)
+        if self.layout.light_channels < self.channels:
+            # By the chain rule, derivatives by the light in each channel add up.
+            end = self.layout.maps.stop
+            by_light = gradient[end:].reshape(-1, self.channels).sum(axis=-1)
+            gradient = gradient[: self.size]
+            gradient[end:] = by_light
+        return loss, gradient
+
+    def add_penalties(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+        """Sum of the penalties at x; their gradient is added to `gradient`."""
+        return sum((p.value_and_grad(x, gradient) for p in self.penalties), 0.0)
+
+    def for_core(self, x: ArrayLike) -> NDArray[np.float64]:
+        """X as `_core.Problem` takes it: with lights of every channel."""
+        x = real_array("x", x)
+        if self.layout.light_channels == self.channels:
+            return x
+        if x.shape != (self.size,):
+            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        end = self.layout.maps.stop
+        return np.concatenate([x[:end], np.repeat(x[end:], self.channels)])
+
+    def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
+        """What `robust` may be at x: a loss of this name with the scale that the residuals tell.
+
+        Parameters
+        ----------
+        x
+            A fit.
+        name
+            "huber" or "cauchy"; "none" gives None.
+        """
+        if name == "none":
+            return None
+        pixels = spread(self.pixels, MOST_PIXELS)
+        sigma = noise_sigma(
+            self.problem.residuals(self.for_core(x), pixels),
+            None if self.weights is None else self.weights[:, pixels],
+            unknowns=self.size * len(pixels) / self.pixels,
+        )
+        return name, loss_scale(name, max(sigma, LEAST_SIGMA))
+
+    def reweighted(self, x: NDArray[np.float64]) -> Objective:
+        """Squares instead of the robust loss, with the weights that they have in it at x.
+
+        The objective of one step of iteratively reweighted least squares: its data term has the
+        gradient of the robust loss at x. Without a robust loss it is this one.
+        """
+        if self.robust is None:
+            return self
+        pixels = np.arange(self.pixels, dtype=np.uint64)
+        factors = pull(self.robust, self.problem.residuals(self.for_core(x), pixels))
+        if self.weights is not None:
+            factors *= self.weights[..., None]
+        found = copy.copy(self)
+        found.robust = None
+        found.problem = self._problem(factors)
+        return found
+
+    def restricted(self, pixels: NDArray[np.uint64]) -> Objective:
+        """The objective of some pixels alone, in the same units; squares, without penalties.
+
+        Its x has the maps of these pixels in their order, and all lights: what `part_of` takes
+        from an x of this objective. `pack` and `unpack` are not for it, for it has no picture.
+        """
+        found = copy.copy(self)
+        segments = self.layout.segments
+        found._lay_out(
+            replace(
+                self.layout,
+                valid=np.ones((1, len(pixels)), dtype=bool),
+                segments=None if segments is None else segments[pixels],
+            )
+        )
+        found.penalties, found.robust = [], None
+        share = len(pixels) / self.pixels
+        found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
+        found.weights = None if self.weights is None else self.weights[:, pixels]
+        found._chosen = pixels
+        found.problem = found._problem(found.weights)
+        return found
+
+    def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
+        """X of `restricted(pixels)` from an x of this objective."""
+        maps = x[self.layout.maps].reshape(-1, self.pixels)[:, pixels]
+        return np.concatenate([maps.ravel(), x[self.layout.maps.stop :]])
+
+    def put_part(
+        self, x: NDArray[np.float64], pixels: NDArray[np.uint64], part: NDArray[np.float64]
+    ) -> None:
+        """Undo `part_of`: give x the maps of these pixels, and the lights, of `part`."""
+        maps = x[self.layout.maps].reshape(-1, self.pixels)
+        of_pixels, lights = np.split(part, [len(maps) * len(pixels)])
+        maps[:, pixels] = of_pixels.reshape(len(maps), -1)
+        x[self.layout.maps.stop :] = lights
+
+    def residual_rmse(self, loss: float) -> float:
+        """Root of a loss without penalties, in picture units.
+
+        Of squares that is the root mean square residual, where each picture's are divided by its
+        exposure if `exposures` are; a robust loss makes less of large residuals.
+        """
+        return float(np.sqrt(loss) * self.scale)
+
+    def pack(
+        self,
+        albedo: NDArray[Any],
+        roughness: NDArray[Any],
+        metallic: NDArray[Any],
+        lighting: NDArray[Any] | None = None,
+    ) -> NDArray[np.float64]:
+        """X from maps (H, W, ...) and lights (N, 16, 3) in picture units.
+
+        Without `lighting` the lights that fit the maps best are taken. What x does not have is
+        dropped: known metallic, known lights, band 3; where x has one channel for three, their mean
+        is taken. Free normals are the given ones.
+        """
+        given = {"albedo": albedo, "roughness": roughness, "metallic": metallic}
+        maps = []
+        for name, values in given.items():
+            values = valid_values(name, values, self.layout.valid)
+            if name == "albedo":
+                values = _channels(values, self.channels).T.ravel()
+            if name != "metallic" or self.metallic is not None:
+                maps.append(values)
+        if self.tilts is not None:
+            maps.append(np.zeros(2 * self.pixels))
+        x = np.concatenate(maps)
+        if lighting is None or self.lighting is None:
+            return self.with_best_lights(x)
+        lighting = real_array("lighting", lighting)
+        expected = (self.layout.pictures, 16, 3)
+        if lighting.shape != expected:
+            raise InputError(f"lighting: expected shape {expected}, found {lighting.shape}")
+        if not np.isfinite(lighting).all():
+            raise InputError("lighting: expected finite coefficients, found NaN or infinity")
+        lighting = _channels(lighting[:, : self.coefficients], self.layout.light_channels)
+        return np.concatenate([x, (lighting / self._by_picture).ravel()])
+
+    def unpack(self, x: NDArray[np.float64]) -> tuple[Materials, NDArray[np.float64]]:
+        """Maps (NaN outside the mask) and lights (N, 16, 3) in picture units.
+
+        Whatever x holds, there are three channels and 16 coefficients: one channel comes three
+        times, and band 3 is 0 where it is left out.
+        """
+        x = real_array("x", x)
+        if x.shape != (self.size,):
+            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        if not np.isfinite(x).all():
+            raise InputError("x: expected finite numbers, found NaN or infinity")
+        albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
+        metallic = self.known_metallic if self.metallic is None else x[self.metallic]
+        materials = Materials(
+            self.layout.whole(albedo),
+            self.layout.whole(x[self.roughness]),
+            self.layout.whole(np.broadcast_to(np.asarray(metallic), self.pixels)),
+        )
+        if self._scene.lighting is not None:
+            return materials, self._scene.lighting.copy()
+        lighting = np.zeros((self.layout.pictures, 16, 3))
+        with np.errstate(over="ignore"):
+            lighting[:, : self.coefficients] = self._by_picture * x[self.lighting].reshape(
+                -1, self.coefficients, self.layout.light_channels
+            )
+        if not np.isfinite(lighting).all():
+            raise InputError("x: expected lights that float64 can hold in picture units")
+        return materials, lighting
+
+    def normals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(P, 3): the unit normals of x, in camera space; the given ones where they are known."""
+        if self.tilts is None:
+            return self._rows(self._scene.normals)
+        return self.problem.normals(x[self.layout.maps])
+
+    def _image(self, i: int) -> NDArray[np.float64]:
+        """(P, C): a picture in the unit of x."""
+        samples = self._scene.samples(i)[self._chosen, : self.channels].astype(np.float64)
+        samples /= self._units[i]
+        return samples
+
+    def _mean_image(self) -> NDArray[np.float64]:
+        """(P, C): the mean over pictures, of what float32 holds of them."""
+        weights = self.weights
+        mean = np.zeros((self.pixels, self.channels))
+        for i in range(self.layout.pictures):
+            image = self._image(i).astype(np.float32)
+            mean += (
+                image
+                if weights is None
+                else np.multiply(image, weights[i, :, None], dtype=np.float64)
+            )
+        if weights is None:
+            mean /= self.layout.pictures
+            return mean
+        total = weights.sum(axis=0, dtype=np.float64)[:, None]
+        # Weights that are tiny beside the largest can vanish in float32.
+        np.divide(mean, total, out=mean, where=total > 0)
+        return mean
+
+    def _has_more_digits(self) -> bool:
+        if self._scene.images.dtype == np.float32:
+            return False
+        pictures = (self._scene.samples(i) for i in range(self.layout.pictures))
+        with np.errstate(over="ignore"):  # beyond float32: infinite, so not the same
+            return any((samples != samples.astype(np.float32)).any() for samples in pictures)
+
+    def _problem(self, weights: NDArray[np.float32] | None) -> _core.Problem:
+        scene = self._scene
+        # Pictures that came in float64 keep their digits. Of pictures in float32 the division
+        # leaves something too, but it is no more than what was rounded away before they came, and
+        # keeping it would double the memory.
+        images = _OneByOne(
+            self.layout.pictures,
+            self._image,
+            np.dtype(np.float64 if self._exact else np.float32),
+        )
+        return _core.Problem(
+            images,
+            self._rows(scene.normals),
+            self._rows(scene.views),
+            self.threads,
+            weights=weights,
+            sh_order=self.layout.sh_order,
+            metallic=self.known_metallic,
+            lighting=None if scene.lighting is None else self._reduced(scene.lighting),
+            free_normals=self.layout.free_normals,
+            model=self.model,
+        )
+
+    def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Rows (P, 3) of (H, W, 3), no copy if all are valid: memory peaks here."""
+        valid = self._scene.valid
+        rows = vectors.reshape(-1, 3) if valid.all() else vectors[valid]
+        return rows[self._chosen].astype(np.float64, copy=False)
+
+    @property
+    def _by_picture(self) -> NDArray[np.float64]:
+        """Units of the pictures, beside lights (N, K, C)."""
+        return self._units[:, None, None]
+
+    def _reduced(self, known: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Known lights as the core takes them: in units of x, with its bands and channels."""
+        largest = np.abs(known).max(axis=(1, 2))
+        beyond = largest > LARGEST_LIGHT * self._units
+        if beyond.any():
+            first = int(beyond.argmax())
+            raise InputError(
+                f"lighting: expected coefficients like the pictures' radiance (mean "
+                f"{self._units[first] * MEAN_RADIANCE:g}), found {largest[first]:g}"
+            )
+        left_out = np.abs(known[:, self.coefficients :]).max(initial=0.0)
+        if left_out > 0:
+            raise InputError(
+                f"lighting: expected known lights without band 3 for sh_order 2, found a "
+                f"coefficient of {left_out:g} there; sh_order 3 keeps it"
+            )
+        if self.layout.light_channels < self.channels and not equal_channels(known):
+            raise InputError(
+                "lighting: expected known lights with equal channels for mono_light, found colour"
+            )
+        return known[:, : self.coefficients, : self.channels] / self._by_picture
+
+
+@dataclass(frozen=True)
+class _OneByOne:
+    """Pictures that are made when their turn comes, so that they never all lie there twice."""
+
+    count: int
+    image: Callable[[int], NDArray[np.float64]]
+    dtype: np.dtype[Any]
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        for i in range(self.count):
+            yield self.image(i).astype(self.dtype, copy=False)
+
+
+def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]:
+    """From three channels on the last axis to 3 or 1."""
+    return values if channels == 3 else values.mean(axis=-1, keepdims=True)
+
+
+def _unit_interval(name: str, value: float) -> float:
+    number = real_number(name, value, "None or a number in [0, 1]")
+    if not 0 <= number <= 1:
+        raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
+    return number
+
+
+def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
+    """(N, P) weights of the samples, at most 1: only their ratios matter."""
+    assert scene.weights is not None
+    weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
+    weights /= np.float32(largest)  # so that float32 neither overflows nor loses digits
+    return weights
+
+
+def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel.
+
+    Raises
+    ------
+    InputError
+        If it has another shape, or is not finite there.
+    """
+    values = real_array(name, values)
+    shape = valid.shape + ((3,) if name == "albedo" else ())
+    if values.shape != shape:
+        raise InputError(f"{name}: expected shape {shape}, found {values.shape}")
+    values = values[valid]
+    if not np.isfinite(values).all():
+        raise InputError(f"{name}: expected finite values at all valid pixels, found NaN")
+    return values
+
+
+def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.float64]) -> float:
+    total = count = 0.0
+    given = scene.weights if scene.weighted else None
+    for i in range(len(scene.images)):
+        samples = scene.samples(i).mean(axis=-1, dtype=np.float64)
+        weights = None
+        if given is not None:
+            weights = given[i][scene.valid] / np.float32(largest_weight)
+            # No dot product: BLAS rounds differently on a machine with another processor count.
+            samples *= weights
+        total += float(samples.sum()) / exposures[i]
+        count += samples.size if weights is None else float(weights.sum(dtype=np.float64))
+    mean = total / count
+    if not 0 < mean < np.inf:
+        raise InputError(
+            f"images: expected a positive mean radiance over the valid pixels, found {mean:g}"
+        )
+    return float(mean / MEAN_RADIANCE)

@@ -1,0 +1,154 @@
+"""Layout: which unknowns a scene has, and where in x they lie."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.lazy import lazy
+from pbrfit.scene.scene import Scene
+
+ORDER_2 = 9
+"""Coefficients of a light of order 2; those from here on are band 3."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the unknowns of a scene lie in x.
+
+    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts
+    (two planes) | lighting (N, K, light_channels)], without what is known.
+
+    Attributes
+    ----------
+    valid
+        (H, W) bool: the pixels that are fitted; their row order is the order in x.
+    segments
+        (P,) labels of the valid pixels: 0 = unclassified, 1 … `segment_count` in the order of the
+        scene's ids, without gaps; None where the scene has no segments.
+    segment_count
+        Number of segments that have valid pixels.
+    pictures, channels, coefficients
+        N; C of albedo; K of one light in one channel.
+    light_channels
+        C, or 1 where the lights are the same in all channels.
+    metallic_known, lighting_known
+        Whether these are no unknowns.
+    weighted
+        Whether samples of valid pixels have different weights.
+    free_normals
+        Whether the normals are unknowns: then x has a tilt (a, b) for each pixel.
+    """
+
+    valid: NDArray[np.bool_]
+    segments: NDArray[np.intp] | None
+    segment_count: int
+    pictures: int
+    channels: int
+    coefficients: int
+    light_channels: int
+    metallic_known: bool
+    lighting_known: bool
+    weighted: bool = False
+    free_normals: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        *,
+        sh_order: int = 3,
+        metallic_known: bool = False,
+        mono_light: bool = False,
+        free_normals: bool = False,
+    ) -> Layout:
+        """Of the fit of `scene` with these options; see `Objective`.
+
+        Grey pictures have one channel, and known lights without band 3 are of order 2: neither
+        changes the fit.
+        """
+        channels = 1 if scene.grey else 3
+        if scene.lighting is not None and not scene.lighting[:, ORDER_2:].any():
+            sh_order = 2
+        segments, count = scene.labels or (None, 0)
+        return cls(
+            valid=scene.valid,
+            segments=segments,
+            segment_count=count,
+            pictures=len(scene.images),
+            channels=channels,
+            coefficients=(sh_order + 1) ** 2,
+            light_channels=1 if mono_light else channels,
+            metallic_known=metallic_known,
+            lighting_known=scene.lighting is not None,
+            weighted=scene.weighted,
+            free_normals=free_normals,
+        )
+
+    @lazy
+    def pixels(self) -> int:
+        """P, the number of valid pixels."""
+        return int(np.count_nonzero(self.valid))
+
+    def whole(self, values: NDArray[np.floating[Any]], fill: float = np.nan) -> NDArray[np.float64]:
+        """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
+        found = np.full(self.valid.shape + values.shape[1:], fill)
+        found[self.valid] = values
+        return found
+
+    @property
+    def sh_order(self) -> int:
+        """Highest band of the lights."""
+        return math.isqrt(self.coefficients) - 1
+
+    @property
+    def albedo(self) -> slice:
+        """C planes of P."""
+        return slice(0, self.channels * self.pixels)
+
+    @property
+    def roughness(self) -> slice:
+        """One plane."""
+        return slice(self.albedo.stop, self.albedo.stop + self.pixels)
+
+    @property
+    def metallic(self) -> slice | None:
+        """One plane; None where it is known."""
+        end = self.roughness.stop
+        return None if self.metallic_known else slice(end, end + self.pixels)
+
+    @property
+    def finish(self) -> tuple[slice, ...]:
+        """The planes that tell one finish from another: roughness, and metallic if it is free."""
+        return (self.roughness,) if self.metallic is None else (self.roughness, self.metallic)
+
+    @property
+    def materials(self) -> slice:
+        """Albedo, roughness and metallic: the maps that lie in [0, 1]."""
+        return slice(0, (self.metallic or self.roughness).stop)
+
+    @property
+    def tilts(self) -> slice | None:
+        """Two planes, a and b; None where normals are known."""
+        end = self.materials.stop
+        return slice(end, end + 2 * self.pixels) if self.free_normals else None
+
+    @property
+    def maps(self) -> slice:
+        """All that are no lights."""
+        return slice(0, (self.tilts or self.materials).stop)
+
+    @property
+    def lighting(self) -> slice | None:
+        """(N, K, light_channels); None where the lights are known."""
+        length = self.pictures * self.coefficients * self.light_channels
+        return None if self.lighting_known else slice(self.maps.stop, self.maps.stop + length)
+
+    @property
+    def size(self) -> int:
+        """Length of x."""
+        return int((self.lighting or self.maps).stop)

@@ -1,0 +1,234 @@
+"""Priors: what is thought likely of materials and lights, as penalties beside the data term."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import _core
+from pbrfit._core import InputError
+from pbrfit.fit.parameters import Layout
+from pbrfit.io.checks import real_number
+
+SMOOTHNESS_STEP = 0.01
+"""Differences of neighbours are measured over this share of the picture's side; see `Smoothness`.
+"""
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Weights of the priors, beside a data term that is a mean over samples; 0 = not evaluated.
+
+    A weight means the same at any resolution, exposure and number of pictures. docs/priors.md says
+    when each prior helps and when it hurts.
+
+    Attributes
+    ----------
+    material
+        Strength of the discrete prior on roughness and metallic that is learnt for each segment; 1
+        is Bayes' rule.
+    cohesion
+        Of the squared distance of roughness and metallic to their segment's mean.
+    smoothness
+        Of the squared change of roughness and metallic between neighbours.
+    sparsity
+        Of metallic itself.
+    monochrome
+        Of the squared deviation of lights from grey; None = chosen from the fitted lights.
+
+    Raises
+    ------
+    InputError
+        If a weight is no finite number of 0 or more.
+    """
+
+    material: float = 1.0
+    cohesion: float = 0.0
+    smoothness: float = 0.0
+    sparsity: float = 0.0
+    monochrome: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in prior_names():
+            weight = getattr(self, name)
+            if name == "monochrome" and weight is None:
+                continue
+            object.__setattr__(self, name, _weight(name, weight))
+
+    @classmethod
+    def none(cls) -> Priors:
+        """All weights 0."""
+        return cls(**dict.fromkeys(prior_names(), 0.0))
+
+
+def prior_names() -> tuple[str, ...]:
+    """Of the weights in `Priors`."""
+    return tuple(field.name for field in fields(Priors))
+
+
+def _weight(name: str, value: object) -> float:
+    expected = "a finite weight, 0 or more"
+    number = real_number(f"prior {name}", value, expected)
+    if not 0 <= number < math.inf:
+        raise InputError(f"prior {name}: expected {expected}, found {value!r}")
+    return number
+
+
+class Penalty(Protocol):
+    """A term of the objective beside the data."""
+
+    @property
+    def name(self) -> str:
+        """Of the prior that it belongs to."""
+
+    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+        """Value at x; its gradient is added to `gradient`, (size,) like x."""
+
+
+def penalties(layout: Layout, priors: Priors) -> list[Penalty]:
+    """Penalties of weight above 0 that have something to act on.
+
+    The learnt prior on materials is none of them: it changes while a fit runs. Nor is a monochrome
+    weight that is to be chosen.
+    """
+    found: list[Penalty] = []
+    if priors.cohesion and layout.segment_count:
+        found.append(Cohesion(layout, priors.cohesion))
+    if priors.smoothness and (pairs := tied_neighbours(layout)).size:
+        found.append(Smoothness(layout, pairs, priors.smoothness))
+    if priors.sparsity and layout.metallic is not None:
+        found.append(Sparsity(layout, priors.sparsity))
+    if priors.monochrome and layout.lighting is not None and layout.light_channels > 1:
+        found.append(Monochrome(layout, priors.monochrome))
+    return found
+
+
+class Cohesion:
+    """Pull of roughness and metallic towards the mean of their segment.
+
+    w/P Σ_i (v_i − v̄_s(i))² for v = r and v = m, over the classified pixels i. P counts all valid
+    pixels, as in the data term, so that the pull at a pixel beside its own data does not depend on
+    how many others are classified.
+
+    The mean moves with its pixels, but contributes nothing to the gradient:
+
+        ∂/∂v_j Σ_i (v_i − v̄)² = 2 (v_j − v̄) − 2 ∂v̄/∂v_j Σ_i (v_i − v̄),  where Σ_i (v_i − v̄) = 0.
+
+    A segment of one pixel is its own mean and gives 0.
+    """
+
+    name = "cohesion"
+
+    def __init__(self, layout: Layout, weight: float) -> None:
+        assert layout.segments is not None
+        self._factor = weight / layout.pixels
+        self._blocks = layout.finish
+        self._groups = _core.Groups(layout.segments.astype(np.int64))
+
+    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+        """See `Penalty`."""
+        return _on_maps(self._groups, self._blocks, x, self._factor, gradient)
+
+
+class Smoothness:
+    """Little change of roughness and metallic between neighbours.
+
+    In the plane, ∫ |∇v|² dA has no unit of length, and its discrete form is Σ_edges (v_i − v_j)²
+    over 4-connected neighbours: a finer picture has more edges with smaller differences, and the
+    sum stays. The data term is a mean, an integral over the valid area divided by that area. So
+    with a fixed weight the sum, not the mean over edges, tends to a fixed problem as pictures get
+    finer: what is smoothed over is a fixed share of the picture, not a fixed number of pixels.
+
+    To give the weight a size like that of the others, the picture's side √P is the unit of length
+    and differences are taken over a hundredth of it, ε = 0.01:
+
+        w/P Σ_i |ε √P ∇v_i|² = w ε² Σ_edges (v_i − v_j)²
+
+    for v = r and v = m. Albedo is left alone: textures are mostly in albedo.
+
+    Neighbours in different segments are not tied; an unclassified pixel is tied to all of its
+    neighbours. Pixels outside the mask have no edges.
+    """
+
+    name = "smoothness"
+
+    def __init__(self, layout: Layout, pairs: NDArray[np.int64], weight: float) -> None:
+        self._factor = weight * SMOOTHNESS_STEP**2
+        self._blocks = layout.finish
+        self._neighbours = _core.Neighbours(layout.pixels, *pairs)
+
+    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+        """See `Penalty`."""
+        return _on_maps(self._neighbours, self._blocks, x, self._factor, gradient)
+
+
+class Sparsity:
+    """Little metal: w/P Σ_i |m_i|, which is linear because metallic is never negative."""
+
+    name = "sparsity"
+
+    def __init__(self, layout: Layout, weight: float) -> None:
+        assert layout.metallic is not None
+        self._factor = weight / layout.pixels
+        self._block = layout.metallic
+
+    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+        """See `Penalty`."""
+        gradient[self._block] += self._factor
+        return self._factor * float(x[self._block].sum())
+
+
+class Monochrome:
+    """Grey lights: w/(N K C) Σ (L_nkc − L̄_nk)², with the mean L̄ over the channels.
+
+    Lights are in units of the scene scale, as in x, so that exposure does not matter. The mean
+    drops out of the gradient as in `Cohesion`.
+    """
+
+    name = "monochrome"
+
+    def __init__(self, layout: Layout, weight: float) -> None:
+        assert layout.lighting is not None
+        self._block = layout.lighting
+        self._channels = layout.light_channels
+        self._factor = weight / (self._block.stop - self._block.start)
+
+    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+        """See `Penalty`."""
+        lights = x[self._block].reshape(-1, self._channels)
+        deviations = lights - lights.mean(axis=-1, keepdims=True)
+        gradient[self._block] += 2 * self._factor * deviations.ravel()
+        return float(self._factor * np.square(deviations).sum())
+
+
+def tied_neighbours(layout: Layout) -> NDArray[np.int64]:
+    """(2, E) pairs of valid pixels, below one another or side by side, by their index in a plane.
+
+    Both pixels are in the same segment, or one of them is unclassified.
+    """
+    index = np.zeros(layout.valid.shape, dtype=np.int64)
+    index[layout.valid] = np.arange(layout.pixels)
+    labels = np.zeros(layout.valid.shape, dtype=np.int64)
+    if layout.segments is not None:
+        labels[layout.valid] = layout.segments
+    found = []
+    for first, second in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        a, b = labels[first], labels[second]
+        tied = layout.valid[first] & layout.valid[second] & ((a == b) | (a == 0) | (b == 0))
+        found.append(np.stack([index[first][tied], index[second][tied]]))
+    return np.concatenate(found, axis=1)
+
+
+def _on_maps(
+    penalty: _core.Neighbours | _core.Groups,
+    blocks: tuple[slice, ...],
+    x: NDArray[np.float64],
+    weight: float,
+    gradient: NDArray[np.float64],
+) -> float:
+    """Sum of a penalty over maps, each a block of x; see `Penalty`."""
+    return sum(penalty.add_penalty(x[block], weight, gradient[block]) for block in blocks)

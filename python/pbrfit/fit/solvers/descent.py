@@ -1,0 +1,257 @@
+"""Bounded L-BFGS on all unknowns: the paper's recipe, in stages that keep off roughness 0."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.objective import START_ROUGHNESS
+from pbrfit.fit.solvers import projected_lbfgs
+from pbrfit.fit.solvers.projected_lbfgs import Bounds
+from pbrfit.fit.solvers.run import Run
+
+Array = NDArray[np.float64]
+
+CORRECTIONS = 10
+"""Pairs of steps and gradients that L-BFGS-B remembers."""
+
+TRAP_ROUGHNESS = 0.1
+"""The first stages keep roughness above this. Band weights and G1 depend on r⁴, so their slope is
+r³ and roughness 0 is a stationary point of every pixel: one that overshoots to the bound stays
+there, far from its minimum, and pulls at the lights. Between 0 and 0.1 pictures under SH light
+hardly change, so little is lost by waiting."""
+
+STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
+"""(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
+that ended at the bound start again from the middle."""
+
+STALL = (10, 1e-5)
+"""(Iterations, share): after Gauss-Newton, L-BFGS stops where the loss fell by less than this share
+of itself over so many iterations."""
+
+RESOLUTION = 1e-9
+"""Of a difference of nearby losses, whose residuals are those of float32."""
+
+STAGES_GIVEN_START = ((0.0, 1.0),)
+ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
+"""A robust loss needs a fit by squares first, which tells its scale."""
+
+
+def staged(
+    run: Run, x: Array, loss: float, iterations: float, descent: Descent, *, start_given: bool
+) -> tuple[Array, float, str]:
+    """X, its loss, and which state that is, after so many iterations at most.
+
+    The last is empty unless the state is one from before the last restart.
+    """
+    best = loss, x
+    trapped = False
+    before = run.iteration
+    for lowest_roughness, share in _stages(run, start_given):
+        left = round(share * iterations) - (run.iteration - before)
+        if left <= 0 or run.out_of_time():
+            continue
+        if run.iteration > before:
+            best = robust_around(run, best)
+        if trapped:
+            x = _restarted(run, x)
+        loss, x = descent(run, x, left, lowest_roughness)
+        trapped = lowest_roughness > 0
+        # A restart raises the loss at first, and time may run out before it pays.
+        best = min(best, (loss, x), key=lambda pair: pair[0])
+    kept = "; kept the better state before the last restart" if best[0] < loss else ""
+    loss, x = best
+    return x, loss, kept
+
+
+def _stages(run: Run, start_given: bool) -> tuple[tuple[float, float], ...]:
+    if not start_given:
+        return STAGES
+    return STAGES_GIVEN_START if run.robust == "none" else ROBUST_STAGES_GIVEN_START
+
+
+def robust_around(run: Run, best: tuple[float, Array]) -> tuple[float, Array]:
+    """Make the loss robust, if it is to be, with the scale at this state; returns it anew."""
+    if run.robust == "none":
+        return best
+    _, x = best
+    run.objective.robust = run.robust_around(x)
+    return run.evaluate(x)[0], x
+
+
+def _restarted(run: Run, x: Array) -> Array:
+    """X with the pixels that are trapped at the roughness bound put back to the middle."""
+    x = x.copy()
+    roughness = x[run.objective.roughness]
+    roughness[roughness <= TRAP_ROUGHNESS + 0.005] = START_ROUGHNESS
+    return x
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Who lowers the objective: scipy's L-BFGS-B, or the bounded L-BFGS whose vectors are in Rust.
+
+    Attributes
+    ----------
+    name
+        For people.
+    """
+
+    name: str
+    _method: Callable[..., tuple[float, Array]]
+
+    @classmethod
+    def for_size(cls, run: Run) -> Descent:
+        """Scipy's where its own work is a small share."""
+        if projected_lbfgs.choose(run.objective.size) == "scipy":
+            return SCIPYS
+        return cls("bounded L-BFGS in Rust", rusts)
+
+    def __call__(
+        self,
+        run: Run,
+        x: Array,
+        iterations: int,
+        lowest_roughness: float = 0.0,
+        stall: tuple[int, float] | None = None,
+    ) -> tuple[float, Array]:
+        """Loss and x after so many iterations at most, whose rows go into the history.
+
+        With `stall` it also stops where the loss fell by less than a share of itself over a number
+        of iterations.
+        """
+        return self._method(run, x, iterations, lowest_roughness, stall)
+
+
+def lowered(run: Run, x: Array, stall: tuple[int, float] | None) -> Array:
+    """X with the whole objective lowered until that stalls, or the limits of the run."""
+    descent = Descent.for_size(run)
+    with run.stage(descent.name) as notes:
+        before = run.iteration
+        _, x = descent(run, x, run.left, stall=stall)
+        notes.append(f"{run.iteration - before} iterations")
+    return x
+
+
+def rusts(
+    run: Run,
+    x: Array,
+    iterations: int,
+    lowest_roughness: float,
+    stall: tuple[int, float] | None,
+) -> tuple[float, Array]:
+    """See `Descent`."""
+    objective = run.objective
+    bounds = Bounds.of_slices(
+        objective.size,
+        (objective.layout.materials, 0.0, 1.0),
+        (objective.roughness, lowest_roughness, 1.0),
+    )
+
+    def after_iteration(iterate: projected_lbfgs.Iterate) -> None:
+        run.iteration += 1
+        run.record(iterate.x, iterate.fun)
+        if run.out_of_time():
+            raise StopIteration
+
+    found = projected_lbfgs.minimize(
+        _in_time(run),
+        x,
+        bounds,
+        iterations=iterations,
+        callback=after_iteration,
+        threads=objective.threads,
+        stall=stall,
+        resolution=RESOLUTION,
+    )
+    return found.fun, found.x
+
+
+def _in_time(run: Run) -> Callable[[Array], tuple[float, Array]]:
+    """`run.evaluate`, which ends a search along a line by StopIteration where time is up.
+
+    The first call always returns: a search needs to know where it is.
+    """
+    first = True
+
+    def evaluate(x: Array) -> tuple[float, Array]:
+        nonlocal first
+        if not first and run.out_of_time():
+            raise StopIteration
+        first = False
+        return run.evaluate(x)
+
+    return evaluate
+
+
+def scipys(
+    run: Run,
+    x: Array,
+    iterations: int,
+    lowest_roughness: float,
+    stall: tuple[int, float] | None,
+) -> tuple[float, Array]:
+    """See `Descent`."""
+    from scipy.optimize import Bounds, minimize
+    from threadpoolctl import threadpool_limits
+
+    lower, upper = run.objective.bounds.T.copy()
+    lower[run.objective.roughness] = lowest_roughness
+
+    window, share = stall or (0, 0.0)
+    losses: deque[float] = deque(maxlen=window + 1)
+    in_time = _in_time(run)
+    last: tuple[float, Array] | None = None
+
+    def evaluate(x: Array) -> tuple[float, Array]:
+        nonlocal last
+        loss, gradient = in_time(x)
+        if last is None and run.limits.seconds is not None:
+            last = loss, x.copy()
+        return loss, gradient
+
+    def after_iteration(intermediate_result: Any) -> None:
+        nonlocal last
+        run.iteration += 1
+        loss = float(intermediate_result.fun)
+        run.record(intermediate_result.x, loss)
+        if run.limits.seconds is not None:  # else nothing ends a search along a line
+            last = loss, intermediate_result.x.copy()
+        losses.append(loss)
+        stalled = window and len(losses) > window and losses[0] - loss < share * losses[0]
+        if stalled or run.out_of_time():
+            raise StopIteration
+
+    # One BLAS thread: dot products split over threads would round differently on a machine with
+    # another number of processors.
+    with threadpool_limits(1, user_api="blas"):
+        try:
+            found = minimize(
+                evaluate,
+                x,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=Bounds(lower, upper),
+                callback=after_iteration,
+                options={
+                    "maxiter": iterations,
+                    "maxfun": 10**9,  # iterations and time are the limits
+                    "maxcor": CORRECTIONS,
+                    # The loss is a mean, so its gradient entries are tiny: scipy's absolute
+                    # tolerances would stop at once. Run on until no step lowers the loss.
+                    "ftol": 0.0,
+                    "gtol": 0.0,
+                },
+            )
+        except StopIteration:
+            assert last is not None
+            return last
+    return float(found.fun), found.x
+
+
+SCIPYS = Descent("L-BFGS-B", scipys)

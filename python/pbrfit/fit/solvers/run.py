@@ -1,0 +1,272 @@
+"""A running fit: its clock, its limits, its history, and who is told."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import Layout
+from pbrfit.fit.priors.material import HeldPull, Lesson, MaterialPull
+from pbrfit.fit.priors.penalties import Penalty, Priors
+from pbrfit.model.materials import Materials
+from pbrfit.result import metrics
+from pbrfit.result.history import HistoryRow
+from pbrfit.result.result import Stage, Status
+from pbrfit.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a running fit stands; passed to `progress` at the start and after each step.
+
+    Attributes
+    ----------
+    iteration, iterations
+        Done, and at most to be done.
+    evaluations
+        Passes over all pictures so far.
+    recon_rmse
+        In picture units; while lights are sought on some pixels, of those.
+    elapsed_s
+        Without the time that `progress` itself and comparing with ground truth have taken.
+    tiles
+        How many tiles of a large picture are done, and of how many; None while it is fitted as a
+        whole.
+    state
+        Called inside `progress`, it gives maps and lights as they are now, as `Objective.unpack`.
+    """
+
+    iteration: int
+    iterations: int
+    evaluations: int
+    recon_rmse: float
+    elapsed_s: float
+    state: Callable[[], tuple[Materials, NDArray[np.float64]]] = field(repr=False, compare=False)
+    tiles: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How long a fit may go on: iterations, and seconds or None."""
+
+    iterations: int
+    seconds: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """What some pixels of a scene were found to have in common with all others.
+
+    Attributes
+    ----------
+    material
+        The learnt material prior; None where the fit has none.
+    robust
+        The robust loss and its scale; None = squares.
+    cohesion
+        (S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
+        each pixel is pulled to it with; None where the prior has no weight.
+    """
+
+    material: Lesson | None = None
+    robust: tuple[str, float] | None = None
+    cohesion: tuple[Array, float] | None = None
+
+    def penalties(self, layout: Layout) -> list[Penalty]:
+        """Those that hold from the start."""
+        if self.cohesion is None or layout.segments is None:
+            return []
+        means, weight = self.cohesion
+        centre = means[layout.segments]
+        known = np.isfinite(centre) & (layout.segments > 0)[:, None]
+        precision = np.where(known, weight, 0.0)
+        centre = np.where(known, centre, 0.0)
+        return [HeldPull(centre, precision, layout.finish, 1 / layout.pixels, "cohesion")]
+
+
+class Run:
+    """One fit: counts iterations and passes, keeps the history, watches the clock.
+
+    Attributes
+    ----------
+    scene, objective, priors, robust, limits, seed
+        What is fitted and how.
+    taught
+        What other pixels of the scene were found to have, where these are a part of it; None = the
+        whole, which learns for itself.
+    iterations
+        At most so many in each of its fits.
+    measured_lighting
+        When the material prior was learnt; by these lights the monochrome weight is chosen.
+    lesson
+        The material prior as it was learnt last, and its penalty; None until then.
+    iteration, evaluations, rows, stages
+        What was done.
+    unmeasured
+        Seconds spent on comparing with the truth and in `progress`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        objective: Objective,
+        *,
+        priors: Priors,
+        robust: str,
+        limits: Limits,
+        seed: int,
+        progress: Callable[[Progress], None] | None,
+        began: float,
+        taught: Taught | None = None,
+    ) -> None:
+        self.taught = taught
+        self.scene, self.objective = scene, objective
+        self.priors, self.robust = priors, robust
+        self.limits, self.seed = limits, seed
+        self.iterations = limits.iterations
+        self.measured_lighting: Array | None = None
+        self.lesson: tuple[Lesson, MaterialPull] | None = None
+        self._truth = None if scene.truth is None else scene.truth.materials
+        self._progress = progress
+        self._began = began
+        self.unmeasured = 0.0
+        self.evaluations = self.iteration = 0
+        self._last = math.nan, math.nan  # loss and its data term, of the last evaluation
+        self.rows: list[HistoryRow] = []
+        self.stages: list[Stage] = []
+
+    def again(self, scene: Scene, objective: Objective) -> Run:
+        """A run that goes on with another scene and objective, and has all iterations again."""
+        later = Run(
+            scene,
+            objective,
+            priors=self.priors,
+            robust=self.robust,
+            limits=Limits(self.iteration + self.iterations, self.limits.seconds),
+            seed=self.seed,
+            progress=self._progress,
+            began=self._began,
+            taught=self.taught,
+        )
+        later.iterations = self.iterations
+        later.measured_lighting, later.lesson = self.measured_lighting, self.lesson
+        later.iteration, later.evaluations = self.iteration, self.evaluations
+        later.unmeasured = self.unmeasured
+        later.rows, later.stages = self.rows, self.stages
+        return later
+
+    @property
+    def left(self) -> int:
+        """Iterations."""
+        return self.limits.iterations - self.iteration
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the fit began, without what is unmeasured."""
+        return time.perf_counter() - self._began - self.unmeasured
+
+    def out_of_time(self) -> bool:
+        """Whether the time limit is reached."""
+        return self.limits.seconds is not None and self.elapsed >= self.limits.seconds
+
+    def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
+        """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""
+        if self.out_of_time():
+            return Status.TIME_LIMIT, f"time limit of {self.limits.seconds:g} s reached{kept}"
+        if self.left <= 0:
+            return Status.ITERATION_LIMIT, f"{self.limits.iterations} iterations done{kept}"
+        return Status.CONVERGED, why
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[list[str]]:
+        """Notes the time of a stage of the fit; what is said about it goes into the list."""
+        began, notes = self.elapsed, list[str]()
+        yield notes
+        self.stages.append(Stage(name, self.elapsed - began, "; ".join(notes)))
+
+    def robust_around(self, x: Array) -> tuple[str, float] | None:
+        """The loss and its scale for residuals as they are at x; None = squares."""
+        if self.taught is not None:
+            return self.taught.robust
+        return self.objective.robust_around(x, self.robust)
+
+    def evaluate(self, x: Array) -> tuple[float, Array]:
+        """Loss, penalties included, and gradient."""
+        self.evaluations += 1
+        data, gradient = self.objective.data_value_and_grad(x)
+        loss = data + self.objective.add_penalties(x, gradient)
+        self._last = loss, data
+        return loss, gradient
+
+    def record(self, x: Array, loss: float, data: float | None = None) -> None:
+        """A row of the history, and word to who wants to know.
+
+        `data` is the loss without penalties, if it is known.
+        """
+        elapsed = self.elapsed
+        if data is None:
+            # In all but rare cases x was the last to be evaluated.
+            last, data = self._last
+            if last != loss:
+                data = self.objective.data_value_and_grad(x)[0]
+        recon = self.objective.residual_rmse(data)
+        errors = {}
+        if self._truth is not None:
+            found, _ = self.objective.unpack(x)
+            errors = material_errors(found, self._truth)
+        self.rows.append(
+            HistoryRow(elapsed, self.iteration, self.evaluations, loss, recon, **errors)
+        )
+        self._tell(recon, elapsed, lambda: self.objective.unpack(x))
+
+    def tell(self, recon_rmse: float, state: Callable[[], Array]) -> None:
+        """Word to who wants to know, of a state that not all pixels have joined."""
+        self._tell(recon_rmse, self.elapsed, lambda: self.objective.unpack(state()))
+
+    def tell_tile(
+        self,
+        tiles: tuple[int, int],
+        recon_rmse: float,
+        state: Callable[[], tuple[Materials, Array]],
+    ) -> None:
+        """Word to who wants to know, of a large picture of which some tiles are done."""
+        self._tell(recon_rmse, self.elapsed, state, tiles)
+
+    def _tell(
+        self,
+        recon: float,
+        elapsed: float,
+        state: Callable[[], tuple[Materials, Array]],
+        tiles: tuple[int, int] | None = None,
+    ) -> None:
+        if self._progress is not None:
+            self._progress(
+                Progress(
+                    self.iteration,
+                    self.limits.iterations,
+                    self.evaluations,
+                    recon,
+                    elapsed,
+                    state,
+                    tiles,
+                )
+            )
+        self.unmeasured += self.elapsed - elapsed
+
+
+def material_errors(found: Materials, true: Materials) -> dict[str, float]:
+    """Root mean square errors of the maps."""
+    return {
+        "albedo_rmse": metrics.rmse(found.albedo, true.albedo),
+        "roughness_rmse": metrics.rmse(found.roughness, true.roughness),
+        "metallic_rmse": metrics.rmse(found.metallic, true.metallic),
+    }

@@ -1,0 +1,130 @@
+"""The fit of a lattice of pixels, and what all others take over from it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import uncertainty
+from pbrfit.fit.objective import Objective, Units, valid_values
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.fit.solvers import Run
+from pbrfit.fit.solvers.run import Taught
+from pbrfit.fit.tiles.nearest import Nearest
+from pbrfit.fit.tiles.part import Parts, Window, cut
+from pbrfit.fit.whole_picture import Asked, Start, fit_pixels
+from pbrfit.model.materials import Materials
+from pbrfit.result.refinement import Refinement
+from pbrfit.result.result import Status
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """What a lattice of pixels found.
+
+    Attributes
+    ----------
+    run
+        Whose clock goes on.
+    status, reason
+        Why it ended.
+    pixels
+        How many there are.
+    lighting
+        (N, 16, 3) in picture units.
+    refinement
+        What was decided about normals.
+    taught, priors
+        What tiles have in common, and the priors that they have then.
+    modes
+        How the lights may move; None where they are known or nobody asked.
+    near
+        Materials and normals to start from.
+    """
+
+    run: Run
+    status: Status
+    reason: str
+    pixels: int
+    lighting: Array
+    refinement: Refinement
+    taught: Taught
+    priors: Priors
+    modes: uncertainty.LightModes | None
+    near: Nearest
+
+
+def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start: Start) -> Lattice:
+    """Fit the pixels of a window of a scene as if they were all.
+
+    `units` are those of the scene. Of a time limit half is left to the tiles.
+    """
+    limits = asked.limits
+    if limits.seconds is not None:
+        asked = replace(asked, limits=replace(limits, seconds=limits.seconds / 2))
+    whole, scene = parts.scene, parts.cut(window)
+    if start is not None:
+        start = _of_window(start, window, whole.valid)
+    found, refinement = fit_pixels(scene, asked, start, units)
+    run, x = found.run, found.x
+    objective = run.objective
+    materials, lighting = objective.unpack(x)
+    modes = None
+    if asked.uncertainty:
+        began = time.perf_counter()
+        pixels = int(np.count_nonzero(whole.valid))
+        modes = uncertainty.light_modes(objective, x, of_pixels=pixels)
+        run.unmeasured += time.perf_counter() - began
+    lesson = None
+    if run.lesson is not None:
+        learnt, pull = run.lesson
+        lesson = learnt.moved(pull, x)
+    taught = Taught(
+        material=lesson,
+        robust=objective.robust,
+        cohesion=_means_of_segments(objective, x, asked.priors.cohesion),
+    )
+    return Lattice(
+        run=run,
+        status=found.status,
+        reason=found.reason,
+        pixels=objective.pixels,
+        lighting=lighting,
+        refinement=refinement,
+        taught=taught,
+        # Where the lattice had no time for the learnt prior or no use, tiles have none either.
+        priors=asked.priors if lesson else replace(asked.priors, material=0.0),
+        modes=modes,
+        near=Nearest(window, whole.valid, materials, np.asarray(run.scene.normals)),
+    )
+
+
+def _of_window(
+    start: Materials | tuple[Materials, Array], window: Window, valid: NDArray[np.bool_]
+) -> Materials | tuple[Materials, Array]:
+    """What a window has of a start, which is checked as a whole: a window of others may fit too."""
+    materials = start if isinstance(start, Materials) else start[0]
+    for name in ("albedo", "roughness", "metallic"):
+        valid_values(name, getattr(materials, name), valid)
+    part = cut(materials, window)
+    return part if isinstance(start, Materials) else (part, start[1])
+
+
+def _means_of_segments(objective: Objective, x: Array, weight: float) -> tuple[Array, float] | None:
+    """As `Taught.cohesion`; NaN for segments that none of these pixels is in."""
+    layout = objective.layout
+    if not weight or layout.segments is None:
+        return None
+    length = layout.segment_count + 1
+    counts = np.bincount(layout.segments, minlength=length)
+    with np.errstate(invalid="ignore"):
+        means = [
+            np.bincount(layout.segments, weights=x[block], minlength=length) / counts
+            for block in layout.finish
+        ]
+    return np.stack(means, axis=-1), weight

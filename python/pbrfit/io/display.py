@@ -1,0 +1,71 @@
+"""From linear radiance to what a screen shows: exposure, tone mapping, sRGB curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.color import encode_srgb
+
+ToneMap = Literal["none", "neutral"]
+"""How radiance above white is shown: clipped, or by `neutral`."""
+
+
+def encoded(
+    radiance: NDArray[np.floating[Any]], exposure: float = 0.0, tone_map: ToneMap = "none"
+) -> NDArray[np.float64]:
+    """Values for an sRGB screen, in [0, 1], of linear Rec.709 radiance (..., 3); NaN stays NaN.
+
+    Parameters
+    ----------
+    radiance
+        1 is white at exposure 0. Negative radiance is black.
+    exposure
+        In stops: radiance is multiplied by 2^exposure.
+    tone_map
+        ``none`` clips each channel at 1.
+
+    Raises
+    ------
+    InputError
+        If `tone_map` is another, or `exposure` is not finite.
+    """
+    if tone_map not in TONE_MAPS:
+        raise InputError(f"tone_map: expected one of {', '.join(TONE_MAPS)}, found {tone_map!r}")
+    if not np.isfinite(exposure):
+        raise InputError(f"exposure: expected a number of stops, found {exposure}")
+    exposed = np.maximum(np.asarray(radiance, dtype=np.float64) * 2.0**exposure, 0.0)
+    return np.asarray(encode_srgb(np.clip(TONE_MAPS[tone_map](exposed), 0.0, 1.0)))
+
+
+def neutral(radiance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compress highlights and keep colours below 0.8 as they are; (..., 3), 0 or more.
+
+    Made for pictures of products, whose base colours are to be recognised: what is not a highlight
+    is shown one to one, but for the 4 % of white that dielectrics mirror.
+
+    Source: Khronos PBR Neutral Tone Mapper, 2024.
+    """
+    least = np.min(radiance, axis=-1, keepdims=True)
+    color = radiance - np.where(least < 2 * FRESNEL, least - least**2 / (4 * FRESNEL), FRESNEL)
+    peak = np.max(color, axis=-1, keepdims=True)
+    room = 1 - COMPRESSED_FROM
+    lowered = 1 - room**2 / (np.maximum(peak, COMPRESSED_FROM) + room - COMPRESSED_FROM)
+    grey = 1 - 1 / (DESATURATION * (peak - lowered) + 1)
+    with np.errstate(invalid="ignore", divide="ignore"):  # black, which is not compressed
+        compressed = color * (lowered / peak) * (1 - grey) + lowered * grey
+    return np.where(peak < COMPRESSED_FROM, color, compressed)
+
+
+FRESNEL = 0.04
+COMPRESSED_FROM = 0.8 - FRESNEL
+DESATURATION = 0.15
+
+TONE_MAPS: dict[ToneMap, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
+    "none": lambda radiance: radiance,
+    "neutral": neutral,
+}

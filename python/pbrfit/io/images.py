@@ -1,0 +1,517 @@
+"""Picture files to linear float32, and back.
+
+Files are recognised by their content, not by their name. `read_picture` decodes colour;
+`read_data`, `read_ids` and `read_channels` never do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import operator
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+from pbrfit import _core
+from pbrfit._core import InputError
+from pbrfit.io.color import (
+    ColorSpace,
+    Conversion,
+    Primaries,
+    conversion,
+    from_icc,
+    near_rec709,
+    to_rec709,
+)
+from pbrfit.io.quoting import listed
+
+logger = logging.getLogger("pbrfit")
+
+PICTURE_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
+"""Suffixes, in lower case, of files that `read_picture` reads."""
+
+PngTag = Literal["srgb", "linear"] | None
+"""What a PNG file says about its encoding."""
+
+CODE_RANGE = (1, 250)
+"""Codes of an 8-bit file that are data. 0 in all channels may be anything darker than the file can
+say, and 255 anything brighter. JPEG smears clipped areas: of samples that were clipped before a
+JPEG of quality 75 to 95 with halved colour, 15 to 22 % come back with all channels below 254, and
+5 to 9 % with all below 251, which drops 2 % of the sound samples of bright photographs."""
+
+# fmt: off
+_RAW_SUFFIXES = frozenset({
+    ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos",
+    ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw",
+    ".x3f",
+})
+# fmt: on
+_HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif", ".avif"})
+_HEIF_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif"})
+_EXIF_IFD = 0x8769
+_FOCAL_LENGTH_35MM = 0xA405
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture, decoded.
+
+    Attributes
+    ----------
+    pixels
+        (H, W, 3), linear Rec.709 with D65, float32.
+    alpha
+        (H, W), coverage in [0, 1], float32, or None. The colours are as stored: not divided and
+        not multiplied by it.
+    clipped
+        (H, W), bool: some colour channel is above the code range, so that there may have been any
+        amount of light more. All False for float files.
+    dark
+        (H, W), bool: all colour channels are below the code range. All False for float files.
+    negative
+        (H, W), bool: some colour channel is below 0 in the file's own primaries. Colours outside of
+        Rec.709 are negative in `pixels` without that.
+    color
+        One sentence on how the colour was decided.
+    focal_length_35mm
+        From EXIF, millimetres, or None.
+    sha256
+        Of the file, hexadecimal.
+    bit_depth
+        Bits of a sample: 8 or 16 for integer files, 32 for float files.
+    """
+
+    pixels: NDArray[np.float32]
+    alpha: NDArray[np.float32] | None
+    clipped: NDArray[np.bool_]
+    dark: NDArray[np.bool_]
+    negative: NDArray[np.bool_]
+    color: str
+    focal_length_35mm: float | None
+    sha256: str
+    bit_depth: int
+
+
+def read_picture(
+    path: str | os.PathLike[str],
+    color_space: ColorSpace | None = None,
+    layer: str | None = None,
+    code_range: tuple[int, int] = CODE_RANGE,
+) -> Picture:
+    """Read a picture as linear Rec.709.
+
+    A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile
+    and are sRGB without one; float files (EXR, HDR, float TIFF) are linear Rec.709, or linear in
+    the chromaticities that an EXR file states. Grey is repeated to three channels. The EXIF
+    orientation is applied.
+
+    Parameters
+    ----------
+    path
+        EXR, HDR, PNG, JPEG or TIFF file.
+    color_space
+        How to read the stored values, whatever the file says.
+    layer
+        Of an EXR file: read ``layer.R``, ``layer.G``, ``layer.B`` (or ``layer.Y``) and
+        ``layer.A`` instead of ``R``, ``G``, ``B`` (or ``Y``) and ``A``.
+    code_range
+        Lowest and highest code that is data, of an 8-bit file; a 16-bit file has the same shares
+        of its maximum. They mark what is `clipped` or `dark`, and do not change pixels.
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    InputError
+        If the content cannot be used: another format, a damaged file, a profile that is not made
+        of curves and a matrix, no colour channels, an unknown `color_space`; or if `code_range` is
+        none.
+    OSError
+        If the file cannot be read.
+    """
+    low, high = _checked(code_range)
+    path, data, kind = _load(path)
+    chosen: Conversion | None = None
+    if color_space is not None:
+        try:
+            chosen = conversion(color_space)
+        except ValueError as error:
+            raise InputError(str(error)) from None
+    samples: NDArray[Any]
+    if kind == "EXR":
+        samples, found, color = _exr_picture(path, data, layer)
+        focal_length = None
+    else:
+        _refuse_layer(path, kind, layer)
+        raster = _core.decode_raster(data, path, indices=False)
+        samples = _oriented(raster)
+        focal_length = _focal_length_35mm(data if kind == "TIFF" else raster.exif)
+        found, color = _raster_color(path, raster, decide=chosen is None)
+    if chosen is not None:
+        color = f"{color_space} (as asked for)"
+
+    colors, alpha = samples, None
+    if samples.shape[2] in (2, 4):
+        colors, alpha = samples[..., :-1], samples[..., -1]
+    clipped = np.zeros(samples.shape[:2], dtype=np.bool_)
+    dark = np.zeros_like(clipped)
+    negative = np.zeros_like(clipped)
+    bit_depth = 8 * samples.dtype.itemsize
+    if samples.dtype.kind == "u":
+        maximum = int(np.iinfo(samples.dtype).max)
+        unit = maximum // 255  # 65535 is 257 times 255
+        np.any(colors > high * unit, axis=-1, out=clipped)
+        np.all(colors < low * unit, axis=-1, out=dark)
+        if alpha is not None:
+            alpha = np.divide(alpha, np.float32(maximum), dtype=np.float32)
+    else:
+        np.any(colors < 0, axis=-1, out=negative)
+        if alpha is not None:
+            alpha = alpha.astype(np.float32)
+    convert = chosen or found
+    pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
+    return Picture(
+        pixels=pixels,
+        alpha=alpha,
+        clipped=clipped,
+        dark=dark,
+        negative=negative,
+        color=color,
+        focal_length_35mm=focal_length,
+        sha256=hashlib.sha256(data).hexdigest(),
+        bit_depth=bit_depth,
+    )
+
+
+def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[np.float64]:
+    """Read a mask, normals or other data: never decoded as colour.
+
+    Parameters
+    ----------
+    path
+        EXR, HDR, PNG, JPEG or TIFF file.
+    layer
+        Of an EXR file: which layer, as in `read_picture`.
+
+    Returns
+    -------
+    NDArray
+        (H, W, C), float64. Integers are divided by the maximum of their type; floats are as
+        stored. C is 1 grey, 2 grey and alpha, 3 RGB, 4 RGB and alpha. Of an EXR file: R, G, B
+        and, if there is one, A; else X, Y, Z; else Y and A; else the only channel there is.
+
+    Raises
+    ------
+    InputError
+        If the content cannot be used.
+    OSError
+        If the file cannot be read.
+    """
+    path, data, kind = _load(path)
+    if kind == "EXR":
+        channels, _ = _core.decode_exr(data, path)
+        prefix = f"{layer}." if layer else ""
+        found = _pick(channels, prefix, ("RGBA", "RGB", "XYZ", "YA", "Y"))
+        if not found and len(channels) == 1 and not layer:
+            found = list(channels.values())
+        if not found:
+            raise _no_layer(path, channels, f"channels {prefix}R, {prefix}G, {prefix}B or X, Y, Z")
+        return np.stack(found, axis=-1).astype(np.float64)
+    _refuse_layer(path, kind, layer)
+    samples = _oriented(_core.decode_raster(data, path, indices=False))
+    if samples.dtype.kind == "u":
+        return samples / np.float64(np.iinfo(samples.dtype).max)
+    return samples.astype(np.float64)
+
+
+def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
+    """Read a picture of integer ids, such as segments.
+
+    Parameters
+    ----------
+    path
+        Grey PNG or TIFF file of 8 or 16 bits, or palette PNG, of which the indices are taken.
+
+    Returns
+    -------
+    NDArray
+        (H, W), uint16, the stored integers.
+
+    Raises
+    ------
+    InputError
+        If the file has several channels, floats, or is of a lossy format.
+    OSError
+        If the file cannot be read.
+    """
+    path, data, kind = _load(path)
+    expected = "expected ids in a grey 8 or 16-bit PNG or TIFF"
+    if kind not in ("PNG", "TIFF"):
+        raise InputError(f"{path}: {expected}, found {_article(kind)} file")
+    samples = _oriented(_core.decode_raster(data, path, indices=True))
+    if samples.shape[2] != 1 or samples.dtype.kind != "u":
+        raise InputError(f"{path}: {expected}, found {samples.shape[2]} channels {samples.dtype}")
+    return np.ascontiguousarray(samples[..., 0], dtype=np.uint16)
+
+
+def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
+    """Read all channels of an EXR file as they are.
+
+    Parameters
+    ----------
+    path
+        EXR file.
+
+    Returns
+    -------
+    dict
+        Full channel name, such as ``albedo.R``, to (H, W) float32. Of a file with several parts
+        the name of the part comes first.
+
+    Raises
+    ------
+    InputError
+        If this is not a sound EXR file of flat, full-resolution channels.
+    OSError
+        If the file cannot be read.
+    """
+    path, data, kind = _load(path)
+    if kind != "EXR":
+        raise InputError(f"{path}: expected an EXR file, found {_article(kind)} file")
+    return _core.decode_exr(data, path)[0]
+
+
+def write_exr(
+    path: str | os.PathLike[str], channels: Mapping[str, ArrayLike], half: bool = False
+) -> None:
+    """Write an EXR file of one part: ZIP, linear Rec.709 stated in it.
+
+    The file is there as a whole or not at all, and equal channels give equal bytes.
+
+    Parameters
+    ----------
+    path
+        File to write; an existing one is replaced.
+    channels
+        Channel name to (H, W) array, all of one shape. Values are written as given.
+    half
+        16-bit instead of 32-bit floats; beyond 65504 they become infinite.
+
+    Raises
+    ------
+    InputError
+        If there is no channel or their shapes differ.
+    OSError
+        If the file cannot be written.
+    """
+    planes = []
+    for name, channel in channels.items():
+        plane = np.asarray(channel, dtype=np.float32)
+        if plane.ndim != 2:
+            raise InputError(f"channels: expected (H, W) in {name}, found {plane.shape}")
+        planes.append((name, plane))
+    _core.write_exr(path, planes, half)
+
+
+def write_png(path: str | os.PathLike[str], image: NDArray[Any], tag: PngTag) -> None:
+    """Write a PNG file.
+
+    The file is there as a whole or not at all, and equal images give equal bytes.
+
+    Parameters
+    ----------
+    path
+        File to write; an existing one is replaced.
+    image
+        (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
+    tag
+        What the file is to say about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1:
+        data, or linear light) or None (nothing).
+
+    Raises
+    ------
+    InputError
+        If the shape or type of `image` is another.
+    OSError
+        If the file cannot be written.
+    """
+    _core.write_png(path, image, tag)
+
+
+def encode_png(image: NDArray[Any], tag: PngTag) -> bytes:
+    """Encode the PNG file that `write_png` writes.
+
+    Raises
+    ------
+    InputError
+        If the shape or type of `image` is another.
+    """
+    return _core.encode_png(image, tag)
+
+
+def _checked(code_range: tuple[int, int]) -> tuple[int, int]:
+    try:
+        low, high = (operator.index(code) for code in code_range)
+    except (TypeError, ValueError):
+        low, high = 0, 0
+    if not 0 <= low < high <= 255:
+        raise InputError(
+            f"code_range: expected two 8-bit codes, 0 ≤ low < high ≤ 255, found {code_range}"
+        )
+    return low, high
+
+
+def _load(path: str | os.PathLike[str]) -> tuple[Path, bytes, str]:
+    """Read path, content and format of a file that can be read."""
+    path = Path(path)
+    data = path.read_bytes()
+    if not data:
+        raise InputError(f"{path}: expected a picture, found an empty file")
+    kind = _core.image_format(data)
+    suffix = path.suffix.lower()
+    # Many raw files are TIFF files whose first page is a thumbnail, so here the name decides.
+    canon = (data[:4] == b"II*\0" and data[8:10] == b"CR") or data[4:12] == b"ftypcrx "
+    if canon or (suffix in _RAW_SUFFIXES and kind in ("TIFF", None)):
+        raise InputError(
+            f"{path}: expected {_SUPPORTED}, found a raw file: develop it first, for example with"
+            f" `darktable-cli {path.name} {path.stem}.exr`, or with `dcraw -4 -T {path.name}` and"
+            " then colour space linear"
+        )
+    if kind is None:
+        raise InputError(f"{path}: expected {_SUPPORTED}, found {_guess(path, data)}")
+    return path, data, kind
+
+
+_SUPPORTED = "EXR, HDR, PNG, JPEG or TIFF"
+
+
+def _guess(path: Path, data: bytes) -> str:
+    """Say what a file that is not supported seems to be."""
+    if path.suffix.lower() in _HEIF_SUFFIXES or (
+        data[4:8] == b"ftyp" and data[8:12] in _HEIF_BRANDS
+    ):
+        return (
+            f"HEIC or AVIF: convert it first, for example with"
+            f" `heif-convert {path.name} {path.stem}.png`"
+        )
+    if data.startswith(b"GIF8"):
+        return "GIF"
+    if data.startswith(b"BM"):
+        return "BMP"
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return "WebP"
+    return f"a file that starts with {data[:8]!r}"
+
+
+def _article(kind: str) -> str:
+    return f"{'an' if kind in ('EXR', 'HDR') else 'a'} {kind}"
+
+
+def _refuse_layer(path: Path, kind: str, layer: str | None) -> None:
+    if layer is not None:
+        raise InputError(f"{path}: expected an EXR file with layer {layer}, found {_article(kind)}")
+
+
+def _oriented(raster: _core.Raster) -> NDArray[Any]:
+    """Turn samples to how they are to be seen: EXIF 2.32, table 6 (tag Orientation)."""
+    samples = raster.samples
+    if raster.orientation >= 5:
+        samples = samples.swapaxes(0, 1)
+    # After the swap 5 is done, 6 lacks a left-right flip, 7 both flips, 8 an up-down flip.
+    if raster.orientation in (2, 3, 6, 7):
+        samples = samples[:, ::-1]
+    if raster.orientation in (3, 4, 7, 8):
+        samples = samples[::-1]
+    return samples
+
+
+def _focal_length_35mm(exif: bytes | None) -> float | None:
+    """EXIF tag FocalLengthIn35mmFilm; 0 means unknown there."""
+    if exif is None:
+        return None
+    tags = Image.Exif()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about damaged EXIF, which is then not used
+        try:
+            tags.load(exif)
+            value = float(tags.get_ifd(_EXIF_IFD)[_FOCAL_LENGTH_35MM])
+        except Exception:  # no such tag, or whatever a damaged block leads to
+            return None
+    return value if 0 < value < float("inf") else None
+
+
+def _raster_color(path: Path, raster: _core.Raster, decide: bool) -> tuple[Conversion, str]:
+    """Decide the conversion by the rules of `read_picture`, and the sentence that says so."""
+    samples = raster.samples
+    if samples.dtype.kind == "f":
+        if decide and raster.icc_profile is not None:
+            logger.warning("%s: its ICC profile is ignored because it is a float file", path)
+        return Conversion("linear"), f"linear Rec.709 (float {raster.format})"
+    bits = 8 * samples.dtype.itemsize
+    if decide and raster.icc_profile is not None:
+        grey = samples.shape[2] < 3
+        curves, to_xyz = _core.decode_icc(raster.icc_profile, 1 << bits, path)
+        if to_xyz is None and not grey:
+            raise InputError(
+                f"{path}: expected an ICC profile for RGB, found one for grey: convert the"
+                " picture to sRGB or give its colour space"
+            )
+        return from_icc(curves, to_xyz), f"ICC profile of the {bits}-bit {raster.format}"
+    if decide and raster.ignored is not None:
+        logger.warning("%s: read as sRGB; its %s is ignored", path, raster.ignored)
+    return Conversion("srgb"), f"sRGB ({bits}-bit {raster.format} without a profile)"
+
+
+def _exr_picture(
+    path: Path, data: bytes, layer: str | None
+) -> tuple[NDArray[np.float32], Conversion, str]:
+    """Find samples (H, W, 1 to 4), conversion and its sentence."""
+    channels, chromaticities = _core.decode_exr(data, path)
+    prefix = f"{layer}." if layer else ""
+    found = _pick(channels, prefix, ("RGBA", "RGB", "YA", "Y"))
+    if not found:
+        raise _no_layer(path, channels, f"channels {prefix}R, {prefix}G, {prefix}B or {prefix}Y")
+    samples = np.stack(found, axis=-1)
+    del channels, found
+    linear = Conversion("linear")
+    if chromaticities is None:
+        return samples, linear, "linear Rec.709 (EXR without chromaticities)"
+    x_y = [(chromaticities[k], chromaticities[k + 1]) for k in range(0, 8, 2)]
+    primaries = Primaries(*x_y)
+    if near_rec709(primaries):
+        return samples, linear, "linear Rec.709 (chromaticities of the EXR)"
+    if samples.shape[2] < 3:
+        return samples, linear, "linear grey (EXR)"
+    try:
+        matrix = to_rec709(primaries)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    return samples, Conversion("linear", matrix), "linear, converted from the EXR's chromaticities"
+
+
+def _pick(
+    channels: Mapping[str, NDArray[np.float32]], prefix: str, sets: tuple[str, ...]
+) -> list[NDArray[np.float32]]:
+    """Choose the channels of the first set that is there as a whole."""
+    for letters in sets:
+        names = [prefix + letter for letter in letters]
+        if all(name in channels for name in names):
+            return [channels[name] for name in names]
+    return []
+
+
+def _no_layer(path: Path, channels: Mapping[str, object], expected: str) -> InputError:
+    layers = sorted({name.rpartition(".")[0] for name in channels if "." in name})
+    layers_found = f" in layers {listed(layers)}" if layers else ""
+    found = f"{listed(channels)}{layers_found}"
+    return InputError(f"{path}: expected {expected}, found {found}")

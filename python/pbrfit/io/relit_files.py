@@ -1,0 +1,168 @@
+"""Relit pictures as files: linear EXR, PNG for a screen, folders of frames, animations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, PngImagePlugin
+
+from pbrfit.io import display, images
+from pbrfit.io.display import ToneMap
+
+Radiance = NDArray[np.float64]
+"""(H, W, 3) linear Rec.709; NaN outside the mask."""
+
+NEARLY_BLACK = 8
+"""Codes up to this are hard to tell from black."""
+
+ANIMATIONS = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
+"""Pillow's names of animated formats."""
+
+
+def write_exr(path: Path, radiance: Radiance) -> None:
+    """Write linear Rec.709 float32: R, G, B, and A where there is a mask; 0 outside it."""
+    inside = _inside(radiance)
+    largest = float(np.finfo(np.float32).max)
+    pixels = np.clip(np.where(inside[..., None], radiance, 0.0), -largest, largest)
+    channels: dict[str, NDArray[Any]] = {name: pixels[..., c] for c, name in enumerate("RGB")}
+    if not inside.all():
+        channels["A"] = inside.astype(np.float64)
+    images.write_exr(path, channels)
+
+
+def write_png(path: Path, shown: NDArray[np.uint8]) -> None:
+    """Write what `Screen.shown` gives, tagged as sRGB."""
+    images.write_png(path, shown, "srgb")
+
+
+def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
+    """Write frames of `Screen.shown` that are repeated for ever; WebP and PNG are lossless.
+
+    Parameters
+    ----------
+    kind
+        A key of `ANIMATIONS`: what to write, whatever the path is called.
+    fps
+        Frames a second; GIF holds each frame for a whole number of hundredths of a second.
+    """
+    pictures = (Image.fromarray(frame) for frame in frames)
+    if kind == ".gif":
+        pictures = (_with_palette(picture) for picture in pictures)
+    first = next(pictures)
+    options: dict[str, Any] = {"duration": round(1000 / fps), "loop": 0}
+    if kind == ".gif":
+        options.update(duration=10 * round(100 / fps), disposal=2)
+    elif kind == ".webp":
+        options.update(lossless=True)
+        if first.mode == "RGBA":
+            # Every frame whole: cropped to a mask that is a rectangle, frames have no transparent
+            # pixel left, and the file then says that it has no alpha.
+            options.update(kmin=1, kmax=1)
+    else:
+        tags = PngImagePlugin.PngInfo()
+        tags.add(b"sRGB", b"\0")  # perceptual, as the other PNG files say
+        options.update(pnginfo=tags)
+    # Pillow goes through the frames of a PNG twice.
+    others = list(pictures) if kind == ".png" else pictures
+    # Opened here: Pillow leaves a file that it opened itself open when a frame fails.
+    with path.open("w+b") as file:
+        first.save(file, ANIMATIONS[kind], save_all=True, append_images=others, **options)
+
+
+def _with_palette(picture: Image.Image) -> Image.Image:
+    """256 colours of its own; outside the mask the last one, which is transparent."""
+    if picture.mode == "RGB":
+        return picture.quantize(256, Image.Quantize.MEDIANCUT)
+    reduced = picture.convert("RGB").quantize(255, Image.Quantize.MEDIANCUT)
+    indices = np.where(np.asarray(picture)[..., 3] > 0, np.asarray(reduced), 255)
+    result = Image.fromarray(indices.astype(np.uint8), mode="P")
+    palette = reduced.getpalette() or []
+    result.putpalette([*palette, *[0] * (768 - len(palette))])
+    result.info["transparency"] = 255
+    return result
+
+
+def _inside(radiance: Radiance) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(radiance).all(axis=-1))
+
+
+@dataclass
+class Screen:
+    """Encodes radiance for a screen, and keeps account of what that cost.
+
+    Attributes
+    ----------
+    exposure, tone_map
+        As for `display.encoded`.
+    clipped, black, pixels
+        Pixels so far with a channel at 255, with none above `NEARLY_BLACK`, and all.
+    """
+
+    exposure: float = 0.0
+    tone_map: ToneMap = "none"
+    clipped: int = 0
+    black: int = 0
+    pixels: int = 0
+
+    def shown(self, radiance: Radiance) -> NDArray[np.uint8]:
+        """(H, W, 3) sRGB codes; (H, W, 4) where there is a mask, 0 outside it."""
+        inside = _inside(radiance)
+        values = display.encoded(
+            np.where(inside[..., None], radiance, 0.0), self.exposure, self.tone_map
+        )
+        codes = np.rint(255 * values).astype(np.uint8)
+        largest = codes.max(axis=-1)[inside]
+        self.pixels += largest.size
+        self.clipped += int(np.sum(largest == 255))
+        self.black += int(np.sum(largest <= NEARLY_BLACK))
+        if inside.all():
+            return codes
+        codes[~inside] = 0
+        return np.dstack([codes, np.where(inside, 255, 0).astype(np.uint8)])
+
+    def share(self, pixels: int) -> float:
+        """Of all pixels."""
+        return pixels / max(self.pixels, 1)
+
+
+@dataclass
+class Range:
+    """Radiance of pictures so far.
+
+    Attributes
+    ----------
+    least, greatest
+        Over all channels.
+    middles
+        Median over pixels that are not black, of the mean of channels; a picture each.
+    """
+
+    least: float = np.inf
+    greatest: float = -np.inf
+    middles: tuple[float, ...] = ()
+
+    def take(self, pictures: Iterable[Radiance]) -> Iterator[Radiance]:
+        """Pass pictures through."""
+        for radiance in pictures:
+            inside = radiance[_inside(radiance)]
+            self.least = min(self.least, float(inside.min(initial=np.inf)))
+            self.greatest = max(self.greatest, float(inside.max(initial=-np.inf)))
+            bright = inside.mean(axis=-1)
+            bright = bright[bright > 0]
+            self.middles += (float(np.median(bright)),) if bright.size else ()
+            yield radiance
+
+    def fitting_exposure(self) -> float | None:
+        """Stops, in halves, that show the pictures' middle as middle grey; None if all is black."""
+        if not self.middles:
+            return None
+        return float(np.round(2 * np.log2(MIDDLE_GREY / np.mean(self.middles))) / 2)
+
+
+MIDDLE_GREY = 0.18
+"""Of white, photographers' convention."""

@@ -1,0 +1,115 @@
+"""Camera, view directions and normal conventions.
+
+Camera space: X right, Y up, Z towards the viewer. The field of view is horizontal, in degrees, with
+square pixels and a centred principal point; 0 means an orthographic camera.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.checks import real_number
+
+DIAGONAL_35MM = math.hypot(36.0, 24.0)
+"""Diagonal in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
+
+
+def view_directions(
+    height: int,
+    width: int,
+    fov: float,
+    rows: slice = slice(None),
+    columns: slice = slice(None),
+) -> NDArray[np.float64]:
+    """Unit vectors from the surface seen in each pixel to the camera.
+
+    Parameters
+    ----------
+    height, width
+        Size of the picture in pixels.
+    fov
+        Horizontal field of view in degrees, 0 <= fov < 180; 0 is orthographic.
+    rows, columns
+        Which of the picture's pixels are wanted.
+
+    Returns
+    -------
+    (height, width, 3) float64, camera space, or as many rows and columns as are wanted. The ray
+    through a pixel's centre runs along -v.
+
+    Raises
+    ------
+    InputError
+        If fov is outside [0, 180).
+    """
+    check_fov(fov)
+    half_width = math.tan(math.radians(fov) / 2)
+    x = ((2 * np.arange(width) + 1 - width) / width * half_width)[columns]
+    y = ((height - 1 - 2 * np.arange(height)) / width * half_width)[rows]
+    view = np.empty((len(y), len(x), 3))
+    view[..., 0] = -x
+    view[..., 1] = -y[:, None]
+    view[..., 2] = 1.0
+    view /= np.linalg.norm(view, axis=-1, keepdims=True)
+    return view
+
+
+def check_fov(fov: float) -> None:
+    """Raise InputError unless 0 <= fov < 180."""
+    if not 0 <= real_number("fov", fov, "degrees in [0, 180)") < 180:
+        raise InputError(f"fov: expected degrees in [0, 180), found {fov}")
+
+
+def fov_from_focal_length(focal_length_35mm: float, height: int, width: int) -> float:
+    """Horizontal field of view in degrees from a 35 mm equivalent focal length in millimetres.
+
+    Lenses are equivalent when their pictures cover the same angle along the diagonal, so the
+    answer depends on the shape of the picture, (height, width) in pixels as it is looked at.
+    """
+    half_width = DIAGONAL_35MM / 2 * width / math.hypot(height, width)
+    return math.degrees(2 * math.atan(half_width / focal_length_35mm))
+
+
+def facing_away(normals: NDArray[Any], views: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which pixels' normals point away from the camera, n·v <= 0: (...,) from two (..., 3)."""
+    return np.asarray(np.einsum("...i,...i->...", normals, views) <= 0)
+
+
+def angles_between(
+    found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]
+) -> NDArray[np.float64]:
+    """Angle between unit vectors (..., 3), (...,) in degrees; NaN stays NaN.
+
+    2 asin(|n - n'| / 2): arccos of n·n' would lose half of the digits of small angles.
+    """
+    chord = np.linalg.norm(found - true, axis=-1)
+    return np.asarray(np.degrees(2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0))))
+
+
+def likely_convention_error(normals: NDArray[Any], views: NDArray[Any]) -> str | None:
+    """Name the flip of an axis that would turn most of the normals that face away to the camera.
+
+    Parameters
+    ----------
+    normals, views
+        (M, 3) unit vectors in camera space.
+
+    Returns
+    -------
+    A sentence fragment for a warning, or None when no flip helps clearly.
+    """
+    flips = {
+        "Z points away from the viewer instead of towards it": (1, 1, -1),
+        "Y points down (the DirectX convention) instead of up": (1, -1, 1),
+        "X points left instead of right": (-1, 1, 1),
+        "all three axes are reversed": (-1, -1, -1),
+    }
+    now = np.mean(facing_away(normals, views))
+    best = min(flips, key=lambda name: np.mean(facing_away(normals * flips[name], views)))
+    after = np.mean(facing_away(normals * flips[best], views))
+    return best if after < 0.5 * now else None

@@ -1,0 +1,139 @@
+"""`lighting.json`: SH lights of named pictures, the one format for them everywhere."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.checks import of_what, real_array, real_number
+from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit
+from pbrfit.io.quoting import quoted, shown
+from pbrfit.model.reflection import sh_basis
+
+BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
+"""(16,): band l of coefficient k."""
+
+BASIS = "real SH, no Condon-Shortley phase, index l(l+1)+m"
+ORDER = 3
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """SH light of each picture.
+
+    Attributes
+    ----------
+    pictures
+        Names, one a picture.
+    coefficients
+        (N, 16, 3) float64: picture, coefficient k = l(l+1)+m, channel; linear Rec.709.
+    """
+
+    pictures: tuple[str, ...]
+    coefficients: NDArray[np.float64]
+
+    def save(self, path: Path) -> None:
+        """Write `lighting.json`."""
+        content = {
+            "basis": BASIS,
+            "order": ORDER,
+            "pictures": list(self.pictures),
+            "coefficients": self.coefficients.tolist(),
+        }
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        path.write_text(text + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> Lighting:
+        """Read `lighting.json`.
+
+        Raises
+        ------
+        InputError
+            If the file is not what `save` writes; the message names the file.
+        """
+        parts = "JSON with basis, order, pictures and coefficients"
+        content = read_json(path, parts, finite=False)  # told of below
+        try:
+            content = table(content)
+            basis, order = content["basis"], content["order"]
+            pictures = texts(content["pictures"])
+            stored = np.array(content["coefficients"])
+            if stored.dtype.kind not in "if":
+                raise ValueError(f"coefficients of type {stored.dtype}")
+            coefficients = stored.astype(np.float64)
+        except UNFIT as error:
+            raise unfit(path, parts, error) from None
+        if (basis, order) != (BASIS, ORDER):
+            raise InputError(
+                f"{path}: expected basis {BASIS!r} of order {ORDER}, "
+                f"found {quoted(basis)} of order {quoted(order)}"
+            )
+        expected = (len(pictures), 16, 3)
+        if coefficients.shape != expected:
+            raise InputError(
+                f"{path}: expected coefficients of shape {expected}, one light for each name in "
+                f"pictures, found shape {coefficients.shape}"
+            )
+        if len(set(pictures)) != len(pictures):
+            twice = next(name for name in pictures if pictures.count(name) > 1)
+            raise InputError(f"{path}: expected one light a name, found {shown(twice)} twice")
+        if not np.isfinite(coefficients).all():
+            raise InputError(f"{path}: expected finite coefficients, found NaN or infinity")
+        return cls(pictures, coefficients)
+
+    def of(self, pictures: tuple[str, ...], path: Path) -> NDArray[np.float64]:
+        """Coefficients in the order of `pictures`; `path` is named when one has no light."""
+        missing = [name for name in pictures if name not in self.pictures]
+        if missing:
+            raise InputError(
+                f"{path}: expected a light for every picture, found none for {missing[0]}"
+                + (f" and {len(missing) - 1} more" if len(missing) > 1 else "")
+            )
+        return self.coefficients[[self.pictures.index(name) for name in pictures]]
+
+
+def rotated(coefficients: ArrayLike, degrees: float) -> NDArray[np.float64]:
+    """SH lights (..., 16, 3) turned about +Y, from +Z towards +X.
+
+    Radiance from R d is then what it was from d. A light is known where its radiance is known in
+    some 16 directions or more, so with Y of directions d, and of those turned back,
+
+        Y(d) L' = Y(R⁻¹ d) L   ⇒   L' = Y(d)⁺ Y(R⁻¹ d) L.
+    """
+    light = real_array("coefficients", coefficients)
+    if light.shape[-2:] != (16, 3) or not np.isfinite(light).all():
+        raise InputError(
+            f"coefficients: expected finite lights (..., 16, 3), found {of_what(light)}"
+        )
+    turn = real_number("degrees", degrees)
+    if not math.isfinite(turn):
+        raise InputError(f"degrees: expected a finite number, found {degrees}")
+    angle = math.radians(math.remainder(turn, 360))
+    back = np.array(
+        [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
+    )
+    rotation = np.linalg.pinv(sh_basis(_SPREAD)) @ sh_basis(_SPREAD @ back.T)
+    with np.errstate(over="ignore", invalid="ignore"):
+        turned = np.asarray(rotation @ light)
+    if not np.isfinite(turned).all():
+        raise InputError("coefficients: expected lights that float64 can hold when turned")
+    return turned
+
+
+def _spread_directions(count: int) -> NDArray[np.float64]:
+    """Directions that are spread evenly over the sphere, on a spiral: (count, 3)."""
+    index = np.arange(count)
+    z = 1 - (2 * index + 1) / count
+    around = index * np.pi * (3 - np.sqrt(5))
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(around), radius * np.sin(around), z], axis=-1)
+
+
+_SPREAD = _spread_directions(64)

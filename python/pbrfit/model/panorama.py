@@ -1,0 +1,245 @@
+"""Panoramas: light from all directions as an equirectangular picture, to and from SH lights.
+
+The centre of a panorama looks along −Z, into the scene; its right half is +X, its top +Y. With
+W × H pixels, column j and row i counted from 0,
+
+    φ = 2π ((j + ½)/W − ½)      d = (sin φ cos θ, sin θ, −cos φ cos θ)
+    θ = π (½ − (i + ½)/H)
+
+where d points to where the light comes from.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io import images
+from pbrfit.io.color import ColorSpace
+from pbrfit.model.lighting import BAND_OF, rotated
+from pbrfit.model.reflection import sh_basis
+
+log = logging.getLogger("pbrfit")
+
+Window = Literal["none", "lanczos", "nonnegative"]
+"""What is done against ringing; see `windowed`."""
+
+CHUNK = 1 << 18
+"""Pixels whose basis is held at once: 32 MiB of it."""
+
+FEWEST_ROWS = 7
+"""Products of two functions with l = 3 have degree 6; with fewer rows, or columns, `solid_angles`
+does not integrate them exactly, and grey panoramas would light unevenly."""
+
+
+def directions(height: int, width: int) -> NDArray[np.float64]:
+    """Where the light of each pixel comes from: (height, width, 3) unit vectors."""
+    return _rows(height, width, slice(None))
+
+
+def solid_angles(height: int, width: int) -> NDArray[np.float64]:
+    """Solid angle that a pixel of each row stands for, in steradians: (height,).
+
+    All pixels together have 4π. These are the weights of Fejér's first rule, whose nodes are the
+    centres of rows: unlike areas of pixels they integrate smooth light exactly, SH lights among
+    them,
+
+        w_i = (2π/W) (2/H) (1 − 2 Σ_k cos(2 k θ_i)/(4 k² − 1)),  k = 1 ... H/2 rounded down,
+
+    with θ_i the angle from the top. They differ from areas by O(1/H²).
+
+    Source: L. Fejér, "Mechanische Quadraturen mit positiven Cotesschen Zahlen", 1933.
+    """
+    from scipy.fft import dct
+
+    k = np.arange(height // 2 + 1)
+    series = np.zeros(height)
+    # The sum over even frequencies is a cosine transform of type III, a_0 + 2 Σ a_j cos(j θ_i).
+    even = k[2 * k < height]
+    series[2 * even] = -1 / (4.0 * even**2 - 1)
+    return np.asarray(dct(series, type=3) * (2 * np.pi / width) * (2 / height))
+
+
+def read(
+    path: str | os.PathLike[str], color_space: ColorSpace | None = None
+) -> NDArray[np.float32]:
+    """Read a panorama as linear Rec.709: (H, 2H, 3).
+
+    Parameters
+    ----------
+    path
+        EXR or Radiance HDR file; other pictures are read too, but know no light above white, which
+        is warned of where they reach it.
+    color_space
+        As for `images.read_picture`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read as a picture, is not twice as wide as high or too small, or holds NaN,
+        infinity or negative radiance. Colours that only other primaries than Rec.709 hold are
+        negative in Rec.709 and welcome.
+    OSError
+        If the file cannot be read.
+    """
+    picture = images.read_picture(path, color_space)
+    _check(picture, str(path))
+    if picture.clipped.any():
+        log.warning(
+            "%s: %.2g %% of the pixels are clipped, so lamps, windows and skies are darker in it "
+            "than they were; .hdr and .exr hold them",
+            path,
+            100 * picture.clipped.mean(),
+        )
+    return picture.pixels
+
+
+def _check(picture: images.Picture, name: str) -> None:
+    height, width = picture.pixels.shape[:2]
+    if width != 2 * height:
+        raise InputError(
+            f"{name}: expected a panorama twice as wide as high (equirectangular), "
+            f"found {width} × {height}"
+        )
+    _refuse_where(~np.isfinite(picture.pixels).all(axis=-1), "NaN or infinity", name)
+    _refuse_where(picture.negative, "negative radiance", name)
+    if height < FEWEST_ROWS:
+        raise InputError(
+            f"{name}: expected a panorama of {2 * FEWEST_ROWS} × {FEWEST_ROWS} pixels or more, "
+            f"found {width} × {height}"
+        )
+
+
+def _refuse_where(wrong: ArrayLike, what: str, name: str) -> None:
+    places = np.argwhere(wrong)
+    if len(places):
+        raise InputError(
+            f"{name}: expected finite radiance of 0 or more, found {what} in {len(places)} pixels, "
+            f"the first in column {places[0, 1]} of row {places[0, 0]}"
+        )
+
+
+def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[np.float64]:
+    """SH light that comes nearest to a panorama.
+
+    Parameters
+    ----------
+    pixels
+        (H, W, 3), linear Rec.709 radiance.
+    rotate
+        Degrees by which the light is turned about +Y, from +Z towards +X.
+
+    Returns
+    -------
+    (16, 3): L_k = ∫ E Y_k dω.
+    """
+    height, width = pixels.shape[:2]
+    weights = solid_angles(height, width)
+    light = np.zeros((16, 3))
+    step = max(1, CHUNK // width)
+    for first in range(0, height, step):
+        rows = slice(first, first + step)
+        basis = sh_basis(_rows(height, width, rows))
+        weighted = pixels[rows] * weights[rows, None, None]
+        light += np.tensordot(basis, weighted, axes=((0, 1), (0, 1)))
+    return rotated(light, rotate)
+
+
+def lost_energy(pixels: NDArray[np.floating[Any]], coefficients: ArrayLike) -> float:
+    """Share of ∫ E² dω that an SH light of the panorama lacks, over all channels, 0 to 1.
+
+    The basis is orthonormal, so what a projection keeps is the sum of its squares.
+    """
+    weights = solid_angles(*pixels.shape[:2])
+    # In units of the largest: squares of the sun leave float32.
+    largest = float(np.max(pixels))
+    if largest == 0:
+        return 0.0
+    rows = np.sum(np.square(pixels / largest, dtype=np.float64), axis=(1, 2))
+    kept = float(np.sum(np.square(np.asarray(coefficients) / largest)))
+    return float(np.clip(1 - kept / (weights @ rows), 0, 1))
+
+
+def radiance(coefficients: ArrayLike, height: int) -> NDArray[np.float64]:
+    """An SH light (16, 3) as a panorama (height, 2 height, 3); it may be negative in places."""
+    return np.asarray(sh_basis(directions(height, 2 * height)) @ np.asarray(coefficients))
+
+
+def windowed(coefficients: ArrayLike, window: Window) -> NDArray[np.float64]:
+    """SH light (16, 3) with less ringing: higher bands are damped, the mean light stays.
+
+    A lamp cut off at l = 3 is surrounded by rings, negative ones among them.
+
+    Parameters
+    ----------
+    window
+        ``lanczos`` multiplies band l by sin(πl/4)/(πl/4). ``nonnegative`` divides it by
+        1 + λ l² (l+1)², with the smallest λ that leaves no direction and no channel negative.
+
+    Raises
+    ------
+    InputError
+        If `window` is another.
+
+    Notes
+    -----
+    P.-P. Sloan, "Stupid Spherical Harmonics (SH) Tricks", 2008, has both; the second comes of
+    penalising the square of the Laplacian.
+    """
+    light = np.asarray(coefficients, dtype=np.float64)
+    if window not in WINDOWS:
+        raise InputError(f"window: expected one of {', '.join(WINDOWS)}, found {window!r}")
+    return WINDOWS[window](light)
+
+
+def darkest(coefficients: ArrayLike) -> float:
+    """Smallest radiance of an SH light over all directions and channels; below 0 it rings."""
+    return float(radiance(coefficients, DARKEST_HEIGHT).min())
+
+
+DARKEST_HEIGHT = 64
+"""Rows of the panorama that negative light is looked for in; l = 3 has no detail finer than 20."""
+
+
+def _lanczos(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(light * np.sinc(BAND_OF / 4)[:, None])
+
+
+def _nonnegative(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    bands = (BAND_OF * (BAND_OF + 1.0)) ** 2
+
+    def damped(strength: float) -> NDArray[np.float64]:
+        return np.asarray(light / (1 + strength * bands)[:, None])
+
+    mean = light[0].max(initial=0.0)
+    if darkest(light) >= 0 or mean == 0:
+        return light
+    # Strengths on a logarithmic scale: at the upper end only the mean light is left.
+    low, high = -6.0, 12.0
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (low, middle) if darkest(damped(10**middle)) >= 0 else (middle, high)
+    return damped(10**high)
+
+
+WINDOWS: dict[Window, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
+    "none": lambda light: light,
+    "lanczos": _lanczos,
+    "nonnegative": _nonnegative,
+}
+
+
+def _rows(height: int, width: int, rows: slice) -> NDArray[np.float64]:
+    """Directions of some rows."""
+    around = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
+    up = np.pi * (0.5 - (np.arange(height)[rows] + 0.5) / height)[:, None]
+    return np.stack(
+        np.broadcast_arrays(np.sin(around) * np.cos(up), np.sin(up), -np.cos(around) * np.cos(up)),
+        axis=-1,
+    )

@@ -1,0 +1,392 @@
+"""The forward model on arrays: checked wrappers around the Rust core.
+
+Camera space throughout: X right, Y up, Z towards the viewer. Radiance is linear Rec.709. There are
+two reflection models, and docs/model.md has both with their sources.
+"""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pbrfit import _core
+from pbrfit._core import InputError
+from pbrfit.io.checks import of_what, real_array
+from pbrfit.model.geometry import view_directions
+from pbrfit.model.materials import Materials
+
+Array = NDArray[np.float64]
+
+Model = Literal["paper", "principled"]
+"""How surfaces reflect light: "paper", its eqs. 1-12 with eq. 12 for the mirror-like part;
+"principled", the microfacet BRDF that path tracers have, integrated over the light exactly."""
+
+MODELS: tuple[Model, ...] = get_args(Model)
+
+DEFAULT_MODEL: Model = "paper"
+"""Where nobody says which, and nobody knows what the pictures were rendered with."""
+
+FIRST_MODEL: Model = "paper"
+"""Of results that do not say which: there was no other when they were written."""
+
+
+def checked_model(name: Any) -> Model:
+    """Return the name of a model as it is; InputError that says which there are otherwise."""
+    for model in MODELS:
+        if isinstance(name, str) and name == model:
+            return model
+    raise InputError(f"model: expected {' or '.join(MODELS)}, found {of_what(name)}")
+
+
+def chosen_model(asked: Model | None, of_pictures: Model | None) -> Model:
+    """Return what is asked for, else what the pictures were rendered with, else the default.
+
+    Raises
+    ------
+    InputError
+        If it is the name of no model.
+    """
+    return checked_model(asked if asked is not None else of_pictures or DEFAULT_MODEL)
+
+
+def sh_basis(directions: ArrayLike) -> NDArray[np.float64]:
+    """Real spherical harmonics up to l = 3, without Condon-Shortley phase.
+
+    Parameters
+    ----------
+    directions
+        (..., 3) unit vectors.
+
+    Returns
+    -------
+    (..., 16) float64; index k = l(l+1)+m, so that Y_1-1 ∝ y, Y_10 ∝ z, Y_11 ∝ x.
+
+    Raises
+    ------
+    InputError
+        If the last axis is not 3 long or a vector's length differs from 1 by more than 1e-5.
+    """
+    d = _array("directions", directions, (3,))
+    return _core.sh_basis(d.reshape(-1, 3)).reshape(*d.shape[:-1], 16)
+
+
+def ggx_band_weights(r: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Zonal weights of the GGX distribution (eqs. 8-11) and their derivative by roughness.
+
+    Parameters
+    ----------
+    r
+        (...,) perceptual roughness in [0, 1].
+
+    Returns
+    -------
+    h, dh_dr
+        Both (..., 4) float64, bands l = 0 to 3; errors at most 1e-14 and 5e-14.
+
+    Raises
+    ------
+    InputError
+        If a roughness lies outside [0, 1] or is NaN.
+    """
+    roughness = _array("r", r, ())
+    h, slope = _core.ggx_band_weights(roughness.reshape(-1))
+    return h.reshape(*roughness.shape, 4), slope.reshape(*roughness.shape, 4)
+
+
+def shade(
+    normal: ArrayLike,
+    view: ArrayLike,
+    albedo: ArrayLike,
+    roughness: ArrayLike,
+    metallic: ArrayLike,
+    *,
+    model: Model = DEFAULT_MODEL,
+) -> NDArray[np.float64]:
+    """Weights of the 16 SH light coefficients for one or many pixels, in double precision.
+
+    Parameters
+    ----------
+    normal, view
+        (..., 3) unit vectors; `view` points from the surface to the camera.
+    albedo
+        (..., 3) in [0, 1].
+    roughness, metallic
+        (...,) in [0, 1]. Leading dimensions broadcast.
+    model
+        "paper" or "principled": how surfaces reflect light.
+
+    Returns
+    -------
+    (..., 3, 16) float64: radiance of channel c is the sum over k of weights[c, k] lighting[k, c].
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit together, a vector is not of unit length or a value is out of range.
+    """
+    shape, (n, v, rho, r, m) = _pixels(
+        normal=normal, view=view, albedo=albedo, roughness=roughness, metallic=metallic
+    )
+    return _core.shade(n, v, rho, r, m, checked_model(model)).reshape(*shape, 3, 16)
+
+
+def shade_vjp(
+    normal: ArrayLike,
+    view: ArrayLike,
+    albedo: ArrayLike,
+    roughness: ArrayLike,
+    metallic: ArrayLike,
+    cotangent: ArrayLike,
+    *,
+    model: Model = DEFAULT_MODEL,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Adjoint of `shade`: derivatives of a scalar by material and normal from those by the weights.
+
+    Parameters
+    ----------
+    normal, view, albedo, roughness, metallic
+        As for `shade`.
+    cotangent
+        (..., 3, 16), derivatives of the scalar by the weights.
+    model
+        As for `shade`.
+
+    Returns
+    -------
+    d_albedo, d_roughness, d_metallic, d_normal
+        (..., 3), (...,), (...,) and (..., 3) float64, one entry for each pixel after broadcasting.
+        `d_normal` is orthogonal to the normal: its product with a small turn of the normal is how
+        much the scalar changes. Where n·v ≤ 1e-4, Fresnel and masking stand still.
+
+    Raises
+    ------
+    InputError
+        As `shade`.
+    """
+    shape, (n, v, rho, r, m, g) = _pixels(
+        normal=normal,
+        view=view,
+        albedo=albedo,
+        roughness=roughness,
+        metallic=metallic,
+        cotangent=cotangent,
+    )
+    d_albedo, d_roughness, d_metallic, d_normal = _core.shade_vjp(
+        *(n, v, rho, r, m, g), checked_model(model)
+    )
+    return (
+        d_albedo.reshape(*shape, 3),
+        d_roughness.reshape(shape),
+        d_metallic.reshape(shape),
+        d_normal.reshape(*shape, 3),
+    )
+
+
+def render(
+    materials: Materials,
+    normals: ArrayLike,
+    lighting: ArrayLike,
+    fov: float,
+    threads: int = 0,
+    *,
+    model: Model = DEFAULT_MODEL,
+) -> NDArray[np.float64]:
+    """Radiance of a view under one or several SH lights.
+
+    Parameters
+    ----------
+    materials
+        Maps of (H, W) pixels. Pixels that are NaN in any map stay NaN.
+    normals
+        (H, W, 3) unit vectors in camera space; NaN outside the mask.
+    lighting
+        (16, 3) or (N, 16, 3), linear Rec.709.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    threads
+        0 = one for each processor; the result does not depend on it.
+    model
+        "paper" or "principled": how surfaces reflect light.
+
+    Returns
+    -------
+    (H, W, 3) or (N, H, W, 3) float64, linear Rec.709.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit together or a value is out of range.
+    """
+    model = checked_model(model)
+    light = _array("lighting", lighting, (16, 3))
+    if light.ndim > 3:
+        raise InputError(f"lighting: expected shape (16, 3) or (N, 16, 3), found {light.shape}")
+    view = _View.of_maps(materials, normals, fov)
+    images = view.pictures(
+        _core.render(
+            *view.pixels, light.reshape(-1, 16, 3), whole_number("threads", threads), model
+        )
+    )
+    return images[0] if light.ndim == 2 else images
+
+
+def render_directional(
+    materials: Materials,
+    normals: ArrayLike,
+    directions: ArrayLike,
+    colors: ArrayLike,
+    fov: float,
+    threads: int = 0,
+    *,
+    model: Model = DEFAULT_MODEL,
+) -> NDArray[np.float64]:
+    """Radiance of a view under light from single directions, with the full reflection model.
+
+    For "paper" its eqs. 1 and 3-5 without the approximations that SH light needs; for "principled"
+    the BRDF whose integral over SH light `render` has. A light of colour 1 gives a white diffuse
+    surface that faces it radiance 1, less what its Fresnel term takes from the diffuse part.
+    Nothing casts a shadow. A mirror (roughness 0) does not show a light without extent.
+
+    Parameters
+    ----------
+    materials
+        Maps of (H, W) pixels. Pixels that are NaN in any map stay NaN.
+    normals
+        (H, W, 3) unit vectors in camera space; NaN outside the mask.
+    directions
+        (3,) or (N, 3) unit vectors from the surface to the lights.
+    colors
+        (3,) or (N, 3), linear Rec.709.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    threads
+        0 = one for each processor; the result does not depend on it.
+    model
+        "paper" or "principled": how surfaces reflect light.
+
+    Returns
+    -------
+    (H, W, 3) or (N, H, W, 3) float64, linear Rec.709.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit together or a value is out of range.
+    """
+    model = checked_model(model)
+    to_lights = _array("directions", directions, (3,))
+    if to_lights.ndim > 2:
+        raise InputError(f"directions: expected shape (3,) or (N, 3), found {to_lights.shape}")
+    of_lights = _array("colors", colors, to_lights.shape)
+    if of_lights.ndim > to_lights.ndim:
+        raise InputError(f"colors: expected shape {to_lights.shape}, found {of_lights.shape}")
+    view = _View.of_maps(materials, normals, fov)
+    images = view.pictures(
+        _core.render_directional(
+            *view.pixels,
+            to_lights.reshape(-1, 3),
+            of_lights.reshape(-1, 3),
+            whole_number("threads", threads),
+            model,
+        )
+    )
+    return images[0] if to_lights.ndim == 1 else images
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """The pixels of a view that are rendered, and their places in the picture.
+
+    Attributes
+    ----------
+    pixels
+        Normals, views, albedo, roughness and metallic of these pixels, in rows.
+    of
+        Which of the picture's pixels they are.
+    """
+
+    height: int
+    width: int
+    pixels: tuple[Array, Array, Array, Array, Array]
+    of: slice | NDArray[np.bool_]
+
+    @classmethod
+    def of_maps(cls, materials: Materials, normals: ArrayLike, fov: float) -> _View:
+        """Leave out the pixels that are NaN or infinite in any map."""
+        albedo = _array("albedo", materials.albedo, (3,))
+        if albedo.ndim != 3:
+            raise InputError(f"albedo: expected shape (H, W, 3), found {albedo.shape}")
+        height, width = albedo.shape[:2]
+        roughness = _array("roughness", materials.roughness, (height, width))
+        metallic = _array("metallic", materials.metallic, (height, width))
+        n = _array("normals", normals, (height, width, 3))
+        of: slice | NDArray[np.bool_] = slice(None)
+        if not all(np.isfinite(given).all() for given in (albedo, roughness, metallic, n)):
+            used = np.isfinite(albedo).all(-1) & np.isfinite(n).all(-1)
+            of = (used & np.isfinite(roughness) & np.isfinite(metallic)).reshape(-1)
+        n, v, rho = (
+            vectors.reshape(-1, 3)[of]
+            for vectors in (n, view_directions(height, width, fov), albedo)
+        )
+        r, m = (numbers.reshape(-1)[of] for numbers in (roughness, metallic))
+        return cls(height, width, (n, v, rho, r, m), of)
+
+    def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""
+        images = rendered
+        if not isinstance(self.of, slice):
+            images = np.full((len(rendered), self.height * self.width, 3), np.nan)
+            images[:, self.of] = rendered
+        return images.reshape(-1, self.height, self.width, 3)
+
+
+def whole_number(name: str, value: int) -> int:
+    """Return value as an int, 0 or more; InputError that names it otherwise."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**31:
+        raise InputError(f"{name}: expected a whole number, 0 or more, found {of_what(value)}")
+    return number
+
+
+_TRAILING: dict[str, tuple[int, ...]] = {
+    "normal": (3,),
+    "view": (3,),
+    "albedo": (3,),
+    "roughness": (),
+    "metallic": (),
+    "cotangent": (3, 16),
+}
+"""Last dimensions of each argument that is given per pixel."""
+
+
+def _array(name: str, values: ArrayLike, trailing: tuple[int, ...]) -> NDArray[np.float64]:
+    """As a float64 array whose last dimensions are `trailing`, or InputError naming it."""
+    array = real_array(name, values)
+    if array.shape[max(array.ndim - len(trailing), 0) :] != trailing:
+        wanted = ", ".join(["...", *map(str, trailing)])
+        raise InputError(f"{name}: expected shape ({wanted}), found {array.shape}")
+    return array
+
+
+def _pixels(**arguments: ArrayLike) -> tuple[tuple[int, ...], list[NDArray[np.float64]]]:
+    """Broadcast the leading dimensions against each other: that shape, and the arrays flattened."""
+    arrays = {name: _array(name, values, _TRAILING[name]) for name, values in arguments.items()}
+    leading = [a.shape[: a.ndim - len(_TRAILING[name])] for name, a in arrays.items()]
+    try:
+        shape = np.broadcast_shapes(*leading)
+    except ValueError:
+        found = ", ".join(f"{name} {a.shape}" for name, a in arrays.items())
+        raise InputError(
+            f"pixels: expected leading dimensions that broadcast, found {found}"
+        ) from None
+    return shape, [
+        np.broadcast_to(a, shape + _TRAILING[name]).reshape(-1, *_TRAILING[name])
+        for name, a in arrays.items()
+    ]

@@ -1,0 +1,110 @@
+"""What a scene holds, what was assumed, and what a fit will need: facts for people."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pbrfit.fit import memory
+from pbrfit.fit.parameters import Layout
+from pbrfit.fit.plan import Needs
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.io.normal_files import UNCERTAINTY
+from pbrfit.model import geometry
+from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit.result.refinement import hindrance
+from pbrfit.scene import alignment
+from pbrfit.scene.scene import Scene
+
+
+def _needed(scene: Scene, layout: Layout) -> str:
+    """Memory that `decompose` needs at its peak, beside the interpreter and its libraries."""
+    refinable = hindrance(scene) is None
+    of_solver = {
+        solver: memory.plan(
+            layout,
+            solver,
+            held=memory.bytes_of(scene),
+            exact=scene.images.dtype != np.float32,
+            refine_normals=refinable,
+            optional=True,
+        )
+        for solver in memory.METHODS
+    }
+    found = "; ".join(
+        f"about {memory.size(way.needed.peak)} for solver {solver}"
+        f"{', in tiles' if way.tiled else ''}"
+        for solver, way in of_solver.items()
+    )
+    if of_solver["auto"].needed.refining:
+        found += f"; {memory.size(of_solver['auto'].needed.refining)} less with normals held"
+    return found
+
+
+def _aligned(scene: Scene) -> list[tuple[str, str]]:
+    """Whether the pictures line up, a line for each that does not."""
+    if min(scene.height, scene.width) < alignment.LEAST_SIDE:
+        return [("line up", f"not looked at: pictures below {alignment.LEAST_SIDE} pixels")]
+    found = alignment.complaints(scene)
+    if not found:
+        return [("line up", "yes, as far as their edges tell")]
+    return [("line up", f"NO: {found[0]}"), *(("", complaint) for complaint in found[1:])]
+
+
+def _normal_sigma(scene: Scene) -> str:
+    """How far off the given normals are said to be."""
+    if scene.normal_sigma is None:
+        return "unknown"
+    middle, high = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
+    return f"{middle:.1f} degrees (median), {high:.1f} (95 %), as {UNCERTAINTY} says"
+
+
+def _refinable(scene: Scene) -> str:
+    reason = hindrance(scene)
+    return "possible" if reason is None else f"not possible: {reason}"
+
+
+def facts(scene: Scene) -> list[tuple[str, str]]:
+    """(topic, fact) pairs, most wanted first."""
+    layout = Layout.of(scene)
+    radiance = np.stack([scene.samples(i) for i in range(len(scene.images))])
+    away = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
+    found = [
+        ("pictures", f"{len(scene.images)} of {scene.width} × {scene.height} pixels"),
+        ("", f"{scene.names[0]} ... {scene.names[-1]}"),
+        (
+            "radiance",
+            f"mean {radiance.mean(dtype=np.float64):.4g}, from {radiance.min():.4g} "
+            f"to {radiance.max():.4g}",
+        ),
+        ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
+        ("facing away", f"{100 * away.mean():.1f} % of the normals"),
+        ("normals off by", _normal_sigma(scene)),
+        ("refine normals", _refinable(scene)),
+        (
+            "segments",
+            "none" if layout.segments is None else f"{layout.segment_count} ids",
+        ),
+        (
+            "colour",
+            "grey: one channel will be fitted" if layout.channels == 1 else "three channels",
+        ),
+        ("lights", "known" if layout.lighting_known else "unknown, will be fitted"),
+        *_aligned(scene),
+        ("truth", "none" if scene.truth is None else "yes, errors will be reported"),
+    ]
+    found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]
+    if "model" not in scene.assumed:
+        by = f"{scene.model}, with which the pictures were rendered"
+        found.append(("assumed model", by if scene.model else f"{DEFAULT_MODEL}, the default"))
+    needs = Needs.of(scene, layout, priors=Priors())
+    found += [
+        ("fit by default", "; ".join(needs.used)),
+        ("left out", "; ".join(needs.left_out) or "nothing"),
+        ("unknowns", f"{layout.size}"),
+    ]
+    free = memory.available()
+    found += [
+        ("memory needed", _needed(scene, layout)),
+        ("memory free", "unknown" if free is None else memory.size(free)),
+    ]
+    return found

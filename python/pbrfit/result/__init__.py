@@ -1,0 +1,1 @@
+"""Result: what a fit hands over, as data and as a folder; errors, previews, relighting."""

@@ -1,0 +1,151 @@
+"""Residuals, errors and deviations as colours: one logarithmic scale for all of them.
+
+So a colour means the same number everywhere, in every preview and every report, and an error can be
+compared with the deviation that was predicted for it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.uncertainty import PARAMETERS, Uncertainty
+from pbrfit.model.materials import Materials
+from pbrfit.result.colormap import blue_to_yellow
+from pbrfit.result.refinement import LEAST_CHANGE
+
+Map = NDArray[np.floating[Any]]
+
+SCALE = (0.001, 1.0)
+"""Ends of the scale; what lies beyond takes the ends' colours."""
+
+TICKS = {0.001: "0.001", 0.003: "", 0.01: "0.01", 0.03: "", 0.1: "0.1", 0.3: "", 1.0: "1"}
+"""Labels by value."""
+
+DEGREE_TICKS = {0.1: "0.1°", 0.3: "", 1.0: "1°", 3.0: "", 10.0: "10°", 30.0: "30°"}
+"""Labels by angle in degrees."""
+
+STEPS = 251
+"""Colours on the scale."""
+
+WHITE, VERMILLION, OUTSIDE = STEPS, STEPS + 1, STEPS + 2
+"""Indices of what is not on the scale."""
+
+PALETTE = np.concatenate(
+    [
+        blue_to_yellow(np.linspace(0, 1, STEPS)),
+        # Vermillion is told apart from the scale, from white and from grey by all common colour
+        # vision.
+        [[1.0, 1.0, 1.0], [0.84, 0.37, 0.0], [0.85, 0.85, 0.85]],
+    ]
+)
+"""(254, 3) sRGB in [0, 1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """A map of differences.
+
+    Attributes
+    ----------
+    values
+        (H, W), 0 or more; NaN outside the mask.
+    white, vermillion
+        (H, W) bool: pixels with a colour of their own instead; None = none.
+    """
+
+    values: Map
+    white: NDArray[np.bool_] | None = None
+    vermillion: NDArray[np.bool_] | None = None
+
+    def indices(self) -> NDArray[np.uint8]:
+        """(H, W) into `PALETTE`."""
+        share = on_scale(np.where(np.isfinite(self.values), self.values, 1.0))
+        found = np.rint(share * (STEPS - 1)).astype(np.uint8)
+        for index, marked in ((WHITE, self.white), (VERMILLION, self.vermillion)):
+            if marked is not None:
+                found[marked] = index
+        found[np.isnan(self.values)] = OUTSIDE
+        return found
+
+
+def on_scale(values: Map | float) -> NDArray[np.float64]:
+    """Where on the scale values lie, from 0 to 1."""
+    low, high = map(math.log, SCALE)
+    clipped = np.clip(np.asarray(values, dtype=np.float64), *SCALE)
+    return np.asarray((np.log(clipped) - low) / (high - low))
+
+
+def tick_places(*, degrees: bool = False) -> dict[float, str]:
+    """Labels by their place on the scale, from 0 to 1: of plain numbers, or of degrees."""
+    if degrees:
+        return {float(on_scale(math.radians(t))): label for t, label in DEGREE_TICKS.items()}
+    return {float(on_scale(t)): label for t, label in TICKS.items()}
+
+
+def residual(
+    rendered: Map, picture: Map, weights: NDArray[np.floating[Any]] | None = None
+) -> Difference:
+    """Root mean square over channels of (rendered − picture), as a share of the picture's own RMS.
+
+    Parameters
+    ----------
+    rendered, picture
+        (H, W, 3); `rendered` is NaN outside the mask.
+    weights
+        (H, W); samples of weight 0, which did not take part in the fit, are white.
+    """
+    used = np.isfinite(rendered).all(axis=-1)
+    left_out = None if weights is None else used & (weights == 0)
+    counted = used if left_out is None else used & ~left_out
+    size = rms(np.asarray(picture)[counted])
+    difference = np.zeros(used.shape)
+    both = np.asarray(rendered)[counted] - picture[counted]
+    difference[counted] = np.sqrt(np.mean(np.square(both), axis=-1)) / size
+    difference[~used] = np.nan
+    return Difference(difference, white=left_out)
+
+
+def turned(degrees: Map) -> Difference:
+    """Angles (H, W) between given and refined normals, by radians; white = as given.
+
+    A small angle in radians is how far apart the unit vectors are, so it has the place on the scale
+    that a difference of that size has. `DEGREE_TICKS` are for its key.
+    """
+    return Difference(np.radians(degrees), white=degrees < LEAST_CHANGE)
+
+
+def rms(values: Map) -> float:
+    """Root mean square; 1 where all are 0, to be divided by."""
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) or 1.0
+
+
+def errors(found: Materials, true: Materials) -> dict[str, Difference]:
+    """Absolute errors of the maps by name; of albedo the root mean square over channels."""
+    albedo = np.sqrt(np.mean(np.square(found.albedo - true.albedo), axis=-1))
+    return {
+        "albedo": Difference(albedo),
+        "roughness": Difference(np.abs(found.roughness - true.roughness)),
+        "metallic": Difference(np.abs(found.metallic - true.metallic)),
+    }
+
+
+def deviations(uncertainty: Uncertainty) -> dict[str, Difference]:
+    """Marginal standard deviations; white = held (at a bound or known), vermillion = not told.
+
+    Of albedo the root mean square over channels.
+    """
+    marginal = uncertainty.marginal
+    maps = {
+        "albedo": np.sqrt(np.mean(np.square(marginal.albedo), axis=-1)),
+        "roughness": marginal.roughness,
+        "metallic": marginal.metallic,
+    }
+    return {
+        name: Difference(maps[name], maps[name] == 0, uncertainty.undetermined[..., i])
+        for i, name in enumerate(PARAMETERS)
+    }

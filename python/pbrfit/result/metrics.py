@@ -1,0 +1,213 @@
+"""Errors between maps or pictures: pure functions on arrays.
+
+NaN pixels, which are the ones outside the mask, never enter.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.checks import real_array, real_number, reals
+from pbrfit.io.color import encode_srgb
+
+PROTOCOL = (
+    "pbrfit-1: RMSE over valid pixels and channels, linear values; "
+    "recon with the samples' weights; relight under true lights"
+)
+
+
+def rmse(
+    found: NDArray[np.floating[Any]],
+    true: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]] | None = None,
+) -> float:
+    """Root mean square difference over the entries that are NaN in neither array.
+
+    Parameters
+    ----------
+    found, true
+        Arrays of one shape.
+    weights
+        How much each entry counts, 0 or more, of a shape that broadcasts to theirs; None = all the
+        same. Entries of weight 0 never enter, whatever they are.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, or no entry is left that is NaN in neither array and has a weight.
+    """
+    found, true = reals("found", found), reals("true", true)
+    if found.shape != true.shape:
+        raise ValueError(f"rmse: expected equal shapes, found {found.shape} and {true.shape}")
+    if not found.ndim:  # of single numbers numpy makes no arrays
+        found, true = found[None], true[None]
+    used = np.isnan(found)
+    used |= np.isnan(true)
+    np.logical_not(used, out=used)
+    if weights is not None:
+        weights = _like("weights", weights, found.shape)
+        used &= weights > 0
+        weights = weights[used].astype(np.float64)
+        with np.errstate(over="ignore"):
+            if not np.isfinite(weights.sum()):
+                raise InputError("weights: expected finite ones of finite sum, found others")
+    # In place: pictures are large.
+    difference = found[used].astype(np.float64, copy=False)
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite, or of two infinite numbers
+        difference -= true[used]
+    if not difference.size:
+        raise ValueError("rmse: expected at least one entry that is NaN in neither array")
+    largest = float(max(difference.max(), -difference.min()))
+    if largest == 0.0:
+        return 0.0
+    if not math.isfinite(largest):
+        return math.inf
+    # Divided by the largest, because squares of large radiance overflow.
+    difference /= largest
+    np.square(difference, out=difference)
+    return largest * math.sqrt(float(np.average(difference, weights=weights)))
+
+
+def scaled_per_channel(
+    found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]
+) -> NDArray[np.float64]:
+    """`found` times the factor per channel (last axis) that brings it closest to `true`.
+
+    Pictures alone fix albedo and light only up to such a factor once there is noise; comparing
+    after the best factor shows what remains.
+    """
+    found, true = reals("found", found), reals("true", true)
+    if found.shape != true.shape or not found.ndim:
+        raise ValueError(
+            f"scaled_per_channel: expected equal shapes, found {found.shape} and {true.shape}"
+        )
+    axes = tuple(range(found.ndim - 1))
+    both = np.isfinite(found) & np.isfinite(true)
+    f = np.where(both, found, 0.0).astype(np.float64)
+    t = np.where(both, true, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        square, mixed = np.sum(f * f, axis=axes), np.sum(f * t, axis=axes)
+        # What cannot be squared in float64 stays as it is.
+        sound = (square > 0) & np.isfinite(square) & np.isfinite(mixed)
+        factor = np.divide(mixed, square, out=np.ones_like(square), where=sound)
+        return np.asarray(found * factor)
+
+
+def _like(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Real numbers that broadcast to a shape."""
+    array = reals(name, values)
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError:
+        raise InputError(
+            f"{name}: expected a shape that broadcasts to {shape}, found {array.shape}"
+        ) from None
+
+
+def display(radiance: NDArray[np.floating[Any]], white: float) -> NDArray[np.float64]:
+    """Linear radiance as people see it: divided by `white`, clipped to [0, 1], sRGB-encoded."""
+    unit = real_number("white", white, "a number above 0")
+    if not unit > 0:
+        raise InputError(f"white: expected a number above 0, found {white}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        shown = np.clip(real_array("radiance", radiance) / unit, 0.0, 1.0)
+    return np.asarray(encode_srgb(shown))
+
+
+def white_of(radiance: NDArray[np.floating[Any]]) -> float:
+    """What to show as white: the 98th percentile of the entries that are not NaN; 1 if not above 0.
+
+    Of the true picture, so that both of a pair are exposed alike.
+    """
+    bright = float(np.nanpercentile(radiance, 98))
+    return bright if bright > 0 else 1.0
+
+
+def showable(
+    picture: NDArray[np.floating[Any]],
+    mask: NDArray[np.bool_],
+    weights: NDArray[np.floating[Any]] | None = None,
+) -> tuple[NDArray[np.floating[Any]], float]:
+    """What can be shown of a picture (H, W, 3), and its white.
+
+    Samples that took no part in a fit, outside the mask or of weight 0, may be anything: they do
+    not decide about the exposure, and are NaN where they are not finite.
+    """
+    counted = mask if weights is None else mask & (weights > 0)
+    white = white_of(np.where(counted[..., None], picture, np.nan))
+    finite = np.isfinite(picture).all(axis=-1, keepdims=True)
+    return np.where(finite, picture, np.nan), white
+
+
+def psnr(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> float:
+    """Peak signal-to-noise ratio in dB, 20 log10(1 / RMSE), of values with a range of 1.
+
+    Infinite where both are equal.
+
+    Raises
+    ------
+    ValueError
+        As `rmse`.
+    """
+    error = rmse(found, true)
+    return -20 * math.log10(error) if error > 0 else math.inf
+
+
+SSIM_SIGMA = 1.5
+SSIM_RADIUS = 5
+SSIM_CONSTANTS = (0.01**2, 0.03**2)
+
+
+def ssim(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> float:
+    """Structural similarity (Wang et al. 2004) of pictures (H, W) or (H, W, C) with a range of 1.
+
+    Means, variances and the covariance are taken in a Gaussian window, sigma 1.5 and 11 pixels
+    wide; the index
+
+        (2 μx μy + c1)(2 σxy + c2) / ((μx² + μy² + c1)(σx² + σy² + c2)),  c = 0.01², 0.03²,
+
+    is averaged over pixels and channels. Where the window reaches over the border or over pixels
+    that are NaN in either picture, its weights are those of the other pixels, made to sum to 1.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or are not those of pictures, or no pixel is left.
+    """
+    from scipy.ndimage import correlate1d
+
+    found, true = reals("found", found), reals("true", true)
+    if found.shape != true.shape or found.ndim not in (2, 3):
+        raise ValueError(
+            f"ssim: expected two pictures of one shape, found {found.shape} and {true.shape}"
+        )
+    x, y = (np.array(a, np.float64).reshape(*a.shape[:2], -1) for a in (found, true))
+    valid: NDArray[np.bool_] = np.asarray(~(np.isnan(x) | np.isnan(y)).any(axis=-1))
+    if not valid.any() or not x.size:
+        raise ValueError("ssim: expected at least one pixel that is NaN in neither picture")
+    offsets = np.arange(-SSIM_RADIUS, SSIM_RADIUS + 1)
+    kernel = np.exp(-0.5 * (offsets / SSIM_SIGMA) ** 2)
+
+    def window(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        along = correlate1d(values, kernel, axis=0, mode="constant")
+        return np.asarray(correlate1d(along, kernel, axis=1, mode="constant"))[valid]
+
+    x[~valid] = y[~valid] = 0.0
+    weight = window(valid[..., None].astype(np.float64))
+    with np.errstate(over="ignore", invalid="ignore"):
+        mx, my = window(x) / weight, window(y) / weight
+        vx = window(x * x) / weight - mx * mx
+        vy = window(y * y) / weight - my * my
+        cov = window(x * y) / weight - mx * my
+        c1, c2 = SSIM_CONSTANTS
+        index = (2 * mx * my + c1) * (2 * cov + c2)
+        index /= (mx * mx + my * my + c1) * (vx + vy + c2)
+        mean = float(index.mean())
+    if not math.isfinite(mean):
+        raise ValueError("ssim: expected pictures with a range of 1, found infinite or huge values")
+    return mean

@@ -1,0 +1,166 @@
+"""Pictures for people: the preview of a result and plots of its history."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.uncertainty import PARAMETERS
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import render
+from pbrfit.result import differences, metrics
+from pbrfit.result.differences import PALETTE, Difference
+from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
+
+if TYPE_CHECKING:
+    from pbrfit.result.result import Result
+    from pbrfit.scene.scene import Scene
+
+
+def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
+    """Sheet of a result: (H, W, 3) uint8 sRGB.
+
+    The first row shows a picture (with `scene`), its reconstruction and what is between them, the
+    second the maps; with ground truth there is a row of the truth and one of the errors; where the
+    result has an uncertainty, a row of the marginal deviations; where normals were refined, a row
+    of the given ones, the refined ones and the angle between them. Residuals, errors and deviations
+    share one scale, and angles have the same by radians.
+    """
+    rows: list[Row] = [_pictures(result, scene)]
+    labels = ["", "recovered"]
+    # Names of the maps stand above the first row of them alone.
+    of_normals = "normals" if result.normal_change is None else "normals, refined"
+    rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, of_normals)])
+    on_scale = ["residual, as a share of the picture's RMS"] if scene is not None else []
+    white = ["not used"] if scene is not None and scene.weights is not None else []
+    marks: dict[str, tuple[float, float, float]] = {}
+    truth = None if scene is None else scene.truth
+    if truth is not None:
+        rows.append(_maps(truth.materials))
+        rows.append(_differences(differences.errors(result.materials, truth.materials)))
+        labels += ["truth", "error"]
+        on_scale.append("error")
+    if result.uncertainty is not None:
+        rows.append(_differences(differences.deviations(result.uncertainty)))
+        labels.append("deviation")
+        alone = ", of the data alone" if result.uncertainty.priors else ""
+        on_scale.append(f"standard deviation{alone}")
+        white.insert(0, "at a bound or known")
+        marks["not determined"] = _color(differences.VERMILLION)
+    if white:
+        marks = {" or ".join(white): _color(differences.WHITE)} | marks
+    keys = []
+    if on_scale:
+        keys.append(_key("; ".join(on_scale), differences.tick_places(), marks))
+    if result.given_normals is not None and result.normal_change is not None:
+        rows.append(
+            [
+                _normals(result.given_normals, "given"),
+                _normals(result.normals, "refined"),
+                Panel("change", _painted(differences.turned(result.normal_change))),
+            ]
+        )
+        labels.append("normals")
+        as_it_was = {"left as given": _color(differences.WHITE)}
+        keys.append(_key("change of the normals", differences.tick_places(degrees=True), as_it_was))
+    height, width = result.mask.shape
+    # No run time: the same input gives the same bits.
+    title = (
+        f"{len(result.pictures)} pictures of {width} x {height}, "
+        f"{result.history.iterations} iterations"
+    )
+    return sheet(rows, title=title, labels=labels, keys=keys)
+
+
+def normals_preview(scene: Scene) -> NDArray[np.uint8]:
+    """Sheet for checking normals: (H, W, 3) uint8 sRGB.
+
+    The first picture, the normals, n·v, and how far off they may be, where the scene says it.
+    """
+    cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
+    facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
+    facing[cosine <= 0] = (0.84, 0.37, 0.0)  # vermillion, told apart by all common colour vision
+    weights = None if scene.weights is None else scene.weights[0]
+    image, white = metrics.showable(scene.images[0], scene.valid, weights)
+    image = np.where(scene.valid[..., None], image, np.nan)
+    row: Row = [
+        Panel(f"picture {scene.names[0]}", displayed(image, white)),
+        Panel("normals: R right, G up", outside_grey(0.5 + 0.5 * scene.normals)),
+        Panel("n·v, orange faces away", facing),
+    ]
+    if scene.normal_sigma is None:
+        return sheet([row])
+    sigma = Difference(np.radians(scene.normal_sigma))
+    ticks = differences.tick_places(degrees=True)
+    return sheet(
+        [[*row, Panel("may be off by", _painted(sigma))]],
+        keys=[_key("how far off normals may be (standard deviation)", ticks, {})],
+    )
+
+
+def plot_history(result: Result, path: Path) -> None:
+    """Errors against run time and iterations, logarithmic, as PNG."""
+    from pbrfit.result import drawing
+    from pbrfit.result.history_plot import draw_history
+
+    height, width = result.mask.shape
+    title = (
+        f"Error against run time: {len(result.pictures)} pictures, {width} × {height} pixels, "
+        f"{result.options.solver}"
+    )
+    path.write_bytes(drawing.as_png(draw_history(result.history, title), 120))
+
+
+def _pictures(result: Result, scene: Scene | None) -> Row:
+    """The first picture, its reconstruction, and the residual, as far as there are pictures."""
+    reconstruction = render(
+        result.materials, result.normals, result.lighting[0], result.fov, model=result.model
+    )
+    name = result.pictures[0]
+    if scene is None:
+        white = metrics.white_of(reconstruction)
+        return [Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
+    weights = None if scene.weights is None else scene.weights[0]
+    residual = differences.residual(reconstruction, scene.images[0], weights)
+    picture, white = metrics.showable(scene.images[0], result.mask, weights)
+    return [
+        Panel(f"picture {name}", displayed(picture, white)),
+        Panel("reconstruction", displayed(reconstruction, white)),
+        Panel("residual", _painted(residual)),
+    ]
+
+
+def _maps(materials: Materials, captions: Sequence[str] = ("", "", "")) -> Row:
+    albedo, roughness, metallic = captions
+    return [
+        Panel(albedo, displayed(materials.albedo)),
+        Panel(roughness and f"{roughness}, white = 1", outside_grey(materials.roughness)),
+        Panel(metallic and f"{metallic}, white = 1", outside_grey(materials.metallic)),
+    ]
+
+
+def _normals(normals: NDArray[np.float64], caption: str) -> Panel:
+    return Panel(caption, outside_grey(0.5 + 0.5 * normals))
+
+
+def _differences(maps: Mapping[str, Difference]) -> Row:
+    return [Panel("", _painted(maps[name])) for name in PARAMETERS]
+
+
+def _key(
+    caption: str, ticks: Mapping[float, str], marks: Mapping[str, tuple[float, float, float]]
+) -> Key:
+    return Key(caption, PALETTE[: differences.STEPS], ticks, marks)
+
+
+def _painted(difference: Difference) -> NDArray[np.float64]:
+    return PALETTE[difference.indices()]
+
+
+def _color(index: int) -> tuple[float, float, float]:
+    red, green, blue = PALETTE[index].tolist()
+    return red, green, blue

@@ -1,0 +1,123 @@
+"""Whether the given normals were refined together with the materials, and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.json_files import flag, number, table, text
+from pbrfit.io.quoting import quoted
+
+if TYPE_CHECKING:
+    from pbrfit.scene.scene import Scene
+
+RefineNormals = Literal["off", "auto", "on"]
+
+CHOICES: tuple[RefineNormals, ...] = get_args(RefineNormals)
+
+LEAST_PICTURES = 3
+
+LEAST_CHANGE = 1e-4
+"""Degrees below which a normal is as given: float32, as files hold them, is 1e-5 degrees off."""
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What was decided about the normals of a fit.
+
+    Attributes
+    ----------
+    asked
+        "off", "auto" or "on", as it was asked for.
+    refined
+        Whether the normals of the result are other ones than those that were given.
+    why
+        The reason in words: what can follow a colon, without a full stop.
+    figures
+        What the decision rests on and what it did, by name. Names that end in `_degrees` are
+        angles, those that end in `_share` shares of the valid pixels; all others are radiances in
+        the pictures' unit, or numbers. Infinite and NaN ones are null in a file.
+    """
+
+    asked: str
+    refined: bool
+    why: str
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+    def with_change(self, change: NDArray[np.floating[Any]]) -> Refinement:
+        """Add how far normals were turned: `change` (H, W) in degrees, NaN outside the mask."""
+        inside = change[np.isfinite(change)]
+        return replace(
+            self,
+            figures={
+                **self.figures,
+                "mean_change_degrees": float(inside.mean()),
+                "largest_change_degrees": float(inside.max()),
+                "changed_share": float(np.mean(inside >= LEAST_CHANGE)),
+            },
+        )
+
+    def in_words(self) -> str:
+        """What was done and why, to follow "normals: " or "the normals were "."""
+        if not self.refined:
+            return f"left as given: {self.why}"
+        mean, largest = (
+            self.figures.get(f"{which}_change_degrees", math.nan) for which in ("mean", "largest")
+        )
+        how_far = f" by {mean:.1f} degrees in the mean, {largest:.1f} at most"
+        return f"refined{how_far if math.isfinite(mean) else ''}: {self.why}"
+
+    def as_json(self) -> dict[str, Any]:
+        """What `result.json` holds under `normals`."""
+        figures = {name: _finite(value) for name, value in self.figures.items()}
+        return {
+            "asked": self.asked,
+            "refined": self.refined,
+            "why": self.why,
+            "figures": figures,
+        }
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Refinement:
+        """Undo `as_json`; ValueError, KeyError or TypeError if it is something else."""
+        asked, refined, why = content["asked"], content["refined"], content["why"]
+        if asked not in CHOICES:
+            raise ValueError(f"normals {quoted(asked)}")
+        figures = {
+            name: math.nan if value is None else number(value)
+            for name, value in table(content["figures"]).items()
+        }
+        return cls(asked, flag(refined), text(why), figures)
+
+
+NOT_ASKED = Refinement("off", False, "not asked for")
+
+
+def check_choice(asked: str) -> None:
+    """Raise InputError unless `asked` is one of `CHOICES`."""
+    if asked not in CHOICES:
+        raise InputError(f"refine_normals: expected one of {', '.join(CHOICES)}, found {asked!r}")
+
+
+def hindrance(scene: Scene) -> str | None:
+    """Why the pictures of a scene cannot tell what its normals should be; None if they may.
+
+    A normal has two unknowns. What a pixel shows beside is made of its material and of lights that
+    are the same for all pixels, so with one or two pictures almost any normal can be explained by
+    the material, even where the lights are known.
+    """
+    pictures = len(scene.images)
+    if pictures >= LEAST_PICTURES:
+        return None
+    found = "a single picture does" if pictures == 1 else f"{pictures} pictures do"
+    return f"{found} not determine normals, which takes at least {LEAST_PICTURES}"
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,487 @@
+"""Result: recovered materials and lights, how the fit went, and the folder it is kept in."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.fit.uncertainty import Uncertainty, layer_names
+from pbrfit.io import images
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.json_files import (
+    UNFIT,
+    flag,
+    number,
+    path_text,
+    read_json,
+    seed,
+    table,
+    text,
+    texts,
+    unfit,
+    whole,
+)
+from pbrfit.io.output import digest, new_folder
+from pbrfit.io.quoting import listed, quoted
+from pbrfit.model.geometry import angles_between, check_fov
+from pbrfit.model.lighting import Lighting
+from pbrfit.model.materials import Materials, read_materials, write_materials
+from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model, checked_model
+from pbrfit.result.history import History
+from pbrfit.result.metrics import PROTOCOL
+from pbrfit.result.refinement import NOT_ASKED, Refinement
+from pbrfit.scene.scene import Scene, Source
+
+CONTAINS = ("result.json", "materials.exr")
+"""Files by which a folder is known for a result."""
+
+FILES = ("materials.exr", "lighting.json", "history.csv", "preview.png")
+"""Files of a result folder whose sha256 is in `result.json`."""
+
+GIVEN_NORMALS = tuple(f"normal_given.{name}" for name in "XYZ")
+NORMAL_CHANGE = "normal_change.Y"
+"""Layers of `materials.exr` where normals were refined."""
+
+
+class Status(StrEnum):
+    """Why a fit ended."""
+
+    CONVERGED = "converged"
+    ITERATION_LIMIT = "iteration_limit"
+    TIME_LIMIT = "time_limit"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of a fit: which method ran, how long, and what is to be said about it."""
+
+    name: str
+    seconds: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `decompose` that change the result.
+
+    Attributes
+    ----------
+    solver, iterations, time_limit, sh_order, seed
+        As given.
+    metallic
+        The number that all pixels have; None = free.
+    mono_light
+        Whether lights are the same in all channels.
+    priors
+        Weights by name.
+    robust
+        Loss of the residuals, "none" for their squares.
+    equal_exposures
+        Whether pictures are divided by their exposures; None = where these are far apart.
+    refine_normals
+        "off", "auto" or "on".
+    model
+        As given; None = the scene's, else the default. `Result.model` is what came of it.
+    """
+
+    solver: str
+    iterations: int
+    time_limit: float | None
+    sh_order: int = 3
+    metallic: float | None = None
+    mono_light: bool = False
+    priors: Mapping[str, float | None] = field(default_factory=dict)
+    robust: str = "none"
+    equal_exposures: bool | None = None
+    seed: int = 0
+    refine_normals: str = "off"
+    model: Model | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What `decompose` found.
+
+    Attributes
+    ----------
+    materials
+        Maps; `albedo`, `roughness` and `metallic` are shorthands. NaN outside the mask.
+    lighting
+        (N, 16, 3) float64 SH lights of the pictures, in picture units, linear Rec.709.
+    normals
+        (H, W, 3) unit vectors, camera space, that belong to the materials: the refined ones where
+        normals were refined, else the given ones. NaN outside the mask.
+    mask
+        (H, W) bool: pixels that were fitted.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    model
+        "paper" or "principled": the reflection model that was fitted. Materials and lights belong
+        to it; with another one they show something else.
+    pictures
+        Names, in the order of `lighting`.
+    status, stop_reason
+        Why the fit ended: for programs, and in words.
+    history
+        Loss and errors by iteration.
+    stages
+        Which methods ran, one after the other.
+    evaluations
+        Passes over all pictures by L-BFGS: evaluations of loss and gradient.
+    seconds
+        Time of the fit, reading and writing of files apart.
+    metrics
+        Final errors; `metrics.PROTOCOL` says how they are taken. Against the truth where known.
+    uncertainty
+        Standard deviations of the maps; None where they were not asked for.
+    options, assumed, left_out, inputs
+        How the result came about: options, decisions about the input, work that the scene did not
+        need, sha256 of the files.
+    source
+        Where the scene was read from and how; None where it was made of arrays.
+    refinement
+        Whether normals were refined, why, and the figures of that decision.
+    given_normals
+        (H, W, 3), the scene's normals where they were refined; else None. NaN outside the mask.
+
+    Raises
+    ------
+    InputError
+        If `refinement` tells of refined normals and there are no given ones, or the reverse.
+    """
+
+    materials: Materials
+    lighting: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    mask: NDArray[np.bool_]
+    fov: float
+    model: Model
+    pictures: tuple[str, ...]
+    status: Status
+    stop_reason: str
+    history: History
+    evaluations: int
+    seconds: float
+    metrics: Mapping[str, float]
+    options: Options
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    uncertainty: Uncertainty | None = None
+    source: Source | None = None
+    stages: tuple[Stage, ...] = ()
+    refinement: Refinement = NOT_ASKED
+    given_normals: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.refinement.refined != (self.given_normals is not None):
+            expected = "the normals before" if self.refinement.refined else "none without"
+            raise InputError(f"given_normals: expected {expected} their refinement")
+
+    @property
+    def normal_change(self) -> NDArray[np.float64] | None:
+        """(H, W): degrees between given and refined normals; None where none were refined."""
+        if self.given_normals is None:
+            return None
+        return angles_between(self.normals, self.given_normals)
+
+    @property
+    def albedo(self) -> NDArray[np.floating[Any]]:
+        """(H, W, 3), linear Rec.709."""
+        return self.materials.albedo
+
+    @property
+    def roughness(self) -> NDArray[np.floating[Any]]:
+        """(H, W), perceptual."""
+        return self.materials.roughness
+
+    @property
+    def metallic(self) -> NDArray[np.floating[Any]]:
+        """(H, W)."""
+        return self.materials.metallic
+
+    def further_layers(self) -> dict[str, NDArray[Any]]:
+        """Layers (H, W) of `materials.exr` beside materials, normals and mask, by channel."""
+        layers: dict[str, NDArray[Any]] = {}
+        if self.given_normals is not None:
+            layers |= {name: self.given_normals[..., i] for i, name in enumerate(GIVEN_NORMALS)}
+            # Of the normals as they are stored: what is read back and saved again is the same.
+            stored = (one.astype(np.float32) for one in (self.normals, self.given_normals))
+            layers[NORMAL_CHANGE] = angles_between(*(one.astype(np.float64) for one in stored))
+        if self.uncertainty is not None:
+            layers |= self.uncertainty.layers()
+        return layers
+
+    def save(
+        self, path: str | Path, *, scene: Scene | None = None, overwrite: bool = False
+    ) -> None:
+        """Write a result folder (docs/formats.md), whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The folder.
+        scene
+            Lets the preview show a picture beside its reconstruction, and the truth.
+        overwrite
+            Replace an existing folder.
+
+        Raises
+        ------
+        FileExistsError
+            If the folder exists and `overwrite` is False.
+        """
+        with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
+            self.write(folder, scene)
+
+    def write(self, folder: Path, scene: Scene | None = None, place: Path | None = None) -> None:
+        """Write the files of a result into an existing folder.
+
+        The folder may be moved to `place` afterwards, from where `result.json` says the way to the
+        scene; None = it stays, or is renamed where it is.
+        """
+        from pbrfit.result.preview import preview
+
+        uncertainty = self.uncertainty
+        write_materials(
+            folder / "materials.exr",
+            self.materials,
+            self.normals,
+            self.mask,
+            self.further_layers(),
+        )
+        Lighting(self.pictures, self.lighting).save(folder / "lighting.json")
+        self.history.save(folder / "history.csv")
+        images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
+        content = {
+            "version": version("pbrfit"),
+            "status": str(self.status),
+            "stop_reason": self.stop_reason,
+            "fov": self.fov,
+            "model": self.model,
+            "iterations": self.history.iterations,
+            "evaluations": self.evaluations,
+            "seconds": self.seconds,
+            "protocol": PROTOCOL,
+            "metrics": dict(self.metrics),
+            "uncertainty": None if uncertainty is None else uncertainty.summary(),
+            "normals": self.refinement.as_json(),
+            "options": asdict(self.options),
+            "assumed": dict(self.assumed),
+            "left_out": list(self.left_out),
+            "stages": [asdict(stage) for stage in self.stages],
+            "inputs": dict(self.inputs),
+            "scene": None if self.source is None else _source_as_json(self.source, place or folder),
+            "files": {name: digest(folder / name) for name in FILES},
+        }
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        # What no UTF-8 can hold, of a path to the scene, becomes what JSON escapes it by.
+        (folder / "result.json").write_text(
+            text + "\n", encoding="utf-8", errors="backslashreplace"
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Result:
+        """Read a result folder.
+
+        Raises
+        ------
+        InputError, OSError
+            If this is no result folder, or a file in it is missing or not what `save` writes; the
+            message names it.
+        """
+        folder = Path(path)
+        _check_is_result(folder)
+        materials, normals, mask = read_materials(folder / "materials.exr")
+        _check_maps(folder / "materials.exr", materials, normals, mask)
+        lighting = Lighting.load(folder / "lighting.json")
+        file, expected = folder / "result.json", "what pbrfit writes"
+        content = read_json(file, expected)
+        try:
+            content = table(content)
+            model = model_of(content, file)
+            fov = number(content["fov"])
+            check_fov(fov)
+            summary = content.get("uncertainty")
+            # Earlier versions wrote neither of these.
+            source, of_normals = content.get("scene"), content.get("normals")
+            refinement = NOT_ASKED if of_normals is None else Refinement.from_json(of_normals)
+            return cls(
+                materials=materials,
+                lighting=lighting.coefficients,
+                normals=normals,
+                mask=mask,
+                fov=fov,
+                model=model,
+                pictures=lighting.pictures,
+                status=Status(text(content["status"])),
+                stop_reason=text(content["stop_reason"]),
+                history=History.load(folder / "history.csv"),
+                evaluations=whole(content["evaluations"]),
+                seconds=number(content["seconds"]),
+                metrics={k: number(v) for k, v in table(content["metrics"]).items()},
+                options=_options(table(content["options"])),
+                assumed={k: text(v) for k, v in table(content["assumed"]).items()},
+                left_out=texts(content["left_out"]),
+                inputs={k: text(v) for k, v in table(content["inputs"]).items()},
+                stages=tuple(map(_stage, content.get("stages", ()))),
+                uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
+                source=None if source is None else _source(source, folder),
+                refinement=refinement,
+                given_normals=_given_normals(folder, mask) if refinement.refined else None,
+            )
+        except UNFIT as error:
+            if isinstance(error, InputError) and str(folder) in str(error):
+                raise
+            raise unfit(file, expected, error) from None
+
+
+def _check_is_result(folder: Path) -> None:
+    """Raise InputError that says what is there instead."""
+    from pbrfit.scene.folder import is_scene
+
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "nothing"
+    else:
+        missing = [name for name in (*CONTAINS, "lighting.json") if not (folder / name).exists()]
+        if not missing:
+            return
+        below = sorted(p.parent.name for p in folder.glob(f"*/{CONTAINS[0]}"))
+        if len(missing) < len(CONTAINS) + 1 and not is_scene(folder):
+            found = f"one without {missing[0]}"
+        elif is_scene(folder):
+            found = "a scene folder: run pbrfit decompose on it first"
+        elif below:
+            found = f"a folder of results: name one of them, such as {folder / below[0]}"
+        else:
+            found = f"a folder without {' and '.join(missing)}"
+    raise InputError(
+        f"{folder}: expected a result folder, as pbrfit decompose writes it, found {found}"
+    )
+
+
+def _check_maps(
+    file: Path, materials: Materials, normals: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> None:
+    """Raise InputError unless there are pixels, and all of them have finite values."""
+    if not mask.any():
+        raise InputError(f"{file}: expected some pixel with mask.Y above 0.5, found none")
+    for name, values in (
+        ("albedo", materials.albedo),
+        ("roughness", materials.roughness),
+        ("metallic", materials.metallic),
+        ("normal", normals),
+    ):
+        if not np.isfinite(values[mask]).all():
+            raise InputError(f"{file}: expected finite {name}, found NaN or infinity")
+
+
+def model_of(content: Mapping[str, Any], file: Path) -> Model:
+    """Return the model of a result by what its `result.json` holds.
+
+    Raises
+    ------
+    InputError
+        If that is none; the message names the file.
+    """
+    name = content.get("model", FIRST_MODEL)  # earlier versions had one model and did not say so
+    for model in MODELS:
+        if name == model:
+            return model
+    raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
+
+
+def _options(content: Mapping[str, Any]) -> Options:
+    """Undo `asdict`; one of `UNFIT` if it is something else."""
+
+    def optional(kind: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        return lambda value: None if value is None else kind(value)
+
+    def priors(value: Any) -> Mapping[str, float | None]:
+        return {name: optional(number)(weight) for name, weight in table(value).items()}
+
+    kinds: dict[str, Callable[[Any], Any]] = {
+        "solver": text,
+        "iterations": whole,
+        "time_limit": optional(number),
+        "sh_order": whole,
+        "metallic": optional(number),
+        "mono_light": flag,
+        "priors": priors,
+        "robust": text,
+        "equal_exposures": optional(flag),
+        "seed": seed,
+        "refine_normals": text,
+        "model": optional(checked_model),
+    }
+    unknown = sorted(set(content) - set(kinds))
+    if unknown:
+        raise ValueError(f"options {listed(unknown)}")
+    return Options(**{name: kinds[name](value) for name, value in content.items()})
+
+
+def _stage(content: Mapping[str, Any]) -> Stage:
+    return Stage(text(content["name"]), number(content["seconds"]), text(content.get("note", "")))
+
+
+def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
+    """How a scene was read; its place as seen from the result folder, so that both can move."""
+    try:
+        path = Path(os.path.relpath(source.path, folder.resolve())).as_posix()
+    except ValueError:  # on another drive, where no relative path leads
+        return None
+    return {
+        "path": path,
+        "color_space": source.color_space,
+        "max_size": None if source.max_size is None else int(source.max_size),
+        "code_range": [int(code) for code in source.code_range],
+        "fov": None if source.fov is None else float(source.fov),
+    }
+
+
+def _source(content: Mapping[str, Any], folder: Path) -> Source:
+    low, high = map(whole, content["code_range"])
+    fov = content.get("fov")  # earlier versions did not write it
+    max_size, color_space = content["max_size"], content["color_space"]
+    if color_space not in (None, *get_args(ColorSpace)):
+        raise ValueError(f"color_space {quoted(color_space)}")
+    return Source(
+        path=(folder / path_text(content["path"])).resolve(),
+        color_space=color_space,
+        max_size=None if max_size is None else whole(max_size, least=1),
+        code_range=(low, high),
+        fov=None if fov is None else number(fov),
+    )
+
+
+def _uncertainty(folder: Path, mask: NDArray[np.bool_], summary: Mapping[str, Any]) -> Uncertainty:
+    return Uncertainty.of(_layers(folder, layer_names(), "an uncertainty"), mask, summary)
+
+
+def _given_normals(folder: Path, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    channels = _layers(folder, GIVEN_NORMALS, "refined normals")
+    given = np.stack([channels[name] for name in GIVEN_NORMALS], axis=-1).astype(np.float64)
+    return np.where(mask[..., None], given, np.nan)
+
+
+def _layers(folder: Path, names: Sequence[str], told: str) -> dict[str, NDArray[np.float32]]:
+    """All channels of `materials.exr`, of which `names` have to be there."""
+    file = folder / "materials.exr"
+    channels = images.read_channels(file)
+    missing = [name for name in names if name not in channels]
+    if missing:
+        raise InputError(
+            f"{file}: expected channel {missing[0]}, because result.json tells of {told}, "
+            f"found {listed(channels)}"
+        )
+    return channels

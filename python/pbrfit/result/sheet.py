@@ -1,0 +1,259 @@
+"""Sheets: labelled pictures in a grid, and the key to their colours."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from pbrfit.result import metrics
+
+PANEL_SIDE = (192, 384)
+"""Smallest and largest longer side of a panel in pixels."""
+
+MARGIN = 12
+PAPER = (255, 255, 255)
+INK = (30, 30, 30)
+REFUSED = (196, 30, 36)
+OUTSIDE = 0.85
+"""Grey of pixels outside the mask."""
+
+FONT = (15, 24)
+"""Smallest and largest size of the letters, which grow with the panels."""
+
+BAR = (320, 18)
+"""Width and height of a bar of colours in pixels, for the smallest letters."""
+
+Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One labelled picture: (H, W, 3) values in [0, 1] as they go to the screen.
+
+    Attributes
+    ----------
+    caption
+        A line above it.
+    note
+        Below it, in as many lines as it needs.
+    crossed
+        Whether it is marked as refused: framed in red, with a cross in a corner.
+    """
+
+    caption: str
+    pixels: NDArray[np.floating[Any]]
+    note: str = ""
+    crossed: bool = False
+
+
+@dataclass(frozen=True)
+class Key:
+    """What colours mean: a bar from the left, ticks at shares of its width, and patches.
+
+    Attributes
+    ----------
+    caption
+        What the bar measures.
+    bar
+        (M, 3) colours, the lowest value first, as they go to the screen.
+    ticks
+        Labels by share of the bar's width.
+    patches
+        Colours by label, for what is not on the bar.
+    """
+
+    caption: str
+    bar: NDArray[np.floating[Any]]
+    ticks: Mapping[float, str]
+    patches: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+
+
+Row = list[Panel | None]
+"""Side by side; None leaves a gap."""
+
+
+def caption_height(width: int) -> int:
+    """Height of the line above panels of this width."""
+    return round(1.6 * _letters(width))
+
+
+def sheet(
+    rows: Sequence[Row],
+    *,
+    title: str = "",
+    labels: Sequence[str] = (),
+    keys: Sequence[Key] = (),
+) -> NDArray[np.uint8]:
+    """Panels in a grid, captions above: (H, W, 3) uint8.
+
+    Parameters
+    ----------
+    rows
+        Pictures of one size. A row without any caption has no room for one.
+    title
+        A line above all.
+    labels
+        What stands at the left of each row.
+    keys
+        At the bottom, one below the other.
+    """
+    first = next(panel for row in rows for panel in row if panel is not None)
+    height, width = first.pixels.shape[:2]
+    longer = max(height, width)
+    low, high = PANEL_SIDE
+    factor = -(-low // longer) if longer < low else min(1.0, high / longer)
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    column = max(size[0], low)
+    captions = [panel.caption for row in rows for panel in row if panel is not None]
+    letters = _letters(column)
+    font = _font(captions, column, letters)
+    label_font = _default(letters)
+    line = caption_height(column)
+    gutter = max((round(label_font.getlength(label)) + MARGIN for label in labels), default=0)
+    note_font = _default(round(0.8 * letters))
+    notes = [[_wrapped(panel, column, note_font) for panel in row] for row in rows]
+    note_line = round(1.1 * letters)
+    heights = [
+        size[1] + MARGIN + (line if _has_captions(row) else 0) + note_line * max(map(len, below))
+        for row, below in zip(rows, notes, strict=True)
+    ]
+    columns = max(len(row) for row in rows)
+    top = MARGIN + (round(1.5 * line) if title else 0)
+    whole = gutter + columns * (column + MARGIN) + MARGIN
+    below = _key_height(letters)
+    canvas = Image.new("RGB", (whole, top + sum(heights) + below * len(keys)), color=PAPER)
+    draw = ImageDraw.Draw(canvas)
+    if title:
+        large = _font([title], whole - 2 * MARGIN, round(1.25 * letters))
+        draw.text((MARGIN, MARGIN), title, fill=INK, font=large)
+    y = top
+    for i, row in enumerate(rows):
+        below_caption = y + (line if _has_captions(row) else 0)
+        if i < len(labels):
+            middle = below_caption + size[1] // 2
+            draw.text((MARGIN, middle), labels[i], fill=INK, font=label_font, anchor="lm")
+        for j, panel in enumerate(row):
+            if panel is None:
+                continue
+            x = MARGIN + gutter + j * (column + MARGIN)
+            draw.text((x, y), panel.caption, fill=INK, font=font)
+            pixels = (255 * np.clip(panel.pixels, 0, 1) + 0.5).astype(np.uint8)
+            # Whole factors repeat pixels; smaller ones average them.
+            scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
+            canvas.paste(Image.fromarray(pixels).resize(size, scaling), (x, below_caption))
+            if panel.crossed:
+                _cross(draw, (x, below_caption, x + size[0], below_caption + size[1]), letters)
+            for k, text in enumerate(notes[i][j]):
+                at = (x, below_caption + size[1] + 4 + k * note_line)
+                draw.text(at, text, fill=REFUSED if panel.crossed else INK, font=note_font)
+        y += heights[i]
+    for i, key in enumerate(keys):
+        _draw_key(draw, key, (MARGIN + gutter, y + i * below), letters)
+    return np.asarray(canvas)
+
+
+def _wrapped(panel: Panel | None, width: int, font: Font) -> list[str]:
+    """The lines of a panel's note; a word that is longer than a line is cut."""
+    lines: list[str] = []
+    for word in panel.note.split() if panel is not None else ():
+        if lines and font.getlength(f"{lines[-1]} {word}") <= width:
+            lines[-1] += f" {word}"
+            continue
+        while font.getlength(word) > width:
+            fits = next(n for n in range(len(word), 0, -1) if font.getlength(word[:n]) <= width)
+            lines.append(word[:fits])
+            word = word[fits:]
+        lines.append(word)
+    return lines
+
+
+def _cross(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], letters: int) -> None:
+    """Frame a picture in red, with a white cross on red in its upper right corner."""
+    left, top, right, bottom = box
+    width = max(3, letters // 5)
+    draw.rectangle((left, top, right - 1, bottom - 1), outline=REFUSED, width=width)
+    side, inset = 2 * letters, letters // 2
+    draw.rectangle((right - side, top, right - 1, top + side - 1), fill=REFUSED)
+    low, high = (right - side + inset, top + inset), (right - 1 - inset, top + side - 1 - inset)
+    draw.line([low, high], fill=PAPER, width=width)
+    draw.line([(low[0], high[1]), (high[0], low[1])], fill=PAPER, width=width)
+
+
+def _has_captions(row: Row) -> bool:
+    return any(panel is not None and panel.caption for panel in row)
+
+
+def as_png(pixels: NDArray[np.uint8]) -> bytes:
+    """Encode a sheet."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _key_height(letters: int) -> int:
+    """Of caption, bar and ticks."""
+    return round(4.6 * letters) + MARGIN
+
+
+def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:
+    """Caption above a bar with ticks below it; patches to the right."""
+    font = _default(letters)
+    left, top = corner[0], corner[1] + round(1.5 * letters)
+    width, height = (side * letters // FONT[0] for side in BAR)
+    draw.text(corner, key.caption, fill=INK, font=font)
+    for i in range(width):
+        color = _ink(key.bar[round(i / (width - 1) * (len(key.bar) - 1))])
+        draw.line([(left + i, top), (left + i, top + height - 1)], fill=color)
+    for share, label in key.ticks.items():
+        x = left + round(share * (width - 1))
+        draw.line([(x, top + height), (x, top + height + 4)], fill=INK)
+        # The first label starts with the bar, so that it does not stick out.
+        anchor = "la" if share == 0 else "ma"
+        draw.text((x, top + height + 5), label, fill=INK, font=font, anchor=anchor)
+    x = left + width + 3 * MARGIN
+    for label, patch in key.patches.items():
+        draw.rectangle((x, top, x + height, top + height - 1), fill=_ink(patch), outline=INK)
+        x += height + 6
+        draw.text((x, top + height // 2), label, fill=INK, font=font, anchor="lm")
+        x += round(font.getlength(label)) + 2 * MARGIN
+
+
+def _ink(color: NDArray[np.floating[Any]] | tuple[float, float, float]) -> tuple[int, int, int]:
+    red, green, blue = (int(255 * float(part) + 0.5) for part in color)
+    return red, green, blue
+
+
+def displayed(linear: NDArray[np.floating[Any]], white: float = 1.0) -> NDArray[np.floating[Any]]:
+    """Linear radiance (H, W, 3) as it goes to the screen; NaN becomes grey."""
+    return outside_grey(metrics.display(linear, white))
+
+
+def outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Values (H, W) or (H, W, 3) as (H, W, 3), grey where they are NaN."""
+    if values.ndim == 2:
+        values = np.repeat(values[..., None], 3, axis=-1)
+    return np.where(np.isfinite(values), values, OUTSIDE)
+
+
+def _letters(width: int) -> int:
+    """Size of the letters beside panels of this width: they stay readable when a sheet shrinks."""
+    return min(max(width // 13, FONT[0]), FONT[1])
+
+
+def _default(size: int) -> Font:
+    return ImageFont.load_default(size)
+
+
+def _font(texts: Sequence[str], width: int, largest: int) -> Font:
+    """Find the largest built-in font, from `largest` down, in which all texts fit."""
+    for size in range(largest, 8, -1):
+        font = _default(size)
+        if all(font.getlength(text) <= width for text in texts):
+            return font
+    return _default(8)

@@ -1,0 +1,319 @@
+"""Whether pictures of one view line up, measured in a way that the light does not change.
+
+Light changes how strong an edge is, and which of its sides is the brighter one, but not where it
+lies and how it runs. So a picture becomes a field of edges
+
+    e = g² / (|g|² + s²),    g = ∂x log I + i ∂y log I
+
+The square doubles the angle, so that an edge and the same edge with its sides exchanged are alike
+(Bigün and Granlund 1987); the division lets all edges above s count about the same, whether albedo
+or a lamp makes them. The logarithm makes brightness irrelevant. The correlation
+
+    C(d) = Re Σ e_a(x)* e_b(x + d) / √(Σ |e_a|² Σ |e_b|²)
+
+is 1 for equal fields, about 0 for unrelated ones, and has its peak where b lies relative to a.
+Edges of shadows and highlights, which move with the lamp, lower the peak, but have no place in
+common where they could make another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.io.resampling import averaged, reduced_size
+
+if TYPE_CHECKING:
+    from pbrfit.scene.scene import Scene
+
+Field = NDArray[np.complex64]
+
+SIDE = 512
+"""Longer side in pixels at which pictures are compared; larger ones are averaged down."""
+
+REACH = 24
+"""Largest shift that is looked for, in pixels at that size."""
+
+TILE = 96
+"""Side of the tiles that are compared by themselves, in pixels at that size."""
+
+_TILE_REACH = 12
+_WEAK = 0.03  # s: gradients of the logarithm below this fade out
+_FLOOR = 0.02  # added before the logarithm, of the picture's bright end
+_BLUR = 1.0  # pixels
+_LEAST_EDGES = 0.005
+"""Mean |e|² below which a tile or picture has nothing to be compared by."""
+
+_MOVED = 1.0
+_SURE = 0.3
+_GAIN = 0.08
+"""A tile has moved if its peak is more than `_MOVED` pixels away, `_SURE` high, and by `_GAIN`
+higher than the correlation in place. Chosen on scenes of seeds 2000 to 2104."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How a picture lies relative to a reference.
+
+    Attributes
+    ----------
+    shift
+        Pixels (right, down) by which it is shifted as a whole.
+    agreement
+        Correlation of the edges at that shift: 1 the same, about 0 unrelated.
+    warp
+        Median displacement of tiles that can be told, in pixels: a shift, or what is bent.
+    moved
+        Share of the edges in tiles that are displaced, 0 to 1.
+    pixel
+        Pixels of the picture per pixel that was compared: errors are about 0.2 of it.
+    """
+
+    shift: tuple[float, float]
+    agreement: float
+    warp: float
+    moved: float
+    pixel: float
+
+    @property
+    def distance(self) -> float:
+        """Length of the shift in pixels."""
+        return float(np.hypot(*self.shift))
+
+
+def gradient(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any]]:
+    """Central differences of (H, W, ...), right + i down; 0 where the border cuts them off."""
+    found = np.zeros(values.shape, np.result_type(values, np.complex64))
+    found[:, 1:-1] = (values[:, 2:] - values[:, :-2]) / 2
+    found[1:-1] += 1j * (values[2:] - values[:-2]) / 2
+    return found
+
+
+def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
+    """Field of edges of a picture, at most `SIDE` pixels long.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) linear radiance in any unit.
+    mask
+        (H, W), False where there is no picture.
+
+    Returns
+    -------
+    (h, w) complex64, |e| ≤ 1; 0 outside the mask.
+    """
+    from scipy.ndimage import binary_erosion, gaussian_filter
+
+    size = reduced_size(image.shape, SIDE)
+    used = np.isfinite(image).all(axis=-1)
+    if mask is not None:
+        used &= mask
+    grey = np.where(used, np.asarray(image).clip(0).mean(axis=-1), 0.0)
+    if size != image.shape[:2]:
+        grey = averaged(grey, size)
+        share = averaged(used.astype(np.float64), size)
+        used = share > 0.999
+        grey = np.divide(grey, share, out=grey, where=share > 0)
+    if not used.any():
+        return np.zeros(size, np.complex64)
+    bright = np.quantile(grey[used], 0.97)
+    log = np.log(gaussian_filter(grey / max(bright, 1e-30), _BLUR).clip(0) + _FLOOR)
+    g = gradient(log)
+    inside = binary_erosion(used, iterations=3, border_value=1)
+    field = np.where(inside, g * g / (np.abs(g) ** 2 + _WEAK**2), 0)
+    return field.astype(np.complex64)
+
+
+def of_the_others(fields: Sequence[Field]) -> list[Field]:
+    """For each field of a view the mean of all others: lasting edges stay, those of one fade.
+
+    Its own edges would agree with themselves, wherever they are.
+    """
+    total = np.sum(fields, axis=0)
+    others = max(len(fields) - 1, 1)
+    return [((total - field) / others).astype(np.complex64) for field in fields]
+
+
+def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment | None:
+    """Say how the picture of `field` lies relative to that of `reference`.
+
+    Parameters
+    ----------
+    reference, field
+        (h, w) fields of `edges`, of one size.
+    pixel
+        Pixels of the picture per pixel of the fields.
+
+    Returns
+    -------
+    None if there are no edges to tell by.
+    """
+    if min(_energy(reference), _energy(field)) < _LEAST_EDGES * reference.size:
+        return None
+    # On small pictures a large shift leaves nothing to compare.
+    reach = min(REACH, min(reference.shape) // 4)
+    found = _correlation(reference[None], field[None], reach)
+    shift, agreement = (part[0] for part in _peak(found))
+    if np.abs(shift).max() > reach - 1:  # the peak, if there is one, is beyond
+        shift, agreement = np.zeros(2), found[0, reach, reach]
+    warp, moved = _tiles(reference, field)
+    return Alignment(
+        shift=(float(pixel * shift[1]), float(pixel * shift[0])),
+        agreement=float(agreement),
+        warp=float(pixel * warp),
+        moved=float(moved),
+        pixel=pixel,
+    )
+
+
+def of_scene(scene: Scene) -> tuple[str, dict[str, Alignment]]:
+    """Say how the pictures of a scene lie relative to the one that is most like all others.
+
+    Returns
+    -------
+    The name of that picture, and the others by name: those that have edges to tell by.
+    """
+    fields = [edges(image, scene.mask) for image in scene.images]
+    alike = [
+        _in_place(others, field)
+        for others, field in zip(of_the_others(fields), fields, strict=True)
+    ]
+    middle = int(np.argmax(alike))
+    pixel = max(scene.height, scene.width) / max(fields[0].shape)
+    found = {
+        name: compare(fields[middle], field, pixel=pixel)
+        for i, (name, field) in enumerate(zip(scene.names, fields, strict=True))
+        if i != middle
+    }
+    told = {name: one for name, one in found.items() if one is not None}
+    return scene.names[middle], told
+
+
+LEAST_SIDE = 64
+"""Pixels: on smaller pictures it cannot be told whether they line up."""
+
+MOST_SHIFT = 1.0
+"""Pixels that were compared."""
+
+MOST_MOVED = 0.25
+SURE = 0.5
+"""Agreement from which a displacement is believed: the edges of a smooth body are all of light."""
+
+OTHER = 0.15
+"""Agreement below which a picture shows something else, if most of the others are sure."""
+
+
+def complaints(scene: Scene) -> list[str]:
+    """Say which pictures of a scene do not line up with the others, a sentence each.
+
+    Photographs from a hand that moved, and pictures of something else.
+    """
+    if min(scene.height, scene.width) < LEAST_SIDE:
+        return []
+    middle, others = of_scene(scene)
+    agreement = [one.agreement for one in others.values()]
+    mostly_sure = len(agreement) > 1 and float(np.median(agreement)) > SURE
+    found = []
+    for name, one in others.items():
+        right, down = one.shift
+        sure = one.agreement > SURE
+        if sure and one.distance > MOST_SHIFT * one.pixel:
+            found.append(
+                f"{name} is shifted by {one.distance:.1f} pixels against {middle} "
+                f"({right:+.1f} right, {down:+.1f} down)"
+            )
+        elif sure and one.moved > MOST_MOVED:
+            found.append(
+                f"{name} is bent against {middle}: {100 * one.moved:.0f} % of its edges are "
+                "displaced"
+            )
+        elif mostly_sure and one.agreement < OTHER:
+            found.append(
+                f"{name} shows something else than {middle}: their edges agree to "
+                f"{max(one.agreement, 0):.2f} of 1"
+            )
+    return found
+
+
+def _in_place(a: Field, b: Field) -> float:
+    """Correlation without a shift, 0 without edges."""
+    scale = np.sqrt(_energy(a) * _energy(b))
+    return float(np.sum((a.conj() * b).real, dtype=np.float64) / scale) if scale > 0 else 0.0
+
+
+def _energy(field: NDArray[np.complex64]) -> float:
+    return float(np.sum(np.abs(field) ** 2, dtype=np.float64))
+
+
+def _correlation(a: Field, b: Field, reach: int) -> NDArray[np.float64]:
+    """C(d) for (T, h, w) pairs of fields: (T, 2·reach + 1, 2·reach + 1), shift 0 in the middle."""
+    from scipy.fft import fft2, ifft2, next_fast_len
+
+    # So much zero around the fields that nothing meets its periodic copy.
+    size = [next_fast_len(side + reach) for side in a.shape[1:]]
+    product = np.conj(fft2(a, size)) * fft2(b, size)
+    found = np.roll(ifft2(product).real, (reach, reach), axis=(1, 2))
+    found = found[:, : 2 * reach + 1, : 2 * reach + 1].astype(np.float64)
+    energy = [np.sum(np.abs(field) ** 2, axis=(1, 2), dtype=np.float64) for field in (a, b)]
+    scale = np.sqrt(energy[0] * energy[1])
+    found /= np.where(scale > 0, scale, 1.0)[:, None, None]
+    return np.asarray(found)
+
+
+def _peak(found: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where the peaks of (T, M, M) correlations are, (T, 2) down and right, and how high, (T,).
+
+    Between samples by the parabola through the peak and its neighbours, along each axis.
+    """
+    tiles, side, _ = found.shape
+    row, column = np.divmod(found.reshape(tiles, -1).argmax(axis=1), side)
+    every = np.arange(tiles)
+    height = found[every, row, column]
+    place = np.stack([row, column], axis=1).astype(np.float64)
+    for axis, (down, right) in enumerate(((1, 0), (0, 1))):
+        inner = (place[:, axis] > 0) & (place[:, axis] < side - 1)
+        before = found[every, (row - down) % side, (column - right) % side]
+        after = found[every, (row + down) % side, (column + right) % side]
+        curvature = before - 2 * height + after
+        inner &= curvature < 0
+        slope = np.where(inner, before - after, 0.0)
+        place[:, axis] += (slope / (2 * np.where(inner, curvature, -1.0))).clip(-0.5, 0.5)
+    return place - side // 2, height
+
+
+def _tiles(reference: Field, field: Field) -> tuple[float, float]:
+    """Median displacement of tiles, and share of the edges in those that have moved."""
+    side = min(TILE, *reference.shape)
+    starts = [
+        np.unique(
+            np.linspace(0, length - side, 2 * (length - side) // side + 2).round().astype(int)
+        )
+        for length in reference.shape
+    ]
+    window = np.sqrt(np.outer(*[np.hanning(side + 2)[1:-1]] * 2)).astype(np.float32)
+    pairs = np.array(
+        [
+            [whole[y : y + side, x : x + side] * window for whole in (reference, field)]
+            for y in starts[0]
+            for x in starts[1]
+        ]
+    )
+    weight = np.min(np.sum(np.abs(pairs) ** 2, axis=(2, 3), dtype=np.float64), axis=1)
+    told = weight > _LEAST_EDGES * side**2
+    if not told.any():
+        return 0.0, 0.0
+    weight = weight[told]
+    reach = min(_TILE_REACH, side // 4)
+    found = _correlation(pairs[told, 0], pairs[told, 1], reach)
+    displaced, height = _peak(found)
+    distance = np.hypot(*displaced.T)
+    here = found[:, reach, reach]
+    moved = (distance > _MOVED) & (height > _SURE) & (height - here > _GAIN)
+    clear = height > _SURE
+    median = float(np.median(distance[clear])) if clear.any() else 0.0
+    return median, float(weight[moved].sum() / weight.sum())

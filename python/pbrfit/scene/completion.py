@@ -1,0 +1,146 @@
+"""What a folder of pictures lacks to be a scene: normals, weights and segments put beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io import images
+from pbrfit.io.normal_files import find_normals, write_normals
+from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
+from pbrfit.scene import folder as scene_folder
+
+SEGMENT_FILE = "segments.png"
+
+
+def picture_size(folder: Path) -> tuple[int, int]:
+    """(height, width) of a scene folder's pictures, as its maps must have it.
+
+    Raises
+    ------
+    InputError, OSError
+        If there is no picture that can be read.
+    """
+    height, width = images.read_picture(scene_folder.find_pictures(folder)[0]).pixels.shape[:2]
+    return height, width
+
+
+def check_normals_can_be_added(folder: Path, *, overwrite: bool) -> None:
+    """Check what can be checked before the normals are there: making them may take long.
+
+    Raises
+    ------
+    FileExistsError
+        If the folder has normals or weights and `overwrite` is False.
+    InputError, OSError
+        If there is no such folder, or its `scene.toml` states a convention that nothing can be
+        turned into.
+    """
+    _to_convention(folder, np.zeros(3))
+    scene_folder.find_pictures(folder)
+    for path in [*find_normals(folder), folder / WEIGHT_FILE]:
+        if path.exists() and not overwrite:
+            what = "weights" if path.name == WEIGHT_FILE else "normals"
+            raise FileExistsError(
+                f"{path}: expected no {what} yet, found some; --overwrite replaces normals and "
+                "weights"
+            )
+
+
+def add_normals(
+    folder: Path,
+    normals: NDArray[np.floating[Any]],
+    *,
+    uncertainty: NDArray[np.floating[Any]] | None = None,
+    weights: NDArray[np.floating[Any]] | None = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write `normals.exr`, and `weights.exr` if there are weights; returns their paths.
+
+    The normals are turned into the convention that the folder's `scene.toml` states, so that they
+    are read back as they are given. Weights of earlier normals are not weights of these: with
+    `overwrite` they are replaced, or removed where there are none now.
+
+    Parameters
+    ----------
+    folder
+        Scene folder.
+    normals
+        (H, W, 3) in camera space, of the pictures' size.
+    uncertainty
+        (H, W), degrees: kept as a channel of `normals.exr`.
+    weights
+        (H, W), how much the pixels count.
+
+    Raises
+    ------
+    FileExistsError
+        If the folder has normals or weights and `overwrite` is False.
+    InputError
+        If the normals have another size than the pictures.
+    """
+    check_normals_can_be_added(folder, overwrite=overwrite)
+    size = picture_size(folder)
+    if normals.shape != (*size, 3):
+        raise InputError(f"normals: expected shape {(*size, 3)}, found {normals.shape}")
+    stored = _to_convention(folder, normals)
+    path, weight_path = folder / "normals.exr", folder / WEIGHT_FILE
+    write_normals(path, stored, uncertainty)  # what cannot be written costs nothing
+    for other in find_normals(folder):
+        if other != path:
+            other.unlink()
+    if weights is None:
+        weight_path.unlink(missing_ok=True)
+        return [path]
+    write_weights(weight_path, weights, ())
+    return [path, weight_path]
+
+
+def _to_convention(folder: Path, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Normals (..., 3) of camera space as the folder's `scene.toml` says they are written."""
+    settings = scene_folder.read_settings(folder / "scene.toml", {})
+    try:
+        return settings.convention.from_camera(normals)
+    except InputError as error:
+        raise InputError(f"{folder / 'scene.toml'}: {error}") from None
+
+
+def add_flat_normals(folder: Path, *, overwrite: bool = False) -> Path:
+    """Write `normals.exr` in which every surface faces the camera; returns its path.
+
+    Raises
+    ------
+    FileExistsError
+        As `add_normals`.
+    """
+    facing = np.broadcast_to([0.0, 0.0, 1.0], (*picture_size(folder), 3))
+    return add_normals(folder, facing, overwrite=overwrite)[0]
+
+
+def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = False) -> Path:
+    """Write `segments.png`; returns its path.
+
+    Raises
+    ------
+    FileExistsError
+        If the folder has segments and `overwrite` is False.
+    InputError
+        If the ids have another size than the pictures.
+    """
+    check_no_segments(folder, overwrite=overwrite)
+    if ids.shape != picture_size(folder):
+        raise InputError(f"segments: expected shape {picture_size(folder)}, found {ids.shape}")
+    path = folder / SEGMENT_FILE
+    images.write_png(path, ids, tag=None)
+    return path
+
+
+def check_no_segments(folder: Path, *, overwrite: bool) -> None:
+    """Raise FileExistsError if the folder has segments and `overwrite` is False."""
+    path = folder / SEGMENT_FILE
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path}: expected no segments yet, found some; --overwrite replaces")

@@ -1,0 +1,376 @@
+"""The ablation: its scenes, its configurations, its verdicts, its report."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pbrfit
+from pbrfit.fit.priors.penalties import Priors, prior_names
+from pbrfit.scene.scene import Scene, Truth
+from pbrfit.synthetic import make_scene
+from pbrfit.synthetic.exposure import MEAN_RADIANCE
+from pbrfit_evaluation import ablation
+from pbrfit_evaluation.ablation import cases, configurations, report
+from pbrfit_evaluation.ablation.cases import CASES, case, constant, merged, shifted, varied
+from pbrfit_evaluation.ablation.configurations import CONFIGURATIONS, DEFAULT, curves
+from pbrfit_evaluation.ablation.demands import DEMANDS, Demand, judge
+from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation.recipes import PAPER_PRIORS
+from pbrfit_evaluation.scores import Scores
+from scene_files import run
+
+SIZE, SEED = 24, 2000
+
+
+def truth_of(scene: Scene) -> Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def segments_of(scene: Scene) -> cases.Ids:
+    assert scene.segments is not None
+    return scene.segments
+
+
+# Scenes
+
+
+@pytest.mark.parametrize("kind", ["room", "textured"])
+def test_materials_are_constant_in_each_segment(kind: str) -> None:
+    scene = case("constant", SEED, size=SIZE, kind=kind)
+    found = truth_of(scene).materials
+    for i in np.unique(segments_of(scene)):
+        here = segments_of(scene) == i
+        assert len(np.unique(found.roughness[here])) == 1
+        assert len(np.unique(found.metallic[here])) == 1
+    assert set(np.unique(found.metallic)) == {0.0, 1.0}
+
+
+def test_the_constant_room_is_the_room() -> None:
+    made, plain = (
+        case("constant", SEED, size=SIZE),
+        make_scene("room", size=SIZE, seed=SEED, noise=0.01),
+    )
+    np.testing.assert_allclose(made.images, plain.images, atol=1e-12)
+    np.testing.assert_array_equal(segments_of(made), segments_of(plain))
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name != "shadowed"])
+def test_truth_explains_the_pictures_but_for_the_noise(name: cases.CaseName) -> None:
+    scene = case(name, SEED, size=SIZE)
+    truth = truth_of(scene)
+    for images, lighting, noise in (
+        (scene.images, truth.lighting, 0.01),
+        (truth.relight_images, truth.relight_lighting, 0.0),
+    ):
+        assert images is not None
+        assert lighting is not None
+        rendered = pbrfit.render(truth.materials, scene.normals, lighting, scene.fov)
+        assert np.std(images - rendered) == pytest.approx(noise, rel=0.03, abs=1e-12)
+    assert scene.images.mean() == pytest.approx(MEAN_RADIANCE, abs=1e-3)
+
+
+def test_wrong_segments_leave_the_pictures_as_they_are() -> None:
+    right = case("constant", SEED, size=SIZE)
+    for name in ("shifted", "merged", "none"):
+        np.testing.assert_array_equal(case(name, SEED, size=SIZE).images, right.images)
+    assert case("none", SEED, size=SIZE).segments is None
+
+
+def test_grey_lights_have_no_colour() -> None:
+    truth, colored = truth_of(case("grey", SEED, size=8)), truth_of(case("constant", SEED, size=8))
+    for name in ("lighting", "relight_lighting"):
+        lights = getattr(truth, name)
+        assert np.ptp(lights, axis=-1).max() == 0
+        of_mean = getattr(colored, name).mean(axis=-1)
+        ratio = lights[..., 0] / of_mean  # the exposure differs
+        np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-9)
+
+
+def test_every_picture_has_a_shadow_of_its_own() -> None:
+    found, plain = (case(name, SEED, size=48).images for name in ("shadowed", "constant"))
+    dark = found != plain
+    np.testing.assert_allclose(found[dark], cases.SHADOW_LIGHT * plain[dark])
+    shares = dark.mean(axis=(1, 2, 3))
+    # A disc in the middle has all of its area, one in a corner a quarter.
+    area = np.pi / 4 * cases.SHADOW_DIAMETER**2
+    assert 0.2 * area < shares.min() <= shares.max() < 1.1 * area
+    assert len(np.unique(np.packbits(dark, axis=(1)), axis=0)) == len(found)
+
+
+def test_roughness_varies_inside_segments_and_nothing_else_does() -> None:
+    scene, plain = case("varying", SEED, size=64), case("constant", SEED, size=64)
+    found, before = truth_of(scene).materials, truth_of(plain).materials
+    np.testing.assert_array_equal(found.metallic, before.metallic)
+    np.testing.assert_array_equal(found.albedo, before.albedo)
+    deviations, means = [], []
+    for i, count in zip(*np.unique(segments_of(scene), return_counts=True), strict=True):
+        if count >= 64:
+            here = segments_of(scene) == i
+            deviations.append(found.roughness[here].std())
+            means.append(abs(found.roughness[here].mean() - before.roughness[here].mean()))
+    assert len(deviations) >= 10
+    assert min(deviations) >= 0.06  # some of a pattern may be clipped
+    assert max(deviations) <= cases.SPREAD[1] + 1e-12
+    assert np.median(deviations) >= cases.SPREAD[0]
+    assert max(means) < 0.05
+
+
+def test_patterns_are_the_same_at_any_size() -> None:
+    fine, coarse = np.ones((60, 60), np.uint16), np.ones((20, 20), np.uint16)
+    found = [
+        varied(np.full(ids.shape, 0.5), ids, np.random.default_rng(3)) for ids in (fine, coarse)
+    ]
+    # Pixel centres of the coarse picture are those of every third pixel, from the second.
+    sampled = found[0][1::3, 1::3]
+    assert np.corrcoef(sampled.ravel(), found[1].ravel())[0, 1] > 0.999999
+
+
+def test_a_segment_of_one_pixel_stays_as_it_is() -> None:
+    found = varied(np.full((1, 1), 0.7), np.ones((1, 1), np.uint16), np.random.default_rng(0))
+    assert found == 0.7
+
+
+def test_the_median_is_a_value_that_occurs() -> None:
+    values = np.array([[0.0, 0.0, 1.0, 1.0]])
+    materials = pbrfit.Materials(albedo=np.ones((1, 4, 3)), roughness=values, metallic=values)
+    found = constant(materials, np.ones((1, 4), np.uint16))
+    assert set(np.unique(found.metallic)) == {0.0}
+
+
+def test_shifted_by_one_pixel_right_and_down() -> None:
+    ids = np.arange(1, 13).reshape(3, 4)
+    np.testing.assert_array_equal(shifted(ids), [[1, 1, 2, 3], [1, 1, 2, 3], [5, 5, 6, 7]])
+
+
+def test_a_third_takes_the_ids_of_others() -> None:
+    ids = np.repeat(np.repeat(np.arange(1, 13).reshape(3, 4), 2, axis=0), 2, axis=1)
+    near = 0
+    for seed in range(20):
+        found = merged(ids, np.random.default_rng(seed))
+        pairs = np.unique(np.stack([ids.ravel(), found.ravel()]), axis=1).T
+        assert len(pairs) == 12  # segments stay whole
+        changed = [(int(old), int(new)) for old, new in pairs if old != new]
+        assert len(changed) == 4
+        assert len(np.unique(found)) == 8
+        assert not {old for old, _ in changed} & {new for _, new in changed}
+        near += sum(
+            abs(a - b) == 4 or (abs(a - b) == 1 and (a - 1) // 4 == (b - 1) // 4)
+            for a, b in changed
+        )
+    # Of 80, at least every second one, but for those that have none but takers around them. Of
+    # ids drawn from all alike, 34 / 132 would be near: some 21.
+    assert 36 <= near <= 60
+
+
+def test_a_single_segment_stays() -> None:
+    ids = np.full((2, 2), 7)
+    np.testing.assert_array_equal(merged(ids, np.random.default_rng(0)), ids)
+
+
+@pytest.mark.parametrize(
+    ("name", "noise", "message"),
+    [
+        ("wrong", 0.01, "case: expected one of constant, varying, shifted, merged, none"),
+        ("constant", -1.0, "noise: expected a finite standard deviation >= 0, found -1.0"),
+        ("constant", np.nan, "noise: expected"),
+    ],
+)
+def test_what_makes_no_scene_is_refused(name: str, noise: float, message: str) -> None:
+    with pytest.raises(pbrfit.InputError, match=message):
+        case(name, SEED, noise=noise)  # type: ignore[arg-type]
+
+
+# Configurations
+
+
+def test_configurations_have_names_of_their_own() -> None:
+    everything = {*CONFIGURATIONS, *curves(ablation.FULL.weights)}
+    assert len({one.key for one in everything}) == len(everything)
+    assert len({one.title for one in everything}) == len(everything)
+
+
+def test_each_prior_is_off_and_alone_once() -> None:
+    by_key = {one.key: one.priors for one in CONFIGURATIONS}
+    for name in ("cohesion", "smoothness", "sparsity", "monochrome"):
+        expected = dataclasses.replace(PAPER_PRIORS, **{name: 0.0})
+        assert by_key[f"paper-no-{name}"] == expected
+    alone = by_key["material=1"]
+    assert alone is not None
+    assert [name for name in prior_names() if getattr(alone, name) != 0] == ["material"]
+    assert by_key["default"] == Priors()
+    assert by_key["none"] is None
+
+
+def test_a_configuration_hands_its_options_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, Any]] = []
+    monkeypatch.setattr(configurations, "decompose", lambda _, **options: asked.append(options))
+    configurations.HUBER.fit(case("none", SEED, size=8), iterations=7, threads=1)
+    configurations.NONE.fit(case("none", SEED, size=8), iterations=7, threads=1)
+    common = {"iterations": 7, "refine_normals": "off", "model": None, "threads": 1}
+    assert asked == [
+        {**common, "priors": Priors(), "robust": "huber"},
+        {**common, "priors": None, "robust": "none"},
+    ]
+
+
+# Verdicts
+
+
+def test_verdicts_by_hand() -> None:
+    ratio = Demand("a", "constant", "roughness", 0.5)
+    verdict = judge(ratio, [0.1, 0.3], [0.06, 0.12])
+    assert verdict.value == pytest.approx(0.18 / 0.4)
+    assert verdict.rooms == pytest.approx((0.6, 0.4))
+    assert verdict.holds
+    assert verdict.holding == 1
+    plain = Demand("a", "constant", "metallic", 0.03, relative=False)
+    verdict = judge(plain, [0.1, 0.3], [0.02, 0.05])
+    assert verdict.value == pytest.approx(0.035)
+    assert verdict.rooms == pytest.approx((0.02, 0.05))
+    assert not verdict.holds
+
+
+def test_a_limit_that_is_just_reached_holds() -> None:
+    assert judge(Demand("a", "constant", "albedo", 1.0), [0.2], [0.2]).holds
+    assert not judge(Demand("a", "constant", "albedo", 1.0), [0.2], [np.nextafter(0.2, 1)]).holds
+
+
+def test_demands_are_those_that_were_set() -> None:
+    assert {d.case for d in DEMANDS if d.part == "c"} == {"shifted", "merged"}
+    assert all(d.limit == 1.25 and d.relative for d in DEMANDS if d.part != "a")
+    assert {(d.metric, d.limit) for d in DEMANDS if d.part == "a"} == {
+        ("roughness", 0.5),
+        ("metallic", 0.03),
+        ("albedo", 1.0),
+    }
+
+
+# Report
+
+
+def effort(**changes: Any) -> ablation.Effort:
+    tiny = dataclasses.replace(ablation.QUICK, rooms=2, size=8, iterations=1, cost_size=8)
+    return dataclasses.replace(tiny, **changes)
+
+
+def record(task: ablation.RoomTask, errors: dict[str, float]) -> Record:
+    """With one error for all metrics of a configuration."""
+    scores = {
+        one.key: dict.fromkeys(Scores.__dataclass_fields__, errors.get(one.key, 0.2))
+        for one in task.configurations
+    }
+    return Record(task.key, {"scores": scores, "sheet": None}, None, 1.0)
+
+
+def measured_with(errors: dict[str, float], of: ablation.Effort) -> report.Measured:
+    rooms = [(task, record(task, errors)) for task in ablation.plan_rooms(of, SEED)]
+    broken, _ = rooms[-1]
+    rooms[-1] = broken, Record(broken.key, None, "MemoryError: too large", 1.0)
+    return report.Measured(of, rooms, [], Record("cost_8", None, "OSError: no clock", 1.0))
+
+
+def test_report_judges_the_default_and_names_what_failed(tmp_path: Path) -> None:
+    of = effort(weights=(0.1, 1.0))
+    measured = measured_with({"default": 0.12}, of)
+    report.write(tmp_path, measured)
+    [shadowed] = {task.case for task, one in measured.rooms if one.error}
+    assert len(measured.errors(shadowed, configurations.NONE, "recon")) == 1
+    held = {f"{v.demand.case}, {v.demand.metric}": v.holds for v in measured.verdicts(DEFAULT)}
+    assert len(held) == len(DEMANDS)
+    assert [name for name, holds in held.items() if not holds] == [
+        "constant, roughness",
+        "constant, metallic",
+    ]
+    assert sum("NOT HELD" in line for line in report.lines(measured)) == 2
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "MemoryError: too large" in page
+    assert "OSError: no clock" in page
+    rows = json.loads((tmp_path / "summary.json").read_text("utf-8"))["rows"]
+    by_name = {row["name"]: row for row in rows}
+    assert by_name["must hold (a): constant, roughness"]["status"] == "not held"
+    assert by_name["must hold (a): constant, roughness"]["metrics"]["value"] == pytest.approx(0.6)
+    assert by_name["must hold (b): varying, relight"]["status"] == "ok"
+    assert by_name["merged, default"]["metrics"]["albedo_ratio"] == pytest.approx(0.6)
+    assert by_name[f"{shadowed}, default"]["status"] == "1 of 2 rooms failed"
+    assert (tmp_path / "weights.png").exists()
+    assert "| default |" in (tmp_path / "ablation.md").read_text("utf-8")
+
+
+def test_report_without_a_finished_room(tmp_path: Path) -> None:
+    of = effort()
+    failed = [
+        (task, Record(task.key, None, "OSError: full", 0.0)) for task in ablation.plan_rooms(of)
+    ]
+    measured = report.Measured(of, failed, [], Record("cost_8", None, "OSError: full", 0.0))
+    report.write(tmp_path, measured)
+    rows = json.loads((tmp_path / "summary.json").read_text("utf-8"))["rows"]
+    assert [row["status"] for row in rows] == ["2 of 2 rooms failed"] * len(CASES)
+    assert report.lines(measured) == []
+
+
+def test_reported_seeds_are_apart_from_those_of_other_suites() -> None:
+    assert {task.seed for task in ablation.plan_rooms(ablation.FULL)} == set(range(3000, 3005))
+
+
+# The command
+
+
+def test_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("PBRFIT_DATA", raising=False)
+    plain = case("none", SEED, size=12)
+    Scene(plain.images, plain.normals, fov=plain.fov).save(tmp_path / "mine")
+    out = tmp_path / "out"
+    command = ("evaluate", "ablation", tmp_path / "mine", "--out", out, "--quick", "--jobs", "1",
+               "--first-seed", SEED, "--size", 12, "--iterations", 2)  # fmt: skip
+    assert run(*command) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert printed.out.count("of 1 rooms") == len(DEMANDS)
+    names = {path.name for path in out.iterdir()}
+    sheets = {f"room-{name}.png" for name in CASES}
+    assert names == sheets | {
+        "records", "report.html", "ratios.png", "ablation.md", "rooms.csv", "real.csv",
+        "summary.json", "real-mine.png",
+    }  # fmt: skip
+    with (out / "rooms.csv").open(newline="", encoding="utf-8") as file:
+        rooms = list(csv.DictReader(file))
+    assert len(rooms) == len(CASES) * len(configurations.FEW)
+    rows = json.loads((out / "summary.json").read_text("utf-8"))["rows"]
+    by_name = {row["name"]: row for row in rows}
+    of = {(r["case"], r["configuration"]): float(r["albedo"]) for r in rooms}
+    assert by_name["varying, default"]["metrics"]["albedo"] == of["varying", "default"]
+    assert by_name["mine, default"]["metrics"]["error"] > 0
+    assert by_name["cost, cohesion"]["metrics"]["milliseconds"] > 0
+    assert by_name["cost, fit, none"]["metrics"]["seconds"] > 0
+    kept = {path: path.stat().st_mtime_ns for path in (out / "records").iterdir()}
+    assert len(kept) == len(CASES) + 2
+    assert run(*command, "--resume", "--quiet") == 0
+    assert {path: path.stat().st_mtime_ns for path in (out / "records").iterdir()} == kept
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("nowhere",), "nowhere: expected a folder of pictures, found nothing of that name"),
+        (("--first-seed", "-1"), "argument --first-seed: "),
+        (("--scenes", "0"), "expected 1 or more, found 0"),
+    ],
+)
+def test_command_with_bad_arguments(
+    arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("evaluate", "ablation", "--out", tmp_path / "out", *arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

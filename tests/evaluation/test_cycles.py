@@ -1,0 +1,401 @@
+"""Renders by Cycles: what leaves for the renderer, what is kept, and, where it is, what comes back.
+
+Tests that render need a Python with bpy (`make cycles-env`, or PBRFIT_CYCLES_PYTHON) and skip
+without.
+"""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import InputError, Scene, sh_basis
+from pbrfit.model.reflection import MODELS
+from pbrfit.synthetic import World, draw, random_lights
+from pbrfit.synthetic.geometry import Frustum, trace
+from pbrfit_evaluation.cycles import (
+    CyclesError,
+    CyclesNotFoundError,
+    Light,
+    check_spheres,
+    check_truth,
+    job,
+    process,
+    render_scene,
+    why_not,
+)
+from pbrfit_evaluation.cycles.export import Mesh, export, light_blockers
+from pbrfit_evaluation.cycles.gap import reflection_gap
+from pbrfit_evaluation.cycles.job import Job, basis_polynomials, rendered
+from pbrfit_evaluation.cycles.point_lights import random_point_lights
+from pbrfit_evaluation.cycles.scene import inner_pixels
+from pbrfit_evaluation.gap import spheres
+
+SIZE = 24
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def world(kind: str = "room", seed: int = 1) -> World:
+    return draw(kind, np.random.default_rng(seed))
+
+
+# What leaves for the renderer
+
+
+def test_polynomials_are_the_sh_basis() -> None:
+    d = np.random.default_rng(0).normal(size=(100, 3))
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    found = [
+        sum(factor * np.prod(d ** np.array(powers), axis=-1) for factor, powers in terms)
+        for terms in basis_polynomials()
+    ]
+    np.testing.assert_allclose(np.stack(found, axis=-1), sh_basis(d), atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["room", "spheres", "furnished"])
+def test_triangles_lie_on_the_surfaces_that_rays_meet(kind: str) -> None:
+    of = world(kind)
+    stage = export(of, SIZE, 60.0)
+    for i, mesh in enumerate(stage.meshes):
+        toward = mesh.vertices[np.linalg.norm(mesh.vertices, axis=-1) > 0.1]
+        distance = np.linalg.norm(toward, axis=-1)
+        hits = trace([of.primitives[i]], of.eye, toward / distance[:, None] @ of.turn.T)
+        met = np.isfinite(hits.distance)
+        # A ray to a vertex meets the primitive there, or before it if it is on the far side.
+        assert np.all(hits.distance[met] <= distance[met] * (1 + 1e-9) + 1e-9)
+        front = met & (hits.distance > distance * (1 - 1e-6))
+        assert front.sum() >= 0.15 * len(distance)
+
+
+def test_triangles_are_wound_by_their_normals() -> None:
+    for mesh in export(world("furnished"), SIZE, 60.0).meshes:
+        a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+        face = np.cross(b - a, c - a)
+        assert np.all(np.einsum("ti,ti->t", face, mesh.normals[mesh.triangles[:, 0]]) > 0)
+        np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=-1), 1.0, atol=1e-12)
+
+
+def test_frustums_have_their_area() -> None:
+    of = world("furnished")
+    cone = Frustum(centre=np.array([0.0, 0.0, -3.0]), bottom=0.5, top=0.0, half=0.6)
+    stage = export(replace(of, primitives=(*of.primitives[:-1], cone)), SIZE, 60.0)
+    exact = np.pi * 0.5 * (0.5 + np.hypot(0.5, 1.2))
+    assert area(stage.meshes[-1]) == pytest.approx(exact, rel=1e-3)
+
+
+def area(mesh: Mesh) -> float:
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum() / 2)
+
+
+def test_the_shell_ends_where_its_walls_meet() -> None:
+    of = world()  # 4.4 m wide, 2.6 m high, 6.2 m long
+    walls = export(of, SIZE, 60.0).meshes[: of.walls]
+    found = sorted(area(wall) for wall in walls)
+    np.testing.assert_allclose(found, [11.44, 11.44, 16.12, 16.12, 27.28, 27.28])
+
+
+def test_light_comes_through_the_ceiling_and_walls_out_of_sight() -> None:
+    of = world()
+    floor, ceiling, left, right, back, front = light_blockers(of, 60.0, "stage")[: of.walls]
+    assert (floor, ceiling, back, front) == (True, False, True, False)
+    assert left or right
+    assert light_blockers(of, 60.0, "open")[: of.walls] == (True, *[False] * 5)
+    assert all(light_blockers(of, 60.0, "open")[of.walls :])
+
+
+def test_maps_are_sent_only_where_a_material_varies() -> None:
+    assert not export(world("room"), SIZE, 60.0).maps
+    of = world("textured")
+    stage = export(of, SIZE, 60.0)
+    assert list(stage.maps) == ["albedo", "finish"]
+    seen = of.cast(SIZE).materials
+    np.testing.assert_array_equal(stage.maps["albedo"], seen.albedo.astype(np.float32))
+    np.testing.assert_array_equal(stage.maps["finish"][..., 0], seen.roughness.astype(np.float32))
+    assert "normal" in export(world("detailed"), SIZE, 60.0).maps
+
+
+def test_point_lights_are_inside_the_room_and_off_everything() -> None:
+    of = world("furnished")
+    stage = export(of, SIZE, 60.0)
+    places, colors = random_point_lights(stage, of.walls, 12, np.random.default_rng(0))
+    assert places.shape == colors.shape == (12, 3)
+    np.testing.assert_allclose(colors.max(axis=-1), 1.0)
+    for place in places:
+        for wall in stage.meshes[: of.walls]:
+            assert np.all((place - wall.vertices[0]) @ wall.normals[0] >= 0.5)
+        nearest = min(np.linalg.norm(place - m.vertices, axis=-1).min() for m in stage.meshes)
+        assert nearest >= 0.45
+
+
+def test_pixels_at_edges_are_left_out() -> None:
+    segments = np.ones((6, 6), np.uint16)
+    segments[:, 4:] = 2
+    segments[0, 0] = 0
+    normals = np.zeros((6, 6, 3))
+    normals[..., 2] = 1.0
+    normals[4:] = [0.0, 0.8, 0.6]  # 53 degrees
+    expected = np.zeros((6, 6), bool)
+    expected[:3, :3] = expected[:3, 5] = expected[5, :3] = expected[5, 5] = True
+    expected[0, :2] = expected[1, 0] = False
+    np.testing.assert_array_equal(inner_pixels(segments, normals, 40.0), expected)
+
+
+# What is kept, and what fails: a worker that renders nothing stands in for bpy
+
+
+GOOD = """
+import json, sys, numpy as np
+from pathlib import Path
+folder = Path(sys.argv[1])
+job = json.loads((folder / "job.json").read_text())
+n = job["size"]
+k = len(job["light"].get("basis") or job["light"]["positions"])
+(folder.parent / "runs.txt").open("a").write("run\\n")
+radiance = np.ones((k, n, n, 3), np.float32)
+flat, normals = np.full((n, n), 0.5, np.float32), np.zeros((n, n, 3), np.float32)
+normals[..., 2] = 1
+np.save(folder / "radiance.npy", radiance)
+np.savez(folder / "truth.npz", albedo=0.5 * radiance[0], roughness=flat, metallic=flat,
+         normals=normals, positions=normals, segments=np.ones((n, n), np.uint16))
+(folder / "outcome.json").write_text('{"cpu_seconds": 3}')
+"""
+
+Fake = Callable[[str], None]
+
+
+@pytest.fixture
+def fake_worker(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fake:
+    """Install a source text as the worker, to be run by our own Python."""
+    monkeypatch.setenv(process.VARIABLE, sys.executable)
+    monkeypatch.setattr(job, "blender_version", lambda _: "0.0.0")
+
+    def install(source: str) -> None:
+        path = tmp_path / "worker.py"
+        path.write_text(source, encoding="utf-8")
+        monkeypatch.setattr(job, "WORKER", path)
+        monkeypatch.setattr(process, "WORKER", path)
+
+    return install
+
+
+def small_job() -> Job:
+    return Job(export(world(), 8, 60.0), None, "full", samples=4)
+
+
+def runs(cache: Path) -> int:
+    return len((cache / "runs.txt").read_text().splitlines())
+
+
+def test_a_render_is_kept_and_used_again(fake_worker: Fake, tmp_path: Path) -> None:
+    fake_worker(GOOD)
+    cache = tmp_path / "deep" / "cache"
+    first = rendered(small_job(), cache=cache)
+    again = rendered(small_job(), cache=cache, threads=1)
+    assert runs(cache) == 1
+    np.testing.assert_array_equal(first.radiance, again.radiance)
+    assert first.radiance.shape == (16, 8, 8, 3)
+    assert again.cpu_seconds == 3
+    [kept] = [path for path in cache.iterdir() if path.is_dir()]
+    assert {path.name for path in kept.iterdir()} == {
+        "job.json", "log.txt", "outcome.json", "radiance.npy", "truth.npz",
+    }  # fmt: skip
+
+
+def test_the_key_depends_on_all_that_matters(fake_worker: Fake) -> None:
+    fake_worker(GOOD)
+    same, key = small_job(), small_job().key("5.0.1")
+    assert same.key("5.0.1") == key
+    of = world()
+    other_eye = replace(of, eye=of.eye + np.array([0.0, 1e-6, 0.0]))
+    painted = replace(of, surfaces=(*of.surfaces[1:], of.surfaces[0]))
+    others = [
+        replace(same, samples=5),
+        replace(same, seed=1),
+        replace(same, transport="shadows"),
+        replace(same, specular=0.0),
+        replace(same, distribution="GGX"),
+        replace(same, positions=np.zeros((1, 3))),
+        replace(same, stage=export(of, 9, 60.0)),
+        replace(same, stage=export(of, 8, 50.0)),
+        replace(same, stage=export(of, 8, 60.0, "open")),
+        replace(same, stage=export(other_eye, 8, 60.0)),
+        replace(same, stage=export(painted, 8, 60.0)),
+    ]
+    keys = {key, same.key("5.0.2"), *(other.key("5.0.1") for other in others)}
+    fake_worker(GOOD + "#")
+    keys.add(same.key("5.0.1"))
+    assert len(keys) == len(others) + 3
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("print('rendering'); raise ValueError('no such node')", "exit code 1; .*no such node$"),
+        ("import os; print('tile 3', flush=True); os.abort()", "signal 6; its last line: tile 3$"),
+        ("pass", "expected radiance.npy from the renderer, found none$"),
+        (
+            GOOD.replace("np.ones((k", "np.nan * np.ones((k"),
+            "expected finite radiance, found NaN or infinity$",
+        ),
+        ("import time; print('slow', flush=True); time.sleep(60)", "stopped after 1 s; .*: slow$"),
+    ],
+    ids=["error", "crash", "silent", "not finite", "too slow"],
+)
+def test_a_failure_says_why_and_leaves_nothing(
+    fake_worker: Fake, tmp_path: Path, source: str, message: str
+) -> None:
+    if "signal" in message and sys.platform == "win32":
+        pytest.skip("no signals")
+    fake_worker(source)
+    cache = tmp_path / "cache"
+    with pytest.raises(CyclesError, match=message):
+        rendered(small_job(), cache=cache, timeout=1 if "time" in source else 60)
+    assert not [path for path in tmp_path.glob("cache/*") if path.name != "runs.txt"]
+
+
+@pytest.mark.parametrize("light", ["panorama", "points"])
+def test_a_scene_from_renders(fake_worker: Fake, tmp_path: Path, light: Light) -> None:
+    fake_worker(GOOD)
+    cache = tmp_path / "cache"
+    scene = render_scene(world(), 8, light=light, lights=3, held_out=2, cache=cache)
+    assert scene.images.shape == (3, 8, 8, 3)
+    assert scene.images.mean() == pytest.approx(0.4)
+    assert scene.truth is not None
+    np.testing.assert_array_equal(scene.truth.materials.albedo, 0.5)
+    if light == "points":
+        assert scene.truth.lighting is None
+        assert scene.truth.relight_images is None
+    else:
+        assert scene.truth.lighting is not None
+        expected = scene.truth.lighting.sum(axis=1)  # radiance 1 under each basis function
+        np.testing.assert_allclose(scene.images, np.tile(expected[:, None, None], (1, 8, 8, 1)))
+        ours = random_lights(3, np.random.default_rng(np.random.SeedSequence(0).spawn(4)[1]))
+        ratio = scene.truth.lighting / ours
+        np.testing.assert_allclose(ratio, np.broadcast_to(ratio[:, :1, :1], ratio.shape))
+    scene.save(tmp_path / "scene")
+    assert Scene.load(tmp_path / "scene").truth is not None
+
+
+def test_without_bpy_there_is_a_reason(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv(process.VARIABLE, raising=False)
+    assert "no .venv-cycles in" in (why_not() or "")
+    assert "make cycles-env" in (why_not() or "")
+    with pytest.raises(CyclesNotFoundError, match="cycles-env"):
+        render_scene(world(), 8, cache=tmp_path / "cache")
+    monkeypatch.setenv(process.VARIABLE, str(tmp_path / "nowhere"))
+    assert "which is no file" in (why_not() or "")
+    monkeypatch.setenv(process.VARIABLE, sys.executable)
+    assert "No module named" in (why_not() or "")
+    assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"light": "sun"}, "^light: expected one of panorama, points, found 'sun'"),
+        ({"transport": "all"}, "^transport: expected one of brdf, shadows, full, found 'all'"),
+        (
+            {"distribution": "Beckmann"},
+            "^distribution: expected one of GGX, MULTI_GGX, found 'Beckmann'",
+        ),
+        ({"shell": "none"}, "^shell: expected one of stage, open, found 'none'"),
+        ({"lights": 0}, "^lights, held_out: expected 1 or more, found 0 and 16"),
+        ({"samples": 0}, "^samples: expected a number from 1, found 0"),
+        ({"seed": -1}, "^seed: expected a non-negative integer, found -1"),
+        ({"fov": 180.0}, "^fov: expected degrees between 0 and 180, found 180"),
+        ({"size": 0}, "^size: expected at least 1 pixel, found 0"),
+    ],
+)
+def test_arguments_out_of_range(options: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        render_scene(world(), **options)  # type: ignore[arg-type]
+
+
+def test_a_call_can_be_sent_to_another_process() -> None:
+    call = partial(render_scene, size=8, light="points", transport="shadows", cache=Path("x"))
+    assert pickle.loads(pickle.dumps(call)).keywords == call.keywords
+
+
+# With bpy
+
+
+@pytest.fixture(scope="module")
+def bpy_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Empty cache folder; skips where Cycles cannot run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(REPOSITORY)
+        reason = why_not()
+    if reason is not None:
+        pytest.skip(reason)
+    return tmp_path_factory.mktemp("cycles")
+
+
+@pytest.fixture(autouse=True)
+def _beside_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(REPOSITORY)
+
+
+def test_spheres_are_as_light_and_material_demand(bpy_cache: Path) -> None:
+    found = check_spheres(24, 128, cache=bpy_cache)
+    assert found.diffuse < 0.004
+    assert found.metal < 0.004
+    assert found.point_light < 0.002
+    assert found.mirrored > 0.2
+    assert found.plastic["principled"] < found.plastic["paper"] < 0.05
+    assert found.normals < 0.1
+
+
+def test_maps_are_those_of_our_own_rays(bpy_cache: Path) -> None:
+    found = check_truth(world("detailed"), 48, cache=bpy_cache)
+    assert found.normals < 0.05
+    assert max(found.albedo, found.roughness, found.metallic) < 1e-6
+    assert found.segments < 0.005
+    assert found.pixels > 0.5
+
+
+def test_pictures_come_close_to_the_models_only_without_shadows(bpy_cache: Path) -> None:
+    render = partial(
+        render_scene, world("textured"), SIZE, lights=4, held_out=1, samples=32, cache=bpy_cache
+    )
+    scenes = {transport: render(transport=transport) for transport in ("brdf", "full")}
+    error = {
+        (model, transport): reflection_gap(scene, model).true_light or 0.0
+        for model in MODELS
+        for transport, scene in scenes.items()
+    }
+    assert 0 < error["principled", "brdf"] < error["paper", "brdf"] < 0.15
+    for model in MODELS:
+        assert error[model, "full"] > 2 * error[model, "brdf"]
+
+
+def test_spheres_are_what_the_principled_model_says(bpy_cache: Path) -> None:
+    effort = spheres.Effort(24, 800, (0.5,), 4, ("MULTI_GGX",), spheres.SUBSTANCES[:2])
+    found = spheres.measure(effort, cache=bpy_cache)
+    for substance, model, limits in (
+        ("metal", "principled", (0.01, 0.01, 0.01)),
+        ("dielectric", "principled", (0.03, 0.01, 0.01)),
+    ):
+        assert np.all(found.errors["MULTI_GGX", substance, model] <= limits)
+        of_paper = found.errors["MULTI_GGX", substance, "paper"]
+        assert np.all(of_paper > 1.5 * found.errors["MULTI_GGX", substance, model])
+
+
+def test_shadows_of_point_lights_only_take_light_away(bpy_cache: Path) -> None:
+    of = world()
+    stage = export(of, SIZE, 60.0)
+    places, _ = random_point_lights(stage, of.walls, 3, np.random.default_rng(0))
+    jobs = [Job(stage, places, transport, samples=1) for transport in ("brdf", "shadows")]
+    lit, shadowed = (rendered(j, cache=bpy_cache).radiance for j in jobs)
+    differ: NDArray[np.bool_] = np.abs(lit - shadowed).max(axis=-1) > 1e-5 * lit.max()
+    assert np.all(shadowed[differ] < 1e-6)  # a point light is seen or not
+    assert 0.01 < differ.mean() < 0.7

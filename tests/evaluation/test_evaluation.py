@@ -1,0 +1,412 @@
+"""What suites share: tasks that survive failures and interruptions, tables, folders, scores."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from evaluation_tasks import Task, work
+
+import pbrfit
+from pbrfit import InputError, Materials, Result, Scene
+from pbrfit.scene.scene import Truth
+from pbrfit.synthetic import make_scene
+from pbrfit_evaluation import jobs, recipes, scores, tables, workspace
+from pbrfit_evaluation.jobs import Record
+
+
+def attempts(folder: Path) -> dict[str, int]:
+    return {p.stem: len(p.read_text("utf-8").splitlines()) for p in folder.glob("*.trace")}
+
+
+# ------------------------------------------------------------------------------------------ jobs
+
+
+@pytest.mark.parametrize("at_once", [1, 2])
+def test_one_failure_does_not_stop_the_others(tmp_path: Path, at_once: int) -> None:
+    tasks = [Task("a", tmp_path), Task("b", tmp_path, "raise"), Task("c", tmp_path)]
+    told: list[Record] = []
+    records = jobs.run(tasks, work, tmp_path, jobs=at_once, progress=told.append)
+    assert [record.key for record in records] == ["a", "b", "c"]
+    assert [record.error for record in records] == [None, "ValueError: two lines", None]
+    threads = max(1, (os.cpu_count() or 1) // at_once)
+    assert records[2].values == {"name": "c", "threads": threads}
+    assert sorted(record.key for record in told) == ["a", "b", "c"]
+    assert sorted(p.name for p in (tmp_path / "records").iterdir()) == [
+        "a.json",
+        "b.json",
+        "c.json",
+    ]
+
+
+def test_a_worker_that_dies_is_tried_once_more(tmp_path: Path) -> None:
+    tasks = [Task("bad", tmp_path, "die"), *(Task(f"good{i}", tmp_path) for i in range(3))]
+    records = jobs.run(tasks, work, tmp_path, jobs=2)
+    assert [record.error for record in records] == ["its process died", None, None, None]
+    assert attempts(tmp_path)["bad"] == 2
+
+
+def test_who_runs_beside_a_worker_that_dies_is_not_blamed(tmp_path: Path) -> None:
+    tasks = [Task("good", tmp_path, "last at first"), Task("bad", tmp_path, "die")]
+    records = jobs.run(tasks, work, tmp_path, jobs=2)
+    assert [record.error for record in records] == [None, "its process died"]
+    assert attempts(tmp_path)["bad"] == 2
+
+
+@pytest.mark.parametrize("at_once", [1, 2])
+def test_values_that_no_file_can_hold_are_an_error_of_their_task(
+    tmp_path: Path, at_once: int
+) -> None:
+    tasks = [Task("a", tmp_path, "no JSON"), Task("b", tmp_path)]
+    records = jobs.run(tasks, work, tmp_path, jobs=at_once)
+    assert str(records[0].error).startswith("TypeError: Object of type set")
+    assert records[1].error is None
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    program = (
+        "import sys; from pathlib import Path; from evaluation_tasks import Task, work\n"
+        "from pbrfit_evaluation.jobs import run\n"
+        "if __name__ == '__main__':\n"
+        "    folder = Path(sys.argv[1])\n"
+        "    run([Task(key, folder, 'last') for key in 'ab'], work, folder, jobs=2)\n"
+    )
+    file = tmp_path / "program.py"
+    file.write_text(program, "utf-8")
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    parent = subprocess.Popen(
+        [sys.executable, str(file), str(tmp_path)], env={**os.environ, "PYTHONPATH": path}
+    )
+    try:
+        until(lambda: len(attempts(tmp_path)) == 2 and all(attempts(tmp_path).values()))
+    finally:
+        parent.kill()
+        parent.wait()
+    workers = [int(trace.read_text("utf-8")) for trace in tmp_path.glob("*.trace")]
+    until(lambda: not any(alive(worker) for worker in workers))
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for something that is bound to happen soon."""
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it did not happen")
+
+
+def alive(process: int) -> bool:
+    """Whether it runs; one that has ended and waits for its parent does not."""
+    try:
+        os.kill(process, 0)
+        status = Path(f"/proc/{process}/stat")
+        return not status.exists() or status.read_text("utf-8").rpartition(")")[2].split()[0] != "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return False
+
+
+def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:
+    tasks = [Task("a", tmp_path), Task("b", tmp_path, "raise")]
+    first = jobs.run(tasks, work, tmp_path)
+    again = jobs.run([*tasks, Task("c", tmp_path)], work, tmp_path)
+    assert again[0] == first[0]
+    assert attempts(tmp_path) == {"a": 1, "b": 2, "c": 1}  # a failure is tried again
+
+
+def test_another_task_or_other_code_of_that_name_is_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs.run([Task("a", tmp_path)], work, tmp_path)
+    jobs.run([Task("a", tmp_path, "very well")], work, tmp_path)
+    assert attempts(tmp_path) == {"a": 2}
+    monkeypatch.setattr(jobs, "_code", lambda: "newer")
+    jobs.run([Task("a", tmp_path, "very well")], work, tmp_path)
+    assert attempts(tmp_path) == {"a": 3}
+    record = tmp_path / "records" / "a.json"
+    record.write_text(record.read_text("utf-8")[:40], "utf-8")
+    jobs.run([Task("a", tmp_path, "very well")], work, tmp_path)
+    assert attempts(tmp_path) == {"a": 4}  # a broken record is none
+
+
+def test_an_interrupted_run_keeps_what_is_done(tmp_path: Path) -> None:
+    tasks = [Task("a", tmp_path), Task("b", tmp_path, "interrupt"), Task("c", tmp_path)]
+    with pytest.raises(KeyboardInterrupt):
+        jobs.run(tasks, work, tmp_path)
+    assert [p.name for p in (tmp_path / "records").iterdir()] == ["a.json"]
+    jobs.run([tasks[0], Task("b", tmp_path), tasks[2]], work, tmp_path)
+    assert attempts(tmp_path) == {"a": 1, "b": 2, "c": 1}
+
+
+# ---------------------------------------------------------------------------------------- tables
+
+
+def test_mean_and_interval() -> None:
+    values = np.random.default_rng(0).normal(3.0, 0.5, size=400)
+    found = tables.mean_with_interval([*values, math.nan])
+    assert found.count == 400
+    assert found.mean == pytest.approx(values.mean())
+    half = 1.96 * values.std() / 20  # what it tends to for many values
+    assert found.low == pytest.approx(values.mean() - half, abs=0.15 * half)
+    assert found.high == pytest.approx(values.mean() + half, abs=0.15 * half)
+    assert tables.mean_with_interval(list(values)) == found  # the same draws every time
+
+
+def test_mean_of_few() -> None:
+    one = tables.mean_with_interval([2.0])
+    assert (one.mean, one.count) == (2.0, 1)
+    assert math.isnan(one.low)
+    none = tables.mean_with_interval([math.nan])
+    assert none.count == 0
+    assert math.isnan(none.mean)
+    same = tables.mean_with_interval([1.0, 1.0])
+    assert (same.low, same.mean, same.high) == (1.0, 1.0, 1.0)
+
+
+def test_csv_keeps_all_digits_and_leaves_gaps_empty(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    tables.write_csv(path, ("a", "b"), [(0.1 + 0.2, None), (np.float64(1e-9), math.nan), ("x,", 3)])
+    with path.open(newline="", encoding="utf-8") as file:
+        assert list(csv.reader(file)) == [
+            ["a", "b"],
+            ["0.30000000000000004", ""],
+            ["1e-09", ""],
+            ["x,", "3"],
+        ]
+
+
+# ------------------------------------------------------------------------------------- workspace
+
+
+def test_folder_of_a_suite(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "out"
+    workspace.prepare(out, resume=False, overwrite=False)
+    jobs.run([Task("x", tmp_path)], work, out)
+    (out / "summary.json").write_text("{}", "utf-8")
+    with pytest.raises(FileExistsError, match="expected a folder that does not exist yet"):
+        workspace.prepare(out, resume=False, overwrite=False)
+    workspace.prepare(out, resume=True, overwrite=False)
+    assert [path.name for path in out.iterdir()] == ["records"]  # it is not whole any more
+    assert (out / "records" / "x.json").exists()
+    workspace.prepare(out, resume=False, overwrite=True)
+    assert list((out / "records").iterdir()) == []
+
+
+def test_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "holiday.jpg").write_bytes(b"")
+    for resume in (False, True):
+        with pytest.raises(FileExistsError, match="found a folder without records"):
+            workspace.prepare(tmp_path, resume=resume, overwrite=True)
+
+
+@pytest.mark.parametrize(("resume", "overwrite"), [(True, False), (False, True), (True, True)])
+@pytest.mark.parametrize("name", ["records/song.json", "records/blue.mp3", "thesis.txt"])
+def test_records_of_somebody_else_are_left_alone(
+    tmp_path: Path, name: str, resume: bool, overwrite: bool
+) -> None:
+    (tmp_path / "records").mkdir()
+    (tmp_path / name).write_text('{"title": "x"}', "utf-8")
+    with pytest.raises(FileExistsError, match="expected an earlier output of a suite, found"):
+        workspace.prepare(tmp_path, resume=resume, overwrite=overwrite)
+    assert (tmp_path / name).exists()
+
+
+def test_a_link_to_a_folder_stays(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    workspace.prepare(out, resume=False, overwrite=False)
+    (out / "report.html").write_text("old", "utf-8")
+    jobs.run([Task("x", tmp_path)], work, out)
+    link = tmp_path / "link"
+    link.symlink_to(out, target_is_directory=True)
+    workspace.prepare(link, resume=False, overwrite=True)
+    assert link.is_symlink()
+    assert [path.name for path in out.iterdir()] == ["records"]
+
+
+def test_report_is_whole_or_marked_by_the_lack_of_a_summary(tmp_path: Path) -> None:
+    workspace.prepare(tmp_path / "out", resume=False, overwrite=False)
+    with workspace.publish(tmp_path / "out") as folder:
+        (folder / "summary.json").write_text("1", "utf-8")
+        (folder / "pictures").mkdir()
+    with workspace.publish(tmp_path / "out") as folder:
+        (folder / "summary.json").write_text("2", "utf-8")
+        (folder / "pictures").mkdir()
+        (folder / "pictures" / "new.png").write_bytes(b"")
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["pictures", "records", "summary.json"]
+    assert (tmp_path / "out" / "summary.json").read_text("utf-8") == "2"
+    assert (tmp_path / "out" / "pictures" / "new.png").exists()
+    with pytest.raises(RuntimeError), workspace.publish(tmp_path / "out"):
+        raise RuntimeError
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["pictures", "records"]
+
+
+# --------------------------------------------------------------------------- recipes and scores
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return make_scene("room", size=24, lights=8, held_out=3, seed=2)
+
+
+def at_the_truth(scene: Scene, iterations: int) -> Result:
+    truth = scene.truth
+    assert truth is not None
+    assert truth.lighting is not None
+    start = truth.materials, truth.lighting
+    return pbrfit.decompose(scene, start=start, iterations=iterations, priors=None)
+
+
+def test_true_materials_have_no_errors(scene: Scene) -> None:
+    found = scores.score(at_the_truth(scene, 0), scene)
+    for name in ("recon", "albedo", "roughness", "metallic", "relight", "metallic_on_metal",
+                 "roughness_on_metal", "albedo_scaled", "relight_scaled"):  # fmt: skip
+        value = getattr(found, name)
+        assert value is not None
+        assert value <= 1e-12
+    assert found.albedo_ssim == pytest.approx(1)
+    assert found.relight_ssim == pytest.approx(1)
+    assert found.evaluations == 1
+
+
+def test_scores_of_known_errors(scene: Scene) -> None:
+    """Albedo twice the truth under half the light, and metallic off by 0.25 on metal only."""
+    truth = scene.truth
+    assert truth is not None
+    true = truth.materials
+    metal = true.metallic >= 0.5
+    wrong = Materials(
+        0.5 * true.albedo, true.roughness + 0.125, np.where(metal, 0.75, true.metallic)
+    )
+    found = scores.score(replace(at_the_truth(scene, 0), materials=wrong), scene)
+    assert found.albedo == pytest.approx(0.5 * np.sqrt(np.mean(np.square(true.albedo))))
+    assert found.albedo_scaled <= 1e-12
+    assert found.roughness == pytest.approx(0.125)
+    assert found.roughness_on_metal == pytest.approx(0.125)
+    assert found.metallic_on_metal == pytest.approx(0.25)
+    assert found.metallic == pytest.approx(0.25 * np.sqrt(metal.mean()))
+    assert found.relight is not None
+    assert found.relight_scaled is not None
+    assert found.relight > found.relight_scaled > 0
+
+
+def test_pixels_outside_the_mask_never_enter(scene: Scene) -> None:
+    mask = np.ones(scene.valid.shape, dtype=bool)
+    mask[:, :9] = False
+    ruined = scene.images.copy()
+    ruined[:, :, :9] = np.nan
+    masked = replace(scene, mask=mask, images=ruined)
+    found = scores.score(at_the_truth(masked, 0), masked)
+    assert max(found.recon, found.albedo, found.roughness, found.metallic) <= 1e-12
+    assert found.relight is not None
+    assert found.relight <= 1e-12
+    assert found.relight_ssim == pytest.approx(1)
+
+
+def test_scores_without_held_out_pictures_or_metal(scene: Scene) -> None:
+    truth = scene.truth
+    assert truth is not None
+    true = truth.materials
+    dielectric = replace(true, metallic=np.zeros_like(true.metallic))
+    less = replace(scene, truth=Truth(dielectric, truth.lighting))
+    found = scores.score(pbrfit.decompose(less, iterations=0, priors=None), less)
+    assert found.relight is None
+    assert found.relight_psnr is None
+    assert found.metallic_on_metal is None
+
+
+def test_constant_guess_and_paper_start_by_hand(scene: Scene) -> None:
+    truth = scene.truth
+    assert truth is not None
+    guess = recipes.constant_guess(scene)
+    np.testing.assert_allclose(
+        guess.albedo[3, 4], truth.materials.albedo.mean(axis=(0, 1)), rtol=1e-12
+    )
+    assert np.all(guess.roughness == 0.5)
+    assert np.all(guess.metallic == 0.0)
+    start = recipes.paper_start(scene)
+    mean = scene.images.mean(axis=0)
+    np.testing.assert_allclose(start.albedo, np.clip(mean * 0.4 / mean.mean(), 0, 1), rtol=1e-6)
+    assert np.all(start.metallic == 0.1)
+    with pytest.raises(InputError, match="expected ground truth"):
+        recipes.constant_guess(replace(scene, truth=None))
+
+
+def test_what_has_no_weight_does_not_darken_the_papers_start(scene: Scene) -> None:
+    weights = np.ones(scene.images.shape[:3], dtype=np.float32)
+    weights[0, :5] = 0
+    images = scene.images.copy()
+    images[0, :5] = np.nan
+    start = recipes.paper_start(replace(scene, images=images, weights=weights))
+    mean = np.nanmean(images, axis=0)
+    np.testing.assert_allclose(start.albedo, np.clip(mean * 0.4 / mean.mean(), 0, 1), rtol=1e-6)
+
+
+def test_recipes(scene: Scene) -> None:
+    found = {
+        recipe: recipes.explain(scene, recipe, iterations=5, sh_order=2)
+        for recipe in recipes.RECIPES
+    }
+    steps = {recipe: result.history.iterations for recipe, result in found.items()}
+    assert steps.pop("default") >= 5  # the learnt prior may take its own
+    assert steps == {"plain": 5, "paper": 5, "paper-priors": 5, "constant": 0, "start": 0}
+    for result in found.values():
+        assert np.all(result.lighting[:, 9:] == 0)
+    assert np.ptp(found["constant"].albedo, axis=(0, 1)).max() == 0
+    assert found["plain"].metrics["recon_rmse"] < found["start"].metrics["recon_rmse"]
+
+
+# ------------------------------------------------------------------------------- the truth stays
+
+
+@pytest.mark.parametrize("kind", ["room", "spheres", "textured", "furnished"])
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_fit_that_starts_at_the_truth_stays_there(kind: str, seed: int) -> None:
+    scene = make_scene(kind, size=48, held_out=1, seed=seed)
+    truth = scene.truth
+    assert truth is not None
+    result = at_the_truth(scene, 500)
+    rms = np.sqrt(np.mean(np.square(scene.images)))
+    assert result.metrics["recon_rmse"] <= 1e-7 * rms
+    for name in ("albedo", "roughness", "metallic"):
+        error = np.abs(getattr(result, name) - getattr(truth.materials, name)).max()
+        assert error <= 1e-6, name
+
+
+# ----------------------------------------------------------------------------------- the command
+
+
+def test_a_command_interrupted_in_the_middle_can_go_on(tmp_path: Path) -> None:
+    """Ctrl-C reaches parent and workers alike; nothing but whole records is left."""
+    import signal
+
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "pbrfit", "evaluate", "table1", "--out", str(out)]
+    command += ["--rows", "base", "--size", "16", "--scenes", "40", "--lights", "4", "--jobs", "2"]
+    command += ["--model", "paper"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    for _ in range(600):
+        if len(list(out.glob("records/*.json"))) >= 2:
+            break
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    [done] = re.findall(r"interrupted after (\d+) of 40; --resume goes on from there", errors)
+    assert int(done) >= 2
+    assert "Traceback" not in errors
+    kept = sorted(out.glob("records/*"))
+    assert 2 <= len(kept) < 40
+    for path in kept:
+        assert json.loads(path.read_text("utf-8"))["error"] is None
+    assert [path.name for path in out.iterdir()] == ["records"]

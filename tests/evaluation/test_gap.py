@@ -1,0 +1,361 @@
+"""The gap suite: its quadrature against other rules and known facts, its figures, its command."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+import reference
+from pbrfit.io import images
+from pbrfit.model.geometry import view_directions
+from pbrfit_evaluation import gap
+from pbrfit_evaluation.gap import (
+    INTEGRATED,
+    PAPER,
+    PRINCIPLED,
+    TABULATED,
+    Effort,
+    Gap,
+    integrated,
+    principled,
+    response,
+    spheres,
+)
+from pbrfit_evaluation.gap.brute_force import respond, view
+from pbrfit_evaluation.gap.principled import BRDF, Choices, fresnel, mean_albedo
+from scene_files import run
+
+Array = NDArray[np.float64]
+
+SMALL = Effort("small", r=(0.2, 0.8, 1.0), n_dot_v=(0.2, 1.0), rings=4, lights=4)
+
+
+@pytest.fixture(scope="module")
+def measured() -> Gap:
+    return gap.measure(SMALL, reference=PAPER)
+
+
+def hemisphere() -> tuple[Array, Array]:
+    """Directions and weights of a plain rule over n·l > 0: 500 × 500 nodes."""
+    nodes, weights = np.polynomial.legendre.leggauss(500)
+    # Denser at the horizon, where masking falls to 0.
+    n_dot_l = ((1 + nodes) / 2) ** 3
+    shares = weights / 2 * 3 * ((1 + nodes) / 2) ** 2
+    azimuth = 2 * np.pi * (np.arange(500) + 0.5) / 500
+    sine = np.sqrt(1 - n_dot_l**2)[:, None]
+    directions = np.stack(
+        [sine * np.cos(azimuth), sine * np.sin(azimuth), np.repeat(n_dot_l[:, None], 500, axis=1)],
+        axis=-1,
+    )
+    return directions, np.repeat(2 * np.pi / 500 * shares[:, None], 500, axis=1)
+
+
+def reflected(rho: float, r: float, m: float, n_dot_v: float) -> Array:
+    """(16,) weights of one channel: the paper's eqs. 1 and 3-5 as printed, summed over l."""
+    l, shares = hemisphere()  # noqa: E741
+    v = np.array([math.sqrt(1 - n_dot_v**2), 0, n_dot_v])
+    h = reference.unit(v + l)
+    alpha = r * r
+    d = alpha**2 / (np.pi * (h[..., 2] ** 2 * (alpha**2 - 1) + 1) ** 2)
+    k = alpha**2 / 2
+    g = np.prod([x / (x * (1 - k) + k) for x in (l[..., 2], np.full(l.shape[:2], n_dot_v))], axis=0)
+    f0 = 0.04 * (1 - m) + m * rho
+    f = f0 + (1 - f0) * (1 - h @ v) ** 5
+    specular = d * g * f / (4 * n_dot_v * l[..., 2])
+    diffuse = (1 - f) * (1 - m) * rho / np.pi
+    radiance = (specular + diffuse) * l[..., 2] * shares
+    weights: Array = np.einsum("ij,ijk->k", radiance, reference.sh_basis(l))
+    return weights
+
+
+@pytest.mark.parametrize(
+    ("rho", "r", "m", "n_dot_v"),
+    [(0.5, 0.6, 0.0, 0.4), (0.8, 0.4, 1.0, 0.9), (0.3, 1.0, 0.3, 0.1), (0.05, 0.8, 0.0, 1.0)],
+)
+def test_quadrature_agrees_with_a_plain_rule(
+    rho: float, r: float, m: float, n_dot_v: float
+) -> None:
+    found = respond(r, n_dot_v).weights(np.full(3, rho), np.array(m))
+    np.testing.assert_allclose(found, np.tile(reflected(rho, r, m, n_dot_v), (3, 1)), atol=2e-6)
+
+
+def lobe(r: float, n_dot_v: float) -> tuple[Array, Array, Array]:
+    """Over the nodes of `hemisphere`: GGX with correlated masking times n·l and shares, v·h, l."""
+    l, shares = hemisphere()  # noqa: E741
+    v = np.array([math.sqrt(1 - n_dot_v**2), 0, n_dot_v])
+    h = reference.unit(v + l)
+    a2 = r**4
+    d = a2 / (np.pi * (h[..., 2] ** 2 * (a2 - 1) + 1) ** 2)
+    # Heitz: G = 1 / (1 + Λ(v) + Λ(l)), Λ = (√(1 + α² tan²θ) − 1) / 2.
+    below = [(np.sqrt(1 + a2 * (1 / x**2 - 1)) - 1) / 2 for x in (l[..., 2], n_dot_v)]
+    g = 1 / (1 + below[0] + below[1])
+    return d * g / (4 * n_dot_v) * shares, h @ v, l
+
+
+def reflected_principled(rho: float, r: float, m: float, n_dot_v: float) -> Array:
+    """(16,) weights of one channel by the plain rule."""
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    x = (1 + nodes) / 2
+    index = 1.5
+    mean = float(np.dot(weights * x, [lobe(r, y)[0].sum() for y in x]))  # 2 ∫ E x dx
+    share, v_dot_h, l = lobe(r, n_dot_v)  # noqa: E741
+    albedo = share.sum()
+    basis = reference.sh_basis(l)
+
+    def scaled(f0: float, fresnel: Array) -> tuple[Array, float]:
+        average = (1 + 20 * f0) / 21
+        further = average * mean / (1 - average * (1 - mean)) * (1 - albedo) / albedo
+        lit = (1 + further) * share * fresnel
+        return np.einsum("ij,ijk->k", lit, basis), lit.sum()
+
+    inside = np.sqrt(1 - (1 - v_dot_h**2) / index**2)  # Snell
+    across = (v_dot_h - index * inside) / (v_dot_h + index * inside)
+    along = (inside - index * v_dot_h) / (inside + index * v_dot_h)
+    metal, _ = scaled(rho, rho + (1 - rho) * (1 - v_dot_h) ** 5)
+    coat, held_back = scaled(0.04, (across**2 + along**2) / 2)
+    cosine = hemisphere()[1] * l[..., 2]
+    body = rho / np.pi * (1 - held_back) * np.einsum("ij,ijk->k", cosine, basis)
+    found: Array = m * metal + (1 - m) * (coat + body)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("rho", "r", "m", "n_dot_v"),
+    [(0.5, 0.6, 0.0, 0.4), (0.8, 0.5, 1.0, 0.9), (0.3, 1.0, 0.3, 0.1), (0.05, 0.8, 0.0, 1.0)],
+)
+def test_the_principled_integral_agrees_with_a_plain_rule(
+    rho: float, r: float, m: float, n_dot_v: float
+) -> None:
+    found = principled.respond(r, n_dot_v).weights(np.full(3, rho), np.array(m))
+    expected = np.tile(reflected_principled(rho, r, m, n_dot_v), (3, 1))
+    np.testing.assert_allclose(found, expected, atol=5e-6)
+
+
+@pytest.mark.parametrize("r", [0.02, 0.1, 0.4, 1.0])
+@pytest.mark.parametrize("n_dot_v", [0.02, 0.2, 1.0])
+def test_stated_error_of_the_principled_integral_covers_a_finer_rule(
+    r: float, n_dot_v: float
+) -> None:
+    found, finer = principled.respond(r, n_dot_v), principled.respond(r, n_dot_v, 120)
+    for name in ("base", "grazing", "glass"):
+        change = np.abs(getattr(found, name) - getattr(finer, name)).max()
+        assert change <= found.error + 1e-12
+    assert found.error < 2e-6
+
+
+@pytest.mark.parametrize("r", [0.02, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("n_dot_v", [0.02, 0.3, 1.0])
+def test_white_furnace_of_the_principled_integral(r: float, n_dot_v: float) -> None:
+    exact = principled.respond(r, n_dot_v)
+
+    def furnace(metallic: float, choices: Choices) -> float:
+        weights = exact.weights(np.ones(3), np.array(metallic), choices)
+        return float(2 * math.sqrt(math.pi) * weights[0, 0])
+
+    for metallic in (0.0, 0.4, 1.0):
+        assert furnace(metallic, BRDF) == pytest.approx(1, abs=1e-12)
+    assert furnace(1.0, Choices(multiple=False)) < 1 + 1e-6
+
+
+def test_mean_albedo_of_the_roughest_lobe() -> None:
+    # α = 1: E = ∫₀¹ y/(x + y) dy = 1 − x ln(1 + 1/x).
+    x = (np.arange(200000) + 0.5) / 200000
+    exact = float(np.mean(2 * x * (1 - x * np.log1p(1 / x))))
+    assert mean_albedo(1.0) == pytest.approx(exact, abs=1e-8)
+    assert principled.respond(1.0, 0.3).albedo == pytest.approx(1 - 0.3 * math.log1p(1 / 0.3))
+
+
+def test_fresnels_equations_at_known_angles() -> None:
+    polarising = 1 / math.sqrt(1 + 1.5**2)  # Brewster: only the part across is reflected
+    across = (1.5**2 - 1) / (1.5**2 + 1)
+    np.testing.assert_allclose(
+        fresnel(np.array([1.0, 0.0, polarising])), [0.04, 1.0, across**2 / 2], atol=1e-15
+    )
+
+
+def test_a_scaled_fit_has_the_albedo_of_the_equations() -> None:
+    exact = principled.respond(0.4, 0.6)
+    black, dielectric = np.zeros(3), np.array(0.0)
+    scaled, equations, fit = (
+        exact.weights(black, dielectric, Choices(fresnel=of))[0]
+        for of in ("scaled", "equations", "fit")
+    )
+    assert scaled[0] == pytest.approx(equations[0], rel=1e-14)
+    assert np.abs(scaled - equations).max() < 0.2 * np.abs(fit - equations).max()
+
+
+def test_the_integral_on_any_normals_is_that_of_the_pixels_own_frame() -> None:
+    rng = np.random.default_rng(0)
+    views = view_directions(4, 4, 60.0).reshape(-1, 3)
+    normals = reference.unit(views + 0.5 * rng.normal(size=views.shape))
+    normals[0] = views[0]
+    facing = np.einsum("pi,pi->p", normals, views) > 0.2
+    normals, views = normals[facing], views[facing]
+    count = len(normals)
+    albedo, r, m = np.full((count, 3), 0.7), np.full(count, 0.4), np.full(count, 0.5)
+    found = spheres.integral(normals, views, albedo, r, m, BRDF)
+    light = rng.normal(size=16)
+    for i in range(count):
+        exact = principled.respond(0.4, float(normals[i] @ views[i])).weights(albedo[i], m[i])
+        side = views[i] - (views[i] @ normals[i]) * normals[i]
+        if np.linalg.norm(side) < 1e-9:
+            side = np.cross(normals[i], [1.0, 0.0, 0.0])
+        x = reference.unit(side)
+        axes = np.stack([x, np.cross(normals[i], x), normals[i]])
+        directions = reference.unit(rng.normal(size=(40, 3)))
+        local = np.linalg.lstsq(
+            reference.sh_basis(directions @ axes.T), reference.sh_basis(directions) @ light
+        )[0]
+        np.testing.assert_allclose(found[i] @ light, exact @ local, atol=1e-8)
+
+
+@pytest.mark.parametrize("r", [0.02, 0.1, 0.3, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize("n_dot_v", [0.02, 0.2, 0.7, 1.0])
+def test_stated_error_covers_a_much_finer_rule(r: float, n_dot_v: float) -> None:
+    found, finer = respond(r, n_dot_v, 48), respond(r, n_dot_v, 160)
+    for name in ("base", "grazing", "diffuse"):
+        change = np.abs(getattr(found, name) - getattr(finer, name)).max()
+        assert change <= found.error + 1e-9
+    assert found.error < 2e-5
+    assert finer.error < 1e-9
+
+
+def test_rough_lobe_seen_straight_on_returns_one_minus_log_two() -> None:
+    # α = 1: D = 1/π, G1(1) = 1, G1(n·l) = 2x/(1+x) with x = n·l = 2c² − 1, so that
+    # ∫ D G1/4 dl = ½ ∫₀¹ x/(1+x) dx · 2 = 1 − ln 2.
+    exact = respond(1.0, 1.0)
+    albedo = 2 * math.sqrt(math.pi) * (exact.base + exact.grazing)[0]
+    assert albedo == pytest.approx(1 - math.log(2), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("r", "n_dot_v", "closed", "true"), [(1.0, 1.0, 0.50, 0.31), (0.8, 0.2, 0.39, 0.83)]
+)
+def test_known_directional_albedos(r: float, n_dot_v: float, closed: float, true: float) -> None:
+    measured = gap.measure(Effort("one", (r,), (n_dot_v,), rings=2, lights=2), reference=PAPER)
+    assert measured.model_response("paper")[0, 0, 0, 0] == pytest.approx(closed, abs=0.005)
+    assert measured.true_response[0, 0, 0, 0] == pytest.approx(true, abs=0.005)
+
+
+def test_closed_form_is_within_three_per_cent_for_smooth_lobes_seen_straight() -> None:
+    few = Effort("few", (0.1, 0.3, 0.5), (0.5, 0.7, 1.0), rings=2, lights=2)
+    measured = gap.measure(few, reference=PAPER)
+    np.testing.assert_allclose(measured.ratio("paper")[0, ..., 0], 1.0, atol=0.03)
+
+
+@pytest.mark.parametrize("n_dot_v", [0.1, 0.6, 1.0])
+def test_white_furnace_of_a_mirror(n_dot_v: float) -> None:
+    exact = respond(0.01, n_dot_v)
+    assert 2 * math.sqrt(math.pi) * (exact.base + exact.grazing)[0] == pytest.approx(1, abs=1e-4)
+    mirror = view(n_dot_v) * [-1, -1, 1]
+    np.testing.assert_allclose(exact.base + exact.grazing, pbrfit.sh_basis(mirror), atol=1e-3)
+
+
+def test_mirror_has_a_response_of_one_in_every_band() -> None:
+    direction = np.array([0.48, 0.6, 0.64])
+    weights = np.repeat(pbrfit.sh_basis(direction)[None], 3, axis=0)
+    np.testing.assert_allclose(response(weights), 1.0, rtol=1e-14)
+
+
+@pytest.mark.parametrize("own", [PAPER, PRINCIPLED], ids=["paper", "principled"])
+def test_a_perfect_model_has_no_gap(own: gap.Reference) -> None:
+    exact = integrated(own)
+
+    def brighter(normal: Array, view: Array, albedo: Array, r: Array, m: Array) -> Array:
+        return 1.5 * exact(normal, view, albedo, r, m)
+
+    measured = gap.measure(
+        Effort("one", (0.5,), (0.5,), rings=2, lights=2),
+        reference=own,
+        models={"exact": exact, "brighter": brighter},
+    )
+    assert measured.relative_rmse("exact").max() < 1e-14
+    np.testing.assert_allclose(measured.distance("exact"), 0, atol=1e-14)
+    np.testing.assert_allclose(measured.ratio("brighter"), 1.5)
+    np.testing.assert_allclose(measured.overall_rmse("brighter"), 0.5)
+
+
+def test_the_principled_model_is_its_integral_and_the_papers_is_not() -> None:
+    measured = gap.measure(SMALL)
+    assert measured.overall_rmse("principled").max() < 0.02
+    assert measured.overall_rmse("paper").min() > 0.03
+    table = gap.measure(SMALL, reference=TABULATED)
+    assert table.distance("principled").max() < 2e-4
+    assert table.overall_rmse("principled").max() < 1e-4
+
+
+def test_sphere_error_is_that_of_many_turned_lights(measured: Gap) -> None:
+    """The formula against drawn lights: rendered errors of one ring, the light turned around."""
+    rng = np.random.default_rng(0)
+    difference = rng.normal(size=(1, 1, 3, 16))
+    light = rng.normal(size=(1, 16, 3))
+    power = gap._band_power(light)
+    found = gap._rms_radiance(difference, np.ones(1), power)[0]
+    directions = reference.unit(rng.normal(size=(64, 3)))
+    basis = reference.sh_basis(directions)
+    squares = []
+    for _ in range(300):
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        turned = np.linalg.lstsq(basis, reference.sh_basis(directions @ turn) @ light[0])[0]
+        squares.append(np.einsum("ck,kc->c", difference[0, 0], turned) ** 2)
+    assert found == pytest.approx(math.sqrt(np.mean(squares)), rel=0.12)
+    assert measured.sphere_signal.shape == (4, 3)
+
+
+def test_rings_of_the_sphere_are_enough() -> None:
+    for own in (PAPER, PRINCIPLED):
+        few, many = (
+            gap.measure(Effort("", (0.3, 1.0), (1.0,), rings=rings, lights=8), reference=own)
+            for rings in (gap.FULL.rings, 40)
+        )
+        np.testing.assert_allclose(
+            few.overall_rmse("paper"), many.overall_rmse("paper"), rtol=0.002
+        )
+
+
+@pytest.mark.parametrize(("r", "n_dot_v"), [(0.0, 0.5), (0.5, 0.0), (1.1, 0.5), (math.nan, 0.5)])
+def test_points_outside_the_range_are_named(r: float, n_dot_v: float) -> None:
+    for of in (respond, principled.respond):
+        with pytest.raises(
+            pbrfit.InputError, match=r"(roughness|n_dot_v): expected a number in \(0"
+        ):
+            of(r, n_dot_v)
+
+
+def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "gap"
+    assert run("evaluate", "gap", "--out", out, "--quick") == 0
+    printed = capsys.readouterr().out
+    assert "paper model / principled integral, lobe alone" in printed
+    assert "Cycles: not run: --quick leaves Cycles out" in printed
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert summary["protocol"].startswith("pbrfit-gap-2")
+    assert len(summary["rows"]) == 5 * len(gap.MATERIALS)
+    assert summary["rows"][0]["metrics"]["quadrature_error"] < 1e-6
+    with (out / "gap.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 5 * len(gap.MATERIALS) * len(gap.QUICK.r) * len(gap.QUICK.n_dot_v) * 4
+    straight = {
+        (row["reference"], row["model"]): (float(row["found"]), float(row["true"]))
+        for row in rows
+        if (row["material"], row["r"], row["n_dot_v"], row["band"]) == ("lobe", "1.0", "1.0", "0")
+    }
+    masked = 1 - math.log(2)
+    for key, expected in {
+        ("paper", "paper"): (0.5, masked),
+        ("principled", "paper"): (0.5, 1.0),
+        ("principled", INTEGRATED): (masked, 1.0),
+        ("principled", "principled"): (1.0, 1.0),
+    }.items():
+        assert straight[key] == pytest.approx(expected, abs=1e-4)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("<img") == 7
+    assert "0.50 / 0.31" in page
+    assert images.read_data(out / "ratio-paper.png").shape[-1] >= 3

@@ -1,0 +1,72 @@
+"""The suite of peers that see one picture, where none of them can run."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbrfit_evaluation import peers
+from pbrfit_evaluation.peers.maps import Maps
+from scene_files import room, run
+
+
+def test_what_cannot_run_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    nowhere = tmp_path / "nowhere"
+    arguments = ("--quick", "--scenes", 1, "--size", 24, "--jobs", 1)
+    weights = ("--marigold", nowhere, "--rgbx", nowhere)
+    assert run("evaluate", "peers", "--out", out, *arguments, *weights) == 0
+    rows = json.loads((out / "summary.json").read_text())["rows"]
+    assert [row["name"] for row in rows] == list(peers.IN_WORDS.values())
+    fit, guess, *others = rows
+    assert fit["status"] == guess["status"] == "ok"
+    assert 0 < fit["metrics"]["albedo"] < guess["metrics"]["albedo"]
+    for row in others:
+        assert row["scenes"] == 0
+        assert row["metrics"] == {}
+        # Packages are missing, or else the weights.
+        assert "pip install 'pbrfit[diffusion]'" in row["status"] or str(nowhere) in row["status"]
+    told = capsys.readouterr()
+    assert told.out.count("not run: expected") + told.out.count(f"not run: {nowhere}") == 2
+    assert told.err.count("pbrfit: ") == 2
+    assert "not run" in (out / "report.html").read_text()
+    assert len((out / "scenes.csv").read_text().splitlines()) == 3
+
+
+def test_peers_are_shown_the_most_evenly_lit_picture() -> None:
+    images = np.array(room().images, dtype=np.float64)
+    images[0, : len(images[0]) // 2] *= 0.01  # half in the dark
+    images[2] = 0.3 + 0.1 * images[2]
+    assert peers.evenly_lit(dataclasses.replace(room(), images=images)) == 2
+
+
+def test_the_picture_is_exposed_for_a_screen() -> None:
+    dark = dataclasses.replace(room(), images=np.float32(1e-3) * room().images)
+    for picture in range(3):
+        shown = peers.shown_picture(dark, picture)
+        np.testing.assert_array_equal(shown, peers.shown_picture(room(), picture))
+        image = room().images[picture]
+        white = np.percentile(image, 98)
+        assert (shown[image >= white] == 255).all()
+        assert (shown[image < 0.98 * white] < 255).all()
+
+
+def test_every_method_is_given_the_same_noisy_scene() -> None:
+    effort = dataclasses.replace(peers.QUICK, size=24)
+    one, two = peers.given(effort, 6000), peers.given(effort, 6000)
+    np.testing.assert_array_equal(one.images, two.images)
+    np.testing.assert_array_equal(one.normals, two.normals)
+    assert np.abs(one.normals - peers.given(effort, 6001).normals).max() > 0.1
+
+
+def test_maps_of_a_peer_become_materials_of_the_scene() -> None:
+    valid = np.array([[True, False]])
+    maps = Maps(np.full((1, 2, 3), 1.5), np.full((1, 2), -0.5), np.full((1, 2), 0.5))
+    materials = maps.materials(valid)
+    np.testing.assert_array_equal(materials.albedo[0], [[1, 1, 1], [np.nan] * 3])
+    np.testing.assert_array_equal(materials.roughness, [[0, np.nan]])
+    np.testing.assert_array_equal(materials.metallic, [[0.5, np.nan]])

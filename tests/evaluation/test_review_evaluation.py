@@ -1,0 +1,82 @@
+"""`pbrfit evaluate review`: damages are what they say, and the suite counts right."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pbrfit.cli import main
+from pbrfit.io.color import encode_srgb
+from pbrfit.scene import alignment
+from pbrfit_evaluation import review
+from pbrfit_evaluation.review import Judged, Rate, report
+from pbrfit_evaluation.review.damage import AREA, KINDS, REPAINTS, SEEN, damaged
+from pbrfit_evaluation.review.pictures import relights
+
+VIEW = relights("furnished", "own", 2020, size=160, count=2)
+
+
+@pytest.mark.parametrize("kind", REPAINTS)
+def test_repaints_change_what_they_say(kind: Any) -> None:
+    honest = VIEW.pictures[0]
+    changed, amount = damaged(honest, kind, VIEW.segments, np.random.default_rng(1))
+    difference = np.abs(encode_srgb(changed.clip(0, 1)) - encode_srgb(honest.clip(0, 1))).mean(-1)
+    assert AREA[0] - 0.001 <= amount["area"] <= 0.26
+    assert amount["change"] > SEEN
+    assert np.mean(difference > 0.05) >= 0.95 * AREA[0]
+    assert np.mean(difference > 1e-3) <= amount["area"] + 0.03
+
+
+def test_shifts_and_warps_move_as_far_as_they_say() -> None:
+    rng = np.random.default_rng(2)
+    honest = VIEW.pictures[0]
+    moved, amount = damaged(honest, "shift", VIEW.segments, rng)
+    found = alignment.compare(alignment.edges(honest), alignment.edges(moved))
+    assert found is not None
+    assert found.distance == pytest.approx(amount["pixels"] * 160 / 512, abs=0.1)
+    _, amount = damaged(honest, "warp", VIEW.segments, rng)
+    assert 3 <= amount["pixels"] <= 8
+
+
+def test_rates_and_their_intervals() -> None:
+    made = [Judged("honest", False, ("warp",) if i < 1 else (), False, 0.0, {}) for i in range(10)]
+    rate = Rate.of(made)
+    assert (rate.refused, rate.pictures, rate.share) == (1, 10, 0.1)
+    # Wilson's interval of 1 in 10, as printed in Brown, Cai and DasGupta (2001).
+    np.testing.assert_allclose(rate.interval(), (0.0179, 0.4042), atol=2e-4)
+    assert np.isnan(Rate(0, 0).share)
+
+
+def test_plans_have_seeds_that_nothing_was_tuned_on() -> None:
+    tasks = review.plan(review.FULL)
+    assert len({task.key for task in tasks}) == len(tasks)
+    assert min(task.seed for task in tasks) >= 6000
+    assert {task.size for task in tasks} == {512}
+
+
+def test_the_suite_runs_and_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = review.Source("textured", "own", 1)
+    small = replace(review.QUICK, size=128, pictures=6, sets=1, sources=(source,))
+    monkeypatch.setattr(review, "QUICK", small)
+    out = tmp_path / "out"
+    code = main(["evaluate", "review", "--out", str(out), "--quick", "--no-cycles", "--jobs", "1"])
+    assert code in (0, 1)  # so few pictures may miss a bar
+    summary = json.loads((out / "summary.json").read_text())
+    rows = {row["name"]: row["metrics"] for row in summary["rows"]}
+    assert rows["all damage"]["pictures"] == 5
+    assert rows["honest"]["pictures"] == 6
+    assert rows["honest among damaged"]["pictures"] == 1
+    assert rows["swap"]["share"] == 1
+    with (out / "pictures.csv").open() as file:
+        listed = list(csv.DictReader(file))
+    assert len(listed) == 12
+    assert {row["damage"] for row in listed} == {"honest", "shift", "warp", "swap", *REPAINTS[:2]}
+    assert (out / "rates.png").read_bytes().startswith(b"\x89PNG")
+    assert "caught" in (out / report.MARKDOWN).read_text()
+    assert set(KINDS) < set(report.IN_WORDS)

@@ -1,0 +1,193 @@
+"""Furnished and detailed rooms: their promises, and all kinds against a second ray caster."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import raycaster
+from pbrfit.model.geometry import view_directions
+from pbrfit.scene.scene import Scene, Truth
+from pbrfit.synthetic import draw, make_scene
+from pbrfit.synthetic.geometry import Box, Cylinder, Frustum, Primitive, Sphere, trace
+from pbrfit.synthetic.scenes import ADDED_KINDS
+from pbrfit.synthetic.scenes import KINDS as ALWAYS
+from pbrfit_evaluation.rooms.arrangement import draw_room
+from pbrfit_evaluation.rooms.palette import DARKEST, LIGHTEST, LIGHTEST_METAL
+
+Array = NDArray[np.float64]
+KINDS: tuple[str, ...] = (*ALWAYS, *ADDED_KINDS)
+ROOMS: tuple[str, ...] = ("furnished", "detailed")
+
+
+def truth(scene: Scene) -> Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+# ------------------------------------------------------------------------- a second ray caster
+
+
+@pytest.mark.parametrize(("kind", "fov"), [*((kind, 60.0) for kind in KINDS), ("furnished", 90.0)])
+def test_pictures_agree_with_a_second_ray_caster(kind: str, fov: float) -> None:
+    size, seed = 24, 3
+    scene = make_scene(kind, size=size, lights=3, held_out=2, seed=seed, fov=fov)
+    stream = np.random.SeedSequence(seed).spawn(4)[0]
+    world = draw(kind, np.random.default_rng(stream))
+    view = raycaster.look(world, size, fov)
+
+    assert scene.segments is not None
+    np.testing.assert_array_equal(scene.segments.ravel(), view.index + 1)
+    rays = np.einsum("ij,pj->pi", world.turn, -view_directions(size, size, fov).reshape(-1, 3))
+    hits = trace(world.primitives, world.eye, rays)
+    np.testing.assert_allclose(hits.distance, view.distance, atol=1e-9)
+    placed = [
+        world.primitives[i].rotation @ point + world.primitives[i].centre
+        for i, point in zip(hits.index, hits.local, strict=True)
+    ]
+    np.testing.assert_allclose(placed, view.points, atol=1e-9)
+    materials, flat = truth(scene).materials, (size * size, -1)
+    np.testing.assert_allclose(scene.normals.reshape(flat), view.normals, atol=1e-6)
+    np.testing.assert_allclose(materials.albedo.reshape(flat), view.albedo, atol=1e-6)
+    np.testing.assert_allclose(materials.roughness.ravel(), view.roughness, atol=1e-6)
+    np.testing.assert_allclose(materials.metallic.ravel(), view.metallic, atol=1e-6)
+    known, held_out = truth(scene).lighting, truth(scene).relight_images
+    assert known is not None
+    radiance = view.radiance(known)
+    np.testing.assert_allclose(scene.images.reshape(radiance.shape), radiance, atol=1e-6)
+    lighting = truth(scene).relight_lighting
+    assert held_out is not None
+    assert lighting is not None
+    radiance = view.radiance(lighting)
+    np.testing.assert_allclose(held_out.reshape(radiance.shape), radiance, atol=1e-6)
+
+
+# ------------------------------------------------------------------------------------- promises
+
+
+@pytest.mark.parametrize("kind", ROOMS)
+def test_rooms_keep_their_promises(kind: str) -> None:
+    views = view_directions(40, 40, 60.0)
+    for seed in range(4):
+        world = draw(kind, np.random.default_rng(seed))
+        view = world.cast(40)
+        m = view.materials
+        assert view.mask is None
+        np.testing.assert_allclose(np.linalg.norm(view.normals, axis=-1), 1.0, rtol=1e-14)
+        assert (np.sum(views * view.normals, axis=-1) > 0.0).all()
+        assert world.walls == 6
+        assert 20 <= len(world.primitives) - world.walls <= 38
+        assert len(world.surfaces) == len(world.primitives)
+        ids, pixels = np.unique(view.segments, return_counts=True)
+        assert np.sum(pixels[ids > 6] >= 2) >= 18, f"seed {seed}: pieces to be seen"
+        assert 0.1 <= np.mean(m.metallic >= 0.5) <= 0.5, f"seed {seed}"
+        dielectric = m.metallic == 0.0
+        assert m.albedo[dielectric].min() >= DARKEST - 1e-12
+        assert m.albedo[dielectric].max() <= LIGHTEST + 1e-12
+        assert m.albedo.max() <= LIGHTEST_METAL
+        assert m.metallic.min() == 0.0
+        assert m.metallic.max() == 1.0
+        assert m.roughness.min() >= 0.12
+        assert m.roughness.max() <= 0.95
+
+
+def test_rooms_differ() -> None:
+    rooms = [draw_room(np.random.default_rng(seed)) for seed in range(5)]
+    widths = {float(room.stage.walls[3].centre[0]) for room in rooms}
+    eyes = {tuple(room.stage.eye) for room in rooms}
+    assert len(widths) == len(eyes) == 5
+    roles = [{part.role for part in room.parts} for room in rooms]
+    assert len({frozenset(role) for role in roles}) > 2
+    assert len({len(room.parts) for room in rooms}) > 2
+
+
+def reach(solid: Primitive, direction: Array) -> float:
+    """How far a solid extends from its centre along a unit vector of the scene."""
+    x, y, z = np.abs(solid.rotation.T @ direction)
+    match solid:
+        case Sphere(radius=radius):
+            return radius
+        case Box(half=half):
+            return float(x * half[0] + y * half[1] + z * half[2])
+        case Cylinder(radius=radius, half=tall):
+            return float(y * tall + np.hypot(x, z) * radius)
+        case Frustum(bottom=bottom, top=top, half=tall):
+            return float(y * tall + np.hypot(x, z) * max(bottom, top))
+    raise AssertionError(type(solid))
+
+
+def test_every_piece_is_in_the_room() -> None:
+    for seed in range(5):
+        room = draw_room(np.random.default_rng(seed))
+        for part in room.parts:
+            for wall in room.stage.walls:
+                inwards = wall.rotation[:, 1]
+                height = float((part.primitive.centre - wall.centre) @ inwards)
+                assert height - reach(part.primitive, -inwards) > -1e-9, f"seed {seed}: {part}"
+
+
+@pytest.mark.parametrize("kind", ROOMS)
+def test_same_seed_same_bytes(kind: str) -> None:
+    first, again, other = (
+        make_scene(kind, size=24, lights=3, held_out=1, noise=0.01, seed=seed) for seed in (7, 7, 8)
+    )
+    for name in ("images", "normals", "segments"):
+        bytes_of = [getattr(scene, name).tobytes() for scene in (first, again, other)]
+        assert bytes_of[0] == bytes_of[1] != bytes_of[2], name
+    for name in ("albedo", "roughness", "metallic"):
+        bytes_of = [
+            getattr(truth(scene).materials, name).tobytes() for scene in (first, again, other)
+        ]
+        assert bytes_of[0] == bytes_of[1] != bytes_of[2], name
+
+
+def test_rooms_do_not_depend_on_the_resolution() -> None:
+    # The centres of every third pixel of 96 are the pixel centres of 32.
+    for kind in ROOMS:
+        world = draw(kind, np.random.default_rng(5))
+        small, large = world.cast(32), world.cast(96)
+        np.testing.assert_array_equal(small.segments, large.segments[1::3, 1::3])
+        tolerance = 1e-9 if kind == "furnished" else 0.4  # details of a pixel are averaged
+        for name in ("albedo", "roughness", "metallic"):
+            coarse, fine = getattr(small.materials, name), getattr(large.materials, name)
+            np.testing.assert_allclose(coarse, fine[1::3, 1::3], atol=tolerance)
+        if kind == "furnished":
+            np.testing.assert_allclose(small.normals, large.normals[1::3, 1::3], atol=1e-9)
+
+
+def test_the_detailed_room_shares_the_geometry_of_the_furnished_one() -> None:
+    furnished = draw("furnished", np.random.default_rng(4)).cast(64)
+    detailed = draw("detailed", np.random.default_rng(4)).cast(64)
+    np.testing.assert_array_equal(furnished.segments, detailed.segments)
+    angle = np.sum(furnished.normals * detailed.normals, axis=-1)
+    assert angle.min() > 0.7
+    assert 0.9 < np.median(angle) < 1 - 1e-4
+
+
+def test_fine_detail_fades_with_distance() -> None:
+    world = draw("detailed", np.random.default_rng(2))
+
+    def roughness_steps(size: int) -> float:
+        """Mean step between pixels of one piece, per step in the scene."""
+        view = world.cast(size)
+        same = np.diff(view.segments.astype(int), axis=1) == 0
+        return float(np.abs(np.diff(view.materials.roughness, axis=1))[same].mean()) * size
+
+    # More pixels show more detail: steps shrink more slowly than pixels do.
+    assert roughness_steps(192) > 1.3 * roughness_steps(32)
+
+
+@pytest.mark.parametrize("fov", [20.0, 120.0])
+@pytest.mark.parametrize("kind", ROOMS)
+def test_the_shell_is_closed(kind: str, fov: float) -> None:
+    for seed in range(2):
+        view = draw(kind, np.random.default_rng(seed)).cast(24, fov)
+        assert view.segments.min() >= 1
+        facing = np.sum(view_directions(24, 24, fov) * view.normals, axis=-1)
+        assert facing.min() > 0
+
+
+def test_textures_belong_to_detailed_scenes() -> None:
+    with pytest.raises(ValueError, match="textures: expected the kind detailed"):
+        make_scene("room", size=8, textures=())

@@ -1,0 +1,296 @@
+"""Texture maps: found by name, averaged, laid on primitives; on small files made here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit.io import images
+from pbrfit.io.color import decode_srgb
+from pbrfit.synthetic import draw, make_scene
+from pbrfit.synthetic.geometry import (
+    Box,
+    Cylinder,
+    Frustum,
+    Plane,
+    Primitive,
+    Sphere,
+    rotation,
+    trace,
+)
+from pbrfit.synthetic.surfaces import Spots
+from pbrfit_evaluation.rooms import MaterialSet, load_textures
+from pbrfit_evaluation.rooms.detailed import LEAST_ROUGHNESS, Textured
+from pbrfit_evaluation.rooms.mapping import chart
+
+Array = NDArray[np.float64]
+
+
+def save(path: Path, values: Any) -> None:
+    """Write numbers in [0, 1] as an 8-bit PNG of the same numbers: (H, W) or (H, W, 3)."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = np.asarray(values, dtype=float)
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=-1)
+    images.write_png(path, np.round(255 * image).astype(np.uint8), tag=None)
+
+
+def noise(seed: int, side: int = 16, channels: int = 3) -> Array:
+    return np.asarray(np.random.default_rng(seed).random((side, side, channels)))
+
+
+def eight_bit(values: Array) -> Array:
+    return np.asarray(np.round(255 * values) / 255)
+
+
+# --------------------------------------------------------------------------------------- loading
+
+
+def test_maps_of_a_set_by_folder_name(tmp_path: Path) -> None:
+    color, rough, metal = noise(0), noise(1)[..., 0], noise(2)[..., 0]
+    save(tmp_path / "tin" / "albedo.png", color)
+    save(tmp_path / "tin" / "roughness.png", rough)
+    save(tmp_path / "tin" / "metallic.png", metal)
+    (one,) = load_textures(tmp_path)
+    assert one.name == "tin"
+    assert not one.relief
+    assert [len(level) for level in one.levels] == [16, 8, 4, 2, 1]
+    finest = one.levels[0]
+    np.testing.assert_allclose(finest[..., :3], decode_srgb(eight_bit(color)), atol=1e-6)
+    np.testing.assert_allclose(finest[..., 3], eight_bit(rough), atol=1e-6)
+    np.testing.assert_allclose(finest[..., 4], eight_bit(metal), atol=1e-6)
+    np.testing.assert_array_equal(finest[..., 5:], np.broadcast_to([0, 0, 1], (16, 16, 3)))
+    np.testing.assert_allclose(one.mean[:3], decode_srgb(eight_bit(color)).mean((0, 1)), atol=1e-6)
+    np.testing.assert_allclose(one.metallic, eight_bit(metal).mean(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("color", "rough"),
+    [
+        ("Oak_basecolor.png", "Oak_Roughness.png"),
+        ("Oak_base_color.png", "Oak_rough.png"),
+        ("Oak_1K-PNG_Color.png", "Oak_1K-PNG_Roughness.png"),
+        ("oak_diff_1k.png", "oak_arm_1k.png"),
+        ("Oak_BaseColor.png", "Oak_OcclusionRoughMetal.png"),
+        ("Oak_baseColor.png", "Oak_roughnessMetallic.png"),
+    ],
+)
+def test_names_in_use(tmp_path: Path, color: str, rough: str) -> None:
+    packed = noise(1)
+    save(tmp_path / color, noise(0))
+    save(tmp_path / rough, packed)
+    save(tmp_path / "holiday.png", noise(2))
+    (one,) = load_textures(tmp_path)
+    assert one.name.lower().startswith("oak")
+    combined = any(word in rough for word in ("arm", "Metal"))
+    channel = 1 if combined else 0
+    np.testing.assert_allclose(one.levels[0][..., 3], eight_bit(packed[..., channel]), atol=1e-6)
+    metallic = eight_bit(packed[..., 2]) if combined else np.zeros((16, 16))
+    np.testing.assert_allclose(one.levels[0][..., 4], metallic, atol=1e-6)
+
+
+def test_a_material_may_be_called_metal(tmp_path: Path) -> None:
+    save(tmp_path / "rusty_metal_albedo.png", noise(0))
+    save(tmp_path / "rusty_metal_roughness.png", noise(1)[..., 0])
+    assert load_textures(tmp_path)[0].name == "rusty_metal"
+
+
+def test_shared_maps_serve_all_of_their_name(tmp_path: Path) -> None:
+    for name in ("king_black", "king_white"):
+        save(tmp_path / f"{name}_base_color.png", noise(0))
+        save(tmp_path / f"{name}_roughness.png", noise(1)[..., 0])
+    save(tmp_path / "king_shared_metallic.png", np.ones((16, 16)))
+    sets = load_textures(tmp_path)
+    assert [one.name for one in sets] == ["king_black", "king_white"]
+    assert [one.metallic for one in sets] == [1.0, 1.0]
+
+
+def test_normal_maps_up_or_down(tmp_path: Path) -> None:
+    tilted = np.broadcast_to([0.5 + 0.3, 0.5 + 0.2, 0.5 + np.sqrt(0.25 - 0.13)], (8, 8, 3))
+    for name in ("gl/nor_gl.png", "dx/normal_dx.png"):
+        save(tmp_path / name, tilted)
+        folder = (tmp_path / name).parent
+        save(folder / "albedo.png", noise(0, 8))
+        save(folder / "roughness.png", noise(1, 8)[..., 0])
+    down, up = load_textures(tmp_path)
+    assert (down.name, up.name) == ("dx", "gl")
+    np.testing.assert_allclose(up.mean[5:], [0.6, 0.4, np.sqrt(0.48)], atol=0.005)
+    np.testing.assert_allclose(down.mean[5:], up.mean[5:] * [1, -1, 1], atol=1e-6)
+    assert up.relief
+
+
+def test_large_and_odd_maps_are_averaged_by_area(tmp_path: Path) -> None:
+    color = np.zeros((24, 24, 3))
+    color[:, :12] = 1.0
+    save(tmp_path / "albedo.png", color)
+    save(tmp_path / "roughness.png", noise(1, 4)[..., 0])
+    (one,) = load_textures(tmp_path)
+    assert len(one.levels[0]) == 16
+    np.testing.assert_allclose(one.levels[0][:, :8, :3], 1.0, atol=1e-6)
+    np.testing.assert_allclose(one.levels[0][:, 8:, :3], 0.0, atol=1e-6)
+    np.testing.assert_allclose(one.mean[3], eight_bit(noise(1, 4)[..., 0]).mean(), atol=1e-6)
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"nowhere: expected a folder of texture maps"):
+        load_textures(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match=r"expected texture maps such as .*, found none"):
+        load_textures(tmp_path)
+    save(tmp_path / "oak_albedo.png", noise(0))
+    with pytest.raises(ValueError, match="expected a roughness map of oak, found none"):
+        load_textures(tmp_path)
+    save(tmp_path / "oak_roughness.png", noise(0)[..., 0])
+    save(tmp_path / "tin_roughness.png", noise(0)[..., 0])
+    with pytest.raises(ValueError, match="expected an albedo or base colour map of tin"):
+        load_textures(tmp_path)
+    save(tmp_path / "tin_albedo.png", noise(0))
+    save(tmp_path / "tin_color.png", noise(0))
+    with pytest.raises(ValueError, match="expected one albedo map of a set, found a second"):
+        load_textures(tmp_path)
+
+
+# -------------------------------------------------------------------------------------- sampling
+
+
+def one_set(maps: Array) -> MaterialSet:
+    levels = [maps.astype(np.float32)]
+    while len(levels[-1]) > 1:
+        half = len(levels[-1]) // 2
+        levels.append(levels[-1].reshape(half, 2, half, 2, 8).mean(axis=(1, 3)))
+    return MaterialSet(name="made", levels=tuple(levels), relief=True)
+
+
+def test_texel_centres_and_repetition() -> None:
+    maps = noise(3, 8, 8)
+    made = one_set(maps)
+    row, column = np.mgrid[:8, :8].reshape(2, -1)
+    u, v = (column + 0.5) / 8, 1 - (row + 0.5) / 8
+    for shift in (0, 1, -3):
+        found = made.sample(u + shift, v - shift, np.zeros(64))
+        np.testing.assert_allclose(found, maps.reshape(64, 8), atol=1e-6)
+
+
+def test_between_texels_and_levels_values_are_linear() -> None:
+    maps = noise(4, 8, 8)
+    made = one_set(maps)
+    u, v = np.array([3 / 8]), np.array([1 - 2.5 / 8])
+    found = made.sample(u, v, np.ones(1))[0]
+    np.testing.assert_allclose(found, (maps[2, 2] + maps[2, 3]) / 2, atol=1e-6)
+    wide = made.sample(np.array([2 / 8]), np.array([1 - 2 / 8]), np.full(1, 2 * np.sqrt(2)))[0]
+    first = made.sample(np.array([2 / 8]), np.array([1 - 2 / 8]), np.full(1, 2.0))[0]
+    second = made.sample(np.array([2 / 8]), np.array([1 - 2 / 8]), np.full(1, 4.0))[0]
+    np.testing.assert_allclose(wide, (first + second) / 2, atol=1e-6)
+    far = made.sample(np.array([0.3]), np.array([0.9]), np.full(1, 1e9))[0]
+    np.testing.assert_allclose(far, maps.mean((0, 1)), atol=1e-6)
+
+
+# --------------------------------------------------------------------------------------- mapping
+
+SOLIDS: tuple[Primitive, ...] = (
+    Sphere(centre=np.zeros(3), radius=0.7),
+    Box(centre=np.zeros(3), half=np.array([0.5, 0.7, 0.4])),
+    Cylinder(centre=np.zeros(3), radius=0.5, half=0.6),
+    Frustum(centre=np.zeros(3), bottom=0.6, top=0.3, half=0.5),
+    Plane(centre=np.zeros(3)),
+)
+
+
+@pytest.mark.parametrize("solid", SOLIDS, ids=lambda solid: type(solid).__name__)
+def test_charts_grow_along_their_axes(solid: Primitive) -> None:
+    """Moving by a step along `right` or `up` changes u or v alone, by step over tile."""
+    rays = np.random.default_rng(0).normal(size=(400, 3)) - [0.0, 2.0, 0.0]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    hits = trace([solid], np.array([0.3, 2.0, 0.2]), rays)
+    met = hits.index == 0
+    assert met.sum() > 20
+    points, normals = hits.local[met], hits.normals[met]
+    tile, step = 0.25, 1e-6
+    on = chart(solid, points, normals, tile)
+    frame = np.stack([on.right, on.up, normals], axis=1)
+    np.testing.assert_allclose(
+        np.einsum("pij,pkj->pik", frame, frame), np.tile(np.eye(3), (len(points), 1, 1)), atol=1e-9
+    )
+    np.testing.assert_allclose(np.linalg.det(frame), 1.0, atol=1e-9)
+
+    beside = chart(solid, points + step * on.right, normals, tile)
+    above = chart(solid, points + step * on.up, normals, tile)
+    flat = (
+        np.abs(normals[:, 1]) == 1.0 if not isinstance(solid, Box) else np.full(len(points), True)
+    )
+    around = np.hypot(points[:, 0], points[:, 2])
+    for u, v in ((beside.u - on.u, beside.v - on.v), (above.v - on.v, above.u - on.u)):
+        np.testing.assert_allclose(v / step, 0.0, atol=1e-3)
+        np.testing.assert_allclose(u[flat] / step, 1 / tile, rtol=1e-6)
+    if not isinstance(solid, (Box, Plane)):
+        closed = 2 * np.pi * around * (beside.u - on.u) / step  # tiles once around
+        np.testing.assert_allclose(closed[~flat], np.round(closed[~flat]), atol=1e-2)
+        np.testing.assert_allclose((above.v - on.v)[~flat] / step, 1 / tile, rtol=1e-4)
+
+
+def test_relief_tilts_the_normal_to_the_right_of_the_map() -> None:
+    maps = np.zeros((1, 1, 8))
+    maps[..., :3], maps[..., 3] = 0.5, 0.01
+    maps[..., 5:] = [0.6, 0.0, 0.8]
+    wall = Plane(centre=np.zeros(3), rotation=rotation(0, 90))
+    spots = Spots(np.array([[0.3, 0.0, 0.2]]), np.array([[0.0, 1.0, 0.0]]), np.array([0.01]))
+    for quarter, expected in enumerate(([0.6, 0.8, 0], [0, 0.8, -0.6], [-0.6, 0.8, 0])):
+        made = Textured(wall, one_set(maps), 1.0, np.zeros(2), quarter, np.array([1.0, 0.5, 4.0]))
+        finish = made.at(spots)
+        assert finish.normals is not None
+        np.testing.assert_allclose(finish.normals[0], expected, atol=1e-6)
+        np.testing.assert_allclose(finish.albedo[0], [0.5, 0.25, 0.98], atol=1e-6)
+        assert finish.roughness[0] == LEAST_ROUGHNESS
+
+
+# ---------------------------------------------------------------------------------------- scenes
+
+
+@pytest.fixture
+def two_sets(tmp_path: Path) -> Path:
+    for name, metallic in (("stone", 0.0), ("steel", 1.0)):
+        save(tmp_path / name / "albedo.png", 0.3 + 0.5 * noise(5, 32))
+        save(tmp_path / name / "roughness.png", 0.2 + 0.6 * noise(6, 32)[..., 0])
+        save(tmp_path / name / "metallic.png", np.full((32, 32), metallic))
+        tilt = 0.5 + 0.1 * (noise(7, 32) - 0.5)
+        tilt[..., 2] = 0.98
+        save(tmp_path / name / "normal.png", tilt)
+    return tmp_path
+
+
+def test_scene_from_a_folder_of_maps(two_sets: Path) -> None:
+    scene = make_scene("detailed", size=32, lights=2, held_out=1, seed=3, textures=two_sets)
+    again = make_scene(
+        "detailed", size=32, lights=2, held_out=1, seed=3, textures=load_textures(two_sets)
+    )
+    plain = make_scene("detailed", size=32, lights=2, held_out=1, seed=3)
+    assert scene.images.tobytes() == again.images.tobytes()
+    np.testing.assert_array_equal(scene.segments, plain.segments)
+    assert scene.truth is not None
+    assert plain.truth is not None
+    metallic = scene.truth.materials.metallic
+    assert np.mean(metallic >= 0.5) > 0.08
+    changed = np.abs(scene.truth.materials.albedo - plain.truth.materials.albedo).max(axis=-1)
+    assert np.mean(changed > 0.01) > 0.5
+
+
+def test_scenes_from_real_maps(shared_data: Path) -> None:
+    folder = shared_data / "pbr_ambientcg"
+    if not folder.is_dir():
+        pytest.skip("no pbr_ambientcg in the shared data")
+    sets = load_textures(folder)
+    names = [one.name for one in sets]
+    assert names == ["bark_Bark014", "metal_Metal055A", "onyx_Onyx003", "rustymetal_Metal053C"]
+    assert all(one.repeats and one.relief for one in sets)
+    metallic = [one.metallic for one in sets]
+    assert metallic[0] == metallic[2] == 0.0
+    assert metallic[1] > 0.99
+    assert 0.4 < metallic[3] < 0.7
+    for seed in range(3):
+        world = draw("detailed", np.random.default_rng(seed), sets)
+        assert sum(isinstance(one, Textured) for one in world.surfaces) > 10
+        view = world.cast(48)
+        assert 0.08 < np.mean(view.materials.metallic >= 0.5) < 0.5

@@ -1,0 +1,363 @@
+"""The Table 1 suite: simulated normals, rows, the command end to end."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit.cli import main
+from pbrfit.io import images
+from pbrfit.model.geometry import angles_between
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model
+from pbrfit.synthetic import make_scene
+from pbrfit_evaluation import recipes
+from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation.normal_errors import LOWEST_COSINE
+from pbrfit_evaluation.page import Cell, Table, markdown
+from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.table1 import measure, report
+from pbrfit_evaluation.table1.measure import Task
+from pbrfit_evaluation.table1.normals import disturbed
+from pbrfit_evaluation.table1.rows import BY_KEY, COLUMNS, PLAIN, ROWS
+
+PAPER = ("--model", "paper")
+TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
+
+
+def run(*arguments: object) -> int:
+    try:
+        return main([str(argument) for argument in arguments])
+    except SystemExit as ended:
+        return int(ended.code or 0)
+
+
+# --------------------------------------------------------------------------------------- normals
+
+
+def errors_of(size: int, seed: int) -> NDArray[np.float64]:
+    scene = make_scene("room", size=size, lights=2, held_out=1, seed=seed)
+    assert scene.segments is not None
+    rng = np.random.default_rng(seed)
+    found = disturbed(scene.normals, scene.views, scene.segments, rng)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1.0, rtol=1e-12)
+    facing = np.einsum("...i,...i->...", found, scene.views)
+    assert facing.min() >= 0.9 * LOWEST_COSINE
+    return angles_between(found, scene.normals)
+
+
+def test_simulated_normals_err_as_published_estimators_do() -> None:
+    """Of DSINE on NYUv2: mean 16.4, median 8.4 degrees; 60 % within 11.25, 84 % within 30."""
+    off = np.concatenate([errors_of(64, seed).ravel() for seed in range(200, 212)])
+    assert 12 <= off.mean() <= 18
+    assert 7 <= np.median(off) <= 11
+    assert 0.5 <= np.mean(off < 11.25) <= 0.7
+    assert 0.8 <= np.mean(off < 30) <= 0.9
+
+
+def test_simulated_normals_are_alike_at_any_size() -> None:
+    coarse, fine = (errors_of(size, 201).mean() for size in (48, 96))
+    assert fine == pytest.approx(coarse, rel=0.15)
+
+
+def test_neighbours_err_alike() -> None:
+    scene = make_scene("room", size=64, lights=2, held_out=1, seed=203)
+    assert scene.segments is not None
+    found = disturbed(scene.normals, scene.views, scene.segments, np.random.default_rng(0))
+    error = found - scene.normals
+    inside = scene.segments[:, 1:] == scene.segments[:, :-1]
+    step = np.linalg.norm(error[:, 1:] - error[:, :-1], axis=-1)[inside]
+    shuffled = np.random.default_rng(1).permutation(error.reshape(-1, 3))
+    apart = np.linalg.norm(shuffled[1:] - shuffled[:-1], axis=-1)
+    assert step.mean() < 0.35 * apart.mean()
+
+
+# ------------------------------------------------------------------------------------------ rows
+
+
+def test_rows_repeat_the_papers_table() -> None:
+    papers = {row.paper_row: tuple(row.paper.values()) for row in ROWS if row.paper}
+    assert papers["Base"] == (0.001, 0.065, 0.232, 0.186, 0.166)
+    assert papers["Pred. normals"] == (0.016, 0.160, 0.341, 0.446, 0.201)
+    assert papers["FOV=90"] == (0.004, 0.091, 0.283, 0.194, 0.143)
+    assert sum(len(paper) for paper in papers.values()) == 7 * 5 - 1  # no relighting of Cycles
+    assert all(row.paper_row for row in ROWS if row.paper)
+    assert len(BY_KEY) == len(ROWS)
+
+
+def test_only_one_row_of_the_paper_has_priors() -> None:
+    with_priors = [row.key for row in ROWS if "plain" not in row.recipes]
+    assert with_priors == ["regularized"]
+    assert "paper-priors" in BY_KEY["regularized"].recipes
+    assert all("paper-priors" not in row.recipes for row in ROWS if row.key != "regularized")
+
+
+def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> None:
+    [refined] = [row for row in ROWS if row.refine_normals != "off"]
+    assert refined.key == "normals-refined"
+    scenes = [measure.given(Task(key, 1001, 16, 4, 2), 1) for key in ("normals", refined.key)]
+    np.testing.assert_array_equal(scenes[0][0].normals, scenes[1][0].normals)
+    np.testing.assert_array_equal(scenes[0][0].images, scenes[1][0].images)
+    assert scenes[0][1] == scenes[1][1]
+
+
+def test_recipes_hold_normals_unless_told_and_the_papers_always(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = make_scene("room", size=8, lights=4, held_out=1, seed=3)
+    asked: list[str] = []
+
+    def watch(_: Any, **options: Any) -> None:
+        asked.append(options["refine_normals"])
+
+    monkeypatch.setattr(recipes, "decompose", watch)
+    for recipe in recipes.RECIPES:
+        recipes.explain(scene, recipe)
+    assert set(asked) == {"off"}
+    asked.clear()
+    for recipe in recipes.RECIPES:
+        recipes.explain(scene, recipe, refine_normals="auto")
+    by_recipe = dict(zip(recipes.RECIPES, asked, strict=True))
+    assert [name for name, refine in by_recipe.items() if refine == "auto"] == ["plain", "default"]
+
+
+@pytest.mark.parametrize(
+    "key", ["base", "sh2", "fov90", "normals", "normals-refined", "detailed", "regularized"]
+)
+def test_work_changes_what_the_row_says_and_nothing_else(
+    key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row, task = BY_KEY[key], Task(key, 1001, 16, 4, 2)
+    asked: list[Any] = []
+    explain = recipes.explain
+
+    def watch(scene: Any, recipe: Any, **options: Any) -> Any:
+        asked.append((scene, recipe, options))
+        return explain(scene, recipe, **options)
+
+    monkeypatch.setattr(measure, "explain", watch)
+    found = measure.work(task, 1)
+    assert [recipe for _, recipe, _ in asked] == list(row.recipes)
+    truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=1001)
+    for scene, _, options in asked:
+        np.testing.assert_array_equal(scene.images, truth.images)
+        assert scene.fov == row.fov
+        assert scene.model == DEFAULT_MODEL
+        assert options == {
+            "model": DEFAULT_MODEL,
+            "iterations": 2,
+            "sh_order": row.sh_order,
+            "refine_normals": row.refine_normals,
+            "threads": 1,
+        }
+        same = np.array_equal(scene.normals, truth.normals)
+        assert same == (row.normals == "true")
+    assert ("normals_mean" in found["facts"]) == (row.normals == "predicted")
+    assert ("refined_mean" in found["facts"]) == (key == "normals-refined")
+    assert found["facts"]["metal_share"] > 0
+    assert set(found["recipes"]["default"]) == set(report.METRICS)
+    json.dumps(found)
+
+
+def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
+    swapped = [row.key for row in ROWS if row.swapped]
+    assert swapped == ["other-model"]
+    [other] = swapped
+    for model in MODELS:
+        own, apart = (measure.given(Task(key, 1001, 16, 4, 2, model=model), 1)[0] for key in
+                      ("base", other))  # fmt: skip
+        assert own.model == model
+        assert apart.model != model
+        assert apart.model in MODELS
+        np.testing.assert_array_equal(own.normals, apart.normals)
+
+
+def by_model(key: str, model: Model, *, albedo: float) -> report.Outcome:
+    recipes_found = dict.fromkeys(BY_KEY[key].recipes, scored(albedo=albedo))
+    record = Record(f"{key}_{model}_1000", {"facts": {}, "recipes": recipes_found}, None, 1.0)
+    return report.Outcome(BY_KEY[key], model, [record])
+
+
+def test_models_are_compared_on_pictures_that_both_have(tmp_path: Path) -> None:
+    found = [
+        by_model(key, model, albedo=albedo)
+        for key in ("base", "cycles-brdf")
+        for model, albedo in zip(MODELS, (0.2, 0.05), strict=True)
+    ]
+    report.write(tmp_path, found, ["One scene."])
+    page = (tmp_path / "report.html").read_text("utf-8")
+    _, _, section = page.partition("The two models on the same pictures")
+    section, _, _ = section.partition("</table>")
+    assert "Cycles, panorama: BRDF alone" in section
+    assert "Base" not in section  # whose pictures are others for each model
+    assert ">0.25<" in section
+    report.write(tmp_path, found[:3], ["One scene."])
+    assert "The two models" not in (tmp_path / "report.html").read_text("utf-8")
+
+
+def test_given_normals_are_used(tmp_path: Path) -> None:
+    truth = make_scene("furnished", size=16, lights=4, held_out=4, seed=1001)
+    stored = {name: truth.normals[..., i] for i, name in enumerate("XYZ")}
+    images.write_exr(tmp_path / "1001.exr", stored)
+    found = measure.work(Task("normals", 1001, 16, 4, 1, predicted_normals=tmp_path), 1)
+    assert found["facts"]["normals_mean"] <= 1e-4
+    with pytest.raises(ValueError, match=r"expected 1000\.exr or 1000\.png, found neither"):
+        measure.work(Task("normals", 1000, 16, 4, 1, predicted_normals=tmp_path), 1)
+    with pytest.raises(ValueError, match="expected 24 × 24 pixels, found 16 × 16"):
+        measure.work(Task("normals", 1001, 24, 4, 1, predicted_normals=tmp_path), 1)
+
+
+def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
+    normals, out = tmp_path / "normals", tmp_path / "out"
+    normals.mkdir()
+    command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 1, *TINY,
+               *PAPER, "--quiet", "--predicted-normals", normals)  # fmt: skip
+    scene = make_scene("furnished", size=16, lights=4, held_out=4, seed=1000)
+    off = []
+    for turned, options in ((0.0, ()), (0.2, ("--resume",)), (0.2, ("--resume",))):
+        x, y, z = np.moveaxis(scene.normals, -1, 0)
+        c, s = math.cos(turned), math.sin(turned)
+        (normals / "1000.exr").unlink(missing_ok=True)
+        images.write_exr(normals / "1000.exr", {"X": c * x + s * z, "Y": y, "Z": c * z - s * x})
+        assert run(*command, *options) == 0
+        record = json.loads((out / "records" / "normals_paper_1000.json").read_text("utf-8"))
+        off.append((record["values"]["facts"]["normals_mean"], record["seconds"]))
+    assert off[0][0] < 0.01
+    assert off[1][0] > 5
+    assert off[2] == off[1]  # not done again
+
+
+# ---------------------------------------------------------------------------------------- report
+
+
+def scored(**errors: float) -> dict[str, float | None]:
+    values: dict[str, float | None] = dict.fromkeys(report.METRICS, 0.25)
+    return values | errors
+
+
+def test_means_are_over_finished_scenes() -> None:
+    def found(recon: float) -> dict[str, Any]:
+        return {"facts": {}, "recipes": dict.fromkeys(PLAIN, scored(recon=recon))}
+
+    scenes = [
+        Record("base_1000", found(0.1), None, 1.0),
+        Record("base_1001", found(0.3), None, 1.0),
+        Record("base_1002", None, "ValueError: no", 1.0),
+    ]
+    tasks = [Task("base", seed, 16, 4, 3) for seed in (1000, 1001, 1002)]
+    [outcome, other] = report.outcomes(
+        [BY_KEY["base"], BY_KEY["cycles-brdf"]],
+        (DEFAULT_MODEL,),
+        tasks,
+        scenes,
+        {"cycles-brdf": "none yet"},
+    )
+    assert outcome.mean("paper", "recon").mean == pytest.approx(0.2)
+    assert outcome.status == "1 of 3 scenes failed"
+    assert other.status == "not run: none yet"
+    assert other.mean("paper", "recon").count == 0
+
+
+def test_markdown_table() -> None:
+    columns = [Cell("a"), Cell("b\nc", "number")]
+    table = Table(columns, [[Cell("x | y"), Cell("1\n[0, 2]", "best")]])
+    assert markdown(table) == "| a | b c |\n| --- | ---: |\n| x \\| y | **1 [0, 2]** |\n"
+
+
+def test_columns_of_scores_have_names() -> None:
+    assert set(report.NAMES) == set(Scores.__dataclass_fields__)
+    assert set(COLUMNS) <= set(report.METRICS)
+
+
+# --------------------------------------------------------------------------------------- command
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    rows = ("--rows", "base", "normals", "normals-refined", "regularized", "cycles-panorama")
+    assert (
+        run("evaluate", "table1", "--out", out, "--quick", "--scenes", 2, *rows, *TINY, *PAPER) == 0
+    )
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert "not run: --quick leaves Cycles out" in printed.out
+    assert f"Look at {out / 'report.html'}" in printed.out
+    names = {path.name for path in out.iterdir()}
+    assert names == {
+        "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv",
+        "summary.json", "example-base-paper.png", "example-normals-paper.png",
+        "example-normals-refined-paper.png", "example-regularized-paper.png",
+    }  # fmt: skip
+    content = json.loads((out / "summary.json").read_text("utf-8"))
+    status = {row["name"]: row["status"] for row in content["rows"]}
+    assert status["Base, paper"] == status["Regularised, paper"] == "ok"
+    assert status["Cycles, panorama, paper"] == "not run: --quick leaves Cycles out"
+    [base, *_] = [row for row in content["rows"] if row["name"] == "Base, paper"]
+    assert base["scenes"] == 2
+    assert base["paper"]["albedo"] == 0.065
+    with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
+        scenes = list(csv.DictReader(file))
+    assert len(scenes) == 2 * sum(
+        len(BY_KEY[key].recipes) for key in ("base", "normals", "normals-refined", "regularized")
+    )
+    albedo = [float(s["albedo"]) for s in scenes if s["scene"].startswith("base") and
+              s["recipe"] == "plain"]  # fmt: skip
+    assert base["metrics"]["albedo"] == pytest.approx(np.mean(albedo))
+    assert base["metrics"]["albedo_low"] <= base["metrics"]["albedo"]
+    assert all(math.isfinite(float(scene["relight"])) for scene in scenes)
+
+
+def test_command_goes_on_and_reports_failures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, work = tmp_path / "out", measure.work
+    done: list[str] = []
+
+    def some_fail(task: Task, threads: int) -> dict[str, Any]:
+        done.append(task.key)
+        if task.seed == 1001:
+            raise MemoryError("too large")
+        return work(task, threads)
+
+    monkeypatch.setattr(measure, "work", some_fail)
+    command = ("evaluate", "table1", "--out", out, "--rows", "base", "--scenes", 2, *TINY, *PAPER)
+    assert run(*command) == 1
+    error = capsys.readouterr().err
+    assert "base_paper_1001: MemoryError: too large" in error
+    assert "1 of 2 failed: base_paper_1001" in error
+    assert "MemoryError: too large" in (out / "report.html").read_text("utf-8")
+    assert run(*command) == 2  # there is something already
+
+    def none_fails(task: Task, threads: int) -> dict[str, Any]:
+        done.append(task.key)
+        return work(task, threads)
+
+    monkeypatch.setattr(measure, "work", none_fails)
+    assert run(*command, "--resume", "--quiet") == 0
+    assert done == ["base_paper_1000", "base_paper_1001", "base_paper_1001"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--rows", "base", "nonsense"), "argument --rows: invalid choice: 'nonsense'"),
+        (("--scenes", "0"), "expected 1 or more, found 0"),
+        (("--scenes", "101"), "--scenes: expected at most 100, found 101"),
+        (("--lights", "1"), "--lights: expected at least 2, found 1"),
+        (("--textures", "nowhere"), "nowhere: expected a folder, found none"),
+    ],
+)
+def test_command_with_bad_arguments(
+    arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("evaluate", "table1", "--out", tmp_path / "out", *arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

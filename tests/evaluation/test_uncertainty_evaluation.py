@@ -1,0 +1,145 @@
+"""The calibration suite: its refits against a general solver, its bars, its command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, minimize
+from threadpoolctl import threadpool_limits
+
+from pbrfit.fit.objective import Objective
+from pbrfit_evaluation import uncertainty as suite
+from pbrfit_evaluation.uncertainty import Bar, Calibration, Setup, Task, refits, report
+from scene_files import run
+
+Array = NDArray[np.float64]
+
+NOISE = 0.002
+
+
+def noisy(lights: suite.Lights, size: int) -> tuple[Objective, Array, float]:
+    """An objective with noise, the truth as x, and the noise in units of x."""
+    scene = suite.inside(Task(lights, "room", size, 6, NOISE, 2, 2005))
+    assert scene.truth is not None
+    rng = np.random.default_rng(7)
+    images = scene.images + rng.normal(scale=NOISE, size=scene.images.shape)
+    objective = Objective(replace(scene, images=images), threads=1)
+    true = scene.truth.materials
+    x = objective.pack(true.albedo, true.roughness, true.metallic, scene.truth.lighting)
+    return objective, x, NOISE / objective.scale
+
+
+def lowered(objective: Objective, x: Array) -> float:
+    """Sum of squares that L-BFGS-B gets to from x."""
+    answer = minimize(
+        objective.value_and_grad,
+        x,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=Bounds(*objective.bounds.T),
+        options={"maxiter": 100, "ftol": 0, "gtol": 0},
+    )
+    return float(answer.fun) * objective.total_weight
+
+
+@pytest.mark.parametrize("lights", suite.LIGHTS)
+def test_another_solver_gets_no_lower_than_refits(lights: suite.Lights) -> None:
+    objective, x, sigma = noisy(lights, 10)
+    maps = objective.layout.maps
+    pixels = np.arange(objective.pixels, dtype=np.uint64)
+    found = x.copy()
+    if lights == "known":
+        refit = refits.with_known_lights(objective, x, pixels, sigma)
+        assert refit.converged.all()
+        found[maps] = refit.values.T.ravel()
+        squares = float(refit.squares.sum())
+    else:
+        with threadpool_limits(1):  # as suites run
+            found, converged, squares = refits.with_free_lights(objective, x, sigma)
+        assert converged
+    loss, _ = objective.value_and_grad(found)
+    assert squares == pytest.approx(loss * objective.total_weight, rel=1e-5)
+    tolerance = 0.1 * sigma**2
+    assert lowered(objective, x) > squares - tolerance
+    assert lowered(objective, found) > squares - tolerance
+    # A little away from the minimum it does get lower.
+    away = np.clip(found[maps] + np.where(found[maps] < 0.5, sigma, -sigma), 0, 1)
+    start = np.concatenate([away, found[maps.stop :]])
+    before = objective.value_and_grad(start)[0] * objective.total_weight
+    assert lowered(objective, start) < before - 10 * tolerance
+
+
+def test_pixels_that_have_not_converged_are_said() -> None:
+    objective, x, sigma = noisy("known", 4)
+    pixels = np.arange(objective.pixels, dtype=np.uint64)
+    assert not refits.with_known_lights(objective, x, pixels, sigma, steps=1).converged.any()
+
+
+def calibration(ratio: float, lights: suite.Lights = "known") -> Calibration:
+    """One whose deviations are all so many times the predicted."""
+    predicted = np.full((7, 5), 0.01)
+    task = Task(lights, "room", 8, 8, 0.01, 9, 2000)
+    none = np.zeros((7, 5))
+    return Calibration(
+        task, predicted, predicted, ratio * predicted, none, 1.0, 1.0, 0.0, 1.0, 0.01
+    )
+
+
+@pytest.mark.parametrize(
+    ("lights", "ratio", "holds"),
+    [
+        ("known", 1.0, True),
+        ("known", 0.89, False),
+        ("known", 1.11, False),
+        ("free", 0.81, True),
+        ("free", 0.79, False),
+        ("free", 1.24, True),
+        ("free", 1.26, False),
+    ],
+)
+def test_bars(lights: suite.Lights, ratio: float, holds: bool) -> None:
+    [group] = report.groups([calibration(ratio, lights)])
+    assert group.holds == holds
+    assert group.metrics()["median"] == pytest.approx(ratio)
+
+
+def test_a_bar_asks_for_a_share_too_and_for_something_to_judge() -> None:
+    bar = Bar(0.9, 1.1, 0.9)
+    assert bar.holds(np.repeat([1.0, 1.3], [9, 1]))
+    assert not bar.holds(np.repeat([1.0, 1.3], [8, 2]))
+    assert not bar.holds(np.array([]))
+
+
+def test_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = replace(
+        suite.QUICK,
+        setups={
+            "known": Setup(8, 16, noise=(0.002,), draws=60),
+            "free": Setup(8, 8, noise=(1e-4,), draws=4),
+        },
+    )
+    monkeypatch.setattr(suite, "QUICK", small)
+    out = tmp_path / "uncertainty"
+    options = ("--quick", "--jobs", 1, "--first-seed", 2005)
+    code = run("evaluate", "uncertainty", "--out", out, *options)
+    printed = capsys.readouterr().out
+    assert "lights known, noise 0.002" in printed
+    rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
+    assert code == (0 if all(row["status"] == "ok" for row in rows) else 1)
+    known, free = (row["metrics"] for row in rows)
+    assert rows[0]["status"] == "ok"
+    assert known["converged"] == free["converged"] == 1
+    assert 0.9 < known["median"] < 1.1
+    assert known["variance"] == pytest.approx(1, abs=0.05)
+    assert free["values"] > 0
+    assert 0.2 < free["median"] < 2
+    assert (out / "ratios.png").is_file()
+    assert "lights free, noise 0.0001" in (out / "report.html").read_text(encoding="utf-8")
+    assert (out / "uncertainty.md").read_text(encoding="utf-8").count("\n") == 4

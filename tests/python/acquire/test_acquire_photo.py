@@ -1,0 +1,154 @@
+"""The photograph: read upright, at a size, with what a network is shown of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit._core import InputError
+from pbrfit.acquire.photo import read_photo
+from pbrfit.io import images
+from pbrfit.io.color import decode_srgb
+from pbrfit.io.resampling import averaged
+
+ORIENTATION, FOCAL_LENGTH_35MM, EXIF_IFD = 0x0112, 0xA405, 0x8769
+
+
+def noise(*shape: int) -> NDArray[np.uint8]:
+    return np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+
+
+@pytest.mark.parametrize("size", [(97, 131), (131, 97)])
+def test_a_network_is_shown_the_bytes_of_an_8_bit_file(
+    size: tuple[int, int], tmp_path: Path
+) -> None:
+    Image.fromarray(noise(*size, 3)).save(tmp_path / "photo.png")
+    photo = read_photo(tmp_path / "photo.png")
+    assert photo.size == photo.full_size == size
+    np.testing.assert_array_equal(photo.srgb8(), noise(*size, 3))
+    np.testing.assert_allclose(
+        photo.pixels, decode_srgb(noise(*size, 3) / 255), rtol=1e-6, atol=1e-9
+    )
+    assert photo.mask is None
+    assert photo.fov is None
+    assert photo.exposure == 0
+
+
+def test_a_large_photograph_is_averaged_in_linear_light(tmp_path: Path) -> None:
+    codes = noise(300, 400, 3).repeat(10, axis=0).repeat(10, axis=1)  # 4000 × 3000
+    Image.fromarray(codes).save(tmp_path / "photo.png", compress_level=1)
+    photo = read_photo(tmp_path / "photo.png", max_size=1000)
+    assert photo.size == (750, 1000)
+    assert photo.full_size == (3000, 4000)
+    assert photo.assumed["size"] == "averaged from 4000 × 3000 to 1000 × 750 pixels"
+    expected = averaged(decode_srgb(codes[..., 1] / 255), (750, 1000))
+    np.testing.assert_allclose(photo.pixels[..., 1], expected, atol=1e-6)
+    assert read_photo(tmp_path / "photo.png", max_size=None).size == (3000, 4000)
+
+
+def test_a_photograph_is_turned_as_its_exif_says(tmp_path: Path) -> None:
+    codes = noise(80, 120, 3)
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6  # to be turned clockwise
+    exif.get_ifd(EXIF_IFD)[FOCAL_LENGTH_35MM] = 28
+    Image.fromarray(codes).save(tmp_path / "photo.png", exif=exif)
+    photo = read_photo(tmp_path / "photo.png")
+    assert photo.full_size == (120, 80)
+    np.testing.assert_array_equal(photo.srgb8(), np.rot90(codes, -1))
+    # 28 mm across the diagonal of 36 × 24 mm, the shorter side horizontal.
+    diagonal = np.hypot(36, 24)
+    half = diagonal / 2 * 80 / np.hypot(80, 120) / 28
+    assert photo.fov == pytest.approx(2 * np.degrees(np.arctan(half)))
+
+
+def test_transparent_pixels_are_left_out_and_shown_as_the_mean(tmp_path: Path) -> None:
+    codes = np.full((96, 96, 4), 255, dtype=np.uint8)
+    codes[..., :3] = (200, 100, 50)
+    codes[:30, :40] = (0, 255, 0, 0)
+    Image.fromarray(codes, "RGBA").save(tmp_path / "photo.png")
+    photo = read_photo(tmp_path / "photo.png")
+    assert photo.mask is not None
+    np.testing.assert_array_equal(photo.mask, codes[..., 3] == 255)
+    np.testing.assert_array_equal(photo.srgb8(), np.broadcast_to((200, 100, 50), (96, 96, 3)))
+    assert photo.assumed["alpha"] == "1200 transparent or infinite pixels left out"
+
+
+def test_what_is_under_transparent_pixels_does_not_run_into_outlines(tmp_path: Path) -> None:
+    codes = np.full((256, 256, 4), 255, dtype=np.uint8)
+    codes[..., :3] = (200, 100, 50)
+    codes[:, :101] = (0, 255, 0, 0)
+    Image.fromarray(codes, "RGBA").save(tmp_path / "photo.png")
+    photo = read_photo(tmp_path / "photo.png", max_size=64)
+    assert photo.mask is not None
+    np.testing.assert_array_equal(np.flatnonzero(photo.mask[0]), np.arange(25, 64))
+    np.testing.assert_array_equal(photo.srgb8(), np.broadcast_to((200, 100, 50), (64, 64, 3)))
+
+
+def test_grey_is_repeated(tmp_path: Path) -> None:
+    Image.fromarray(noise(70, 90)).save(tmp_path / "photo.png")
+    shown = read_photo(tmp_path / "photo.png").srgb8()
+    np.testing.assert_array_equal(shown, noise(70, 90)[..., None].repeat(3, axis=-1))
+
+
+def test_16_bits_are_kept_in_the_pixels(tmp_path: Path) -> None:
+    codes = np.random.default_rng(0).integers(0, 65536, (70, 90, 3), dtype=np.uint16)
+    images.write_png(tmp_path / "photo.png", codes, "srgb")
+    photo = read_photo(tmp_path / "photo.png")
+    np.testing.assert_allclose(photo.pixels, decode_srgb(codes / 65535), rtol=1e-6, atol=1e-9)
+    assert np.abs(photo.srgb8() - codes / 257).max() <= 0.5 + 1e-3
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 700.0])
+def test_a_float_file_is_shown_at_an_exposure_that_fits(unit: float, tmp_path: Path) -> None:
+    radiance = np.random.default_rng(0).uniform(0.01, 1, (80, 90)).astype(np.float32)
+    radiance[:5, :5] = 50  # a lamp: 0.3 % of the pixels
+    images.write_exr(tmp_path / "photo.exr", dict.fromkeys("RGB", unit * radiance))
+    photo = read_photo(tmp_path / "photo.exr")
+    np.testing.assert_allclose(photo.pixels[..., 0], np.float32(unit * radiance), rtol=1e-6)
+    above_white = np.mean(photo.pixels * 2**photo.exposure > 1)
+    assert above_white == pytest.approx(0.01, abs=1e-3)
+    assert np.mean(photo.srgb8() == 255) == pytest.approx(above_white, abs=0.005)  # code 254.5 on
+    assert photo.exposure == pytest.approx(-np.log2(unit), abs=0.05)
+    assert "below white" in photo.assumed["exposure"]
+
+
+def test_infinite_pixels_are_left_out(tmp_path: Path) -> None:
+    radiance = np.full((80, 90), 0.5, dtype=np.float32)
+    radiance[3, 4], radiance[5, 6] = np.inf, np.nan
+    images.write_exr(tmp_path / "photo.exr", dict.fromkeys("RGB", radiance))
+    photo = read_photo(tmp_path / "photo.exr")
+    assert photo.mask is not None
+    np.testing.assert_array_equal(np.argwhere(~photo.mask), [[3, 4], [5, 6]])
+    assert np.isfinite(photo.pixels).all()
+    assert np.ptp(photo.srgb8()) == 0
+
+
+def test_a_photograph_below_64_pixels_is_refused(tmp_path: Path) -> None:
+    Image.fromarray(noise(63, 200, 3)).save(tmp_path / "small.png")
+    expected = "small.png: expected a photograph of at least 64 × 64 pixels, found 200 × 63"
+    with pytest.raises(InputError, match=expected):
+        read_photo(tmp_path / "small.png")
+    Image.fromarray(noise(64, 64, 3)).save(tmp_path / "least.png")
+    assert read_photo(tmp_path / "least.png").size == (64, 64)
+
+
+def test_a_photograph_that_scaling_makes_too_small_is_refused(tmp_path: Path) -> None:
+    Image.fromarray(noise(100, 3000, 3)).save(tmp_path / "long.png")
+    with pytest.raises(InputError, match="which max_size 1024 makes 1024 × 34"):
+        read_photo(tmp_path / "long.png")
+    with pytest.raises(InputError, match="max_size: expected at least 64 pixels, found 63"):
+        read_photo(tmp_path / "long.png", max_size=63)
+
+
+def test_a_photograph_of_nothing_is_refused(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((80, 80, 4), dtype=np.uint8), "RGBA").save(tmp_path / "clear.png")
+    with pytest.raises(InputError, match=r"clear\.png: expected opaque, finite pixels, found none"):
+        read_photo(tmp_path / "clear.png")
+    black = np.zeros((80, 80), dtype=np.float32)
+    images.write_exr(tmp_path / "black.exr", {"Y": black})
+    with pytest.raises(InputError, match=r"black\.exr: expected radiance above 0, found none"):
+        read_photo(tmp_path / "black.exr")

@@ -1,0 +1,89 @@
+"""The contact sheet of a run: what is on it, and where."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit.acquire.contact_sheet import Shown, contact_sheet
+from pbrfit.result.sheet import INK, MARGIN, PAPER, REFUSED
+
+Pixels = NDArray[np.uint8]
+
+GREY = np.full((128, 192, 3), 128, dtype=np.uint8)
+
+
+def plain(*color: int) -> Pixels:
+    return np.full((128, 192, 3), color, dtype=np.uint8)
+
+
+def rows_of(sheet: Pixels, *color: int) -> Pixels:
+    """Numbers of the rows that hold a colour."""
+    return np.flatnonzero((sheet == color).all(axis=-1).any(axis=-1)).astype(np.uint16)
+
+
+def test_accepted_pictures_come_before_refused_ones_whatever_their_order() -> None:
+    pictures = [
+        Shown("refused", plain(255, 0, 255), "moved"),
+        Shown("accepted", plain(0, 255, 255)),
+    ]
+    sheet = contact_sheet(GREY, pictures, title="all")
+    assert rows_of(sheet, 128, 128, 128).min() < rows_of(sheet, 255, 0, 255).min()
+    assert rows_of(sheet, 0, 255, 255).max() < rows_of(sheet, 255, 0, 255).min()
+
+
+def test_only_refused_pictures_are_marked() -> None:
+    accepted = [Shown("a", plain(0, 255, 255))]
+    assert len(rows_of(contact_sheet(GREY, accepted, title=""), *REFUSED)) == 0
+    refused = [*accepted, Shown("b", plain(255, 0, 255), "moved")]
+    sheet = contact_sheet(GREY, refused, title="")
+    marked, picture = rows_of(sheet, *REFUSED), rows_of(sheet, 255, 0, 255)
+    assert marked.min() < picture.min()
+    assert marked.max() > picture.max()
+
+
+def test_a_refusal_without_a_picture_has_a_place_of_its_own() -> None:
+    sheet = contact_sheet(GREY, [Shown("a", None, "refused by moderation")], title="")
+    assert len(rows_of(sheet, *REFUSED)) >= 128
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 16, 24])
+def test_two_dozen_pictures_are_five_rows_wide_enough_to_see(count: int) -> None:
+    pictures = [Shown(f"light_{k}", GREY) for k in range(count)]
+    height, width, _ = contact_sheet(GREY, pictures, title="").shape
+    columns = min(5, count + 1)
+    assert width >= columns * 180
+    assert height < (-(-(count + 1) // columns)) * 200
+
+
+def test_a_long_reason_is_wrapped_and_stays_in_its_column() -> None:
+    reason = "edges do not lie where the photograph has them, " * 4 + "x" * 300
+    pictures = [Shown("a", GREY), Shown("b", GREY, reason), Shown("c", GREY)]
+    sheet = contact_sheet(GREY, pictures, title="")
+    short = contact_sheet(GREY, [*pictures[:1], Shown("b", GREY, "moved"), pictures[2]], title="")
+    assert len(sheet) > len(short) + 100
+    assert sheet.shape[1] == short.shape[1]
+    red = np.flatnonzero((sheet == REFUSED).all(axis=-1).any(axis=0))
+    # The panel is 192 pixels wide, and so is its column.
+    assert red.min() >= MARGIN
+    assert red.max() < MARGIN + 192
+
+
+def test_a_title_stands_above_all() -> None:
+    with_title = contact_sheet(GREY, [], title="kitchen.jpg")
+    above = with_title[: rows_of(with_title, 128, 128, 128).min()]
+    assert (above == INK).all(axis=-1).any()
+    assert tuple(with_title[0, 0]) == PAPER
+
+
+def test_a_long_name_does_not_make_all_captions_too_small_to_read() -> None:
+    large = np.full((256, 384, 3), (0, 255, 255), dtype=np.uint8)
+
+    def height_of_letters(neighbour: str) -> int:
+        sheet = contact_sheet(large, [Shown("HHH", large), Shown(neighbour, large)], title="")
+        first = int(rows_of(sheet, 0, 255, 255).min())
+        second = slice(2 * MARGIN + 384, 2 * MARGIN + 2 * 384)
+        return int((sheet[:first, second] < 128).any(axis=(1, 2)).sum())
+
+    assert height_of_letters("window_" * 30) >= 0.6 * height_of_letters("b")

@@ -1,0 +1,500 @@
+"""The run from a photograph to a scene folder: journal, resume, review, what is put in place."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from acquire_run import CATALOGUE, Counting, Strict, failing, refusing, write_photo
+from pbrfit._core import InputError
+from pbrfit.acquire.generation import generate
+from pbrfit.acquire.generation_report import GenerationReport
+from pbrfit.acquire.generators import Request
+from pbrfit.acquire.prompts import Catalogue, Prompt
+from pbrfit.scene.scene import Scene
+
+
+@pytest.fixture
+def photo(tmp_path: Path) -> Path:
+    return write_photo(tmp_path / "photo.png")
+
+
+Make = Callable[..., GenerationReport]
+
+
+@pytest.fixture
+def make(tmp_path: Path, photo: Path) -> Make:
+    """Run with four pictures, flat normals and no review unless asked."""
+
+    def run(generator: Counting, **options: Any) -> GenerationReport:
+        options = {"photo": photo, "out": tmp_path / "scene", "catalogue": CATALOGUE, **options}
+        options = {"count": 4, "normals": "flat", "fov": 50.0, **options}
+        options = {"review": "reviewer" in options, **options}
+        return generate(options.pop("photo"), options.pop("out"), generator=generator, **options)
+
+    return run
+
+
+def reviewed(scene: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((scene / "review.json").read_text(encoding="utf-8"))
+    return content
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_scene_folder_holds_the_pictures_the_photo_normals_and_why(
+    make: Make, tmp_path: Path
+) -> None:
+    report = make(Counting())
+    scene = tmp_path / "scene"
+    assert names(scene) == [
+        "generation",
+        "images",
+        "normals.exr",
+        "review.json",
+        "review.png",
+        "scene.toml",
+    ]
+    assert names(scene / "images") == [*(f"light_{k}.png" for k in range(4)), "photo.png"]
+    loaded = Scene.load(scene)
+    assert loaded.fov == 50.0
+    assert len(loaded.images) == 5
+    assert [picture.request.seed for picture in report.accepted] == [0, 1, 2, 3]
+    assert reviewed(scene)["totals"] == {
+        "asked_for": 4, "accepted": 4, "left_out": 0, "attempts": 4,
+        "seconds": 0.0, "cost_usd": 1.0, "usage": {"tokens": 40},
+    }  # fmt: skip
+
+
+def test_the_photo_is_in_the_scene_as_the_network_was_shown_it(
+    make: Make, tmp_path: Path, photo: Path
+) -> None:
+    make(Counting())
+    in_scene = tmp_path / "scene" / "images" / "photo.png"
+    with Image.open(photo) as given, Image.open(in_scene) as placed:
+        np.testing.assert_array_equal(np.asarray(placed), np.asarray(given))
+
+
+def test_without_the_photo_it_is_not(make: Make, tmp_path: Path) -> None:
+    make(Counting(), with_photo=False)
+    assert "photo.png" not in names(tmp_path / "scene" / "images")
+
+
+def test_a_generated_picture_is_in_the_scene_bit_by_bit(make: Make, tmp_path: Path) -> None:
+    make(Counting())
+    scene = tmp_path / "scene"
+    paths = scene / "generation" / "light_2-2.png", scene / "images" / "light_2.png"
+    with Image.open(paths[0]) as received, Image.open(paths[1]) as placed:
+        np.testing.assert_array_equal(np.asarray(received), np.asarray(placed))
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), InputError("service: gone"), MemoryError()])
+def test_a_run_that_stops_in_the_middle_keeps_what_came_and_resume_asks_for_the_rest(
+    make: Make, tmp_path: Path, stop: BaseException
+) -> None:
+    first = Counting(before=failing(2, stop))
+    expected = KeyboardInterrupt if isinstance(stop, KeyboardInterrupt) else InputError
+    with pytest.raises(expected, match=r"2 answers are kept in .*generation, and --resume goes on"):
+        make(first)
+    scene = tmp_path / "scene"
+    assert names(scene) == ["generation"]
+    second = Counting()
+    make(second, resume=True)
+    assert [request.name for request in first.asked] == ["light_0", "light_1"]
+    assert [request.name for request in second.asked] == ["light_2", "light_3"]
+    assert len(Scene.load(scene).images) == 5
+    whole = Counting()
+    make(whole, out=tmp_path / "at once")
+    for name in names(scene / "images"):
+        assert (scene / "images" / name).read_bytes() == (
+            tmp_path / "at once" / "images" / name
+        ).read_bytes()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no such signal")
+def test_a_run_that_is_killed_leaves_whole_pictures_and_resume_asks_for_the_rest(
+    make: Make, tmp_path: Path, photo: Path
+) -> None:
+    program = f"""
+import os, signal
+from pathlib import Path
+from acquire_run import CATALOGUE, Counting
+from pbrfit.acquire.generation import generate
+
+def kill(calls, request):
+    if calls == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+generate(Path({str(photo)!r}), Path({str(tmp_path / "scene")!r}), generator=Counting(before=kill),
+         catalogue=CATALOGUE, count=4, normals="flat", fov=50.0, review=False)
+"""
+    here = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    killed = subprocess.run([sys.executable, "-c", program], env=here, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not (tmp_path / "scene" / "images").exists()
+    rest = Counting()
+    make(rest, resume=True)
+    assert [request.name for request in rest.asked] == ["light_2", "light_3"]
+    assert len(Scene.load(tmp_path / "scene").images) == 5
+
+
+def test_what_a_killed_run_worked_in_goes_away_and_is_no_scene(make: Make, tmp_path: Path) -> None:
+    left = tmp_path / "scene" / ".pbrfit-generate-0123456789ab"
+    (left / "images").mkdir(parents=True)
+    make(Counting())
+    assert not left.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no such lock")
+@pytest.mark.parametrize("again", ["resume", "overwrite"])
+def test_a_second_run_at_the_same_time_pays_for_nothing(make: Make, again: str) -> None:
+    second = Counting()
+
+    def at_once(calls: int, request: Request) -> None:
+        del request
+        if calls == 1:
+            with pytest.raises(InputError, match=r"scene: expected no other run at work there"):
+                make(second, **{again: True})
+
+    first = Counting(before=at_once)
+    make(first)
+    assert len(first.asked) == 4
+    assert second.asked == []
+
+
+@pytest.mark.parametrize("again", ["resume", "overwrite"])
+def test_pictures_that_somebody_added_are_not_taken_away(
+    make: Make, tmp_path: Path, again: str
+) -> None:
+    make(Counting())
+    own = tmp_path / "scene" / "images" / "mine.png"
+    own.write_bytes((tmp_path / "photo.png").read_bytes())
+    with pytest.raises(FileExistsError, match=r"mine.png: expected only pictures that"):
+        make(Counting(), **{again: True})
+    assert own.exists()
+    own.rename(own.with_name(".DS_Store"))
+    make(Counting(), **{again: True})
+
+
+def test_a_run_that_stops_before_the_first_picture_leaves_nothing(
+    make: Make, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        make(Counting(before=failing(0, KeyboardInterrupt())), out=tmp_path / "new" / "scene")
+    assert str(stopped.value) == ""
+    assert not (tmp_path / "new").exists()
+
+
+def test_resume_of_an_unfinished_scene_needs_to_be_asked_for(make: Make) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        make(Counting(before=failing(1, KeyboardInterrupt())))
+    with pytest.raises(FileExistsError, match=r"found a run that has not ended; --resume goes on"):
+        make(Counting())
+
+
+def test_a_finished_scene_is_not_replaced_unless_asked(make: Make) -> None:
+    make(Counting())
+    again = Counting()
+    with pytest.raises(FileExistsError, match=r"found a scene; --resume goes on"):
+        make(again)
+    assert again.asked == []
+
+
+def test_more_pictures_and_further_prompts_reuse_those_that_are_there(
+    make: Make, tmp_path: Path
+) -> None:
+    make(Counting(), count=3)
+    longer = Catalogue("Keep all.", (*CATALOGUE.lighting[:4], Prompt("new", "New.")), "no")
+    more = Counting()
+    make(more, count=5, catalogue=longer, resume=True)
+    assert [request.name for request in more.asked] == ["light_3", "new"]
+    assert len(names(tmp_path / "scene" / "images")) == 6
+
+
+def test_a_prompt_that_was_rewritten_is_asked_for_and_the_old_picture_stays(
+    make: Make, tmp_path: Path
+) -> None:
+    make(Counting())
+    changed = Catalogue("Keep all.", (Prompt("light_0", "Dusk."), *CATALOGUE.lighting[1:]), "no")
+    again = Counting()
+    make(again, catalogue=changed, resume=True)
+    assert [request.prompt for request in again.asked] == ["Keep all. Dusk."]
+    assert {"light_0-0.png", "light_0-0-2.png"} <= set(names(tmp_path / "scene" / "generation"))
+
+
+def test_resume_with_other_settings_says_what_differs(make: Make) -> None:
+    make(Counting())
+    with pytest.raises(InputError, match=r"found quality 'good' \(now 'better'\); --overwrite"):
+        make(Counting(quality="better"), resume=True)
+
+
+def test_resume_with_another_photo_says_so(make: Make, tmp_path: Path) -> None:
+    make(Counting())
+    with pytest.raises(InputError, match="found another photo"):
+        make(Counting(), photo=write_photo(tmp_path / "b" / "other.png", 80), resume=True)
+
+
+def test_resume_at_another_size_says_so(make: Make, tmp_path: Path) -> None:
+    large = write_photo(tmp_path / "large" / "photo.png", 160)
+    make(Counting(), photo=large)
+    with pytest.raises(InputError, match=r"found photo of 160 × 160 pixels \(now 80 × 80\)"):
+        make(Counting(), photo=large, max_size=80, resume=True)
+
+
+def test_resume_in_another_colour_space_says_so(make: Make) -> None:
+    make(Counting())
+    with pytest.raises(InputError, match="found photo read in another colour space"):
+        make(Counting(), color_space="linear", resume=True)
+
+
+def test_overwrite_takes_other_settings_and_keeps_what_was_received(
+    make: Make, tmp_path: Path
+) -> None:
+    make(Counting())
+    received = set(names(tmp_path / "scene" / "generation"))
+    other = Counting(quality="better")
+    make(other, overwrite=True)
+    assert len(other.asked) == 4
+    assert received < set(names(tmp_path / "scene" / "generation"))
+    back = Counting()
+    make(back, overwrite=True)
+    assert back.asked == []
+
+
+def test_overwrite_takes_away_what_the_new_scene_lacks(make: Make, tmp_path: Path) -> None:
+    make(Counting())
+    scene = tmp_path / "scene"
+    (scene / "mask.png").write_bytes(b"of an earlier scene")
+    make(Counting(), overwrite=True, with_photo=False, count=2)
+    assert names(scene / "images") == ["light_0.png", "light_1.png"]
+    assert "mask.png" not in names(scene)
+
+
+def test_a_folder_of_somebodys_pictures_is_never_touched(make: Make, tmp_path: Path) -> None:
+    theirs = tmp_path / "scene" / "images" / "mine.png"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_bytes(b"dear to me")
+    for flags in ({}, {"overwrite": True}, {"resume": True}):
+        with pytest.raises(FileExistsError, match=r"expected an empty folder, or one of `pbrfit"):
+            make(Counting(), **flags)
+    assert theirs.read_bytes() == b"dear to me"
+    assert names(tmp_path / "scene") == ["images"]
+
+
+def test_a_refused_prompt_is_left_out_and_never_asked_for_again(make: Make, tmp_path: Path) -> None:
+    report = make(Counting(before=refusing("light_1")), reviewer=Strict())
+    assert [picture.request.name for picture in report.left_out] == ["light_1"]
+    [picture] = [each for each in reviewed(tmp_path / "scene")["pictures"] if not each["accepted"]]
+    assert picture["reason"] == "refused by moderation: not this one"
+    assert picture["file"] is None
+    assert picture["attempts"][0]["received"] is None
+    again = Counting()
+    report = make(again, resume=True)
+    assert again.asked == []
+    assert [picture.request.name for picture in report.left_out] == ["light_1"]
+
+
+def test_what_the_review_refuses_is_asked_for_with_another_seed(make: Make, tmp_path: Path) -> None:
+    generator = Counting()
+    make(generator, reviewer=Strict(alone=[1, 2]))
+    assert [request.seed for request in generator.asked] == [0, 1, 1001, 2001, 2, 3]
+    picture = reviewed(tmp_path / "scene")["pictures"][1]
+    assert [attempt["accepted"] for attempt in picture["attempts"]] == [False, False, True]
+    assert picture["attempts"][0]["reason"] == "refused by alone"
+    assert picture["attempts"][0]["checks"][0] == {
+        "name": "alone", "value": 2.0, "bound": 1.0, "passed": False, "note": "refused by alone",
+    }  # fmt: skip
+    assert [check["name"] for check in picture["attempts"][2]["together"]] == ["company"]
+
+
+def test_a_picture_that_stays_refused_is_left_out_after_so_many_attempts(
+    make: Make, tmp_path: Path
+) -> None:
+    generator = Counting()
+    report = make(generator, reviewer=Strict(alone=[0, 1]), regenerate=1)
+    assert [request.seed for request in generator.asked] == [0, 1000, 1, 2, 3]
+    assert [picture.reason for picture in report.left_out] == ["refused by alone"]
+    assert "light_0.png" not in names(tmp_path / "scene" / "images")
+    assert {"light_0-0.png", "light_0-1000.png"} <= set(names(tmp_path / "scene" / "generation"))
+
+
+def test_what_does_not_agree_with_the_others_is_asked_for_again_and_judged_with_them(
+    make: Make,
+) -> None:
+    generator, reviewer = Counting(), Strict(company=[(0, 2), (1, 2), (2, 2)])
+    report = make(generator, reviewer=reviewer)
+    assert [request.seed for request in generator.asked] == [0, 1, 2, 3, 1002, 2002]
+    assert reviewer.rounds == 4
+    assert [picture.reason for picture in report.left_out] == ["refused by company"]
+
+
+def test_a_generator_that_has_no_other_pictures_is_asked_once(make: Make) -> None:
+    generator = Counting(retries=False)
+    report = make(generator, reviewer=Strict(alone=[1], company=[(0, 0)]))
+    assert len(generator.asked) == 4
+    assert [picture.request.name for picture in report.left_out] == ["light_0", "light_1"]
+
+
+def test_resume_of_a_run_with_refusals_asks_for_none_of_them_again(make: Make) -> None:
+    make(Counting(), reviewer=Strict(alone=[1, 2], company=[(0, 3)]))
+    again = Counting()
+    make(again, reviewer=Strict(alone=[1, 2], company=[(0, 3)]), resume=True)
+    assert again.asked == []
+
+
+def test_too_few_pictures_are_no_scene_and_the_review_says_why(make: Make, tmp_path: Path) -> None:
+    expected = (
+        "scene: expected at least 2 pictures for a scene, found 1 with the photo; left out were "
+        "light_0: refused by alone; light_1: refused by alone; and 2 more"
+    )
+    with pytest.raises(InputError, match=expected):
+        make(Counting(), reviewer=Strict(alone=range(12)), regenerate=0)
+    scene = tmp_path / "scene"
+    assert names(scene) == ["generation", "review.json", "review.png"]
+    assert reviewed(scene)["totals"]["accepted"] == 0
+
+
+def test_too_few_pictures_leave_an_earlier_scene_as_it_is(make: Make, tmp_path: Path) -> None:
+    make(Counting())
+    before = {p: p.read_bytes() for p in (tmp_path / "scene").iterdir() if p.is_file()}
+    with pytest.raises(InputError, match="at least 2 pictures"):
+        make(Counting(), reviewer=Strict(alone=range(12)), regenerate=0, overwrite=True)
+    assert before == {path: path.read_bytes() for path in before}
+    assert len(Scene.load(tmp_path / "scene").images) == 5
+
+
+def test_a_generated_picture_may_not_be_called_as_the_photo_is(make: Make, tmp_path: Path) -> None:
+    catalogue = Catalogue("", (Prompt("photo", "Day."), Prompt("night", "Night.")), "")
+    with pytest.raises(InputError, match="photo: expected another name"):
+        make(Counting(), catalogue=catalogue, count=2)
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_picture_of_the_journal_that_was_changed_is_told(make: Make, tmp_path: Path) -> None:
+    make(Counting())
+    (tmp_path / "scene" / "generation" / "light_1-1.png").write_bytes(b"other")
+    with pytest.raises(InputError, match=r"light_1-1.png: expected the picture as it was received"):
+        make(Counting(), resume=True)
+
+
+def test_a_crash_between_a_picture_and_its_entry_costs_nothing(make: Make, tmp_path: Path) -> None:
+    make(Counting())
+    journal = tmp_path / "scene" / "generation"
+    entry = journal / "light_1-1.json"
+    before = json.loads(entry.read_text())
+    entry.unlink()
+    (journal / "mine.png").write_bytes((tmp_path / "scene" / "images" / "photo.png").read_bytes())
+    again = Counting()
+    report = make(again, resume=True)
+    assert again.asked == []
+    (picture,) = [one for one in report.pictures if one.request.name == "light_1"]
+    found = picture.attempts[0].entry
+    assert (found.record, found.sha256) == (before["record"], before["sha256"])
+
+
+LACKS_ABOUT = json.dumps(
+    {
+        "request": {"name": "light_1", "prompt": "", "negative": "", "seed": 1},
+        "refused": "",
+        "record": {},
+        "sha256": "",
+    }
+)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"about": 1}', "{\xe9", LACKS_ABOUT])
+def test_a_broken_journal_is_told(make: Make, tmp_path: Path, text: str) -> None:
+    make(Counting())
+    (tmp_path / "scene" / "generation" / "light_1-1.json").write_text(text, encoding="latin-1")
+    with pytest.raises(InputError, match=r"light_1-1.json: expected an entry of a generation"):
+        make(Counting(), resume=True)
+
+
+def test_what_fails_for_nothing_fails_before_any_picture(make: Make, tmp_path: Path) -> None:
+    generator = Counting()
+    with pytest.raises((InputError, OSError), match=r"no_such\.exr"):
+        make(generator, normals=str(tmp_path / "no_such.exr"))
+    assert generator.asked == []
+    assert not (tmp_path / "scene").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="nowhere that nobody may write")
+def test_a_place_that_nobody_may_write_to_shows_before_any_picture(make: Make) -> None:
+    generator = Counting()
+    with pytest.raises(OSError, match="/proc/scene: expected a place where a folder can be made"):
+        make(generator, out=Path("/proc/scene"))
+    assert generator.asked == []
+
+
+def test_what_fails_before_any_picture_leaves_an_earlier_journal_as_it_is(
+    make: Make, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        make(Counting(before=failing(2, KeyboardInterrupt())))
+    with pytest.raises((InputError, OSError), match=r"no_such\.exr"):
+        make(Counting(quality="other"), normals=str(tmp_path / "no_such.exr"), overwrite=True)
+    rest = Counting()
+    make(rest, resume=True)
+    assert [request.name for request in rest.asked] == ["light_2", "light_3"]
+
+
+def test_a_place_below_a_file_shows_before_any_picture(make: Make, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    generator = Counting()
+    with pytest.raises(OSError, match="scene: expected a place where a folder can be made"):
+        make(generator, out=tmp_path / "file" / "scene")
+    assert generator.asked == []
+
+
+def test_names_that_are_not_ascii_are_kept(make: Make, tmp_path: Path) -> None:
+    photo = write_photo(tmp_path / "Küche" / "фото.png")
+    scene = tmp_path / "Küche" / "Szene"
+    make(Counting(), photo=photo, out=scene)
+    assert reviewed(scene)["photo"]["file"] == "фото.png"
+    assert len(Scene.load(scene).images) == 5
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are UTF-8 there")
+def test_a_name_that_is_no_utf8_costs_no_picture(make: Make, tmp_path: Path, photo: Path) -> None:
+    strange = photo.rename(tmp_path / os.fsdecode(b"caf\xe9.png"))
+    make(Counting(), photo=strange)
+    assert reviewed(tmp_path / "scene")["photo"]["file"] == strange.name
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are UTF-8 there")
+def test_a_generated_picture_needs_a_name_in_utf8(make: Make) -> None:
+    catalogue = Catalogue("", (Prompt(os.fsdecode(b"caf\xe9"), "Day."),), "")
+    with pytest.raises(InputError, match=r"expected names in UTF-8, found 'caf"):
+        make(Counting(), catalogue=catalogue, count=1)
+
+
+def test_transparent_pixels_are_masked(make: Make, tmp_path: Path, photo: Path) -> None:
+    with Image.open(photo) as opaque:
+        picture = opaque.convert("RGBA")
+    alpha = np.full((picture.height, picture.width), 255, dtype=np.uint8)
+    alpha[:, :10] = 0
+    picture.putalpha(Image.fromarray(alpha))
+    picture.save(tmp_path / "cut.png")
+    make(Counting(), photo=tmp_path / "cut.png")
+    assert not Scene.load(tmp_path / "scene").valid[:, :10].any()
+    assert Scene.load(tmp_path / "scene").valid[:, 10:].all()
+
+
+def test_progress_counts_up_to_all_pictures(make: Make) -> None:
+    told: list[tuple[str, int, int]] = []
+    make(Counting(), reviewer=Strict(alone=[0]), progress=lambda *step: told.append(step))
+    assert told[0] == ("segments and normals", 0, 4)
+    assert ("light_0, seed 1000", 2, 4) in told
+    assert told[-1] == ("writing", 5, 5)

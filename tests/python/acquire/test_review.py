@@ -1,0 +1,245 @@
+"""The review of generated pictures: what it measures, what it refuses, what it lets pass."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import InputError
+from pbrfit.acquire.review import LEAST_CHANGE, Reviewer, illumination, structure
+from pbrfit.io.color import encode_srgb
+from pbrfit_evaluation.review.damage import damaged
+from pbrfit_evaluation.review.pictures import View, camera, relights
+
+Array = NDArray[np.float64]
+
+SIZE, COUNT = 256, 9
+
+
+@cache
+def view() -> View:
+    return relights("furnished", "own", 2020, size=SIZE, count=COUNT)
+
+
+@cache
+def pictures() -> tuple[Array, ...]:
+    return tuple(camera(picture) for picture in view().pictures)
+
+
+@cache
+def reviewer() -> Reviewer:
+    return Reviewer(pictures()[0])
+
+
+def failed(verdict: Any) -> set[str]:
+    return {check.name for check in verdict.checks if not check.passed}
+
+
+def test_honest_relights_are_accepted() -> None:
+    for picture in pictures()[1:]:
+        verdict = reviewer().picture(picture)
+        assert verdict.accepted, verdict.reason
+        assert verdict.reason == ""
+    for verdict in reviewer().together(pictures()[1:]):
+        assert verdict.accepted, verdict.reason
+        assert [check.name for check in verdict.checks][-2:] == ["colour", "content"]
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.8])
+def test_the_photograph_with_another_tone_curve_is_a_copy(gamma: float) -> None:
+    toned = 0.7 * pictures()[0] ** gamma * np.array([1.1, 1.0, 0.8])
+    verdict = reviewer().picture(camera(toned))
+    assert failed(verdict) == {"copy"}
+    (check,) = [check for check in verdict.checks if check.name == "copy"]
+    assert check.value < LEAST_CHANGE
+    assert "tone curve" in verdict.reason
+
+
+@pytest.mark.parametrize(("gain", "word"), [(1e-3, "black"), (200.0, "clipped")])
+def test_pictures_of_nothing_are_refused(gain: float, word: str) -> None:
+    verdict = reviewer().picture(camera(gain * view().pictures[1]))
+    assert failed(verdict) == {"exposure"}
+    assert word in verdict.reason
+
+
+def test_another_view_is_refused() -> None:
+    other = relights("furnished", "own", 2021, size=SIZE, count=2).pictures[1]
+    for wrong in (camera(other), pictures()[1][:, ::-1]):
+        assert "edges" in failed(reviewer().picture(wrong))
+
+
+def test_a_shift_of_two_pixels_is_refused_and_told() -> None:
+    wrong = np.roll(pictures()[1], (0, 2), axis=(0, 1))
+    verdict = reviewer().picture(wrong)
+    assert "shift" in failed(verdict)
+    assert "shifted by 2.0 pixels (+2.0, " in verdict.reason
+    assert "from the photograph" in verdict.reason
+
+
+def repainted(image: Array, kind: str) -> Array:
+    """A tenth of the picture, where it has much detail, with something else in it."""
+    changed = image.copy()
+    part = np.s_[100:180, 80:160]
+    if kind == "blue":
+        changed[part] *= (0.5, 0.8, 1.6)
+    elif kind == "removed":
+        changed[part] = image[part].mean(axis=(0, 1))
+    elif kind == "upside down":
+        changed[part] = image[part][::-1, ::-1]
+    return changed
+
+
+@pytest.mark.parametrize("kind", ["blue", "removed", "upside down"])
+def test_repaints_are_found_and_told_and_the_others_stay(kind: str) -> None:
+    members = list(pictures()[1:])
+    members[3] = camera(repainted(view().pictures[4], kind))
+    together = reviewer().together(members)
+    assert [not verdict.accepted for verdict in together] == [i == 3 for i in range(8)]
+    assert failed(together[3]) <= {"colour", "content", "warp"}
+    told = re.search(r"around x = (\d+), y = (\d+)", together[3].reason)
+    assert told is not None
+    x, y = map(int, told.groups())
+    assert 70 <= x <= 170, together[3].reason
+    assert 90 <= y <= 190, together[3].reason
+
+
+def test_a_bend_is_found() -> None:
+    rng = np.random.default_rng(7)
+    members = list(pictures()[1:])
+    members[3] = camera(damaged(view().pictures[4], "warp", view().segments, rng)[0])
+    verdicts = [reviewer().picture(members[3]), reviewer().together(members)[3]]
+    assert any("warp" in failed(verdict) for verdict in verdicts)
+
+
+def test_verdicts_do_not_depend_on_the_order() -> None:
+    members = list(pictures()[1:])
+    members[2] = camera(repainted(view().pictures[3], "removed"))
+    forwards = reviewer().together(members)
+    backwards = reviewer().together(members[::-1])[::-1]
+    for one, other in zip(forwards, backwards, strict=True):
+        assert failed(one) == failed(other)
+
+
+def test_too_few_pictures_are_not_judged_together() -> None:
+    assert illumination.FEWEST == 4
+    assert [v.checks for v in reviewer().together(pictures()[1:3])] == [(), ()]
+    assert reviewer().together([]) == []
+    assert all(v.checks for v in reviewer().together(pictures()[1:4]))
+
+
+def test_what_the_mask_leaves_out_is_not_reviewed() -> None:
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[:, : SIZE // 2] = False
+    masked = Reviewer(pictures()[0], mask=mask)
+    members = [picture.copy() for picture in pictures()[1:]]
+    members[0][:, : SIZE // 2 - 8] = members[0][::-1, : SIZE // 2 - 8, ::-1]
+    assert not reviewer().together(members)[0].accepted
+    assert masked.picture(members[0]).accepted
+    assert all(verdict.accepted for verdict in masked.together(members))
+
+
+def test_large_pictures_are_judged_at_a_size_of_their_own() -> None:
+    def enlarged(picture: Array) -> Array:
+        return np.asarray(np.kron(picture, np.ones((3, 3, 1))), np.float64)
+
+    large = Reviewer(enlarged(pictures()[0]))
+    assert large.picture(enlarged(pictures()[1])).accepted
+    moved = np.roll(enlarged(pictures()[1]), (6, 0), axis=(0, 1))
+    assert "(+0.0, +6.0)" in large.picture(moved).reason.replace("-0.0", "+0.0")
+
+
+def test_unusable_photographs_and_pictures_are_refused_in_one_line() -> None:
+    with pytest.raises(InputError, match="photo: expected something with edges"):
+        Reviewer(np.full((80, 80, 3), 0.3))
+    with pytest.raises(
+        InputError, match=r"expected the photograph's shape .*, found \(80, 80, 3\)"
+    ):
+        reviewer().picture(np.zeros((80, 80, 3)))
+
+
+def test_lasting_gradients_are_those_of_the_albedo() -> None:
+    """Weiss's estimate, on pictures that are albedo times an illumination that varies slowly."""
+    rng = np.random.default_rng(1)
+    row, column = np.mgrid[:64, :64] / 64
+    albedo = 0.2 + 0.5 * (np.sin(20 * row) * np.sin(16 * column) > 0)[..., None] * np.ones(3)
+    lit = [
+        albedo * np.exp(a * row + b * column)[..., None] * 0.5
+        for a, b in rng.uniform(-0.7, 0.7, (9, 2))
+    ]
+    found = structure.lasting([structure.gradients(picture) for picture in lit])
+    expected = structure.gradients(0.5 * albedo)
+    pure = expected.values / np.maximum(expected.factor, 0.3)
+    inside = np.s_[4:-4, 4:-4]
+    np.testing.assert_allclose(found.values[inside], pure[inside], atol=0.03)
+    for picture in lit:
+        share = structure.kept(structure.gradients(picture), found, (16, 16))
+        assert np.nanmin(share) > 0.9
+
+
+def test_detail_that_is_gone_is_not_kept() -> None:
+    members = [structure.gradients(picture) for picture in pictures()]
+    reference = structure.lasting(members)
+    gone = pictures()[1].copy()
+    gone[60:160, 60:160] = gone[60:160, 60:160].mean(axis=(0, 1))
+    share = structure.kept(structure.gradients(gone), reference, (64, 64))
+    honest = structure.kept(members[1], reference, (64, 64))
+    assert np.nanmin(share[22:33, 22:33]) < 0.45
+    assert np.nanmin(honest[22:33, 22:33]) > 0.8
+
+
+def test_black_and_clipped_pixels_are_no_evidence() -> None:
+    members = [structure.gradients(picture) for picture in pictures()]
+    reference = structure.lasting(members)
+    for level in (0.0, 1.0):
+        blank = pictures()[1].copy()
+        blank[60:160, 60:160] = level
+        share = structure.kept(structure.gradients(blank), reference, (64, 64))
+        assert np.isnan(share[27, 27]) or share[27, 27] > 0.8
+
+
+def mixtures(count: int = 8) -> Array:
+    """(N, P, 3): pictures of a 32 × 32 view that four lights of one colour each make up."""
+    rng = np.random.default_rng(2)
+    row, column = np.mgrid[:32, :32].reshape(2, -1) / 32
+    albedo = rng.uniform(0.1, 0.9, (row.size, 3))
+    lights = np.stack([np.ones(row.size), 0.2 + row, 0.2 + column, 1.2 - row * column])
+    shares = rng.uniform(0.05, 0.3, (count, 4, 3))
+    return np.asarray(albedo * np.einsum("nkc,kp->npc", shares, lights))
+
+
+def test_light_that_the_others_make_up_leaves_nothing() -> None:
+    found = mixtures()
+    used = np.ones(found.shape[:2], bool)
+    for i in range(len(found)):
+        residual = illumination.unexplained(i, found, used)
+        assert np.abs(residual).max() < 0.05
+
+
+def test_another_colour_is_mixed_and_a_shadow_is_not() -> None:
+    size = (32, 32)
+    used = np.ones((8, 32 * 32), bool)
+    patch = np.zeros(size, bool)
+    patch[8:17, 8:17] = True
+    most = {}
+    for name, gain in {"colour": (1.6, 1.0, 0.5), "shadow": (0.5, 0.5, 0.5)}.items():
+        found = mixtures()
+        found[3][patch.ravel()] *= gain
+        residual = illumination.unexplained(3, found, used)
+        residual = residual.reshape(*size, 3)
+        most[name] = illumination.mixed(residual).max()
+        bright = illumination.brightness(residual)
+        assert patch[np.unravel_index(bright.argmax(), size)] or name == "colour"
+        assert bright.max() > 0.01
+    assert most["colour"] > 0.05
+    assert most["shadow"] < 0.1 * most["colour"]
+
+
+def test_the_reviewer_reads_pictures_as_the_screen_shows_them() -> None:
+    """`camera` and the 8-bit files of a run are the same."""
+    codes = np.round(255 * encode_srgb(view().pictures[1].clip(0, 1)))
+    np.testing.assert_allclose(encode_srgb(pictures()[1]), codes / 255, atol=1e-9)

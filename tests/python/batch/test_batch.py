@@ -1,0 +1,581 @@
+"""Many scenes at once: in processes, resumed, on one output at a time, told as JSON."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from evaluation_tasks import Task, work
+from test_evaluation import alive, until
+
+from pbrfit import Scene
+from pbrfit.batch import place, scenes
+from pbrfit.batch.driver import Attempt, drive
+from pbrfit.batch.executors import Processes
+from pbrfit.batch.prediction import of_scene, picture_size
+from pbrfit.batch.scenes import SceneTask, decompose_scene
+from pbrfit.batch.settings import Fitting, Reading
+from pbrfit.batch.unchanged import kept
+from pbrfit.fit import memory
+from pbrfit.fit.parameters import Layout
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.io import images
+from pbrfit.io.weight_files import write_weights
+from pbrfit.model.lighting import Lighting
+from pbrfit.result.result import CONTAINS, FILES, Result
+from pbrfit.scene import folder as scene_folder
+from pbrfit.synthetic import make_scene
+from scene_files import FORMATS, SIZE, room, run, write_folder
+
+FEW = ("--iterations", 2, "--refine-normals", "off")
+
+NAMES = ("one", "two", "drei ä 面")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Scenes of which the second differs from the others."""
+    for name in NAMES:
+        write_folder(tmp_path / "scenes" / name)
+    (tmp_path / "scenes" / "two" / "images" / "light_02.exr").unlink()
+    return tmp_path / "scenes"
+
+
+def lines(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, Any]]:
+    """The lines of JSON, by the scene's name."""
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    return {Path(line["scene"]).name: line for line in found}
+
+
+def statuses(capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
+    return {name: line["status"] for name, line in lines(capsys).items()}
+
+
+def marks(out: Path) -> dict[str, tuple[int, int]]:
+    """By which it shows whether a result was written again."""
+    return {
+        path.parent.name: (path.stat().st_ino, path.stat().st_mtime_ns)
+        for path in out.glob("*/result.json")
+    }
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file systems there refuse such names")
+def test_names_that_are_no_utf_8_come_back_as_they_were(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [os.fsdecode(b"bad \xff\xfe"), "new\nline", "-dash", "%s {x}"]
+    for name in names:
+        write_folder(tmp_path / "scenes" / name)
+    arguments = ("decompose", tmp_path / "scenes", "--out", tmp_path / "o o", *FEW, "--resume")
+    for status in ("done", "kept"):
+        assert run(*arguments, "--json") == 0
+        assert statuses(capsys) == dict.fromkeys(names, status)
+    source = Result.load(tmp_path / "o o" / names[0]).source
+    assert source is not None
+    assert source.path == tmp_path / "scenes" / names[0]
+
+
+# Processes
+
+
+def test_processes_give_the_same_bits_as_one_after_the_other(folder: Path, tmp_path: Path) -> None:
+    assert run("decompose", folder, "--out", tmp_path / "alone", *FEW, "--quiet") == 0
+    assert run("decompose", folder, "--out", tmp_path / "pool", *FEW, "--jobs", 2, "--quiet") == 0
+    for out in ("alone", "pool"):
+        assert sorted(path.name for path in (tmp_path / out).iterdir()) == sorted(NAMES)
+    for name in NAMES:
+        source = Result.load(tmp_path / "pool" / name).source
+        assert source is not None
+        assert source.path == folder / name
+        for file in ("materials.exr", "lighting.json"):
+            found = (tmp_path / out / name / file for out in ("alone", "pool"))
+            assert next(found).read_bytes() == next(found).read_bytes(), (name, file)
+
+
+def test_a_failing_scene_stops_no_process_and_is_told_of(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "one" / "normals.exr").unlink()
+    (folder / "drei ä 面" / "Mask.tif").touch()
+    assert run("decompose", folder, "--out", tmp_path / "out", *FEW, "--jobs", 3, "--json") == 1
+    told = capsys.readouterr()
+    by_name = {Path(one["scene"]).name: one for one in map(json.loads, told.out.splitlines())}
+    assert {name: one["status"] for name, one in by_name.items()} == {
+        "one": "failed",
+        "two": "done",
+        "drei ä 面": "done",
+    }
+    expected = f"{folder / 'one'}: expected normals.exr or normals.png"
+    assert by_name["one"]["error"].startswith(expected)
+    assert by_name["two"]["error"] is None
+    assert by_name["two"]["metrics"]["recon_rmse"] > 0
+    assert by_name["two"]["stop_reason"]
+    assert by_name["two"]["output"] == str(tmp_path / "out" / "two")
+    assert told.err.splitlines()[-1] == f"pbrfit: 1 of 3 scenes failed: {folder / 'one'}"
+    assert f"pbrfit: {expected}" in told.err
+    # Warnings come out of the process, and nothing else does.
+    assert not (tmp_path / "out" / ".pbrfit").exists()
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["drei ä 面", "two"]
+
+
+def test_warnings_of_processes_are_told_here(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (folder / "two" / "Mask.tif").touch()
+    assert run("decompose", folder, "--out", tmp_path / "out", *FEW, "--jobs", 2, "--quiet") == 0
+    [record] = caplog.records
+    assert f"{folder / 'two' / 'Mask.tif'}: not read" in record.message
+    assert record.levelname == "WARNING"
+
+
+def test_what_is_not_there_can_be_read_nor_written_is_one_line_a_scene(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.rmtree(folder / "one")
+    given = [folder / name for name in NAMES]
+    assert run("decompose", *given, "--out", tmp_path / "out", *FEW, "--jobs", 2, "--quiet") == 1
+    first, last = capsys.readouterr().err.splitlines()
+    assert first == f"pbrfit: {folder / 'one'}: expected a scene folder, found nothing of that name"
+    assert last == f"pbrfit: 1 of 3 scenes failed: {folder / 'one'}"
+
+
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_batch_leaves_whole_results_and_no_process(
+    folder: Path, tmp_path: Path, signal_number: int
+) -> None:
+    """One scene waits for ever for its mask."""
+    out = tmp_path / "out"
+    assert run("decompose", folder / "one", folder / "two", "--out", out, *FEW, "--quiet") == 0
+    shutil.rmtree(out / "two")
+    os.mkfifo(folder / "two" / "mask.png")
+    arguments = ["decompose", folder, "--out", out, *FEW, "--jobs", 2, "--resume", "--json"]
+    batch = subprocess.Popen(
+        [sys.executable, "-m", "pbrfit", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert batch.stdout is not None
+    ended = [json.loads(batch.stdout.readline())["status"] for _ in range(2)]
+    assert sorted(ended) == ["done", "kept"]
+    children = Path(f"/proc/{batch.pid}/task/{batch.pid}/children")
+    workers = [int(one) for one in children.read_text().split()] if children.exists() else []
+    os.killpg(batch.pid, signal_number)  # as a terminal does: all of them
+    _, errors = batch.communicate(timeout=60)
+    assert batch.returncode == 128 + signal_number
+    if signal_number == signal.SIGINT:
+        assert errors == (
+            "pbrfit: interrupted after 2 of 3 scenes; no unfinished result was left behind; "
+            "--resume goes on from there\n"
+        )
+    until(lambda: not any(alive(worker) for worker in workers))
+    assert sorted(path.name for path in out.iterdir()) == sorted(set(NAMES) - {"two"})
+
+
+def test_a_full_disk_is_one_line_that_names_the_result(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))  # processes inherit it
+    try:
+        arguments = ("decompose", folder, "--out", tmp_path / "out", *FEW, "--jobs", 2, "--quiet")
+        assert run(*arguments) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    told = capsys.readouterr().err.splitlines()
+    for name in NAMES:
+        assert f"pbrfit: {tmp_path / 'out' / name}: File too large" in told
+    assert len(told) == len(NAMES) + 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("act", ["no pickle", "no pickle raised"])
+def test_what_no_process_can_send_fails_its_task_alone(tmp_path: Path, act: str) -> None:
+    tasks = [Task("a", tmp_path, act), Task("b", tmp_path), Task("c", tmp_path)]
+    found: dict[str, Attempt[Any]] = {}
+
+    def keep(task: Task, one: Attempt[Any]) -> None:
+        found[task.key] = one
+
+    drive(tasks, work, Processes(2), ended=keep)
+    assert {key: one.error is None for key, one in found.items()} == {
+        "a": False,
+        "b": True,
+        "c": True,
+    }
+    words = "TypeError: cannot pickle" if act == "no pickle" else "StrangeError: as it is"
+    assert str(found["a"].error).startswith(words)
+
+
+def test_a_cluster_needs_dask(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if importlib.util.find_spec("distributed") is not None:
+        pytest.skip("it is there; tests/cluster uses it")
+    assert run("decompose", folder, "--out", tmp_path / "out", "--cluster", "local") == 2
+    line = capsys.readouterr().err
+    assert line.startswith("pbrfit: --cluster: expected dask.distributed, found ")
+    assert line.endswith("pip install 'pbrfit[cluster]' gets it\n")
+    assert line.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+# Resuming
+
+
+def test_what_is_finished_is_kept_and_the_rest_is_done(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    arguments = ("decompose", folder, "--out", out, *FEW, "--resume", "--json")
+    assert run(*arguments) == 0
+    assert statuses(capsys) == dict.fromkeys(NAMES, "done")
+    before = marks(out)
+    shutil.rmtree(out / "one")
+    assert run(*arguments, "--jobs", 2, "--threads", 1, "--quiet") == 0
+    told = lines(capsys)
+    assert {name: line["status"] for name, line in told.items()} == {
+        "one": "done",
+        "two": "kept",
+        "drei ä 面": "kept",
+    }
+    after = marks(out)
+    assert after.pop("one") != before.pop("one")
+    assert after == before
+    stored = json.loads((out / "two" / "result.json").read_text("utf-8"))
+    assert told["two"]["metrics"] == stored["metrics"]
+    assert told["two"]["stop_reason"] == stored["stop_reason"]
+
+
+def test_a_single_scene_is_kept_too(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("decompose", folder / "one", "--out", tmp_path / "out", *FEW, "--resume")
+    assert run(*arguments) == 0
+    capsys.readouterr()
+    assert run(*arguments) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'out'}: kept, nothing has changed\n"
+    assert run(*arguments, "--json", "--seed", 3) == 0
+    assert statuses(capsys) == {"one": "done"}
+
+
+def test_resume_and_overwrite_contradict(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("decompose", folder, "--out", tmp_path, "--resume", "--overwrite") == 2
+    assert capsys.readouterr().err == "pbrfit: expected --resume or --overwrite, found both\n"
+
+
+def test_resuming_replaces_only_results(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out" / "two").mkdir(parents=True)
+    (tmp_path / "out" / "two" / "thesis.txt").write_text("three years")
+    assert run("decompose", folder, "--out", tmp_path / "out", *FEW, "--resume") == 2
+    assert "expected an earlier output to replace" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["two"]
+
+
+READING = Reading(fov=60.0)
+FITTING = Fitting(iterations=1, refine_normals="off")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene folder with everything that can be in one, and its result beside."""
+    folder = tmp_path_factory.mktemp("whole")
+    scene = make_scene("room", size=SIZE, lights=4, held_out=2)
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[3] = False
+    weights = np.linspace(1, 2, scene.images[..., 0].size).reshape(scene.images.shape[:3])
+    replace(scene, mask=mask, weights=weights.astype(np.float32)).save(folder / "scene")
+    write_weights(folder / "scene" / "weights.exr", weights.astype(np.float32), scene.names)
+    assert scene.truth is not None
+    assert scene.truth.lighting is not None
+    Lighting(scene.names, scene.truth.lighting).save(folder / "scene" / "lighting.json")
+    decompose_scene(SceneTask(folder / "scene", folder / "out", READING, FITTING), 0)
+    return folder
+
+
+@pytest.fixture
+def result(whole: Path, tmp_path: Path) -> Path:
+    shutil.copytree(whole, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def is_kept(folder: Path, reading: Reading = READING, fitting: Fitting = FITTING) -> bool:
+    return kept(folder / "out", folder / "scene", reading, fitting) is not None
+
+
+def test_an_unchanged_scene_is_kept_wherever_it_lies(result: Path) -> None:
+    assert is_kept(result)
+    for path in result.rglob("*"):
+        os.utime(path, (1, 1))
+    (result / "scene" / "notes.txt").write_text("not read")
+    (result / "scene").rename(result / "elsewhere")
+    assert kept(result / "out", result / "elsewhere", READING, FITTING) is not None
+
+
+def test_the_files_that_are_looked_at_are_those_that_are_read(whole: Path) -> None:
+    inputs = Scene.load(whole / "scene").inputs
+    assert scene_folder.digests(whole / "scene") == inputs
+    assert {"mask.png", "normals.exr", "weights.exr", "segments.png", "lighting.json"} < set(inputs)
+    assert {"scene.toml", "truth/materials.exr", "truth/relight/lighting.json"} < set(inputs)
+
+
+FILES_OF_A_SCENE = (
+    *("images/light_01.exr", "mask.png", "normals.exr", "weights.exr", "segments.png"),
+    *("lighting.json", "scene.toml", "truth/materials.exr", "truth/lighting.json"),
+    *("truth/relight/lighting.json", "truth/relight/relight_00.exr"),
+)
+
+
+@pytest.mark.parametrize("name", FILES_OF_A_SCENE)
+@pytest.mark.parametrize("what", ["changed", "gone"])
+def test_a_scene_that_changed_is_done_again(result: Path, name: str, what: str) -> None:
+    path = result / "scene" / name
+    content = bytearray(path.read_bytes())
+    path.unlink()
+    if what == "changed":
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+    assert not is_kept(result)
+
+
+@pytest.mark.parametrize("name", FILES_OF_A_SCENE)
+def test_a_part_that_came_is_noticed(result: Path, name: str) -> None:
+    """As of a scene whose result was made before the part was there."""
+    file = result / "out" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    del content["inputs"][name]
+    file.write_text(json.dumps(content), "utf-8")
+    assert not is_kept(result)
+
+
+@pytest.mark.parametrize(
+    "reading",
+    [
+        Reading(fov=61.0),
+        Reading(fov=None),  # the folder says another one
+        Reading(fov=60.0, color_space="linear"),
+        Reading(fov=60.0, max_size=SIZE),  # it is of this size, but others may come
+        Reading(fov=60.0, code_range=(0, 255)),
+    ],
+)
+def test_read_in_another_way_is_done_again(result: Path, reading: Reading) -> None:
+    assert not is_kept(result, reading)
+
+
+OTHERWISE: dict[str, Any] = {
+    "solver": "lbfgsb",
+    "iterations": 2,
+    "time_limit": 9.0,
+    "sh_order": 2,
+    "metallic": 0.0,
+    "mono_light": True,
+    "priors": Priors.none(),
+    "robust": "huber",
+    "equal_exposures": True,
+    "refine_normals": "on",
+    "seed": 1,
+}
+
+
+@pytest.mark.parametrize("name", OTHERWISE)
+def test_fitted_in_another_way_is_done_again(result: Path, name: str) -> None:
+    assert not is_kept(result, fitting=replace(FITTING, **{name: OTHERWISE[name]}))
+
+
+def test_a_result_says_what_was_asked_for() -> None:
+    scene = make_scene("room", size=8, lights=4)
+    fitting = Fitting(**{**OTHERWISE, "iterations": 1, "refine_normals": "auto"})
+    assert fitting.fit(scene, 0, lambda _: None).options == fitting.options()
+
+
+@pytest.mark.parametrize("name", [*FILES, "result.json"])
+@pytest.mark.parametrize("what", ["cut", "gone"])
+def test_a_result_that_is_not_whole_is_made_again(result: Path, name: str, what: str) -> None:
+    path = result / "out" / name
+    content = path.read_bytes()
+    path.unlink()
+    if what == "cut":
+        path.write_bytes(content[:-9])
+    assert not is_kept(result)
+
+
+@pytest.mark.parametrize("key", ["version", "files", "scene", "inputs", "options", "uncertainty"])
+def test_a_result_of_another_version_is_made_again(result: Path, key: str) -> None:
+    file = result / "out" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    content[key] = "0.0.1" if key == "version" else None
+    file.write_text(json.dumps(content), "utf-8")
+    assert not is_kept(result)
+    for strange in ("[]", "3", "", "{}", '{"version": 1'):
+        file.write_text(strange, "utf-8")
+        assert not is_kept(result)
+
+
+# The place
+
+
+def test_two_batches_do_not_write_to_one_place(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    with place.of_batch(out) as temporaries:
+        (temporaries / "half").mkdir()
+        assert run("decompose", folder, "--out", out, *FEW, "--resume") == 2
+        assert capsys.readouterr().err == (
+            f"pbrfit: {out}: expected no other batch that writes there, found one at work\n"
+        )
+        assert (temporaries / "half").is_dir()
+    assert not out.exists()
+    assert run("decompose", folder, "--out", out, *FEW, "--quiet") == 0
+
+
+def test_what_a_killed_batch_left_is_removed_and_what_it_took_away_put_back(
+    folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    assert run("decompose", folder, "--out", out, *FEW, "--quiet") == 0
+    left = out / ".pbrfit"
+    (left / "1234").mkdir(parents=True)
+    (left / "1234" / "materials.exr").touch()
+    (left / "5678-old").mkdir()
+    (out / "two").rename(left / "5678-old" / "two")  # between two renames
+    (left / "lock").touch()
+    before = marks(out)
+    assert run("decompose", folder, "--out", out, *FEW, "--quiet", "--resume") == 0
+    after = marks(out)
+    assert after.pop("two")
+    assert after == before
+    assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
+
+
+def test_an_output_that_cannot_be_made_shows_before_the_work(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".pbrfit").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "out", tmp_path / "out"):
+        assert run("decompose", folder, "--out", out, "--iterations", 10**9, "--jobs", 2) == 2
+        assert str(out) in capsys.readouterr().err
+
+
+def test_a_scene_that_is_no_longer_wanted_is_given_up(folder: Path, tmp_path: Path) -> None:
+    """Workers of a cluster outlive the batch; what they wait for is the folder it removes."""
+    temporaries = tmp_path / "out" / ".pbrfit"
+    temporaries.mkdir(parents=True)
+    told = 0
+
+    def show(_: object) -> None:
+        nonlocal told
+        told += 1
+        time.sleep(0.001)  # a thousand of them take longer than it takes to look
+        if told == 1:
+            shutil.rmtree(temporaries)
+        if told > 1000:
+            raise AssertionError("it went on")
+
+    task = SceneTask(
+        folder / "one",
+        tmp_path / "out" / "one",
+        Reading(),
+        Fitting(iterations=10**6, refine_normals="off", solver="lbfgsb"),
+        temporaries=temporaries,
+    )
+    with pytest.raises(OSError, match="which a running batch has and all its workers see"):
+        decompose_scene(replace(task), 0, show)
+    assert not (tmp_path / "out" / "one").exists()
+
+
+# Memory
+
+
+def as_it_is(_: Path) -> None:
+    pass
+
+
+def of_grey(folder: Path) -> None:
+    for path in (folder / "images").iterdir():
+        plane = images.read_channels(path)["G"]
+        images.write_exr(path, dict.fromkeys("RGB", plane))
+
+
+def half_masked(folder: Path) -> None:
+    mask = np.zeros((SIZE, SIZE), np.uint8)
+    mask[: SIZE // 2] = 255
+    images.write_png(folder / "mask.png", mask, tag=None)
+
+
+@pytest.mark.parametrize("spoil", [as_it_is, of_grey, half_masked])
+@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("max_size", [None, 9])
+def test_memory_is_predicted_as_inspect_does(
+    tmp_path: Path, spoil: Callable[[Path], None], form: str, max_size: int | None
+) -> None:
+    if form != "float EXR" and spoil is of_grey:
+        pytest.skip("one format tells it")
+    folder = write_folder(tmp_path / "scene", form)
+    spoil(folder)
+    scene = Scene.load(folder, max_size=max_size)
+    told = memory.of_fit(scene, Layout.of(scene), "auto", refine_normals=True).peak
+    predicted = of_scene(folder, Reading(max_size=max_size), Fitting()).peak
+    reading = 48 * SIZE * SIZE
+    if spoil is as_it_is and form == "float EXR":
+        assert told <= predicted <= max(1.02 * told, reading)
+    else:
+        assert told <= predicted
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_sizes_are_read_without_the_picture(
+    tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    suffix, write, _, _ = FORMATS[form]
+    path = tmp_path / f"a{suffix}"
+    write(path, room().images[0][:, :7])
+
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("it was decoded")
+
+    monkeypatch.setattr(images, "read_picture", fail)
+    assert picture_size(path) == (SIZE, 7)
+
+
+def test_scenes_wait_for_memory(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More processes than there is room for: then they are not all used at once."""
+    needed = scenes.memory_of(SceneTask(folder / "one", tmp_path, Reading(), Fitting()))
+    assert needed > scenes.LIBRARIES_BYTES
+    monkeypatch.setattr(memory, "available", lambda: 0)
+    arguments = ("decompose", folder, "--out", tmp_path / "out", *FEW, "--quiet", "--jobs", 3)
+    assert run(*arguments) == 0
+    assert all((tmp_path / "out" / name / CONTAINS[0]).exists() for name in NAMES)
+    seconds = [
+        (path.stat().st_mtime - Result.load(path.parent).seconds, path.stat().st_mtime)
+        for path in (tmp_path / "out").glob("*/result.json")
+    ]
+    seconds.sort()
+    assert all(end <= begin for (_, end), (begin, _) in pairwise(seconds))
+
+
+def test_what_cannot_be_read_needs_no_memory(tmp_path: Path) -> None:
+    assert scenes.memory_of(SceneTask(tmp_path / "no", tmp_path, Reading(), Fitting())) == 0

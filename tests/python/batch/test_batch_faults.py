@@ -1,0 +1,247 @@
+"""What a batch loses when something goes wrong at the worst moment: nothing.
+
+Faults that take whole batches of processes are in `tests/reliability/`.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import AbstractContextManager
+from multiprocessing import util
+from pathlib import Path
+
+import pytest
+from test_evaluation import alive, until
+
+from pbrfit.batch import place
+from pbrfit.batch.executors import Processes
+from pbrfit.io.output import new_folder
+from pbrfit.result.result import CONTAINS
+from scene_files import run, write_folder
+
+FEW = ("--iterations", 2, "--refine-normals", "off")
+
+
+def result_folder(path: Path, word: str) -> Path:
+    """What looks like a result."""
+    path.mkdir(parents=True)
+    for name in CONTAINS:
+        (path / name).write_text(word)
+    return path
+
+
+def set_aside(temporaries: Path, result: Path) -> None:
+    """As a worker leaves it that is killed between the two renames of `new_folder`."""
+    (temporaries / "1234").mkdir()
+    (temporaries / "1234" / "result.json").write_text("new")
+    (temporaries / "1234-old").mkdir()
+    result.rename(temporaries / "1234-old" / result.name)
+
+
+def test_a_worker_that_ends_between_two_renames_loses_no_result(tmp_path: Path) -> None:
+    """Told to end, a batch kills its workers whatever they are doing."""
+    old = result_folder(tmp_path / "out" / "one", "old")
+    with place.of_batch(tmp_path / "out") as temporaries:
+        set_aside(temporaries, old)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
+    assert (old / "result.json").read_text() == "old"
+
+
+def test_of_one_output_too(tmp_path: Path) -> None:
+    old = result_folder(tmp_path / "out", "old")
+    with place.of_one(old) as temporaries:
+        set_aside(temporaries, old)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (old / "result.json").read_text() == "old"
+
+
+def test_what_has_a_new_result_in_its_place_is_not_put_back(tmp_path: Path) -> None:
+    old = result_folder(tmp_path / "out" / "one", "old")
+    with place.of_batch(tmp_path / "out") as temporaries:
+        set_aside(temporaries, old)
+        result_folder(old, "new")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
+    assert (old / "result.json").read_text() == "new"
+
+
+def test_what_a_straggler_sets_aside_meanwhile_is_put_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker may outlive a batch that was killed, and replace its result while all is cleared."""
+    old = result_folder(tmp_path / "out" / "one", "old")
+    aside = tmp_path / "out" / ".pbrfit" / "1234-old"
+    aside.mkdir(parents=True)
+    looked = Path.iterdir
+    told: list[Path] = []
+
+    def iterdir(folder: Path) -> object:
+        found = list(looked(folder))
+        if folder == aside and not told:
+            told.append(folder)
+            old.rename(aside / "one")
+        return iter(found)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    with place.of_batch(tmp_path / "out"):
+        assert (old / "result.json").read_text() == "old"
+    assert told
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
+
+
+def test_what_cannot_be_put_back_stays_for_the_next_batch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = result_folder(tmp_path / "out" / "one", "old")
+    with monkeypatch.context() as patched, place.of_batch(tmp_path / "out") as temporaries:
+        set_aside(temporaries, old)
+
+        def rename(*_: object) -> None:
+            raise PermissionError
+
+        patched.setattr(Path, "rename", rename)
+    assert (temporaries / "1234-old" / "one" / "result.json").read_text() == "old"
+    with place.of_batch(tmp_path / "out"):
+        assert (old / "result.json").read_text() == "old"
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
+
+
+def test_the_end_of_a_batch_leaves_the_next_one_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another may begin as soon as the lock is gone, before the folder is."""
+    out = tmp_path / "out"
+    unlinked = Path.unlink
+    began: list[AbstractContextManager[Path]] = []
+
+    def unlink(path: Path, missing_ok: bool = False) -> None:
+        unlinked(path, missing_ok)
+        if path.name == place.LOCK and not began:
+            other = place.of_batch(out)
+            began.append(other)
+            (other.__enter__() / "half").mkdir()
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", unlink)
+        with place.of_batch(out):
+            pass
+    if sys.platform != "win32":  # no flock there
+        with pytest.raises(FileExistsError, match="found one at work"), place.of_batch(out):
+            pass
+    assert (out / place.NAME / "half").is_dir()
+    began[0].__exit__(None, None, None)
+    assert not list(out.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_result_that_is_a_link_is_replaced_where_it_lies(tmp_path: Path) -> None:
+    """Perhaps on another file system, where nothing can be renamed to."""
+    out, elsewhere = tmp_path / "out", result_folder(tmp_path / "elsewhere" / "other", "old")
+    out.mkdir()
+    (out / "one").symlink_to(elsewhere)
+    with place.of_batch(out) as temporaries:
+        replacing = new_folder(
+            out / "one", overwrite=True, contains=CONTAINS, temporaries=temporaries
+        )
+        with replacing as folder:
+            assert folder.parent == elsewhere.parent
+            (folder / "result.json").write_text("new")
+    assert (out / "one").is_symlink()
+    assert (elsewhere / "result.json").read_text() == "new"
+    assert [path.name for path in elsewhere.parent.iterdir()] == ["other"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="rights are of another kind there")
+def test_a_scene_that_may_not_be_read_is_not_passed_over(tmp_path: Path) -> None:
+    scenes, closed = tmp_path / "scenes", tmp_path / "scenes" / "two"
+    for name in ("one", "two"):
+        write_folder(scenes / name)
+    (scenes / "lost+found").mkdir()
+    arguments = ["decompose", scenes, "--out", tmp_path / "out", *FEW, "--quiet"]
+    command = [sys.executable, "-m", "pbrfit", *map(str, arguments)]
+    if os.getuid() == 0:  # who may read all, unless that right is given up
+        if shutil.which("setpriv") is None:
+            pytest.skip("no setpriv")
+        command = ["setpriv", "--bounding-set", "-all", "--inh-caps", "-all", *command]
+        for path in (closed, scenes / "lost+found"):
+            os.chown(path, 65534, 65534)
+    for path in (closed, scenes / "lost+found"):
+        path.chmod(0o700 if os.getuid() == 0 else 0)
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    closed.chmod(0o755)
+    assert found.returncode == 1
+    assert found.stderr == (
+        f"pbrfit: {closed / 'images'}: Permission denied\npbrfit: 1 of 2 scenes failed: {closed}\n"
+    )
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
+
+
+def test_a_folder_of_the_file_system_is_no_scene(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_folder(tmp_path / "scenes" / "one")
+    (tmp_path / "scenes" / "lost+found" / "images").mkdir(parents=True)
+    assert run("decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW, "--quiet") == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize("how", ["full", "closed"])
+def test_a_batch_goes_on_where_nobody_can_be_told_of_a_failure(tmp_path: Path, how: str) -> None:
+    """Its messages go to a disk that is full, or nowhere."""
+    for name in ("one", "two"):
+        write_folder(tmp_path / "scenes" / name)
+    (tmp_path / "scenes" / "one" / "normals.exr").unlink()
+    arguments = ["decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW, "--json"]
+    with Path("/dev/full").open("w") as full:
+        found = subprocess.run(
+            [sys.executable, "-m", "pbrfit", *map(str, arguments), "--quiet"],
+            stdout=subprocess.PIPE,
+            stderr=full,
+            text=True,
+            check=False,
+            preexec_fn=(lambda: os.close(2)) if how == "closed" else None,
+        )
+    assert found.returncode == 1
+    assert [json.loads(line)["status"] for line in found.stdout.splitlines()] == ["failed", "done"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["two"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
+def test_a_signal_while_a_worker_starts_waits_until_somebody_knows_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Another thread gets it, though this one has blocked it."""
+    over = threading.Event()
+    other = threading.Thread(target=over.wait)
+    other.start()
+    processes: list[int] = []
+    spawn = util.spawnv_passfds
+
+    def spawn_and_tell(path: bytes, arguments: list[bytes], files: list[int]) -> int:
+        process: int = spawn(path, arguments, files)
+        if any(b"spawn_main" in os.fsencode(one) for one in arguments):
+            processes.append(process)
+            signal.pthread_kill(other.ident or 0, signal.SIGINT)
+            for _ in range(100):
+                time.sleep(0.001)  # here Python would raise
+        return process
+
+    monkeypatch.setattr(util, "spawnv_passfds", spawn_and_tell)
+    workers = Processes(2)
+    pool = workers.start()
+    with pytest.raises(KeyboardInterrupt):
+        pool.submit(os.getpid)
+    over.set()
+    known = [process.pid for process in multiprocessing.active_children()]
+    assert len(processes) == 1
+    assert set(processes) <= set(known)
+    workers.stop()
+    until(lambda: not any(alive(process) for process in processes))

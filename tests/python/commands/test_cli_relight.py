@@ -1,0 +1,598 @@
+"""`pbrfit relight`: what it writes and says, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from numpy.typing import NDArray
+from PIL import Image, ImageSequence
+
+from pbrfit import DirectionalLight, Result, relight
+from pbrfit.commands.arguments import with_signed_values
+from pbrfit.io import display, images
+from pbrfit.io.relit_files import ANIMATIONS, write_animation
+from pbrfit.model import panorama
+from pbrfit.model.lighting import Lighting, rotated
+from relit import ball, fitted, side_lit
+from scene_files import run, write_exr, write_folder, write_hdr
+
+Array = NDArray[np.floating[Any]]
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the result folders `room` and `ball`, the latter with a mask."""
+    folder = tmp_path_factory.mktemp("results")
+    made = fitted()
+    made.save(folder / "room")
+    ball(made).save(folder / "ball")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def room(folders: Path) -> Path:
+    return folders / "room"
+
+
+def exr(path: Path) -> Array:
+    return images.read_picture(path).pixels
+
+
+def sky(height: int = 16) -> Array:
+    """A panorama with a lamp right of the centre over a dim sky."""
+    pixels = np.full((height, 2 * height, 3), 0.1)
+    pixels[height // 2 - 1 : height // 2 + 1, 3 * height // 2 - 1 : 3 * height // 2 + 1] = 40.0
+    return pixels
+
+
+@pytest.fixture
+def pano(tmp_path: Path) -> Path:
+    write_exr(tmp_path / "pano.exr", sky())
+    return tmp_path / "pano.exr"
+
+
+def said(text: str) -> dict[str, str]:
+    """Topic to sentence of what was printed."""
+    return {line[:12].strip(): line[12:] for line in text.splitlines()}
+
+
+def test_a_hard_light_as_linear_exr(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "out.exr"
+    assert run("relight", room, "--light", "30,40", "--color", "1,0.5,2", "--out", out) == 0
+    expected = relight(Result.load(room), DirectionalLight(30, 40, (1, 0.5, 2)))
+    np.testing.assert_array_equal(exr(out), expected.astype(np.float32))
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    facts = said(captured.out)
+    assert facts["light"] == "hard, from azimuth 30, elevation 40, color 1, 0.5, 2"
+    assert facts["written"] == f"{out}: 16 × 16, linear Rec.709, float32"
+    assert [path.name for path in out.parent.iterdir()] == ["out.exr"]
+    header = OpenEXR.File(str(out)).header()
+    np.testing.assert_allclose(np.ravel(header["chromaticities"])[:2], [0.64, 0.33], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("spelling", "azimuth", "elevation"),
+    [
+        (("--light", "-40,30"), -40, 30),
+        (("--light=-40,30",), -40, 30),
+        (("--light", "40,-30"), 40, -30),
+        (("--light", "-.5,-1e1"), -0.5, -10),
+        (("--light", " -40, 30"), -40, 30),
+    ],
+)
+def test_negative_angles_in_all_spellings(
+    room: Path, tmp_path: Path, spelling: tuple[str, ...], azimuth: float, elevation: float
+) -> None:
+    out = tmp_path / "out.exr"
+    assert run("relight", room, *spelling, "--out", out, "--quiet") == 0
+    expected = relight(Result.load(room), DirectionalLight(azimuth, elevation))
+    np.testing.assert_array_equal(exr(out), expected.astype(np.float32))
+
+
+@pytest.mark.parametrize("spelling", [("--rotate", "-90"), ("--rotate=-90",), ("--rotate", "-9e1")])
+def test_a_panorama_turned(
+    folders: Path,
+    pano: Path,
+    tmp_path: Path,
+    spelling: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    # The lamp is at +X; turned by −90 it is at +Z, in front.
+    out, turned = tmp_path / "out.exr", tmp_path / "turned.exr"
+    assert run("relight", folders / "ball", "--env", pano, "--out", out) == 0
+    assert "turned by" not in capsys.readouterr().out
+    assert run("relight", folders / "ball", "--env", pano, *spelling, "--out", turned) == 0
+    assert "turned by -90 degrees" in capsys.readouterr().out
+    assert side_lit(exr(out)) == "right"
+    assert side_lit(exr(turned)) == "front"
+    expected = relight(Result.load(folders / "ball"), panorama.project(sky(), -90))
+    np.testing.assert_allclose(
+        exr(turned), np.nan_to_num(expected), rtol=0, atol=1e-6 * np.nanmax(expected)
+    )
+
+
+def test_what_a_projection_loses_is_said(
+    room: Path, pano: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.png"
+    assert run("relight", room, "--env", pano, "--out", out) == 0
+    facts = said(capsys.readouterr().out)
+    projected = panorama.project(sky())
+    lost = 100 * panorama.lost_energy(sky(), projected)
+    assert lost > 50
+    assert facts["projection"].startswith(f"loses {lost:.1f} % of the light's energy")
+    assert "highlights do" in facts["projection"]
+    assert "--light" in facts["projection"]
+    assert f"the projected light falls to {panorama.darkest(projected):.3g}," in facts["ringing"]
+    assert "--window lanczos lessens, nonnegative ends" in facts["ringing"]
+    arguments = ("--window", "nonnegative", "--overwrite")
+    assert run("relight", room, "--env", pano, "--out", out, *arguments) == 0
+    facts = said(capsys.readouterr().out)
+    assert "ringing" not in facts
+    assert facts["window"].startswith("nonnegative, which blurs the light: its least radiance ")
+    write_exr(tmp_path / "even.exr", np.ones((8, 16, 3)))
+    assert run("relight", room, "--env", tmp_path / "even.exr", "--out", out, "--overwrite") == 0
+    facts = said(capsys.readouterr().out)
+    assert facts["projection"].startswith("loses 0.0 %")
+    assert "--light" not in facts["projection"]
+    assert "ringing" not in facts
+
+
+def test_windows_change_the_picture_as_the_library_does(
+    room: Path, pano: Path, tmp_path: Path
+) -> None:
+    plain = panorama.project(sky())
+    for window in panorama.WINDOWS:
+        out = tmp_path / f"{window}.exr"
+        assert run("relight", room, "--env", pano, "--window", window, "--out", out, "--quiet") == 0
+        expected = relight(Result.load(room), panorama.windowed(plain, window))
+        np.testing.assert_allclose(exr(out), expected, rtol=0, atol=1e-6 * expected.max())
+    assert not np.array_equal(exr(tmp_path / "none.exr"), exr(tmp_path / "lanczos.exr"))
+
+
+def test_radiance_hdr_panoramas_are_read(room: Path, tmp_path: Path) -> None:
+    write_hdr(tmp_path / "pano.hdr", sky())
+    out = tmp_path / "out.exr"
+    assert run("relight", room, "--env", tmp_path / "pano.hdr", "--out", out, "--quiet") == 0
+    expected = relight(Result.load(room), panorama.project(sky()))
+    np.testing.assert_allclose(exr(out), expected, rtol=0, atol=1e-2 * expected.max())
+
+
+def test_the_light_of_a_picture_gives_its_reconstruction(room: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.exr"
+    light = ("--sh", room / "lighting.json", "--picture", "light_01")
+    assert run("relight", room, *light, "--out", out, "--quiet") == 0
+    result = Result.load(room)
+    expected = relight(result, result.lighting[1])
+    np.testing.assert_array_equal(exr(out), expected.astype(np.float32))
+    assert run("relight", room, *light, "--rotate", 90, "--out", out, "--overwrite", "--quiet") == 0
+    turned = relight(result, rotated(result.lighting[1], 90))
+    np.testing.assert_array_equal(exr(out), turned.astype(np.float32))
+    Lighting(("one",), result.lighting[:1]).save(tmp_path / "one.json")
+    arguments = ("--sh", tmp_path / "one.json", "--out", out, "--overwrite", "--quiet")
+    assert run("relight", room, *arguments) == 0
+    np.testing.assert_array_equal(exr(out), relight(result, result.lighting[0]).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("exposure", "tone_map"), [(0.0, "none"), (-1.5, "none"), (2.0, "neutral")]
+)
+def test_png_is_encoded_for_a_screen_and_says_so(
+    room: Path, tmp_path: Path, exposure: float, tone_map: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.png"
+    arguments = ("--exposure", exposure, "--tone-map", tone_map)
+    assert run("relight", room, "--light", "20,30", *arguments, "--out", out) == 0
+    radiance = relight(Result.load(room), DirectionalLight(20, 30))
+    shown = np.rint(255 * display.encoded(radiance, exposure, tone_map))  # type: ignore[arg-type]
+    with Image.open(out) as picture:
+        assert picture.mode == "RGB"
+        assert "srgb" in picture.info
+        np.testing.assert_array_equal(np.asarray(picture), shown)
+    facts = said(capsys.readouterr().out)
+    clipped = 100 * np.mean((shown == 255).any(axis=-1))
+    assert facts["shown"].startswith(
+        f"exposure {exposure:g} EV, tone map {tone_map}; {clipped:.1f} % of the pixels are clipped"
+    )
+    assert facts["written"] == f"{out}: 16 × 16, sRGB, 8 bits"
+
+
+def test_another_exposure_is_suggested_where_little_can_be_seen(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def hint(*arguments: str | float) -> str:
+        out = tmp_path / "out.png"
+        assert run("relight", room, *arguments, "--out", out, "--overwrite") == 0
+        return said(capsys.readouterr().out).get("hint", "")
+
+    light = ("--light", "0,20", "--color")
+    assert hint(*light, "1,1,1") == ""
+    dark = hint(*light, "1e-6,1e-6,1e-6")
+    assert dark.startswith("little can be seen; try --exposure ")
+    assert hint(*light, "1e-6,1e-6,1e-6", "--exposure", dark.split()[-1]) == ""
+    bright = hint(*light, "1e9,1e9,1e9")
+    assert float(bright.split()[-1]) < 0
+    assert hint(*light, "1e9,1e9,1e9", "--exposure", bright.split()[-1]) == ""
+    assert hint(*light, "0,0,0") == "no light reaches the surfaces that the camera sees"
+
+
+def test_outside_the_mask_is_transparent(folders: Path, tmp_path: Path) -> None:
+    mask = Result.load(folders / "ball").mask
+    light = ("--light", "20,30", "--quiet")
+    assert run("relight", folders / "ball", *light, "--out", tmp_path / "out.exr") == 0
+    channels = images.read_channels(tmp_path / "out.exr")
+    assert set(channels) == {"R", "G", "B", "A"}
+    np.testing.assert_array_equal(channels["A"], mask)
+    for name in "RGB":
+        assert np.isfinite(channels[name]).all()
+        assert (channels[name][~mask] == 0).all()
+    for name in ("out.png", "out.webp", "out.gif", "turn.png"):
+        turntable = () if name == "out.png" else ("--turntable", 2)
+        assert run("relight", folders / "ball", *light, *turntable, "--out", tmp_path / name) == 0
+        with Image.open(tmp_path / name) as picture:
+            for frame in ImageSequence.Iterator(picture):
+                rgba = np.asarray(frame.convert("RGBA"))
+                np.testing.assert_array_equal(rgba[..., 3], 255 * mask)
+                if name.endswith(".png"):
+                    assert (rgba[~mask] == 0).all()
+
+
+@pytest.mark.parametrize("suffix", ANIMATIONS)
+@pytest.mark.parametrize("shape", ["rectangle", "two pixels", "all but one"])
+def test_animations_keep_masks_of_any_shape(tmp_path: Path, suffix: str, shape: str) -> None:
+    mask = np.full((12, 17), shape == "all but one")
+    if shape == "rectangle":
+        mask[3:9, 4:11] = True
+    elif shape == "two pixels":
+        mask[2, 3] = mask[9, 12] = True
+    else:
+        mask[5, 5] = False
+    frames = np.zeros((3, 12, 17, 4), np.uint8)
+    frames[..., :3] = np.arange(17)[:, None] * [14, 10, 3] + np.arange(3)[:, None, None, None]
+    frames[..., 3] = 255
+    frames[:, ~mask] = 0
+    write_animation(tmp_path / "out", suffix, iter(frames), 10)
+    with Image.open(tmp_path / "out") as picture:
+        for frame, expected in zip(ImageSequence.Iterator(picture), frames, strict=True):
+            found = np.asarray(frame.convert("RGBA"))
+            np.testing.assert_array_equal(found[..., 3], 255 * mask)
+            if suffix != ".gif":
+                np.testing.assert_array_equal(found[mask], expected[mask])
+
+
+def test_float32_holds_no_infinity(room: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.exr"
+    light = ("--light", "0,20", "--color", "1e200,1,1", "--quiet")
+    assert run("relight", room, *light, "--out", out) == 0
+    assert np.isfinite(exr(out)).all()
+    assert exr(out).max() == np.finfo(np.float32).max
+
+
+def test_values_with_a_minus_sign_are_tied_to_their_options() -> None:
+    tied = with_signed_values(["relight", "-1", "--light", "-40,30", "--quiet", "-2", "--rotate"])
+    assert tied == ["relight", "-1", "--light=-40,30", "--quiet", "-2", "--rotate"]
+    # What is no number, is tied already, or comes after -- stays as it is.
+    for untouched in (
+        ["--light", "-x"],
+        ["--light=-1,2", "-3"],
+        ["--light", "--rotate", "5"],
+        ["--", "--light", "-1,2"],
+    ):
+        assert with_signed_values(untouched) == untouched
+
+
+# Turntables
+
+
+def test_frames_in_a_folder(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "frames"
+    assert run("relight", room, "--light", "-30,20", "--turntable", 5, "--out", out) == 0
+    assert sorted(path.name for path in out.iterdir()) == [f"frame_000{k}.exr" for k in range(5)]
+    result = Result.load(room)
+    for k in range(5):
+        expected = relight(result, DirectionalLight(-30 + 360 * k / 5, 20))
+        np.testing.assert_array_equal(exr(out / f"frame_000{k}.exr"), expected.astype(np.float32))
+    facts = said(capsys.readouterr().out)
+    assert facts["written"].startswith(f"{out}: 16 × 16, 5 frames, 72 degrees apart")
+    assert run("relight", room, "--light", "-30,20", "--turntable", 3, "--out", out) == 2
+    again = ("--turntable", 3, "--out", out, "--overwrite", "--quiet")
+    assert run("relight", room, "--light", "-30,20", *again) == 0
+    assert len(list(out.iterdir())) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["frames"]
+
+
+@pytest.mark.parametrize("source", ["env", "sh"])
+def test_a_frame_is_the_picture_under_the_turned_light(
+    room: Path, pano: Path, tmp_path: Path, source: str
+) -> None:
+    light: tuple[str | Path, ...] = ("--env", pano)
+    if source == "sh":
+        light = ("--sh", room / "lighting.json", "--picture", "light_02")
+    out = tmp_path / "frames"
+    assert run("relight", room, *light, "--turntable", 4, "--out", out, "--quiet") == 0
+    for k in range(4):
+        one = tmp_path / f"{k}.exr"
+        assert run("relight", room, *light, "--rotate", 360 * k / 4, "--out", one, "--quiet") == 0
+        expected = exr(one)
+        np.testing.assert_allclose(
+            exr(out / f"frame_000{k}.exr"), expected, rtol=0, atol=1e-6 * np.abs(expected).max()
+        )
+
+
+@pytest.mark.parametrize(("suffix", "kind"), [(".webp", "WEBP"), (".png", "PNG"), (".gif", "GIF")])
+def test_animations(room: Path, tmp_path: Path, suffix: str, kind: str) -> None:
+    out, folder = tmp_path / f"out{suffix}", tmp_path / "frames"
+    light = ("--light", "10,20", "--turntable", 6, "--exposure", -0.5, "--quiet")
+    assert run("relight", room, *light, "--fps", 20, "--out", out) == 0
+    assert run("relight", room, *light, "--format", "png", "--out", folder) == 0
+    frames = sorted(folder.iterdir())
+    assert [path.name for path in frames] == [f"frame_000{k}.png" for k in range(6)]
+    with Image.open(out) as picture:
+        assert picture.format == kind
+        assert picture.n_frames == 6  # type: ignore[attr-defined]
+        for path, frame in zip(frames, ImageSequence.Iterator(picture), strict=True):
+            found = np.asarray(frame.convert("RGB"), dtype=np.int64)
+            assert frame.info["loop"] == 0
+            assert frame.info["duration"] == 50
+            expected = np.asarray(Image.open(path), dtype=np.int64)
+            if suffix == ".gif":
+                assert np.abs(found - expected).max() < 16  # 256 colours for 256 pixels
+            else:
+                np.testing.assert_array_equal(found, expected)
+    assert out.stat().st_mode & 0o777 == (folder / "frame_0000.png").stat().st_mode & 0o777
+
+
+# Refusals
+
+
+def refused(capsys: pytest.CaptureFixture[str]) -> str:
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("pbrfit")
+    assert captured.err.count("\n") == 1
+    assert "Traceback" not in captured.err
+    return captured.err
+
+
+def two_lights(path: Path) -> Path:
+    Lighting(("left", "right"), np.zeros((2, 16, 3))).save(path)
+    return path
+
+
+def of_order_2(path: Path) -> Path:
+    content = json.loads(two_lights(path).read_text())
+    path.write_text(json.dumps({**content, "order": 2}))
+    return path
+
+
+def of_9_coefficients(path: Path) -> Path:
+    content = json.loads(two_lights(path).read_text())
+    lights = [light[:9] for light in content["coefficients"]]
+    path.write_text(json.dumps({**content, "coefficients": lights}))
+    return path
+
+
+def ragged(path: Path) -> Path:
+    content = json.loads(two_lights(path).read_text())
+    content["coefficients"][0].pop()
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "message"),
+    [
+        (two_lights, (), "expected --picture NAME, because it holds 2 lights: left, right"),
+        (two_lights, ("--picture", "up"), "expected a light of up (--picture), found left, right"),
+        (of_order_2, (), "of order 3, found"),
+        (of_9_coefficients, (), "expected coefficients of shape (2, 16, 3)"),
+        (ragged, (), "expected JSON with basis, order, pictures and coefficients"),
+    ],
+)
+def test_unusable_sh_files(
+    room: Path,
+    tmp_path: Path,
+    make: Any,
+    arguments: tuple[str, ...],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = make(tmp_path / "light.json")
+    assert run("relight", room, "--sh", path, *arguments, "--out", tmp_path / "out.exr") == 2
+    text = refused(capsys)
+    assert str(path) in text
+    assert message in text
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("pixels", "message"),
+    [
+        (np.ones((8, 8, 3)), "expected a panorama twice as wide as high (equirectangular)"),
+        (np.where(np.arange(128).reshape(8, 16, 1) == 19, np.nan, np.ones(3)), "found NaN"),
+        (np.where(np.arange(128).reshape(8, 16, 1) == 19, -1, np.ones(3)), "negative radiance"),
+        (np.ones((1, 2, 3)), "expected a panorama of 14 × 7 pixels or more, found 2 × 1"),
+    ],
+)
+def test_unusable_panoramas(
+    room: Path,
+    tmp_path: Path,
+    pixels: Array,
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write_exr(tmp_path / "pano.exr", pixels)
+    out = tmp_path / "out.png"
+    assert run("relight", room, "--env", tmp_path / "pano.exr", "--out", out) == 2
+    text = refused(capsys)
+    assert str(tmp_path / "pano.exr") in text
+    assert message in text
+    assert [path.name for path in tmp_path.iterdir()] == ["pano.exr"]
+
+
+def test_what_is_no_result_folder(
+    folders: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def message(path: Path) -> str:
+        assert run("relight", path, "--light", "0,0", "--out", tmp_path / "out.exr") == 2
+        text = refused(capsys)
+        assert f"{path}: expected a result folder, as pbrfit decompose writes it, found " in text
+        return text
+
+    assert "found nothing" in message(tmp_path / "absent")
+    (tmp_path / "file").write_text("")
+    assert "found a file" in message(tmp_path / "file")
+    scene = write_folder(tmp_path / "scene")
+    assert "found a scene folder: run pbrfit decompose" in message(scene)
+    assert f"found a folder of results: name one of them, such as {folders / 'ball'}" in message(
+        folders
+    )
+    (tmp_path / "empty").mkdir()
+    assert "found a folder without result.json and materials.exr" in message(tmp_path / "empty")
+    shutil.copytree(folders / "room", tmp_path / "damaged")
+    (tmp_path / "damaged" / "lighting.json").unlink()
+    assert "found one without lighting.json" in message(tmp_path / "damaged")
+    assert not (tmp_path / "out.exr").exists()
+
+
+def test_an_output_that_exists(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.png"
+    out.write_text("a picture that somebody made")
+    assert run("relight", room, "--light", "0,0", "--out", out) == 2
+    assert f"{out}: expected a file that does not exist yet" in refused(capsys)
+    assert out.read_text() == "a picture that somebody made"
+    assert run("relight", room, "--light", "0,0", "--out", out, "--overwrite", "--quiet") == 0
+    with Image.open(out) as picture:
+        assert picture.size == (16, 16)
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    (photos / "photo.jpg").write_text("another")
+    turntable = ("--light", "0,0", "--turntable", 2)
+    assert run("relight", room, *turntable, "--out", photos, "--overwrite") == 2
+    assert "expected an earlier output to replace" in refused(capsys)
+    (tmp_path / "folder.png").mkdir()
+    assert run("relight", room, "--light", "0,0", "--out", tmp_path / "folder.png") == 2
+    assert "expected a file or nothing, found a folder" in refused(capsys)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_what_is_read_is_not_overwritten(
+    room: Path, pano: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = pano.read_bytes()
+    assert run("relight", room, "--env", pano, "--out", pano, "--overwrite") == 2
+    assert "expected a file apart from the result's and the light's" in refused(capsys)
+    assert pano.read_bytes() == before
+    materials = (room / "materials.exr").read_bytes()
+    out = ("--out", room / "materials.exr", "--overwrite")
+    assert run("relight", room, "--light", "0,0", *out) == 2
+    assert "expected a file apart from the result's and the light's" in refused(capsys)
+    assert (room / "materials.exr").read_bytes() == materials
+    # Not as part of a folder of frames either.
+    frames = pano.parent
+    (frames / "frame_0000.exr").touch()
+    turn = ("--turntable", 2, "--out", frames, "--overwrite")
+    assert run("relight", room, "--env", pano, *turn) == 2
+    assert "expected a folder apart from the result's and the light's" in refused(capsys)
+    assert pano.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("out", "arguments", "message"),
+    [
+        ("out.exr", ("--exposure", 1), "--exposure: expected a file for a screen"),
+        ("out.exr", ("--tone-map", "neutral"), "--tone-map: expected a file for a screen"),
+        ("out", ("--turntable", 2, "--exposure", 1), "such as .png (--format png), found EXR"),
+        ("out.jpg", (), "expected a file that ends in .exr (linear) or .png (for a screen), found"),
+        ("out", (), "found no suffix; a folder needs --turntable N"),
+        ("out.gif", (), "found .gif; .gif needs --turntable N"),
+        ("out.exr", ("--turntable", 2), "a folder (no suffix), .gif, .webp or .png (animated)"),
+        ("out.png", ("--turntable", 0), "expected 1 or more, found 0"),
+        ("out.png", ("--rotate", 90), "--rotate: goes with --env or --sh"),
+        ("out.png", ("--window", "lanczos"), "--window: goes with --env"),
+        ("out.png", ("--picture", "a"), "--picture: goes with --sh"),
+        ("out.png", ("--format", "png"), "--format: goes with --turntable and a folder"),
+        ("out.png", ("--fps", 5), "--fps: goes with --turntable and .gif, .webp or .png"),
+        ("out.gif", ("--turntable", 2, "--fps", 51), "--fps: expected 1 to 50, found 51"),
+        ("out.png", ("--color", "1,1"), "expected R,G,B, finite numbers, found '1,1'"),
+        ("out.png", ("--color", "1,-1,1"), "color: expected three finite numbers, 0 or more"),
+        ("out.png", ("--color", "-1,1,1"), "color: expected three finite numbers, 0 or more"),
+        ("out.png", ("--exposure", "nan"), "expected a finite number, found 'nan'"),
+        ("out.png", ("--exposure", 101), "--exposure: expected -100 to 100 stops, found 101"),
+        ("out.png", ("--exposure", "-2e3"), "--exposure: expected -100 to 100 stops, found -2000"),
+        ("out.png", ("--sh", "x.json"), "not allowed with argument --light"),
+    ],
+)
+def test_wrong_usage(
+    room: Path,
+    tmp_path: Path,
+    out: str,
+    arguments: tuple[str | int, ...],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run("relight", room, "--light", "0,0", *arguments, "--out", tmp_path / out) == 2
+    assert message in refused(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("light", ["0", "0,0,0", "left,0", "nan,0", "inf,0", ""])
+def test_lights_that_are_no_angles(
+    room: Path, tmp_path: Path, light: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("relight", room, "--light", light, "--out", tmp_path / "out.png") == 2
+    assert f"expected AZIMUTH,ELEVATION, finite numbers, found {light!r}" in refused(capsys)
+
+
+def test_one_light_has_to_be_named(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("relight", room, "--out", tmp_path / "out.png") == 2
+    assert "one of the arguments --env --light --sh is required" in refused(capsys)
+
+
+def test_quiet_says_nothing(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("relight", room, "--light", "0,0", "--out", tmp_path / "out.png", "--quiet") == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_same_file_with_any_number_of_threads(room: Path, tmp_path: Path) -> None:
+    files = []
+    for threads in (1, 3):
+        out = tmp_path / f"{threads}.exr"
+        light = ("--light", "0,30", "--threads", threads, "--quiet")
+        assert run("relight", room, *light, "--out", out) == 0
+        files.append(out.read_bytes())
+    assert files[0] == files[1]
+
+
+def test_a_failure_on_the_way_leaves_nothing(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pbrfit.result import relighting
+
+    calls = []
+
+    def fails(*arguments: Any, **more: Any) -> Array:
+        calls.append(arguments)
+        if len(calls) > 1:
+            raise KeyboardInterrupt
+        return relight(*arguments, **more)
+
+    monkeypatch.setattr(relighting, "relight", fails)
+    for out in ("frames", "out.gif", "out.webp", "out.png"):
+        calls.clear()
+        turntable = ("--light", "0,0", "--turntable", 3, "--out", tmp_path / "deep" / out)
+        assert run("relight", room, *turntable, "--quiet") == 130
+        assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,838 @@
+"""Exports (docs/export.md): every file as other readers see it, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import glb_reader
+from pbrfit import InputError, Result, Scene, decompose, relight, sh_basis, view_directions
+from pbrfit.export import export_result
+from pbrfit.export.gltf import glb
+from pbrfit.export.lights import file_names
+from pbrfit.export.maps import Maps
+from pbrfit.export.nonnegative import RIDGE, nonnegative_radiance
+from pbrfit.export.view_mesh import Geometry, camera, facets
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.io.color import decode_srgb
+from pbrfit.model import panorama
+from pbrfit.model.lighting import Lighting
+from pbrfit.model.materials import Materials
+from pbrfit.synthetic import make_scene
+from scene_files import run
+
+HEIGHT, WIDTH = 10, 12
+MAPS = ["base_color", "mask", "metallic", "normal_opengl", "roughness"]
+GEOMETRIES: tuple[Geometry, ...] = ("card", "facets")
+LIGHTS = ["coefficients.csv", "lighting.json", "panoramas.csv", "three.json"]
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Result:
+    """A fit of three steps, with a mask, uncertainty and a name that is no ASCII."""
+    made = make_scene("room", size=WIDTH, lights=3, held_out=1)
+    mask = np.ones((WIDTH, WIDTH), bool)
+    mask[:, 0] = mask[4:7, 5:9] = False
+    scene = Scene(
+        images=made.images[:, :HEIGHT],
+        normals=made.normals[:HEIGHT],
+        mask=mask[:HEIGHT],
+        names=("a", "b", "ç"),
+        fov=made.fov,
+    )
+    return decompose(scene, iterations=3, priors=Priors.none())
+
+
+@pytest.fixture(scope="module")
+def result(fitted: Result) -> Result:
+    """Random materials and normals in its place, so that no two channels are alike."""
+    random = np.random.default_rng(4)
+    outside = ~fitted.mask
+    materials = Materials(
+        random.uniform(0, 1, (HEIGHT, WIDTH, 3)),
+        random.uniform(0, 1, (HEIGHT, WIDTH)),
+        random.uniform(0, 1, (HEIGHT, WIDTH)),
+    )
+    normals = random.normal(size=(HEIGHT, WIDTH, 3))
+    normals[..., 2] = np.abs(normals[..., 2])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    for values in (materials.albedo, materials.roughness, materials.metallic, normals):
+        values[outside] = np.nan
+    return dataclasses.replace(fitted, materials=materials, normals=normals)
+
+
+def whole(result: Result) -> Result:
+    """The same without pixels that the mask leaves out."""
+    maps = Maps.of(result)
+    materials = Materials(maps.albedo, maps.roughness, maps.metallic)
+    mask = np.ones((HEIGHT, WIDTH), bool)
+    return dataclasses.replace(result, materials=materials, normals=maps.normals, mask=mask)
+
+
+def small(shape: tuple[int, int], fov: float, result: Result) -> Result:
+    """A flat grey card."""
+    materials = Materials(np.full((*shape, 3), 0.25), np.full(shape, 0.5), np.zeros(shape))
+    normals = np.zeros((*shape, 3))
+    normals[..., 2] = 1
+    return dataclasses.replace(
+        result,
+        materials=materials,
+        normals=normals,
+        mask=np.ones(shape, bool),
+        fov=fov,
+        uncertainty=None,
+    )
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def chunks(content: bytes) -> dict[bytes, bytes]:
+    """Chunks of a PNG by type, by the PNG specification; checksums are checked."""
+    found, at = {}, 8
+    while at < len(content):
+        length, kind = struct.unpack_from(">I4s", content, at)
+        data = content[at + 8 : at + 8 + length]
+        assert struct.unpack_from(">I", content, at + 8 + length) == (zlib.crc32(kind + data),)
+        found[kind] = data
+        at += 12 + length
+    return found
+
+
+def png(path: Path | bytes) -> NDArray[Any]:
+    """Samples of a PNG without interlacing, (H, W, C), by an independent reader for 16-bit RGB."""
+    content = path if isinstance(path, bytes) else path.read_bytes()
+    parts = chunks(content)
+    width, height, depth, kind = struct.unpack_from(">IIBB", parts[b"IHDR"])
+    channels = {0: 1, 2: 3, 4: 2, 6: 4}[kind]
+    if depth == 8 or channels == 1:
+        with Image.open(io.BytesIO(content)) as picture:
+            samples: NDArray[Any] = np.asarray(picture)
+        assert samples.dtype == (np.uint8 if depth == 8 else np.uint16)
+        return samples.reshape(height, width, channels)
+    # Pillow rounds 16-bit RGB to 8 bits.
+    step, data = channels * 2, zlib.decompress(parts[b"IDAT"])
+    rows, above = [], np.zeros(width * step, np.uint8)
+    for line in np.frombuffer(data, np.uint8).reshape(height, -1):
+        above = unfiltered(int(line[0]), line[1:], above, step)
+        rows.append(above)
+    return np.stack(rows).view(">u2").astype(np.uint16).reshape(height, width, channels)
+
+
+def unfiltered(
+    kind: int, line: NDArray[np.uint8], above: NDArray[np.uint8], step: int
+) -> NDArray[np.uint8]:
+    """PNG filters (specification, 9.2): none, sub, up, average, Paeth."""
+    found = np.zeros(len(line), int)
+    for i, value in enumerate(line):
+        a = int(found[i - step]) if i >= step else 0
+        b, c = int(above[i]), int(above[i - step]) if i >= step else 0
+        p = a + b - c
+        paeth = min((abs(p - a), 0, a), (abs(p - b), 1, b), (abs(p - c), 2, c))[2]
+        found[i] = (int(value) + (0, a, b, (a + b) // 2, paeth)[kind]) % 256
+    return found.astype(np.uint8)
+
+
+def exr(path: Path) -> dict[str, NDArray[np.float32]]:
+    [part] = OpenEXR.File(str(path), separate_channels=True).parts
+    return {name: channel.pixels for name, channel in part.channels.items()}
+
+
+def codes(values: NDArray[Any], bits: int) -> NDArray[Any]:
+    return np.asarray(np.floor(values * (2**bits - 1) + 0.5))
+
+
+# What is written
+
+
+def test_everything_without_options(result: Result, tmp_path: Path) -> None:
+    exported = export_result(result, tmp_path / "out")
+    assert names(tmp_path / "out") == [
+        "export.json",
+        *sorted([*(f"exr/{name}.exr" for name in MAPS), "exr/materials.exr"]),
+        *sorted([*(f"lights/{name}" for name in LIGHTS), *(f"lights/{x}.exr" for x in "abç")]),
+        "material.glb",
+        *(f"png/{name}.png" for name in MAPS),
+    ]
+    told = json.loads((tmp_path / "out" / "export.json").read_text("utf-8"))
+    assert told["version"] == version("pbrfit")
+    assert sorted(["export.json", *(file["path"] for file in told["files"])]) == names(
+        tmp_path / "out"
+    )
+    assert all(file["color_space"] for file in told["files"])
+    assert [file.size for file in exported.files] == [
+        (tmp_path / "out" / file.path).stat().st_size for file in exported.files
+    ]
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_png_a_map_is_the_map_to_the_last_code(result: Result, tmp_path: Path, bits: Any) -> None:
+    export_result(result, tmp_path / "out", format="png", bits=bits)
+    folder, inside = tmp_path / "out" / "png", result.mask
+    assert sorted(path.stem for path in folder.iterdir()) == MAPS
+    color = png(folder / "base_color.png")
+    assert color.dtype == np.dtype(f"uint{bits}")
+    linear = decode_srgb(color / (2**bits - 1))
+    np.testing.assert_allclose(linear[inside], result.albedo[inside], atol=1.2 / 2**bits)
+    for name in ("roughness", "metallic"):
+        found = png(folder / f"{name}.png")[..., 0]
+        expected = getattr(result, name)
+        np.testing.assert_array_equal(found[inside], codes(expected[inside], bits))
+    normals = png(folder / "normal_opengl.png")[inside]
+    np.testing.assert_array_equal(normals, codes(0.5 + 0.5 * result.normals[inside], bits))
+    np.testing.assert_array_equal(png(folder / "mask.png")[..., 0], codes(inside, bits))
+    for name in MAPS:
+        parts = chunks((folder / f"{name}.png").read_bytes())
+        if name == "base_color":
+            assert b"sRGB" in parts
+        else:
+            assert b"sRGB" not in parts
+            assert struct.unpack(">I", parts[b"gAMA"]) == (100000,)
+
+
+def test_unreal_packs_occlusion_roughness_metallic(result: Result, tmp_path: Path) -> None:
+    export_result(result, tmp_path / "out", preset="unreal")
+    folder, inside = tmp_path / "out" / "png", result.mask
+    assert names(folder) == ["T_BaseColor.png", "T_Normal.png", "T_ORM.png", "T_OpacityMask.png"]
+    packed = png(folder / "T_ORM.png")
+    assert packed.shape[-1] == 3
+    assert (packed[..., 0] == 255).all()
+    np.testing.assert_array_equal(packed[inside][:, 1], codes(result.roughness[inside], 8))
+    np.testing.assert_array_equal(packed[inside][:, 2], codes(result.metallic[inside], 8))
+    down = result.normals[inside] * (1, -1, 1)
+    np.testing.assert_array_equal(png(folder / "T_Normal.png")[inside], codes(0.5 + 0.5 * down, 8))
+    assert b"sRGB" in chunks((folder / "T_BaseColor.png").read_bytes())
+    assert b"sRGB" not in chunks((folder / "T_ORM.png").read_bytes())
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_unity_packs_metallic_occlusion_detail_smoothness(
+    result: Result, tmp_path: Path, bits: Any
+) -> None:
+    export_result(result, tmp_path / "out", preset="unity", bits=bits)
+    folder, inside = tmp_path / "out" / "png", result.mask
+    assert names(folder) == ["BaseMap.png", "MaskMap.png", "NormalMap.png"]
+    packed = png(folder / "MaskMap.png")
+    assert packed.shape[-1] == 4
+    np.testing.assert_array_equal(packed[inside][:, 0], codes(result.metallic[inside], bits))
+    assert (packed[..., 1] == 2**bits - 1).all()
+    assert (packed[..., 2] == 0).all()
+    np.testing.assert_array_equal(packed[inside][:, 3], codes(1 - result.roughness[inside], bits))
+    up = codes(0.5 + 0.5 * result.normals[inside], bits)
+    np.testing.assert_array_equal(png(folder / "NormalMap.png")[inside], up)
+    base = png(folder / "BaseMap.png")
+    np.testing.assert_array_equal(base[..., 3], codes(inside, bits))
+    export_result(whole(result), tmp_path / "whole", preset="unity", bits=bits)
+    assert png(tmp_path / "whole" / "png" / "BaseMap.png").shape[-1] == 3
+
+
+def test_blender_gets_the_card_and_a_16_bit_file_a_map(result: Result, tmp_path: Path) -> None:
+    export_result(result, tmp_path / "out", preset="blender")
+    found = names(tmp_path / "out")
+    assert [name for name in found if not name.startswith("lights")] == [
+        "export.json",
+        "material.glb",
+        *(f"png/{name}.png" for name in MAPS),
+    ]
+    for name in ("base_color", "roughness", "metallic", "normal_opengl"):
+        assert png(tmp_path / "out" / "png" / f"{name}.png").dtype == np.uint16
+
+
+def test_normals_flip_green_alone(result: Result, tmp_path: Path) -> None:
+    for convention in ("opengl", "directx"):
+        for preset in (None, "unreal", "unity", "blender"):
+            out = tmp_path / f"{convention}-{preset}"
+            export_result(result, out, preset=preset, normals=convention)
+            [file] = [path for path in (out / "png").iterdir() if "ormal" in path.name]
+            n = result.normals * (1, -1 if convention == "directx" else 1, 1)
+            samples = png(file)
+            largest = np.iinfo(samples.dtype).max
+            np.testing.assert_allclose(
+                samples[result.mask] / largest, (0.5 + 0.5 * n)[result.mask], atol=0.51 / largest
+            )
+    up, down = (tmp_path / f"{convention}-None" for convention in ("opengl", "directx"))
+    assert (up / "material.glb").read_bytes() == (down / "material.glb").read_bytes()
+    vectors, texture = exr(down / "exr" / "materials.exr"), exr(down / "exr" / "normal_directx.exr")
+    np.testing.assert_allclose(texture["G"], 0.5 - 0.5 * vectors["normal.Y"], atol=1e-6)
+    for folder, green in ((up, "0.5 + 0.5 normal Y"), (down, "0.5 − 0.5 normal Y")):
+        files = json.loads((folder / "export.json").read_text("utf-8"))["files"]
+        maps = [file for file in files if "/normal_" in file["path"]]
+        assert [file["holds"].split("; ")[1] for file in maps] == [green, green]
+        assert all(file["color_space"].startswith("data, linear") for file in maps)
+
+
+def test_exr_layers_and_textures_as_openexr_reads_them(result: Result, tmp_path: Path) -> None:
+    export_result(result, tmp_path / "out", format="exr")
+    folder, inside = tmp_path / "out" / "exr", result.mask
+    layers = exr(folder / "materials.exr")
+    assert {"albedo.R", "roughness.Y", "metallic.Y", "normal.Z", "mask.Y"} <= set(layers)
+    assert ("uncertainty.marginal.roughness.Y" in layers) == (result.uncertainty is not None)
+    [part] = OpenEXR.File(str(folder / "base_color.exr")).parts
+    assert part.header["chromaticities"] == pytest.approx(
+        (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+    )
+    colors = exr(folder / "base_color.exr")
+    assert set(colors) == set("RGB")
+    for c, name in enumerate("RGB"):
+        assert colors[name].dtype == np.float32
+        expected = result.albedo[..., c].astype(np.float32)
+        np.testing.assert_array_equal(colors[name][inside], expected[inside])
+    assert set(exr(folder / "roughness.exr")) == {"Y"}
+    np.testing.assert_array_equal(
+        exr(folder / "metallic.exr")["Y"][inside], result.metallic.astype(np.float32)[inside]
+    )
+    assert Result.load(saved(result, tmp_path / "result")).mask.sum() == inside.sum()
+    before = exr(tmp_path / "result" / "materials.exr")
+    assert before.keys() == layers.keys()
+    for name, values in before.items():
+        np.testing.assert_array_equal(layers[name], values)
+
+
+def saved(result: Result, path: Path) -> Path:
+    result.save(path)
+    return path
+
+
+def test_nothing_is_nan_and_outside_holds_the_nearest(result: Result, tmp_path: Path) -> None:
+    export_result(result, tmp_path / "out")
+    for path in (tmp_path / "out").rglob("*.exr"):
+        for name, values in exr(path).items():
+            assert np.isfinite(values).all(), (path, name)
+    rows, columns = np.nonzero(result.mask)
+    roughness = exr(tmp_path / "out" / "exr" / "roughness.exr")["Y"]
+    for i, j in np.argwhere(~result.mask):
+        distance = (rows - i) ** 2 + (columns - j) ** 2
+        near = distance == distance.min()
+        candidates = result.roughness.astype(np.float32)[rows[near], columns[near]]
+        assert roughness[i, j] in candidates
+
+
+# glTF
+
+
+def test_the_glb_keeps_to_the_specification(result: Result, tmp_path: Path) -> None:
+    one = small((1, 1), 0, result)
+    for i, (of, geometry) in enumerate(product((result, whole(result), one), GEOMETRIES)):
+        export_result(of, tmp_path / str(i), format="gltf", geometry=geometry)
+        read = glb_reader.read((tmp_path / str(i) / "material.glb").read_bytes())
+        assert read.document["asset"]["generator"] == f"pbrfit {version('pbrfit')}"
+        assert "sRGB" in read.document["asset"]["extras"]["color_space"]
+
+
+def test_a_reader_of_glb_files_that_finds_mistakes(result: Result) -> None:
+    good = glb(Maps.of(result), result.fov)
+    glb_reader.read(good)
+    for wrong in (
+        good[:-4],
+        good.replace(b'"count":4', b'"count":3', 1),
+        good.replace(b'"max":[0.5', b'"max":[0.6', 1),
+        good.replace(b'"target":34963', b'"target":34962', 1),
+        good.replace(b'"image/png"', b'"image/jpg"', 1),
+        good.replace(b'"index":2', b'"index":3', 1),
+        good.replace(b'"byteOffset":48', b'"byteOffset":46', 1),
+    ):
+        assert wrong != good
+        with pytest.raises((AssertionError, struct.error, ValueError)):
+            glb_reader.read(wrong)
+
+
+def test_glb_textures_are_the_maps_in_their_channels(result: Result) -> None:
+    for of in (result, whole(result)):
+        read = glb_reader.read(glb(Maps.of(of), of.fov))
+        [material] = read.document["materials"]
+        color, packed, normal = (png(read.images[name]) for name in read.images)
+        inside = of.mask
+        assert ("alphaMode" in material) == (not inside.all())
+        assert color.shape[-1] == (3 if inside.all() else 4)
+        if not inside.all():
+            assert (material["alphaMode"], material["alphaCutoff"]) == ("MASK", 0.5)
+            np.testing.assert_array_equal(color[..., 3], np.where(inside, 255, 0))
+        linear = decode_srgb(color[..., :3] / 255)
+        np.testing.assert_allclose(linear[inside], of.albedo[inside], atol=0.005)
+        assert (packed[..., 0] == 0).all()
+        np.testing.assert_array_equal(packed[inside][:, 1], codes(of.roughness[inside], 8))
+        np.testing.assert_array_equal(packed[inside][:, 2], codes(of.metallic[inside], 8))
+        assert normal.dtype == np.uint16
+        np.testing.assert_array_equal(normal[inside], codes(0.5 + 0.5 * of.normals[inside], 16))
+        for content in read.images.values():  # nothing that a client might act upon
+            assert not {b"gAMA", b"sRGB", b"iCCP", b"cHRM"} & set(chunks(content))
+        wide = glb_reader.read(glb(Maps.of(of), of.fov, bits=16))
+        assert all(png(content).dtype == np.uint16 for content in wide.images.values())
+
+
+@pytest.mark.parametrize(
+    ("shape", "fov"), [((7, 7), 60.0), ((5, 8), 35.0), ((9, 4), 120.0), ((1, 1), 60.0)]
+)
+def test_the_camera_sees_every_texel_along_its_view_direction(
+    shape: tuple[int, int], fov: float, result: Result
+) -> None:
+    """Texel centres on the plane, from the camera, and where they fall on its picture."""
+    height, width = shape
+    read = glb_reader.read(glb(Maps.of(small(shape, fov, result)), fov))
+    [primitive] = read.document["meshes"][0]["primitives"]
+    [camera] = read.document["cameras"]
+    at = np.array(read.document["nodes"][1]["translation"])
+    points = texel_centres(read, primitive, shape)
+    towards = at - points
+    views = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+    np.testing.assert_allclose(views, view_directions(height, width, fov), atol=1e-6)
+    # Projection matrix of the specification, 3.10.3.
+    perspective = camera["perspective"]
+    focal = 1 / np.tan(perspective["yfov"] / 2)
+    x = -towards[..., 0] / towards[..., 2] * focal / perspective["aspectRatio"]
+    y = -towards[..., 1] / towards[..., 2] * focal
+    np.testing.assert_allclose(x[0], (2 * np.arange(width) + 1 - width) / width, atol=1e-6)
+    np.testing.assert_allclose(y[:, 0], (height - 1 - 2 * np.arange(height)) / height, atol=1e-6)
+
+
+def test_no_field_of_view_is_an_orthographic_camera(result: Result) -> None:
+    read = glb_reader.read(glb(Maps.of(small((4, 6), 0, result)), 0))
+    [camera] = read.document["cameras"]
+    assert camera["type"] == "orthographic"
+    assert camera["orthographic"]["xmag"] == 0.5
+    assert camera["orthographic"]["ymag"] == pytest.approx(0.5 * 4 / 6)
+    assert read.document["nodes"][1]["translation"][2] > camera["orthographic"]["znear"]
+
+
+def texel_centres(
+    read: glb_reader.Glb, primitive: dict[str, Any], shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Where on the plane each texel's centre lies, from positions and texture coordinates."""
+    position, uv = (
+        read.arrays[primitive["attributes"][name]].astype(float)
+        for name in ("POSITION", "TEXCOORD_0")
+    )
+    height, width = shape
+    # The plane is a parallelogram: position is affine in (u, v), v downwards from the first row.
+    affine, *_ = np.linalg.lstsq(np.c_[uv, np.ones(4)], position, rcond=None)
+    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    return np.asarray(np.stack([u, v, np.ones(shape)], axis=-1) @ affine)
+
+
+def test_tangent_space_is_camera_space_and_the_front_faces_the_camera(result: Result) -> None:
+    read = glb_reader.read(glb(Maps.of(result), result.fov))
+    [primitive] = read.document["meshes"][0]["primitives"]
+    position, normal, tangent, uv = (
+        read.arrays[primitive["attributes"][name]].astype(float)
+        for name in ("POSITION", "NORMAL", "TANGENT", "TEXCOORD_0")
+    )
+    bitangent = np.cross(normal, tangent[:, :3]) * tangent[:, 3:]
+    np.testing.assert_array_equal(tangent[:, :3], np.tile([1, 0, 0], (4, 1)))
+    np.testing.assert_array_equal(bitangent, np.tile([0, 1, 0], (4, 1)))
+    np.testing.assert_array_equal(normal, np.tile([0, 0, 1], (4, 1)))
+    # u grows along the tangent, v against the bitangent.
+    affine, *_ = np.linalg.lstsq(np.c_[uv, np.ones(4)], position, rcond=None)
+    assert affine[0] @ tangent[0, :3] > 0
+    assert affine[1] @ bitangent[0] < 0
+    for a, b, c in position[read.arrays[primitive["indices"]].reshape(-1, 3)]:
+        assert np.cross(b - a, c - a)[2] > 0  # counter-clockwise: specification, 3.7.2.1
+
+
+@pytest.mark.parametrize(("fov", "shape"), [(60.0, (10, 12)), (0.0, (10, 12)), (100.0, (6, 3))])
+def test_facets_cover_their_pixels_and_have_their_normals(
+    fov: float, shape: tuple[int, int]
+) -> None:
+    height, width = shape
+    random = np.random.default_rng(3)
+    normals = view_directions(height, width, fov) + 0.5 * random.normal(size=(*shape, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    mask = random.uniform(size=shape) < 0.8
+    mesh = facets(normals, mask, fov)
+    assert len(mesh.triangles) == 2 * mask.sum()
+    corners = mesh.attributes["POSITION"].astype(float).reshape(-1, 4, 3)
+    eye = np.array([0, 0, camera(height, width, fov)[1]])
+    scale = 1.0 if fov == 0 else eye[2] / (eye[2] - corners[..., 2])
+    i, j = np.nonzero(mask)
+    across = (corners[..., 0] * scale + 0.5) * width
+    np.testing.assert_allclose(across, j[:, None] + [0, 1, 1, 0], atol=1e-4)
+    down = height / 2 - corners[..., 1] * scale * width
+    np.testing.assert_allclose(down, i[:, None] + [1, 1, 0, 0], atol=1e-4)
+    texels = mesh.attributes["TEXCOORD_0"].reshape(-1, 4, 2)
+    centres = np.stack([(j + 0.5) / width, (i + 0.5) / height], axis=-1)
+    np.testing.assert_allclose(texels, np.repeat(centres[:, None], 4, axis=1), atol=1e-6)
+    n = normals[mask]
+    vectors = mesh.attributes["NORMAL"].reshape(-1, 4, 3)
+    np.testing.assert_allclose(vectors, np.repeat(n[:, None], 4, axis=1), atol=1e-6)
+    # The face itself, where it is not limited: seen nearly from the side it would be endless.
+    free = np.abs(corners[..., 2]).max(axis=-1) < 0.45 * eye[2]
+    free &= (n * view_directions(height, width, fov)[mask]).sum(axis=-1) > 0.1
+    assert free.sum() > 0.5 * len(n)
+    for a, b, c in ((0, 1, 2), (0, 2, 3)):
+        face = np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a])
+        face /= np.linalg.norm(face, axis=-1, keepdims=True)
+        np.testing.assert_allclose(face[free], n[free], atol=2e-4)
+
+
+def test_facets_are_a_sound_glb_with_any_number_of_pixels(result: Result) -> None:
+    read = glb_reader.read(glb(Maps.of(result), result.fov, geometry="facets"))
+    assert "normalTexture" not in read.document["materials"][0]
+    assert "alphaMode" not in read.document["materials"][0]
+    assert len(read.arrays[-1]) == 6 * result.mask.sum()
+    large = small((128, 129), 60.0, result)  # more than 65535 corners
+    read = glb_reader.read(glb(Maps.of(large), large.fov, geometry="facets"))
+    assert read.arrays[-1].dtype == np.uint32
+    assert read.arrays[-1].max() == 4 * 128 * 129 - 1
+
+
+def test_8_bit_normals_lean_where_16_bit_ones_do_not() -> None:
+    """Why normals have 16 bits in a .glb: angles in degrees between coded and true."""
+    random = np.random.default_rng(0)
+    n = random.normal(size=(20000, 3))
+    n[:, 2] = np.abs(n[:, 2])
+    n = np.vstack([n / np.linalg.norm(n, axis=-1, keepdims=True), [[0, 0, 1]]])
+
+    def angles(bits: int) -> NDArray[np.float64]:
+        decoded = codes(0.5 + 0.5 * n, bits) / (2**bits - 1) * 2 - 1
+        decoded /= np.linalg.norm(decoded, axis=-1, keepdims=True)
+        return np.asarray(np.degrees(2 * np.arcsin(np.linalg.norm(decoded - n, axis=-1) / 2)))
+
+    eight, sixteen = angles(8), angles(16)
+    assert eight[-1] == pytest.approx(0.32, abs=0.01)  # flat: (128, 128, 255)
+    assert 0.1 < np.sqrt(np.mean(eight**2)) < eight.max() < 0.4
+    assert sixteen.max() < 0.0016
+
+
+# Lights
+
+
+def lamp() -> np.ndarray:
+    """Light from right, above and behind the camera, which rings: negative in many directions."""
+    basis = sh_basis(np.array([0.6, 0.64, 0.48]))
+    return np.asarray(basis[:, None] * np.array([1.0, 0.5, 0.25]))
+
+
+def test_panoramas_light_as_the_lights_do(result: Result, tmp_path: Path) -> None:
+    lighting = np.stack([lamp(), 0 * lamp(), np.eye(16, 1) * np.full(3, 3.0)])
+    lit = dataclasses.replace(result, lighting=lighting)
+    exported = export_result(lit, tmp_path / "out", format="png")
+    for light, of in zip(exported.panoramas, lighting, strict=True):
+        found = panorama.read(tmp_path / "out" / "lights" / light.file)
+        expected = relight(lit, of)
+        difference = relight(lit, panorama.project(found)) - expected
+        rms = np.sqrt(np.nanmean(expected**2)) or 1.0
+        assert light.difference == pytest.approx(np.sqrt(np.nanmean(difference**2)) / rms, abs=1e-6)
+    assert 0 < exported.panoramas[0].difference < 0.05
+    assert [light.difference for light in exported.panoramas[1:]] == [0, 0]
+    # What leaving out the negative part would do to the surfaces.
+    clamped = panorama.project(np.maximum(panorama.radiance(lamp(), 64), 0))
+    change = relight(lit, clamped) - relight(lit, lamp())
+    assert np.sqrt(np.nanmean(change**2) / np.nanmean(relight(lit, lamp()) ** 2)) > 0.2
+    # Brightest about where the lamp is.
+    found = panorama.read(tmp_path / "out" / "lights" / "a.exr")
+    peak = panorama.directions(*found.shape[:2])[
+        np.unravel_index(found[..., 0].argmax(), found.shape[:2])
+    ]
+    assert np.degrees(np.arccos(peak @ [0.6, 0.64, 0.48])) < 25
+    with (tmp_path / "out" / "lights" / "panoramas.csv").open(encoding="utf-8") as table:
+        rows = list(csv.DictReader(table))
+    assert [row["picture"] for row in rows] == list(result.pictures)
+    assert [row["file"] for row in rows] == [light.file for light in exported.panoramas]
+    assert [float(row["relit_difference"]) for row in rows] == pytest.approx(
+        [light.difference for light in exported.panoramas], abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_panorama_of_a_negative_light_is_the_best_there_is(seed: int) -> None:
+    """The same problem with a number a pixel instead of 16, by non-negative least squares."""
+    from scipy.optimize import nnls
+
+    random = np.random.default_rng(seed)
+    height, light = 10, random.normal(size=(16, 3))
+    light[0] = random.normal(size=3)  # the mean light may be negative too
+    weights = random.normal(size=(3, 40, 16)) * np.geomspace(1, 1e-3, 16)
+    response = np.einsum("cpk,cpl->ckl", weights, weights) / 40
+    found, _ = nonnegative_radiance(light, response, height)
+    basis = sh_basis(panorama.directions(height, 2 * height)).reshape(-1, 16)
+    angles = np.repeat(panorama.solid_angles(height, 2 * height), 2 * height)
+    for c in range(3):
+        ridge = RIDGE * np.trace(response[c]) / 16
+        shown = weights[c] @ (basis * angles[:, None]).T / np.sqrt(40)
+        system = np.vstack([shown, np.diag(np.sqrt(ridge * angles))])
+        target = np.concatenate([weights[c] @ light[:, c] / np.sqrt(40), 0 * angles])
+        expected, _ = nnls(system, target)
+        np.testing.assert_allclose(found[..., c].ravel(), expected, atol=2e-4 * expected.max())
+
+
+def test_a_light_that_is_nowhere_negative_comes_back(result: Result, tmp_path: Path) -> None:
+    lights = np.random.default_rng(2).normal(size=(3, 16, 3)) * 0.1
+    lights[:, 0] = 4.0
+    bright = dataclasses.replace(result, lighting=lights)
+    exported = export_result(bright, tmp_path / "out", format="png")
+    for of, light in zip(exported.panoramas, lights, strict=True):
+        assert of.difference == 0
+        found = panorama.read(tmp_path / "out" / "lights" / of.file)
+        np.testing.assert_allclose(panorama.project(found), light, atol=1e-6)
+
+
+def test_black_surfaces_and_no_light_have_a_black_panorama() -> None:
+    for light, response in (
+        (lamp(), np.zeros((3, 16, 16))),
+        (0 * lamp(), np.eye(16)[None] + [[[0]]] * 3),
+    ):
+        radiance, difference = nonnegative_radiance(light, response, 8)
+        np.testing.assert_array_equal(radiance, 0)
+        assert difference == 0
+
+
+def test_coefficient_files_hold_the_lights(result: Result, tmp_path: Path) -> None:
+    export_result(result, tmp_path / "out", format="png")
+    folder = tmp_path / "out" / "lights"
+    again = Lighting.load(folder / "lighting.json")
+    assert again.pictures == result.pictures
+    np.testing.assert_array_equal(again.coefficients, result.lighting)
+    with (folder / "coefficients.csv").open(encoding="utf-8") as table:
+        rows = list(csv.DictReader(table))
+    assert len(rows) == 16 * len(result.pictures)
+    for row in rows:
+        k, band, m = (int(row[name]) for name in "klm")
+        assert k == band * (band + 1) + m
+        assert abs(m) <= band
+        i = result.pictures.index(row["picture"])
+        assert [float(row[c]) for c in "rgb"] == result.lighting[i, k].tolist()
+
+
+def test_three_js_light_probes_give_the_same_radiance_and_irradiance(
+    result: Result, tmp_path: Path
+) -> None:
+    """With the basis as three.js' SphericalHarmonics3 has it (src/math, getBasisAt)."""
+    export_result(result, tmp_path / "out", format="png")
+    content = json.loads((tmp_path / "out" / "lights" / "three.json").read_text("utf-8"))
+    assert content["metadata"]["type"] == "Object"
+    group = content["object"]
+    assert group["type"] == "Group"
+    assert [probe["name"] for probe in group["children"]] == list(result.pictures)
+    assert len({probe["uuid"] for probe in group["children"]}) == len(result.pictures)
+    d = np.random.default_rng(1).normal(size=(50, 3))
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    x, y, z = d.T
+    basis = np.stack(
+        [
+            np.full(50, 0.282095),
+            *(0.488603 * y, 0.488603 * z, 0.488603 * x),
+            *(1.092548 * x * y, 1.092548 * y * z, 0.315392 * (3 * z * z - 1)),
+            *(1.092548 * x * z, 0.546274 * (x * x - y * y)),
+        ],
+        axis=-1,
+    )
+    for probe, light in zip(group["children"], result.lighting, strict=True):
+        assert probe["type"] == "LightProbe"
+        assert probe["intensity"] == 1
+        sh = np.array(probe["sh"]).reshape(9, 3)
+        np.testing.assert_allclose(basis @ sh, sh_basis(d)[:, :9] @ light[:9], atol=1e-5)
+
+
+def test_lights_that_panoramas_cannot_hold_are_warned_of(
+    result: Result,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    lights = np.zeros_like(result.lighting)
+    lights[:, 0] = 1.0
+    lights[0] *= -1  # from all directions negative: only black comes near
+    dark = dataclasses.replace(result, lighting=lights)
+    share = export_result(dark, tmp_path / "a").panoramas[0].difference
+    assert "1 of 3 lights are so negative in places" in caplog.text
+    assert "(a by 100 %)" in caplog.text
+    for least, warned in ((share, 1), (np.nextafter(share, 2), 0)):
+        caplog.clear()
+        monkeypatch.setattr("pbrfit.export.DIFFERENT", least)
+        export_result(dark, tmp_path / f"{warned}")
+        assert len(caplog.messages) == warned
+
+
+def test_names_of_pictures_become_names_of_files() -> None:
+    found = file_names(("a", "A", "dir/lamp: 1", "..", "", "ç", "a"))
+    assert found == ("a", "A_2", "dir_lamp_ 1", "light", "light_2", "ç", "a_3")
+    assert len({name.casefold() for name in found}) == len(found)
+    assert file_names(("\u00e4", "a\u0308")) == ("\u00e4", "a\u0308_2")
+    assert file_names(("CON", "lpt1.b", "console")) == ("_CON", "_lpt1.b", "console")
+    long = file_names(("x" * 300, "X" * 300, "\u00e4" * 150))
+    assert long == ("x" * 200, "X" * 200 + "_2", "\u00e4" * 100)
+
+
+# Small and odd results
+
+
+def test_one_pixel_without_field_of_view_and_uncertainty(result: Result, tmp_path: Path) -> None:
+    export_result(small((1, 1), 0, result), tmp_path / "out")
+    layers = exr(tmp_path / "out" / "exr" / "materials.exr")
+    assert not any(name.startswith("uncertainty") for name in layers)
+    assert png(tmp_path / "out" / "png" / "roughness.png").shape == (1, 1, 1)
+
+
+def test_equal_results_give_equal_files(result: Result, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        export_result(result, tmp_path / name)
+    for file in names(tmp_path / "a"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_light_beyond_float32_is_its_largest_number(result: Result, tmp_path: Path) -> None:
+    bright = dataclasses.replace(result, lighting=1e39 * result.lighting)
+    exported = export_result(bright, tmp_path / "out", format="gltf")
+    for light in exported.panoramas:
+        found = exr(tmp_path / "out" / "lights" / light.file)
+        assert max(channel.max() for channel in found.values()) == np.finfo(np.float32).max
+
+
+def test_unusable_results_are_refused_and_leave_nothing(result: Result, tmp_path: Path) -> None:
+    broken = result.roughness.copy()
+    broken[np.argwhere(result.mask)[0][0], np.argwhere(result.mask)[0][1]] = np.nan
+    materials = dataclasses.replace(result.materials, roughness=broken)
+    with pytest.raises(InputError, match="roughness: expected finite values inside the mask"):
+        export_result(dataclasses.replace(result, materials=materials), tmp_path / "out")
+    empty = dataclasses.replace(result, mask=np.zeros((HEIGHT, WIDTH), bool))
+    with pytest.raises(InputError, match="mask: expected at least one pixel"):
+        export_result(empty, tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+# The command
+
+
+@pytest.fixture
+def folder(result: Result, tmp_path: Path) -> Path:
+    return saved(result, tmp_path / "résultat 1")
+
+
+def test_export_prints_what_it_wrote(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "出力"
+    assert run("export", folder, "--out", out) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    found = [name for name in names(out) if name != "export.json"]
+    lines = captured.out.splitlines()
+    total = sum((out / name).stat().st_size for name in found)
+    assert lines[0] == f"{out}: {len(found) + 1} files, {total / 1e6:.2f} MB"
+    # Panoramas, a file a picture, share the last line.
+    panoramas = [name for name in found if re.fullmatch(r"lights/.*\.exr", name)]
+    others = [name for name in found if name not in panoramas]
+    assert len(panoramas) > 1
+    assert sorted(line.split(" ")[0] for line in lines[1:-1]) == others
+    for line in lines[1:-1]:
+        name = line.split(" ")[0]
+        assert f" {(out / name).stat().st_size / 1e3:.1f} kB  " in line
+    size = sum((out / name).stat().st_size for name in panoramas)
+    start = rf"lights/\*\.exr \({len(panoramas)}\) +{size / 1e3:.1f} kB  a panorama a light"
+    assert re.fullmatch(
+        rf"{start}; without negative light, at most \d+\.\d% different \(.*\)", lines[-1]
+    )
+    assert run("export", folder, "--out", out, "--quiet", "--overwrite") == 0
+    assert capsys.readouterr().out == ""
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["résultat 1", "出力"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--format", "gltf", "--preset", "unreal"), "preset: expected none with format gltf"),
+        (("--format", "gltf", "--normals", "directx"), "normals: expected opengl, the convention"),
+        (("--format", "exr", "--bits", 8), "bits: expected none with format exr"),
+        (("--preset", "unity", "--geometry", "facets"), "geometry: expected none where no glTF"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    folder: Path,
+    tmp_path: Path,
+    arguments: tuple[str | int, ...],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run("export", folder, "--out", tmp_path / "out", *arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"pbrfit: {message}")
+    assert captured.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize("option", ["format", "preset", "normals", "bits", "geometry"])
+def test_unknown_options_are_named(result: Result, tmp_path: Path, option: str) -> None:
+    wrong: Any = {option: "tiff"}
+    with pytest.raises(InputError, match=f"{option}: expected one of .*, found 'tiff'"):
+        export_result(result, tmp_path / "out", **wrong)
+
+
+def _not_a_result(folder: Path) -> None:
+    (folder / "materials.exr").unlink()
+
+
+def _no_lights(folder: Path) -> None:
+    (folder / "lighting.json").write_text("{}", encoding="utf-8")
+
+
+def _a_channel_missing(folder: Path) -> None:
+    from pbrfit.io import images
+
+    channels = images.read_channels(folder / "materials.exr")
+    del channels["roughness.Y"]
+    images.write_exr(folder / "materials.exr", channels)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (_not_a_result, "expected a result folder, as pbrfit decompose writes it"),
+        (_no_lights, "lighting.json: expected JSON with basis"),
+        (_a_channel_missing, "materials.exr: expected channel roughness.Y"),
+    ],
+)
+def test_what_is_no_result_is_refused_in_one_line(
+    folder: Path,
+    tmp_path: Path,
+    spoil: Callable[[Path], None],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    spoil(folder)
+    assert run("export", folder, "--out", tmp_path / "out") == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_what_is_there_stays(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert run("export", folder, "--out", out, "--format", "png") == 0
+    before = {name: (out / name).read_bytes() for name in names(out)}
+    capsys.readouterr()
+    assert run("export", folder, "--out", out) == 2
+    assert "out: expected a folder that does not exist yet" in capsys.readouterr().err
+    assert {name: (out / name).read_bytes() for name in names(out)} == before
+    assert run("export", folder, "--out", out, "--overwrite") == 0
+    assert (out / "material.glb").exists()
+    capsys.readouterr()
+    inside = saved(Result.load(folder), out / "result")
+    for place in (out, inside):
+        assert run("export", inside, "--out", place, "--overwrite") == 2
+        assert "expected a folder apart from the result" in capsys.readouterr().err
+    assert run("export", inside, "--out", folder, "--overwrite") == 2
+    assert "expected an earlier output to replace" in capsys.readouterr().err
+    assert Result.load(inside).pictures == Result.load(folder).pictures
+    assert run("export", folder, "--out", out / "export.json", "--overwrite") == 2
+    assert "expected a folder or nothing, found a file" in capsys.readouterr().err

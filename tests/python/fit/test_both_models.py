@@ -1,0 +1,206 @@
+"""What holds of solvers, priors and uncertainty whatever the reflection model."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from functools import partial
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import Objective, Priors, Scene, decompose
+from pbrfit.fit import decompose as solve
+from pbrfit.fit import memory, uncertainty
+from pbrfit.fit.gauss_newton.lights import options
+from pbrfit.fit.gradient_check import check_gradients
+from pbrfit.fit.tiles import fit_tiles
+from pbrfit.model.reflection import MODELS, Model
+from pbrfit.synthetic import make_scene
+
+MAPS = ("albedo_rmse", "roughness_rmse", "metallic_rmse")
+
+both_models = pytest.mark.parametrize("model", MODELS)
+
+
+@functools.cache
+def room(model: Model, size: int = 16, noise: float = 0.0) -> Scene:
+    return make_scene("room", size=size, lights=16, held_out=2, seed=2000, model=model, noise=noise)
+
+
+def in_float64(scene: Scene) -> Scene:
+    assert scene.images.dtype == np.float64
+    return scene
+
+
+@both_models
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"sh_order": 2}, {"metallic": 0.3}, {"mono_light": True}, {"free_normals": True}],
+    ids=["all free", "order 2", "metallic known", "grey lights", "free normals"],
+)
+def test_the_gradient_agrees_with_finite_differences(
+    model: Model, options: dict[str, object]
+) -> None:
+    objective = Objective(room(model, noise=0.02), priors=None, **options)  # type: ignore[arg-type]
+    assert [check for check in check_gradients(objective) if not check.passed] == []
+
+
+@both_models
+@pytest.mark.parametrize("kind", ["known lights", "grey", "weights"])
+def test_the_gradient_agrees_where_there_is_less_or_more_than_pictures(
+    model: Model, kind: str
+) -> None:
+    scene = room(model, noise=0.02)
+    assert scene.truth is not None
+    if kind == "known lights":
+        scene = dataclasses.replace(scene, lighting=scene.truth.lighting)
+    elif kind == "grey":
+        grey = np.repeat(scene.images.mean(axis=-1, keepdims=True), 3, axis=-1)
+        scene = dataclasses.replace(scene, images=grey, truth=None)
+    else:
+        weights = np.random.default_rng(0).random(scene.images.shape[:3])
+        scene = dataclasses.replace(scene, weights=weights)
+    assert [check for check in check_gradients(Objective(scene)) if not check.passed] == []
+
+
+@both_models
+def test_mirrors_do_not_move_with_the_lights(model: Model) -> None:
+    scene = room(model)
+    assert scene.truth is not None
+    objective = Objective(scene, model=model, priors=None)
+    true = scene.truth.materials
+    x = objective.pack(true.albedo, np.zeros_like(true.roughness), true.metallic)
+    pixels = np.arange(objective.pixels, dtype=np.uint64)
+    how = options(objective, x, pixels, None) | {"damping": 1e-3}
+    moves = np.random.default_rng(0).normal(size=x[objective.layout.lighting].size)
+    # At roughness 0 nothing depends on roughness; what rounding leaves of that would go any way.
+    followed = objective.problem.follow_lights(objective.for_core(x), pixels, moves, **how)
+    assert not followed[:, 3].any()
+
+
+@both_models
+def test_exact_pictures_give_exact_materials(model: Model) -> None:
+    result = decompose(room(model), solver="gauss-newton", priors=None, uncertainty=False)
+    assert max(result.metrics[name] for name in MAPS) <= 1e-5
+    assert result.metrics["relight_rmse"] <= 1e-5
+
+
+@both_models
+def test_known_lights_give_exact_materials(model: Model) -> None:
+    scene = room(model)
+    assert scene.truth is not None
+    known = dataclasses.replace(scene, lighting=scene.truth.lighting)
+    result = decompose(known, priors=None, uncertainty=False)
+    assert max(result.metrics[name] for name in MAPS) <= 1e-6
+
+
+def test_lbfgsb_descends() -> None:
+    scene = room("principled", noise=0.01)
+    result = decompose(scene, solver="lbfgsb", iterations=30, priors=None, uncertainty=False)
+    loss = result.history["loss"]
+    assert loss[-1] < 0.2 * loss[0]
+    assert result.metrics["recon_rmse"] < 0.03
+
+
+def test_the_default_fit_learns_a_material_prior_and_comes_near_the_truth() -> None:
+    scene = room("principled", size=16, noise=0.01)
+    result = decompose(scene, refine_normals="off")
+    assert "prior material" not in " ".join(result.left_out)
+    assert result.metrics["recon_rmse"] < 0.0105
+    assert result.metrics["albedo_scaled_rmse"] < 0.05
+    assert result.metrics["roughness_rmse"] < 0.1
+    assert result.metrics["metallic_rmse"] < 0.1
+
+
+@both_models
+def test_the_true_materials_explain_pictures_of_their_model_alone(model: Model) -> None:
+    [other] = set(MODELS) - {model}
+    scene = room(model)
+    assert scene.truth is not None
+    true = scene.truth.materials
+
+    def left(of: Model) -> float:
+        objective = Objective(scene, model=of)
+        x = objective.pack(true.albedo, true.roughness, true.metallic)
+        return objective.residual_rmse(objective.data_value_and_grad(x)[0])
+
+    assert left(model) < 1e-5
+    assert left(other) > 0.003
+
+
+@both_models
+def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
+    scene = room(model, size=16, noise=0.01)
+    assert scene.truth is not None
+    true, lighting = scene.truth.materials, scene.truth.lighting
+    known = dataclasses.replace(scene, lighting=lighting)
+    result = decompose(known, priors=None)
+    found = result.uncertainty
+    assert found is not None
+    assert found.noise == pytest.approx(0.01, rel=0.1)
+    told = ~found.undetermined[..., 1] & ~found.on_bound[..., 1]
+    off = (result.roughness - true.roughness)[told] / found.marginal.roughness[told]
+    assert 0.5 < np.sqrt(np.median(off**2) / 0.455) < 2  # 0.455: the median of a normal's square
+
+
+def test_robust_losses_and_penalties_run() -> None:
+    scene = room("principled", noise=0.01)
+    weights = Priors(material=0.01, cohesion=0.01, smoothness=0.01, sparsity=1e-5)
+    result = decompose(scene, robust="huber", priors=weights, iterations=20, refine_normals="off")
+    assert result.metrics["recon_rmse"] < 0.02
+
+
+def test_wrong_normals_are_refined() -> None:
+    scene = room("principled", size=16, noise=0.001)
+    rows, columns = np.mgrid[:16, :16] / 16 * 2 * np.pi
+    off = 0.15 * np.stack([np.sin(rows), np.cos(columns), np.zeros_like(rows)], axis=-1)
+    normals = scene.normals + off
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    given = dataclasses.replace(scene, normals=normals)
+    result = decompose(given, refine_normals="on", uncertainty=False, iterations=60)
+
+    def degrees(found: NDArray[np.float64]) -> float:
+        cosines = np.clip(np.sum(found * scene.normals, axis=-1), -1, 1)
+        return float(np.degrees(np.median(np.arccos(cosines))))
+
+    assert result.refinement.refined
+    assert degrees(result.normals) < 0.5 * degrees(normals)
+
+
+def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = room("principled", size=20)
+    whole = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
+    monkeypatch.setattr(memory, "WHOLE", 0)
+    monkeypatch.setattr("pbrfit.fit.tiles.tiling.FEWEST", 16)
+    monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=100, side=14))
+    tiled = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
+    assert "tiles" in tiled.stages[-1].name
+    for name in ("albedo", "roughness", "metallic"):
+        np.testing.assert_allclose(getattr(tiled, name), getattr(whole, name), atol=1e-4)
+
+
+@both_models
+def test_results_do_not_depend_on_the_number_of_threads(model: Model) -> None:
+    one, other = (
+        decompose(room(model, noise=0.01), iterations=5, threads=threads) for threads in (1, 2)
+    )
+    for name in ("albedo", "roughness", "metallic", "lighting"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert one.uncertainty is not None
+    assert other.uncertainty is not None
+    of_one, of_other = one.uncertainty.marginal, other.uncertainty.marginal
+    np.testing.assert_array_equal(of_one.roughness, of_other.roughness)
+
+
+@both_models
+def test_light_modes_are_those_of_the_model(model: Model) -> None:
+    """Of the other model they would be others."""
+    objective = Objective(room(model, noise=0.01))
+    x = objective.start()
+    [other] = set(MODELS) - {model}
+    elsewhere = Objective(room(model, noise=0.01), model=other)
+    found = uncertainty.estimate(objective, x).marginal.roughness
+    assert np.isfinite(found).all()
+    assert not np.allclose(found, uncertainty.estimate(elsewhere, x).marginal.roughness, rtol=1e-3)

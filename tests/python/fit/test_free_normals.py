@@ -1,0 +1,198 @@
+"""Normals as unknowns: where they lie in x, what they are, and that the right ones explain."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+import reference
+from pbrfit import InputError
+from pbrfit.fit.gradient_check import check_gradients
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import Layout
+from pbrfit.fit.robust import pull
+from pbrfit.synthetic import make_scene
+
+Array = NDArray[np.float64]
+
+OPTIONS: list[dict[str, Any]] = [
+    {},
+    {"metallic": 0.0},
+    {"sh_order": 2, "mono_light": True},
+]
+
+
+def room(**options: Any) -> pbrfit.Scene:
+    return make_scene("room", size=24, lights=6, **options)
+
+
+def truth(scene: pbrfit.Scene) -> pbrfit.Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def turned_scene(scene: pbrfit.Scene, tilts: Array) -> pbrfit.Scene:
+    """The same pictures with normals that are turned by tilts (2, P)."""
+    normals = np.array(scene.normals, dtype=np.float64)
+    normals[scene.valid] = reference.turned(normals[scene.valid], tilts)
+    return dataclasses.replace(scene, normals=normals)
+
+
+def tilts_back(given: Array, wanted: Array) -> Array:
+    """Tilts (2, P) that turn the normals (P, 3) to others: parts along the tangents over n₀'s."""
+    step = 1e-6
+    tangents = [
+        (reference.turned(given, step * axis) - reference.turned(given, -step * axis)) / (2 * step)
+        for axis in np.eye(2)[:, :, None] * np.ones(len(given))
+    ]
+    along = np.sum(wanted * given, axis=-1)
+    return np.stack([np.sum(wanted * t, axis=-1) / along for t in tangents])
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+def test_tilts_lie_between_materials_and_lights(options: dict[str, Any]) -> None:
+    scene = room()
+    known, free = (Objective(scene, **options, free_normals=f) for f in (False, True))
+    p = free.pixels
+    assert known.tilts is None
+    assert free.tilts is not None
+    assert free.lighting is not None
+    assert known.lighting is not None
+    assert free.tilts == slice(known.layout.maps.stop, known.layout.maps.stop + 2 * p)
+    assert free.layout.materials == known.layout.maps
+    assert free.layout.maps.stop == free.tilts.stop == free.lighting.start
+    assert free.size == known.size + 2 * p
+    assert free.problem.size == known.problem.size + 2 * p
+    bounds = free.bounds
+    assert (bounds[free.layout.materials] == (0, 1)).all()
+    assert np.isinf(bounds[free.layout.materials.stop :]).all()
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+def test_the_start_has_the_given_normals(options: dict[str, Any]) -> None:
+    scene = room()
+    known, free = (Objective(scene, **options, free_normals=f) for f in (False, True))
+    x, start = known.start(), free.start()
+    np.testing.assert_allclose(np.delete(start, np.r_[free.tilts]), x, rtol=0, atol=1e-6)
+    assert not start[free.tilts].any()
+    given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
+    np.testing.assert_array_equal(known.normals(x), given)
+    np.testing.assert_allclose(free.normals(start), given, rtol=0, atol=1e-6)
+    assert free.value_and_grad(start)[0] == pytest.approx(known.value_and_grad(x)[0], rel=1e-5)
+    lighting = truth(scene).lighting
+    materials = truth(scene).materials
+    packed = free.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
+    assert packed.shape == (free.size,)
+    assert not packed[free.tilts].any()
+    found, _ = free.unpack(packed)
+    np.testing.assert_allclose(found.roughness, materials.roughness, rtol=0, atol=1e-12)
+
+
+def test_normals_are_the_given_ones_turned() -> None:
+    scene = room()
+    objective = Objective(scene, free_normals=True)
+    x = objective.start()
+    tilts = np.random.default_rng(0).normal(size=(2, objective.pixels))
+    x[objective.tilts] = tilts.ravel()
+    given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
+    expected = reference.turned(given, tilts)
+    expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
+    np.testing.assert_allclose(objective.normals(x), expected, rtol=0, atol=1e-6)
+    core = objective.problem.normals(x[objective.layout.maps])
+    np.testing.assert_allclose(np.linalg.norm(core, axis=-1), 1, rtol=0, atol=1e-15)
+
+
+def test_the_tilts_to_the_true_normals_explain_the_pictures() -> None:
+    scene = room()
+    rng = np.random.default_rng(1)
+    given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
+    disturbed = turned_scene(scene, 0.2 * rng.normal(size=(2, len(given))))
+    objective = Objective(disturbed, free_normals=True)
+    materials = truth(scene).materials
+    x = objective.pack(
+        materials.albedo, materials.roughness, materials.metallic, truth(scene).lighting
+    )
+    wrong, gradient = objective.value_and_grad(x)
+    x[objective.tilts] = tilts_back(
+        np.asarray(disturbed.normals, dtype=np.float64)[scene.valid], given
+    ).ravel()
+    right, _ = objective.value_and_grad(x)
+    assert right < 1e-9 < 1e-4 < wrong
+    assert np.abs(gradient[objective.tilts]).max() > 0
+    # The best lights at these normals are the true ones.
+    again = objective.with_best_lights(x)
+    np.testing.assert_allclose(again[objective.lighting], x[objective.lighting], atol=1e-3)
+
+
+def test_a_part_keeps_its_tilts() -> None:
+    scene = room()
+    objective = Objective(scene, free_normals=True)
+    rng = np.random.default_rng(2)
+    x = objective.start()
+    x[objective.tilts] = 0.3 * rng.normal(size=2 * objective.pixels)
+    pixels = np.sort(rng.choice(objective.pixels, 100, replace=False)).astype(np.uint64)
+    part, of_part = objective.restricted(pixels), objective.part_of(x, pixels)
+    assert part.size == of_part.size
+    np.testing.assert_array_equal(part.normals(of_part), objective.normals(x)[pixels])
+    np.testing.assert_array_equal(
+        part.problem.residuals(of_part, np.arange(100, dtype=np.uint64)),
+        objective.problem.residuals(x, pixels),
+    )
+    again = objective.start()
+    objective.put_part(again, pixels, of_part)
+    planes = again[objective.tilts].reshape(2, -1)
+    np.testing.assert_array_equal(planes[:, pixels], x[objective.tilts].reshape(2, -1)[:, pixels])
+    assert np.count_nonzero(planes) == 200
+
+
+@pytest.mark.parametrize("loss", ["none", "huber", "cauchy"])
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+def test_gradients_are_those_of_the_loss(options: dict[str, Any], loss: str) -> None:
+    objective = Objective(room(noise=0.05), **options, free_normals=True)
+    objective.robust = objective.robust_around(objective.start(), loss)
+    checks = check_gradients(objective, seed=1)
+    assert {"tilts", "roughness"} <= {check.unknowns for check in checks}
+    failed = [check for check in checks if not check.passed]
+    assert not failed, failed
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_reweighted_squares_have_the_gradient_of_the_robust_loss(loss: str) -> None:
+    objective = Objective(room(noise=0.05), free_normals=True)
+    x = objective.start()
+    x[objective.tilts] = 0.1 * np.random.default_rng(3).normal(size=2 * objective.pixels)
+    objective.robust = objective.robust_around(x, loss)
+    _, gradient = objective.value_and_grad(x)
+    _, of_squares = objective.reweighted(x).value_and_grad(x)
+    # Each is a mean, over sums of weights of its own.
+    assert objective.robust is not None
+    every = np.arange(objective.pixels, dtype=np.uint64)
+    factors = pull(objective.robust, objective.problem.residuals(x, every))
+    factor = factors.sum(dtype=float) / objective.total_weight
+    np.testing.assert_allclose(
+        factor * of_squares, gradient, rtol=0, atol=1e-5 * np.abs(gradient).max()
+    )
+
+
+def test_refused_tilts_are_named() -> None:
+    objective = Objective(room(), free_normals=True)
+    x = objective.start()
+    for value, reason in ((np.nan, "finite numbers"), (1001.0, "numbers up to 1e3 in size")):
+        x[objective.layout.materials.stop + 3] = value
+        expected = rf"^x \(tilt\): expected {reason}, found \S+ at 3$"
+        with pytest.raises(InputError, match=expected):
+            objective.value_and_grad(x)
+        with pytest.raises(InputError, match=r"^maps \(tilt\): expected"):
+            objective.normals(x)
+
+
+def test_without_free_normals_nothing_is_laid_out_for_them() -> None:
+    layout = Layout.of(room())
+    assert not layout.free_normals
+    assert layout.tilts is None
+    assert layout.maps == layout.materials

@@ -1,0 +1,443 @@
+"""Refined normals from scene to result: what is found, what is kept, what scenes may lack."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import Priors, Progress, Result, Scene, Status, Truth, decompose, render
+from pbrfit.fit import solvers
+from pbrfit.fit.normals import refined_fit
+from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.model.geometry import angles_between
+from pbrfit.result.refinement import RefineNormals
+from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.normals.disturbances import disturbed
+
+Array = NDArray[np.float64]
+
+SIZE, PICTURES = 12, 6
+
+
+def right(size: int = SIZE, pictures: int = PICTURES, noise: float = 0.0) -> Scene:
+    return make_scene("room", size=size, lights=pictures, held_out=1, noise=noise)
+
+
+def wrong(scene: Scene, degrees: float = 5.0) -> Scene:
+    return dataclasses.replace(scene, normals=disturbed(scene, "correlated", degrees, 1))
+
+
+def small(**changes: Any) -> Scene:
+    """A room with wrong normals, and nothing else that could be done without."""
+    made = wrong(right(), 10.0)
+    arguments: dict[str, Any] = {"images": made.images, "normals": made.normals, "fov": made.fov}
+    return Scene(**(arguments | changes))
+
+
+def truth(scene: Scene) -> Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def off_by(result: Result, scene: Scene) -> float:
+    """Mean angle between the result's normals and the true ones, degrees."""
+    angles = angles_between(result.normals, np.asarray(scene.normals, dtype=np.float64))
+    return float(angles[result.mask].mean())
+
+
+def check(result: Result, scene: Scene) -> None:
+    """All that a result says is finite, and goes together."""
+    inside = result.mask
+    for name in ("albedo", "roughness", "metallic"):
+        values = getattr(result, name)[inside]
+        assert np.isfinite(values).all(), name
+        assert values.min() >= 0, name
+        assert values.max() <= 1, name
+    assert np.isfinite(result.lighting).all()
+    assert all(math.isfinite(value) for value in result.metrics.values())
+    lengths = np.linalg.norm(result.normals[inside], axis=-1)
+    np.testing.assert_allclose(lengths, 1, rtol=0, atol=1e-6)
+    given = np.asarray(scene.normals, dtype=np.float64)
+    refinement = result.refinement
+    if not refinement.refined:
+        np.testing.assert_array_equal(result.normals[inside], given[inside])
+        assert result.given_normals is None
+        assert result.normal_change is None
+        return
+    assert result.given_normals is not None
+    assert result.normal_change is not None
+    np.testing.assert_array_equal(result.given_normals[inside], given[inside])
+    change = result.normal_change[inside]
+    assert np.isfinite(change).all()
+    assert refinement.figures["mean_change_degrees"] == pytest.approx(change.mean())
+    for name in ("residual_after", "spread_degrees", "shared_after"):
+        assert math.isfinite(refinement.figures[name]), name
+
+
+def same(one: Result, other: Result) -> None:
+    """To the last bit."""
+    for name in ("albedo", "roughness", "metallic", "normals", "lighting"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert (one.status, one.stop_reason) == (other.status, other.stop_reason)
+    assert one.metrics == other.metrics
+
+
+# --------------------------------------------------------------------------------- what is found
+
+
+@pytest.fixture(scope="module")
+def room() -> Scene:
+    return right(20, 8)
+
+
+@pytest.mark.parametrize("asked", ["on", "auto"])
+def test_wrong_normals_are_put_right_and_materials_with_them(
+    room: Scene, asked: RefineNormals
+) -> None:
+    given = wrong(room)
+    before = decompose(given, refine_normals="off", iterations=60, uncertainty=False)
+    after = decompose(given, refine_normals=asked, iterations=60, uncertainty=False)
+    check(after, given)
+    assert after.refinement.refined
+    assert off_by(before, room) > 5
+    assert off_by(after, room) < 1
+    assert after.metrics["recon_rmse"] < 0.1 * before.metrics["recon_rmse"]
+    for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse", "relight_rmse"):
+        assert after.metrics[name] < 0.5 * before.metrics[name], name
+    figures = after.refinement.figures
+    assert 3 < figures["mean_change_degrees"] < 10
+    if asked == "auto":
+        assert figures["residual_after"] < 0.1 * figures["residual_before"]
+
+
+def test_normals_are_put_right_in_known_lights(room: Scene) -> None:
+    given = dataclasses.replace(wrong(room), lighting=truth(room).lighting)
+    before, after = (
+        decompose(given, refine_normals=asked, iterations=60, uncertainty=False)
+        for asked in ("off", "on")
+    )
+    check(after, given)
+    np.testing.assert_array_equal(after.lighting, truth(room).lighting)
+    assert off_by(after, room) < 0.3 * off_by(before, room)
+    assert after.metrics["recon_rmse"] < 0.3 * before.metrics["recon_rmse"]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_true_normals_are_kept_and_change_nothing(noise: float, seed: int) -> None:
+    scene = right(16, 8, noise)
+    options: dict[str, Any] = {"iterations": 60, "seed": seed}
+    auto, off = (decompose(scene, refine_normals=asked, **options) for asked in ("auto", "off"))
+    assert not auto.refinement.refined
+    check(auto, scene)
+    same(auto, off)
+    assert auto.uncertainty is not None
+    assert off.uncertainty is not None
+    np.testing.assert_array_equal(
+        auto.uncertainty.marginal.roughness, off.uncertainty.marginal.roughness
+    )
+
+
+@pytest.mark.parametrize("options", [{}, {"noise": 0.01}, {"mono_light": True}], ids=str)
+def test_the_number_of_threads_changes_no_bit(options: dict[str, Any]) -> None:
+    options = dict(options)
+    scene = wrong(right(16, noise=options.pop("noise", 0.0)))
+    results = [
+        decompose(scene, refine_normals="on", iterations=5, threads=threads, **options)
+        for threads in (1, 2, 3)
+    ]
+    assert results[0].refinement.refined
+    for other in results[1:]:
+        same(results[0], other)
+        assert other.refinement == results[0].refinement
+
+
+# ------------------------------------------------------------------------------------- few means
+
+
+@pytest.mark.parametrize("limit", [0.0, 1e-3, 0.05, 0.3])
+@pytest.mark.parametrize("asked", ["on"])
+def test_a_short_time_leaves_a_finite_answer_that_says_so(
+    asked: RefineNormals, limit: float
+) -> None:
+    scene = small()
+    result = decompose(scene, refine_normals=asked, time_limit=limit, uncertainty=False)
+    check(result, scene)
+    if limit < 0.01:
+        assert result.status == Status.TIME_LIMIT
+        assert not result.refinement.refined
+        assert result.refinement.why == "the time limit came first"
+
+
+@pytest.mark.parametrize("asked", ["on"])
+@pytest.mark.parametrize("iterations", [1, 5])
+def test_few_iterations_leave_a_finite_answer(asked: RefineNormals, iterations: int) -> None:
+    scene = small()
+    result = decompose(scene, refine_normals=asked, iterations=iterations)
+    check(result, scene)
+    assert result.refinement.refined
+    assert result.refinement.asked == asked
+
+
+@pytest.mark.parametrize("asked", ["on", "auto"])
+def test_no_iterations_leave_the_normals_alone(asked: RefineNormals) -> None:
+    scene = wrong(small())
+    result = decompose(scene, refine_normals=asked, iterations=0)
+    check(result, scene)
+    assert not result.refinement.refined
+    assert result.refinement.why == "0 iterations asked for"
+
+
+@pytest.mark.parametrize("iterations", [1, 5, refined_fit.LOOK])
+def test_auto_does_not_refine_what_is_not_fitted_yet(iterations: int) -> None:
+    result = decompose(wrong(small()), solver="lbfgsb", iterations=iterations, uncertainty=False)
+    assert result.status == Status.ITERATION_LIMIT
+    assert not result.refinement.refined
+    why = "too few iterations to tell wrong normals from what is not fitted yet"
+    assert result.refinement.why == why
+
+
+def test_history_and_stages_go_on_over_all_fits() -> None:
+    scene = wrong(right())
+    result = decompose(scene, refine_normals="auto", iterations=60, uncertainty=False)
+    names = [stage.name for stage in result.stages]
+    assert "normals and lights from a lattice" in names
+    assert "normals of all pixels" in names
+    iterations, seconds = result.history["iteration"], result.history["elapsed_s"]
+    assert (np.diff(iterations) >= 0).all()
+    assert (np.diff(seconds) >= 0).all()
+    assert sum(stage.seconds for stage in result.stages) <= result.seconds
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("iterations", [1, 3, 12])
+def test_each_fit_has_its_iterations_and_no_more(solver: Solver, iterations: int) -> None:
+    seen: list[Progress] = []
+    result = decompose(
+        wrong(right()),
+        solver=solver,
+        iterations=iterations,
+        refine_normals="on",
+        uncertainty=False,
+        progress=seen.append,
+    )
+    assert result.history.iterations <= refined_fit.PASSES * iterations
+    told = [progress.iteration for progress in seen]
+    assert told == sorted(told)
+    assert all(progress.iteration <= progress.iterations for progress in seen)
+
+
+@pytest.mark.parametrize("solver", ["auto", "lbfgsb"])
+def test_the_history_ends_with_the_fit_that_is_kept(
+    solver: Solver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = wrong(right())
+    options: dict[str, Any] = {"solver": solver, "iterations": 60, "uncertainty": False}
+    # However little, and however well, others explain the pictures.
+    monkeypatch.setattr(refined_fit, "_explained", lambda *_: "it is to be")
+    refined = decompose(scene, **options)
+    assert refined.refinement.refined
+    monkeypatch.setattr(refined_fit, "_explained", lambda *_: None)
+    kept = decompose(scene, **options)
+    assert not kept.refinement.refined
+    assert kept.refinement.figures["residual_after"] > 0
+    check(kept, scene)
+    plain = decompose(scene, refine_normals="off", **options)
+    same(kept, plain)
+    assert kept.history.iterations == plain.history.iterations <= 60
+    assert kept.evaluations > plain.evaluations
+    assert kept.stages[: len(plain.stages)] != kept.stages
+    for result in (refined, kept):
+        for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
+            assert result.history[name][-1] == pytest.approx(result.metrics[name], rel=1e-9)
+        recon = result.metrics["recon_rmse"]
+        assert result.history["recon_rmse"][-1] == pytest.approx(recon, rel=1e-3, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("options", "held"),
+    [
+        ({}, True),
+        ({"priors": None}, True),
+        ({"robust": "huber"}, False),
+        ({"priors": Priors(monochrome=1e-3)}, False),
+    ],
+    ids=["plain", "no priors", "robust", "monochrome"],
+)
+def test_lights_are_those_of_the_joint_steps_unless_more_is_asked_of_them(
+    options: dict[str, Any], held: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known: list[bool] = []
+    solve = solvers.solve
+
+    def watched(run: Any, *arguments: Any, **named: Any) -> Any:
+        known.append(run.objective.lighting is None)
+        return solve(run, *arguments, **named)
+
+    monkeypatch.setattr(refined_fit, "solve", watched)
+    scene = wrong(right(16, 8))
+    result = decompose(scene, refine_normals="on", iterations=5, **options)
+    assert known == refined_fit.PASSES * [held]
+    check(result, scene)
+    assert not any("known" in entry for entry in result.left_out)
+    assert result.uncertainty is not None
+    rendered = render(result.materials, result.normals, result.lighting, result.fov)
+    recon = np.sqrt(np.mean(np.square(rendered - scene.images)[:, scene.valid]))
+    assert recon == pytest.approx(result.metrics["recon_rmse"], rel=1e-6)
+
+
+@pytest.mark.parametrize("asked", ["on", "auto"])
+@pytest.mark.parametrize("size", [16, 24])
+def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
+    """A fit that was stopped early leaves what looks like wrong normals, but none are better."""
+    scene = right(size, 8)
+    options: dict[str, Any] = {"solver": "lbfgsb", "iterations": 60, "uncertainty": False}
+    found = decompose(scene, refine_normals=asked, **options)
+    check(found, scene)
+    assert found.refinement.figures["residual_after"] > 0
+    if found.normal_change is not None:
+        assert np.nanmean(found.normal_change) < 0.3
+    if asked == "auto":
+        assert not found.refinement.refined
+        same(found, decompose(scene, refine_normals="off", **options))
+
+
+# --------------------------------------------------------------------------------- other options
+
+
+@pytest.mark.parametrize("asked", ["on", "auto"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"robust": "huber"},
+        {"robust": "cauchy", "priors": None},
+        {"priors": None},
+        {"metallic": 0.0},
+        {"mono_light": True},
+        {"sh_order": 2},
+        {"solver": "lbfgsb"},
+        {"solver": "gauss-newton"},
+        {"equal_exposures": True},
+        {"metallic": 0.5, "mono_light": True, "sh_order": 2, "priors": None},
+    ],
+    ids=str,
+)
+def test_normals_are_refined_with_all_options(
+    asked: RefineNormals, options: dict[str, Any]
+) -> None:
+    scene = small()
+    result = decompose(scene, refine_normals=asked, iterations=5, **options)
+    check(result, scene)
+    assert result.refinement.refined or asked == "auto"
+    if "metallic" in options:
+        np.testing.assert_array_equal(result.metallic, options["metallic"])
+
+
+def islands() -> NDArray[np.bool_]:
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[:4, :4] = mask[6:, 7:10] = mask[2, 9] = mask[11, 0] = True
+    return mask
+
+
+def only(row: int, column: int) -> NDArray[np.bool_]:
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[row, column] = True
+    return mask
+
+
+def apart() -> NDArray[np.bool_]:
+    """No pixel beside another."""
+    rows, columns = np.indices((SIZE, SIZE))
+    return np.asarray((rows + columns) % 2 == 0)
+
+
+def scenes() -> dict[str, Scene]:
+    made = small()
+    images, normals = np.array(made.images), np.array(made.normals)
+    rng = np.random.default_rng(0)
+    grey = images.mean(axis=-1, keepdims=True).repeat(3, axis=-1)
+    known = truth(right()).lighting
+    assert known is not None
+    weights = rng.uniform(0.2, 1, size=images.shape[:3])
+    weights[0, :3] = 0
+    unseen = np.ones(images.shape[:3])
+    unseen[1:, 4, 4] = 0
+    black, patch = images.copy(), images.copy()
+    black[2] = 0
+    patch[:, 3:6, 3:6] = 0
+    sigma = np.linspace(0, 20, SIZE**2).reshape(SIZE, SIZE)
+    segments = np.where(np.arange(SIZE) < 5, 3, 0) + np.zeros((SIZE, 1), int)
+    return {
+        "grey": small(images=grey),
+        "known lights": small(lighting=known),
+        "known grey lights": small(images=grey, lighting=known[..., :1].repeat(3, axis=-1)),
+        "three pictures": small(images=images[:3]),
+        "the same picture again and again": small(images=images[:1].repeat(5, axis=0)),
+        "weights": small(weights=weights),
+        "a pixel that one picture shows": small(weights=unseen),
+        "segments": small(segments=segments),
+        "islands": small(mask=islands()),
+        "no two neighbours": small(mask=apart()),
+        "one valid pixel": small(mask=only(5, 7)),
+        "a black picture": small(images=black),
+        "a black patch": small(images=patch),
+        "constant pictures": small(images=np.full_like(images, 0.3)),
+        "bright": small(images=images * 1e6),
+        "dim": small(images=images * 1e-6),
+        "noise alone": small(images=rng.uniform(0, 1, images.shape)),
+        "1 × 1": Scene(images=images[:, :1, :1], normals=normals[:1, :1]),
+        "1 × 12": Scene(images=images[:, 4:5], normals=normals[4:5]),
+        "12 × 1": Scene(images=images[:, :, 4:5], normals=normals[:, 4:5]),
+        "2 × 1": Scene(images=images[:, 2:4, 4:5], normals=normals[2:4, 4:5]),
+        "how sure normals are": small(normal_sigma=sigma),
+    }
+
+
+SCENES = scenes()
+
+
+@pytest.mark.parametrize("asked", ["on", "auto"])
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_of_all_kinds_have_a_finite_answer(asked: RefineNormals, name: str) -> None:
+    result = decompose(SCENES[name], refine_normals=asked, iterations=5)
+    check(result, SCENES[name])
+    assert result.refinement.asked == asked
+
+
+@pytest.mark.parametrize("asked", ["on", "auto"])
+@pytest.mark.parametrize("kind", ["flat", "a patch faces away", "all face away", "tilted"])
+def test_normals_of_all_kinds_have_a_finite_answer(asked: RefineNormals, kind: str) -> None:
+    normals = np.array(small().normals)
+    match kind:
+        case "flat":
+            normals[:] = [0, 0, 1]
+        case "a patch faces away":
+            normals[4:8, 4:8] *= -1
+        case "all face away":
+            normals[:] = [0, 0, -1]
+        case "tilted":
+            normals[:] = [1, 0, 0]
+    scene = small(normals=normals)
+    result = decompose(scene, refine_normals=asked, iterations=5)
+    check(result, scene)
+    assert result.refinement.refined or asked == "auto"
+
+
+def test_normals_of_which_all_are_equally_sure_are_as_good_as_any() -> None:
+    scene = small()
+    plain, zero, five = (
+        decompose(
+            dataclasses.replace(scene, normal_sigma=sigma),
+            refine_normals="on",
+            iterations=5,
+            uncertainty=False,
+        )
+        for sigma in (None, np.zeros((SIZE, SIZE)), np.full((SIZE, SIZE), 5.0))
+    )
+    same(plain, zero)
+    same(plain, five)

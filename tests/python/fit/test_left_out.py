@@ -1,0 +1,447 @@
+"""What a scene does not need is not computed, changes nothing, and is named in the result."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+from pbrfit.fit.gradient_check import check_gradients
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.synthetic import make_scene
+
+SIZE, N = 16, 5
+BAND_3 = "band 3 of the lights: order 2 was asked for"
+NO_BAND_3 = "band 3 of the lights: the known lights have none"
+CHANNELS = "second and third colour channel: equal to the first"
+METALLIC = "metallic: given, so it was not fitted"
+LIGHTS = "lights and their gradient: known, so only materials were fitted"
+
+
+def in_color(**options: Any) -> pbrfit.Scene:
+    return make_scene("textured", size=SIZE, lights=N, held_out=2, **options)
+
+
+def in_grey() -> pbrfit.Scene:
+    """The first channel of everything."""
+    scene = in_color()
+    known = truth(scene)
+    maps = dataclasses.replace(known.materials, albedo=grey(known.materials.albedo))
+    return pbrfit.Scene(
+        images=grey(scene.images),
+        normals=scene.normals,
+        fov=scene.fov,
+        truth=pbrfit.Truth(maps, grey(lights(scene))),
+    )
+
+
+def grey(values: NDArray[Any]) -> NDArray[Any]:
+    return np.repeat(values[..., :1], 3, axis=-1)
+
+
+def truth(scene: pbrfit.Scene) -> pbrfit.Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def lights(scene: pbrfit.Scene) -> NDArray[np.float64]:
+    lighting = truth(scene).lighting
+    assert lighting is not None
+    return lighting
+
+
+def known_lights(scene: pbrfit.Scene) -> pbrfit.Scene:
+    return dataclasses.replace(scene, lighting=lights(scene))
+
+
+def some_weights(seed: int = 0) -> NDArray[np.float32]:
+    rng = np.random.default_rng(seed)
+    weights = rng.uniform(0.1, 1.0, (N, SIZE, SIZE)).astype(np.float32)
+    weights[rng.random(weights.shape) < 0.1] = 0
+    return weights
+
+
+def without_priors(result: pbrfit.Result) -> list[str]:
+    """What was left out beside priors, which depend on the lights that were found."""
+    return [entry for entry in result.left_out if not entry.startswith("prior")]
+
+
+def assert_same_bits(a: pbrfit.Result, b: pbrfit.Result) -> None:
+    for name in ("albedo", "roughness", "metallic", "lighting"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    np.testing.assert_array_equal(a.history["loss"], b.history["loss"])
+    assert a.metrics == pytest.approx(b.metrics, rel=1e-13)  # weighted means round differently
+
+
+# --- All kinds ---
+
+SCENES: dict[str, Callable[[], pbrfit.Scene]] = {
+    "colour": in_color,
+    "grey": in_grey,
+    "weighted": lambda: dataclasses.replace(in_color(), weights=some_weights()),
+    "grey, weighted": lambda: dataclasses.replace(in_grey(), weights=some_weights()[0]),
+    "known lights": lambda: known_lights(in_color(sh_order=2)),
+    "grey, weighted, known lights": lambda: dataclasses.replace(
+        known_lights(in_grey()), weights=some_weights()
+    ),
+}
+
+every_kind = pytest.mark.parametrize(
+    ("kind", "sh_order", "metallic"),
+    [
+        (kind, sh_order, metallic)
+        for kind in SCENES
+        for sh_order in (2, 3)
+        for metallic in (None, 0.0, 0.4)
+        if (kind, sh_order) != ("grey, weighted, known lights", 2)  # these lights have band 3
+    ],
+)
+
+
+@every_kind
+def test_x_has_what_is_unknown(kind: str, sh_order: int, metallic: float | None) -> None:
+    scene = SCENES[kind]()
+    objective = Objective(scene, sh_order=sh_order, metallic=metallic)
+    channels = 1 if "grey" in kind else 3
+    pixels = int(np.count_nonzero(scene.valid))
+    lights = 0 if "known" in kind else N * (sh_order + 1) ** 2 * channels
+    assert (objective.channels, objective.pixels) == (channels, pixels)
+    # These known lights are of order 2.
+    assert objective.coefficients == (9 if kind == "known lights" else (sh_order + 1) ** 2)
+    assert objective.size == (channels + 1 + (metallic is None)) * pixels + lights
+    assert (objective.metallic is None) == (metallic is not None)
+    assert (objective.lighting is None) == ("known" in kind)
+    parts = [objective.albedo, objective.roughness, objective.metallic, objective.lighting]
+    slices = [part for part in parts if part is not None]
+    assert [part.start for part in slices] == [0, *(part.stop for part in slices[:-1])]
+    assert slices[-1].stop == objective.size
+    assert objective.bounds.shape == (objective.size, 2)
+    free = np.isinf(objective.bounds).all(axis=1)
+    assert np.flatnonzero(free).tolist() == list(range(objective.size - lights, objective.size))
+
+
+@every_kind
+def test_pack_and_unpack_are_inverse(kind: str, sh_order: int, metallic: float | None) -> None:
+    scene = SCENES[kind]()
+    objective = Objective(scene, sh_order=sh_order, metallic=metallic)
+    rng = np.random.default_rng(3)
+    x = rng.random(objective.size)
+    materials, lighting = objective.unpack(x)
+    assert materials.albedo.shape == (SIZE, SIZE, 3)
+    assert lighting.shape == (N, 16, 3)
+    np.testing.assert_array_equal(np.isnan(materials.roughness), ~scene.valid)
+    if metallic is not None:
+        assert (materials.metallic[scene.valid] == metallic).all()
+    if objective.channels == 1:
+        np.testing.assert_array_equal(materials.albedo, grey(materials.albedo))
+        np.testing.assert_array_equal(lighting, grey(lighting))
+    if objective.lighting is not None and sh_order == 2:
+        assert not lighting[:, 9:].any()
+    back = objective.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
+    np.testing.assert_allclose(back, x, rtol=1e-15)
+
+
+@every_kind
+def test_gradients_agree_with_differences(kind: str, sh_order: int, metallic: float | None) -> None:
+    objective = Objective(SCENES[kind](), sh_order=sh_order, metallic=metallic)
+    checks = check_gradients(objective)
+    unknowns = {"albedo", "roughness"}
+    unknowns |= {"metallic"} if metallic is None else set()
+    unknowns |= set() if "known" in kind else {"lighting"}
+    assert {check.unknowns for check in checks} == unknowns
+    for check in checks:
+        assert check.passed, check
+
+
+@every_kind
+def test_the_start_has_the_best_lights(kind: str, sh_order: int, metallic: float | None) -> None:
+    objective = Objective(SCENES[kind](), sh_order=sh_order, metallic=metallic)
+    x = objective.start()
+    assert x.shape == (objective.size,)
+    assert np.isfinite(x).all()
+    if objective.lighting is None:
+        return
+    loss, gradient = objective.value_and_grad(x)
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        other = x.copy()
+        lights = other[objective.lighting]
+        lights *= rng.uniform(0.95, 1.05, lights.size)
+        other_loss, other_gradient = objective.value_and_grad(other)
+        assert other_loss > loss
+        by_lights = np.linalg.norm(gradient[objective.lighting])
+        assert by_lights < 1e-2 * np.linalg.norm(other_gradient[objective.lighting])
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@every_kind
+def test_the_fit_says_what_it_left_out(
+    kind: str, sh_order: int, metallic: float | None, solver: Solver
+) -> None:
+    scene = SCENES[kind]()
+    result = pbrfit.decompose(
+        scene, solver=solver, iterations=12, sh_order=sh_order, metallic=metallic
+    )
+    expected = [
+        *([CHANNELS] if "grey" in kind else []),
+        *([NO_BAND_3] if kind == "known lights" else [BAND_3] if sh_order == 2 else []),
+        *([METALLIC] if metallic is not None else []),
+        *([LIGHTS] if "known" in kind else []),
+    ]
+    found = without_priors(result)
+    assert [entry for entry in found if "weight" not in entry] == expected
+    assert any("of weight 0" in entry for entry in found) == ("weighted" in kind)
+    assert (result.options.sh_order, result.options.metallic) == (sh_order, metallic)
+    assert result.metrics["recon_rmse"] < result.history["recon_rmse"][0]
+    # The last row, if the best state was not before a restart.
+    if "kept the better" not in result.stop_reason:
+        last = result.history["recon_rmse"][-1]
+        # The history's is of pictures divided by the scene scale and rounded to float32.
+        assert last == pytest.approx(result.metrics["recon_rmse"], rel=1e-4, abs=5e-8)
+
+
+# --- Grey ---
+
+
+def test_grey_pictures_are_fitted_like_colour_pictures_of_equal_channels() -> None:
+    scene = in_grey()
+    # Beside the last digit of float32, but no longer exactly equal.
+    tint = np.array([1.0, 1.0, 1.0 + 1e-9])
+    colored = dataclasses.replace(scene, images=scene.images.astype(np.float64) * tint)
+    one, three = Objective(scene), Objective(colored)
+    assert (one.channels, three.channels) == (1, 3)
+    maps = truth(scene).materials
+    for lighting in (None, 0.9 * lights(scene)):
+        arguments = (maps.albedo**2, 0.5 * maps.roughness, maps.metallic, lighting)
+        losses = [o.value_and_grad(o.pack(*arguments))[0] for o in (one, three)]
+        assert losses[0] == pytest.approx(losses[1], rel=1e-5)
+    result = pbrfit.decompose(scene, start=(maps, lights(scene)), iterations=5, priors=None)
+    assert result.metrics["albedo_rmse"] <= 1e-6
+    assert result.metrics["recon_rmse"] <= 1e-7
+
+
+def test_one_sample_in_colour_makes_three_channels() -> None:
+    scene = in_grey()
+    images = scene.images.copy()
+    images[-1, -1, -1, 2] = np.nextafter(images[-1, -1, -1, 2], np.inf)
+    assert Objective(dataclasses.replace(scene, images=images)).channels == 3
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[-1, -1] = False
+    assert Objective(dataclasses.replace(scene, images=images, mask=mask)).channels == 1
+    weights = np.ones((N, SIZE, SIZE))
+    weights[-1, -1, -1] = 0
+    assert Objective(dataclasses.replace(scene, images=images, weights=weights)).channels == 1
+
+
+def test_known_lights_in_colour_make_three_channels() -> None:
+    scene = in_grey()
+    lighting = lights(scene).copy()
+    assert Objective(dataclasses.replace(scene, lighting=lighting)).channels == 1
+    lighting[0, 15, 1] *= 1 + 1e-15
+    assert Objective(dataclasses.replace(scene, lighting=lighting)).channels == 3
+
+
+def test_the_mean_of_channels_is_packed() -> None:
+    scene = in_grey()
+    objective = Objective(scene)
+    rng = np.random.default_rng(5)
+    albedo, lighting = rng.random((SIZE, SIZE, 3)), rng.random((N, 16, 3))
+    flat = np.full((SIZE, SIZE), 0.5)
+    materials, lights = objective.unpack(objective.pack(albedo, flat, flat, lighting))
+    np.testing.assert_allclose(materials.albedo[..., 1], albedo.mean(axis=-1), rtol=1e-14)
+    np.testing.assert_allclose(lights[..., 2], lighting.mean(axis=-1), rtol=1e-14)
+
+
+# --- Order 2, metallic, known lights ---
+
+
+def test_scenes_of_order_two_are_explained_without_band_three() -> None:
+    scene = in_color(sh_order=2)
+    start = (truth(scene).materials, lights(scene))
+    options: dict[str, Any] = {"sh_order": 2, "iterations": 5, "priors": None}
+    result = pbrfit.decompose(scene, start=start, **options)
+    assert result.metrics["recon_rmse"] <= 1e-7
+    assert not result.lighting[:, 9:].any()
+    known_order_2 = pbrfit.decompose(known_lights(scene), start=start[0], **options)
+    assert known_order_2.metrics["recon_rmse"] <= 1e-7
+    np.testing.assert_array_equal(known_order_2.lighting, lights(scene))
+
+
+def test_known_lights_of_order_three_are_refused_at_order_two() -> None:
+    scene = known_lights(in_color())
+    Objective(scene, sh_order=3)
+    with pytest.raises(pbrfit.InputError, match=r"^lighting: expected known lights without band 3"):
+        Objective(scene, sh_order=2)
+
+
+@pytest.mark.parametrize("metallic", [0.0, 0.7])
+def test_given_metallic_explains_pictures_of_it(metallic: float) -> None:
+    scene = in_color()
+    lighting = lights(scene)
+    flat = np.full((SIZE, SIZE), metallic)
+    maps = dataclasses.replace(truth(scene).materials, metallic=flat)
+    images = pbrfit.render(maps, scene.normals, lighting, scene.fov)
+    scene = dataclasses.replace(scene, images=images, truth=pbrfit.Truth(maps, lighting))
+    options: dict[str, Any] = {"start": (maps, lighting), "iterations": 5, "priors": None}
+    result = pbrfit.decompose(scene, **options, metallic=metallic)
+    assert (result.metallic == metallic).all()
+    assert result.metrics["metallic_rmse"] == 0
+    assert result.metrics["recon_rmse"] <= 1e-7
+    wrong = pbrfit.decompose(scene, **options, metallic=1 - metallic)
+    assert wrong.metrics["recon_rmse"] > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        *(("sh_order", value) for value in (1, 4, -2, 2.5, "2", None)),
+        *(("metallic", value) for value in (-0.1, 1.1, np.nan, "0", "free", True, [0.0, 0.0], 1j)),
+    ],
+)
+def test_unusable_options_are_named(option: str, value: Any) -> None:
+    with pytest.raises(pbrfit.InputError, match=f"^{option}: expected"):
+        pbrfit.decompose(in_color(), **{option: value})
+
+
+def test_numpy_numbers_are_options() -> None:
+    options: dict[str, Any] = {"sh_order": np.int64(2), "metallic": np.float32(0.5)}
+    result = pbrfit.decompose(in_color(), iterations=1, **options)
+    assert (result.options.sh_order, result.options.metallic) == (2, 0.5)
+    assert type(result.options.sh_order) is int
+    assert type(result.options.metallic) is float
+
+
+# --- Weights ---
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("shape", [(SIZE, SIZE), (N, SIZE, SIZE)])
+@pytest.mark.parametrize("value", [1.0, 1e-30, 1e30, 3])
+def test_equal_weights_are_no_weights(value: float, shape: tuple[int, ...], solver: Solver) -> None:
+    scene = in_color()
+    weighted = dataclasses.replace(scene, weights=np.full(shape, value))
+    a, b = (pbrfit.decompose(s, solver=solver, iterations=12) for s in (scene, weighted))
+    assert_same_bits(a, b)
+    assert without_priors(a) == without_priors(b) == []
+
+
+def test_only_ratios_of_weights_matter() -> None:
+    a, b = (
+        pbrfit.decompose(
+            dataclasses.replace(in_color(), weights=factor * some_weights()), iterations=9
+        )
+        for factor in (1.0, 2.0**100)
+    )
+    assert_same_bits(a, b)
+
+
+def test_samples_of_weight_zero_are_not_looked_at() -> None:
+    scene = in_color()
+    weights = some_weights()
+    results = []
+    for value in (0.0, -7.0, 1e30, np.nan, np.inf):
+        images = scene.images.astype(np.float32)
+        images[weights == 0] = value
+        changed = dataclasses.replace(scene, images=images, weights=weights)
+        results.append(pbrfit.decompose(changed, iterations=10))
+    for result in results[1:]:
+        assert_same_bits(result, results[0])
+
+
+def test_a_pixel_without_weight_is_as_if_masked() -> None:
+    scene = in_color()
+    mask = np.random.default_rng(6).random((SIZE, SIZE)) < 0.7
+    images, normals = scene.images.copy(), scene.normals.copy()
+    images[:, ~mask], normals[~mask] = np.nan, 0.0
+    changes: dict[str, Any] = {"images": images, "normals": normals}
+    masked = dataclasses.replace(scene, mask=mask, **changes)
+    weighted = dataclasses.replace(scene, weights=mask.astype(float), **changes)
+    np.testing.assert_array_equal(weighted.valid, mask)
+    np.testing.assert_array_equal(weighted.normals, masked.normals)
+    a, b = (pbrfit.decompose(s, iterations=10) for s in (masked, weighted))
+    assert_same_bits(a, b)
+    np.testing.assert_array_equal(a.mask, b.mask)
+    outside = int(np.count_nonzero(~mask))
+    assert without_priors(a) == [f"{outside} pixels outside the mask"]
+    assert without_priors(b) == [f"{outside} pixels of weight 0 in all pictures"]
+
+
+def test_weights_and_mask_are_counted_apart() -> None:
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[0] = False
+    weights = np.ones((N, SIZE, SIZE))
+    weights[:, :2] = 0  # half of them outside the mask already
+    weights[0, 5, :3] = 0
+    scene = dataclasses.replace(in_color(), mask=mask, weights=weights)
+    assert without_priors(pbrfit.decompose(scene, iterations=1)) == [
+        "16 pixels outside the mask",
+        "16 pixels of weight 0 in all pictures",
+        "3 samples of weight 0 at other pixels",
+    ]
+
+
+def test_the_reconstruction_error_is_weighted() -> None:
+    weights = some_weights()
+    scene = dataclasses.replace(in_color(), weights=weights)
+    result = pbrfit.decompose(scene, solver="lbfgsb", iterations=20)
+    rendered = pbrfit.render(result.materials, scene.normals, result.lighting, scene.fov)
+    squares = np.square(rendered - scene.images)[:, scene.valid]
+    of_samples = weights.astype(np.float64)[:, scene.valid][..., None]
+    expected = np.sqrt(np.sum(of_samples * squares) / np.sum(of_samples) / 3)
+    assert result.metrics["recon_rmse"] == pytest.approx(expected, rel=1e-12)
+    assert result.metrics["recon_rmse"] != pytest.approx(np.sqrt(np.mean(squares)), rel=1e-3)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_weights_keep_bad_samples_out_of_the_maps(solver: Solver) -> None:
+    """A tenth of the samples is ten times too bright, as in a highlight that the model lacks."""
+    scene = in_color()
+    bad = np.random.default_rng(7).random((N, SIZE, SIZE)) < 0.1
+    spoilt = dataclasses.replace(scene, images=scene.images * np.where(bad, 10, 1)[..., None])
+    weighted = dataclasses.replace(spoilt, weights=(~bad).astype(float))
+    clean, without, within = (
+        pbrfit.decompose(s, solver=solver, iterations=200, priors=None, refine_normals="off")
+        for s in (scene, spoilt, weighted)
+    )
+    for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
+        assert within.metrics[name] <= 2 * clean.metrics[name] + 0.02, name
+        assert within.metrics[name] <= 0.7 * without.metrics[name], name
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_pixel_of_vanishing_weight_does_no_harm(solver: Solver) -> None:
+    weights = some_weights()
+    weights[:, 3, 3] = 1e-38
+    weights[0, 4, 4] = 1e30  # beside which the others vanish in float32
+    scene = dataclasses.replace(in_color(), weights=weights)
+    result = pbrfit.decompose(scene, solver=solver, iterations=20)
+    for name in ("albedo", "roughness", "metallic"):
+        assert np.isfinite(getattr(result, name)[result.mask]).all()
+    assert np.isfinite(result.lighting).all()
+
+
+def test_a_scene_with_weights_is_saved_with_them(tmp_path: Path) -> None:
+    scene = in_color()
+    weights = np.ones((N, SIZE, SIZE))
+    weights[:, 1] = 0  # no data at all
+    weights[2, 5, 6] = 0  # one bad sample, written as it is
+    weights[3, 7, 8] = 0  # one that a file must not hold, written as 0
+    images = scene.images.copy()
+    images[3, 7, 8, 0] = np.nan
+    scene = dataclasses.replace(scene, images=images, weights=weights)
+    scene.save(tmp_path / "scene")
+    loaded = pbrfit.Scene.load(tmp_path / "scene")
+    assert loaded.weights is not None
+    np.testing.assert_array_equal(loaded.weights, scene.weights)
+    np.testing.assert_array_equal(loaded.valid, scene.valid)
+    assert loaded.images[3, 7, 8, 0] == 0
+    result = pbrfit.decompose(scene, iterations=2)
+    result.save(tmp_path / "result", scene=scene)
+    np.testing.assert_array_equal(pbrfit.Result.load(tmp_path / "result").mask, scene.valid)

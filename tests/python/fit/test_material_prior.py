@@ -1,0 +1,458 @@
+"""The learnt material prior, and what it is made of: grid, best albedo, Gauss-Newton, EM."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+import pbrfit
+from pbrfit import Objective, Priors, Result, Scene, shade
+from pbrfit.fit.priors import map_gauss_newton as pulled_steps
+from pbrfit.fit.priors import material as material_prior
+from pbrfit.fit.priors.map_gauss_newton import OFFSET_PULL, Pull
+from pbrfit.fit.priors.material import MaterialPull
+from pbrfit.fit.sampling import spread, spread_over
+from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.synthetic import make_scene
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.uint64]
+
+
+@pytest.fixture(scope="module")
+def room() -> Scene:
+    return make_scene("room", size=24, lights=8, noise=0.01, seed=2000, held_out=4)
+
+
+def variants(room: Scene) -> dict[str, tuple[Scene, dict[str, Any]]]:
+    """Scenes and options of every kind of problem."""
+    assert room.truth is not None
+    rng = np.random.default_rng(0)
+    weights = rng.uniform(0.2, 1, room.images.shape[:3])
+    weights[:, ::3] *= rng.integers(0, 2, weights[:, ::3].shape)
+    grey = np.repeat(room.images.mean(axis=-1, keepdims=True), 3, axis=-1)
+    return {
+        "colour": (room, {}),
+        "order 2": (room, {"sh_order": 2}),
+        "known metallic": (room, {"metallic": 0.3}),
+        "mono light": (room, {"mono_light": True}),
+        "weights": (dataclasses.replace(room, weights=weights), {}),
+        "grey": (dataclasses.replace(room, images=grey), {}),
+        "known lights": (dataclasses.replace(room, lighting=room.truth.lighting), {}),
+    }
+
+
+KINDS = ("colour", "order 2", "known metallic", "mono light", "weights", "grey", "known lights")
+
+
+def some_point(objective: Objective, rng: np.random.Generator) -> Array:
+    """A point inside the bounds, not a minimum."""
+    x = objective.start()
+    maps = objective.layout.maps
+    x[maps] = np.clip(x[maps] + rng.normal(0, 0.1, maps.stop), 0.02, 0.98)
+    return x
+
+
+def squares_of(
+    objective: Objective,
+    scene: Scene,
+    x: Array,
+    p: int,
+    albedo: Array,
+    roughness: float,
+    metallic: float,
+) -> Array:
+    """Σ ω (I − T)² of one pixel and channel-wise albedo (M, C), by the reference path: (M, C)."""
+    layout = objective.layout
+    valid = layout.valid
+    c = layout.channels
+    lighting = scene.lighting
+    if lighting is None:
+        k = objective.coefficients
+        lighting = np.zeros((layout.pictures, 16, 3))
+        lighting[:, :k] = x[layout.lighting].reshape(layout.pictures, k, -1)
+    else:
+        lighting = lighting / objective.scale
+    colour = np.broadcast_to(albedo, (len(albedo), 3)) if c == 1 else albedo
+    weights = shade(
+        np.broadcast_to(scene.normals[valid][p], (len(albedo), 3)),
+        np.broadcast_to(scene.views[valid][p], (len(albedo), 3)),
+        colour,
+        np.full(len(albedo), roughness),
+        np.full(len(albedo), metallic),
+    )
+    radiance = np.einsum("mck,nkc->mnc", weights, lighting)[..., :c]
+    targets = scene.images[:, valid][:, p, :c] / objective.scale
+    omega = np.ones(layout.pictures)
+    if scene.weights is not None:
+        all_weights = scene.weights[:, valid]
+        omega = all_weights[:, p] / all_weights.max()
+    return np.asarray((omega[None, :, None] * (radiance - targets) ** 2).sum(axis=1))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_grid_is_the_least_over_albedo(room: Scene, kind: str) -> None:
+    scene, options = variants(room)[kind]
+    objective = Objective(scene, **options)
+    rng = np.random.default_rng(1)
+    x = some_point(objective, rng)
+    roughness, metallic = np.array([0.0, 0.2, 0.55, 1.0]), np.array([0.0, 0.4, 0.9, 1.0])
+    if objective.known_metallic is not None:
+        metallic = np.array([objective.known_metallic])
+    pixels = rng.integers(0, objective.pixels, 5).astype(np.uint64)
+    grid = objective.problem.material_grid(objective.for_core(x), pixels, roughness, metallic)
+    assert grid.shape == (5, len(roughness), len(metallic))
+    albedo = np.repeat(np.linspace(0, 1, 2001)[:, None], objective.channels, axis=1)
+    for i, p in enumerate(pixels):
+        for j, r in enumerate(roughness):
+            for k, m in enumerate(metallic):
+                dense = squares_of(objective, scene, x, p, albedo, r, m)
+                least = dense.min(axis=0).sum()
+                # The grid may find a little less between the dense points, and never more.
+                assert grid[i, j, k] == pytest.approx(least, rel=2e-4, abs=2e-6)
+                assert grid[i, j, k] <= least * (1 + 1e-5) + 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_best_albedo_is_best(room: Scene, kind: str) -> None:
+    scene, options = variants(room)[kind]
+    objective = Objective(scene, **options)
+    rng = np.random.default_rng(2)
+    x = some_point(objective, rng)
+    pixels = rng.integers(0, objective.pixels, 6).astype(np.uint64)
+    albedo, squares = objective.problem.best_albedo(objective.for_core(x), pixels)
+    assert albedo.shape == (6, objective.channels)
+    for i, p in enumerate(pixels):
+        r = x[objective.roughness][p]
+        m = objective.known_metallic
+        m = x[objective.metallic][p] if m is None else m
+        total = 0.0
+        for c in range(objective.channels):
+
+            def of_albedo(
+                rho: float, c: int = c, p: int = int(p), r: float = r, m: float = float(m)
+            ) -> float:
+                row = np.full((1, objective.channels), rho)
+                return float(squares_of(objective, scene, x, p, row, r, m)[0, c])
+
+            # Minima between a few starts: the polynomial may have two.
+            found = min(
+                (
+                    minimize_scalar(
+                        of_albedo, bounds=(a, a + 0.25), method="bounded", options={"xatol": 1e-10}
+                    )
+                    for a in (0.0, 0.25, 0.5, 0.75)
+                ),
+                key=lambda result: result.fun,
+            )
+            assert of_albedo(albedo[i, c]) <= found.fun * (1 + 1e-7) + 1e-12
+            total += of_albedo(albedo[i, c])
+        assert squares[i] == pytest.approx(total, rel=1e-6, abs=1e-10)
+
+
+def test_metal_and_darkness_have_a_best_albedo(room: Scene) -> None:
+    """Where radiance does not depend on albedo, or nothing is lit, it stays finite."""
+    objective = Objective(room)
+    x = objective.start()
+    x[objective.metallic] = 1.0
+    x[objective.lighting] = 0.0
+    pixels = np.arange(objective.pixels, dtype=np.uint64)
+    albedo, squares = objective.problem.best_albedo(x, pixels)
+    assert np.isfinite(albedo).all()
+    assert ((albedo >= 0) & (albedo <= 1)).all()
+    assert np.isfinite(squares).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a: a.update(pixels=np.array([10**6], np.uint64)), "pixels: expected indices below"),
+        (lambda a: a.update(roughness=np.array([1.5])), "roughness: expected numbers in"),
+        (lambda a: a.update(metallic=np.array([np.nan])), "metallic: expected numbers in"),
+        (lambda a: a.update(x=np.zeros(3)), "x: expected shape"),
+    ],
+)
+def test_the_grid_refuses_what_it_cannot_use(
+    room: Scene, change: Callable[[dict[str, Any]], None], message: str
+) -> None:
+    objective = Objective(room)
+    arguments = {
+        "x": objective.start(),
+        "pixels": np.arange(3, dtype=np.uint64),
+        "roughness": np.array([0.5]),
+        "metallic": np.array([0.0]),
+    }
+    change(arguments)
+    with pytest.raises(pbrfit.InputError, match=message):
+        objective.problem.material_grid(*arguments.values())
+
+
+def some_pull(
+    objective: Objective, pixels: Pixels, rng: np.random.Generator, clusters: int = 4
+) -> Pull:
+    f = len(objective.layout.finish)
+    centre = rng.uniform(0.2, 0.8, (len(pixels), f))
+    precision = rng.uniform(0.01, 0.05, (len(pixels), f))
+    cluster = rng.permutation(np.arange(len(pixels)) % clusters)
+    return Pull(centre, precision, cluster, clusters)
+
+
+def total_of(objective: Objective, x: Array, pixels: Pixels, pull: Pull) -> float:
+    """What `pulled_steps.minimize` minimises, with the best offsets, term by term."""
+    residuals = objective.problem.residuals(objective.for_core(x), pixels).astype(np.float64)
+    _, _, weights = objective.problem.derivatives(objective.for_core(x), pixels)
+    total = (weights.transpose(1, 0, 2) * residuals**2).sum()
+    for f, block in enumerate(objective.layout.finish):
+        for g in range(pull.clusters):
+            here = pull.cluster == g
+            a, d = pull.precision[here, f], x[block][pixels[here]] - pull.centre[here, f]
+            offset = (a * d).sum() / ((1 + OFFSET_PULL) * a.sum())
+            total += (a * (d - offset) ** 2).sum() + OFFSET_PULL * a.sum() * offset**2
+    return float(total)
+
+
+@pytest.mark.parametrize("kind", KINDS[:-1])
+def test_gauss_newton_ends_in_a_minimum(
+    room: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pulled_steps, "ENOUGH", 0.0)
+    scene, options = variants(room)[kind]
+    objective = Objective(scene, **options)
+    rng = np.random.default_rng(3)
+    pixels = spread(objective.pixels, 80)
+    pull = some_pull(objective, pixels, rng)
+    start = objective.start()
+    found, steps = pulled_steps.minimize(objective, start, pixels, pull, steps=25)
+    assert steps > 1
+    least = total_of(objective, found, pixels, pull)
+    assert least < total_of(objective, start, pixels, pull)
+    # Nothing near it is lower: materials of these pixels inside their bounds, and lights.
+    layout = objective.layout
+    assert layout.lighting is not None
+    for _ in range(12):
+        direction = np.zeros(objective.size)
+        planes = direction[layout.maps].reshape(-1, layout.pixels)
+        planes[:, pixels] = rng.uniform(-1, 1, size=(len(planes), len(pixels)))
+        direction[layout.lighting] = rng.normal(size=layout.lighting.stop - layout.lighting.start)
+        direction[layout.lighting] *= np.abs(found[layout.lighting]).mean()
+        direction[layout.maps][(found[layout.maps] < 0.05) | (found[layout.maps] > 0.95)] = 0
+        for step in (1e-2, -1e-2):
+            assert total_of(objective, found + step * direction, pixels, pull) > least
+
+
+def test_gauss_newton_leaves_other_pixels(room: Scene) -> None:
+    objective = Objective(room)
+    pixels = spread(objective.pixels, 40)
+    pull = some_pull(objective, pixels, np.random.default_rng(4))
+    start = objective.start()
+    found, _ = pulled_steps.minimize(objective, start, pixels, pull, steps=2)
+    others = np.setdiff1d(np.arange(objective.pixels), pixels)
+    maps = objective.layout.maps
+    before, after = (x[maps].reshape(-1, objective.pixels)[:, others] for x in (start, found))
+    np.testing.assert_array_equal(before, after)
+    assert (found[maps] >= 0).all()
+    assert (found[maps] <= 1).all()
+
+
+def test_the_pull_has_the_right_gradient(room: Scene) -> None:
+    objective = Objective(room)
+    rng = np.random.default_rng(5)
+    pixels = np.arange(objective.pixels, dtype=np.uint64)
+    penalty = MaterialPull(some_pull(objective, pixels, rng, 7), objective.layout.finish, 0.3)
+    x = some_point(objective, rng)
+    gradient = np.zeros(objective.size)
+    value = penalty.value_and_grad(x, gradient)
+    assert value > 0
+    for _ in range(5):
+        direction = rng.normal(size=objective.size)
+        plus, minus = (
+            penalty.value_and_grad(x + h * direction, np.zeros(objective.size))
+            for h in (1e-5, -1e-5)
+        )
+        assert gradient @ direction == pytest.approx((plus - minus) / 2e-5, rel=1e-6)
+
+
+def test_the_pull_lets_a_cluster_move_as_a_whole(room: Scene) -> None:
+    """Moving all pixels of a cluster alike costs only the small pull of the offsets."""
+    objective = Objective(room)
+    pixels = np.arange(objective.pixels, dtype=np.uint64)
+    pull = some_pull(objective, pixels, np.random.default_rng(6), clusters=3)
+    penalty = MaterialPull(pull, objective.layout.finish, 1.0)
+    x = objective.start()
+    for f, block in enumerate(objective.layout.finish):
+        x[block] = pull.centre[:, f]
+    at_centre = penalty.value_and_grad(x, np.zeros(objective.size))
+    assert at_centre == pytest.approx(0, abs=1e-20)
+    x[objective.roughness][pull.cluster == 1] += 0.1
+    as_whole = penalty.value_and_grad(x, np.zeros(objective.size))
+    stiff = 0.1**2 * pull.precision[pull.cluster == 1, 0].sum()
+    assert as_whole == pytest.approx(OFFSET_PULL / (1 + OFFSET_PULL) * stiff, rel=1e-6)
+
+
+def test_em_finds_a_planted_mixture() -> None:
+    """Two materials, of which each pixel tells one with a wide likelihood."""
+    rng = np.random.default_rng(7)
+    nodes = np.linspace(0, 1, 41)
+    true = np.where(rng.random(3000) < 0.3, 0.25, 0.7)
+    seen = true + rng.normal(0, 0.15, true.shape)
+    likelihood = np.exp(-((seen[:, None] - nodes) ** 2) / (2 * 0.15**2)).astype(np.float32)
+    found = material_prior._mixture(likelihood)
+    assert found.sum() == pytest.approx(1, abs=1e-5)
+    assert found[nodes < 0.47].sum() == pytest.approx(0.3, abs=0.04)
+    assert found[np.abs(nodes - 0.25) < 0.08].sum() > 0.22
+    assert found[np.abs(nodes - 0.7) < 0.08].sum() > 0.55
+
+
+def test_a_pixel_unlike_all_learnt_ones_keeps_its_own_material(room: Scene) -> None:
+    # What is learnt from has all its likelihood at one node, what is asked for at another.
+    objective = Objective(room)
+    grid = material_prior._Grid(objective, objective.start(), np.arange(64, dtype=np.uint64))
+    nodes = np.eye(len(grid.roughness), dtype=np.float32)
+    learnt = material_prior._Learnt.of(nodes[[3] * 50], np.ones(50, np.intp), grid)
+    found = learnt.posterior(nodes[[200, 3]], np.ones(2, np.intp))
+    true = [[grid.roughness[i], grid.metallic[i]] for i in (200, 3)]
+    np.testing.assert_allclose(found.mean, true, rtol=1e-6)
+    assert np.isfinite(found.variance).all()
+
+
+def fitted(scene: Scene, solver: Solver, **options: Any) -> Result:
+    return pbrfit.decompose(scene, solver=solver, iterations=120, refine_normals="off", **options)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_prior_halves_the_error_of_roughness(solver: Solver) -> None:
+    scene = make_scene("room", size=32, lights=12, noise=0.01, seed=2002, held_out=4)
+    without, default = fitted(scene, solver, priors=None), fitted(scene, solver)
+    assert default.metrics["roughness_rmse"] < 0.5 * without.metrics["roughness_rmse"]
+    assert default.metrics["metallic_rmse"] < without.metrics["metallic_rmse"]
+    assert default.metrics["albedo_rmse"] < without.metrics["albedo_rmse"]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_problem_has_a_learnt_prior(room: Scene, kind: str, solver: Solver) -> None:
+    scene, options = variants(room)[kind]
+    result = pbrfit.decompose(scene, solver=solver, iterations=60, refine_normals="off", **options)
+    assert "material prior" in [stage.name for stage in result.stages]
+    valid = result.mask
+    for values in (result.albedo, result.roughness, result.metallic):
+        assert np.isfinite(values[valid]).all()
+        assert ((values[valid] >= 0) & (values[valid] <= 1)).all()
+    assert np.isfinite(result.lighting).all()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1)])
+def test_tiny_pictures(shape: tuple[int, int], solver: Solver) -> None:
+    rng = np.random.default_rng(8)
+    normals = np.zeros((*shape, 3))
+    normals[..., 2] = 1
+    images = rng.uniform(0.1, 1, (4, *shape, 3)).astype(np.float32)
+    scene = pbrfit.Scene(images=images, normals=normals)
+    result = pbrfit.decompose(scene, solver=solver, iterations=40)
+    assert np.isfinite(result.roughness).all()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("pictures", [1, 2, 3])
+def test_few_pictures(room: Scene, pictures: int, solver: Solver) -> None:
+    """Hardly more samples than unknowns, or fewer."""
+    assert room.truth is not None
+    assert room.truth.lighting is not None
+    truth = dataclasses.replace(room.truth, lighting=room.truth.lighting[:pictures])
+    few = dataclasses.replace(
+        room,
+        images=room.images[:pictures],
+        names=room.names[:pictures],
+        truth=truth,
+        lighting=truth.lighting if pictures == 1 else None,
+    )
+    result = pbrfit.decompose(few, solver=solver, iterations=40)
+    assert np.isfinite(result.albedo).all()
+    assert np.isfinite(result.lighting).all()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_odd_segments(room: Scene, solver: Solver) -> None:
+    """Single pixels, ids that are large and negative, a segment outside the mask, none at all."""
+    segments = np.full(room.images.shape[1:3], -5)
+    segments[3, 4] = 10**9
+    segments[8:, :] = 0
+    segments[:2] = 77
+    mask = np.ones(segments.shape, bool)
+    mask[:2] = False
+    scene = dataclasses.replace(room, segments=segments, mask=mask)
+    result = pbrfit.decompose(scene, solver=solver, iterations=60, refine_normals="off")
+    assert np.isfinite(result.roughness[mask]).all()
+    assert np.isnan(result.roughness[~mask]).all()
+    every = np.arange(segments.size).reshape(segments.shape)
+    scene = dataclasses.replace(room, segments=every)
+    result = pbrfit.decompose(scene, solver=solver, iterations=60, refine_normals="off")
+    assert np.isfinite(result.roughness).all()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_perfect_pictures_are_not_pulled(room: Scene, solver: Solver) -> None:
+    """Where the fit leaves no residual there is no noise, and the prior has nothing to say."""
+    assert room.truth is not None
+    assert room.truth.lighting is not None
+    images = pbrfit.render(room.truth.materials, room.normals, room.truth.lighting, room.fov)
+    scene = dataclasses.replace(room, images=images)
+    truth = room.truth.materials, room.truth.lighting
+    result = pbrfit.decompose(scene, solver=solver, iterations=10, start=truth)
+    assert result.metrics["roughness_rmse"] < 0.02
+    assert result.metrics["recon_rmse"] < 1e-3
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_bitwise_the_same_at_any_number_of_threads(room: Scene, solver: Solver) -> None:
+    one, two = (
+        pbrfit.decompose(room, solver=solver, iterations=60, refine_normals="off", threads=t)
+        for t in (1, 2)
+    )
+    assert "material prior" in [stage.name for stage in one.stages]
+    np.testing.assert_array_equal(one.albedo, two.albedo)
+    np.testing.assert_array_equal(one.roughness, two.roughness)
+    np.testing.assert_array_equal(one.lighting, two.lighting)
+
+
+def test_weight_zero_learns_nothing(room: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object, **__: object) -> NoReturn:
+        raise AssertionError("the prior was learnt")
+
+    monkeypatch.setattr(material_prior, "learn", never)
+    for solver in SOLVERS:
+        pbrfit.decompose(room, iterations=4, solver=solver, priors=Priors(material=0))
+        pbrfit.decompose(room, iterations=4, solver=solver, priors=None)
+    with pytest.raises(AssertionError):
+        pbrfit.decompose(room, iterations=4, solver="lbfgsb")
+    for solver in SOLVERS:
+        with pytest.raises(AssertionError):
+            pbrfit.decompose(room, solver=solver)
+
+
+def test_spread() -> None:
+    assert spread(0, 10).shape == (0,)
+    np.testing.assert_array_equal(spread(5, 10), np.arange(5))
+    chosen = spread(10**6, 100)
+    assert len(chosen) == 100
+    assert (np.diff(chosen.astype(np.int64)) > 0).all()
+    assert (chosen // 10**4 == np.arange(100)).all()
+
+
+def test_spread_over_labels() -> None:
+    labels = np.zeros(10_000, np.intp)
+    labels[5000:5040] = 1
+    labels[9000:9003] = 2
+    chosen = spread_over(labels, 400)
+    assert len(chosen) == 400
+    assert len(np.unique(chosen)) == 400
+    of_labels = labels[chosen.astype(np.intp)]
+    assert (of_labels == 2).sum() == 3
+    assert (of_labels == 1).sum() >= 40
+    np.testing.assert_array_equal(spread_over(labels, 10**5), np.arange(10_000))
+    assert len(spread_over(np.arange(1000), 100)) == 100

@@ -1,0 +1,232 @@
+"""What is said about memory before a fit, against what fits take."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pbrfit
+from pbrfit._core import InputError
+from pbrfit.fit import memory
+from pbrfit.fit.memory import FitMemory, Method
+from pbrfit.fit.parameters import Layout
+
+GIB = 2**30
+
+FIT = """
+import sys
+from pathlib import Path
+
+import numpy as np
+import scipy.optimize
+
+import pbrfit
+from pbrfit import memory, projected_lbfgs
+from pbrfit.layout import Layout
+from pbrfit.objective import Objective
+
+method, size = sys.argv[1], 256
+rng = np.random.default_rng(0)
+images = rng.random((16, size, size, 3), dtype=np.float32)
+slope = np.linspace(-0.5, 0.5, size)
+normals = np.stack([*np.meshgrid(slope, slope), np.ones((size, size))], axis=-1)
+normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+scene = pbrfit.Scene(images=images, normals=normals, fov=40.0)
+
+
+def resident(name):
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(name):
+            return 1024 * int(line.split()[1])
+
+
+Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+before = resident("VmRSS")
+objective = Objective(scene)
+x0 = objective.start()
+if method == "lbfgsb":
+    options = {"maxiter": 20, "maxcor": 10, "ftol": 0.0, "gtol": 0.0}
+    bounds = scipy.optimize.Bounds(*objective.bounds.T.copy())
+    scipy.optimize.minimize(
+        objective.value_and_grad, x0, jac=True, method="L-BFGS-B", bounds=bounds, options=options
+    )
+else:
+    bounds = projected_lbfgs.Bounds.of_slices(objective.size, (objective.layout.maps, 0.0, 1.0))
+    projected_lbfgs.minimize(objective.value_and_grad, x0, bounds, iterations=20)
+print(resident("VmHWM") - before, memory.of_fit(scene, Layout.of(scene), method).further)
+"""
+
+
+def scene_of(size: int, pictures: int) -> pbrfit.Scene:
+    normals = np.zeros((size, size, 3))
+    normals[..., 2] = 1
+    images = np.random.default_rng(0).random((pictures, size, size, 3), dtype=np.float32)
+    return pbrfit.Scene(images=images, normals=normals, fov=30.0)
+
+
+@pytest.fixture
+def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A system of our own, which says nothing yet."""
+    monkeypatch.setattr(memory, "ROOT", tmp_path)
+    monkeypatch.delattr(os, "sysconf")
+    return tmp_path
+
+
+def write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+class TestAvailable:
+    def test_is_unknown_where_the_system_says_nothing(self, system: Path) -> None:
+        assert not list(system.iterdir())
+        assert memory.available() is None
+
+    def test_is_what_the_machine_has_left(self, system: Path) -> None:
+        write(system / "proc/meminfo", "MemTotal: 9000 kB\nMemFree: 5 kB\nMemAvailable: 4000 kB\n")
+        assert memory.available() == 4000 * 1024
+
+    @pytest.mark.parametrize("limited", ["jobs/mine", "jobs", "."])
+    def test_is_what_the_nearest_to_its_limit_of_all_groups_allows(
+        self, system: Path, limited: str
+    ) -> None:
+        write(system / "proc/meminfo", f"MemAvailable: {8 * 2**20} kB\n")
+        write(system / "proc/self/cgroup", "0::/jobs/mine\n")
+        for folder in ("jobs/mine", "jobs", "."):
+            of_group = system / "sys/fs/cgroup" / folder
+            most = 3 * GIB if folder == limited else "max"
+            write(of_group / "memory.max", f"{most}\n")
+            write(of_group / "memory.current", f"{2 * GIB}\n")
+            write(of_group / "memory.stat", f"anon 7\ninactive_file {GIB // 2}\n")
+        assert memory.available() == 3 * GIB - 2 * GIB + GIB // 2
+
+    def test_knows_groups_of_the_first_version(self, system: Path) -> None:
+        write(system / "proc/self/cgroup", "5:cpu:/a\n4:memory:/of/a/container\n0::/\n")
+        of_group = system / "sys/fs/cgroup/memory"
+        write(of_group / "memory.limit_in_bytes", f"{4 * GIB}\n")
+        write(of_group / "memory.usage_in_bytes", f"{GIB}\n")
+        assert memory.available() == 3 * GIB
+
+    def test_is_nothing_in_a_group_beyond_its_limit(self, system: Path) -> None:
+        write(system / "proc/self/cgroup", "0::/\n")
+        write(system / "sys/fs/cgroup/memory.max", "1000")
+        write(system / "sys/fs/cgroup/memory.current", "2000")
+        assert memory.available() == 0
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="other systems may not say")
+    def test_of_this_machine_is_between_nothing_and_all(self) -> None:
+        free = memory.available()
+        assert free is not None
+        assert 0 < free <= os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+class TestCheck:
+    def needed(self, further: float) -> FitMemory:
+        return FitMemory(scene=GIB, core=0, making=0, solver=round(further))
+
+    def test_refuses_a_fit_that_there_is_no_memory_for(
+        self, system: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        write(system / "proc/meminfo", f"MemAvailable: {3 * 2**20} kB\n")
+        memory.check("lbfgsb", self.needed(3 * GIB))
+        caplog.clear()
+        with pytest.raises(InputError) as refused:
+            memory.check("lbfgsb", self.needed(3 * GIB + 1e9))
+        assert str(refused.value) == (
+            "solver lbfgsb: expected 3.9 GiB of memory to be available, found 3.0 GiB; use smaller "
+            "or fewer pictures; solver auto needs less"
+        )
+        assert not caplog.records
+        with pytest.raises(InputError, match=r"^solver auto: .* use smaller or fewer pictures$"):
+            memory.check("auto", self.needed(4 * GIB))
+
+    def test_says_what_a_large_fit_needs(
+        self, system: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        write(system / "proc/meminfo", f"MemAvailable: {3 * 2**20} kB\n")
+        with caplog.at_level(logging.WARNING, "pbrfit"):
+            memory.check("auto", self.needed(GIB))
+            assert not caplog.records
+            memory.check("auto", self.needed(1.5 * GIB))
+        expected = "solver auto needs about 1.5 GiB of memory; 3.0 GiB are available"
+        assert [record.getMessage() for record in caplog.records] == [expected]
+
+    def test_refuses_nothing_where_the_memory_is_unknown(
+        self, system: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        assert not list(system.iterdir())
+        memory.check("lbfgsb", self.needed(1e15))
+        assert "available" not in caplog.text
+
+
+class TestRefiningNormals:
+    """With less memory than refining takes."""
+
+    @pytest.fixture
+    def scene(self, system: Path) -> pbrfit.Scene:
+        scene = scene_of(16, 4)
+        layout = Layout.of(scene)
+        held = memory.of_fit(scene, layout, "auto").further
+        both = memory.of_fit(scene, layout, "auto", refine_normals=True).further
+        assert held < both
+        write(system / "proc/meminfo", f"MemAvailable: {(held + both) // 2048} kB\n")
+        return scene
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_is_left_out_where_it_is_optional(self, scene: pbrfit.Scene) -> None:
+        found = pbrfit.decompose(scene, iterations=2, uncertainty=False).refinement
+        assert not found.refined
+        assert re.fullmatch(r"it needs .* of memory, and .* are available", found.why)
+
+    def test_is_refused_where_it_was_asked_for(self, scene: pbrfit.Scene) -> None:
+        with pytest.raises(InputError, match=r"; refine_normals off needs \d+ MiB less$"):
+            pbrfit.decompose(scene, iterations=2, refine_normals="on")
+
+
+class TestPrediction:
+    def test_adds_up(self) -> None:
+        scene = scene_of(64, 4)
+        needed = memory.of_fit(scene, Layout.of(scene), "lbfgsb")
+        assert needed.scene == scene.images.nbytes + scene.normals.nbytes
+        assert needed.further == needed.core + max(needed.making, needed.solver)
+        assert needed.peak == needed.scene + needed.further
+
+    def test_keeps_auto_below_eight_times_the_pictures(self) -> None:
+        """16 pictures: at most 8 times their own bytes, and 4 MP within 8 GiB."""
+        size, pictures = 512, 16
+        scene = scene_of(size, pictures)
+        needed = memory.of_fit(scene, Layout.of(scene), "auto")
+        own = pictures * size**2 * 12
+        assert needed.peak < 8 * own
+        assert needed.peak * (2048 / size) ** 2 < 8 * GIB
+        assert memory.of_fit(scene, Layout.of(scene), "lbfgsb").peak > 1.5 * needed.peak
+
+    @pytest.mark.parametrize("method", ["lbfgsb", "auto"])
+    def test_counts_refining_normals_apart(self, method: Method) -> None:
+        """2 MP with 16 pictures within 8 GiB."""
+        size = 512
+        scene = scene_of(size, 16)
+        layout = Layout.of(scene)
+        held = memory.of_fit(scene, layout, method)
+        refined = memory.of_fit(scene, layout, method, refine_normals=True)
+        assert held.refining == 0
+        assert refined.refining > 2 * held.core
+        assert refined.peak == held.peak + refined.refining
+        if method == "auto":
+            assert refined.peak * 2e6 / size**2 < 8 * GIB
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+    @pytest.mark.parametrize("method", ["lbfgsb", "auto"])
+    def test_is_what_a_process_takes(self, method: Method) -> None:
+        done = subprocess.run(
+            [sys.executable, "-c", FIT, method], check=True, capture_output=True, text=True
+        )
+        taken, said = map(int, done.stdout.split())
+        assert 0.7 * said < taken < 1.15 * said

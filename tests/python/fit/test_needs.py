@@ -1,0 +1,221 @@
+"""Needs: which parts of a fit apply, and why others do not."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import Layout
+from pbrfit.fit.plan import GREY_WEIGHT, NEAR_GREY, Needs, color_deviation
+from pbrfit.fit.priors.penalties import Priors, prior_names
+from pbrfit.synthetic import make_scene
+
+SIZE, N = 8, 3
+ALL = Priors(material=1.0, cohesion=1.0, smoothness=1.0, sparsity=1.0, monochrome=1.0)
+
+
+def scene(**changes: Any) -> pbrfit.Scene:
+    made = make_scene("room", size=SIZE, lights=N, held_out=1)
+    return dataclasses.replace(made, **changes)
+
+
+def known_lights(sh_order: int = 3) -> pbrfit.Scene:
+    made = make_scene("room", size=SIZE, lights=N, held_out=1, sh_order=sh_order)
+    assert made.truth is not None
+    return dataclasses.replace(made, lighting=made.truth.lighting)
+
+
+def grey() -> pbrfit.Scene:
+    made = scene(truth=None)
+    return dataclasses.replace(made, images=np.repeat(made.images[..., :1], 3, axis=-1))
+
+
+def needs(of: pbrfit.Scene, priors: Priors | None = ALL, **options: Any) -> Needs:
+    """Of a fit with `options` of a layout, and others."""
+    keys = ("sh_order", "metallic_known", "mono_light")
+    layout = Layout.of(of, **{key: options.pop(key) for key in keys if key in options})
+    return Needs.of(of, layout, priors=priors, **options)
+
+
+def off_grey(deviation: float) -> NDArray[np.float64]:
+    """Lights (N, 16, 3) with this `color_deviation`: 1 + s, 1, 1 - s has 2s² / (3 + 2s²)."""
+    s = np.sqrt(1.5 * deviation**2 / (1 - deviation**2))
+    colors = np.array([1 + s, 1.0, 1 - s])
+    return np.asarray(np.random.default_rng(0).normal(size=(N, 16, 1)) * colors)
+
+
+# --- What is left out ---
+
+
+def test_a_scene_that_has_all_leaves_out_nothing() -> None:
+    found = needs(scene())
+    assert found.left_out == ()
+    assert found.priors == ALL
+    assert found.used == (
+        f"{SIZE**2} pixels of {N} pictures",
+        "albedo in three channels",
+        "roughness",
+        "metallic",
+        "lights of order 3 in three channels",
+        f"prior material, weight 1: learnt for {Layout.of(scene()).segment_count} segments",
+        *(f"prior {name}, weight 1" for name in prior_names() if name != "material"),
+        "uncertainty",
+    )
+
+
+HALF = np.arange(SIZE**2).reshape(SIZE, SIZE) % 2 == 0
+KNOWN = "lights and their gradient: known, so only materials were fitted"
+
+
+@pytest.mark.parametrize(
+    ("of", "options", "left_out"),
+    [
+        (scene(mask=HALF), {}, ("32 pixels outside the mask",)),
+        (scene(weights=HALF), {}, ("32 pixels of weight 0 in all pictures",)),
+        (
+            grey(),
+            {},
+            (
+                "second and third colour channel: equal to the first",
+                "prior monochrome: lights have one channel",
+            ),
+        ),
+        (
+            scene(),
+            {"mono_light": True},
+            (
+                "colour of the lights: one light for all channels was asked for",
+                "prior monochrome: lights have one channel",
+            ),
+        ),
+        (scene(), {"sh_order": 2}, ("band 3 of the lights: order 2 was asked for",)),
+        (
+            scene(),
+            {"metallic_known": True},
+            ("metallic: given, so it was not fitted", "prior sparsity: metallic is given"),
+        ),
+        (known_lights(), {}, (KNOWN, "prior monochrome: lights are known")),
+        (
+            known_lights(sh_order=2),
+            {},
+            (
+                "band 3 of the lights: the known lights have none",
+                KNOWN,
+                "prior monochrome: lights are known",
+            ),
+        ),
+        (scene(segments=None), {}, ("prior cohesion: no pixel has a segment",)),
+        (
+            scene(segments=np.zeros((SIZE, SIZE), int)),
+            {},
+            ("prior cohesion: no pixel has a segment",),
+        ),
+        (
+            scene(segments=np.arange(SIZE**2).reshape(SIZE, SIZE) + 1),
+            {},
+            ("prior smoothness: no two neighbours that could be alike",),
+        ),
+        (scene(), {"priors": None}, ("priors: none asked for",)),
+        (scene(), {"priors": Priors.none()}, ("priors: none asked for",)),
+        (
+            scene(),
+            {"priors": Priors(material=0, monochrome=0, cohesion=1)},
+            ("prior material: weight 0", "prior monochrome: weight 0"),
+        ),
+        (scene(), {"uncertainty": False}, ("uncertainty: not asked for",)),
+    ],
+)
+def test_what_is_left_out_is_said(
+    of: pbrfit.Scene, options: dict[str, Any], left_out: tuple[str, ...]
+) -> None:
+    assert needs(of, **options).left_out == left_out
+
+
+def test_the_parts_used_are_those_left() -> None:
+    of = dataclasses.replace(
+        grey(), segments=None, weights=np.linspace(1, 2, SIZE**2).reshape(SIZE, SIZE)
+    )
+    found = needs(of, Priors(), sh_order=2, metallic_known=True, robust="huber", uncertainty=False)
+    assert found.used == (
+        f"{SIZE**2} pixels of {N} pictures, with weights",
+        "albedo in one channel",
+        "roughness",
+        "lights of order 2 in one channel",
+        "prior material, weight 1: learnt for one segment",
+        "robust loss: huber",
+    )
+
+
+@pytest.mark.parametrize(
+    ("of", "idle"),
+    [
+        (known_lights(), {"monochrome"}),
+        (grey(), {"monochrome"}),
+        (scene(segments=None), {"cohesion"}),
+    ],
+)
+def test_idle_priors_have_no_weight(of: pbrfit.Scene, idle: set[str]) -> None:
+    found = needs(of).priors
+    assert {name for name in prior_names() if getattr(found, name) == 0} == idle
+    penalties = Objective(of, priors=found).penalties
+    assert [p.name for p in penalties] == [p.name for p in Objective(of, priors=ALL).penalties]
+
+
+# --- Rules ---
+
+
+def test_deviation_from_grey_by_hand() -> None:
+    assert color_deviation(np.full((2, 4, 3), 7.0)) == 0
+    assert color_deviation(np.zeros((2, 4, 3))) == 0
+    assert color_deviation(np.array([[[1.0, 0, 0]]])) == pytest.approx(np.sqrt(2 / 3), rel=1e-15)
+    assert color_deviation(np.array([[[3.0, 2, 1], [0, 0, 0]]])) == pytest.approx(np.sqrt(2 / 14))
+    lights = np.random.default_rng(1).normal(size=(N, 16, 3))
+    for scale in (1e3, 1e300, 1e-300):
+        assert color_deviation(scale * lights) == pytest.approx(color_deviation(lights), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "weight"),
+    [(0.0, GREY_WEIGHT), (0.999 * NEAR_GREY, GREY_WEIGHT), (1.001 * NEAR_GREY, 0.0), (0.4, 0.0)],
+)
+def test_monochrome_is_for_lights_near_grey(deviation: float, weight: float) -> None:
+    lighting = off_grey(deviation)
+    assert color_deviation(lighting) == pytest.approx(deviation, abs=1e-12)
+    found = needs(scene(), Priors(), lighting=lighting)
+    assert found.priors.monochrome == weight
+    said = [entry for entry in found.left_out if "monochrome" in entry]
+    assert len(said) == (weight == 0)
+    assert all("off grey, above 0.05" in entry for entry in said)
+
+
+def test_monochrome_waits_for_lights_and_obeys() -> None:
+    found = needs(scene(), Priors())
+    assert found.priors.monochrome is None
+    assert found.left_out == ()
+    assert found.used[-2] == "prior monochrome, if the fitted lights are near grey"
+    for weight, lighting in ((0.0, off_grey(0)), (2.0, off_grey(0.4))):
+        asked = needs(scene(), Priors(monochrome=weight), lighting=lighting)
+        assert asked.priors.monochrome == weight
+
+
+def test_known_lights_without_band_three_need_none() -> None:
+    """Adding zeros gives the same sums; one coefficient of band 3 brings it back."""
+    of = known_lights(sh_order=2)
+    two = Objective(of)
+    assert two.coefficients == 9
+    assert of.lighting is not None
+    lighting = of.lighting.copy()
+    lighting[0, 15, 0] = 1e-30
+    three = Objective(dataclasses.replace(of, lighting=lighting))
+    assert three.coefficients == 16
+    x = two.start()
+    (a, of_two), (b, of_three) = (objective.value_and_grad(x) for objective in (two, three))
+    assert a == pytest.approx(b, rel=1e-6)
+    np.testing.assert_allclose(of_two, of_three, rtol=1e-4, atol=1e-6 * np.abs(of_two).max())
+    np.testing.assert_array_equal(two.unpack(x)[1], of.lighting)

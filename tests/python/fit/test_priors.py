@@ -1,0 +1,550 @@
+"""Penalties against slow references and differences, at every kind of layout."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+from pbrfit import InputError, _core
+from pbrfit.fit.gradient_check import check_gradients
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import Layout
+from pbrfit.fit.priors.penalties import Penalty, Priors, penalties, prior_names, tied_neighbours
+from pbrfit.scene.segments import consecutive_labels
+from pbrfit.synthetic import make_scene
+
+Array = NDArray[np.float64]
+
+ALL = Priors(material=1.0, cohesion=0.7, smoothness=0.3, sparsity=0.2, monochrome=0.5)
+
+
+def layout(valid: Any, segments: Any = None, **changes: Any) -> Layout:
+    """Of `valid` (H, W) and ids (H, W), with two pictures and four coefficients."""
+    valid = np.asarray(valid, bool)
+    labels, count = None, 0
+    if segments is not None:
+        labels, count = consecutive_labels(np.asarray(segments)[valid])
+    made = Layout(
+        valid=valid,
+        segments=labels,
+        segment_count=count,
+        pictures=2,
+        channels=3,
+        coefficients=4,
+        light_channels=3,
+        metallic_known=False,
+        lighting_known=False,
+    )
+    return dataclasses.replace(made, **changes)
+
+
+RNG = np.random.default_rng(0)
+MASK = RNG.random((5, 7)) < 0.7
+IDS = RNG.integers(0, 4, (5, 7))  # 0 is unclassified
+APART = 1 + np.arange(35).reshape(5, 7)  # each pixel a segment of its own
+
+LAYOUTS = {
+    "all": layout(np.ones((5, 7)), IDS),
+    "masked": layout(MASK, IDS),
+    "no segments": layout(MASK),
+    "no unclassified": layout(MASK, IDS + 1),
+    "single-pixel segments": layout(MASK, APART),
+    "all unclassified": layout(MASK, 0 * IDS),
+    "a segment of masked pixels": layout(MASK, np.where(MASK, IDS, 9)),
+    "any ids": layout(MASK, np.array([0, -5, 2**40, 70_000])[IDS]),
+    "1 × 1": layout([[1]], [[3]]),
+    "1 × N": layout(np.ones((1, 6)), [[1, 1, 0, 2, 2, 1]]),
+    "N × 1": layout([[1], [1], [0], [1]], [[1], [1], [1], [2]]),
+    "nothing adjoins": layout([[1, 0, 1], [0, 1, 0]], [[1, 1, 1], [1, 1, 1]]),
+    "grey": layout(MASK, IDS, channels=1, light_channels=1),
+    "one light for all channels": layout(MASK, IDS, light_channels=1),
+    "known metallic": layout(MASK, IDS, metallic_known=True),
+    "known lights": layout(MASK, IDS, lighting_known=True),
+}
+every_layout = pytest.mark.parametrize("name", LAYOUTS)
+
+
+def ints(*values: int) -> NDArray[np.int64]:
+    return np.array(values, dtype=np.int64)
+
+
+def random_x(of: Layout, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).random(of.size)
+
+
+def slow_values(of: Layout, x: Array) -> dict[str, float]:
+    """Each prior at weight 1, pixel by pixel from its definition."""
+    pixels = [(int(i), int(j)) for i, j in np.argwhere(of.valid)]
+    labels = [0] * len(pixels) if of.segments is None else [int(label) for label in of.segments]
+    maps = [x[block].tolist() for block in (of.roughness, of.metallic) if block is not None]
+
+    def mean(label: int, values: list[float]) -> float:
+        members = [v for v, found in zip(values, labels, strict=True) if found == label]
+        return math.fsum(members) / len(members)
+
+    found = dict.fromkeys(("cohesion", "smoothness", "sparsity", "monochrome"), 0.0)
+    for values in maps:
+        for a, (pixel, label) in enumerate(zip(pixels, labels, strict=True)):
+            if label:
+                found["cohesion"] += (values[a] - mean(label, values)) ** 2 / len(pixels)
+            for b in range(a):
+                distance = abs(pixel[0] - pixels[b][0]) + abs(pixel[1] - pixels[b][1])
+                tied = labels[b] == label or 0 in (labels[b], label)
+                if distance == 1 and tied:
+                    found["smoothness"] += (values[a] - values[b]) ** 2 * 1e-4
+    if of.metallic is not None:
+        found["sparsity"] = sum(abs(m) for m in x[of.metallic]) / len(pixels)
+    if of.lighting is not None:
+        lights = x[of.lighting].reshape(of.pictures, of.coefficients, of.light_channels)
+        for light in itertools.chain.from_iterable(lights.tolist()):
+            grey = sum(light) / len(light)
+            found["monochrome"] += sum((value - grey) ** 2 for value in light) / lights.size
+    return found
+
+
+# --- Values and gradients ---
+
+
+@every_layout
+def test_values_are_those_of_the_definition(name: str) -> None:
+    of = LAYOUTS[name]
+    x = random_x(of)
+    found = {p.name: p.value_and_grad(x, np.zeros(of.size)) for p in penalties(of, ALL)}
+    for prior, value in slow_values(of, x).items():
+        expected = getattr(ALL, prior) * value
+        assert found.get(prior, 0.0) == pytest.approx(expected, rel=1e-13, abs=1e-15), prior
+
+
+@every_layout
+def test_gradients_agree_with_differences(name: str) -> None:
+    """All are polynomials of degree 2 or less: a central difference has no truncation error."""
+    of = LAYOUTS[name]
+    x = random_x(of)
+    for penalty in penalties(of, ALL):
+        gradient = np.zeros(of.size)
+        penalty.value_and_grad(x, gradient)
+        for index in range(of.size):
+            step = np.zeros(of.size)
+            step[index] = 0.5
+            above, below = (
+                penalty.value_and_grad(x + sign * step, np.zeros(of.size)) for sign in (1, -1)
+            )
+            assert gradient[index] == pytest.approx(above - below, rel=1e-10, abs=1e-13), index
+
+
+@every_layout
+def test_the_gradient_is_added_and_x_left_alone(name: str) -> None:
+    of = LAYOUTS[name]
+    x = random_x(of)
+    before = x.copy()
+    for penalty in penalties(of, ALL):
+        alone, gradient = np.zeros(of.size), random_x(of, 1)
+        expected = gradient.copy()
+        penalty.value_and_grad(x, alone)
+        penalty.value_and_grad(x, gradient)
+        np.testing.assert_allclose(gradient, expected + alone, rtol=1e-14)
+    np.testing.assert_array_equal(x, before)
+
+
+@every_layout
+def test_only_what_has_something_to_act_on_is_there(name: str) -> None:
+    of = LAYOUTS[name]
+    expected = ["cohesion", "smoothness", "sparsity", "monochrome"]
+    if name in ("no segments", "all unclassified"):
+        expected.remove("cohesion")
+    if name in ("1 × 1", "nothing adjoins", "single-pixel segments"):
+        expected.remove("smoothness")
+    if name == "known metallic":
+        expected.remove("sparsity")
+    if name in ("grey", "one light for all channels", "known lights"):
+        expected.remove("monochrome")
+    assert [penalty.name for penalty in penalties(of, ALL)] == expected
+
+
+def test_long_runs_are_cut_and_overlap() -> None:
+    """Runs of pairs are handled by 512: one row of 1500 has three, and each overlaps itself."""
+    for shape in ((1, 1500), (1500, 1), (40, 40)):
+        of = layout(np.ones(shape))
+        x = random_x(of)
+        gradient, expected = np.zeros(of.size), np.zeros(of.size)
+        (penalty,) = penalties(of, dataclasses.replace(Priors.none(), smoothness=1.0))
+        value = penalty.value_and_grad(x, gradient)
+        total = 0.0
+        for block in (of.roughness, of.metallic):
+            assert block is not None
+            first, second = tied_neighbours(of)
+            changes = x[block][second] - x[block][first]
+            total += 1e-4 * float(np.square(changes).sum())
+            np.add.at(expected[block], second, 2e-4 * changes)
+            np.add.at(expected[block], first, -2e-4 * changes)
+        assert value == pytest.approx(total, rel=1e-12)
+        np.testing.assert_allclose(gradient, expected, rtol=1e-12, atol=1e-17)
+
+
+def test_a_weight_of_zero_is_not_evaluated() -> None:
+    of = LAYOUTS["all"]
+    assert penalties(of, Priors.none()) == []
+    for name in ("cohesion", "smoothness", "sparsity", "monochrome"):
+        only = dataclasses.replace(Priors.none(), **{name: 1.0})
+        assert [penalty.name for penalty in penalties(of, only)] == [name]
+
+
+def test_a_segment_of_one_pixel_is_its_own_mean() -> None:
+    of = LAYOUTS["single-pixel segments"]
+    gradient = np.zeros(of.size)
+    (cohesion,) = penalties(of, dataclasses.replace(Priors.none(), cohesion=1.0))
+    assert cohesion.value_and_grad(random_x(of), gradient) == 0.0
+    assert not gradient.any()
+
+
+def test_neighbours_are_tied_unless_in_two_segments() -> None:
+    pairs = tied_neighbours(layout([[1, 1, 1], [0, 1, 1]], [[1, 2, 0], [1, 2, 2]]))
+    # In row order: 0 1 2 / (masked) 3 4. First below one another, then side by side.
+    assert pairs.T.tolist() == [[1, 3], [2, 4], [1, 2], [3, 4]]
+
+
+# --- Weights mean the same for every scene ---
+
+
+def smooth_maps(size: int) -> tuple[Layout, Array]:
+    """The same two waves in two segments, at any resolution; a third of the picture is masked."""
+    y, x = (np.mgrid[:size, :size] + 0.5) / size
+    of = layout(x > 1 / 3, np.where(y > 0.5, 1, 2))
+    values = np.zeros(of.size)
+    wave = 0.5 + 0.3 * np.sin(3 * x + 2 * y)
+    values[of.roughness] = wave[of.valid]
+    assert of.metallic is not None
+    values[of.metallic] = wave[of.valid] ** 2
+    return of, values
+
+
+@pytest.mark.parametrize("prior", ["cohesion", "smoothness", "sparsity"])
+def test_resolution_does_not_change_a_prior(prior: str) -> None:
+    found = []
+    for size in (48, 192):
+        of, x = smooth_maps(size)
+        (penalty,) = penalties(of, dataclasses.replace(Priors.none(), **{prior: 1.0}))
+        found.append(penalty.value_and_grad(x, np.zeros(of.size)))
+    assert found[0] > 0
+    assert found[0] == pytest.approx(found[1], rel=0.03)
+
+
+def test_smoothness_is_the_change_over_a_hundredth_of_the_side() -> None:
+    """A ramp of one over a square: over a hundredth of the side it changes by 0.01."""
+    size = 200
+    of = layout(np.ones((size, size)))
+    x = np.zeros(of.size)
+    x[of.roughness] = np.tile(np.arange(size) / size, size)
+    (penalty,) = penalties(of, dataclasses.replace(Priors.none(), smoothness=1.0))
+    assert penalty.value_and_grad(x, np.zeros(of.size)) == pytest.approx(1e-4, rel=0.01)
+
+
+def test_exposure_and_number_of_pictures_do_not_change_monochrome() -> None:
+    made = scene_of()
+    assert made.truth is not None
+    assert made.truth.lighting is not None
+    maps, lights = made.truth.materials, made.truth.lighting
+    scene = dataclasses.replace(made, truth=None)
+    brighter = dataclasses.replace(scene, images=7 * scene.images)
+    twice = dataclasses.replace(scene, images=np.concatenate([scene.images] * 2), names=())
+    cases = [(scene, lights), (brighter, 7 * lights), (twice, np.concatenate([lights] * 2))]
+    found = []
+    for case, lighting in cases:
+        objective = Objective(case, priors=dataclasses.replace(Priors.none(), monochrome=1.0))
+        x = objective.pack(maps.albedo, maps.roughness, maps.metallic, lighting)
+        found.append(objective.add_penalties(x, np.zeros(objective.size)))
+    assert found[0] > 0
+    assert found[1:] == pytest.approx(found[:1] * 2, rel=1e-6)
+
+
+# --- Segment ids ---
+
+
+@pytest.mark.parametrize(
+    "ids",
+    [
+        [0, -3, 7, 7, -3],
+        np.array([0, 2**63, 2**64 - 1, 2**64 - 1, 2**63], np.uint64),
+        np.array([0, 200, 255, 255, 200], np.uint8),
+        [0, 65_536, 10**12, 10**12, 65_536],
+    ],
+)
+def test_any_whole_numbers_are_ids(ids: Any) -> None:
+    labels, count = consecutive_labels(np.asarray(ids))
+    assert (labels.tolist(), count) == ([0, 1, 2, 2, 1], 2)
+
+
+def test_labels_keep_the_shape_and_need_no_unclassified() -> None:
+    labels, count = consecutive_labels(np.array([[4, -4], [4, 4]]))
+    assert (labels.tolist(), count) == ([[2, 1], [2, 2]], 2)
+    assert consecutive_labels(np.zeros((2, 1), int))[1] == 0
+
+
+def test_more_segments_than_16_bits_hold() -> None:
+    size = 300
+    ids = np.arange(size * size).reshape(size, size) // 2
+    of = layout(np.ones((size, size)), ids)
+    assert of.segment_count == 44_999
+    of = layout(np.ones((size, size)), ids * 2 + 1)
+    x = random_x(of)
+    found = {p.name: p.value_and_grad(x, np.zeros(of.size)) for p in penalties(of, ALL)}
+    r, m = (x[block].reshape(-1, 2) for block in (of.roughness, of.metallic) if block)
+    pairs = sum(float(np.square(v[:, 0] - v[:, 1]).sum()) for v in (r, m))
+    assert found["cohesion"] == pytest.approx(0.7 * pairs / 2 / size**2)
+    assert found["smoothness"] == pytest.approx(0.3 * pairs * 1e-4)
+
+
+# --- Priors ---
+
+
+@pytest.mark.parametrize("name", prior_names())
+@pytest.mark.parametrize("weight", [-1e-9, np.nan, np.inf, "1", "auto", True, [1.0], 1j])
+def test_unusable_weights_are_named(name: str, weight: Any) -> None:
+    with pytest.raises(InputError, match=f"^prior {name}: expected a finite weight"):
+        Priors(**{name: weight})
+
+
+def test_weights_are_plain_numbers() -> None:
+    priors = Priors(cohesion=np.float32(0.5), material=2, monochrome=0)  # type: ignore[arg-type]
+    assert dataclasses.astuple(priors) == (2.0, 0.5, 0.0, 0.0, 0.0)
+    assert all(type(weight) is float for weight in dataclasses.astuple(priors))
+    with pytest.raises(InputError, match=r"^prior material: expected .* found None"):
+        Priors(material=None)  # type: ignore[arg-type]
+    assert set(dataclasses.astuple(Priors.none())) == {0.0}
+    assert Priors().monochrome is None
+
+
+# --- In the objective ---
+
+
+def scene_of(**options: Any) -> pbrfit.Scene:
+    return make_scene("room", size=12, lights=3, held_out=1, **options)
+
+
+def test_the_loss_is_data_and_penalties() -> None:
+    objective = Objective(scene_of(), priors=ALL)
+    without = Objective(scene_of())
+    x = objective.start()
+    np.testing.assert_array_equal(x, without.start())
+    data, by_data = without.value_and_grad(x)
+    gradient = np.zeros(objective.size)
+    values = [penalty.value_and_grad(x, gradient) for penalty in objective.penalties]
+    assert len(values) == 4
+    loss, by_loss = objective.value_and_grad(x)
+    assert loss == pytest.approx(data + sum(values), rel=1e-14)
+    np.testing.assert_allclose(by_loss, by_data + gradient, rtol=1e-14, atol=1e-18)
+    assert objective.data_value_and_grad(x)[0] == data
+
+
+class Offset:
+    """A penalty of a solver."""
+
+    name = "offset"
+
+    def value_and_grad(self, x: Array, gradient: Array) -> float:
+        gradient += 1.0
+        return float(x.sum())
+
+
+def test_penalties_may_change_between_evaluations() -> None:
+    objective = Objective(scene_of())
+    x = objective.start()
+    loss, gradient = objective.value_and_grad(x)
+    objective.penalties.append(Offset())
+    assert objective.value_and_grad(x)[0] == pytest.approx(loss + x.sum(), rel=1e-14)
+    objective.penalties = []
+    after = objective.value_and_grad(x)
+    assert after[0] == loss
+    np.testing.assert_array_equal(after[1], gradient)
+
+
+KINDS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "order 2": {"sh_order": 2},
+    "known metallic": {"metallic": 0.3},
+    "one light for all channels": {"mono_light": True},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("grey", [False, True])
+def test_gradients_of_all_terms(kind: str, grey: bool) -> None:
+    scene = scene_of()
+    if grey:
+        images = np.repeat(scene.images[..., :1], 3, axis=-1)
+        scene = dataclasses.replace(scene, images=images, truth=None)
+    objective = Objective(scene, priors=ALL, **KINDS[kind])
+    checks = check_gradients(objective)
+    assert {check.function for check in checks} == {
+        "loss",
+        *(penalty.name for penalty in objective.penalties),
+    }
+    for check in checks:
+        assert check.passed, check
+
+
+class Wrong:
+    """A penalty whose gradient misses one part and has a sign too many in another."""
+
+    def __init__(self, right: Penalty, part: slice, factor: float) -> None:
+        self.name = right.name
+        self.right, self.part, self.factor = right, part, factor
+
+    def value_and_grad(self, x: Array, gradient: Array) -> float:
+        own = np.zeros_like(gradient)
+        value = self.right.value_and_grad(x, own)
+        own[self.part] *= self.factor
+        gradient += own
+        return value
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.001])
+def test_the_check_finds_a_wrong_gradient(factor: float) -> None:
+    objective = Objective(scene_of(), priors=dataclasses.replace(Priors.none(), cohesion=1e-9))
+    objective.penalties = [Wrong(objective.penalties[0], objective.roughness, factor)]
+    failed = {(c.function, c.unknowns) for c in check_gradients(objective) if not c.passed}
+    assert failed == {("cohesion", "roughness")}
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    scene = make_scene("room", size=40, lights=3, held_out=1)
+    results = [Objective(scene, priors=ALL, threads=threads) for threads in (1, 2)]
+    x = results[0].start()
+    (loss, gradient), other = (objective.value_and_grad(x) for objective in results)
+    assert other[0] == loss
+    np.testing.assert_array_equal(other[1], gradient)
+
+
+# --- One light for all channels ---
+
+
+def weighted(scene: pbrfit.Scene) -> pbrfit.Scene:
+    weights = np.random.default_rng(2).uniform(0.1, 1, scene.images.shape[:3])
+    return dataclasses.replace(scene, weights=weights)
+
+
+@pytest.mark.parametrize("sh_order", [2, 3])
+@pytest.mark.parametrize("metallic", [None, 0.3])
+def test_mono_light_is_a_third_of_the_lights(sh_order: int, metallic: float | None) -> None:
+    scene = scene_of()
+    objective = Objective(scene, mono_light=True, sh_order=sh_order, metallic=metallic)
+    lights = 3 * (sh_order + 1) ** 2
+    assert objective.lighting == slice(objective.size - lights, objective.size)
+    assert objective.size == (5 - (metallic is not None)) * objective.pixels + lights
+    assert np.isinf(objective.bounds[-lights:]).all()
+    assert not np.isinf(objective.bounds[:-lights]).any()
+    x = random_x(objective.layout)
+    materials, lighting = objective.unpack(x)
+    np.testing.assert_array_equal(lighting, np.repeat(lighting[..., :1], 3, axis=-1))
+    back = objective.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
+    np.testing.assert_allclose(back, x, rtol=1e-15)
+    # The colour problem at the same maps and lights.
+    colour = Objective(scene, sh_order=sh_order, metallic=metallic)
+    same = colour.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
+    assert objective.value_and_grad(x)[0] == pytest.approx(colour.value_and_grad(same)[0])
+
+
+def test_coloured_lights_are_packed_as_their_mean() -> None:
+    objective = Objective(scene_of(), mono_light=True)
+    flat = np.full((12, 12), 0.5)
+    lighting = np.random.default_rng(3).random((3, 16, 3))
+    x = objective.pack(flat[..., None].repeat(3, -1), flat, flat, lighting)
+    _, back = objective.unpack(x)
+    np.testing.assert_allclose(back[..., 1], lighting.mean(axis=-1), rtol=1e-14)
+
+
+@pytest.mark.parametrize("sample_weights", [False, True])
+def test_the_best_light_for_all_channels_is_a_minimum(sample_weights: bool) -> None:
+    scene = weighted(scene_of()) if sample_weights else scene_of()
+    objective = Objective(scene, mono_light=True)
+    x = objective.start()
+    loss, gradient = objective.value_and_grad(x)
+    assert objective.lighting is not None
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        other = x.copy()
+        other[objective.lighting] *= rng.uniform(0.95, 1.05, 48)
+        other_loss, other_gradient = objective.value_and_grad(other)
+        assert other_loss > loss
+        by_lights = np.linalg.norm(gradient[objective.lighting])
+        assert by_lights < 1e-2 * np.linalg.norm(other_gradient[objective.lighting])
+
+
+def test_mono_light_changes_nothing_where_there_is_one_channel() -> None:
+    scene = scene_of()
+    images = np.repeat(scene.images[..., :1], 3, axis=-1)
+    scene = dataclasses.replace(scene, images=images, truth=None)
+    one, other = Objective(scene), Objective(scene, mono_light=True)
+    x = one.start()
+    np.testing.assert_array_equal(other.start(), x)
+    assert one.value_and_grad(x)[0] == other.value_and_grad(x)[0]
+
+
+def test_known_lights_in_colour_are_refused_by_mono_light() -> None:
+    scene = scene_of()
+    assert scene.truth is not None
+    assert scene.truth.lighting is not None
+    with pytest.raises(InputError, match=r"^lighting: expected known lights with equal channels"):
+        Objective(dataclasses.replace(scene, lighting=scene.truth.lighting), mono_light=True)
+    grey = np.repeat(scene.truth.lighting[..., :1], 3, axis=-1)
+    known = dataclasses.replace(scene, lighting=grey)
+    objective, plain = Objective(known, mono_light=True), Objective(known)
+    x = objective.start()
+    assert objective.value_and_grad(x)[0] == plain.value_and_grad(x)[0]
+    np.testing.assert_array_equal(objective.value_and_grad(x)[1], plain.value_and_grad(x)[1])
+
+
+@pytest.mark.parametrize("shift", [-1, 1])
+def test_an_x_of_another_length_is_refused(shift: int) -> None:
+    objective = Objective(scene_of(), mono_light=True)
+    with pytest.raises(InputError, match=r"^x: expected shape"):
+        objective.value_and_grad(np.full(objective.size + shift, 0.5))
+
+
+# --- The border to Rust ---
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: _core.Neighbours(3, ints(0, 1), ints(1, 3)), "neighbours: expected indices below"),
+        (lambda: _core.Neighbours(3, ints(0, 1), ints(1)), "second: expected shape"),
+        (lambda: _core.Neighbours(3, ints(-1), ints(1)), "first: expected numbers of 0 or more"),
+        (lambda: _core.Groups(ints(0, 4, 1)), "labels: expected labels up to the number of pixels"),
+        (lambda: _core.Groups(ints(0, -1)), "labels: expected numbers of 0 or more"),
+        (lambda: _core.Groups(ints(2**40)), "labels: expected 32-bit labels"),
+        (lambda: _core.Groups(np.zeros(3)), "labels: expected an array of int64"),  # type: ignore[arg-type]
+    ],
+)
+def test_unusable_pairs_and_labels_are_named(make: Callable[[], object], complaint: str) -> None:
+    with pytest.raises(InputError, match=f"^{complaint}"):
+        make()
+
+
+@pytest.mark.parametrize(
+    "penalty",
+    [_core.Neighbours(3, np.array([0, 1]), np.array([1, 2])), _core.Groups(np.ones(3, int))],
+)
+def test_arrays_that_cannot_be_used_are_named(penalty: _core.Neighbours | _core.Groups) -> None:
+    values, gradient = np.array([0.0, 1.0, 3.0]), np.zeros(3)
+    fixed = np.zeros(3)
+    fixed.flags.writeable = False
+    for bad in (fixed, np.zeros(6)[::2], np.zeros(3, np.float32), values):
+        with pytest.raises(InputError, match=r"^gradient: expected a writable contiguous array"):
+            penalty.add_penalty(values, 1.0, bad)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^gradient: expected 3 numbers, found 4"):
+        penalty.add_penalty(values, 1.0, np.zeros(4))
+    with pytest.raises(InputError, match=r"^values: expected 3 numbers, found 2"):
+        penalty.add_penalty(values[:2], 1.0, gradient)
+    assert not gradient.any()
+    expected = penalty.add_penalty(values, 1.0, gradient)
+    # Values may have gaps: they are copied then.
+    assert penalty.add_penalty(np.repeat(values, 2)[::2], 1.0, gradient) == expected > 0

@@ -1,0 +1,408 @@
+"""Refined normals around the solver: options, what hinders, result folder, commands."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from page_reader import Page
+from pbrfit import InputError, Result, Scene, decompose, relight
+from pbrfit.batch.scenes import table
+from pbrfit.export import export_result
+from pbrfit.model.geometry import angles_between
+from pbrfit.model.reflection import render
+from pbrfit.report import write_report
+from pbrfit.result.differences import PALETTE, WHITE, turned
+from pbrfit.result.refinement import CHOICES, LEAST_CHANGE, NOT_ASKED, Refinement, hindrance
+from pbrfit.synthetic import make_scene
+from refined import LARGEST, degrees_of, refined
+from scene_files import run
+
+SIZE = 12
+
+
+def scene(pictures: int = 3, **changes: Any) -> Scene:
+    made = make_scene("room", size=SIZE, lights=pictures, held_out=1)
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[2:5, :3] = False
+    arguments: dict[str, Any] = {"images": made.images, "normals": made.normals, "mask": mask}
+    return Scene(**(arguments | changes))
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return refined(decompose(scene(), iterations=5))
+
+
+# ----------------------------------------------------------------------------------------- decision
+
+
+def test_two_pictures_cannot_determine_normals_and_three_can() -> None:
+    made = scene(3)
+    assert hindrance(made) is None
+    assert hindrance(scene(2)) == "2 pictures do not determine normals, which takes at least 3"
+    lighting = np.ones((1, 16, 3))
+    one = scene(images=made.images[:1], lighting=lighting)
+    assert hindrance(one) == "a single picture does not determine normals, which takes at least 3"
+
+
+def test_known_lights_do_not_hinder() -> None:
+    made = make_scene("room", size=SIZE, lights=3, held_out=1)
+    assert made.truth is not None
+    assert hindrance(scene(lighting=made.truth.lighting)) is None
+    assert hindrance(scene(2, lighting=np.ones((2, 16, 3)))) is not None
+
+
+@pytest.mark.parametrize("asked", CHOICES)
+def test_two_pictures_leave_normals_as_given(asked: str, caplog: pytest.LogCaptureFixture) -> None:
+    made = scene(2)
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        found = decompose(made, iterations=1, uncertainty=False, refine_normals=asked)  # type: ignore[arg-type]
+    assert found.options.refine_normals == found.refinement.asked == asked
+    assert not found.refinement.refined
+    assert found.given_normals is None
+    assert found.normal_change is None
+    np.testing.assert_array_equal(found.normals, made.normals)
+    reason = "not asked for" if asked == "off" else hindrance(made)
+    assert found.refinement.why == reason
+    said = [record.getMessage() for record in caplog.records]
+    # Who asks for it by name is told before the fit; by default it is in the summary.
+    assert said == ([f"normals are not refined: {reason}"] if asked == "on" else [])
+
+
+def test_refinement_is_left_to_the_pictures_by_default() -> None:
+    assert decompose(scene(2), iterations=1, uncertainty=False).refinement.asked == "auto"
+
+
+@pytest.mark.parametrize("asked", ["yes", "", "ON", None, True])
+def test_another_choice_is_refused(asked: Any) -> None:
+    with pytest.raises(InputError, match="refine_normals: expected one of off, auto, on, found"):
+        decompose(scene(), refine_normals=asked)
+
+
+# ------------------------------------------------------------------------------------------- result
+
+
+def test_the_change_is_the_angle_between_given_and_refined_normals(result: Result) -> None:
+    change = result.normal_change
+    assert change is not None
+    np.testing.assert_allclose(change[result.mask], degrees_of(result.mask)[result.mask], atol=1e-9)
+    assert (change[result.mask] == 0).any()
+    assert np.isnan(change[~result.mask]).all()
+    figures = result.refinement.figures
+    inside = degrees_of(result.mask)[result.mask]
+    assert figures["mean_change_degrees"] == pytest.approx(inside.mean())
+    assert figures["largest_change_degrees"] == pytest.approx(LARGEST)
+    assert figures["changed_share"] == np.mean(inside > 0)
+
+
+def test_what_rounding_turns_is_as_given(result: Result) -> None:
+    change = np.array([[0.0, 0.9 * LEAST_CHANGE, LEAST_CHANGE, np.nan, 3.0]])
+    assert result.refinement.with_change(change).figures["changed_share"] == 0.5
+    assert (turned(change).indices() == WHITE).tolist() == [[True, True, False, False, False]]
+    # A normal that was made anew from a tilt of 0, and stored.
+    stored = result.normals[result.mask].astype(np.float32).astype(np.float64)
+    again = stored / np.linalg.norm(stored, axis=-1, keepdims=True)
+    assert angles_between(again.astype(np.float32), stored).max() < LEAST_CHANGE
+
+
+def test_refined_normals_without_given_ones_are_refused_and_the_reverse(result: Result) -> None:
+    with pytest.raises(InputError, match="given_normals: expected the normals before their ref"):
+        dataclasses.replace(result, given_normals=None)
+    with pytest.raises(InputError, match="given_normals: expected none without their refinement"):
+        dataclasses.replace(result, refinement=NOT_ASKED)
+
+
+def test_layers_of_given_normals_as_another_reader_sees_them(
+    result: Result, tmp_path: Path
+) -> None:
+    result.save(tmp_path / "out")
+    [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
+    layers = {name: channel.pixels for name, channel in part.channels.items()}
+    given, change = result.given_normals, result.normal_change
+    assert given is not None
+    assert change is not None
+    expected = {
+        **{f"normal.{name}": result.normals[..., i] for i, name in enumerate("XYZ")},
+        **{f"normal_given.{name}": given[..., i] for i, name in enumerate("XYZ")},
+        "normal_change.Y": change,
+    }
+    for name, values in expected.items():
+        found = layers[name]
+        assert found.dtype == np.float32
+        assert np.isfinite(found).all()
+        # float32 normals are 1e-5 degrees off.
+        atol = 1e-5 if name == "normal_change.Y" else 0
+        stored = values[result.mask].astype(np.float32)
+        np.testing.assert_allclose(found[result.mask], stored, rtol=0, atol=atol, err_msg=name)
+
+
+def test_results_without_refined_normals_have_none_of_their_layers(
+    result: Result, tmp_path: Path
+) -> None:
+    plain = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
+    plain.save(tmp_path / "out")
+    [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
+    assert not [name for name in part.channels if name.startswith(("normal_given", "normal_ch"))]
+    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    assert content["normals"] == {
+        "asked": "off",
+        "refined": False,
+        "why": "not asked for",
+        "figures": {},
+    }
+    loaded = Result.load(tmp_path / "out")
+    assert loaded.refinement == NOT_ASKED
+    assert loaded.given_normals is None
+
+
+def test_refined_normals_are_saved_and_read_back(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    assert content["normals"] == {
+        "asked": "auto",
+        "refined": True,
+        "why": result.refinement.why,
+        "figures": result.refinement.figures,
+    }
+    loaded = Result.load(tmp_path / "out")
+    assert loaded.refinement == result.refinement
+    assert loaded.given_normals is not None
+    assert result.given_normals is not None
+    for found, saved in (
+        (loaded.given_normals, result.given_normals),
+        (loaded.normals, result.normals),
+    ):
+        np.testing.assert_array_equal(found, saved.astype(np.float32))
+    # What was not turned is still the same to the bit, and counts as such.
+    assert loaded.normal_change is not None
+    unchanged = degrees_of(result.mask) == 0
+    assert (loaded.normal_change[result.mask & unchanged] == 0).all()
+    loaded.save(tmp_path / "again")
+    for name in ("materials.exr", "result.json"):
+        again = (tmp_path / "again" / name).read_bytes()
+        assert again == (tmp_path / "out" / name).read_bytes(), name
+
+
+def test_figures_that_are_no_numbers_are_null_in_the_file(result: Result, tmp_path: Path) -> None:
+    figures = {"noise": math.nan, "residual_before": math.inf, "spread_degrees": 3.0}
+    refinement = dataclasses.replace(result.refinement, figures=figures)
+    dataclasses.replace(result, refinement=refinement).save(tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    assert content["normals"]["figures"] == {
+        "noise": None,
+        "residual_before": None,
+        "spread_degrees": 3.0,
+    }
+    found = Result.load(tmp_path / "out").refinement.figures
+    assert math.isnan(found["noise"])
+    assert found["spread_degrees"] == 3.0
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"asked": "perhaps"},
+        {"refined": "yes"},
+        {"why": None},
+        {"figures": {"noise": "low"}},
+        {"figures": None},
+    ],
+)
+def test_a_decision_that_nobody_wrote_is_refused(
+    result: Result, tmp_path: Path, broken: dict[str, Any]
+) -> None:
+    result.save(tmp_path / "out")
+    file = tmp_path / "out" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    content["normals"] |= broken
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
+        Result.load(tmp_path / "out")
+
+
+def test_missing_layers_of_given_normals_are_named(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    plain = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
+    plain.save(tmp_path / "plain")
+    (tmp_path / "out" / "materials.exr").write_bytes(
+        (tmp_path / "plain" / "materials.exr").read_bytes()
+    )
+    with pytest.raises(
+        InputError,
+        match=r"materials\.exr: expected channel normal_given\.X, because result\.json tells of "
+        "refined normals",
+    ):
+        Result.load(tmp_path / "out")
+
+
+# --------------------------------------------------------------------------------------- downstream
+
+
+def test_relighting_and_export_take_the_refined_normals(result: Result, tmp_path: Path) -> None:
+    light, given = result.lighting[0], result.given_normals
+    assert given is not None
+    expected, wrong = (
+        render(result.materials, normals, light, result.fov) for normals in (result.normals, given)
+    )
+    found = relight(result, light)
+    np.testing.assert_array_equal(found, expected)
+    assert np.nanmax(np.abs(found - wrong)) > 0.01
+    export_result(result, tmp_path / "export", format="exr")
+    [part] = OpenEXR.File(
+        str(tmp_path / "export" / "exr" / "materials.exr"), separate_channels=True
+    ).parts
+    normal_x = part.channels["normal.X"].pixels
+    np.testing.assert_array_equal(
+        normal_x[result.mask], result.normals[..., 0][result.mask].astype(np.float32)
+    )
+    assert "normal_given.X" in part.channels
+
+
+def test_a_decision_is_the_same_in_a_file_and_out_of_it() -> None:
+    made = Refinement("on", True, "asked for", {"noise": 0.5})
+    assert Refinement.from_json(json.loads(json.dumps(made.as_json()))) == made
+
+
+# -------------------------------------------------------------------------------------- bad normals
+
+
+def test_normals_that_are_all_equal_are_fitted(caplog: pytest.LogCaptureFixture) -> None:
+    flat = np.broadcast_to([0.0, 0.0, 1.0], (SIZE, SIZE, 3))
+    found = decompose(scene(normals=flat), iterations=3)
+    assert [r.getMessage().split(",")[0] for r in caplog.records] == ["normals: all equal"]
+    assert np.isfinite(found.albedo[found.mask]).all()
+    assert found.refinement.asked == "auto"
+
+
+def test_patches_that_face_away_are_fitted(caplog: pytest.LogCaptureFixture) -> None:
+    normals = scene().normals.copy()
+    normals[7:9, 7:9] *= -1  # 3 % of the pixels, too few for a warning
+    found = decompose(scene(normals=normals), iterations=3)
+    assert not caplog.records
+    for values in (found.albedo, found.roughness, found.metallic, found.lighting):
+        assert np.isfinite(values[found.mask] if values.shape[0] == SIZE else values).all()
+
+
+# ----------------------------------------------------------------------------------------- commands
+
+
+def folder_of(path: Path, pictures: int, **changes: Any) -> Path:
+    scene(pictures, mask=None, **changes).save(path)
+    return path
+
+
+def test_the_command_refines_if_need_be_unless_it_is_told_otherwise(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = folder_of(tmp_path / "scene", 2), tmp_path / "out"
+    reason = hindrance(scene(2))
+    for options, asked in (((), "auto"), (("--refine-normals", "off"), "off")):
+        assert (
+            run("decompose", folder, "--out", out, "--iterations", 1, "--overwrite", *options) == 0
+        )
+        why = "not asked for" if asked == "off" else reason
+        assert f"\nnormals ({asked}): left as given: {why}\n" in capsys.readouterr().out
+        content = json.loads((out / "result.json").read_text("utf-8"))
+        assert content["options"]["refine_normals"] == content["normals"]["asked"] == asked
+        assert content["normals"]["why"] == why
+
+
+def test_the_command_says_early_that_what_was_asked_for_cannot_be_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = folder_of(tmp_path / "scene", 2), tmp_path / "out"
+    options = ("--iterations", 1, "--refine-normals", "on")
+    assert run("decompose", folder, "--out", out, *options) == 0
+    assert f"normals are not refined: {hindrance(scene(2))}\n" in capsys.readouterr().err
+    assert run("decompose", folder, "--out", out, "--refine-normals", "perhaps") == 2
+
+
+def test_the_summary_tells_what_was_refined(result: Result, tmp_path: Path) -> None:
+    inside = degrees_of(result.mask)[result.mask]
+    line = (
+        f"\nnormals (auto): refined by {inside.mean():.1f} degrees in the mean, {LARGEST:.1f} at "
+        f"most: {result.refinement.why}"
+    )
+    assert line in "\n".join(table(result, scene(), tmp_path))
+
+
+def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two = folder_of(tmp_path / "two", 2)
+    assert run("inspect", two) == 0
+    said = capsys.readouterr().out
+    assert "normals off by    unknown\n" in said
+    assert f"refine normals    not possible: {hindrance(scene(2))}\n" in said
+    three = folder_of(tmp_path / "three", 3, normal_sigma=np.full((SIZE, SIZE), 7.25))
+    assert run("inspect", three) == 0
+    said = capsys.readouterr().out
+    assert "normals off by    7.2 degrees (median), 7.2 (95 %), as uncertainty.Y says\n" in said
+    assert "refine normals    possible\n" in said
+
+
+# ----------------------------------------------------------------------------------------- the page
+
+
+def page_of(result: Result, path: Path) -> Page:
+    write_report(result, path, overwrite=True)
+    return Page(path.read_text("utf-8"))
+
+
+def test_the_page_shows_given_and_refined_normals_and_the_decision(
+    result: Result, tmp_path: Path
+) -> None:
+    page = page_of(result, tmp_path / "page.html")
+    given, change = result.given_normals, result.normal_change
+    assert given is not None
+    assert change is not None
+    for alt, normals in (
+        ("Normals as colours", result.normals),
+        ("Normals as colours, given", given),
+        ("Normals as colours, refined", result.normals),
+    ):
+        found = np.asarray(page.picture(alt))[..., :3]
+        expected = np.rint(255 * (0.5 + 0.5 * normals))
+        np.testing.assert_array_equal(found[result.mask], expected[result.mask])
+    found = np.asarray(page.picture("Angle between given and refined normals").convert("RGBA"))
+    expected = np.rint(255 * PALETTE[turned(change).indices()])
+    np.testing.assert_array_equal(found[result.mask][:, :3], expected[result.mask])
+    assert (found[~result.mask][:, 3] == 0).all()
+    words = f"The normals were {result.refinement.in_words()}."
+    assert page.text.count(words) == 2  # at the top, and beside the pictures
+    assert "refined, in camera space" in page.text
+    values = {float(e.attributes["value"]) for e in page.all("data")}
+    assert set(result.refinement.figures.values()) <= values
+
+
+def test_the_page_says_why_normals_are_as_given(result: Result, tmp_path: Path) -> None:
+    figures = {"noise": 0.01, "something_new": 3.0, "residual_before": math.nan}
+    left = Refinement("auto", False, "the pictures are explained to their noise", figures)
+    plain = dataclasses.replace(result, refinement=left, given_normals=None)
+    page = page_of(plain, tmp_path / "page.html")
+    words = "The normals were left as given: the pictures are explained to their noise."
+    assert page.text.count(words) == 2
+    assert "something new" in page.text
+    assert "not known" in page.text
+    assert "Angle between" not in page.content
+    off = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
+    page = page_of(off, tmp_path / "page.html")
+    assert "The normals were" not in page.text
+    assert "as given, in camera space" in page.text
+
+
+def test_given_normals_that_all_face_the_camera_stay_a_doubt(
+    result: Result, tmp_path: Path
+) -> None:
+    facing = np.where(result.mask[..., None], [0.0, 0.0, 1.0], np.nan)
+    flat = dataclasses.replace(result, given_normals=facing)
+    assert "all given normals face the camera" in page_of(flat, tmp_path / "page.html").text

@@ -1,0 +1,210 @@
+"""Fits by a robust loss: what it gains where pictures have outliers, and its options."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pbrfit
+from pbrfit.fit.gradient_check import check_gradients
+from pbrfit.fit.objective import LEAST_SIGMA, Objective
+from pbrfit.fit.robust import FEWEST_DEGREES, LOSSES, MEDIAN_TO_SIGMA, SCALES, pull
+from pbrfit.fit.solvers import Solver
+from pbrfit.synthetic import make_scene
+
+ROBUST = LOSSES[1:]
+NOISE = 0.01
+
+
+def room(**options: Any) -> pbrfit.Scene:
+    return make_scene("room", **{"size": 24, "lights": 8, "seed": 2002, "held_out": 2} | options)
+
+
+def with_shadows(scene: pbrfit.Scene, share: float = 0.05) -> pbrfit.Scene:
+    """The scene with some samples at 30 % of what they were."""
+    hit = np.random.default_rng(0).random(scene.images.shape[:3]) < share
+    return dataclasses.replace(scene, images=np.where(hit[..., None], 0.3, 1) * scene.images)
+
+
+@pytest.fixture(scope="module")
+def spoilt() -> tuple[pbrfit.Scene, pbrfit.Result]:
+    scene = with_shadows(room(noise=0.004))
+    return scene, pbrfit.decompose(
+        scene, solver="lbfgsb", iterations=200, priors=None, refine_normals="off"
+    )
+
+
+@pytest.mark.parametrize("loss", ROBUST)
+def test_outliers_do_less_harm_than_to_squares(
+    spoilt: tuple[pbrfit.Scene, pbrfit.Result], loss: Any
+) -> None:
+    scene, by_squares = spoilt
+    result = pbrfit.decompose(
+        scene, solver="lbfgsb", iterations=200, priors=None, robust=loss, refine_normals="off"
+    )
+    for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
+        assert result.metrics[name] < 0.9 * by_squares.metrics[name], name
+    # The outliers are left where they are.
+    assert result.metrics["recon_rmse"] > by_squares.metrics["recon_rmse"]
+    assert result.options.robust == loss
+    assert by_squares.options.robust == "none"
+    assert len(result.history) - 1 == 200
+
+
+@pytest.mark.parametrize("priors", [None, pbrfit.Priors()], ids=["alone", "priors"])
+@pytest.mark.parametrize("loss", ROBUST)
+def test_outliers_do_less_harm_than_to_squares_after_gauss_newton(
+    loss: Any, priors: pbrfit.Priors | None
+) -> None:
+    scene = with_shadows(room(noise=0.004))
+    by_squares, robust = (
+        pbrfit.decompose(scene, solver="auto", priors=priors, robust=name, refine_normals="off")
+        for name in ("none", loss)
+    )
+    for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
+        assert robust.metrics[name] < 0.9 * by_squares.metrics[name], name
+    assert robust.metrics["recon_rmse"] > by_squares.metrics["recon_rmse"]
+
+
+def test_the_first_stage_is_by_squares(spoilt: tuple[pbrfit.Scene, pbrfit.Result]) -> None:
+    scene, by_squares = spoilt
+    result = pbrfit.decompose(
+        scene, solver="lbfgsb", iterations=200, priors=None, robust="huber", refine_normals="off"
+    )
+    first = slice(0, 61)
+    np.testing.assert_array_equal(result.history["loss"][first], by_squares.history["loss"][first])
+    assert result.history["loss"][-1] < by_squares.history["loss"][-1]
+    # Root of the robust loss, below that of the squares.
+    assert result.history["recon_rmse"][-1] < result.metrics["recon_rmse"]
+
+
+@pytest.mark.parametrize("solver", ["auto", "lbfgsb"])
+@pytest.mark.parametrize("loss", ROBUST)
+def test_a_fit_from_a_given_start_becomes_robust_too(loss: Any, solver: Solver) -> None:
+    scene = with_shadows(room(noise=0.004))
+    assert scene.truth is not None
+    fits = [
+        pbrfit.decompose(
+            scene,
+            solver=solver,
+            start=scene.truth.materials,
+            iterations=60,
+            priors=None,
+            robust=name,
+            refine_normals="off",
+        )
+        for name in ("none", loss)
+    ]
+    errors = [fit.metrics["albedo_rmse"] for fit in fits]
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_the_scale_is_that_of_the_noise() -> None:
+    """At the truth nothing of the noise is taken up but by the unknowns' number, as if it were."""
+    scene = room(noise=NOISE)
+    assert scene.truth is not None
+    maps = scene.truth.materials
+    objective = Objective(scene)
+    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
+    degrees = 1 - objective.size / objective.samples
+    for name in ROBUST:
+        loss = objective.robust_around(x, name)
+        assert loss is not None
+        sigma = NOISE / objective.scale / np.sqrt(degrees)
+        assert loss[0] == name
+        assert loss[1] == pytest.approx(SCALES[name] * sigma, rel=0.03)
+    assert objective.robust_around(x, "none") is None
+
+
+def test_perfectly_explained_pictures_have_a_scale() -> None:
+    scene = room()
+    assert scene.truth is not None
+    maps = scene.truth.materials
+    objective = Objective(scene)
+    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
+    assert objective.robust_around(x, "huber") == ("huber", SCALES["huber"] * LEAST_SIGMA)
+
+
+def test_more_unknowns_than_samples_have_a_scale() -> None:
+    scene = room(size=4, lights=2, noise=NOISE)
+    objective = Objective(scene)
+    assert objective.size > objective.samples
+    x = np.clip(objective.start(), 0.1, None)
+    residuals = objective.problem.residuals(x, np.arange(16, dtype=np.uint64))
+    median = np.sort(np.abs(residuals).ravel())[(residuals.size - 1) // 2]
+    expected = SCALES["cauchy"] * MEDIAN_TO_SIGMA * median / np.sqrt(FEWEST_DEGREES)
+    found = objective.robust_around(x, "cauchy")
+    assert found is not None
+    assert found[1] == pytest.approx(expected, rel=1e-6)
+    result = pbrfit.decompose(scene, iterations=10, robust="cauchy")
+    assert np.isfinite(result.albedo).all()
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("name", ROBUST)
+def test_reweighted_squares_have_the_gradient_of_the_loss(name: str, weighted: bool) -> None:
+    scene = with_shadows(room(size=12))
+    if weighted:
+        weights = np.random.default_rng(2).random(scene.images.shape[:3])
+        scene = dataclasses.replace(scene, weights=np.where(weights < 0.1, 0, weights))
+    objective = Objective(scene)
+    x = np.clip(objective.start(), 0.01, None)
+    squares, _ = objective.value_and_grad(x)
+    assert objective.reweighted(x) is objective
+    objective.robust = objective.robust_around(x, name)
+    assert objective.robust is not None
+    loss, gradient = objective.value_and_grad(x)
+    assert loss < 0.9 * squares
+    reweighted = objective.reweighted(x)
+    assert reweighted.robust is None
+    # Each is a mean, over sums of weights of its own.
+    factors = pull(objective.robust, objective.problem.residuals(x, np.arange(144, dtype="u8")))
+    if objective.weights is not None:
+        factors *= objective.weights[..., None]
+    by_squares = reweighted.value_and_grad(x)[1] * factors.sum(dtype=float) / objective.total_weight
+    np.testing.assert_allclose(by_squares, gradient, rtol=0, atol=1e-5 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize(("name", "expected"), [("huber", 0.25), ("cauchy", 1 / 17)])
+def test_pull(name: str, expected: float) -> None:
+    sizes = np.array([0, 1e-6, -0.02, 1e30, -3e38], dtype=np.float32)
+    found = pull((name, 0.005), sizes)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found[:3], [1, 1, expected], rtol=1e-6)
+    assert (found[3:] < 1e-18).all()
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("mono_light", [False, True])
+@pytest.mark.parametrize("name", ROBUST)
+def test_gradient_of_the_objective(name: str, mono_light: bool) -> None:
+    objective = Objective(with_shadows(room(size=12)), mono_light=mono_light)
+    objective.robust = objective.robust_around(objective.start(), name)
+    assert all(check.passed for check in check_gradients(objective, seed=3))
+
+
+@pytest.mark.parametrize("loss", ROBUST)
+def test_with_the_learnt_prior(loss: Any) -> None:
+    scene = with_shadows(room(noise=0.004))
+    by_squares, robust = (
+        pbrfit.decompose(scene, solver="lbfgsb", iterations=120, robust=name, refine_normals="off")
+        for name in ("none", loss)
+    )
+    for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
+        assert robust.metrics[name] < 0.8 * by_squares.metrics[name], name
+
+
+def test_the_loss_is_kept_with_the_result(tmp_path: Path) -> None:
+    result = pbrfit.decompose(room(size=8), iterations=4, robust="cauchy")
+    result.save(tmp_path / "out")
+    assert pbrfit.Result.load(tmp_path / "out").options == result.options
+
+
+@pytest.mark.parametrize("loss", ["l1", "Huber", None, 1])
+def test_other_losses_are_refused(loss: Any) -> None:
+    with pytest.raises(pbrfit.InputError, match=r"^robust: expected none, huber or cauchy, found"):
+        pbrfit.decompose(room(size=8), robust=loss)

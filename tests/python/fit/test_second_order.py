@@ -1,0 +1,505 @@
+"""The stages of Gauss-Newton: lights from some pixels, all pixels, joint steps, pulls."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+from pbrfit import Objective, Scene
+from pbrfit.fit import gauss_newton as second_order
+from pbrfit.fit.gauss_newton import global_gauss_newton as polish
+from pbrfit.fit.gauss_newton import subsample
+from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x
+from pbrfit.fit.gauss_newton.pixels import Towards, fit_all, put, retry, taken
+from pbrfit.fit.priors import material as material_prior
+from pbrfit.synthetic import make_scene
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.uint64]
+
+EXACT = 1e-7
+"""Root mean square of residuals where pictures are rounded to float32, at mean radiance 0.4."""
+
+
+class Watch:
+    """Counts, and stops after so many visits, or calls that ask about time."""
+
+    def __init__(self, visits: float = np.inf, asked: float = np.inf) -> None:
+        self.visits, self.asked = visits, asked
+        self.shares: list[float] = []
+        self.squares: list[float] = []
+        self.materials: list[Array] = []
+        self.lights: list[Array] = []
+
+    def stop(self) -> bool:
+        self.asked -= 1
+        return self.asked < 0
+
+    def _done(self) -> bool:
+        return len(self.shares) + len(self.squares) >= self.visits
+
+    def visit_few(self, pixels: Pixels, materials: Array, lights: Array, share: float) -> bool:
+        assert len(pixels) == len(materials)
+        self.shares.append(share)
+        self.materials.append(materials)
+        self.lights.append(lights)
+        return self._done()
+
+    def visit(self, x: Array, squares: Array) -> bool:
+        assert ((x[:1] >= 0) & (x[:1] <= 1)).all()
+        self.squares.append(float(squares.sum()))
+        return self._done()
+
+
+@pytest.fixture(scope="module")
+def room() -> Scene:
+    return make_scene("room", size=32, lights=12, seed=2000, held_out=2)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Scene:
+    return make_scene("room", size=24, lights=8, noise=0.01, seed=2001, held_out=2)
+
+
+def at_truth(objective: Objective, scene: Scene) -> Array:
+    assert scene.truth is not None
+    maps = scene.truth.materials
+    return objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
+
+
+def everything(objective: Objective) -> Pixels:
+    return np.arange(objective.pixels, dtype=np.uint64)
+
+
+def squares_at(objective: Objective, x: Array) -> Array:
+    """Σ ω (I − T)² of each pixel, by another path of the core."""
+    return objective.problem.normal_equations(objective.for_core(x), everything(objective))[2]
+
+
+def weighted(scene: Scene) -> Scene:
+    rng = np.random.default_rng(0)
+    weights = rng.uniform(0.2, 1, scene.images.shape[:3])
+    weights[rng.random(weights.shape) < 0.1] = 0
+    return dataclasses.replace(scene, weights=weights)
+
+
+def grey(scene: Scene) -> Scene:
+    images = np.repeat(scene.images[..., :1], 3, axis=-1)
+    return dataclasses.replace(scene, images=images, truth=None)
+
+
+KINDS: dict[str, tuple[Callable[[Scene], Scene], dict[str, Any]]] = {
+    "colour": (lambda scene: scene, {}),
+    "order 2": (lambda scene: scene, {"sh_order": 2}),
+    "known metallic": (lambda scene: scene, {"metallic": 0.3}),
+    "mono light": (lambda scene: scene, {"mono_light": True}),
+    "weights": (weighted, {}),
+    "grey": (grey, {}),
+}
+
+
+def objective_of(scene: Scene, kind: str) -> Objective:
+    change, options = KINDS[kind]
+    return Objective(change(scene), **options)
+
+
+# --- Some pixels stand for all ---
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_objective_of_some_pixels_is_a_part_of_the_whole_one(noisy: Scene, kind: str) -> None:
+    objective = objective_of(noisy, kind)
+    rng = np.random.default_rng(1)
+    chosen = np.sort(rng.permutation(objective.pixels)[:100]).astype(np.uint64)
+    x = objective.start()
+    x[objective.layout.maps] = rng.uniform(0, 1, objective.layout.maps.stop)
+    few, part = objective.restricted(chosen), objective.part_of(x, chosen)
+    assert few.size == len(part)
+    assert few.pixels == 100
+    np.testing.assert_array_equal(taken(few, part, slice(None)), taken(objective, x, chosen))
+    np.testing.assert_array_equal(part[few.layout.lighting], x[objective.layout.lighting])
+    of_few, of_all = squares_at(few, part), squares_at(objective, x)[chosen]
+    np.testing.assert_allclose(of_few, of_all, rtol=1e-12)
+    for one, other in zip(
+        few.problem.normal_equations(few.for_core(part), everything(few)),
+        objective.problem.normal_equations(objective.for_core(x), chosen),
+        strict=True,
+    ):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
+    # The same units: a mean over pixels whose weights are a share of all.
+    loss = few.data_value_and_grad(part)[0]
+    assert few.total_weight == pytest.approx(objective.total_weight * 100 / objective.pixels)
+    if objective.weights is None:
+        assert loss == pytest.approx(of_all.sum() / few.total_weight, rel=1e-5)
+
+
+def test_materials_are_put_where_they_were_taken_from(noisy: Scene) -> None:
+    objective = Objective(noisy)
+    x = np.random.default_rng(2).uniform(0, 1, objective.size)
+    pixels = np.array([5, 3, 17], dtype=np.uint64)
+    materials = taken(objective, x, pixels)
+    assert materials.shape == (3, 5)
+    assert materials[1, 3] == x[objective.roughness][3]
+    changed = put(objective, x, pixels, 1 - materials)
+    np.testing.assert_array_equal(taken(objective, changed, pixels), 1 - materials)
+    np.testing.assert_array_equal(put(objective, changed, pixels, materials), x)
+
+
+# --- The system of the lights ---
+
+
+def test_a_damped_system_is_solved() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(20, 20))
+    matrix = root @ root.T
+    diagonal, right = np.diag(matrix).copy(), rng.normal(size=20)
+    solver = Cholesky(matrix.copy(), 0.1)
+    np.testing.assert_array_equal(solver.diagonal, diagonal)
+    expected = np.linalg.solve(matrix + 0.1 * np.diag(diagonal), right)
+    np.testing.assert_allclose(solver.solve(right), expected, rtol=1e-8)
+
+
+def test_lights_that_no_pixel_sees_stay() -> None:
+    matrix = np.diag([1.0, 0.0, 2.0])
+    found = Cholesky(matrix, 0.0).solve(np.array([1.0, 0.0, 2.0]))
+    np.testing.assert_allclose(found, [1, 0, 1], atol=1e-9)
+    assert (Cholesky(np.zeros((2, 2)), 0.0).solve(np.zeros(2)) == 0).all()
+    with pytest.raises(np.linalg.LinAlgError):
+        Cholesky(np.diag([1.0, -1.0]), 0.0)
+
+
+@pytest.mark.parametrize("mono", [False, True])
+def test_moves_of_lights_come_in_the_order_of_x(noisy: Scene, mono: bool) -> None:
+    objective = Objective(noisy, mono_light=mono)
+    layout = objective.layout
+    shape = (layout.light_channels, layout.pictures, layout.coefficients)
+    moves = np.arange(np.prod(shape), dtype=float)
+    in_x = as_in_x(moves, layout).reshape(layout.pictures, layout.coefficients, -1)
+    for c, n, k in [(0, 0, 0), (0, 3, 7), (shape[0] - 1, 2, 15)]:
+        assert in_x[n, k, c] == moves.reshape(shape)[c, n, k]
+
+
+# --- Lights from some pixels ---
+
+
+def test_some_pixels_find_the_lights_of_a_room_without_noise(room: Scene) -> None:
+    objective, watch = Objective(room), Watch()
+    lit = second_order.find_lights(objective, objective.start(), watch, seed=0)
+    assert lit.fits
+    assert lit.squares <= EXACT**2 * objective.total_weight * len(lit.judges) / objective.pixels
+    assert "pixels" in lit.note
+    # Those of the truth but for a scale of each channel, which pictures do not tell.
+    found = lit.x[objective.layout.lighting].reshape(12, 16, 3)
+    true = at_truth(objective, room)[objective.layout.lighting].reshape(12, 16, 3)
+    scale = (found * true).sum(axis=(0, 1)) / (found**2).sum(axis=(0, 1))
+    np.testing.assert_allclose(found * scale, true, rtol=0, atol=1e-5 * np.abs(true).max())
+    assert len(watch.shares) > 2
+    assert watch.squares == []
+    assert watch.shares[-1] <= EXACT**2
+    assert all(np.isfinite(materials).all() for materials in watch.materials)
+    # Pixels that had no part are as they were.
+    before, after = (taken(objective, x, slice(None)) for x in (objective.start(), lit.x))
+    same = (before == after).all(axis=1)
+    assert np.count_nonzero(~same) > 0
+    assert (~same)[lit.judges].all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_joint_steps_of_some_pixels_only_lower_the_squares(noisy: Scene, kind: str) -> None:
+    objective = objective_of(noisy, kind)
+    chosen = np.arange(0, objective.pixels, 3, dtype=np.uint64)
+    few = objective.restricted(chosen)
+    start = objective.part_of(objective.start(), chosen)
+    totals: list[float] = []
+
+    def visit(x: Array, total: float) -> bool:
+        assert total == pytest.approx(squares_at(few, x).sum(), rel=1e-6, abs=1e-12)
+        totals.append(total)
+        return len(totals) == 60
+
+    found, total = subsample.minimize(few, start, visit)
+    assert len(totals) > 1
+    assert totals[0] < squares_at(few, start).sum()
+    assert (np.diff(totals) <= 0).all()
+    assert total <= totals[-1]
+    assert total == pytest.approx(squares_at(few, found).sum(), rel=1e-6)
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_the_same_lights(noisy: Scene) -> None:
+    objective = Objective(noisy)
+    one, two, other = (
+        second_order.find_lights(objective, objective.start(), Watch(), seed) for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(one.x, two.x)
+    assert one.note == two.note
+    assert not np.array_equal(one.x, other.x)
+    fits = [second_order.fit_materials(objective, lit.x, Watch()) for lit in (one, other)]
+    assert fits[0] is not None
+    assert fits[1] is not None
+    assert fits[1].squares.sum() == pytest.approx(fits[0].squares.sum(), rel=0.01)
+
+
+def test_known_lights_are_not_sought(room: Scene) -> None:
+    assert room.truth is not None
+    objective = Objective(dataclasses.replace(room, lighting=room.truth.lighting))
+    start, watch = objective.start(), Watch()
+    lit = second_order.find_lights(objective, start, watch, seed=0)
+    np.testing.assert_array_equal(lit.x, start)
+    assert lit.x is not start  # it changes from there on
+    assert lit.fits
+    assert lit.note == "lights known"
+    fit = second_order.fit_materials(objective, lit.x, watch)
+    assert fit is not None
+    assert watch.shares == []
+    assert len(watch.squares) == 1
+    assert fit.squares.sum() <= EXACT**2 * objective.total_weight
+
+
+@pytest.mark.parametrize("visits", [1, 2, 5])
+def test_the_search_for_lights_stops_when_told(room: Scene, visits: int) -> None:
+    objective, watch = Objective(room), Watch(visits)
+    lit = second_order.find_lights(objective, objective.start(), watch, seed=0)
+    assert len(watch.shares) == visits
+    assert np.isfinite(lit.x).all()
+    assert np.isfinite(lit.squares)
+
+
+# --- All pixels ---
+
+
+def test_all_pixels_of_a_room_without_noise_are_found(room: Scene) -> None:
+    objective, watch = Objective(room), Watch()
+    lit = second_order.find_lights(objective, objective.start(), watch, seed=0)
+    fit = second_order.fit_materials(objective, lit.x, watch)
+    assert fit is not None
+    np.testing.assert_allclose(fit.squares.sum(), squares_at(objective, fit.x).sum(), rtol=1e-6)
+    assert fit.squares.sum() <= EXACT**2 * objective.total_weight
+    assert watch.squares[-1] == fit.squares.sum()
+    true, found = at_truth(objective, room), fit.x
+    for block in (objective.roughness, objective.metallic):
+        assert block is not None
+        assert np.sqrt(np.mean((found[block] - true[block]) ** 2)) < 1e-5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_pixels_end_with_less_than_at_the_start(noisy: Scene, kind: str) -> None:
+    objective, watch = objective_of(noisy, kind), Watch()
+    start = objective.start()
+    lit = second_order.find_lights(objective, start, watch, seed=0)
+    fit = second_order.fit_materials(objective, lit.x, watch)
+    assert fit is not None
+    assert fit.squares.sum() < 0.2 * squares_at(objective, start).sum()
+    assert (np.diff(watch.squares) <= 0).all()
+    maps = fit.x[objective.layout.maps]
+    assert ((maps >= 0) & (maps <= 1)).all()
+
+
+def test_time_may_run_out_before_all_pixels_have_lights(room: Scene) -> None:
+    objective = Objective(room)
+    assert second_order.fit_materials(objective, objective.start(), Watch(asked=0)) is None
+    watch = Watch(visits=1)
+    fit = second_order.fit_materials(objective, objective.start(), watch)
+    assert fit is not None
+    assert len(watch.squares) == 1
+
+
+def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
+    objective = Objective(room)
+    x = at_truth(objective, room)
+    rng = np.random.default_rng(4)
+    caught = rng.permutation(objective.pixels)[:30].astype(np.uint64)
+    wrong = taken(objective, x, caught)
+    wrong[:, 3:] = 1 - np.round(wrong[:, 3:])  # rough for smooth, metal for none
+    x = put(objective, x, caught, wrong)
+    squares = fit_all(objective, x, starts=0)
+    assert squares is not None
+    still = caught[squares[caught] > EXACT**2 * 36]
+    assert len(still) >= 5  # a descent alone does not free all
+    retry(objective, x, squares)
+    assert squares[still].max() <= EXACT**2 * 36
+    np.testing.assert_allclose(x, at_truth(objective, room), atol=1e-4)
+
+
+def test_where_nothing_stands_out_nothing_is_tried_again(noisy: Scene) -> None:
+    objective = Objective(noisy)
+    x = at_truth(objective, noisy)
+    squares = squares_at(objective, x)
+    squares[:] = 1.0
+    before = x.copy()
+    retry(objective, x, squares)
+    np.testing.assert_array_equal(x, before)
+    assert (squares == 1.0).all()
+
+
+# --- Joint steps ---
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_joint_steps_of_all_pixels_lower_the_sum(noisy: Scene, kind: str) -> None:
+    objective = objective_of(noisy, kind)
+    x = objective.start()
+    squares = fit_all(objective, x, starts=2)
+    assert squares is not None
+    before = float(squares.sum())
+    watch = Watch()
+    polish.polish(objective, x, squares, watch.visit, watch.stop)
+    assert watch.squares
+    assert watch.squares[0] < before
+    assert (np.diff(watch.squares) <= 0).all()
+    assert squares.sum() == watch.squares[-1]
+    np.testing.assert_allclose(squares.sum(), squares_at(objective, x).sum(), rtol=1e-6)
+
+
+def test_where_no_step_lowers_the_sum_nothing_changes(room: Scene) -> None:
+    objective = Objective(room)
+    x = at_truth(objective, room)
+    squares = fit_all(objective, x, starts=0)
+    assert squares is not None
+    before = float(squares.sum())
+    watch = Watch()
+    polish.polish(objective, x, squares, watch.visit, watch.stop)
+    assert squares.sum() <= before
+    np.testing.assert_allclose(x, at_truth(objective, room), atol=1e-5)
+
+
+def test_a_step_that_makes_pixels_worse_is_not_taken(
+    noisy: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    objective = Objective(noisy)
+    x = objective.start()
+    squares = fit_all(objective, x, starts=2)
+    assert squares is not None
+    before = x.copy(), squares.copy()
+    steps = polish._light_moves
+
+    def too_far(*args: Any) -> tuple[Array, float]:
+        moves, predicted = steps(*args)
+        return -20 * moves, predicted
+
+    monkeypatch.setattr(polish, "_light_moves", too_far)
+    watch = Watch()
+    polish.polish(objective, x, squares, watch.visit, watch.stop)
+    assert watch.squares == []
+    np.testing.assert_array_equal(x, before[0])
+    np.testing.assert_array_equal(squares, before[1])
+
+
+# --- Pulls ---
+
+
+def learnt(objective: Objective) -> tuple[Array, material_prior.MaterialPull]:
+    lit = second_order.find_lights(objective, objective.start(), Watch(), seed=0)
+    fit = second_order.fit_materials(objective, lit.x, Watch())
+    assert fit is not None
+    found = material_prior.learn(objective, fit.x, 1.0, out_of_time=lambda: False)
+    assert found is not None
+    return found[:2]
+
+
+@pytest.mark.parametrize("kind", ["colour", "known metallic", "mono light", "weights", "grey"])
+def test_squares_and_pull_together_are_lowered(noisy: Scene, kind: str) -> None:
+    objective = objective_of(noisy, kind)
+    x, pull = learnt(objective)
+
+    def total(x: Array) -> float:
+        cost = pull.value_and_grad(x, np.zeros(objective.size))
+        return float(squares_at(objective, x).sum()) / objective.total_weight + cost
+
+    found = x.copy()
+    second_order.fit_pulled(objective, found, pull, Watch())
+    assert total(found) < total(x)
+    # L-BFGS finds nothing much lower from there.
+    objective.penalties = [pull]
+    loss, gradient = objective.value_and_grad(found)
+    assert loss == pytest.approx(total(found), rel=1e-4)
+    maps = found[objective.layout.maps]
+    inside = np.ones(objective.size, bool)
+    inside[objective.layout.maps] = (maps > 1e-6) & (maps < 1 - 1e-6)
+    at_start = objective.value_and_grad(x)[1]
+    assert np.linalg.norm(gradient[inside]) < 0.1 * np.linalg.norm(at_start[inside])
+
+
+def test_known_lights_stay_when_materials_are_pulled(noisy: Scene) -> None:
+    assert noisy.truth is not None
+    objective = Objective(dataclasses.replace(noisy, lighting=noisy.truth.lighting))
+    x, pull = learnt(objective)
+    found = x.copy()
+    second_order.fit_pulled(objective, found, pull, Watch())
+    zeros = np.zeros(objective.size)
+    totals = [
+        squares_at(objective, at).sum() / objective.total_weight + pull.value_and_grad(at, zeros)
+        for at in (x, found)
+    ]
+    assert totals[1] <= totals[0]
+
+
+def test_time_may_run_out_while_materials_are_pulled(noisy: Scene) -> None:
+    objective = Objective(noisy)
+    x, pull = learnt(objective)
+    found = x.copy()
+    second_order.fit_pulled(objective, found, pull, Watch(asked=0))
+    np.testing.assert_array_equal(found, x)
+    second_order.fit_pulled(objective, found, pull, Watch(visits=1))
+    assert np.isfinite(found).all()
+    assert (found != x).any()
+
+
+def test_the_cost_of_a_pull_by_hand() -> None:
+    towards = Towards(np.array([[0.5, 0.0], [0.2, 1.0]]), np.array([[2.0, 1.0], [10.0, 3.0]]))
+    finish = np.array([[0.6, 0.5], [0.2, 0.8]])
+    assert towards.cost(finish) == pytest.approx(2 * 0.01 + 0.25 + 3 * 0.04)
+    assert towards.of(np.array([1], dtype=np.uint64)).cost(finish[1:]) == pytest.approx(0.12)
+
+
+# --- Whole fits ---
+
+
+@pytest.mark.parametrize("solver", ["auto", "gauss-newton"])
+def test_no_time_gives_the_start(noisy: Scene, solver: Any) -> None:
+    result = pbrfit.decompose(noisy, solver=solver, time_limit=0.0)
+    objective = Objective(noisy)
+    start, lights = objective.unpack(objective.start())
+    assert result.status == pbrfit.Status.TIME_LIMIT
+    assert np.isfinite(result.albedo).all()
+    if result.history.iterations == 0:
+        np.testing.assert_array_equal(result.roughness, start.roughness)
+        np.testing.assert_array_equal(result.lighting, lights)
+
+
+@pytest.mark.parametrize("solver", ["auto", "gauss-newton"])
+def test_progress_is_told_of_every_joint_step(room: Scene, solver: Any) -> None:
+    seen: list[pbrfit.Progress] = []
+    states: list[tuple[pbrfit.Materials, Array]] = []
+
+    def progress(now: pbrfit.Progress) -> None:
+        seen.append(now)
+        states.append(now.state())
+
+    result = pbrfit.decompose(room, solver=solver, priors=None, progress=progress)
+    told = [now.iteration for now in seen]
+    steps = told.count(0)  # of some pixels, and the start
+    assert steps > 3
+    assert told == [0] * (steps - 1) + list(range(result.history.iterations + 1))
+    assert seen[-1].recon_rmse < 1e-3 * seen[0].recon_rmse
+    assert all(np.diff([now.elapsed_s for now in seen]) >= 0)
+    for materials, lighting in states:
+        assert np.isfinite(materials.albedo).all()
+        assert np.isfinite(lighting).all()
+    np.testing.assert_array_equal(states[-1][0].roughness, result.roughness)
+
+
+def test_the_seed_of_a_fit(noisy: Scene) -> None:
+    one, two, other = (
+        pbrfit.decompose(noisy, solver="gauss-newton", priors=None, seed=seed) for seed in (0, 0, 5)
+    )
+    np.testing.assert_array_equal(one.albedo, two.albedo)
+    np.testing.assert_array_equal(one.lighting, two.lighting)
+    assert not np.array_equal(one.albedo, other.albedo)
+    assert other.metrics["recon_rmse"] == pytest.approx(one.metrics["recon_rmse"], rel=0.01)
+    assert other.options.seed == 5

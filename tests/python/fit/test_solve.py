@@ -1,0 +1,319 @@
+"""Solvers on whole scenes: accuracy, exposure, starts, the trap at roughness 0."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.fit.solvers.descent import TRAP_ROUGHNESS
+from pbrfit.synthetic import make_scene
+
+every_solver = pytest.mark.parametrize("solver", SOLVERS)
+
+
+def room(size: int, **options: Any) -> pbrfit.Scene:
+    return make_scene("room", size=size, **options)
+
+
+def truth(scene: pbrfit.Scene) -> pbrfit.Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def lights(scene: pbrfit.Scene) -> NDArray[np.float64]:
+    lighting = truth(scene).lighting
+    assert lighting is not None
+    return lighting
+
+
+def scaled(scene: pbrfit.Scene, factor: float) -> pbrfit.Scene:
+    """The scene at another exposure, truth included."""
+    known = truth(scene)
+    assert known.relight_images is not None
+    assert known.relight_lighting is not None
+    return dataclasses.replace(
+        scene,
+        images=(scene.images * factor).astype(scene.images.dtype),
+        truth=pbrfit.Truth(
+            known.materials,
+            lights(scene) * factor,
+            known.relight_images * factor,
+            known.relight_lighting * factor,
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[pbrfit.Scene, pbrfit.Result]:
+    """The paper's recipe, all its iterations."""
+    scene = room(64)
+    return scene, pbrfit.decompose(scene, solver="lbfgsb", priors=None, refine_normals="off")
+
+
+def test_a_noise_free_room_is_recovered(fitted: tuple[pbrfit.Scene, pbrfit.Result]) -> None:
+    scene, result = fitted
+    assert scene.images.mean() == pytest.approx(0.4)
+    assert result.status == pbrfit.Status.ITERATION_LIMIT
+    assert len(result.history) - 1 == 500
+    assert result.metrics["recon_rmse"] <= 2e-3
+    # A constant guess of roughness and metallic is off by 0.22 and 0.36.
+    assert result.metrics["roughness_rmse"] <= 0.1
+    assert result.metrics["metallic_rmse"] <= 0.1
+    assert result.metrics["albedo_scaled_rmse"] <= 0.05
+
+
+@every_solver
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_the_last_row_of_the_history_is_the_result(solver: Solver, noise: float) -> None:
+    scene = room(24, lights=8, noise=noise)
+    result = pbrfit.decompose(
+        scene, solver=solver, iterations=150, priors=None, refine_normals="off"
+    )
+    assert result.stages
+    for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
+        assert result.history[name][-1] == pytest.approx(result.metrics[name], rel=1e-9)
+    # The history's is of pictures divided by the scene scale and rounded to float32.
+    recon = result.metrics["recon_rmse"]
+    assert result.history["recon_rmse"][-1] == pytest.approx(recon, rel=1e-3, abs=1e-7)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_exposure_does_not_change_the_errors(
+    fitted: tuple[pbrfit.Scene, pbrfit.Result], factor: float
+) -> None:
+    scene, result = fitted
+    other = pbrfit.decompose(
+        scaled(scene, factor), solver="lbfgsb", priors=None, refine_normals="off"
+    )
+    for name, value in result.metrics.items():
+        unit = factor if name in ("recon_rmse", "relight_rmse") else 1.0
+        assert other.metrics[name] == pytest.approx(value * unit, rel=0.05), name
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+@pytest.mark.parametrize("solver", ["auto", "gauss-newton"])
+def test_exposure_does_not_change_the_fit_by_gauss_newton(solver: Solver, factor: float) -> None:
+    """Beyond the rounding of pictures that were multiplied."""
+    scene = room(24, lights=8, noise=0.01)
+    one, other = (
+        pbrfit.decompose(s, solver=solver, priors=None) for s in (scene, scaled(scene, factor))
+    )
+    for name, value in one.metrics.items():
+        unit = factor if name in ("recon_rmse", "relight_rmse") else 1.0
+        assert other.metrics[name] == pytest.approx(value * unit, rel=1e-3), name
+
+
+@every_solver
+@pytest.mark.parametrize("kind", ["room", "spheres", "textured"])
+def test_the_truth_stays_where_it_is(kind: Any, solver: Solver) -> None:
+    scene = make_scene(kind, size=32)
+    known = truth(scene)
+    start = known.materials, lights(scene)
+    result = pbrfit.decompose(scene, solver=solver, start=start, iterations=20, priors=None)
+    assert result.metrics["recon_rmse"] <= 1e-7 * np.sqrt(np.mean(np.square(scene.images)))
+    for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
+        assert result.metrics[name] <= 1e-6, name
+
+
+@pytest.mark.parametrize(
+    ("solver", "noise"), [("lbfgsb", 0.0), ("auto", 0.01), ("gauss-newton", 0.01)]
+)
+def test_known_lights_are_kept_and_make_better_maps(solver: Solver, noise: float) -> None:
+    scene = room(32, lights=6, noise=noise)
+    known = dataclasses.replace(scene, lighting=truth(scene).lighting)
+    free, fixed = (
+        pbrfit.decompose(s, solver=solver, iterations=150, priors=None, refine_normals="off")
+        for s in (scene, known)
+    )
+    np.testing.assert_array_equal(fixed.lighting, truth(scene).lighting)
+    assert "lights and their gradient: known, so only materials were fitted" in fixed.left_out
+    for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
+        assert fixed.metrics[name] < free.metrics[name], name
+
+
+def test_roughness_zero_is_a_stationary_point() -> None:
+    """The reason for the solver's stages; if it ever fails, they can go."""
+    scene = room(24, lights=6)
+    objective = pbrfit.Objective(scene)
+    x = objective.start()
+    x[objective.roughness] = 0.0
+    _, gradient = objective.value_and_grad(x)
+    assert not gradient[objective.roughness].any()
+    assert gradient.any()
+
+
+def test_the_default_start_leaves_no_pixel_in_the_trap(
+    fitted: tuple[pbrfit.Scene, pbrfit.Result],
+) -> None:
+    scene, result = fitted
+    assert truth(scene).materials.roughness.min() > 0.15
+    trapped = np.count_nonzero(result.roughness <= TRAP_ROUGHNESS)
+    assert trapped <= 0.002 * result.roughness.size
+
+
+@every_solver
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.4])
+def test_time_limit_keeps_the_best_so_far(solver: Solver, seconds: float) -> None:
+    scene = room(48, noise=0.01)
+    options: dict[str, Any] = {"solver": solver, "iterations": 100_000, "priors": None}
+    result = pbrfit.decompose(scene, time_limit=seconds, **options)
+    if result.status == pbrfit.Status.CONVERGED:  # a machine that is faster than any so far
+        assert result.seconds < seconds
+        return
+    assert result.status == pbrfit.Status.TIME_LIMIT
+    assert result.seconds >= seconds
+    assert result.metrics["recon_rmse"] <= 1.001 * result.history["recon_rmse"].min()
+    assert np.isfinite(result.lighting).all()
+
+
+@every_solver
+@pytest.mark.parametrize("iterations", [0, 1, 3, 12])
+@pytest.mark.parametrize("priors", [None, pbrfit.Priors()], ids=["alone", "priors"])
+def test_no_more_iterations_than_asked_for(
+    solver: Solver, iterations: int, priors: pbrfit.Priors | None
+) -> None:
+    seen: list[pbrfit.Progress] = []
+    result = pbrfit.decompose(
+        room(24, lights=6, noise=0.02),
+        solver=solver,
+        iterations=iterations,
+        priors=priors,
+        refine_normals="off",  # else as many again for each fit with other normals
+        progress=seen.append,
+    )
+    if iterations < 2:  # of more Gauss-Newton may need less
+        assert result.status == pbrfit.Status.ITERATION_LIMIT
+    assert result.history.iterations <= iterations
+    told = [progress.iteration for progress in seen]
+    assert told == sorted(told)
+    assert told[0] == 0
+    assert told[-1] <= iterations
+    assert {progress.iterations for progress in seen} == {iterations}
+    # Whatever there was time for, it is no worse than the start.
+    assert result.history["loss"][-1] <= result.history["loss"][0] or priors is not None
+    start, end = result.history["recon_rmse"][[0, -1]]
+    assert end <= start
+    assert result.metrics["recon_rmse"] <= 1.001 * start
+
+
+def test_numpy_scalars_are_numbers(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"fov": np.float32(60)}
+    scene = dataclasses.replace(room(8, lights=2, held_out=1), **options)
+    options = {"iterations": np.int64(3), "time_limit": np.float32(9)}
+    result = pbrfit.decompose(scene, **options)
+    result.save(tmp_path / "out")
+    assert pbrfit.Result.load(tmp_path / "out").fov == 60.0
+
+
+@pytest.mark.parametrize("iterations", [3, 20, 40])
+@pytest.mark.parametrize("priors", [{"smoothness": 1000.0}, {"cohesion": 10.0}])
+def test_few_iterations_with_strong_penalties_do_no_harm(
+    iterations: int, priors: dict[str, float]
+) -> None:
+    """Gauss-Newton minimises squares, and may have no time left for the rest."""
+    scene = room(16, lights=3, held_out=1)
+    weights = pbrfit.Priors(material=0, monochrome=0, **priors)
+    result = pbrfit.decompose(scene, iterations=iterations, priors=weights)
+    objective = pbrfit.Objective(scene, priors=weights)
+    maps = result.materials
+    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, result.lighting)
+    assert objective.value_and_grad(x)[0] <= result.history["loss"][0] * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("solver", "factor"),
+    [
+        ("lbfgsb", 1e-300),
+        ("lbfgsb", 1e300),
+        # What three pictures leave open depends on rounding; a power of 2 has none.
+        *((solver, 2.0**power) for solver in SOLVERS for power in (-996, 996)),
+    ],
+)
+def test_radiance_beyond_float32_is_fitted_all_the_same(factor: float, solver: Solver) -> None:
+    scene = room(8, lights=3, held_out=1)
+    # Whether other normals are better is left open too.
+    exact = np.log2(factor) % 1 == 0
+    results = [
+        pbrfit.decompose(
+            pbrfit.Scene(scene.images * f, scene.normals),
+            solver=solver,
+            iterations=20,
+            refine_normals="auto" if exact else "off",
+        )
+        for f in (1.0, factor)
+    ]
+    recon = [result.metrics["recon_rmse"] for result in results]
+    assert recon[1] == pytest.approx(recon[0] * factor, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"solver": "adam"}, "solver"),
+        ({"solver": None}, "solver"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 0.5}, "seed"),
+        ({"sh_order": "3"}, "sh_order"),
+        ({"iterations": 4.5}, "iterations"),
+        ({"threads": 10**20}, "threads"),
+        ({"iterations": -1}, "iterations"),
+        ({"time_limit": float("inf")}, "time_limit"),
+        ({"time_limit": -1.0}, "time_limit"),
+        ({"threads": -1}, "threads"),
+    ],
+)
+def test_unusable_options_are_named(options: dict[str, Any], name: str) -> None:
+    with pytest.raises(pbrfit.InputError, match=f"^{name}: expected"):
+        pbrfit.decompose(room(8, lights=2, held_out=1), **options)
+
+
+def test_a_start_must_cover_the_valid_pixels() -> None:
+    scene = room(8, lights=2, held_out=1)
+    maps = truth(scene).materials
+    roughness = maps.roughness.copy()
+    roughness[3, 3] = np.nan
+    with pytest.raises(pbrfit.InputError, match=r"^roughness: expected finite"):
+        pbrfit.decompose(scene, start=pbrfit.Materials(maps.albedo, roughness, maps.metallic))
+
+
+@pytest.mark.parametrize("name", ["", ".hidden", "a/b", "..\\b", 7])
+def test_names_that_are_no_file_names_are_refused(name: Any) -> None:
+    scene = room(8, lights=2, held_out=1)
+    with pytest.raises(pbrfit.InputError, match=r"^names: expected file names"):
+        dataclasses.replace(scene, names=("first", name))
+
+
+def test_names_that_are_no_text_are_refused() -> None:
+    scene = room(8, lights=2, held_out=1)
+    with pytest.raises(
+        pbrfit.InputError, match=r"^names: expected names in UTF-8, found 'a\\udcff'$"
+    ):
+        dataclasses.replace(scene, names=("a\udcff", "b"))
+
+
+def test_truth_of_no_valid_pixel_is_refused() -> None:
+    scene = room(8, lights=2, held_out=1)
+    known = truth(scene)
+    hollow = np.full_like(known.materials.albedo, np.nan)
+    maps = dataclasses.replace(known.materials, albedo=hollow)
+    with pytest.raises(pbrfit.InputError, match=r"^truth: expected materials of some valid"):
+        dataclasses.replace(scene, truth=dataclasses.replace(known, materials=maps))
+
+
+def test_known_lights_far_beyond_the_pictures_are_refused() -> None:
+    scene = room(8, lights=2, held_out=1)
+    with pytest.raises(pbrfit.InputError, match=r"^lighting: expected coefficients like"):
+        pbrfit.Objective(dataclasses.replace(scene, lighting=np.full((2, 16, 3), 1e60)))
+
+
+def test_black_pictures_are_refused() -> None:
+    scene = room(8, lights=2, held_out=1)
+    with pytest.raises(pbrfit.InputError, match=r"^images: expected a positive mean radiance"):
+        pbrfit.decompose(dataclasses.replace(scene, images=np.zeros_like(scene.images)))

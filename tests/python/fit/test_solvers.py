@@ -1,0 +1,263 @@
+"""What the three solvers promise, side by side: exact where it can be, no worse where it cannot."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pbrfit
+from pbrfit import Objective, Priors, Result, Scene, decompose
+from pbrfit.fit.misfit import NOISE_SHARED, Neighbours
+from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.model import reflection as model
+from pbrfit.synthetic import make_scene
+from scene_files import run
+
+SECOND_ORDER: tuple[Solver, ...] = ("auto", "gauss-newton")
+MAPS = ("albedo_rmse", "roughness_rmse", "metallic_rmse")
+NO_FIT = "the model does not fit the pictures: residuals of neighbours are alike"
+
+
+@cache
+def room(seed: int = 2000, size: int = 32, **options: Any) -> Scene:
+    return make_scene("room", size=size, lights=16, seed=seed, held_out=2, **options)
+
+
+def in_float64(scene: Scene) -> Scene:
+    assert scene.truth is not None
+    assert scene.truth.lighting is not None
+    pictures = model.render(scene.truth.materials, scene.normals, scene.truth.lighting, scene.fov)
+    return dataclasses.replace(scene, images=pictures)
+
+
+def rms(scene: Scene) -> float:
+    return float(np.sqrt(np.mean(np.square(scene.images, dtype=np.float64))))
+
+
+def names_of(result: Result) -> list[str]:
+    return [stage.name for stage in result.stages]
+
+
+def notes_of(result: Result) -> str:
+    return "; ".join(stage.note for stage in result.stages)
+
+
+# --- Exact ---
+
+
+@pytest.mark.parametrize("solver", SECOND_ORDER)
+@pytest.mark.parametrize("seed", [2000, 2001])
+def test_pictures_without_noise_are_explained_to_their_last_bit(seed: int, solver: Solver) -> None:
+    scene = in_float64(room(seed))
+    scene = dataclasses.replace(scene, images=scene.images.astype(np.float32))
+    result = decompose(scene, solver=solver, priors=None, uncertainty=False)
+    assert result.status == pbrfit.Status.CONVERGED
+    assert result.metrics["recon_rmse"] <= 3e-8 * rms(scene)
+    assert max(result.metrics[name] for name in MAPS) <= 1e-6
+    assert names_of(result) == ["lights by Gauss-Newton", "all pixels by Gauss-Newton"]
+
+
+@pytest.mark.parametrize("solver", SECOND_ORDER)
+@pytest.mark.parametrize("seed", [2000, 2001])
+def test_pictures_in_float64_are_explained_as_far_as_that_goes(seed: int, solver: Solver) -> None:
+    scene = in_float64(room(seed))
+    result = decompose(scene, solver=solver, priors=None, uncertainty=False)
+    assert result.metrics["recon_rmse"] <= 1e-12
+    assert max(result.metrics[name] for name in MAPS) <= 1e-10
+
+
+@pytest.mark.parametrize("solver", SECOND_ORDER)
+def test_known_lights_give_exact_materials(solver: Solver) -> None:
+    scene = in_float64(room())
+    assert scene.truth is not None
+    scene = dataclasses.replace(scene, lighting=scene.truth.lighting)
+    result = decompose(scene, solver=solver, priors=None, uncertainty=False)
+    assert max(result.metrics[name] for name in MAPS) <= 1e-10
+    assert notes_of(result).startswith("lights known")
+
+
+def test_gauss_newton_leaves_less_than_lbfgsb() -> None:
+    """Of noise too: the paper's recipe is not at the bottom after its iterations."""
+    scene = room(noise=0.01)
+    by_squares, paper = (
+        decompose(scene, solver=solver, priors=None, uncertainty=False)
+        for solver in ("gauss-newton", "lbfgsb")
+    )
+    assert by_squares.history["loss"][-1] < paper.history["loss"][-1]
+    assert by_squares.metrics["recon_rmse"] < paper.metrics["recon_rmse"]
+
+
+# --- Where the model does not fit ---
+
+
+def wrong_fov() -> tuple[Scene, dict[str, Any]]:
+    return dataclasses.replace(room(2002, 24), fov=90.0), {}
+
+
+def order_two() -> tuple[Scene, dict[str, Any]]:
+    return room(2002, 24), {"sh_order": 2}
+
+
+def wrong_normals() -> tuple[Scene, dict[str, Any]]:
+    """Turned by smooth fields of up to some 15 degrees."""
+    scene = room(2002, 24)
+    rows, columns = np.mgrid[:24, :24] / 24 * 2 * np.pi
+    off = 0.2 * np.stack([np.sin(rows), np.cos(columns), np.zeros_like(rows)], axis=-1)
+    normals = scene.normals + off
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return dataclasses.replace(scene, normals=normals), {}
+
+
+GAPS: dict[str, Callable[[], tuple[Scene, dict[str, Any]]]] = {
+    "wrong field of view": wrong_fov,
+    "lights of order 2": order_two,
+    "wrong normals": wrong_normals,
+}
+
+
+@pytest.mark.parametrize("gap", GAPS)
+def test_auto_notices_that_the_model_does_not_fit(gap: str) -> None:
+    scene, options = GAPS[gap]()
+    options |= {"refine_normals": "off"}
+    result = decompose(scene, priors=None, uncertainty=False, **options)
+    assert names_of(result)[0] == "lights by Gauss-Newton"
+    assert result.stages[1].note == NO_FIT
+    assert result.stages[1].name.startswith(("L-BFGS", "bounded L-BFGS"))
+    assert "all pixels by Gauss-Newton" not in names_of(result)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.03])
+def test_auto_trusts_a_model_that_fits(noise: float) -> None:
+    result = decompose(room(2002, 24, noise=noise), priors=None, uncertainty=False)
+    assert NO_FIT not in notes_of(result)
+    assert "all pixels by Gauss-Newton" in names_of(result)
+
+
+def objective_at(scene: Scene, result: Result, **options: Any) -> float:
+    """The whole objective of a result."""
+    maps = result.materials
+    objective = Objective(scene, **options)
+    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, result.lighting)
+    return objective.value_and_grad(np.clip(x, *objective.bounds.T))[0]
+
+
+SMOOTH = Priors(material=0, monochrome=0, smoothness=1, cohesion=1)
+
+
+@pytest.mark.parametrize("priors", [None, SMOOTH], ids=["alone", "penalties"])
+@pytest.mark.parametrize("case", [*GAPS, "noise", "few pictures"])
+def test_auto_does_not_end_above_lbfgsb(case: str, priors: Priors | None) -> None:
+    options: dict[str, Any] = {}
+    if case in GAPS:
+        scene, options = GAPS[case]()
+    elif case == "noise":
+        scene = room(2002, 24, noise=0.01)
+    else:
+        scene = make_scene("room", size=24, lights=5, seed=5, noise=0.01, held_out=1)
+    ours, paper = (
+        objective_at(
+            scene,
+            decompose(
+                scene,
+                solver=solver,
+                priors=priors,
+                uncertainty=False,
+                refine_normals="off",
+                **options,
+            ),
+            priors=priors,
+            **options,
+        )
+        for solver in ("auto", "lbfgsb")
+    )
+    assert ours <= (1 + 1e-6) * paper
+
+
+def test_neighbours_share_what_the_model_lacks_and_not_noise() -> None:
+    for scene, alike in ((room(2002, 24, noise=0.01), False), (wrong_fov()[0], True)):
+        assert scene.truth is not None
+        maps = scene.truth.materials
+        objective = Objective(scene)
+        x = objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
+        shared = Neighbours(objective).shared(x)
+        assert (shared > NOISE_SHARED) == alike
+        assert shared > 0.5 if alike else shared < 0.1
+
+
+def test_no_pixel_has_a_neighbour() -> None:
+    scene = room(2002, 24)
+    mask = np.zeros((24, 24), bool)
+    mask[::2, ::2] = True
+    scene = dataclasses.replace(scene, mask=mask)
+    judges = Neighbours(Objective(scene, priors=None)).pixels
+    assert judges.shape == (0,)
+    for solver in SOLVERS:
+        result = decompose(scene, solver=solver, priors=None, iterations=60)
+        assert np.isfinite(result.albedo[mask]).all()
+
+
+# --- What is said about it ---
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_what_ran_is_told(solver: Solver, tmp_path: Path) -> None:
+    result = decompose(room(2002, 16, noise=0.01), solver=solver, iterations=120, seed=3)
+    assert result.options.solver == solver
+    assert result.options.seed == 3
+    expected = {
+        "lbfgsb": ["L-BFGS-B", "material prior", "L-BFGS-B with the material prior"],
+        "gauss-newton": [
+            "lights by Gauss-Newton",
+            "all pixels by Gauss-Newton",
+            "material prior",
+            "all pixels by Gauss-Newton, with the material prior",
+        ],
+    }
+    if solver in expected:
+        assert names_of(result) == expected[solver]
+    else:
+        assert names_of(result)[:4] == expected["gauss-newton"]
+        assert "L-BFGS" in names_of(result)[4]
+    assert all(stage.seconds >= 0 for stage in result.stages)
+    assert sum(stage.seconds for stage in result.stages) <= result.seconds
+    result.save(tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]
+    assert Result.load(tmp_path / "out").stages == result.stages
+
+
+@pytest.mark.parametrize("name", ["adam", "LBFGSB", "", None, 3])
+def test_other_solvers_are_refused(name: Any) -> None:
+    message = r"^solver: expected one of auto, gauss-newton, lbfgsb, found "
+    with pytest.raises(pbrfit.InputError, match=message):
+        decompose(room(2002, 16), solver=name)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_command_says_what_ran(
+    solver: Solver, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room(2002, 16, noise=0.01).save(tmp_path / "scene")
+    options = ("--solver", solver, "--seed", 5, "--iterations", 100)
+    assert run("decompose", tmp_path / "scene", "--out", tmp_path / "out", *options) == 0
+    result = Result.load(tmp_path / "out")
+    assert (result.options.solver, result.options.seed) == (solver, 5)
+    lines = capsys.readouterr().out.splitlines()
+    assert f"{result.history.iterations} iterations in" in lines[0]
+    assert len(result.stages) >= 2
+    for line, stage in zip(lines[1:], result.stages, strict=False):
+        assert line.startswith(f"{stage.seconds:>6.1f} s  {stage.name}")
+        assert stage.note in line
+
+
+def test_demo_draws_all_from_one_seed(tmp_path: Path) -> None:
+    options = ("--size", 8, "--lights", 3, "--iterations", 2, "--seed", 9, "--quiet")
+    assert run("demo", tmp_path / "out", *options) == 0
+    assert Result.load(tmp_path / "out" / "result").options.seed == 9

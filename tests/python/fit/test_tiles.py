@@ -1,0 +1,471 @@
+"""Large pictures: lights from a lattice of pixels, then tiles that hold what it learnt."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+from pbrfit import Priors
+from pbrfit.cli import main
+from pbrfit.fit import decompose as solve
+from pbrfit.fit import memory
+from pbrfit.fit.solvers import Progress
+from pbrfit.fit.tiles import fit as tiles_fit
+from pbrfit.fit.tiles import fit_tiles
+from pbrfit.fit.tiles.canvas import Canvas
+from pbrfit.fit.tiles.nearest import Nearest
+from pbrfit.fit.tiles.part import Parts, Window
+from pbrfit.fit.tiles.tiling import FEWEST, Tile, lattice, tiles
+from pbrfit.fit.tiles.total import Total
+from pbrfit.result.result import Status
+from pbrfit.synthetic import make_scene
+
+Array = NDArray[np.float64]
+
+FEW, SIDE = 1296, 30
+"""Of pictures of 72², a lattice of every second pixel, and nine tiles."""
+
+ERRORS = ("recon_rmse", "albedo_rmse", "roughness_rmse", "metallic_rmse", "relight_rmse")
+
+
+@pytest.fixture(scope="module")
+def exact() -> pbrfit.Scene:
+    return make_scene("furnished", size=72, lights=8, held_out=2, seed=2005)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> pbrfit.Scene:
+    return make_scene("furnished", size=72, lights=8, held_out=2, noise=0.01, seed=2005)
+
+
+@pytest.fixture
+def in_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every picture is a large one."""
+    monkeypatch.setattr(memory, "WHOLE", 0)
+    monkeypatch.setattr("pbrfit.fit.tiles.tiling.FEWEST", 16)
+    monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=SIDE))
+
+
+def held(scene: pbrfit.Scene, **options: Any) -> pbrfit.Result:
+    return pbrfit.decompose(scene, refine_normals="off", **options)
+
+
+class TestCutting:
+    def test_a_lattice_has_about_as_many_pixels_as_asked_for(self) -> None:
+        valid = np.ones((1000, 1500), bool)
+        found = lattice(valid, 60_000).of(valid)
+        assert 0.8 * 60_000 < found.size <= 60_000
+
+    def test_a_small_picture_is_its_own_lattice(self) -> None:
+        valid = np.ones((30, 40), bool)
+        assert lattice(valid).of(valid).shape == (30, 40)
+
+    def test_a_lattice_does_not_miss_what_a_mask_leaves(self) -> None:
+        """Rows that a lattice of every fourth row would all miss."""
+        valid = np.zeros((4096, 4096), bool)
+        valid[::8] = True
+        assert np.count_nonzero(lattice(valid, 1 << 17).of(valid)) >= FEWEST
+
+    def test_a_lattice_has_no_more_where_it_would_hit_all_that_a_mask_leaves(self) -> None:
+        valid = np.zeros((1024, 1024), bool)
+        valid[4::8] = True
+        few = int(np.count_nonzero(valid)) // 64
+        assert FEWEST / 4 < np.count_nonzero(lattice(valid, 4 * few).of(valid)) < 5 * few
+
+    @pytest.mark.parametrize("margin", [0, 7])
+    def test_tiles_cover_each_pixel_once(self, margin: int) -> None:
+        valid = np.ones((100, 71), bool)
+        times = np.zeros(valid.shape, int)
+        for tile in tiles(valid, margin, 30):
+            outer = np.arange(valid.size).reshape(valid.shape)[tile.outer.rows, tile.outer.columns]
+            inner = np.arange(valid.size).reshape(valid.shape)[tile.inner.rows, tile.inner.columns]
+            np.testing.assert_array_equal(tile.inside.of(outer), inner)
+            tile.inner.of(times)[...] += 1
+        assert (times == 1).all()
+
+    def test_tiles_without_valid_pixels_are_left_out(self) -> None:
+        valid = np.zeros((90, 90), bool)
+        valid[:30] = True
+        assert len(list(tiles(valid, 2, 30))) == 3
+
+    def test_a_part_is_seen_from_where_the_whole_is(self, noisy: pbrfit.Scene) -> None:
+        window = Window(slice(3, 50, 4), slice(10, 60, 3))
+        part = Parts(noisy).cut(window)
+        np.testing.assert_array_equal(part.views, window.of(noisy.views))
+        np.testing.assert_array_equal(part.images[2], window.of(noisy.images[2]))
+
+    def test_segments_keep_their_labels_in_a_part(self, noisy: pbrfit.Scene) -> None:
+        segments = np.zeros(noisy.valid.shape, int)
+        segments[:, 30:] = 900
+        segments[50:, 60:] = -7
+        whole = replace(noisy, segments=segments)
+        assert whole.labels is not None
+        part = Parts(whole).cut(Window(slice(0, 40), slice(20, 40)))
+        assert part.labels is not None
+        labels, count = part.labels
+        assert count == 2
+        of_whole = whole.labels[0].reshape(noisy.valid.shape)[:40, 20:40]
+        np.testing.assert_array_equal(labels, of_whole.ravel())
+
+    def test_the_nearest_pixel_of_a_lattice_is_found(self) -> None:
+        valid = np.ones((20, 33), bool)
+        valid[7:12, 5:9] = False
+        rows, columns = (one.astype(float) for one in np.indices(valid.shape))
+        window = lattice(valid, 60)
+        step = window.rows.step
+        chosen = window.of(np.stack([rows, columns], axis=-1)) / 40
+        materials = pbrfit.Materials(
+            np.stack([chosen[..., 0], chosen[..., 1], chosen[..., 1]], axis=-1),
+            chosen[..., 0],
+            chosen[..., 1],
+        )
+        normals = np.zeros((*chosen.shape[:2], 3))
+        found, _ = Nearest(window, np.ones_like(valid), materials, normals).at(
+            Window(slice(2, 19), slice(4, 30))
+        )
+        assert np.abs(40 * found.roughness - rows[2:19, 4:30]).max() <= step
+        assert np.abs(40 * found.metallic - columns[2:19, 4:30]).max() <= step
+
+
+@pytest.mark.usefixtures("in_tiles")
+class TestFit:
+    def test_without_noise_tiles_are_exact(self, exact: pbrfit.Scene) -> None:
+        result = held(exact)
+        assert result.status is Status.CONVERGED
+        for error in ERRORS:
+            assert result.metrics[error] < 2e-5, error
+
+    def test_borders_of_tiles_do_not_show(self, noisy: pbrfit.Scene) -> None:
+        """The same maps to what a few pixels that are tried again can make of them."""
+        result = held(noisy, uncertainty=False)
+        # One tile has no borders.
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=200))
+            whole = held(noisy, uncertainty=False)
+        np.testing.assert_array_equal(result.lighting, whole.lighting)
+        difference = np.abs(result.roughness - whole.roughness)
+        assert np.mean(difference > 1e-3) < 0.01
+        assert np.median(difference) < 1e-5
+
+    @pytest.mark.parametrize("prior", ["smoothness", "cohesion"])
+    def test_borders_do_not_show_with_penalties_either(
+        self, noisy: pbrfit.Scene, prior: str
+    ) -> None:
+        """Penalties tie neighbours, so what differs is only how far a fit came."""
+        segments = np.ones(noisy.valid.shape, int)
+        segments[36:] = 2
+        scene = replace(noisy, segments=segments)
+        priors = Priors(**{prior: 1e-3})
+        in_nine = held(scene, priors=priors, uncertainty=False)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=200))
+            whole = held(scene, priors=priors, uncertainty=False)
+        off = np.abs(in_nine.roughness - whole.roughness)
+        borders = np.zeros(off.shape, bool)
+        for border in (24, 48):
+            borders[border - 1 : border + 1] = borders[:, border - 1 : border + 1] = True
+        assert off[borders].mean() < 1.5 * off[~borders].mean() + 1e-4
+
+    def test_it_is_as_good_as_a_fit_of_all_pixels(
+        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """With lights from all of them."""
+        monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=72**2, side=SIDE))
+        in_nine = held(noisy)
+        monkeypatch.setattr(memory, "WHOLE", 1 << 21)
+        whole = held(noisy)
+        for error in ERRORS:
+            assert in_nine.metrics[error] < 1.1 * whole.metrics[error] + 1e-4, error
+        for one, other in ((in_nine.uncertainty, whole.uncertainty),):
+            assert one is not None
+            assert other is not None
+            assert one.noise == pytest.approx(other.noise, rel=0.01)
+            for kind in ("conditional", "marginal"):
+                here, there = (getattr(u, kind).albedo for u in (one, other))
+                assert np.median(here) == pytest.approx(np.median(there), rel=0.05)
+            np.testing.assert_allclose(one.albedo_scale, other.albedo_scale, rtol=0.1)
+
+    def test_wrong_normals_are_refined_in_tiles_too(self, noisy: pbrfit.Scene) -> None:
+        rows, columns = np.indices(noisy.valid.shape) / 72
+        wrong = noisy.normals + 0.12 * np.stack(
+            [np.sin(5 * rows), np.cos(4 * columns), np.zeros_like(rows)], axis=-1
+        )
+        given = replace(noisy, normals=wrong)
+        result = pbrfit.decompose(given, uncertainty=False)
+        assert result.refinement.refined
+        assert result.given_normals is not None
+        before, after = (
+            np.median(pbrfit.model.geometry.angles_between(normals, noisy.normals))
+            for normals in (given.normals, result.normals)
+        )
+        assert after < 0.75 * before  # as a fit of all pixels, to a tenth
+        assert result.metrics["recon_rmse"] < 0.012
+
+    def test_masks_and_weights_are_kept(self, noisy: pbrfit.Scene) -> None:
+        mask = np.ones(noisy.valid.shape, bool)
+        mask[:40, :45] = mask[60:, 66:] = False
+        weights = np.ones(noisy.images.shape[:3], np.float32)
+        weights[:, 50:] = 0.5
+        weights[2, :32] = 0  # a tile of which one picture shows nothing
+        images = noisy.images.copy()
+        images[2, :32] = np.nan
+        scene = replace(noisy, images=images, mask=mask, weights=weights)
+        result = held(scene)
+        assert np.isnan(result.roughness[~mask]).all()
+        assert np.isfinite(result.roughness[mask]).all()
+        assert result.uncertainty is not None
+        assert np.isfinite(result.uncertainty.marginal.roughness[mask]).all()
+        assert result.uncertainty.noise == pytest.approx(0.01, rel=0.2)
+
+    def test_known_lights_are_held(self, noisy: pbrfit.Scene) -> None:
+        assert noisy.truth is not None
+        scene = replace(noisy, lighting=noisy.truth.lighting)
+        result = held(scene)
+        np.testing.assert_array_equal(result.lighting, noisy.truth.lighting)
+        assert result.metrics["recon_rmse"] < 0.0105
+
+    def test_grey_pictures_stay_grey(self, noisy: pbrfit.Scene) -> None:
+        images = np.repeat(noisy.images[..., 1:2], 3, axis=-1)
+        result = held(replace(noisy, images=images, truth=None))
+        assert (result.albedo == result.albedo[..., :1]).all()
+        assert result.metrics["recon_rmse"] < 0.0105
+
+    @pytest.mark.parametrize("loss", ["huber", "cauchy"])
+    def test_robust_losses_have_the_lattices_scale(
+        self, noisy: pbrfit.Scene, loss: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        images = noisy.images.copy()
+        images[0, 20:40, 20:40] *= 3.0  # tiles with and without outliers
+        losses, add = [], Total.add
+
+        def noted(total: Total, objective: pbrfit.Objective, x: Array) -> None:
+            losses.append(objective.robust)
+            add(total, objective, x)
+
+        monkeypatch.setattr(Total, "add", noted)
+        result = held(replace(noisy, images=images), robust=loss, iterations=60)
+        assert len(losses) == 9
+        assert losses[0] is not None
+        assert losses[0][0] == loss
+        assert set(losses) == {losses[0]}
+        assert np.isfinite(result.albedo).all()
+
+    def test_what_was_found_can_be_saved_and_read(
+        self, noisy: pbrfit.Scene, tmp_path: Path
+    ) -> None:
+        result = held(noisy, iterations=3)
+        result.save(tmp_path / "result")
+        again = pbrfit.Result.load(tmp_path / "result")
+        assert again.history.rows == result.history.rows
+        assert again.stages == result.stages
+        np.testing.assert_allclose(again.roughness, result.roughness, atol=1e-6)
+
+    @pytest.mark.parametrize(
+        ("fault", "message"),
+        [
+            ("wider", r"albedo: expected shape \(72, 72, 3\), found \(72, 73, 3\)"),
+            ("unknown", "roughness: expected finite values at all valid pixels, found NaN"),
+        ],
+    )
+    def test_a_start_is_checked_off_the_lattice_too(
+        self, noisy: pbrfit.Scene, fault: str, message: str
+    ) -> None:
+        assert noisy.truth is not None
+        true = noisy.truth.materials
+        albedo, roughness, metallic = true.albedo, true.roughness.copy(), true.metallic
+        if fault == "wider":
+            albedo = np.pad(albedo, ((0, 0), (0, 1), (0, 0)))
+        else:
+            roughness[0, 0] = np.nan
+        start = pbrfit.Materials(albedo, roughness, metallic)
+        for given in (start, (start, noisy.truth.lighting)):
+            with pytest.raises(pbrfit.InputError, match=message):
+                held(noisy, start=given)
+
+    def test_passes_over_a_tile_count_by_its_pixels(
+        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def evaluations(side: int) -> int:
+            monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=side))
+            return held(noisy, uncertainty=False, iterations=20).evaluations
+
+        assert evaluations(24) < 2 * evaluations(200)  # sixteen tiles, and one
+
+    def test_tiles_that_need_more_iterations_are_told_of(
+        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Of nine the fourth, after a lattice that needed fewer."""
+        of_tile, count = tiles_fit._fit_tile, 0
+
+        def fourth_is_cut_short(*args: Any) -> Any:
+            nonlocal count
+            count += 1
+            *found, status = of_tile(*args)
+            assert status is Status.CONVERGED
+            return *found, Status.ITERATION_LIMIT if count == 4 else status
+
+        monkeypatch.setattr(tiles_fit, "_fit_tile", fourth_is_cut_short)
+        result = held(noisy, uncertainty=False, priors=Priors(material=1.0))
+        assert result.status is Status.ITERATION_LIMIT
+        assert result.stop_reason == "500 iterations done in 1 of 9 tiles"
+
+    def test_penalties_are_as_strong_where_all_weights_are_small(
+        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As in a fit of all at once, which knows lights from the start."""
+        assert noisy.truth is not None
+        weights = np.ones(noisy.images.shape[:3], np.float32)
+        weights[:, :40, :40] = 0.05
+        segments = np.ones(noisy.valid.shape, int)
+        scene = replace(
+            noisy, weights=weights, lighting=noisy.truth.lighting, segments=segments, truth=None
+        )
+        priors = replace(Priors.none(), cohesion=1e-3)
+        in_tiles = held(scene, priors=priors, uncertainty=False)
+        monkeypatch.setattr(memory, "WHOLE", 1 << 21)
+        whole = held(scene, priors=priors, uncertainty=False)
+        off = np.abs(in_tiles.metallic - whole.metallic)
+        assert off[:40, :40].mean() < 0.01
+
+    def test_progress_counts_tiles(self, noisy: pbrfit.Scene) -> None:
+        told: list[Progress] = []
+        result = held(noisy, progress=told.append, uncertainty=False)
+        counted = [one.tiles for one in told if one.tiles is not None]
+        assert counted == [(i, 9) for i in range(10)]
+        assert [one.tiles for one in told[: -len(counted)]] == [None] * (len(told) - 10)
+        assert result.history.iterations == told[-1].iteration
+        assert result.stages[-1].name == "all pixels in tiles, lights held"
+        materials, _ = told[-1].state()
+        np.testing.assert_array_equal(materials.roughness, result.roughness)
+
+    @pytest.mark.parametrize("options", [{"iterations": 0}, {"iterations": 1}, {"time_limit": 0}])
+    def test_limits_leave_a_whole_result(
+        self, noisy: pbrfit.Scene, options: dict[str, Any]
+    ) -> None:
+        result = pbrfit.decompose(noisy, **options)
+        assert result.status in (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
+        assert np.isfinite(result.albedo).all()
+        assert np.isfinite(result.lighting).all()
+        assert result.uncertainty is not None
+
+    def test_time_that_runs_out_says_how_many_tiles_are_unfinished(
+        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A clock that jumps when the fourth tile is kept."""
+        real, jump, put = time.perf_counter, [0.0], Canvas.put
+        kept: list[Tile] = []
+
+        def late(canvas: Canvas, tile: Tile, *found: Any) -> None:
+            put(canvas, tile, *found)
+            kept.append(tile)
+            if len(kept) == 4:
+                jump[0] = 1e6
+
+        monkeypatch.setattr(Canvas, "put", late)
+        monkeypatch.setattr(time, "perf_counter", lambda: real() + jump[0])
+        result = held(noisy, time_limit=1e5)
+        assert result.status is Status.TIME_LIMIT
+        assert result.stop_reason.endswith("5 of 9 tiles are unfinished")
+        assert np.isfinite(result.albedo).all()
+        assert result.metrics["recon_rmse"] < 0.05
+
+
+@pytest.mark.usefixtures("in_tiles")
+class TestCommand:
+    @pytest.mark.parametrize("options", [[], ["--quiet"]])
+    def test_shows_tiles_or_nothing(
+        self,
+        noisy: pbrfit.Scene,
+        options: list[str],
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        noisy.save(tmp_path / "scene")
+        monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+        command = ["decompose", str(tmp_path / "scene"), "--out", str(tmp_path / "result")]
+        assert main([*command, *options, "--refine-normals", "off"]) == 0
+        told = capsys.readouterr()
+        assert ("9/9" in told.err) == (not options)
+        assert ("tile" in told.err) == (not options)
+        assert ("all pixels in tiles, lights held (9 tiles;" in told.out) == (not options)
+
+
+class TestWhenTilesAreUsed:
+    def plan(self, pixels: int, solver: Any = "auto") -> memory.Plan:
+        scene = make_scene("room", size=8, lights=3, held_out=1)
+        layout = replace(
+            pbrfit.fit.parameters.Layout.of(scene), valid=np.broadcast_to(np.True_, (1, pixels))
+        )
+        return memory.plan(layout, solver, held=pixels * 48, refine_normals=True, optional=True)
+
+    @pytest.fixture
+    def available(self, monkeypatch: pytest.MonkeyPatch) -> list[int | None]:
+        free: list[int | None] = [None]
+        monkeypatch.setattr(memory, "available", lambda: free[0])
+        return free
+
+    @pytest.mark.usefixtures("available")
+    def test_above_the_stated_size(self) -> None:
+        assert not self.plan(memory.WHOLE).tiled
+        assert self.plan(memory.WHOLE + 1).tiled
+        assert not self.plan(memory.WHOLE + 1, "lbfgsb").tiled
+        assert not self.plan(memory.WHOLE + 1, "gauss-newton").tiled
+
+    def test_where_a_whole_fit_has_no_room(self, available: list[int | None]) -> None:
+        whole = self.plan(memory.WHOLE)
+        available[0] = whole.needed.further - 1
+        in_tiles = self.plan(memory.WHOLE)
+        assert in_tiles.tiled
+        assert in_tiles.refine_normals
+        assert in_tiles.needed.further < whole.needed.further
+
+    def test_which_is_said(
+        self,
+        noisy: pbrfit.Scene,
+        monkeypatch: pytest.MonkeyPatch,
+        caplog: pytest.LogCaptureFixture,
+    ) -> None:
+        real = memory.plan
+        monkeypatch.setattr(memory, "plan", lambda *a, **b: replace(real(*a, **b), tiled=True))
+        options: dict[str, Any] = {"iterations": 0, "uncertainty": False}
+        held(noisy, **options)
+        assert [one.message for one in caplog.records] == [
+            "fitted in tiles: there is not enough memory for all pixels at once"
+        ]
+        caplog.clear()
+        monkeypatch.setattr(memory, "WHOLE", 0)
+        held(noisy, **options)
+        assert not caplog.records
+
+    def test_then_without_refined_normals(self, available: list[int | None]) -> None:
+        available[0] = self.plan(2 * memory.WHOLE).needed.further - 1
+        without = self.plan(2 * memory.WHOLE)
+        assert without.tiled
+        assert not without.refine_normals
+        assert without.hindered is not None
+        assert "are available" in without.hindered
+
+    def test_and_where_nothing_fits_it_is_said(self, available: list[int | None]) -> None:
+        available[0] = 1000
+        plan = self.plan(2 * memory.WHOLE)
+        with pytest.raises(pbrfit.InputError, match=r"expected .* of memory to be available"):
+            memory.check("auto", plan.needed)
+
+    def test_eight_megapixels_with_16_pictures_take_less_than_8_gib(self) -> None:
+        scene = make_scene("room", size=8, lights=16, held_out=1)
+        pixels = 8_000_000
+        layout = replace(
+            pbrfit.fit.parameters.Layout.of(scene), valid=np.broadcast_to(np.True_, (1, pixels))
+        )
+        held = pixels * (16 * 12 + 24)
+        needed = memory.of_tiles(layout, held=held, refine_normals=True)
+        assert needed.peak < 8 * 2**30

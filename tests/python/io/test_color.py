@@ -1,0 +1,139 @@
+"""Transfer curves and primaries against exact arithmetic and published values."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from PIL import ImageCms
+
+from pbrfit import _core
+from pbrfit.io import color
+
+
+def test_the_srgb_curve_equals_the_standard_in_high_precision() -> None:
+    for code in range(256):
+        value = mpmath.mpf(code) / 255
+        if value <= mpmath.mpf("0.04045"):
+            exact = value / mpmath.mpf("12.92")
+        else:
+            exact = ((value + mpmath.mpf("0.055")) / mpmath.mpf("1.055")) ** mpmath.mpf("2.4")
+        np.testing.assert_allclose(color.decode_srgb(code / 255), float(exact), rtol=1e-15)
+
+
+def test_the_srgb_curve_switches_at_the_published_thresholds() -> None:
+    below, above = np.nextafter(0.04045, 0), np.nextafter(0.04045, 1)
+    assert color.decode_srgb(below) == below / 12.92
+    assert color.decode_srgb(above) == ((above + 0.055) / 1.055) ** 2.4
+    below, above = np.nextafter(0.0031308, 0), np.nextafter(0.0031308, 1)
+    assert color.encode_srgb(below) == below * 12.92
+    assert color.encode_srgb(above) == 1.055 * above ** (1 / 2.4) - 0.055
+
+
+@given(st.floats(-1e6, 1e6))
+def test_encoding_undoes_decoding(value: float) -> None:
+    # The two published thresholds do not meet exactly: 3e-8 apart around 0.04045.
+    np.testing.assert_allclose(
+        color.encode_srgb(color.decode_srgb(value)), value, rtol=1e-12, atol=1e-7
+    )
+
+
+@given(st.floats(0, 1e6))
+def test_the_curve_is_odd_and_increasing(value: float) -> None:
+    assert color.decode_srgb(-value) == -color.decode_srgb(value)
+    assert color.encode_srgb(-value) == -color.encode_srgb(value)
+    assert color.decode_srgb(np.nextafter(value, np.inf) + 1e-9) > color.decode_srgb(value)
+
+
+def test_rec709_to_xyz_equals_the_published_matrix() -> None:
+    # IEC 61966-2-1:1999, equation 7, four digits.
+    published = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    np.testing.assert_allclose(color.rgb_to_xyz(color.REC709), published, atol=6e-5)
+
+
+def test_acescg_to_rec709_equals_the_published_matrix() -> None:
+    # As in the ACES 1.0.3 OpenColorIO configuration (Bradford from D60 to D65).
+    published = [
+        [1.70505, -0.62179, -0.08326],
+        [-0.13026, 1.14080, -0.01055],
+        [-0.02400, -0.12897, 1.15297],
+    ]
+    np.testing.assert_allclose(color.to_rec709(color.ACES_AP1), published, atol=1e-5)
+
+
+def test_display_p3_red_lies_outside_rec709() -> None:
+    # CSS Color 4: color(display-p3 1 0 0) is color(srgb-linear 1.2249 -0.0421 -0.0196).
+    red = color.conversion("display-p3")(np.array([[[255, 0, 0]]], np.uint8))
+    np.testing.assert_allclose(red[0, 0], [1.22494, -0.04206, -0.01964], atol=1e-5)
+
+
+@pytest.mark.parametrize("primaries", [color.REC709, color.DISPLAY_P3, color.ACES_AP1])
+def test_white_stays_white(primaries: color.Primaries) -> None:
+    np.testing.assert_allclose(color.to_rec709(primaries) @ np.ones(3), np.ones(3), rtol=1e-13)
+
+
+def test_rec709_to_rec709_is_the_identity() -> None:
+    np.testing.assert_allclose(color.to_rec709(color.REC709), np.eye(3), atol=1e-14)
+
+
+def test_unusable_primaries_are_refused() -> None:
+    line = color.Primaries((0.1, 0.1), (0.2, 0.2), (0.3, 0.3), (0.3127, 0.3290))
+    with pytest.raises(ValueError, match="triangle"):
+        color.rgb_to_xyz(line)
+    zero = color.Primaries((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    with pytest.raises(ValueError, match="y > 0"):
+        color.rgb_to_xyz(zero)
+
+
+def test_rec709_is_recognised_up_to_rounding() -> None:
+    half = color.Primaries((0.6401, 0.33), (0.30, 0.6001), (0.15, 0.06), (0.3127, 0.3290))
+    assert color.near_rec709(half)
+    assert not color.near_rec709(color.DISPLAY_P3)
+
+
+def test_every_named_space_has_a_conversion() -> None:
+    for space in get_args(color.ColorSpace):
+        white = color.conversion(space)(np.full((1, 1, 3), 255, np.uint8))
+        np.testing.assert_allclose(white, 1, rtol=1e-6)
+    with pytest.raises(ValueError, match="expected one of srgb, linear, acescg, display-p3"):
+        color.conversion("adobe-rgb")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("space", get_args(color.ColorSpace))
+def test_integers_are_decoded_as_their_fractions_are(
+    dtype: type[np.uint8 | np.uint16], space: color.ColorSpace
+) -> None:
+    top = int(np.iinfo(dtype).max)
+    codes: NDArray[Any] = np.random.default_rng(1).integers(0, top + 1, (8, 9, 3)).astype(dtype)
+    codes[0, 0], codes[0, 1] = 0, top
+    convert = color.conversion(space)
+    np.testing.assert_allclose(convert(codes), convert(codes / top), rtol=1e-6, atol=1e-6)
+
+
+def test_the_result_is_contiguous_and_the_samples_are_left_alone() -> None:
+    samples = np.random.default_rng(2).random((4, 5, 3), dtype=np.float32)
+    before = samples.copy()
+    for space in get_args(color.ColorSpace):
+        linear = color.conversion(space)(samples.swapaxes(0, 1)[::-1])
+        assert linear.flags.c_contiguous
+        assert linear.dtype == np.float32
+    np.testing.assert_array_equal(samples, before)
+
+
+@pytest.mark.parametrize("levels", [256, 65536])
+def test_an_srgb_profile_agrees_with_the_exact_curve(levels: int) -> None:
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    curves, to_xyz = _core.decode_icc(profile, levels, "srgb.icc")
+    exact = color.decode_srgb(np.arange(levels) / (levels - 1))
+    for curve in curves:
+        np.testing.assert_allclose(curve, exact, rtol=2e-4, atol=5e-6)
+    assert to_xyz is not None
+    np.testing.assert_allclose(color.icc_to_rec709(to_xyz), np.eye(3), atol=5e-5)
+    convert = color.from_icc(curves, to_xyz)
+    assert convert.matrix is None

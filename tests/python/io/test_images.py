@@ -1,0 +1,866 @@
+"""Picture files of independent writers, read exactly; ours, read by independent readers."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import os
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image, ImageCms, ImageOps
+
+from pbrfit._core import InputError
+from pbrfit.io import color, images
+
+DATA = Path(os.environ.get("PBRFIT_DATA", Path(__file__).parents[3] / "../shared/data"))
+RNG = np.random.default_rng(0)
+RGB8: NDArray[np.uint8] = RNG.integers(0, 256, (6, 9, 3), dtype=np.uint8)
+RGB8[0, 0], RGB8[0, 1] = (255, 0, 0), (254, 254, 254)
+RGB16: NDArray[np.uint16] = RNG.integers(0, 65536, (6, 9, 3), dtype=np.uint16)
+RGB16[0, 0], RGB16[0, 1] = (0, 65535, 0), (65534, 0, 0)
+FLOAT: NDArray[np.float32] = (RNG.random((6, 9, 3), dtype=np.float32) * 4 - 1).astype(np.float32)
+
+
+def linear(samples: NDArray[Any]) -> NDArray[np.float32]:
+    return color.decode_srgb(samples / np.iinfo(samples.dtype).max).astype(np.float32)
+
+
+def save_exr(path: Path, channels: dict[str, Any], **header: Any) -> Path:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage} | header
+    OpenEXR.File(header, dict(channels)).write(str(path))
+    return path
+
+
+def save_png(path: Path, array: NDArray[Any], **options: Any) -> Path:
+    Image.fromarray(array).save(path, format="PNG", **options)
+    return path
+
+
+def png_with_chunk(kind: bytes, body: bytes) -> bytes:
+    """An 8-bit grey PNG of one pixel with one more chunk before its data."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 0, 0, 0, 0))
+    data = chunk(b"IDAT", zlib.compress(b"\0\x80"))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(kind, body) + data + chunk(b"IEND", b"")
+
+
+# Integer pictures
+
+
+def test_8_bit_png_is_srgb(tmp_path: Path) -> None:
+    path = save_png(tmp_path / "a.png", RGB8)
+    picture = images.read_picture(path)
+    np.testing.assert_array_equal(picture.pixels, linear(RGB8))
+    assert picture.pixels.dtype == np.float32
+    assert picture.pixels.flags.c_contiguous
+    np.testing.assert_array_equal(picture.clipped, (RGB8 > 250).any(axis=-1))
+    assert not picture.dark.any()
+    assert picture.alpha is None
+    assert picture.color == "sRGB (8-bit PNG without a profile)"
+    assert picture.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert picture.bit_depth == 8
+    assert picture.focal_length_35mm is None
+
+
+def test_16_bit_files_keep_all_bits(tmp_path: Path) -> None:
+    images.write_png(tmp_path / "a.png", RGB16, tag="srgb")
+    tifffile.imwrite(tmp_path / "a.tif", RGB16, photometric="rgb", compression="deflate")
+    tifffile.imwrite(tmp_path / "b.tif", RGB16, photometric="rgb", byteorder=">")
+    for name in ("a.png", "a.tif", "b.tif"):
+        picture = images.read_picture(tmp_path / name)
+        np.testing.assert_array_equal(picture.pixels, linear(RGB16))
+        np.testing.assert_array_equal(picture.clipped, (RGB16 > 250 * 257).any(axis=-1))
+        assert picture.bit_depth == 16
+
+
+@pytest.mark.parametrize(("low", "high"), [(1, 250), (0, 255), (17, 18), (254, 255)])
+def test_codes_at_the_thresholds(tmp_path: Path, low: int, high: int) -> None:
+    """The lowest and the highest code are data; one channel clips, but only all are dark."""
+    for dtype, unit in ((np.uint8, 1), (np.uint16, 257)):
+        codes = np.clip(
+            np.array([low * unit - 1, low * unit, high * unit, high * unit + 1]), 0, 255 * unit
+        )
+        first, second = np.meshgrid(codes, codes)
+        rgb = np.stack([first, second, second], axis=-1).astype(dtype)
+        images.write_png(tmp_path / "a.png", rgb, tag="srgb")
+        picture = images.read_picture(tmp_path / "a.png", code_range=(low, high))
+        np.testing.assert_array_equal(picture.clipped, rgb.max(axis=-1) > high * unit)
+        np.testing.assert_array_equal(picture.dark, rgb.max(axis=-1) < low * unit)
+        assert picture.dark.any() == (low > 0)
+        assert picture.clipped.any() == (high < 255)
+        whole = images.read_picture(tmp_path / "a.png", code_range=(0, 255))
+        np.testing.assert_array_equal(picture.pixels, whole.pixels)
+
+
+@pytest.mark.parametrize("codes", [(-1, 250), (1, 256), (7, 7), (9, 3), (0.5, 3), (1,), "no", None])
+def test_a_code_range_that_is_none_is_refused(tmp_path: Path, codes: Any) -> None:
+    path = save_png(tmp_path / "a.png", RGB8)
+    with pytest.raises(InputError, match="code_range: expected two 8-bit codes"):
+        images.read_picture(path, code_range=codes)
+
+
+def test_grey_is_repeated_and_alpha_is_straight(tmp_path: Path) -> None:
+    grey = RGB8[..., 0]
+    picture = images.read_picture(save_png(tmp_path / "l.png", grey))
+    np.testing.assert_array_equal(picture.pixels, np.repeat(linear(grey)[..., None], 3, axis=-1))
+
+    with_alpha = np.dstack([RGB8, grey])
+    for name in ("rgba.png", "rgba.tif"):
+        Image.fromarray(with_alpha).save(tmp_path / name)
+        picture = images.read_picture(tmp_path / name)
+        np.testing.assert_array_equal(picture.pixels, linear(RGB8))
+        assert picture.alpha is not None
+        np.testing.assert_array_equal(picture.alpha, np.float32(grey) / np.float32(255))
+        np.testing.assert_array_equal(picture.clipped, (RGB8 > 250).any(axis=-1))
+
+    la = np.ascontiguousarray(RGB8[..., :2])
+    picture = images.read_picture(save_png(tmp_path / "la.png", la))
+    np.testing.assert_array_equal(picture.pixels[..., 1], linear(la[..., 0]))
+    assert picture.alpha is not None
+    np.testing.assert_array_equal(picture.alpha, np.float32(la[..., 1]) / np.float32(255))
+
+
+def test_16_bit_grey_png_of_another_writer(tmp_path: Path) -> None:
+    grey = RGB16[..., 1]
+    picture = images.read_picture(save_png(tmp_path / "a.png", grey))
+    np.testing.assert_array_equal(picture.pixels[..., 2], linear(grey))
+
+
+def test_palette_and_low_bit_pngs_are_resolved(tmp_path: Path) -> None:
+    palette = Image.fromarray(RGB8).quantize(7)
+    palette.save(tmp_path / "p.png")
+    expected = linear(np.asarray(palette.convert("RGB")))
+    np.testing.assert_array_equal(images.read_picture(tmp_path / "p.png").pixels, expected)
+    Image.fromarray(RGB8[..., 0] > 99).save(tmp_path / "one.png")
+    expected = (RGB8[..., 0] > 99).astype(np.float32)
+    np.testing.assert_array_equal(
+        images.read_picture(tmp_path / "one.png").pixels[..., 0], expected
+    )
+
+
+def test_interlaced_png(tmp_path: Path) -> None:
+    # Adam7, of a PNG that Pillow can read but not write: passes made by hand.
+    grey = RGB8[..., 0]
+    height, width = grey.shape
+    passes = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2))
+    raw = b"".join(
+        b"\0" + row.tobytes()
+        for x, y, dx, dy in (*passes, (0, 1, 1, 2))
+        for row in grey[y::dy, x::dx]
+        if row.size
+    )
+    one = png_with_chunk(b"tEXt", b"a\0b")
+    start = one.index(b"IHDR")
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 1))
+    data = one[: start - 4] + header + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
+    (tmp_path / "i.png").write_bytes(data)
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "i.png")), grey)
+    np.testing.assert_array_equal(
+        images.read_picture(tmp_path / "i.png").pixels[..., 0], linear(grey)
+    )
+
+
+@pytest.mark.parametrize("options", [{}, {"progressive": True}, {"subsampling": 0}])
+def test_jpeg_agrees_with_another_decoder(tmp_path: Path, options: dict[str, Any]) -> None:
+    y, x = np.mgrid[:64, :96] / 96
+    smooth = np.stack([x, y, 1 - x], axis=-1)
+    Image.fromarray(np.uint8(255 * smooth)).save(tmp_path / "a.jpg", quality=95, **options)
+    theirs = np.asarray(Image.open(tmp_path / "a.jpg")).astype(int)
+    ours = images.read_data(tmp_path / "a.jpg") * 255
+    # Decoders round the transforms and interpolate subsampled chroma differently.
+    assert np.abs(ours - theirs).max() <= (2.01 if options == {"subsampling": 0} else 4.01)
+    Image.fromarray(np.uint8(255 * x)).save(tmp_path / "g.jpg")
+    theirs = np.asarray(Image.open(tmp_path / "g.jpg")).astype(int)
+    grey = images.read_data(tmp_path / "g.jpg")
+    assert grey.shape == (64, 96, 1)
+    assert np.abs(grey[..., 0] * 255 - theirs).max() <= 1.01
+
+
+def test_tiffs_of_all_layouts(tmp_path: Path) -> None:
+    planar = np.moveaxis(RGB16, -1, 0)
+    tifffile.imwrite(tmp_path / "planar.tif", planar, photometric="rgb", planarconfig="separate")
+    tiled = np.tile(RGB8, (8, 8, 1))
+    tifffile.imwrite(tmp_path / "tiled.tif", tiled, photometric="rgb", tile=(16, 16))
+    tifffile.imwrite(tmp_path / "big.tif", RGB8, photometric="rgb", bigtiff=True)
+    tifffile.imwrite(tmp_path / "white.tif", RGB8[..., 0], photometric="miniswhite")
+    Image.fromarray(RGB8).save(tmp_path / "lzw.tif", compression="tiff_lzw", tiffinfo={317: 2})
+
+    def pixels(name: str) -> NDArray[np.float32]:
+        return images.read_picture(tmp_path / name).pixels
+
+    np.testing.assert_array_equal(pixels("planar.tif"), linear(RGB16))
+    np.testing.assert_array_equal(pixels("tiled.tif"), linear(tiled))
+    np.testing.assert_array_equal(pixels("big.tif"), linear(RGB8))
+    np.testing.assert_array_equal(pixels("lzw.tif"), linear(RGB8))
+    np.testing.assert_array_equal(pixels("white.tif")[..., 0], linear(255 - RGB8[..., 0]))
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    exif[0x010F] = "maker"
+    for name in ("a.png", "a.jpg", "a.tif"):
+        # Blocks of 16 pixels come out of the JPEG decoder in their places.
+        picture = np.repeat(np.repeat(RGB8[:2, :3], 16, axis=0), 16, axis=1)
+        Image.fromarray(picture).save(tmp_path / name, exif=exif)
+        with Image.open(tmp_path / name) as stored:
+            expected = np.asarray(ImageOps.exif_transpose(stored)).astype(int)
+        found = images.read_data(tmp_path / name) * 255
+        assert found.shape == expected.shape
+        assert np.abs(found - expected).max() <= 3
+        seen = images.read_picture(tmp_path / name)
+        assert seen.pixels.shape == expected.shape
+        assert seen.pixels.flags.c_contiguous
+        assert seen.clipped.shape == expected.shape[:2]
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
+def test_focal_length_is_read(tmp_path: Path, name: str) -> None:
+    for stored, expected in ((28, 28.0), (0, None)):
+        exif = Image.Exif()
+        exif[0x8769] = {0xA405: stored}
+        Image.fromarray(RGB8).save(tmp_path / name, exif=exif.tobytes())
+        assert images.read_picture(tmp_path / name).focal_length_35mm == expected
+
+
+def test_damaged_exif_is_not_used(tmp_path: Path) -> None:
+    for exif in (
+        b"Exif\0\0II*\0\xff\xff\xff\xff",
+        b"Exif\0\0II*\0\x08\0\0\0\xff\xff\x01",
+        b"Exif\0\0",
+    ):
+        Image.fromarray(RGB8).save(tmp_path / "a.jpg", exif=exif)
+        picture = images.read_picture(tmp_path / "a.jpg")
+        assert picture.focal_length_35mm is None
+        assert picture.pixels.shape == RGB8.shape
+
+
+# Colour
+
+
+def srgb_profile() -> bytes:
+    return bytes(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+
+
+def icc(space: bytes, tags: dict[bytes, bytes], pcs: bytes = b"XYZ ") -> bytes:
+    """A minimal ICC profile, version 4.3."""
+    start = 128 + 4 + 12 * len(tags)
+    table, body = struct.pack(">I", len(tags)), b""
+    for name, tag in tags.items():
+        table += name + struct.pack(">II", start + len(body), len(tag))
+        body += tag + bytes(-len(tag) % 4)
+    header = struct.pack(">I4sI4s4s4s", start + len(body), b"none", 0x04300000, b"mntr", space, pcs)
+    header += struct.pack(">6H", 2024, 1, 1, 0, 0, 0) + b"acsp" + bytes(28)
+    return header + struct.pack(">3i", 63190, 65536, 54061) + bytes(48) + table + body
+
+
+def icc_xyz(values: NDArray[np.float64]) -> bytes:
+    return b"XYZ \0\0\0\0" + struct.pack(">3i", *np.rint(values * 65536).astype(int))
+
+
+def icc_gamma(gamma: float) -> bytes:
+    return b"curv\0\0\0\0" + struct.pack(">IH", 1, round(gamma * 256)) + b"\0\0"
+
+
+def icc_srgb_curve() -> bytes:
+    numbers = np.array([2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045])
+    return b"para\0\0\0\0\0\x03\0\0" + struct.pack(">5i", *np.rint(numbers * 65536).astype(int))
+
+
+def icc_rgb(primaries: color.Primaries, curve: bytes) -> bytes:
+    to_xyz = color.rgb_to_xyz(primaries)
+    to_xyz = color.bradford(to_xyz.sum(axis=1), color.ICC_D50) @ to_xyz
+    tags = {b"rXYZ": icc_xyz(to_xyz[:, 0]), b"gXYZ": icc_xyz(to_xyz[:, 1])}
+    tags |= {b"bXYZ": icc_xyz(to_xyz[:, 2]), b"wtpt": icc_xyz(color.ICC_D50)}
+    return icc(b"RGB ", tags | {b"rTRC": curve, b"gTRC": curve, b"bTRC": curve})
+
+
+@pytest.mark.parametrize(("name", "kind"), [("a.png", "PNG"), ("a.tif", "TIFF"), ("a.jpg", "JPEG")])
+def test_an_srgb_profile_changes_nothing(tmp_path: Path, name: str, kind: str) -> None:
+    Image.fromarray(RGB8).save(tmp_path / name, icc_profile=srgb_profile())
+    tagged = images.read_picture(tmp_path / name)
+    assert tagged.color == f"ICC profile of the 8-bit {kind}"
+    plain = images.read_picture(tmp_path / name, color_space="srgb")
+    np.testing.assert_allclose(tagged.pixels, plain.pixels, rtol=2e-4, atol=5e-6)
+
+
+def test_a_display_p3_profile_is_converted(tmp_path: Path) -> None:
+    profile = icc_rgb(color.DISPLAY_P3, icc_srgb_curve())
+    save_png(tmp_path / "a.png", RGB8, icc_profile=profile)
+    tagged = images.read_picture(tmp_path / "a.png")
+    named = images.read_picture(tmp_path / "a.png", color_space="display-p3")
+    np.testing.assert_allclose(tagged.pixels, named.pixels, atol=1e-4)
+    assert tagged.pixels.min() < -0.01  # colours outside Rec.709 are kept
+    np.testing.assert_array_equal(tagged.clipped, (RGB8 > 250).any(axis=-1))
+
+
+def test_a_gamma_profile_with_acescg_primaries_at_16_bits(tmp_path: Path) -> None:
+    profile = icc_rgb(color.ACES_AP1, icc_gamma(2.0))
+    tifffile.imwrite(tmp_path / "a.tif", RGB16, photometric="rgb", iccprofile=profile)
+    expected = (RGB16 / 65535) ** 2 @ color.to_rec709(color.ACES_AP1).T
+    np.testing.assert_allclose(images.read_picture(tmp_path / "a.tif").pixels, expected, atol=2e-4)
+
+
+def test_a_grey_profile(tmp_path: Path) -> None:
+    profile = icc(b"GRAY", {b"kTRC": icc_gamma(1.5), b"wtpt": icc_xyz(color.ICC_D50)})
+    save_png(tmp_path / "a.png", RGB8[..., 0], icc_profile=profile)
+    expected = (RGB8[..., 0] / 255) ** 1.5
+    pixels = images.read_picture(tmp_path / "a.png").pixels
+    np.testing.assert_allclose(pixels, np.repeat(expected[..., None], 3, axis=-1), rtol=1e-5)
+    Image.fromarray(RGB8).save(tmp_path / "a.jpg", icc_profile=profile)
+    with pytest.raises(InputError, match="found one for grey"):
+        images.read_picture(tmp_path / "a.jpg")
+
+
+def test_unusable_profiles_are_refused_but_can_be_overruled(tmp_path: Path) -> None:
+    white = {b"wtpt": icc_xyz(color.ICC_D50)}
+    lab = icc(b"GRAY", white | {b"kTRC": icc_gamma(1.5)}, pcs=b"Lab ")
+    cases = {
+        "a damaged one": b"nonsense" * 30,
+        "a damaged one.*": srgb_profile()[:200],
+        "one for Cmyk pictures": icc(b"CMYK", white),
+        "one made of lookup tables only": icc(b"RGB ", white),
+        "one that connects through Lab": lab,
+    }
+    for found, profile in cases.items():
+        Image.fromarray(RGB8).save(tmp_path / "a.tif", icc_profile=profile)
+        with pytest.raises(
+            InputError, match=rf"a\.tif: expected a usable ICC profile, found {found}"
+        ):
+            images.read_picture(tmp_path / "a.tif")
+        picture = images.read_picture(tmp_path / "a.tif", color_space="srgb")
+        np.testing.assert_array_equal(picture.pixels, linear(RGB8))
+
+
+def test_a_given_color_space_decides(tmp_path: Path) -> None:
+    path = save_png(tmp_path / "a.png", RGB8, icc_profile=srgb_profile())
+    picture = images.read_picture(path, color_space="linear")
+    np.testing.assert_array_equal(picture.pixels, (RGB8 / 255).astype(np.float32))
+    assert picture.color == "linear (as asked for)"
+    expected = RGB8 / 255 @ color.to_rec709(color.ACES_AP1).T
+    acescg = images.read_picture(path, color_space="acescg")
+    np.testing.assert_allclose(acescg.pixels, expected, atol=1e-6)
+
+    chromaticities = (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329)
+    exr = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}, chromaticities=chromaticities)
+    np.testing.assert_array_equal(images.read_picture(exr, color_space="linear").pixels, FLOAT)
+    srgb = images.read_picture(exr, color_space="srgb").pixels
+    np.testing.assert_allclose(srgb, color.decode_srgb(FLOAT), rtol=1e-6)
+    with pytest.raises(InputError, match="color_space: expected one of srgb, linear, acescg"):
+        images.read_picture(path, color_space="rec2020")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "note"),
+    [
+        (b"gAMA", struct.pack(">I", 100000), "gAMA chunk (1)"),
+        (b"cICP", bytes([9, 16, 0, 1]), "cICP chunk (primaries 9, transfer 16)"),
+        (b"gAMA", struct.pack(">I", 45455), None),
+        (b"cICP", bytes([1, 13, 0, 1]), None),
+        (b"sRGB", b"\0", None),
+    ],
+)
+def test_png_colour_chunks_that_are_not_followed_are_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: bytes, body: bytes, note: str | None
+) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(png_with_chunk(kind, body))
+    with caplog.at_level(logging.WARNING, logger="pbrfit"):
+        picture = images.read_picture(path)
+        images.read_picture(path, color_space="linear")  # the user knows: no word about it
+    np.testing.assert_allclose(picture.pixels, color.decode_srgb(128 / 255), rtol=1e-6)
+    expected = [] if note is None else [f"{path}: read as sRGB; its {note} is ignored"]
+    assert [record.getMessage() for record in caplog.records] == expected
+
+
+# Float pictures
+
+
+def test_float_tiff_is_linear(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    tifffile.imwrite(tmp_path / "a.tif", FLOAT, photometric="rgb")
+    tifffile.imwrite(tmp_path / "y.tif", FLOAT[..., 0], compression="deflate")
+    tifffile.imwrite(tmp_path / "h.tif", FLOAT.astype(np.float16), photometric="rgb")
+    tifffile.imwrite(tmp_path / "d.tif", FLOAT.astype(np.float64), photometric="rgb")
+    picture = images.read_picture(tmp_path / "a.tif")
+    np.testing.assert_array_equal(picture.pixels, FLOAT)
+    assert not picture.clipped.any()
+    assert (picture.bit_depth, picture.color) == (32, "linear Rec.709 (float TIFF)")
+    np.testing.assert_array_equal(
+        images.read_picture(tmp_path / "y.tif").pixels[..., 2], FLOAT[..., 0]
+    )
+    np.testing.assert_array_equal(
+        images.read_picture(tmp_path / "h.tif").pixels, FLOAT.astype(np.float16)
+    )
+    np.testing.assert_array_equal(images.read_picture(tmp_path / "d.tif").pixels, FLOAT)
+    assert not caplog.records
+
+    tifffile.imwrite(tmp_path / "p.tif", FLOAT, photometric="rgb", iccprofile=srgb_profile())
+    with caplog.at_level(logging.WARNING, logger="pbrfit"):
+        np.testing.assert_array_equal(images.read_picture(tmp_path / "p.tif").pixels, FLOAT)
+    assert "ICC profile is ignored because it is a float file" in caplog.text
+
+
+def test_radiance_hdr_of_both_signatures_and_encodings(tmp_path: Path) -> None:
+    # Mantissa/256 times 2^(e-128); 8 pixels wide is the least that may be run-length encoded.
+    pixel = bytes([128, 64, 255, 130])
+    expected = np.array([128, 64, 255]) / 256 * 4
+    flat = pixel * 8
+    runs = b"\x02\x02\x00\x08" + b"".join(bytes([128 + 8, value]) for value in pixel)
+    for signature in (b"#?RADIANCE", b"#?RGBE"):
+        for rows in (flat, runs):
+            header = signature + b"\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 8\n"
+            (tmp_path / "a.hdr").write_bytes(header + rows + rows)
+            picture = images.read_picture(tmp_path / "a.hdr")
+            np.testing.assert_array_equal(picture.pixels, np.tile(expected, (2, 8, 1)))
+            assert picture.color == "linear Rec.709 (float HDR)"
+
+
+@pytest.mark.parametrize(
+    "compression",
+    ["NO", "RLE", "ZIPS", "ZIP", "PIZ"],
+)
+@pytest.mark.parametrize("dtype", [np.float32, np.float16])
+def test_exr_compressions(tmp_path: Path, compression: str, dtype: Any) -> None:
+    value = getattr(OpenEXR, f"{compression}_COMPRESSION")
+    pixels = np.tile(FLOAT, (9, 7, 1)).astype(dtype)
+    path = save_exr(tmp_path / "a.exr", {"RGB": pixels}, compression=value)
+    picture = images.read_picture(path)
+    np.testing.assert_array_equal(picture.pixels, pixels.astype(np.float32))
+    assert picture.color == "linear Rec.709 (EXR without chromaticities)"
+    assert picture.bit_depth == 32
+
+
+@pytest.mark.parametrize("compression", ["PXR24", "B44", "B44A", "DWAA", "DWAB"])
+def test_lossy_exr_compressions_agree_with_openexr(tmp_path: Path, compression: str) -> None:
+    value = getattr(OpenEXR, f"{compression}_COMPRESSION")
+    y, x = np.mgrid[:40, :50].astype(np.float32) / 50
+    pixels = np.stack([x, y, x * y], axis=-1).astype(np.float16)
+    path = save_exr(tmp_path / "a.exr", {"RGB": pixels}, compression=value)
+    with OpenEXR.File(str(path)) as file:
+        theirs = file.channels()["RGB"].pixels.astype(np.float32)
+    np.testing.assert_allclose(images.read_picture(path).pixels, theirs, atol=1e-3)
+
+
+def test_exr_tiles_and_mip_levels(tmp_path: Path) -> None:
+    pixels = np.tile(FLOAT, (6, 4, 1))
+    tiles = OpenEXR.TileDescription()
+    tiles.xSize = tiles.ySize = 16
+    path = save_exr(tmp_path / "a.exr", {"RGB": pixels}, type=OpenEXR.tiledimage, tiles=tiles)
+    np.testing.assert_array_equal(images.read_picture(path).pixels, pixels)
+
+
+def test_exr_chromaticities(tmp_path: Path) -> None:
+    rec709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+    path = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}, chromaticities=rec709)
+    np.testing.assert_array_equal(images.read_picture(path).pixels, FLOAT)
+
+    ap1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+    path = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}, chromaticities=ap1)
+    picture = images.read_picture(path)
+    expected = FLOAT @ color.to_rec709(color.ACES_AP1).T
+    np.testing.assert_allclose(picture.pixels, expected, atol=2e-6)
+    assert picture.color == "linear, converted from the EXR's chromaticities"
+
+    grey = save_exr(tmp_path / "y.exr", {"Y": FLOAT[..., 0].copy()}, chromaticities=ap1)
+    np.testing.assert_array_equal(images.read_picture(grey).pixels[..., 1], FLOAT[..., 0])
+
+    path = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}, chromaticities=(0.0,) * 8)
+    with pytest.raises(InputError, match=r"a\.exr: chromaticities: expected"):
+        images.read_picture(path)
+
+
+def test_exr_alpha_is_read_and_colours_left_alone(tmp_path: Path) -> None:
+    rgba = np.dstack([FLOAT, np.abs(FLOAT[..., :1])])
+    picture = images.read_picture(save_exr(tmp_path / "a.exr", {"RGBA": rgba}))
+    np.testing.assert_array_equal(picture.pixels, FLOAT)
+    np.testing.assert_array_equal(picture.alpha, rgba[..., 3])
+
+
+def test_exr_layers_in_one_part(tmp_path: Path) -> None:
+    planes: dict[str, NDArray[Any]] = {
+        f"beauty.{c}": FLOAT[..., k].copy() for k, c in enumerate("RGB")
+    }
+    planes |= {"depth.Y": FLOAT[..., 0] * 2, "id": np.arange(54, dtype=np.uint32).reshape(6, 9)}
+    path = save_exr(tmp_path / "a.exr", planes)
+    found = images.read_channels(path)
+    assert set(found) == set(planes)
+    for name, plane in planes.items():
+        assert found[name].dtype == np.float32
+        np.testing.assert_array_equal(found[name], plane)
+    np.testing.assert_array_equal(images.read_picture(path, layer="beauty").pixels, FLOAT)
+    depth = images.read_picture(path, layer="depth")
+    np.testing.assert_array_equal(depth.pixels[..., 2], FLOAT[..., 0] * 2)
+    np.testing.assert_array_equal(images.read_data(path, layer="beauty"), FLOAT)
+    listed = "found beauty.B, beauty.G, beauty.R, depth.Y, id in layers beauty, depth"
+    for layer in (None, "albedo"):
+        with pytest.raises(InputError, match=listed):
+            images.read_picture(path, layer=layer)
+        with pytest.raises(InputError, match=listed):
+            images.read_data(path, layer=layer)
+
+
+def test_exr_parts(tmp_path: Path) -> None:
+    def part(name: str, channels: dict[str, Any]) -> OpenEXR.Part:
+        return OpenEXR.Part({"type": OpenEXR.scanlineimage}, channels, name)
+
+    parts = [
+        part("beauty", {"RGB": FLOAT}),
+        part("depth", {"depth.Y": FLOAT[..., 0].copy()}),
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
+    found = images.read_channels(tmp_path / "a.exr")
+    assert sorted(found) == ["beauty.B", "beauty.G", "beauty.R", "depth.Y"]
+    np.testing.assert_array_equal(found["beauty.G"], FLOAT[..., 1])
+    picture = images.read_picture(tmp_path / "a.exr", layer="beauty")
+    np.testing.assert_array_equal(picture.pixels, FLOAT)
+
+
+def test_exr_data_window_is_placed_into_the_display_window(tmp_path: Path) -> None:
+    def window(x: int, y: int, width: int, height: int) -> Any:
+        corner = np.array([x, y], np.int32)
+        return corner, np.array([x + width - 1, y + height - 1], np.int32)
+
+    for x, y in ((3, 1), (-4, -2), (6, 5), (-20, 0), (0, 40), (10, 10)):
+        display = (10, 10, 12, 8)
+        path = save_exr(
+            tmp_path / "a.exr",
+            {"Y": FLOAT[..., 0].copy()},
+            dataWindow=window(x, y, 9, 6),
+            displayWindow=window(*display),
+        )
+        plane = np.zeros((100, 100), np.float32)
+        plane[40 + y : 46 + y, 40 + x : 49 + x] = FLOAT[..., 0]
+        found = images.read_channels(path)["Y"]
+        np.testing.assert_array_equal(found, plane[50:58, 50:62])
+
+
+def test_subsampled_and_deep_exr_are_refused(tmp_path: Path) -> None:
+    path = save_exr(tmp_path / "a.exr", {"Y": np.ones((4, 4), np.float32)})
+    data = path.read_bytes()
+    channel = b"Y\0" + struct.pack("<iixx", 2, 0)[:8]  # name, float, perceptual
+    start = data.index(b"Y\0" + struct.pack("<i", 2)) + len(channel)
+    sampled = data[:start] + struct.pack("<ii", 2, 2) + data[start + 8 :]
+    path.write_bytes(sampled)
+    with pytest.raises(InputError, match=r"a\.exr: expected flat pixels.*found: .*subsampling"):
+        images.read_picture(path)
+
+    samples = np.empty((4, 4), dtype=object)
+    for index in np.ndindex(4, 4):
+        samples[index] = np.zeros(2, np.float32)
+    zips = OpenEXR.ZIPS_COMPRESSION
+    save_exr(path, {"Z": samples}, type=OpenEXR.deepscanline, compression=zips)
+    with pytest.raises(InputError, match=r"a\.exr: expected flat pixels.*deep"):
+        images.read_channels(path)
+
+
+# Data and ids
+
+
+def test_data_is_never_decoded(tmp_path: Path) -> None:
+    path = save_png(tmp_path / "n.png", RGB8, icc_profile=srgb_profile())
+    data = images.read_data(path)
+    assert data.dtype == np.float64
+    np.testing.assert_array_equal(data, RGB8 / 255)
+    images.write_png(path, RGB16, tag=None)
+    np.testing.assert_array_equal(images.read_data(path), RGB16 / 65535)
+    xyz = {c: FLOAT[..., k].copy() for k, c in enumerate("XYZ")}
+    ap1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+    path = save_exr(tmp_path / "n.exr", xyz, chromaticities=ap1)
+    np.testing.assert_array_equal(images.read_data(path), FLOAT)
+    path = save_exr(tmp_path / "n.exr", {"RGB": FLOAT}, chromaticities=ap1)
+    np.testing.assert_array_equal(images.read_data(path), FLOAT)
+    path = save_exr(tmp_path / "m.exr", {"mask": FLOAT[..., 0].copy()})
+    np.testing.assert_array_equal(images.read_data(path), FLOAT[..., :1])
+
+
+def test_ids_are_the_stored_integers(tmp_path: Path) -> None:
+    ids = images.read_ids(save_png(tmp_path / "a.png", RGB16[..., 0]))
+    assert ids.dtype == np.uint16
+    np.testing.assert_array_equal(ids, RGB16[..., 0])
+    np.testing.assert_array_equal(
+        images.read_ids(save_png(tmp_path / "a.png", RGB8[..., 0])), RGB8[..., 0]
+    )
+    tifffile.imwrite(tmp_path / "a.tif", RGB16[..., 0])
+    np.testing.assert_array_equal(images.read_ids(tmp_path / "a.tif"), RGB16[..., 0])
+
+    for count in (2, 4, 16, 200):  # stored with 1, 2, 4 and 8 bits
+        indices = RNG.integers(0, count, (5, 11), dtype=np.uint8)
+        indices[0, 0] = count - 1
+        palette = Image.fromarray(indices).convert("P")
+        palette.putdata(indices.ravel().tolist())
+        palette.putpalette(RNG.integers(0, 256, 3 * count, dtype=np.uint8).tobytes())
+        palette.save(tmp_path / "p.png", bits=max(1, (count - 1).bit_length()))
+        np.testing.assert_array_equal(images.read_ids(tmp_path / "p.png"), indices)
+    Image.fromarray(RGB8[..., 0] > 99).save(tmp_path / "one.png")
+    np.testing.assert_array_equal(images.read_ids(tmp_path / "one.png"), RGB8[..., 0] > 99)
+
+    with pytest.raises(InputError, match=r"expected ids in a grey .* found 3 channels uint8"):
+        images.read_ids(save_png(tmp_path / "rgb.png", RGB8))
+    tifffile.imwrite(tmp_path / "f.tif", FLOAT[..., 0])
+    with pytest.raises(InputError, match=r"expected ids in a grey .* found 1 channels float32"):
+        images.read_ids(tmp_path / "f.tif")
+    Image.fromarray(RGB8[..., 0]).save(tmp_path / "a.jpg")
+    with pytest.raises(InputError, match=r"expected ids in a grey .* found a JPEG file"):
+        images.read_ids(tmp_path / "a.jpg")
+
+
+# Writing
+
+
+def test_openexr_reads_what_is_written(tmp_path: Path) -> None:
+    channels: dict[str, NDArray[Any]] = {f"albedo.{c}": FLOAT[..., k] for k, c in enumerate("RGB")}
+    channels |= {"roughness.Y": FLOAT[::-1, :, 0], "mask.Y": FLOAT[..., 0] > 0}
+    for half, dtype in ((False, np.float32), (True, np.float16)):
+        path = tmp_path / "Überblick 測定.exr"
+        images.write_exr(path, channels, half=half)
+        copy = tmp_path / "copy.exr"
+        copy.write_bytes(path.read_bytes())
+        with OpenEXR.File(str(copy), separate_channels=True) as file:
+            header = dict(file.header())
+            found = {name: channel.pixels for name, channel in file.channels().items()}
+        assert set(found) == set(channels)
+        for name, plane in channels.items():
+            assert found[name].dtype == dtype
+            np.testing.assert_array_equal(found[name], np.asarray(plane, dtype))
+        assert header["compression"] == OpenEXR.ZIP_COMPRESSION
+        assert header["lineOrder"] == OpenEXR.INCREASING_Y
+        np.testing.assert_allclose(
+            header["chromaticities"],
+            (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290),
+            rtol=1e-6,
+        )
+        again = images.read_channels(path)
+        np.testing.assert_array_equal(again["mask.Y"], FLOAT[..., 0] > 0)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.exr", "Überblick 測定.exr"]
+
+
+def test_pillow_reads_what_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    for samples in (RGB8, RGB8[..., 0], RGB8[::-1, ::2], np.dstack([RGB8, RGB8[..., 0]])):
+        images.write_png(path, samples, tag="srgb")
+        with Image.open(path) as picture:
+            np.testing.assert_array_equal(np.asarray(picture), samples)
+            assert picture.info["srgb"] == 0
+    images.write_png(path, RGB16[..., 0], tag=None)
+    with Image.open(path) as picture:
+        np.testing.assert_array_equal(np.asarray(picture), RGB16[..., 0])
+        assert "srgb" not in picture.info
+    first = path.read_bytes()
+    images.write_png(path, RGB16[..., 0], tag=None)
+    assert path.read_bytes() == first == images.encode_png(RGB16[..., 0], tag=None)
+    images.write_png(path, RGB16[..., 0], tag="linear")
+    with Image.open(path) as picture:
+        np.testing.assert_array_equal(np.asarray(picture), RGB16[..., 0])
+        assert picture.info["gamma"] == 1.0
+        assert "srgb" not in picture.info
+
+
+def test_unwritable_arrays_are_refused_and_leave_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="channels: expected 6 x 9 values in b, found 5 x 9"):
+        images.write_exr(tmp_path / "a.exr", {"a": FLOAT[..., 0], "b": FLOAT[:5, :, 0]})
+    with pytest.raises(InputError, match=r"channels: expected \(H, W\) in a, found \(6, 9, 3\)"):
+        images.write_exr(tmp_path / "a.exr", {"a": FLOAT})
+    with pytest.raises(InputError, match="channels: expected at least one channel"):
+        images.write_exr(tmp_path / "a.exr", {})
+    with pytest.raises(InputError, match="image: expected uint8 or uint16, found float32"):
+        images.write_png(tmp_path / "a.png", FLOAT, tag="srgb")
+    with pytest.raises(InputError, match="image: expected"):
+        images.write_png(tmp_path / "a.png", np.zeros((2, 2, 5), np.uint8), tag="srgb")
+    with pytest.raises(InputError, match="image: expected"):
+        images.write_png(tmp_path / "a.png", np.zeros(4, np.uint8), tag="srgb")
+    wrong: Any = "rgb"
+    with pytest.raises(InputError, match='tag: expected srgb, linear or None, found "rgb"'):
+        images.write_png(tmp_path / "a.png", RGB8, tag=wrong)
+    with pytest.raises(FileNotFoundError):
+        images.write_png(tmp_path / "none" / "a.png", RGB8, tag="srgb")
+    assert not list(tmp_path.iterdir())
+
+
+# Files that cannot be read
+
+
+def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
+    for read in (images.read_picture, images.read_data, images.read_ids, images.read_channels):
+        with pytest.raises(FileNotFoundError):
+            read(tmp_path / "none.png")
+        with pytest.raises(OSError, match="directory"):
+            read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.png", b"", r"a\.png: expected a picture, found an empty file"),
+        ("a.webp", b"RIFF\0\0\0\0WEBPVP8 ", r"expected EXR, HDR, PNG, JPEG or TIFF, found WebP"),
+        ("a.gif", b"GIF89a\0\0\0\0", "found GIF"),
+        ("a.bmp", b"BM\0\0\0\0\0\0", "found BMP"),
+        ("a.png", b"<html></html>", "found a file that starts with b'<html></'"),
+        ("a.NEF", b"MM\0*\0\0\0\x08", r"found a raw file.*darktable-cli a\.NEF a\.exr"),
+        ("a.raf", b"FUJIFILMCCD-RAW ", "found a raw file.*dcraw -4 -T"),
+        ("a.tif", b"II*\0\x10\0\0\0CR\x02\0", "found a raw file"),
+        ("a.bin", b"\0\0\0\x18ftypcrx \0\0\0\x01", "found a raw file"),
+        ("a.heic", b"\0\0\0\x18ftypheic\0\0\0\0", r"HEIC or AVIF.*heif-convert a\.heic a\.png"),
+        ("a.jpg", b"\0\0\0\x18ftypheic\0\0\0\0", "found HEIC or AVIF"),
+        ("a.avif", b"\0\0\0\x18ftypavif\0\0\0\0", "found HEIC or AVIF"),
+        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n\0\0\0\0", "whole HDR file"),
+    ],
+)
+def test_other_formats_say_what_to_do(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError, match=message) as caught:
+        images.read_picture(tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path / name) in str(caught.value)
+
+
+def test_the_content_counts_and_not_the_name(tmp_path: Path) -> None:
+    path = save_png(tmp_path / "a.jpg", RGB8)
+    np.testing.assert_array_equal(images.read_picture(path).pixels, linear(RGB8))
+    path = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}).rename(tmp_path / "a.png")
+    np.testing.assert_array_equal(images.read_picture(path).pixels, FLOAT)
+
+
+def test_unsupported_variants_are_refused(tmp_path: Path) -> None:
+    cmyk = Image.fromarray(RGB8).convert("CMYK")
+    cmyk.save(tmp_path / "a.jpg")
+    with pytest.raises(InputError, match="expected a grey or RGB JPEG, found CMYK"):
+        images.read_picture(tmp_path / "a.jpg")
+    cmyk.save(tmp_path / "a.tif")
+    with pytest.raises(InputError, match="expected a grey or RGB TIFF, found CMYK"):
+        images.read_picture(tmp_path / "a.tif")
+    Image.fromarray(RGB8).quantize(5).save(tmp_path / "p.tif")
+    with pytest.raises(InputError, match=r"expected a grey or RGB TIFF, found: .*RGBPalette"):
+        images.read_picture(tmp_path / "p.tif")
+    tifffile.imwrite(tmp_path / "i.tif", RGB8[..., 0].astype(np.int16))
+    with pytest.raises(
+        InputError, match="expected 8 or 16-bit unsigned integers or floats, found 16"
+    ):
+        images.read_picture(tmp_path / "i.tif")
+    Image.fromarray(RGB8[..., 0] > 99).save(tmp_path / "one.tif")
+    with pytest.raises(InputError, match="expected 8 bits or more a sample, found 1"):
+        images.read_picture(tmp_path / "one.tif")
+    path = save_png(tmp_path / "a.png", RGB8)
+    with pytest.raises(InputError, match="expected an EXR file with layer x, found a PNG"):
+        images.read_picture(path, layer="x")
+    with pytest.raises(InputError, match="expected an EXR file, found a PNG"):
+        images.read_channels(path)
+
+
+def whole_files() -> dict[str, Callable[[Path], object]]:
+    def hdr(path: Path) -> None:
+        rows = b"\x02\x02\x00\x20" + b"".join(
+            bytes([16, *range(value, value + 16), 128 + 16, value]) for value in (10, 60, 90, 120)
+        )
+        path.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 9 +X 32\n" + rows * 9)
+
+    big = np.tile(RGB8, (4, 4, 1))
+    exif = Image.Exif()
+    exif[0x8769] = {0xA405: 28}
+    profile = srgb_profile()
+    picture = Image.fromarray(big)
+    tiles = OpenEXR.TileDescription()
+    tiles.xSize = tiles.ySize = 16
+    zip_, piz, dwaa = (getattr(OpenEXR, f"{n}_COMPRESSION") for n in ("ZIP", "PIZ", "DWAA"))
+    floats = np.tile(FLOAT, (4, 4, 1))
+    return {
+        "zip.exr": lambda p: save_exr(p, {"RGB": floats}, compression=zip_),
+        "piz.exr": lambda p: save_exr(p, {"RGB": floats.astype(np.float16)}, compression=piz),
+        "dwaa.exr": lambda p: save_exr(p, {"RGB": floats}, compression=dwaa),
+        "b44.exr": lambda p: save_exr(
+            p, {"RGB": floats.astype(np.float16)}, compression=OpenEXR.B44_COMPRESSION
+        ),
+        "pxr.exr": lambda p: save_exr(p, {"RGB": floats}, compression=OpenEXR.PXR24_COMPRESSION),
+        "tiled.exr": lambda p: save_exr(
+            p, {"Y": floats[..., 0].copy()}, type=OpenEXR.tiledimage, tiles=tiles
+        ),
+        "a.png": lambda p: picture.save(p, exif=exif, icc_profile=profile),
+        "p.png": lambda p: picture.quantize(9).save(p),
+        "a.jpg": lambda p: picture.save(p, exif=exif, icc_profile=profile),
+        "p.jpg": lambda p: picture.save(p, progressive=True),
+        "a.tif": lambda p: picture.save(p, compression="tiff_lzw", icc_profile=profile),
+        "f.tif": lambda p: tifffile.imwrite(p, floats, photometric="rgb", compression="deflate"),
+        "a.hdr": hdr,
+    }
+
+
+@pytest.mark.parametrize("name", sorted(whole_files()))
+def test_cut_off_files_are_errors(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    whole_files()[name](path)
+    data = path.read_bytes()
+    images.read_picture(path)
+    lengths = {*range(0, len(data), max(1, len(data) // 300)), *range(len(data) - 12, len(data))}
+    # Behind the strips of a TIFF may come padding, and a deflated strip ends in 6 bytes (end of
+    # block, checksum) that no pixel needs; there a cut may do no harm.
+    needed = strips_end(data) - 6 if name.endswith(".tif") else len(data)
+    for length in sorted(lengths):
+        path.write_bytes(data[:length])
+        if length < needed:
+            with pytest.raises(InputError, match=f"^{re.escape(str(path))}: expected"):
+                images.read_picture(path)
+
+
+def strips_end(data: bytes) -> int:
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        page = file.pages[0]
+        return max(o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True))
+
+
+@pytest.mark.parametrize("name", sorted(whole_files()))
+def test_damaged_files_give_a_picture_or_an_error(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    whole_files()[name](path)
+    data = path.read_bytes()
+    rng = np.random.default_rng(len(data))
+    for trial in range(400):
+        damaged = bytearray(data)
+        # Most of the structure stands in the first bytes.
+        reach = len(data) if trial % 2 else min(len(data), 700)
+        for _ in range(1 + trial % 3):
+            damaged[int(rng.integers(reach))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        for read in (images.read_picture, images.read_data, images.read_ids, images.read_channels):
+            message = f"{path}: a picture"
+            try:
+                read(path)
+            except InputError as error:
+                message = str(error)
+            assert message.startswith(str(path))
+            assert "\n" not in message
+
+
+# Pictures of the world
+
+
+def test_published_pictures_load_finite() -> None:
+    files = [*DATA.glob("hdri/*.hdr"), *DATA.glob("mit_multi_illumination/**/*.jpg")]
+    if not files:
+        pytest.skip("no shared data here")
+    for path in files:
+        picture = images.read_picture(path)
+        assert np.isfinite(picture.pixels).all()
+        assert picture.pixels.max() > 0
+        assert picture.pixels.ndim == 3

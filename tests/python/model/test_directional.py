@@ -1,0 +1,279 @@
+"""Light from single directions: the full reflection model against slow references and physics."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import reference
+from pbrfit import InputError, Materials, _core
+from pbrfit.model.reflection import MODELS, Model, render_directional, sh_basis
+from pbrfit_evaluation.gap.brute_force import respond
+from pbrfit_evaluation.gap.brute_force import view as seen_at
+from reference import unit
+
+Array = NDArray[np.float64]
+
+UP = np.array([0.0, 0.0, 1.0])
+WHITE = np.ones(3)
+
+
+def reflected(
+    normal: Array,
+    view: Array,
+    albedo: Array,
+    roughness: float | Array,
+    metallic: float | Array,
+    light: Array,
+    model: str = "paper",
+) -> Array:
+    """Of each pixel under its own light of colour 1; all (P, 3) or (P,), or one for all."""
+    count = max(np.atleast_2d(a).shape[0] for a in (normal, view, albedo, light))
+    count = max(count, np.size(roughness), np.size(metallic))
+    n, v, rho, l = (  # noqa: E741
+        np.broadcast_to(a, (count, 3)).copy() for a in (normal, view, albedo, light)
+    )
+    r, m = (np.broadcast_to(a, count).astype(np.float64) for a in (roughness, metallic))
+    radiance = _core.render_directional(n, v, rho, r, m, l, np.ones((count, 3)), 1, model)
+    return np.asarray(np.einsum("ppc->pc", radiance))
+
+
+def random_frames(count: int, seed: int) -> tuple[Array, Array, Array]:
+    """Normals, views and lights on the same side."""
+    rng = np.random.default_rng(seed)
+    normal, view, light = unit(rng.normal(size=(3, count, 3)))
+    view, light = (a * np.sign(np.sum(normal * a, axis=-1, keepdims=True)) for a in (view, light))
+    return normal, view, light
+
+
+def lights_over(normal_z: int = 300, around: int = 300) -> tuple[Array, Array]:
+    """Directions of a rule over the half sphere about +Z, and their solid angles."""
+    nodes, weights = np.polynomial.legendre.leggauss(normal_z)
+    n_l = ((1 + nodes) / 2) ** 3  # denser at the horizon, where masking falls to 0
+    shares = weights / 2 * 3 * ((1 + nodes) / 2) ** 2
+    azimuth = 2 * np.pi * (np.arange(around) + 0.5) / around
+    sine = np.sqrt(1 - n_l**2)[:, None]
+    directions = np.stack(
+        [sine * np.cos(azimuth), sine * np.sin(azimuth), np.repeat(n_l[:, None], around, axis=1)],
+        axis=-1,
+    )
+    return unit(directions.reshape(-1, 3)), np.repeat(2 * np.pi / around * shares, around)
+
+
+def test_agrees_with_the_equations_as_printed() -> None:
+    normal, view, light = random_frames(400, 0)
+    view[::10] *= -1  # seen from behind, and
+    light[::7] *= -1  # lit from behind
+    rng = np.random.default_rng(1)
+    albedo, metallic = rng.random((400, 3)), rng.random(400)
+    roughness = rng.uniform(0.1, 1, 400)
+    found = reflected(normal, view, albedo, roughness, metallic, light)
+    expected = reference.directional(normal, view, albedo, roughness, metallic, light)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-13)
+    assert (found[::7] == 0).all()
+
+
+@pytest.mark.parametrize("r", [0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-6])
+def test_narrow_lobes_keep_their_digits(r: float) -> None:
+    # Seen straight on, D cosθ dh is uniform in u = tan²θ/(α² + tan²θ), and with x = tanθ
+    # D = α² (1 + x²)² / (π (α² + x²)²) has nothing to cancel. A white metal has F = 1.
+    alpha = r * r
+    x = np.array([0.0, 1e-3, 0.1, 0.5, 1, 3, 100]) * alpha
+    theta = np.arctan(x)
+    light = np.stack([np.sin(2 * theta), 0 * theta, np.cos(2 * theta)], axis=-1)
+    d = alpha**2 * (1 + x**2) ** 2 / (np.pi * (alpha**2 + x**2) ** 2)
+    g1 = reference.smith_g1(light[:, 2], np.array(r)).real
+    found = reflected(UP, UP, WHITE, r, 1.0, light)[:, 0]
+    lit = light[:, 2] > 0
+    np.testing.assert_allclose(
+        found[lit], (np.pi * d * g1 / 4)[lit], rtol=1e-5 if r < 1e-5 else 1e-12
+    )
+
+
+def test_reflection_is_reciprocal() -> None:
+    normal, view, light = random_frames(500, 2)
+    rng = np.random.default_rng(3)
+    material = rng.random((500, 3)), rng.random(500), rng.random(500)
+    n_v, n_l = (np.sum(normal * a, axis=-1, keepdims=True) for a in (view, light))
+    sound = (np.minimum(n_v, n_l) > 1e-3)[:, 0]
+    there = reflected(normal, view, *material, light) / n_l
+    back = reflected(normal, light, *material, view) / n_v
+    np.testing.assert_allclose(there[sound], back[sound], rtol=1e-11)
+
+
+def test_a_white_matt_surface_that_faces_the_light_has_radiance_one_less_fresnel() -> None:
+    # F = 0.04 head on, and what albedo adds is 1 − F. A metal has no such part.
+    white, black = (reflected(UP, UP, np.full(3, rho), 1.0, 0.0, UP)[0] for rho in (1.0, 0.0))
+    np.testing.assert_allclose(white - black, 0.96, rtol=1e-14)
+    np.testing.assert_allclose(black, 0.04 / 4, rtol=1e-14)  # D = 1/π, G1 = 1
+    oblique = np.array([math.sin(1.0), 0, math.cos(1.0)])
+    white, black = (reflected(oblique, UP, np.full(3, rho), 0.7, 0.0, UP)[0] for rho in (1.0, 0.0))
+    np.testing.assert_allclose(white - black, 0.96 * math.cos(1.0), rtol=1e-13)
+
+
+@pytest.mark.parametrize("cosine", [0.5, 0.8, 1.0])
+@pytest.mark.parametrize("r", [0.3, 0.5, 0.8, 1.0])
+def test_metals_return_no_more_than_they_get(r: float, cosine: float) -> None:
+    directions, solid_angles = lights_over()
+    found = under_all(directions, r, 1.0, cosine)
+    albedo_of_white = float(found @ solid_angles) / math.pi
+    assert 0.3 < albedo_of_white <= 1 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("r", "metallic", "cosine", "returned"),
+    [(0.4, 1.0, 0.1, 1.193), (0.5, 1.0, 0.1, 1.297), (0.5, 0.0, 0.1, 1.193), (0.5, 0, 0.5, 1.015)],
+)
+def test_at_grazing_angles_the_papers_masking_returns_too_much(
+    r: float, metallic: float, cosine: float, returned: float
+) -> None:
+    """With k = α²/2 masking is weak: the equations as printed break the conservation of energy."""
+    directions, solid_angles = lights_over()
+    found = under_all(directions, r, metallic, cosine)
+    assert float(found @ solid_angles) / math.pi == pytest.approx(returned, abs=2e-3)
+
+
+def under_all(directions: Array, r: float, metallic: float, cosine: float) -> Array:
+    """(N,) radiance of a white surface under each light alone."""
+    lit = _core.render_directional(
+        UP[None],
+        seen_at(cosine)[None],
+        np.ones((1, 3)),
+        np.array([r]),
+        np.array([float(metallic)]),
+        directions,
+        np.ones_like(directions),
+        1,
+    )
+    return lit[:, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("r", "metallic", "cosine"), [(0.4, 1.0, 0.9), (0.6, 0.0, 0.4), (1.0, 0.3, 0.2)]
+)
+def test_all_lights_of_an_sh_light_together_give_the_integral(
+    r: float, metallic: float, cosine: float
+) -> None:
+    directions, solid_angles = lights_over()
+    lit = _core.render_directional(
+        UP[None],
+        seen_at(cosine)[None],
+        np.array([[0.9, 0.5, 0.1]]),
+        np.array([r]),
+        np.array([metallic]),
+        directions,
+        np.ones_like(directions),
+        2,
+    )[:, 0]
+    # Radiance L arriving from dω is an irradiance L dω, which is π times a colour.
+    found = np.einsum("lc,lk,l->ck", lit, sh_basis(directions), solid_angles / math.pi)
+    expected = respond(r, cosine).weights(np.array([0.9, 0.5, 0.1]), np.array(metallic))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_mirror_does_not_show_a_light_without_extent(model: Model) -> None:
+    normal, view, _ = random_frames(50, 4)
+    mirror = unit(2 * np.sum(normal * view, axis=-1, keepdims=True) * normal - view)
+    for r in (0.0, 1e-170, 1e-80, 1e-30):
+        assert reflected(normal, view, WHITE, r, 1.0, mirror, model).max() < 1e-20
+        matt = reflected(normal, view, WHITE, r, 0.0, mirror, model)
+        n_l = np.sum(normal * mirror, axis=-1)
+        # v·h is n·v is n·l
+        fresnel = 0.04 + 0.96 * (1 - n_l) ** 5 if model == "paper" else reference.glass(n_l)
+        rtol = 1e-12 if model == "paper" else 5e-5  # the table's
+        np.testing.assert_allclose(matt, np.tile((1 - fresnel) * n_l, (3, 1)).T, rtol=rtol)
+
+
+EXTREMES = (0.0, 5e-324, 1e-200, 1e-80, 1e-40, 1e-8, 1e-4, 0.5, 1.0)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_extremes_are_finite_and_not_negative(model: Model) -> None:
+    tilts = (0.0, 1e-300, 1e-12, 1e-7, 1e-3, 1.0, math.pi / 2 - 1e-9, math.pi / 2, 3.0, math.pi)
+    around = [np.array([math.sin(t) * s, 0, math.cos(t)]) for t in tilts for s in (1, -1)]
+    pairs = list(itertools.product(around, around))
+    view, light = (unit(np.array(side)) for side in zip(*pairs, strict=True))
+    view[0] = -light[0]
+    for r, m, rho in itertools.product(EXTREMES, (0.0, 1e-300, 1.0), (0.0, 1.0)):
+        found = reflected(UP, view, np.full(3, rho), r, m, light, model)
+        assert np.isfinite(found).all(), (r, m, rho)
+        assert (found >= 0).all(), (r, m, rho)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_brightest_lights_do_not_overflow(model: Model) -> None:
+    color = np.full((1, 3), 1e260)
+    r = np.geomspace(1e-20, 1, 400)
+    count = len(r)
+    found = _core.render_directional(
+        np.tile(UP, (count, 1)),
+        np.tile(UP, (count, 1)),
+        np.ones((count, 3)),
+        r,
+        np.ones(count),
+        UP[None],
+        color,
+        1,
+        model,
+    )
+    assert np.isfinite(found).all()
+
+
+def maps(height: int, width: int, seed: int) -> tuple[Materials, Array]:
+    rng = np.random.default_rng(seed)
+    materials = Materials(
+        rng.random((height, width, 3)), rng.random((height, width)), rng.random((height, width))
+    )
+    return materials, unit(rng.normal(size=(height, width, 3)) + 2 * UP)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_same_bits_with_any_number_of_threads_and_one_light_at_a_time(model: Model) -> None:
+    materials, normals = maps(61, 53, 5)
+    _, _, directions = random_frames(7, 6)
+    colors = np.random.default_rng(7).random((7, 3))
+    one = render_directional(materials, normals, directions, colors, 60.0, threads=1, model=model)
+    assert one.shape == (7, 61, 53, 3)
+    for threads in (0, 2, 5):
+        again = render_directional(
+            materials, normals, directions, colors, 60.0, threads=threads, model=model
+        )
+        assert again.tobytes() == one.tobytes()
+    alone = [
+        render_directional(materials, normals, d, c, 60.0, model=model)
+        for d, c in zip(directions, colors, strict=True)
+    ]
+    assert np.array(alone).tobytes() == one.tobytes()
+
+
+def test_pixels_outside_the_mask_stay_nan() -> None:
+    materials, normals = maps(5, 4, 8)
+    whole = render_directional(materials, normals, UP, WHITE, 0.0)
+    normals[1, 2] = np.nan
+    part = render_directional(materials, normals, UP, WHITE, 0.0)
+    assert np.isnan(part[1, 2]).all()
+    part[1, 2] = whole[1, 2]
+    np.testing.assert_array_equal(part, whole)
+
+
+@pytest.mark.parametrize(
+    ("directions", "colors", "message"),
+    [
+        (2 * UP, WHITE, "directions: expected unit vectors"),
+        (np.full(3, np.nan), WHITE, "directions: expected unit vectors"),
+        (UP, np.array([1, np.inf, 1]), "colors: expected finite numbers"),
+        (UP, np.array([1, 1e300, 1]), "colors: expected numbers up to 1e260"),
+        (UP, np.ones((1, 3)), r"colors: expected shape \(3,\)"),
+        (np.array([UP, UP]), WHITE, r"colors: expected shape \(..., 2, 3\)"),
+        (np.ones((1, 1, 3)), np.ones((1, 1, 3)), r"directions: expected shape \(3,\) or \(N, 3\)"),
+    ],
+)
+def test_unusable_lights_are_refused(directions: Array, colors: Array, message: str) -> None:
+    materials, normals = maps(2, 3, 9)
+    with pytest.raises(InputError, match=message):
+        render_directional(materials, normals, directions, colors, 60.0)

@@ -1,0 +1,658 @@
+"""The page about a result: what is on it, how large it is, and what it does without pictures."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import errno
+import json
+import math
+import os
+import re
+import shutil
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from browser import launched, visit
+from page_reader import Page, decoded
+from pbrfit import InputError, Materials, Result, Scene, decompose, sh_basis
+from pbrfit.cli import main
+from pbrfit.io.color import encode_srgb
+from pbrfit.model.reflection import Model, render
+from pbrfit.report import budget, lights, originals, write_report
+from pbrfit.report.page import REFLECTION
+from pbrfit.result.differences import PALETTE, WHITE
+from pbrfit.result.history import History, HistoryRow
+from pbrfit.result.result import Options, Status
+from pbrfit.synthetic import make_scene
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+SIZE = 20
+AWKWARD = "a <b> & \"c\" 'd'"
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `scene`, which has ground truth, and its `result`."""
+    base = tmp_path_factory.mktemp("report")
+    made = make_scene("room", size=SIZE, lights=3, noise=0.01, held_out=1)
+    made.save(base / "scene")
+    options = ("--iterations", 12, "--quiet")
+    assert run("decompose", base / "scene", "--out", base / "result", *options) == 0
+    return base
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Page:
+    return written(Result.load(folder / "result"), folder / "page.html")
+
+
+def written(result: Result, path: Path, scene: Scene | Path | None = None) -> Page:
+    write_report(result, path, scene)
+    return Page(path.read_text("utf-8"))
+
+
+def in_memory(**changes: object) -> tuple[Scene, Result]:
+    made = make_scene("room", size=SIZE, lights=3, noise=0.01)
+    scene = dataclasses.replace(made, truth=None, **changes)  # type: ignore[arg-type]
+    return scene, decompose(scene, iterations=3)
+
+
+def test_the_page_says_what_its_maps_are_maps_of(folder: Path, tmp_path: Path, page: Page) -> None:
+    found = Result.load(folder / "result")
+    other: Model = "paper" if found.model == "principled" else "principled"
+    of_other = written(dataclasses.replace(found, model=other), tmp_path / "page.html")
+    for shown, model in ((page, found.model), (of_other, other)):
+        assert f"reflection model{model}" in shown.text
+        assert REFLECTION[model] in shown.text
+    assert REFLECTION[found.model] not in of_other.text
+
+
+def test_ids_are_unique_and_nothing_refers_to_anything_outside(page: Page) -> None:
+    ids = [e.attributes["id"] for e in page.elements if "id" in e.attributes]
+    assert len(set(ids)) == len(ids)
+    for element in page.elements:
+        for name in ("src", "href", "srcset", "poster", "action"):
+            target = element.attributes.get(name, "#")
+            assert target.startswith(("data:", "#")), f"{element.tag} {name}={target[:60]}"
+            if name == "href" and target.startswith("#") and target != "#":
+                assert target[1:] in ids
+        assert not re.search(r"url\(\s*['\"]?(?!data:)", element.attributes.get("style", ""))
+    for style in page.all("style"):
+        assert not re.search(r"@import|url\(\s*['\"]?(?!data:)", style.text)
+
+
+def test_the_sections_are_there_with_links_to_them(page: Page) -> None:
+    sections = [e.attributes["id"] for e in page.all("section")]
+    assert sections == ["relight", "maps", "pictures", "lights", "history", "origin"]
+    links = [e.attributes["href"] for e in page.all("a")]
+    assert links == [f"#{name}" for name in sections]
+    assert [h.text for h in page.all("h1")] == ["Materials from 3 pictures"]
+
+
+def test_every_picture_says_what_it_is_and_how_large(page: Page) -> None:
+    for element in page.all("img"):
+        assert element.attributes["alt"].strip()
+        # The relight view stretches its picture, and the plot is no raster.
+        if "width" in element.attributes and "image/png" in element.attributes["src"]:
+            size = int(element.attributes["width"]), int(element.attributes["height"])
+            assert decoded(element).size == size
+
+
+def test_numbers_are_those_of_result_json(page: Page, folder: Path) -> None:
+    content = json.loads((folder / "result" / "result.json").read_text("utf-8"))
+    expected = [
+        *content["metrics"].values(),
+        *(content[key] for key in ("fov", "iterations", "evaluations", "seconds")),
+        content["uncertainty"]["noise"],
+        *content["uncertainty"]["median_marginal"].values(),
+    ]
+    assert len(content["metrics"]) == 6
+    for value in expected:
+        assert value in page.values
+    for texts in (content["assumed"].items(), content["options"].items()):
+        for name, _ in texts:
+            assert name in page.text
+    for line in [content["stop_reason"], *content["left_out"], *content["assumed"].values()]:
+        assert line in page.text
+    for name, digest in content["inputs"].items():
+        assert name in page.text
+        assert digest in page.text
+
+
+def test_maps_are_drawn_pixel_by_pixel(page: Page, folder: Path) -> None:
+    result = Result.load(folder / "result")
+    truth = Scene.load(folder / "scene").truth
+    assert truth is not None
+    for which, materials in (("recovered", result.materials), ("true", truth.materials)):
+        albedo = np.asarray(page.picture(f"Map of the {which} albedo"))
+        np.testing.assert_array_equal(albedo, np.rint(255 * encode_srgb(materials.albedo)))
+        for name in ("roughness", "metallic"):
+            grey = np.asarray(page.picture(f"Map of the {which} {name}"))
+            np.testing.assert_array_equal(grey, np.rint(255 * getattr(materials, name)))
+    normals = np.asarray(page.picture("Normals as colours"))
+    np.testing.assert_array_equal(normals, np.rint(255 * (0.5 + 0.5 * result.normals)))
+
+
+def test_errors_and_deviations_have_the_colours_of_the_scale(page: Page, folder: Path) -> None:
+    result = Result.load(folder / "result")
+    truth = Scene.load(folder / "scene").truth
+    assert truth is not None
+    assert result.uncertainty is not None
+    error = np.abs(result.roughness - truth.materials.roughness)
+    shares = {
+        "Absolute error of roughness": error,
+        "Standard deviation of roughness": result.uncertainty.marginal.roughness,
+    }
+    for alt, values in shares.items():
+        found = np.asarray(page.picture(alt).convert("RGB"))
+        steps = np.rint(250 * np.clip(np.log10(np.maximum(values, 1e-9)) / 3 + 1, 0, 1))
+        expected = np.rint(255 * PALETTE[steps.astype(int)])
+        if "deviation" in alt:
+            expected[values == 0] = 255
+            expected[result.uncertainty.undetermined[..., 1]] = (214, 94, 0)
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_each_picture_stands_beside_its_reconstruction_with_its_own_error(
+    page: Page, folder: Path
+) -> None:
+    result, scene = Result.load(folder / "result"), Scene.load(folder / "scene")
+    for name, light, image in zip(scene.names, result.lighting, scene.images, strict=True):
+        rendered = render(result.materials, result.normals, light, result.fov)
+        difference = rendered - image
+        rms = np.sqrt(np.mean(np.square(image, dtype=np.float64)))
+        rmse = np.sqrt(np.mean(np.square(difference)))
+        high = np.percentile(np.sqrt(np.mean(np.square(difference), axis=-1)) / rms, 95)
+        for value in (rms, rmse, rmse / rms, high):
+            assert min(abs(found - value) for found in page.values) <= 1e-9 * value, name
+        white = np.percentile(image, 98)
+        for what, pixels in (("Picture", image), ("Reconstruction of", rendered)):
+            shown = np.asarray(page.picture(f"{what} {name}")).astype(float)
+            expected = 255 * encode_srgb(np.clip(pixels / white, 0, 1))
+            assert np.abs(shown - expected).max() <= 1
+        assert page.picture(f"Residual of {name}").mode == "P"
+    order = [e.attributes["alt"] for e in page.all("img") if "Picture " in e.attributes["alt"]]
+    assert order == [f"Picture {name}" for name in scene.names]
+
+
+def test_the_history_is_a_plot_that_is_part_of_the_page(page: Page) -> None:
+    [plot] = [e for e in page.all("img") if e.attributes["src"].startswith("data:image/svg")]
+    data = plot.attributes["src"].partition("base64,")[2]
+    assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")
+
+
+def test_the_same_result_gives_the_same_page(folder: Path, tmp_path: Path) -> None:
+    result = Result.load(folder / "result")
+    for name in ("a.html", "b.html"):
+        write_report(result, tmp_path / name)
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_scene_and_result_may_move_together(folder: Path, tmp_path: Path) -> None:
+    for name in ("scene", "result"):
+        shutil.copytree(folder / name, tmp_path / "else" / name)
+    content = json.loads((folder / "result" / "result.json").read_text("utf-8"))
+    assert content["scene"]["path"] == "../scene"
+    result = Result.load(tmp_path / "else" / "result")
+    assert result.source is not None
+    assert result.source.path == (tmp_path / "else" / "scene").resolve()
+    assert "Picture light_00" in str(written(result, tmp_path / "page.html").all("img"))
+
+
+def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    shutil.copytree(folder / "result", tmp_path / "result")
+    found = written(Result.load(tmp_path / "result"), tmp_path / "page.html")
+    assert "The scene folder scene is no longer where it was." in found.text
+    assert len(caplog.records) == 1
+    alts = [e.attributes["alt"] for e in found.all("img")]
+    assert "Reconstruction of light_00" in alts
+    assert not [alt for alt in alts if alt.startswith(("Picture", "Residual", "Map of the true"))]
+    assert Result.load(tmp_path / "result").metrics["recon_rmse"] in found.values
+
+
+@pytest.mark.parametrize("what", ["scene.toml", "images/light_01.exr", "more"])
+def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+    what: str,
+) -> None:
+    for name in ("scene", "result"):
+        shutil.copytree(folder / name, tmp_path / name)
+    scene = tmp_path / "scene"
+    if what == "scene.toml":
+        (scene / what).write_text("fov = 50.0\n")
+    elif what == "more":
+        shutil.copy(scene / "images" / "light_01.exr", scene / "images" / "light_09.exr")
+        shutil.rmtree(scene / "truth")
+    else:
+        shutil.copy(scene / "images" / "light_00.exr", scene / what)
+    found = written(Result.load(tmp_path / "result"), tmp_path / "page.html")
+    assert "The scene folder scene has changed since" in found.text
+    assert "Picture light_00" not in str(found.all("img"))
+    assert "expected the scene that the result was made from" in caplog.text
+
+    # Whoever names it gets no page with something else instead.
+    out = tmp_path / "other.html"
+    assert run("report", tmp_path / "result", "--out", out, "--scene", scene) == 2
+    [line] = capsys.readouterr().err.strip().splitlines()
+    named = "images/light_09.exr" if what == "more" else what
+    assert line.startswith(f"pbrfit: {scene}: expected the scene that the result was made from")
+    assert named in line
+    assert not out.exists()
+
+
+def test_a_scene_that_may_not_be_looked_at_is_said(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, look = (folder / "scene").resolve(), Path.stat
+
+    def closed(path: Path, **options: bool) -> os.stat_result:
+        if path == scene:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return look(path, **options)
+
+    result = Result.load(folder / "result")
+    monkeypatch.setattr(Path, "stat", closed)
+    found = written(result, tmp_path / "page.html")
+    assert "The scene folder scene has changed since, or cannot be read." in found.text
+
+
+def test_a_scene_can_be_named(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "result", tmp_path / "result")
+    out = tmp_path / "page.html"
+    arguments = ("report", tmp_path / "result", "--out", out, "--quiet")
+    assert run(*arguments, "--scene", folder / "scene") == 0
+    assert "Picture light_00" in out.read_text("utf-8")
+
+
+def test_results_of_earlier_versions_have_no_scene(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "result", tmp_path / "result")
+    file = tmp_path / "result" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    del content["scene"]
+    file.write_text(json.dumps(content))
+    result = Result.load(tmp_path / "result")
+    assert result.source is None
+    found = written(result, tmp_path / "page.html")
+    assert "The result does not say where its pictures are." in found.text
+
+
+def test_a_scene_of_arrays_can_be_given_as_it_is(tmp_path: Path) -> None:
+    scene, result = in_memory()
+    found = written(result, tmp_path / "page.html", scene)
+    assert "Picture light_00" in str(found.all("img"))
+    assert found.all("h1")[0].text == "Materials from 3 pictures"
+    for other, message in (
+        (dataclasses.replace(scene, names=("a", "b", "c")), "pictures a, b, c"),
+        (dataclasses.replace(scene, mask=np.eye(SIZE, dtype=bool)), "other pixels are valid"),
+        (make_scene("room", size=8, lights=3), "8 × 8 pixels instead of 20 × 20"),
+    ):
+        with pytest.raises(InputError, match=message):
+            originals.find(result, other)
+
+
+def test_without_truth_and_uncertainty_there_is_neither(tmp_path: Path) -> None:
+    scene, result = in_memory()
+    found = written(dataclasses.replace(result, uncertainty=None), tmp_path / "page.html", scene)
+    assert [h.text for h in found.all("h3")][:1] == ["Recovered"]
+    for word in ("Truth", "Error", "Uncertainty"):
+        assert word not in [h.text for h in found.all("h3")]
+    assert "How uncertain the maps are was not asked for." in found.text
+
+
+def test_names_are_text_whatever_they_hold(tmp_path: Path) -> None:
+    scene, result = in_memory(
+        names=(AWKWARD, "<script>alert(1)<b>", "ß€漢"),
+        assumed={AWKWARD: "</p><b>"},
+        inputs={"images/</td>.exr": "0" * 64},
+    )
+    found = written(result, tmp_path / "page.html", scene)
+    assert f"Picture {AWKWARD}" in [e.attributes["alt"] for e in found.all("img")]
+    assert AWKWARD in found.text
+    assert "<script>alert(1)<b>" in found.text
+    assert "images/</td>.exr" in found.text
+    assert "alert(1)" not in "".join(
+        e.text for e in found.all("script") if "type" not in e.attributes
+    )
+
+
+def test_pixels_outside_the_mask_are_transparent(tmp_path: Path) -> None:
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[3:9, 4:15] = False
+    scene, result = in_memory(mask=mask)
+    found = written(result, tmp_path / "page.html", scene)
+    assert np.array_equal(
+        np.asarray(found.picture("Mask of the pixels that were fitted")) > 0, mask
+    )
+    for alt in (
+        "Map of the recovered albedo",
+        "Map of the recovered roughness",
+        "Standard deviation of metallic",
+        "Residual of light_01",
+        "Reconstruction of light_01",
+    ):
+        alpha = np.asarray(found.picture(alt).convert("RGBA"))[..., 3]
+        assert np.array_equal(alpha, np.where(mask, 255, 0)), alt
+    assert found.picture("Picture light_01").mode == "RGB"  # shown as a whole
+
+
+def test_samples_without_weight_are_white_in_the_residual_and_counted(tmp_path: Path) -> None:
+    weights = np.ones((3, SIZE, SIZE))
+    weights[1, :5] = 0
+    scene, result = in_memory(weights=weights)
+    found = written(result, tmp_path / "page.html", scene)
+    codes = np.asarray(found.picture("Residual of light_01"))
+    assert (codes[:5] == WHITE).all()
+    assert not (codes[5:] == WHITE).any()
+    assert 0.25 in found.values
+    assert "25 % of the samples left out" in found.text
+    light = scene.lighting or result.lighting
+    rendered = render(result.materials, result.normals, light[1], result.fov)[5:]
+    rmse = np.sqrt(np.mean(np.square(rendered - scene.images[1, 5:])))
+    assert min(abs(value - rmse) for value in found.values) <= 1e-9 * rmse
+
+
+def test_there_are_no_deviations_where_nothing_tells_the_noise(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    images = rng.random((3, 1, 1, 3)).astype(np.float32) + 0.1
+    result = decompose(Scene(images, np.array([[[0.0, 0.0, 1.0]]])), iterations=3)
+    assert result.uncertainty is not None
+    assert result.uncertainty.noise is None
+    page = written(result, tmp_path / "page.html")
+    assert "nothing tells how uncertain the maps are" in page.text
+    assert "median deviation" not in page.text
+
+
+def test_grey_pictures_and_one_picture_of_known_light(tmp_path: Path) -> None:
+    made = make_scene("room", size=SIZE, lights=2)
+    assert made.truth is not None
+    assert made.truth.lighting is not None
+    grey = np.repeat(made.images[:1, ..., :1], 3, axis=-1)
+    light = np.repeat(made.truth.lighting[:1, :, :1], 3, axis=-1)
+    scene = Scene(images=grey, normals=made.normals, lighting=light)
+    result = decompose(scene, iterations=2)
+    found = written(result, tmp_path / "page.html", scene)
+    assert found.all("h1")[0].text == "Materials from one picture"
+    assert len([e for e in found.all("img") if e.attributes["alt"].startswith("Panorama")]) == 1
+
+
+def test_doubts_about_the_field_of_view_and_flat_normals_are_said(tmp_path: Path) -> None:
+    flat = np.zeros((SIZE, SIZE, 3))
+    flat[..., 2] = 1.0
+    scene, result = in_memory(
+        normals=flat, assumed={"fov": "60 degrees: neither --fov, scene.toml nor EXIF says"}
+    )
+    text = written(result, tmp_path / "page.html", scene).text
+    whose = "all normals" if result.given_normals is None else "all given normals"
+    doubts = f"Beware: the field of view is a guess (60 degrees); {whose} face the camera"
+    assert doubts in text
+    assert "Beware" not in written(in_memory()[1], tmp_path / "other.html").text
+
+
+def test_lights_that_are_mostly_negative_are_doubted(tmp_path: Path) -> None:
+    scene, result = in_memory()
+    lamp = np.zeros((16, 3))
+    lamp[[0, 2]] = [[1.0], [6.0]]  # 1 + 10.4 z, in units of its mean
+    doubted = dataclasses.replace(result, lighting=np.stack([lamp, lamp, result.lighting[2]]))
+    text = written(doubted, tmp_path / "page.html", scene).text
+    # ∫ max(±(1 + a z), 0) dz over [-1, 1] is (a ± 1)²/2a.
+    a = 6 * np.sqrt(3)
+    share = ((a - 1) / (a + 1)) ** 2
+    assert f"negative light takes away {100 * share:.0f} % of the positive" in text
+
+
+def test_an_existing_page_needs_overwrite(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "page.html"
+    out.write_text("mine")
+    assert run("report", folder / "result", "--out", out) == 2
+    [line] = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith(f"pbrfit: {out}: expected a file that does not exist yet")
+    assert out.read_text() == "mine"
+    assert run("report", folder / "result", "--out", out, "--overwrite") == 0
+    assert capsys.readouterr().out.startswith(f"{out}: ")
+    assert out.read_text("utf-8").startswith("<!doctype html>")
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+
+
+@pytest.mark.parametrize("name", ["page.png", "page", "folder.html"])
+def test_a_name_that_is_no_page_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    (tmp_path / "folder.html").mkdir()
+    out = tmp_path / name
+    assert run("report", folder / "result", "--out", out, "--overwrite") == 2
+    [line] = capsys.readouterr().err.strip().splitlines()
+    assert f"{out}: expected" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.html"]
+
+
+def test_a_folder_that_is_no_result_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for wrong in (folder / "scene", tmp_path / "nothing"):
+        assert run("report", wrong, "--out", tmp_path / "page.html") == 2
+        [line] = capsys.readouterr().err.strip().splitlines()
+        assert str(wrong) in line
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_left_behind_when_a_page_fails(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise InputError("lights: expected something else")
+
+    monkeypatch.setattr(lights, "measure", fail)
+    with pytest.raises(InputError):
+        write_report(Result.load(folder / "result"), tmp_path / "new" / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
+def noise(size: int, pictures: int) -> tuple[Scene, Result]:
+    """Nothing but noise, which no PNG makes smaller; not fitted, so that it takes no time."""
+    random = np.random.default_rng(3)
+    shape = (size, size)
+    materials = Materials(random.random((*shape, 3)), random.random(shape), random.random(shape))
+    normals = random.normal(size=(*shape, 3)) * 0.2
+    normals[..., 2] = 1.0
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    names = tuple(f"p{i:03d}" for i in range(pictures))
+    light = 0.1 * random.normal(size=(pictures, 16, 3))
+    light[:, 0] = 2.0
+    scene = Scene(
+        images=random.random((pictures, *shape, 3), dtype=np.float32), normals=normals, names=names
+    )
+    row = HistoryRow(0.0, 0, 1, 1.0, 1.0)
+    result = Result(
+        materials=materials,
+        lighting=light,
+        normals=normals,
+        mask=scene.valid,
+        fov=60.0,
+        model="paper",
+        pictures=names,
+        status=Status.ITERATION_LIMIT,
+        stop_reason="0 iterations asked for",
+        history=History((row,)),
+        evaluations=1,
+        seconds=0.1,
+        metrics={"recon_rmse": 1.0},
+        options=Options("lbfgsb", 0, None),
+    )
+    return scene, result
+
+
+def test_a_page_of_large_noisy_pictures_stays_below_the_limit(tmp_path: Path) -> None:
+    scene, result = noise(1024, 16)
+    out = tmp_path / "page.html"
+    found = written(result, out, scene)
+    assert 10_000_000 < out.stat().st_size <= budget.LIMIT == 20_000_000
+    assert "averaged down from 1024 × 1024" in found.text
+    pictures = [e for e in found.all("img") if e.attributes["alt"].startswith("Picture")]
+    assert len(pictures) == 16
+
+
+def test_pictures_that_do_not_fit_are_left_out_evenly_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, result = noise(130, 24)
+    monkeypatch.setattr(budget, "LIMIT", 2_500_000)
+    out = tmp_path / "page.html"
+    found = written(result, out, scene)
+    assert out.stat().st_size <= 2_500_000
+    alts = [e.attributes["alt"] for e in found.all("img")]
+    shown = [alt.split()[-1] for alt in alts if alt.startswith("Picture")]
+    assert 2 < len(shown) < 24
+    assert f"{len(shown)} of 24 pictures are shown, evenly spread, and {24 - len(shown)} left" in (
+        found.text
+    )
+    assert (shown[0], shown[-1]) == ("p000", "p023")
+    steps = np.diff([int(name[1:]) for name in shown])
+    assert steps.max() - steps.min() <= 1
+    # The tables have all of them.
+    assert [cell.text for cell in found.all("td") if cell.text in result.pictures] == [
+        *result.pictures,
+        *result.pictures,
+    ]
+
+
+def test_the_largest_side_that_fits_is_taken() -> None:
+    tried: list[int] = []
+
+    def make(side: int) -> str:
+        tried.append(side)
+        return "x" * side**2
+
+    sides = [100, 80, 60, 40, 20]
+    fitted = budget.largest_that_fits(make, len, sides, 61**2)
+    assert (fitted.side, fitted.bytes) == (60, 3600)
+    assert tried == [100, 60]
+    assert budget.largest_that_fits(make, len, sides, 100**2).side == 100
+    assert budget.largest_that_fits(make, len, sides, 7).side == 20
+    assert budget.sides_for(2000, budget.MAP_SIDES)[0] == 1024
+    assert budget.sides_for(200, budget.MAP_SIDES) == [200, 128]
+    assert budget.sides_for(3, budget.MAP_SIDES) == [3]
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (90, 0), (-120, 35), (10, -80)])
+def test_the_main_direction_of_light_from_one_direction(azimuth: float, elevation: float) -> None:
+    a, e = math.radians(azimuth), math.radians(elevation)
+    direction = (math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e))
+    light = lights.measure(np.outer(sh_basis(np.array(direction)), (2.0, 1.0, 0.5)))
+    assert light.azimuth == pytest.approx(azimuth, abs=1e-9)
+    assert light.elevation == pytest.approx(elevation, abs=1e-9)
+    assert light.directed == pytest.approx(1.0)
+    assert light.color == pytest.approx((1.0, 0.5, 0.25))
+    assert light.negative == pytest.approx(0.445, abs=2e-3)  # a sum of four bands rings
+
+
+def test_light_from_everywhere_has_no_direction_and_its_mean_is_its_radiance() -> None:
+    coefficients = np.zeros((16, 3))
+    coefficients[0] = 2 * math.sqrt(math.pi) * 3.0
+    light = lights.measure(coefficients)
+    assert light.mean == pytest.approx(3.0)
+    assert light.directed == 0.0
+    assert light.negative == 0.0
+    assert lights.measure(np.zeros((16, 3))).mean == 0.0
+    balls, radiance = lights.balls_and_panorama(coefficients, light, "paper")
+    # A mirror shows the light as it is.
+    middle = balls[48, 104 + 48]
+    np.testing.assert_allclose(middle, 1.0, atol=0.02)
+    assert np.isfinite(radiance).all()
+
+
+def test_negative_radiance_is_hatched() -> None:
+    coefficients = np.outer(sh_basis(np.array([0.0, 0.0, 1.0])), np.ones(3))
+    _, shown = lights.balls_and_panorama(coefficients, lights.measure(coefficients), "paper")
+    codes = {round(float(v), 3) for v in np.unique(shown)}
+    assert {0.1, 0.6} <= codes
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    with launched() as browser:
+        yield browser
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_browser_shows_the_page_without_complaint(
+    folder: Path, page: Page, chromium: Browser, width: int
+) -> None:
+    assert page.elements
+    with visit(chromium, folder / "page.html", width=width) as visited:
+        inside = visited.page.evaluate("document.documentElement.scrollWidth")
+        broken = visited.page.evaluate(
+            "[...document.querySelectorAll('main img')].filter((i) => !i.naturalWidth).length"
+        )
+        assert visited.page.evaluate("document.images.length") > 20
+        visited.page.wait_for_timeout(300)
+    assert visited.troubles == []
+    assert inside <= width
+    assert broken == 0
+
+
+def test_long_tables_are_folded_but_not_on_paper(
+    chromium: Browser, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pbrfit.report.page.OPEN_TABLE", 2)
+    write_report(Result.load(folder / "result"), tmp_path / "page.html")
+    with visit(chromium, tmp_path / "page.html") as opened:
+        tables = opened.page.locator("details.numbers-of-all table")
+        assert tables.count() == 2
+        assert not any(tables.nth(i).is_visible() for i in range(2))
+        opened.page.emulate_media(media="print")
+        assert all(tables.nth(i).is_visible() for i in range(2))
+
+
+@pytest.mark.parametrize(("height", "width"), [(600, 2), (2, 600)])
+def test_narrow_pictures_neither_stretch_the_page_nor_vanish(
+    chromium: Browser, tmp_path: Path, height: int, width: int
+) -> None:
+    rng = np.random.default_rng(0)
+    normals = np.zeros((height, width, 3))
+    normals[..., 2] = 1
+    images = rng.random((2, height, width, 3)).astype(np.float32)
+    result = decompose(Scene(images, normals, fov=0.0), iterations=1, uncertainty=False)
+    write_report(result, tmp_path / "page.html")
+    with visit(chromium, tmp_path / "page.html") as opened:
+        sizes = opened.page.evaluate(
+            "[...document.querySelectorAll('.zoom img')].map((e) => e.clientHeight)"
+        )
+        assert 0 < max(sizes) <= 768
+        stage = opened.page.locator(".relight-stage").bounding_box()
+        assert stage is not None
+        assert min(stage["width"], stage["height"]) > 50
+
+
+def test_pictures_are_enlarged_by_key_and_closed_again(
+    folder: Path, page: Page, chromium: Browser
+) -> None:
+    assert page.elements
+    with visit(chromium, folder / "page.html") as visited:
+        button = visited.page.get_by_role("button", name="Enlarge: Map of the recovered albedo")
+        button.focus()
+        visited.page.keyboard.press("Enter")
+        dialog = visited.page.locator("dialog.enlarged")
+        assert dialog.is_visible()
+        assert dialog.locator("img").get_attribute("alt") == "Map of the recovered albedo"
+        visited.page.keyboard.press("Escape")
+        assert not dialog.is_visible()
+    assert visited.troubles == []

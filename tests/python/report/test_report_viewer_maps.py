@@ -1,0 +1,165 @@
+"""Maps of the relight view: averaged down, in whole numbers, packed; no browser needed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import zlib
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import InputError, ggx_band_weights
+from pbrfit.model.geometry import view_directions
+from pbrfit.report.viewer import BAND_NODES, fragment, maps
+from relight_view import made, room
+
+
+def unpacked(packed: bytes, height: int, width: int) -> dict[str, NDArray[np.int64]]:
+    """Undo `maps.packed` as slowly and plainly as its description is worded."""
+    content = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(len(maps.UNITS), 2, -1)
+    planes = {}
+    for name, (high, low) in zip(maps.UNITS, content.astype(np.int64), strict=True):
+        plane = np.zeros((height + 1, width + 1), np.int64)
+        for i, stored in enumerate(256 * high + low):
+            y, x = i // width + 1, i % width + 1
+            a, b, c = plane[y, x - 1], plane[y - 1, x], plane[y - 1, x - 1]
+            error = stored // 2 if stored % 2 == 0 else -(stored + 1) // 2
+            plane[y, x] = (sorted((a, b, a + b - c))[1] + error) % 65536
+        planes[name] = plane[1:, 1:]
+    for name in ("red", "blue"):
+        planes[name] = (planes[name] + planes["green"] - 32768) % 65536
+    return planes
+
+
+def test_what_is_unpacked_is_the_maps_to_within_half_a_code() -> None:
+    mask = np.arange(12 * 17).reshape(12, 17) % 6 > 0
+    result = made(12, 17, mask=mask)
+    codes = unpacked(maps.packed(maps.of_result(result, 1024)), 12, 17)
+    np.testing.assert_array_equal(codes["facing"] > 0, mask)
+    for name, plane in (
+        ("roughness", result.roughness),
+        ("metallic", result.metallic),
+        ("red", np.sqrt(result.albedo[..., 0])),
+        ("green", np.sqrt(result.albedo[..., 1])),
+        ("blue", np.sqrt(result.albedo[..., 2])),
+    ):
+        apart = np.abs(codes[name] * maps.UNITS[name] - plane)[mask]
+        assert apart.max() <= 0.5001 * maps.UNITS[name], name
+
+    u, v = (2 * maps.UNITS[name] * codes[name] - 1 for name in ("normal_u", "normal_v"))
+    z = 1 - np.abs(u) - np.abs(v)
+    x = np.where(z < 0, np.where(u >= 0, 1, -1) * (1 - np.abs(v)), u)
+    y = np.where(z < 0, np.where(v >= 0, 1, -1) * (1 - np.abs(u)), v)
+    found = np.stack([x, y, z], axis=-1)
+    found /= np.linalg.norm(found, axis=-1, keepdims=True)
+    assert np.abs(found - result.normals)[mask].max() < 7e-5
+    assert result.normals[mask][:, 2].min() < -0.9
+
+    views = view_directions(12, 17, result.fov)
+    facing = np.sum(result.normals * views, axis=-1)
+    corrected = np.sum(found * views, axis=-1) + (codes["facing"] - 32768) * maps.FACING_UNIT
+    grazing = mask & (np.abs(facing) < 0.1)
+    assert grazing.sum() > 5
+    assert np.abs(corrected - facing)[grazing].max() <= 0.5001e-7
+    assert (codes["facing"][mask & ~grazing] == 32768).all()
+
+
+def test_a_surface_that_faces_the_camera_is_met_exactly() -> None:
+    result = made(3, 4)
+    flat = dataclasses.replace(result, normals=np.tile([0.0, 0.0, 1.0], (3, 4, 1)))
+    codes = maps.codes(maps.of_result(flat, 1024))
+    assert (codes["normal_u"] == maps.LARGEST["normal_u"] // 2).all()
+    assert (codes["normal_v"] == maps.LARGEST["normal_v"] // 2).all()
+
+
+def test_smaller_maps_are_means_over_areas() -> None:
+    mask = np.ones((10, 15), bool)
+    mask[:4, :7] = False
+    result = made(10, 15, mask=mask)
+    small = maps.of_result(result, 6)
+    assert small.mask.shape == (4, 6)
+    # Every old pixel as 4 × 2 equal parts: whole numbers of them fall on each new pixel.
+    normals = result.normals
+    for plane, found in (
+        (result.roughness, small.materials.roughness),
+        (result.metallic, small.materials.metallic),
+        (result.albedo[..., 1], small.materials.albedo[..., 1]),
+    ):
+        parts = np.repeat(np.repeat(plane, 2, axis=0), 2, axis=1).reshape(4, 5, 6, 5)
+        with np.errstate(invalid="ignore"):
+            share = np.isfinite(parts).mean(axis=(1, 3))
+            mean = np.nansum(parts, axis=(1, 3)) / (share * 25)
+        np.testing.assert_array_equal(small.mask, share >= 0.5)
+        assert share[share < 1].max() > 0
+        np.testing.assert_allclose(found, np.where(share >= 0.5, mean, np.nan), atol=1e-14)
+    parts = np.repeat(np.repeat(normals, 2, axis=0), 2, axis=1).reshape(4, 5, 6, 5, 3)
+    mean = np.nansum(parts, axis=(1, 3))[small.mask]
+    mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
+    np.testing.assert_allclose(small.normals[small.mask], mean, atol=1e-12)
+    assert np.isnan(small.normals[~small.mask]).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "max_side", "smaller"),
+    [
+        ((1, 1), 1, (1, 1)),
+        ((24, 24), 24, (24, 24)),
+        ((24, 24), 23, (23, 23)),
+        ((2, 300), 100, (1, 100)),
+        ((300, 2), 100, (100, 1)),
+    ],
+)
+def test_the_longer_side_is_at_most_what_was_asked_for(
+    shape: tuple[int, int], max_side: int, smaller: tuple[int, int]
+) -> None:
+    small = maps.of_result(made(*shape), max_side)
+    assert small.mask.shape == smaller
+    assert small.materials.albedo.shape == (*smaller, 3)
+
+
+def test_normals_that_cancel_each_other_are_left_out() -> None:
+    result = made(2, 2)
+    normals = np.zeros((2, 2, 3))
+    normals[..., 2] = [[1, -1], [-1, 1]]
+    cancelling = dataclasses.replace(result, normals=normals)
+    small = maps.of_result(cancelling, 1)
+    assert not small.mask.any()
+    assert np.isnan(small.materials.albedo).all()
+    assert '"exposure":0.0' in fragment(cancelling, 1)
+
+
+@pytest.mark.parametrize("max_side", [0, -5])
+def test_no_size_is_refused(max_side: int) -> None:
+    with pytest.raises(InputError, match=f"max_side: expected at least 1 pixel, found {max_side}"):
+        fragment(made(2, 2), max_side)
+
+
+def test_band_weights_between_the_nodes_are_off_by_less_than_5e_6() -> None:
+    embedded = re.search(r'class="relight-data">(.*?)</script>', fragment(made(2, 2)))
+    assert embedded is not None
+    nodes = np.array(json.loads(embedded[1])["bands"]).reshape(BAND_NODES, 4)
+    roughness = np.linspace(0, 1, 50001)
+    true, _ = ggx_band_weights(roughness)
+    at = np.linspace(0, 1, BAND_NODES)
+    for band in range(4):
+        found = np.interp(roughness, at, nodes[:, band].astype(np.float32))
+        assert np.abs(found - true[:, band]).max() < 5e-6, band
+
+
+def test_noise_takes_less_than_14_bytes_a_pixel_and_a_room_less_than_2() -> None:
+    noise = maps.packed(maps.of_result(made(200, 300), 1024))
+    assert len(noise) / (200 * 300) < 14
+    furnished = maps.packed(maps.of_result(room(128), 1024))
+    assert len(furnished) / 128**2 < 2
+
+
+def test_a_fragment_refers_to_nothing_outside() -> None:
+    text = fragment(made(3, 2))
+    addresses = re.findall(r'(?:src|href)="([^"]{0,40})', text)
+    assert len(addresses) == 1
+    assert addresses[0].startswith("data:image/png;base64,")
+    for word in ("http:", "https:", "//cdn", "@import", "url(", "import("):
+        assert word not in text, word

@@ -1,0 +1,211 @@
+"""Sheets and plots for people: sizes, places and colours of what is on them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit import Scene, decompose
+from pbrfit.result import differences
+from pbrfit.result.preview import normals_preview, plot_history, preview
+from pbrfit.result.sheet import MARGIN, PANEL_SIDE, Key, Panel, Row, caption_height, sheet
+from pbrfit.synthetic import make_scene
+from refined import degrees_of, refined
+
+LINE = caption_height(PANEL_SIDE[0])
+SIZES = [(1, 1), (1, 24), (24, 1), (7, 24), (24, 24)]
+
+
+def part(height: int, width: int, *, truth: bool = False) -> Scene:
+    made = make_scene("room", size=24, lights=2, held_out=1)
+    return Scene(
+        images=made.images[:, :height, :width],
+        normals=made.normals[:height, :width],
+        truth=made.truth if truth else None,
+    )
+
+
+def panel_height(height: int, width: int) -> int:
+    return max(1, round(PANEL_SIDE[0] * height / max(height, width)))
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
+    scene = part(height, width)
+    result = decompose(scene, iterations=1, uncertainty=False)
+    found, alone = preview(result, scene), preview(result)
+    # Four columns, and the names of the rows at the left.
+    assert found.shape[1] == alone.shape[1]
+    assert 0 < found.shape[1] - 4 * (PANEL_SIDE[0] + MARGIN) < 150
+    # Two rows with captions, a title, and with the pictures a residual, which needs a key.
+    rows = 2 * (panel_height(height, width) + LINE + MARGIN)
+    assert 0 < alone.shape[0] - rows < 3 * LINE
+    assert 2 * LINE < found.shape[0] - alone.shape[0] < 4 * LINE
+    row = LINE + MARGIN + panel_height(height, width)
+    assert normals_preview(scene).shape == (
+        row + MARGIN,
+        3 * (PANEL_SIDE[0] + MARGIN) + MARGIN,
+        3,
+    )
+
+
+def test_the_run_time_does_not_show() -> None:
+    scene = part(24, 24)
+    result = decompose(scene, iterations=1, uncertainty=False)
+    slower = dataclasses.replace(result, seconds=result.seconds + 100)
+    np.testing.assert_array_equal(preview(slower, scene), preview(result, scene))
+
+
+def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() -> None:
+    scene = part(24, 24)
+    weights = np.ones((2, 24, 24))
+    weights[0, :8] = 0
+    previews = []
+    for value in (0.0, 1e6, np.inf, np.nan):
+        images = scene.images.copy()
+        images[0, :8] = value
+        changed = dataclasses.replace(scene, images=images, weights=weights)
+        previews.append(preview(decompose(changed, iterations=1, uncertainty=False), changed))
+        assert np.isfinite(normals_preview(changed)).all()  # and no warning
+    for found in previews[1:]:
+        rows, columns = np.nonzero((found != previews[0]).any(axis=-1))
+        # Only the samples themselves, which are in the first panel, look different.
+        assert len(rows) > 0
+        assert np.ptp(rows) < PANEL_SIDE[0] / 3
+        assert np.ptp(columns) < PANEL_SIDE[0]
+
+
+def test_truth_and_errors_add_rows() -> None:
+    scene = part(24, 24, truth=True)
+    result = decompose(scene, iterations=1, uncertainty=False)
+    without = preview(result, dataclasses.replace(scene, truth=None))
+    assert preview(result, scene).shape[0] == without.shape[0] + 2 * (PANEL_SIDE[0] + MARGIN)
+
+
+def test_uncertainty_adds_a_row() -> None:
+    scene = part(24, 24)
+    result = decompose(scene, iterations=1)
+    without = preview(dataclasses.replace(result, uncertainty=None), scene)
+    assert preview(result, scene).shape[0] == without.shape[0] + PANEL_SIDE[0] + MARGIN
+
+
+def test_refined_normals_add_a_row_and_a_key() -> None:
+    scene = part(24, 24)
+    result = decompose(scene, iterations=1, uncertainty=False)
+    found, without = preview(refined(result), scene), preview(result, scene)
+    row = PANEL_SIDE[0] + LINE + MARGIN
+    assert row + LINE < found.shape[0] - without.shape[0] < row + 6 * LINE
+    assert preview(refined(result)).shape[0] == found.shape[0] - (
+        without.shape[0] - preview(result).shape[0]
+    )
+
+
+def test_the_change_of_normals_is_white_where_they_are_as_given() -> None:
+    scene = part(24, 24)
+    result = refined(decompose(scene, iterations=1, uncertainty=False))
+    assert result.normal_change is not None
+    indices = differences.turned(result.normal_change).indices()
+    unchanged = degrees_of(result.mask) == 0
+    np.testing.assert_array_equal(indices == differences.WHITE, unchanged)
+    # The same place on the scale as a difference of that many radians.
+    radians = np.radians(degrees_of(result.mask))
+    expected = differences.Difference(radians).indices()
+    np.testing.assert_array_equal(indices[~unchanged], expected[~unchanged])
+    ticks = differences.tick_places(degrees=True)
+    assert list(ticks) == sorted(ticks)
+    [ten] = [place for place, label in ticks.items() if label == "10°"]
+    assert ten == pytest.approx(float(differences.on_scale(math.pi / 18)))
+
+
+def test_panels_lie_where_they_should_and_large_ones_are_averaged() -> None:
+    red, blue = np.zeros((2, 24, 24, 3))
+    red[..., 0] = blue[..., 2] = 1.0
+    rows: list[Row] = [[Panel("red", red), None], [None, Panel("blue", blue)]]
+    made = sheet(rows)
+    step, down = PANEL_SIDE[0] + MARGIN, PANEL_SIDE[0] + LINE + MARGIN
+    center = MARGIN + PANEL_SIDE[0] // 2
+    assert tuple(made[center + LINE, center]) == (255, 0, 0)
+    assert tuple(made[center + LINE + down, center + step]) == (0, 0, 255)
+    assert tuple(made[center + LINE, center + step]) == (255, 255, 255)
+    stripes = np.zeros((1536, 1536, 3))
+    stripes[::2] = 1.0
+    made = sheet([[Panel("stripes", stripes)]])
+    assert made.shape[1] == PANEL_SIDE[1] + 2 * MARGIN
+    assert abs(int(made[200, 200, 0]) - 128) <= 1
+
+
+def test_a_title_moves_panels_down_and_labels_move_them_right() -> None:
+    red = np.zeros((24, 24, 3))
+    red[..., 0] = 1.0
+    rows: list[Row] = [[Panel("", red)], [Panel("", red)]]
+
+    def corner(made: NDArray[np.uint8]) -> tuple[int, int]:
+        found = np.argwhere((made == (255, 0, 0)).all(axis=-1))
+        return int(found[0][0]), int(found[0][1])
+
+    plain, named = sheet(rows), sheet(rows, title="Title", labels=["first", "second"])
+    assert corner(plain) == (MARGIN, MARGIN)  # no caption, no room for one
+    row, column = corner(named)
+    assert row > MARGIN + 10
+    assert column > MARGIN + 20
+    for top in (row, row + PANEL_SIDE[0] + MARGIN):
+        left = named[top : top + PANEL_SIDE[0], :column]
+        assert (left < 128).any()  # ink
+    assert (named[:row] < 128).any()
+
+
+def test_a_key_shows_its_bar_from_left_to_right_and_its_patches() -> None:
+    grey = np.full((24, 24, 3), 0.5)
+    bar = np.linspace((0.0, 0.0, 1.0), (1.0, 1.0, 0.0), 256)
+    key = Key("what", bar, {0.0: "0", 1.0: "1"}, {"other": (1.0, 0.0, 0.0)})
+    row: Row = [Panel("", grey)] * 4
+    below = sheet([row], keys=[key])[PANEL_SIDE[0] + MARGIN :]
+    blue, yellow, red = (
+        np.argwhere((below == color).all(axis=-1))[:, 1]
+        for color in ((0, 0, 255), (255, 255, 0), (255, 0, 0))
+    )
+    assert blue.min() == MARGIN
+    assert blue.max() < yellow.min() < red.min()
+
+
+def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:
+    normals = np.zeros((24, 24, 3))
+    normals[..., 2] = 1.0
+    normals[:, 12:, 2] = -1.0
+    mask = np.ones((24, 24), bool)
+    mask[:12] = False
+    scene = Scene(images=np.ones((2, 24, 24, 3)), normals=normals, mask=mask, fov=0.0)
+    made = normals_preview(scene)
+    facing = made[LINE + MARGIN :, MARGIN + 2 * (PANEL_SIDE[0] + MARGIN) :]
+    assert tuple(facing[150, 50]) == (255, 255, 255)
+    assert tuple(facing[150, 150]) == (214, 94, 0)
+    assert tuple(facing[50, 50]) == tuple(facing[50, 150]) == (217, 217, 217)
+
+
+@pytest.mark.parametrize("truth", [False, True])
+def test_a_history_plot_even_of_no_iterations(tmp_path: Path, truth: bool) -> None:
+    for iterations in (0, 3):
+        result = decompose(part(24, 24, truth=truth), iterations=iterations)
+        plot_history(result, tmp_path / "plot.png")
+        with Image.open(tmp_path / "plot.png") as picture:
+            assert picture.size == (960, 540)
+
+
+def test_how_far_off_normals_may_be_is_a_panel_with_a_key() -> None:
+    scene = part(24, 24)
+    sigma = np.full((24, 24), 90.0)  # beyond the upper end of the scale
+    sigma[:, :12] = 0.01  # beyond the lower
+    without = normals_preview(scene)
+    found = normals_preview(dataclasses.replace(scene, normal_sigma=sigma))
+    assert found.shape[1] == without.shape[1] + PANEL_SIDE[0] + MARGIN
+    assert found.shape[0] > without.shape[0] + LINE
+    panel = found[LINE + MARGIN :, MARGIN + 3 * (PANEL_SIDE[0] + MARGIN) :]
+    low, high = (tuple(np.rint(255 * differences.PALETTE[i])) for i in (0, differences.STEPS - 1))
+    assert tuple(panel[90, 40]) == low
+    assert tuple(panel[90, 150]) == high

@@ -1,0 +1,190 @@
+"""Relighting from Python: directions, lights, and what they do to surfaces."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pbrfit
+from pbrfit import DirectionalLight, InputError, Result, relight
+from pbrfit.model import panorama
+from pbrfit.result.relighting import turned
+from relit import ball, fitted, side_lit
+
+Array = NDArray[np.floating[Any]]
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return fitted()
+
+
+@pytest.fixture(scope="module")
+def sphere(result: Result) -> Result:
+    return ball(result)
+
+
+def spot(column: float, row: float = 0.5, height: int = 32) -> Array:
+    """A panorama that is black but for a spot at these shares of its width and height."""
+    pixels = np.zeros((height, 2 * height, 3))
+    i, j = int(row * height), int(column * 2 * height)
+    pixels[max(i - 1, 0) : i + 1, j - 1 : j + 1] = 50.0
+    return pixels
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "elevation", "direction"),
+    [
+        (0, 0, (0, 0, 1)),
+        (90, 0, (1, 0, 0)),
+        (-90, 0, (-1, 0, 0)),
+        (180, 0, (0, 0, -1)),
+        (0, 90, (0, 1, 0)),
+        (123, -90, (0, -1, 0)),
+        (360e6 + 90, 0, (1, 0, 0)),
+        (45, 45, (0.5, math.sqrt(0.5), 0.5)),
+    ],
+)
+def test_directions_of_azimuth_and_elevation(
+    azimuth: float, elevation: float, direction: tuple[float, ...]
+) -> None:
+    found = DirectionalLight(azimuth, elevation).direction
+    np.testing.assert_allclose(found, direction, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((math.nan, 0), "azimuth: expected a finite number of degrees, found nan"),
+        ((0, math.inf), "elevation: expected a finite number of degrees, found inf"),
+        (("left", 0), "azimuth: expected a finite number of degrees, found 'left'"),
+        ((0, 0, (1, 1, -0.1)), "color: expected three finite numbers, 0 or more"),
+        ((0, 0, (1, 1, math.nan)), "color: expected three finite numbers, 0 or more"),
+        ((0, 0, (1, 1)), "color: expected three finite numbers, 0 or more"),
+        ((0, 0, 3), "color: expected three finite numbers, 0 or more, found 3"),
+    ],
+)
+def test_unusable_lights_are_refused(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        DirectionalLight(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "elevation", "side"),
+    [(90, 0, "right"), (-90, 0, "left"), (0, 90, "up"), (0, -90, "down"), (0, 0, "front")],
+)
+def test_a_light_lights_the_surfaces_that_face_it(
+    sphere: Result, azimuth: float, elevation: float, side: str
+) -> None:
+    picture = relight(sphere, DirectionalLight(azimuth, elevation))
+    assert side_lit(picture) == side
+    n_l = sphere.normals @ DirectionalLight(azimuth, elevation).direction
+    assert (picture[n_l < 0] == 0).all()
+    assert (picture[n_l > 0] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "side"),
+    [(0.75, 0.5, "right"), (0.25, 0.5, "left"), (0.5, 0.03, "up"), (0.5, 0.97, "down")],
+)
+def test_a_spot_in_a_panorama_lights_its_side(
+    sphere: Result, column: float, row: float, side: str
+) -> None:
+    assert side_lit(relight(sphere, panorama.project(spot(column, row)))) == side
+
+
+def test_turning_by_90_sends_what_is_behind_the_scene_to_the_left(sphere: Result) -> None:
+    # The centre of a panorama is −Z, azimuth 180; + 90 is 270, which is −X. The viewer's light,
+    # at the panorama's edge, goes to +X.
+    behind, front = panorama.project(spot(0.5)), panorama.project(spot(0.99))
+    assert side_lit(relight(sphere, turned(behind, 90))) == "left"
+    assert side_lit(relight(sphere, turned(front, 90))) == "right"
+    assert side_lit(relight(sphere, turned(DirectionalLight(0, 0), 90))) == "right"
+    np.testing.assert_allclose(
+        panorama.project(spot(0.5), 90), turned(behind, 90), rtol=0, atol=1e-13
+    )
+
+
+def test_a_picture_of_a_hard_light_and_of_its_sh_light_agree_where_surfaces_are_matt(
+    result: Result,
+) -> None:
+    # What albedo adds sees l ≤ 2 alone; of a lamp's clamped cosine the rest is 9 % (RMS).
+    black = ball(result, albedo=0.0, roughness=1.0)
+    white = ball(result, albedo=1.0, roughness=1.0)
+    lamp = DirectionalLight(40, 20)
+    projected = math.pi * pbrfit.sh_basis(lamp.direction)[:, None] * np.ones(3)
+    hard, soft = (
+        np.nan_to_num(relight(white, light) - relight(black, light)) for light in (lamp, projected)
+    )
+    error = np.sqrt(np.mean((hard - soft) ** 2) / np.mean(hard**2))
+    assert error < 0.1
+    assert np.corrcoef(hard.ravel(), soft.ravel())[0, 1] > 0.99
+
+
+def test_the_light_of_a_picture_gives_its_reconstruction(result: Result) -> None:
+    all_at_once = relight(result, result.lighting)
+    expected = pbrfit.render(result.materials, result.normals, result.lighting, result.fov)
+    np.testing.assert_array_equal(all_at_once, expected)
+    error = float(np.sqrt(np.nanmean((all_at_once - np.asarray(room_images())) ** 2)))
+    assert error == pytest.approx(result.metrics["recon_rmse"], rel=1e-9)
+    np.testing.assert_array_equal(relight(result, result.lighting[1]), expected[1])
+
+
+def room_images() -> Array:
+    from scene_files import room
+
+    return np.asarray(room().images, dtype=np.float64)
+
+
+def test_outside_the_mask_there_is_no_number(sphere: Result) -> None:
+    for light in (DirectionalLight(10, 20), sphere.lighting[0]):
+        picture = relight(sphere, light)
+        assert np.isfinite(picture[sphere.mask]).all()
+        assert np.isnan(picture[~sphere.mask]).all()
+
+
+def test_color_scales_the_picture(sphere: Result) -> None:
+    white = relight(sphere, DirectionalLight(30, 40))
+    colored = relight(sphere, DirectionalLight(30, 40, (2.0, 0.5, 0.0)))
+    np.testing.assert_allclose(colored, white * [2.0, 0.5, 0.0], rtol=1e-15)
+
+
+def test_turning_adds_to_the_azimuth() -> None:
+    lamp = DirectionalLight(30, 40, (1.0, 0.5, 0.2))
+    assert turned(lamp, 75) == dataclasses.replace(lamp, azimuth=105.0)
+    with pytest.raises(InputError, match="degrees: expected a finite number"):
+        turned(lamp, math.inf)
+
+
+def test_lights_of_another_shape_are_refused(sphere: Result) -> None:
+    with pytest.raises(
+        InputError, match=r"lighting: expected shape \(..., 16, 3\), found \(9, 3\)"
+    ):
+        relight(sphere, np.zeros((9, 3)))
+
+
+@pytest.mark.parametrize(
+    ("name", "lost", "least", "least_lanczos"),
+    [("forest_slope_1k", 75.3, -0.72, 0.01), ("kloppenheim_05_1k", 100.0, -2.57, -0.29)],
+)
+def test_what_sh_light_loses_is_as_documented(
+    shared_data: Path, name: str, lost: float, least: float, least_lanczos: float
+) -> None:
+    pixels = panorama.read(shared_data / "hdri" / f"{name}.hdr")
+    light = panorama.project(pixels)
+    mean = light[0].mean() / math.sqrt(4 * math.pi)
+    assert 100 * panorama.lost_energy(pixels, light) == pytest.approx(lost, abs=0.05)
+    leasts: dict[panorama.Window, float] = {
+        "none": least,
+        "lanczos": least_lanczos,
+        "nonnegative": 0.0,
+    }
+    for window, expected in leasts.items():
+        found = panorama.darkest(panorama.windowed(light, window)) / mean
+        assert found == pytest.approx(expected, abs=0.006)

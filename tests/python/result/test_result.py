@@ -1,0 +1,308 @@
+"""The result folder (docs/formats.md): written, read by others, read back, refused when broken."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+from pbrfit import InputError, Result, Scene, Status, decompose
+from pbrfit.fit.priors.penalties import Priors
+from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit.result.refinement import NOT_ASKED
+from pbrfit.synthetic import make_scene
+
+SIZE = 12
+FILES = ["history.csv", "lighting.json", "materials.exr", "preview.png", "result.json"]
+LAYERS = {
+    *("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y"),
+    *("normal.X", "normal.Y", "normal.Z", "mask.Y"),
+    *(
+        f"uncertainty.{kind}.{channel}"
+        for kind in ("marginal", "conditional")
+        for channel in ("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y")
+    ),
+    *(
+        f"uncertainty.{kind}.{parameter}.Y"
+        for kind in ("undetermined", "on_bound")
+        for parameter in ("albedo", "roughness", "metallic")
+    ),
+}
+KEYS = [
+    *("version", "status", "stop_reason", "fov", "model", "iterations", "evaluations"),
+    *("seconds", "protocol", "metrics", "uncertainty", "normals", "options", "assumed", "left_out"),
+    *("stages", "inputs", "scene", "files"),
+]
+HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
+ERRORS = ["albedo_rmse", "roughness_rmse", "metallic_rmse"]
+
+
+def masked_scene(*, truth: bool) -> Scene:
+    made = make_scene("room", size=SIZE, lights=3, held_out=1)
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[:, 0] = mask[4:7, 5:9] = False
+    return Scene(
+        images=made.images,
+        normals=made.normals,
+        mask=mask,
+        names=("a", "b", "ç"),
+        truth=made.truth if truth else None,
+        inputs={"images/a.exr": "0" * 64},
+        assumed={"fov": "60 degrees, asked for"},
+    )
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return decompose(masked_scene(truth=False), iterations=30)
+
+
+def test_files_and_layers_as_another_reader_sees_them(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == FILES
+
+    [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
+    assert set(part.channels) == LAYERS
+    layers = {name: channel.pixels for name, channel in part.channels.items()}
+    assert all(layer.dtype == np.float32 for layer in layers.values())
+    assert all(np.isfinite(layer).all() for layer in layers.values())
+    mask = masked_scene(truth=False).valid
+    np.testing.assert_array_equal(layers["mask.Y"], mask.astype(np.float32))
+    maps = {
+        **{f"albedo.{c}": result.albedo[..., i] for i, c in enumerate("RGB")},
+        "roughness.Y": result.roughness,
+        "metallic.Y": result.metallic,
+        **{f"normal.{c}": result.normals[..., i] for i, c in enumerate("XYZ")},
+    }
+    rows, columns = np.nonzero(mask)
+    for name, values in maps.items():
+        np.testing.assert_array_equal(layers[name][mask], values[mask].astype(np.float32))
+        assert np.isnan(values[~mask]).all()
+    for row, column in np.argwhere(~mask):
+        distance = (rows - row) ** 2 + (columns - column) ** 2
+        nearest = np.flatnonzero(distance == distance.min())
+        found = [layers[name][row, column] for name in maps]
+        assert any(
+            found == [layers[name][rows[i], columns[i]] for name in maps] for i in nearest
+        ), f"row {row}, column {column}"
+
+
+def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    assert list(content) == KEYS
+    assert content["status"] == "iteration_limit"
+    assert content["iterations"] == 30
+    assert list(content["metrics"]) == ["recon_rmse"]
+    assert content["options"] == {
+        "solver": "auto",
+        "iterations": 30,
+        "time_limit": None,
+        "sh_order": 3,
+        "metallic": None,
+        "mono_light": False,
+        "priors": dataclasses.asdict(Priors()),
+        "robust": "none",
+        "equal_exposures": None,
+        "seed": 0,
+        "refine_normals": "auto",
+        "model": None,
+    }
+    assert content["model"] == DEFAULT_MODEL
+    assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]
+    assert {type(stage["seconds"]) for stage in content["stages"]} == {float}
+    assert content["assumed"] == {
+        "fov": "60 degrees, asked for",
+        "model": f"{DEFAULT_MODEL}, the default",
+    }
+    masked, monochrome = content["left_out"]
+    assert masked == f"{SIZE + 12} pixels outside the mask"
+    assert monochrome.startswith("prior monochrome: lights are 0.")
+    assert content["inputs"] == {"images/a.exr": "0" * 64}
+
+    light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))
+    assert light["basis"] == "real SH, no Condon-Shortley phase, index l(l+1)+m"
+    assert light["order"] == 3
+    assert light["pictures"] == ["a", "b", "ç"]
+    np.testing.assert_array_equal(light["coefficients"], result.lighting)
+
+
+@pytest.mark.parametrize("truth", [False, True])
+def test_history_and_metrics_have_errors_where_there_is_truth(truth: bool, tmp_path: Path) -> None:
+    result = decompose(masked_scene(truth=truth), solver="lbfgsb", iterations=3)
+    result.save(tmp_path / "out")
+    with (tmp_path / "out" / "history.csv").open(newline="") as file:
+        header, *rows = csv.reader(file)
+    assert header == (HISTORY + ERRORS if truth else HISTORY)
+    assert [row[1] for row in rows] == ["0", "1", "2", "3"]
+    assert np.isfinite(np.array(rows, dtype=float)).all()
+    losses = [float(row[3]) for row in rows]
+    assert losses == sorted(losses, reverse=True)
+    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    expected = {"recon_rmse", *ERRORS, "albedo_scaled_rmse", "relight_rmse"}
+    assert set(content["metrics"]) == (expected if truth else {"recon_rmse"})
+    for name in ERRORS if truth else ():
+        last = float(rows[-1][header.index(name)])
+        assert content["metrics"][name] == pytest.approx(last, rel=1e-12)
+
+
+def test_save_and_load_give_the_same_result(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out", scene=masked_scene(truth=True))
+    loaded = Result.load(tmp_path / "out")
+    for name in ("albedo", "roughness", "metallic", "normals"):
+        np.testing.assert_allclose(getattr(loaded, name), getattr(result, name), atol=1e-7)
+    np.testing.assert_array_equal(loaded.lighting, result.lighting)
+    np.testing.assert_array_equal(loaded.mask, result.mask)
+    assert loaded.status is Status.ITERATION_LIMIT
+    assert loaded.history.columns == result.history.columns
+    for name in loaded.history.columns:
+        np.testing.assert_array_equal(loaded.history[name], result.history[name])
+    for name in (
+        *("fov", "pictures", "stop_reason", "evaluations", "seconds", "metrics", "options"),
+        *("assumed", "left_out", "stages", "inputs", "refinement"),
+    ):
+        assert getattr(loaded, name) == getattr(result, name), name
+    loaded.save(tmp_path / "again", scene=masked_scene(truth=True))
+    for name in ("history.csv", "lighting.json", "materials.exr", "result.json"):
+        again = (tmp_path / "again" / name).read_bytes()
+        assert again == (tmp_path / "out" / name).read_bytes(), name
+
+
+def test_a_result_from_before_the_options_were_added_is_read(
+    result: Result, tmp_path: Path
+) -> None:
+    result.save(tmp_path / "out")
+    file = tmp_path / "out" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    for name in ("sh_order", "metallic", "seed", "refine_normals"):
+        del content["options"][name]
+    del content["stages"], content["normals"]
+    file.write_text(json.dumps(content), encoding="utf-8")
+    loaded = Result.load(tmp_path / "out")
+    options = loaded.options
+    assert (options.sh_order, options.metallic, options.seed) == (3, None, 0)
+    assert options.refine_normals == "off"
+    assert (loaded.refinement, loaded.given_normals) == (NOT_ASKED, None)
+    assert loaded.stages == ()
+
+
+def test_saving_needs_a_free_name_or_overwrite(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    with pytest.raises(FileExistsError, match="--overwrite"):
+        result.save(tmp_path / "out")
+    (tmp_path / "out" / "result.json").write_text("old")
+    result.save(tmp_path / "out", overwrite=True)
+    assert Result.load(tmp_path / "out").evaluations == result.evaluations
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def edit(name: str, old: str, new: str) -> Any:
+    def apply(folder: Path) -> None:
+        text = (folder / name).read_text("utf-8")
+        assert old in text
+        (folder / name).write_text(text.replace(old, new), "utf-8")
+
+    return apply
+
+
+BROKEN: dict[str, tuple[Any, str]] = {
+    "no maps": (lambda f: (f / "materials.exr").unlink(), "materials.exr"),
+    "no lights": (lambda f: (f / "lighting.json").unlink(), "lighting.json"),
+    "no history": (lambda f: (f / "history.csv").unlink(), "history.csv"),
+    "no facts": (lambda f: (f / "result.json").unlink(), "result.json"),
+    "half of the maps": (
+        lambda f: (f / "materials.exr").write_bytes((f / "materials.exr").read_bytes()[:900]),
+        "materials.exr: expected",
+    ),
+    "half of the facts": (
+        lambda f: (f / "result.json").write_text('{"version": '),
+        "result.json: expected what pbrfit writes, found",
+    ),
+    "facts that are a list": (lambda f: (f / "result.json").write_text("[]"), "result.json: exp"),
+    "no status": (edit("result.json", '"status"', '"state"'), "result.json: expected .*status"),
+    "an unknown status": (edit("result.json", "iteration_limit", "tired"), "result.json: .*tired"),
+    "an unknown option": (edit("result.json", '"solver"', '"engine"'), "result.json: .*engine"),
+    "an empty history": (lambda f: (f / "history.csv").write_text(""), "history.csv: expected"),
+    "a history without rows": (
+        lambda f: (f / "history.csv").write_text(",".join(HISTORY)),
+        "history.csv: expected .*no rows",
+    ),
+    "other columns": (edit("history.csv", "loss", "cost"), "history.csv: expected .*cost"),
+    "words for numbers": (
+        lambda f: (f / "history.csv").write_text(",".join(HISTORY) + "\n0,0,1,low,0"),
+        "history.csv: expected .*low",
+    ),
+    "a short row": (
+        lambda f: (f / "history.csv").write_text(",".join(HISTORY) + "\n0,0,1"),
+        "history.csv: expected",
+    ),
+    "a missing layer": (
+        lambda f: OpenEXR.File({}, {"albedo.R": np.ones((2, 2), np.float32)}).write(
+            str(f / "materials.exr")
+        ),
+        "materials.exr: expected channel mask.Y, found albedo.R",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_folders_are_refused_in_one_line(result: Result, tmp_path: Path, name: str) -> None:
+    result.save(tmp_path / "out")
+    break_it, message = BROKEN[name]
+    break_it(tmp_path / "out")
+    with pytest.raises((InputError, OSError), match=message) as caught:
+        Result.load(tmp_path / "out")
+    assert "\n" not in str(caught.value)
+
+
+def test_preview_is_an_8_bit_srgb_png(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out", scene=masked_scene(truth=True))
+    with Image.open(tmp_path / "out" / "preview.png") as picture:
+        assert picture.mode == "RGB"
+        assert "srgb" in picture.info
+        assert picture.width > 4 * 192  # maps and normals
+        assert picture.height > 5 * 192  # pictures, maps, truth, error, deviation
+
+
+def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> None:
+    make_scene("room", size=8, lights=2).save(tmp_path / "scenes" / "ä room")
+    scene = Scene.load(tmp_path / "scenes" / "ä room", max_size=6, code_range=(0, 255))
+    decompose(scene, iterations=1).save(tmp_path / "out" / "result")
+    text = (tmp_path / "out" / "result" / "result.json").read_text("utf-8")
+    assert json.loads(text)["scene"] == {
+        "path": "../../scenes/ä room",
+        "color_space": None,
+        "max_size": 6,
+        "code_range": [0, 255],
+        "fov": None,
+    }
+    assert str(tmp_path) not in text
+    assert Result.load(tmp_path / "out" / "result").source == scene.source
+
+    Result.load(tmp_path / "out" / "result").save(tmp_path / "copy")
+    assert Result.load(tmp_path / "copy").source == scene.source
+
+
+def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
+    result: Result, tmp_path: Path
+) -> None:
+    result.save(tmp_path / "out")
+    file = tmp_path / "out" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    assert content.pop("scene") is None
+    assert Result.load(tmp_path / "out").source is None
+    file.write_text(json.dumps(content), encoding="utf-8")
+    assert Result.load(tmp_path / "out").source is None
+    whole = {"path": "x", "color_space": None, "max_size": None, "code_range": [1, 250]}
+    for wrong in ({"path": 3}, {"color_space": "film"}, {"code_range": [1]}, {"fov": "wide"}):
+        scene = whole | wrong
+        file.write_text(json.dumps(content | {"scene": scene}), encoding="utf-8")
+        with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
+            Result.load(tmp_path / "out")

@@ -1,0 +1,183 @@
+"""Pictures of one view are compared by their edges, whatever lights them."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from pbrfit.cli import main
+from pbrfit.scene import alignment
+from pbrfit.scene.alignment import Alignment
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import make_scene
+
+Picture = NDArray[np.floating[Any]]
+
+
+@cache
+def room(size: int = 192, lights: int = 5) -> Scene:
+    return make_scene("furnished", size=size, lights=lights, held_out=1, seed=11)
+
+
+def moved(image: Picture, right: Any, down: Any) -> Picture:
+    """Content displaced by so many pixels, between pixels by cubic splines."""
+    row, column = np.mgrid[: image.shape[0], : image.shape[1]]
+    planes = [
+        map_coordinates(image[..., c], [row - down, column - right], order=3, mode="nearest")
+        for c in range(3)
+    ]
+    return np.stack(planes, axis=-1).clip(0)
+
+
+def between(
+    first: Picture, second: Picture, mask: NDArray[np.bool_] | None = None
+) -> Alignment | None:
+    """How the second lies relative to the first."""
+    fields = [alignment.edges(image, mask) for image in (first, second)]
+    return alignment.compare(*fields, pixel=max(first.shape) / max(fields[0].shape))
+
+
+@pytest.mark.parametrize(("right", "down"), [(2.0, 0.0), (0.0, -3.0), (1.5, 2.5), (-6.3, 4.2)])
+def test_a_shift_is_measured_under_another_light(right: float, down: float) -> None:
+    first, second = room().images[:2]
+    found = between(first, moved(second, right, down))
+    assert found is not None
+    np.testing.assert_allclose(found.shift, (right, down), atol=0.25)
+    assert found.agreement > 0.6
+    assert found.moved > 0.5
+
+
+def test_light_alone_moves_nothing() -> None:
+    first, *others = room().images
+    for other in others:
+        found = between(first, other)
+        assert found is not None
+        assert found.distance < 0.2
+        assert found.moved < 0.02
+        assert found.agreement > 0.6
+
+
+def test_a_picture_agrees_with_itself_at_any_exposure() -> None:
+    image = room().images[0]
+    found = between(image, 1000 * image)
+    assert found is not None
+    assert found.agreement == pytest.approx(1, abs=1e-5)
+    assert found.distance < 1e-3
+
+
+def test_a_bend_moves_edges_though_nothing_is_shifted() -> None:
+    first, second = room().images[:2]
+    rng = np.random.default_rng(3)
+    right, down = (gaussian_filter(rng.normal(size=second.shape[:2]), 15) for _ in range(2))
+    most = np.hypot(right, down).max() / 5
+    found = between(first, moved(second, right / most, down / most))
+    assert found is not None
+    assert found.distance < 1
+    assert found.moved > 0.1
+
+
+def test_shifts_of_large_pictures_are_in_their_own_pixels() -> None:
+    image = np.kron(room(192).images[0], np.ones((4, 4, 1)))
+    assert max(image.shape) > alignment.SIDE
+    found = between(image, np.roll(image, (0, 9), axis=(0, 1)))
+    assert found is not None
+    assert found.pixel == 1.5
+    np.testing.assert_allclose(found.shift, (9, 0), atol=0.4)
+
+
+def test_what_the_mask_leaves_out_is_not_compared() -> None:
+    first, second = (image.copy() for image in room().images[:2])
+    mask = np.ones(first.shape[:2], bool)
+    mask[:, 96:] = False
+    second[:, 100:] = moved(second, 5, 0)[:, 100:]
+    seen, masked = (between(first, second, use) for use in (None, mask))
+    assert seen is not None
+    assert masked is not None
+    assert seen.moved > 0.2
+    assert masked.moved < 0.02
+    first[:, 96:] = np.nan
+    assert between(first, second, mask) == pytest.approx(masked)
+
+
+def test_pictures_without_edges_cannot_be_compared() -> None:
+    even = np.full((80, 80, 3), 0.4)
+    assert between(even, room(80).images[0]) is None
+    assert between(even, even) is None
+    assert not np.abs(alignment.edges(np.zeros((9, 9, 3)))).any()
+
+
+def test_others_are_all_but_one() -> None:
+    fields = [alignment.edges(image) for image in room().images]
+    for i, found in enumerate(alignment.of_the_others(fields)):
+        rest = [field for j, field in enumerate(fields) if j != i]
+        np.testing.assert_allclose(found, np.mean(rest, axis=0), atol=1e-6)
+
+
+def shaken(picture: int = 2) -> Scene:
+    """A room with one picture that does not line up."""
+    images = room().images.copy()
+    images[picture] = moved(images[picture], 4, -3)
+    return dataclasses.replace(room(), images=images)
+
+
+def test_sound_scenes_give_no_reason_to_complain() -> None:
+    assert alignment.complaints(room()) == []
+    for kind in ("room", "spheres", "textured"):
+        assert not alignment.complaints(make_scene(kind, size=96, lights=4, held_out=1, seed=4))
+
+
+def test_the_picture_that_moved_is_named() -> None:
+    (complaint,) = alignment.complaints(shaken())
+    assert complaint.startswith("light_02 is shifted by ")
+    assert "+4.0 right, -3.0 down" in complaint
+
+
+def test_a_picture_of_something_else_is_named() -> None:
+    images = room().images.copy()
+    images[3] = make_scene("textured", size=192, lights=2, held_out=1, seed=5).images[0]
+    (complaint,) = alignment.complaints(dataclasses.replace(room(), images=images))
+    assert complaint.startswith("light_03 shows something else than ")
+
+
+def test_small_pictures_are_not_judged() -> None:
+    scene = make_scene("furnished", size=32, lights=3, held_out=1, seed=1)
+    images = scene.images.copy()
+    images[1] = moved(images[1], 3, 3)
+    assert alignment.complaints(dataclasses.replace(scene, images=images)) == []
+
+
+def test_inspect_and_decompose_say_what_does_not_line_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    shaken().save(tmp_path / "shaken")
+    assert main(["inspect", str(tmp_path / "shaken")]) == 0
+    assert "line up" in (told := capsys.readouterr().out)
+    assert "NO: light_02 is shifted" in told
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        options = "--iterations 1 --solver lbfgsb --quiet"
+        main(f"decompose {tmp_path}/shaken --out {tmp_path}/out {options}".split())
+    assert "light_02 is shifted" in caplog.text + capsys.readouterr().err
+
+
+def test_inspect_says_that_sound_pictures_line_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room().save(tmp_path / "sound")
+    assert main(["inspect", str(tmp_path / "sound")]) == 0
+    assert "line up           yes" in capsys.readouterr().out
+
+
+def test_inspect_does_not_say_that_small_pictures_line_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_scene("furnished", size=32, lights=3, held_out=1, seed=1).save(tmp_path / "small")
+    assert main(["inspect", str(tmp_path / "small")]) == 0
+    assert "line up           not looked at: pictures below 64" in capsys.readouterr().out

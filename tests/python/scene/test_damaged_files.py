@@ -1,0 +1,384 @@
+"""Damaged files and files made to deceive: each was found by tests/fuzz, and is one line since."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from PIL import Image, ImageCms
+from PIL.PngImagePlugin import PngInfo
+
+from pbrfit import InputError, Result, Scene, decompose
+from pbrfit.acquire import journal
+from pbrfit.acquire.normals.depth import from_depth
+from pbrfit.acquire.normals.maps import read_npy
+from pbrfit.acquire.prompts import read_prompts
+from pbrfit.io import images
+from pbrfit.io.quoting import listed, quoted, shown
+from pbrfit.model.lighting import BASIS, Lighting
+from pbrfit.model.materials import read_materials
+from pbrfit.result.history import History
+from pbrfit.scene import folder as scene_folder
+from pbrfit.synthetic import make_scene
+from pbrfit_evaluation import jobs
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+DEEP = "[" * 100_000
+
+
+def refused(read: Callable[[Path], object], path: Path, message: str) -> None:
+    """One printable line that names the file."""
+    with pytest.raises(InputError, match=message) as caught:
+        read(path)
+    told = str(caught.value)
+    assert told.isprintable()
+    assert len(told) < 1000
+    assert path.name in told
+
+
+def png(width: int, height: int, *chunks: tuple[bytes, bytes], depth: int = 8) -> bytes:
+    """A palette PNG of these chunks between its first and its last."""
+    head = struct.pack(">IIBBBBB", width, height, depth, 3, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in ((b"IHDR", head), *chunks, (b"IEND", b""))
+    )
+
+
+def test_a_decoder_that_panics_prints_nothing(tmp_path: Path) -> None:
+    # A palette of no whole colour. In a process of its own, whose output is seen whole.
+    data = zlib.compress(b"\0\0\0\0\0\0\0\0\0\0")
+    (tmp_path / "a.png").write_bytes(png(9, 1, (b"PLTE", b"a"), (b"IDAT", data)))
+    code = f"""
+from pbrfit import images
+try:
+    images.read_picture({str(tmp_path / "a.png")!r})
+except images.InputError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "a.png: expected a" in done.stdout
+    assert done.stderr == ""
+
+
+JPEG_TABLES = b"\xff\xdb\0\x43\0" + bytes([1] * 64)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.png", png(9000, 9000, (b"PLTE", b"abc"), depth=8), "9000 x 9000 pixels in"),
+        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 9000 +X 9000\n", "9000 x 9000 pix"),
+        (
+            "a.jpg",
+            b"\xff\xd8" + JPEG_TABLES + b"\xff\xc0\0\x0b\x08\x23\x28\x23\x28\1\1\x11\0"
+            b"\xff\xda\0\x08\1\1\0\0\x3f\0\xff\xd9",
+            "9000 x 9000 pixels in",
+        ),
+        ("a.jpg", b"\xff\xd8" + b"\xff\xda\0\x08\1\1\0\0\x3f\0" * 201, "more than 200 scans"),
+        ("a.hdr", b"#?RADIANCE\nFORMAT=32\x1b[2J\x85\n\n-Y 1 +X 1\n", r"32\\u\{1b\}\[2J"),
+    ],
+)  # fmt: skip
+def test_what_a_few_bytes_cannot_hold_is_refused(
+    tmp_path: Path, name: str, data: bytes, message: str
+) -> None:
+    (tmp_path / name).write_bytes(data)
+    refused(images.read_picture, tmp_path / name, message)
+
+
+def test_channels_that_a_few_bytes_cannot_hold_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    plane = np.zeros((2, 2), np.float32)
+    images.write_exr(path, {f"c{k:03}": plane for k in range(20)})
+    data = path.read_bytes()
+    for window in (b"displayWindow", b"dataWindow"):
+        at = data.index(window + b"\0box2i\0") + len(window) + 7 + 4 + 8
+        path.write_bytes(data[:at] + struct.pack("<2i", 4095, 4095) + data[at + 8 :])
+        refused(images.read_channels, path, "samples in|chunk count")
+    # An empty frame around a small crop is no deceit.
+    images.write_exr(path, {"Y": plane})
+    data = path.read_bytes()
+    at = data.index(b"displayWindow\0box2i\0") + 20 + 4 + 8
+    path.write_bytes(data[:at] + struct.pack("<2i", 4095, 2047) + data[at + 8 :])
+    assert images.read_channels(path)["Y"].shape == (2048, 4096)
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_a_text_longer_than_its_file_is_refused(tmp_path: Path, big: bool) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.zeros((4, 4), np.uint8), bigtiff=big, description="words " * 9)
+    assert images.read_data(path).shape == (4, 4, 1)
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<2H", 270, 2)) + 4
+    data[at : at + 4] = struct.pack("<I", 2**32 - 1)
+    path.write_bytes(data)
+    refused(images.read_data, path, "a text longer than the file")
+
+
+def test_tiles_that_are_far_larger_than_the_picture_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    tiles = OpenEXR.TileDescription()
+    tiles.xSize = tiles.ySize = 16
+    header = {"type": OpenEXR.tiledimage, "tiles": tiles}
+    OpenEXR.File(header, {"Y": np.ones((8, 8), np.float32)}).write(str(path))
+    data = path.read_bytes()
+    at = data.index(b"tiledesc\0") + 9 + 4
+    path.write_bytes(data[:at] + struct.pack("<2I", 1 << 20, 16) + data[at + 8 :])
+    refused(images.read_channels, path, "tiles of 16777216 pixels")
+    path.write_bytes(data[:at] + struct.pack("<2I", 2048, 2048) + data[at + 8 :])
+    assert images.read_channels(path)["Y"].shape == (8, 8)
+
+
+def test_a_curve_beyond_all_light_is_refused(tmp_path: Path) -> None:
+    profile = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    at = profile.index(b"para") + 12  # behind its kind: the exponent, then the slope
+    profile[at + 4 : at + 8] = struct.pack(">i", 2**31 - 1)
+    profile[at : at + 4] = struct.pack(">i", 20 << 16)
+    Image.new("RGB", (2, 2)).save(tmp_path / "a.png", icc_profile=bytes(profile))
+    refused(images.read_picture, tmp_path / "a.png", "without a usable tone curve")
+
+
+def test_names_in_files_do_not_break_lines(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    images.write_exr(path, {"one\ntwo\x1b[2J": np.zeros((2, 2), np.float32)})
+    for read in (images.read_picture, read_materials):
+        refused(read, path, r"one\\ntwo\\x1b")
+    assert shown("a" * 500) == "a" * 200 + "…"
+    assert len(quoted([["b" * 500] * 500] * 500)) <= 201
+    assert listed(map(str, range(100))).endswith("88 more")
+
+
+LIGHT: dict[str, Any] = {
+    "basis": BASIS, "order": 3, "pictures": ["a"], "coefficients": np.zeros((1, 16, 3)).tolist(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"coefficients": 1}, "found shape"),
+        ({"coefficients": [["1"] * 3] * 16}, "coefficients of type"),
+        ({"coefficients": 10**400}, "coefficients of type object"),
+        ({"pictures": ["a\n"] * 2, "coefficients": np.zeros((2, 16, 3)).tolist()}, r"a\\n twice"),
+        ({"pictures": "a"}, "'a' in place of a list"),
+        ({"pictures": ["\ud800"]}, "UnicodeEncodeError"),
+        ({"basis": "x" * 10_000}, "expected basis"),
+    ],
+)
+def test_lights_that_are_none(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
+    path = tmp_path / "lighting.json"
+    path.write_text(json.dumps(LIGHT | changed))
+    refused(Lighting.load, path, message)
+
+
+def test_nested_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lighting.json"
+    path.write_text(DEEP)
+    refused(Lighting.load, path, "RecursionError")
+    path = tmp_path / "scene.toml"
+    path.write_text(f"fov = {DEEP}")
+    refused(lambda path: scene_folder.read_settings(path, {}), path, "expected TOML")
+    refused(read_prompts, path, "expected TOML")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("fov = " + "9" * 5000, "expected TOML"),
+        ("fov = " + "9" * 400, "fov"),
+        ('"a\\nb" = 1', r"found a\\nb"),
+        (f'normals = "{"x" * 10_000}"', "normals: expected one of"),
+        ("world_to_camera = [[1e300, 0, 0], [0, 1, 0], [0, 0, 1]]", "3 × 3 rotation"),
+        (f"world_to_camera = [[{'9' * 400}, 0, 0], [0, 1, 0], [0, 0, 1]]", "3 × 3 rotation"),
+    ],
+)
+def test_settings_that_are_none(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    refused(lambda path: scene_folder.read_settings(path, {}), path, message)
+
+
+@pytest.mark.parametrize("entry", ["inf", "nan", "-inf", "1e301"])
+def test_a_history_is_of_finite_numbers(tmp_path: Path, entry: str) -> None:
+    path = tmp_path / "history.csv"
+    path.write_text(f"elapsed_s,iteration,evaluations,loss,recon_rmse\n0,0,1,{entry},0\n")
+    refused(History.load, path, f"{entry} under loss")
+    path.write_text(f"elapsed_s,iteration,evaluations,loss,recon_rmse\n0,{'9' * 400},1,1,0\n")
+    refused(History.load, path, "found: 9999")
+    path.write_text('"a\nb"\n')
+    refused(History.load, path, r"columns a\\nb")
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("result") / "result"
+    decompose(make_scene("room", size=8, lights=3), iterations=2).save(folder)
+    return folder
+
+
+@pytest.fixture
+def result(saved: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(saved, tmp_path / "result"))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("fov", 200, "fov"),
+        ("fov", float("nan"), "NaN in place of a finite number"),
+        ("seconds", "1", "'1' in place of a number"),
+        ("evaluations", -1, "whole number from 0 on"),
+        ("metrics", "x", "'x' in place of an object"),
+        ("metrics", {"a": 10**400}, "OverflowError"),
+        ("stop_reason", 3, "in place of a text"),
+        ("left_out", "abc", "in place of a list"),
+        ("stages", [[]], "TypeError"),
+        ("options", {"k" * 10_000: 1}, "options kkk"),
+        ("inputs", {"a": None}, "in place of a text"),
+        ("normals", {"asked": "on", "refined": 1, "why": "", "figures": {}}, "true or false"),
+    ],
+)
+def test_a_result_of_other_types_is_refused(
+    result: Path, key: str, value: Any, message: str
+) -> None:
+    path = result / "result.json"
+    content = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(content | {key: value}), encoding="utf-8")
+    with pytest.raises(InputError, match=message) as caught:
+        Result.load(result)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_result_whose_json_is_nested_is_refused(result: Path) -> None:
+    (result / "result.json").write_text(DEEP)
+    with pytest.raises(InputError, match=r"result\.json: .*RecursionError"):
+        Result.load(result)
+
+
+def test_a_result_with_maps_that_are_not_finite_is_refused(result: Path) -> None:
+    path = result / "materials.exr"
+    sound = images.read_channels(path)
+    for name in ("albedo.G", "roughness.Y", "normal.Z", "uncertainty.marginal.metallic.Y"):
+        images.write_exr(path, sound | {name: np.full_like(sound[name], np.inf)})
+        with pytest.raises(InputError, match="NaN or infinit"):
+            Result.load(result)
+    images.write_exr(path, sound | {"mask.Y": np.zeros_like(sound["mask.Y"])})
+    with pytest.raises(InputError, match=r"some pixel with mask\.Y"):
+        Result.load(result)
+
+
+@pytest.mark.parametrize("name", ["x" * 10_000, "../relight_00", "", "a\0"])
+def test_held_out_pictures_lie_beside_their_lights(tmp_path: Path, name: str) -> None:
+    make_scene("room", size=8, lights=3, held_out=1).save(tmp_path / "scene")
+    path = tmp_path / "scene" / "truth" / "relight" / "lighting.json"
+    content = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(content | {"pictures": [name]}), encoding="utf-8")
+    refused(lambda _: Scene.load(tmp_path / "scene"), path, "names of pictures beside it")
+
+
+def npy(kind: str, shape: str, body: bytes = bytes(64)) -> bytes:
+    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\1\0" + struct.pack("<H", len(text)) + text + body
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"", b"PK\5\6" + bytes(18), b"\x80\4N.", b"\x93NUMPY\1\0\x04\0(((\n",
+        npy("<f4", "(1099511627776,)"), npy("<f4", "(3.5,)"), npy("|O", "(2,)"),
+        npy("<U9", "(1,)"),
+    ],
+)  # fmt: skip
+def test_arrays_that_are_none(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "a.npy"
+    path.write_bytes(data)
+    refused(read_npy, path, "expected an array of real numbers in .npy, found")
+
+
+def test_an_array_is_read_and_its_file_let_go(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.arange(6, dtype=np.float16).reshape(2, 3))
+    array = read_npy(path)
+    path.unlink()
+    np.testing.assert_array_equal(array, [[0, 1, 2], [3, 4, 5]])
+
+
+def test_depths_beyond_all_measure_are_not_hit() -> None:
+    depth = np.ones((8, 8))
+    depth[2, 2], depth[5, 5] = 1e-308, 5e-324
+    found = from_depth(depth, fov=50.0)
+    assert np.isfinite(found.normals).all()
+    assert not found.known[2, 2]
+    assert found.known[0, 0]
+
+
+def test_a_journal_that_somebody_damaged_is_refused(tmp_path: Path) -> None:
+    entry = {"about": {}, "refused": "", "record": {}, "sha256": None,
+             "request": {"name": [], "prompt": "", "negative": "", "seed": 1}}  # fmt: skip
+    path = tmp_path / "a-1.json"
+    half = json.dumps(entry).replace("[]", r'"\ud800"')  # of a pair, which no file's name has
+    for text in (json.dumps(entry), half, DEEP, "\ufeff"):
+        path.write_text(text, encoding="utf-8")
+        refused(lambda path: journal.names(path.parent), path, "entry of a generation journal")
+
+
+def test_pictures_without_an_entry_that_are_not_ours_are_passed_over(tmp_path: Path) -> None:
+    for k, text in enumerate((DEEP, "[]", '{"request": {"name": [], "seed": {}}}', '"a"')):
+        told = PngInfo()
+        told.add_itxt(journal.TEXT, text, zip=True)
+        Image.new("RGB", (2, 2)).save(tmp_path / f"{k}.png", pnginfo=told)
+    data = (tmp_path / "1.png").read_bytes()
+    head = struct.pack(">IIBBBBB", 1 << 20, 1 << 20, 8, 2, 0, 0, 0)
+    check = struct.pack(">I", zlib.crc32(b"IHDR" + head))
+    (tmp_path / "huge.png").write_bytes(data[:16] + head + check + data[33:])
+    assert journal.names(tmp_path) == set()
+
+
+class Task:
+    """A task without anything to say."""
+
+    key = "task"
+
+    def __repr__(self) -> str:
+        return "Task()"
+
+
+def work(_task: Task, _threads: int) -> jobs.Values:
+    return {"answer": 42}
+
+
+@pytest.mark.parametrize("text", [DEEP, '{"digest": []}', "{", "[]", "\0"])
+def test_a_damaged_record_is_made_again(tmp_path: Path, text: str) -> None:
+    first = jobs.run([Task()], work, tmp_path)
+    (tmp_path / "records" / "task.json").write_text(text)
+    again = jobs.run([Task()], work, tmp_path)
+    assert again[0].values == first[0].values == {"answer": 42}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits on processes are those of Unix")
+def test_a_few_hundred_damaged_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    # `make test-fuzz` does the same on 100,000.
+    monkeypatch.setenv("PYTHONPATH", str(REPOSITORY / "tests"), prepend=":")
+    command = [sys.executable, "-m", "fuzz", "--cases", "300", "--jobs", "1", "--seed", "7"]
+    with caplog.at_level(logging.WARNING):
+        done = subprocess.run(
+            [*command, "--out", str(tmp_path)], capture_output=True, text=True, check=False
+        )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " 0 failed" in done.stdout

@@ -1,0 +1,870 @@
+"""The scene folder (docs/formats.md): what is read, what is assumed, what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import logging
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit import InputError, Scene, Truth
+from pbrfit.io import images, normal_files
+from pbrfit.model.geometry import view_directions
+from pbrfit.model.lighting import Lighting
+from pbrfit.synthetic import make_scene
+from scene_files import (
+    FORMATS,
+    LIGHTS,
+    SIZE,
+    room,
+    write_exr,
+    write_folder,
+    write_jpeg,
+    write_normals,
+)
+from scene_files import write_integers as write_png
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_folder(tmp_path / "scene")
+
+
+def write_mask(path: Path, white: Any) -> None:
+    images.write_png(path, np.where(white, 255, 0).astype(np.uint8), tag=None)
+
+
+# What is read
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_formats_colour_and_hashes(tmp_path: Path, form: str) -> None:
+    suffix, _, error, color = FORMATS[form]
+    folder = write_folder(tmp_path / "scene", form)
+    scene = Scene.load(folder)
+    assert scene.images.dtype == np.float32
+    np.testing.assert_allclose(scene.images, room().images, rtol=0, atol=error)
+    np.testing.assert_allclose(scene.normals, room().normals, rtol=0, atol=1e-7)
+    assert scene.names == room().names
+    assert scene.assumed["color"].startswith(color)
+    assert scene.assumed["normals"] == "normals.exr, opengl axes, camera space"
+    names = [*(f"images/{name}{suffix}" for name in scene.names), "normals.exr", "scene.toml"]
+    assert scene.inputs == {
+        name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names
+    }
+
+
+def test_formats_may_be_mixed(folder: Path) -> None:
+    (folder / "images" / "light_01.exr").unlink()
+    write_png(folder / "images" / "light_01.png", room().images[1])
+    scene = Scene.load(folder)
+    np.testing.assert_allclose(scene.images, room().images, atol=5e-3)
+    assert scene.assumed["color of light_01.png"] == "sRGB (8-bit PNG without a profile)"
+    assert "light_00.exr, light_02.exr" in " ".join(scene.assumed)
+
+
+@pytest.mark.parametrize(("flag", "toml"), [("linear", None), (None, "linear"), ("srgb", "linear")])
+def test_colour_space_flag_before_scene_toml(tmp_path: Path, flag: Any, toml: str | None) -> None:
+    folder = write_folder(tmp_path / "scene", "8-bit PNG")
+    if toml is not None:
+        (folder / "scene.toml").write_text(f'fov = 60\ncolor_space = "{toml}"\n')
+    stored = images.read_data(folder / "images" / "light_00.png")
+    scene = Scene.load(folder, color_space=flag)
+    if flag == "srgb":
+        np.testing.assert_allclose(scene.images[0], room().images[0], atol=5e-3)
+    else:
+        np.testing.assert_allclose(scene.images[0], stored, atol=1e-7)
+    assert scene.assumed["color"] == f"{flag or toml} (as asked for)"
+
+
+def test_fov_of_flag_then_scene_toml_then_exif_then_60(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_folder(tmp_path / "scene", "JPEG", fov="fov = 40.5")
+    exif = Image.Exif()
+    exif[0x8769] = {0xA405: 18}  # mm
+    for name, image in zip(room().names, room().images, strict=True):
+        write_jpeg(folder / "images" / f"{name}.jpg", image, exif)
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        asked, stated = Scene.load(folder, fov=55.0), Scene.load(folder)
+        (folder / "scene.toml").unlink()
+        with caplog.at_level(logging.ERROR, "pbrfit"):  # at 81 degrees some normals face away
+            focal = Scene.load(folder)
+        assert not caplog.records
+        default = Scene.load(write_folder(tmp_path / "other", fov=None))
+    assert (asked.fov, asked.assumed["fov"]) == (55.0, "55 degrees, asked for")
+    assert (stated.fov, stated.assumed["fov"]) == (40.5, "40.5 degrees, from scene.toml")
+    # A square has the diagonal of 36 × 24 mm at a side of 30.59 mm: 2 atan(15.297 / 18)
+    assert focal.fov == pytest.approx(80.718201)
+    assert focal.assumed["fov"] == "80.72 degrees, from EXIF (18 mm equivalent)"
+    assert default.fov == 60.0
+    assert "neither --fov, scene.toml nor EXIF" in default.assumed["fov"]
+    [record] = caplog.records
+    assert f"{tmp_path / 'other'}: field of view unknown, assumed 60" in record.message
+
+
+# 2 atan(19.349 / 18) along the longer and 2 atan(9.6747 / 18) along the shorter side
+@pytest.mark.parametrize(("orientation", "fov"), [(1, 94.138344), (6, 56.514623)])
+def test_a_focal_length_holds_along_the_diagonal_of_a_turned_picture(
+    tmp_path: Path, orientation: int, fov: float
+) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    exif[0x8769] = {0xA405: 18}
+    (tmp_path / "images").mkdir()
+    landscape = room().images[:, : SIZE // 2]
+    for i in range(2):
+        write_jpeg(tmp_path / "images" / f"{i}.jpg", landscape[i], exif)
+    seen = landscape if orientation == 1 else np.rot90(landscape, -1, axes=(1, 2))
+    facing = np.broadcast_to([0, 0, 1], seen.shape[1:])
+    write_normals(tmp_path, facing)
+    scene = Scene.load(tmp_path)
+    np.testing.assert_allclose(scene.images, seen[:2], atol=0.1)
+    assert scene.fov == pytest.approx(fov)
+
+
+def test_alpha_and_mask_leave_pixels_out(folder: Path) -> None:
+    image = images.read_data(folder / "images" / "light_00.exr")
+    alpha = np.ones((SIZE, SIZE))
+    alpha[0], alpha[1] = 0.49, 0.5
+    channels = {"R": image[..., 0], "G": image[..., 1], "B": image[..., 2], "A": alpha}
+    images.write_exr(folder / "images" / "light_00.exr", channels)
+    expected = np.ones((SIZE, SIZE), bool)
+    expected[0] = False
+    scene = Scene.load(folder)
+    np.testing.assert_array_equal(scene.valid, expected)
+    assert scene.assumed["alpha"] == f"{SIZE} transparent pixels left out"
+
+    expected[:, 3:] = False
+    white = np.zeros((SIZE, SIZE), bool)
+    white[:, :3] = True
+    write_mask(folder / "mask.png", white)
+    scene = Scene.load(folder)
+    np.testing.assert_array_equal(scene.valid, expected)
+    assert "mask.png" in scene.inputs
+
+
+# --- What integer files cannot hold ---
+
+
+def write_codes(folder: Path, codes: NDArray[np.uint8]) -> None:
+    """Pictures of these 8-bit codes (N, H, W, 3) in place of the folder's."""
+    for path in (folder / "images").iterdir():
+        path.unlink()
+    for name, of_picture in zip(room().names, codes, strict=True):
+        images.write_png(folder / "images" / f"{name}.png", of_picture, tag="srgb")
+
+
+def grey_codes() -> NDArray[np.uint8]:
+    """Codes of which none is at an end of the range."""
+    return np.full((LIGHTS, SIZE, SIZE, 3), 128, dtype=np.uint8)
+
+
+def test_clipped_and_dark_samples_have_no_weight(folder: Path) -> None:
+    codes = grey_codes()
+    codes[0, 2, 3] = (251, 9, 9)
+    codes[0, 2, 4] = (250, 250, 250)
+    codes[1, 5, 5:7] = 0
+    codes[1, 5, 8] = (0, 0, 1)
+    codes[:, 7, 7] = 255
+    write_codes(folder, codes)
+    expected = np.ones((LIGHTS, SIZE, SIZE), dtype=np.float32)
+    expected[0, 2, 3] = expected[1, 5, 5] = expected[1, 5, 6] = 0
+    expected[:, 7, 7] = 0
+    scene = Scene.load(folder)
+    assert scene.weights is not None
+    np.testing.assert_array_equal(scene.weights, expected)
+    assert not scene.valid[7, 7]
+    share = 100 / (LIGHTS * SIZE * SIZE)
+    assert scene.assumed["exposure"] == (
+        f"samples left out: {(1 + LIGHTS) * share:.2g} % with a channel above code 250 of 255, "
+        f"{2 * share:.2g} % with all channels below 1; pixels left with none: 1"
+    )
+
+    scene = Scene.load(folder, code_range=(0, 254))
+    assert scene.weights is not None
+    np.testing.assert_array_equal(np.argwhere(scene.weights == 0)[:, 1:], [[7, 7]] * LIGHTS)
+    scene = Scene.load(folder, code_range=(0, 255))
+    assert scene.weights is None
+    assert "exposure" not in scene.assumed
+
+
+def test_weights_only_where_something_is_left_out(folder: Path) -> None:
+    codes = grey_codes()
+    write_codes(folder, codes)
+    assert Scene.load(folder).weights is None
+
+    codes[:, 0] = 255  # where the mask is not
+    write_codes(folder, codes)
+    white = np.ones((SIZE, SIZE), bool)
+    white[0] = False
+    write_mask(folder / "mask.png", white)
+    scene = Scene.load(folder)
+    assert scene.weights is None
+    assert "exposure" not in scene.assumed
+    np.testing.assert_array_equal(scene.valid, white)
+
+
+def test_float_pictures_are_taken_as_they_are(folder: Path) -> None:
+    image = np.zeros((SIZE, SIZE, 3))
+    image[1:] = 70000.0
+    write_exr(folder / "images" / f"{room().names[0]}.exr", image)
+    assert Scene.load(folder).weights is None
+
+
+def test_a_picture_of_which_nothing_is_left_is_named(folder: Path) -> None:
+    codes = grey_codes()
+    codes[1, : SIZE // 2] = 0
+    codes[1, SIZE // 2 :] = 255
+    write_codes(folder, codes)
+    message = (
+        f"{room().names[1]}.png: expected some pixel of the mask with codes from 1 to 250 of 255, "
+        "found all clipped or dark; --code-range 0,255 keeps them"
+    )
+    with pytest.raises(InputError, match=message):
+        Scene.load(folder)
+    assert Scene.load(folder, code_range=(0, 255)).weights is None
+
+
+def test_one_clipped_pixel_spoils_what_it_is_averaged_into(folder: Path) -> None:
+    codes = grey_codes()
+    codes[0, 5, 9] = 255
+    codes[2, 15, 0] = 0
+    write_codes(folder, codes)
+    for size in (8, 5, 3):
+        scene = Scene.load(folder, max_size=size)
+        assert scene.weights is not None
+        expected = np.ones_like(scene.weights)
+        for picture, row, column in ((0, 5, 9), (2, 15, 0)):
+            # Pixel i of the file covers [i, i + 1] · size / SIZE of the reduced picture.
+            rows, columns = (
+                slice(at * size // SIZE, -(-(at + 1) * size // SIZE)) for at in (row, column)
+            )
+            expected[picture, rows, columns] = 0
+        np.testing.assert_array_equal(scene.weights, expected)
+
+
+# --- Weights ---
+
+
+def some_weights() -> NDArray[np.float32]:
+    """(H, W), different everywhere, 0 in one pixel."""
+    weights = np.linspace(0.1, 2.0, SIZE * SIZE, dtype=np.float32).reshape(SIZE, SIZE)
+    weights[3, 4] = 0
+    return weights
+
+
+def test_weights_for_all_pictures_alike(folder: Path) -> None:
+    images.write_exr(folder / "weights.exr", {"Y": some_weights()})
+    scene = Scene.load(folder)
+    assert scene.weights is not None
+    np.testing.assert_array_equal(
+        scene.weights, np.broadcast_to(some_weights(), (LIGHTS, SIZE, SIZE))
+    )
+    assert not scene.valid[3, 4]
+    assert np.count_nonzero(~scene.valid) == 1
+    assert "weights.exr" in scene.inputs
+    assert scene.assumed["weights"].startswith("weights.exr, for all pictures alike: 0 to 2,")
+
+
+def test_weights_for_each_picture_by_name(folder: Path) -> None:
+    names = room().names
+    own = {name: some_weights() * (i + 1) for i, name in enumerate(names)}
+    channels = {f"{name}.Y": weights for name, weights in own.items()}
+    images.write_exr(folder / "weights.exr", {**channels, "gone.Y": some_weights()})
+    scene = Scene.load(folder)
+    assert scene.weights is not None
+    np.testing.assert_array_equal(scene.weights, np.stack([own[name] for name in names]))
+
+    channels.pop(f"{names[1]}.Y")
+    images.write_exr(folder / "weights.exr", channels)
+    with pytest.raises(InputError, match=rf"weights.exr: expected channel Y.* no {names[1]}.Y"):
+        Scene.load(folder)
+    images.write_exr(folder / "weights.exr", {**channels, "Y": some_weights()})
+    with pytest.raises(InputError, match=rf"expected channel Y or {names[0]}.Y, found both"):
+        Scene.load(folder)
+
+
+def test_weights_multiply_those_of_exposure(folder: Path) -> None:
+    codes = grey_codes()
+    codes[1, 5, 6] = 255
+    write_codes(folder, codes)
+    images.write_exr(folder / "weights.exr", {"Y": some_weights()})
+    scene = Scene.load(folder)
+    expected = np.repeat(some_weights()[None], LIGHTS, axis=0)
+    expected[1, 5, 6] = 0
+    np.testing.assert_array_equal(scene.weights, expected)
+
+
+def test_averaged_samples_have_the_weight_of_their_variance(folder: Path) -> None:
+    weights = np.ones((SIZE, SIZE))
+    weights[0, 0], weights[0, 1], weights[2, 2], weights[2, 3] = 0.5, 0.25, 0, 7
+    white = np.ones((SIZE, SIZE), bool)
+    weights[4, 4] = np.nan  # where the mask is not
+    white[4, 4] = False
+    images.write_exr(folder / "weights.exr", {"Y": weights})
+    write_mask(folder / "mask.png", white)
+    scene = Scene.load(folder, max_size=SIZE // 2)
+    assert scene.weights is not None
+    expected = np.ones((SIZE // 2, SIZE // 2))
+    expected[0, 0] = 4 / (1 / 0.5 + 1 / 0.25 + 1 + 1)
+    expected[1, 1] = expected[2, 2] = 0
+    np.testing.assert_allclose(scene.weights[0], expected, rtol=1e-6)
+    assert not scene.valid[2, 2]
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        (-np.ones((SIZE, SIZE)), "expected finite weights, 0 or more, found -1"),
+        (np.full((SIZE, SIZE), np.nan), "expected finite weights, 0 or more, found nan"),
+        (np.zeros((SIZE, SIZE)), "expected some weight above 0 in the mask, found none"),
+        (np.ones((SIZE, SIZE + 1)), "expected the pictures' size, 16 × 16 pixels, found 17 × 16"),
+    ],
+)
+@pytest.mark.parametrize("max_size", [None, SIZE // 2])
+def test_weights_that_cannot_be_used(
+    folder: Path, weights: NDArray[np.float64], message: str, max_size: int | None
+) -> None:
+    images.write_exr(folder / "weights.exr", {"Y": weights})
+    with pytest.raises(InputError, match=f"weights.exr: {message}"):
+        Scene.load(folder, max_size=max_size)
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_saved_weights_are_read_back(tmp_path: Path, alike: bool) -> None:
+    own = np.stack([some_weights()] * LIGHTS)
+    pixels = room().images.copy()
+    if not alike:
+        own[1, 2, 2] = 0
+        pixels[1, 2, 2] = np.nan  # no data where the weight is 0
+    made = dataclasses.replace(room(), images=pixels, weights=own)
+    made.save(tmp_path / "saved")
+    read = Scene.load(tmp_path / "saved")
+    np.testing.assert_array_equal(read.weights, made.weights)
+    np.testing.assert_array_equal(read.valid, made.valid)
+    np.testing.assert_array_equal(read.images, np.nan_to_num(pixels))
+    channels = images.read_channels(tmp_path / "saved" / "weights.exr")
+    assert set(channels) == ({"Y"} if alike else {f"{name}.Y" for name in room().names})
+
+
+def test_segments_keep_16_bits(folder: Path) -> None:
+    ids = np.arange(SIZE * SIZE, dtype=np.uint16).reshape(SIZE, SIZE) * 255
+    images.write_png(folder / "segments.png", ids, tag=None)
+    np.testing.assert_array_equal(Scene.load(folder).segments, ids)
+
+
+def test_known_lights_are_found_by_name_and_one_picture_is_enough(folder: Path) -> None:
+    lights = np.random.default_rng(0).normal(size=(LIGHTS, 16, 3))
+    Lighting(room().names[::-1], lights[::-1]).save(folder / "lighting.json")
+    scene = Scene.load(folder)
+    np.testing.assert_array_equal(scene.lighting, lights)
+    assert scene.assumed["lighting"] == "known, from lighting.json"
+    assert "lighting.json" in scene.inputs
+    for path in sorted((folder / "images").iterdir())[1:]:
+        path.unlink()
+    np.testing.assert_array_equal(Scene.load(folder).lighting, lights[:1])
+
+
+@pytest.mark.parametrize(
+    "names", [("X", "Y", "Z"), ("R", "G", "B"), tuple("normal." + c for c in "XYZ")]
+)
+def test_channels_of_normals(folder: Path, names: tuple[str, ...]) -> None:
+    channels = {name: room().normals[..., c] for c, name in enumerate(names)}
+    images.write_exr(folder / "normals.exr", channels)
+    np.testing.assert_allclose(Scene.load(folder).normals, room().normals, atol=1e-7)
+
+
+@pytest.mark.parametrize(("kind", "error"), [(np.uint8, 1e-2), (np.uint16, 4e-5)])
+@pytest.mark.parametrize("axes", ["opengl", "directx"])
+def test_normals_png_and_axes(folder: Path, axes: str, kind: Any, error: float) -> None:
+    stored = room().normals * ((1, -1, 1) if axes == "directx" else 1)
+    levels = np.iinfo(kind).max
+    encoded = np.rint((stored + 1) / 2 * levels).astype(kind)
+    images.write_png(folder / "normals.png", encoded, tag=None)
+    (folder / "normals.exr").unlink()
+    (folder / "scene.toml").write_text(f'fov = 60\nnormals = "{axes}"\n')
+    scene = Scene.load(folder)
+    np.testing.assert_allclose(scene.normals, room().normals, atol=error)
+    assert scene.assumed["normals"] == f"normals.png, {axes} axes, camera space"
+
+
+def test_normals_in_world_space(folder: Path) -> None:
+    # A camera that looks along world +Y with world +Z up.
+    rotation = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    write_normals(folder, room().normals @ rotation)
+    toml = f'fov = 60\nnormals_frame = "world"\nworld_to_camera = {rotation.tolist()}\n'
+    (folder / "scene.toml").write_text(toml)
+    np.testing.assert_allclose(Scene.load(folder).normals, room().normals, atol=1e-6)
+
+
+def test_multi_illumination_layout_takes_the_largest_exr_in_the_order_of_numbers(
+    tmp_path: Path,
+) -> None:
+    for i in (0, 2, 10):
+        write_exr(tmp_path / f"dir_{i}_mip3.exr", np.full((2, 2, 3), i + 1.0))
+        write_exr(tmp_path / f"dir_{i}_mip5.exr", np.ones((1, 1, 3)))
+        write_jpeg(tmp_path / f"dir_{i}_mip2.jpg", np.ones((4, 4, 3)))
+    write_normals(tmp_path, np.broadcast_to([0, 0, 1], (2, 2, 3)))
+    scene = Scene.load(tmp_path, fov=50)
+    assert scene.names == ("dir_0_mip3", "dir_2_mip3", "dir_10_mip3")
+    np.testing.assert_array_equal(scene.images[:, 0, 0, 0], [1, 3, 11])
+
+
+def test_names_in_any_script_and_other_files_beside_pictures(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "Küche 厨房 🏺")
+    (folder / "images" / "light_00.exr").rename(folder / "images" / "ночь.exr")
+    (folder / "images" / ".DS_Store").write_bytes(b"?")
+    (folder / "images" / "notes.txt").write_text("?")
+    (folder / "images" / "thumbnails").mkdir()
+    assert Scene.load(folder).names == ("light_01", "light_02", "ночь")
+
+
+# Smaller size
+
+
+def test_max_size_averages_pictures_normals_and_takes_whole_pixels_only(folder: Path) -> None:
+    white = np.ones((SIZE, SIZE), bool)
+    white[0, 0] = white[5, :3] = False
+    write_mask(folder / "mask.png", white)
+    hole = room().images[1].copy()
+    hole[0, 0] = np.nan  # outside the mask, so it must not spread
+    write_exr(folder / "images" / "light_01.exr", hole)
+    ids = np.arange(SIZE * SIZE, dtype=np.uint16).reshape(SIZE, SIZE)
+    images.write_png(folder / "segments.png", ids, tag=None)
+    scene = Scene.load(folder, max_size=SIZE // 2)
+
+    def blocks(array: Any) -> Any:
+        return array.reshape(SIZE // 2, 2, SIZE // 2, 2, -1)
+
+    valid = blocks(white).all(axis=(1, 3))[..., 0]
+    np.testing.assert_array_equal(scene.valid, valid)
+    expected = blocks(room().images[1]).mean(axis=(1, 3))
+    np.testing.assert_allclose(scene.images[1][valid], expected[valid], rtol=1e-6)
+    mean = blocks(room().normals).mean(axis=(1, 3))
+    mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
+    np.testing.assert_allclose(scene.normals[valid], mean[valid], atol=1e-6)
+    np.testing.assert_array_equal(scene.segments, ids[1::2, 1::2])
+    assert scene.assumed["size"] == "averaged down from 16 × 16 to 8 × 8 pixels"
+
+
+@pytest.mark.parametrize(
+    ("max_size", "size"), [(16, (16, 16)), (999, (16, 16)), (5, (5, 5)), (1, (1, 1))]
+)
+def test_max_size_is_the_longer_side(folder: Path, max_size: int, size: tuple[int, int]) -> None:
+    scene = Scene.load(folder, max_size=max_size)
+    assert scene.images.shape == (LIGHTS, *size, 3)
+    np.testing.assert_allclose(scene.images.mean(), room().images.mean(), rtol=0.1)
+
+
+# Round trip
+
+
+def test_truth_without_known_lights_is_kept_without(tmp_path: Path) -> None:
+    made = make_scene("room", size=SIZE, lights=2, held_out=2)
+    assert made.truth is not None
+    dataclasses.replace(made, truth=Truth(made.truth.materials)).save(tmp_path / "scene")
+    loaded = Scene.load(tmp_path / "scene").truth
+    assert loaded is not None
+    assert loaded.lighting is None
+    assert loaded.relight_images is None
+    np.testing.assert_allclose(loaded.materials.albedo, made.truth.materials.albedo, atol=1e-6)
+
+
+def test_save_and_load_give_the_same_scene(tmp_path: Path) -> None:
+    made = make_scene("spheres", size=SIZE, lights=2, held_out=2, seed=4)
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[:, 0] = False
+    assert made.truth is not None
+    assert made.truth.lighting is not None
+    scene = Scene(
+        images=made.images.astype(np.float32),
+        normals=made.normals,
+        fov=33.3,
+        mask=mask,
+        segments=made.segments,
+        lighting=made.truth.lighting,
+        names=("b.1", "a"),
+        truth=made.truth,
+    )
+    scene.save(tmp_path / "scene")
+    loaded = Scene.load(tmp_path / "scene")
+    assert loaded.truth is not None
+    assert loaded.names == ("a", "b.1")  # name order
+    np.testing.assert_array_equal(loaded.images, scene.images[::-1])
+    np.testing.assert_array_equal(loaded.lighting, made.truth.lighting[::-1])
+    np.testing.assert_array_equal(loaded.truth.lighting, made.truth.lighting[::-1])
+    np.testing.assert_array_equal(loaded.valid, mask)
+    np.testing.assert_array_equal(loaded.segments, scene.segments)
+    np.testing.assert_allclose(loaded.normals, scene.normals, atol=1e-7)
+    assert loaded.fov == 33.3
+    for name in ("albedo", "roughness", "metallic"):
+        found, true = (getattr(t.materials, name) for t in (loaded.truth, made.truth))
+        np.testing.assert_allclose(found[mask], true[mask], rtol=1e-7)
+        assert np.isnan(found[~mask]).all()
+    assert loaded.truth.relight_images is not None
+    assert made.truth.relight_images is not None
+    np.testing.assert_allclose(loaded.truth.relight_images, made.truth.relight_images, rtol=1e-7)
+    np.testing.assert_array_equal(loaded.truth.relight_lighting, made.truth.relight_lighting)
+
+
+def test_a_smaller_size_has_no_truth(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    make_scene("room", size=8, lights=2, held_out=1).save(tmp_path / "scene")
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        assert Scene.load(tmp_path / "scene", max_size=4).truth is None
+    assert "materials.exr: another size than the pictures in use, left out" in caplog.text
+
+
+@pytest.mark.parametrize("bad", [-1, 65536])
+def test_ids_that_do_not_fit_are_numbered_anew(tmp_path: Path, bad: int) -> None:
+    segments = np.zeros((SIZE, SIZE), int)
+    segments[3, 4] = bad
+    segments[0] = 7
+    scene = Scene(images=room().images, normals=room().normals, segments=segments)
+    scene.save(tmp_path / "scene")
+    found = Scene.load(tmp_path / "scene").segments
+    assert found is not None
+    first, second = (1, 2) if bad < 7 else (2, 1)
+    np.testing.assert_array_equal(found, first * (segments == bad) + second * (segments == 7))
+
+
+def test_more_segments_than_a_file_holds_are_refused(tmp_path: Path) -> None:
+    size = 257
+    images = np.full((2, size, size, 3), 0.5, np.float32)
+    normals = np.broadcast_to([0.0, 0.0, 1.0], (size, size, 3))
+    segments = np.arange(size * size).reshape(size, size) + 1
+    scene = Scene(images=images, normals=normals, segments=segments)
+    with pytest.raises(InputError, match=r"^segments: expected at most 65535 to save, found 66049"):
+        scene.save(tmp_path / "scene")
+    assert not list(tmp_path.iterdir())
+
+
+# What is refused
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+def add_half_a_png(folder: Path) -> None:
+    write_png(folder / "images" / "light_03.png", room().images[0])
+    cut(folder / "images" / "light_03.png")
+
+
+def spoil_picture(value: float, folder: Path) -> None:
+    image = room().images[1].copy()
+    image[2, 3, 1] = value
+    write_exr(folder / "images" / "light_01.exr", image)
+
+
+def spoil_normals(value: float, folder: Path) -> None:
+    normals = room().normals.copy()
+    normals[2, 3] = value
+    write_normals(folder, normals)
+
+
+def leave_one(folder: Path) -> None:
+    for path in sorted((folder / "images").iterdir())[1:]:
+        path.unlink()
+
+
+def spoil_light(folder: Path, text: str) -> None:
+    (folder / "lighting.json").write_text(text)
+
+
+def with_pictures_as(folder: Path, name: str, content: bytes) -> None:
+    (folder / "images" / name).write_bytes(content)
+
+
+def set_toml(folder: Path, text: str) -> None:
+    (folder / "scene.toml").write_text(text)
+
+
+def light_json(names: Any = None, order: Any = 3, value: float = 1.0) -> str:
+    names = names or room().names
+    basis = "real SH, no Condon-Shortley phase, index l(l+1)+m"
+    lights = np.full((LIGHTS, 16, 3), value).tolist()
+    content = {"basis": basis, "order": order, "pictures": names, "coefficients": lights}
+    return json.dumps(content)
+
+
+HEIC = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"
+BAD_FOLDERS: dict[str, tuple[Any, str]] = {
+    "no such folder": (shutil.rmtree, "scene: expected a scene folder, found nothing"),
+    "no pictures": (
+        lambda f: [p.unlink() for p in (f / "images").iterdir()],
+        r"images: expected pictures \(.exr .hdr .*\), found none",
+    ),
+    "neither layout": (
+        lambda f: shutil.rmtree(f / "images"),
+        r"scene: expected pictures under images/ or files dir_\*_mip\*",
+    ),
+    "one picture": (leave_one, "scene: images: expected at least two pictures .*lighting.json"),
+    "equal names": (
+        lambda f: write_jpeg(f / "images" / "light_00.jpg", room().images[0]),
+        "images: expected one picture a name, found light_00 twice",
+    ),
+    "sizes that differ": (
+        lambda f: write_exr(f / "images" / "light_02.exr", room().images[0][:, 1:]),
+        "light_02.exr: expected the size of light_00.exr, 16 × 16 pixels, found 15 × 16",
+    ),
+    "no normals": (
+        lambda f: (f / "normals.exr").unlink(),
+        "scene: expected normals.exr or normals.png .*Marigold.*--from flat.*found no normals",
+    ),
+    "normals twice": (
+        lambda f: write_png(f / "normals.png", room().images[0]),
+        "expected normals.exr or normals.png, found both",
+    ),
+    "normals of another size": (
+        lambda f: write_normals(f, room().normals[1:]),
+        "normals.exr: expected the pictures' size, 16 × 16 pixels, found 16 × 15",
+    ),
+    "grey normals": (
+        lambda f: images.write_exr(f / "normals.exr", {"Y": np.ones((SIZE, SIZE))}),
+        "normals.exr: expected channels X, Y, Z .*, found Y",
+    ),
+    "a zero normal": (
+        lambda f: spoil_normals(0.0, f),
+        "normals.exr: normals: expected unit vectors, found 1 .*row 2, column 3",
+    ),
+    "a NaN normal": (
+        lambda f: spoil_normals(np.nan, f),
+        "normals.exr: normals: expected unit vectors, found 1 .*row 2, column 3",
+    ),
+    "a NaN pixel": (
+        lambda f: spoil_picture(np.nan, f),
+        "scene: light_01: expected finite pixels, found 1 .*row 2, column 3",
+    ),
+    "an infinite pixel": (
+        lambda f: spoil_picture(-np.inf, f),
+        "scene: light_01: expected finite pixels, found 1",
+    ),
+    "an empty mask": (
+        lambda f: write_mask(f / "mask.png", np.zeros((SIZE, SIZE))),
+        "mask.png: expected at least one white pixel, found none",
+    ),
+    "a mask of another size": (
+        lambda f: write_mask(f / "mask.png", np.ones((3, 4))),
+        "mask.png: expected the pictures' size, 16 × 16 pixels, found 4 × 3",
+    ),
+    "segments of another size": (
+        lambda f: write_png(f / "segments.png", np.ones((3, 4))),
+        "segments.png: expected the pictures' size",
+    ),
+    "segments in colour": (
+        lambda f: write_png(f / "segments.png", room().images[0]),
+        "segments.png: expected ids in a grey",
+    ),
+    "a truncated EXR": (
+        lambda f: cut(f / "images" / "light_01.exr"),
+        "light_01.exr: expected .*, found",
+    ),
+    "a truncated PNG": (
+        add_half_a_png,
+        "light_03.png: expected .*, found",
+    ),
+    "a raw file": (
+        lambda f: with_pictures_as(f, "photo.NEF", b"II*\0\x08\0\0\0"),
+        "photo.NEF: expected .*raw file: develop it first.*darktable-cli",
+    ),
+    "a HEIC file": (
+        lambda f: with_pictures_as(f, "photo.heic", HEIC),
+        "photo.heic: expected .*HEIC.*: convert it first.*heif-convert",
+    ),
+    "an unknown file": (
+        lambda f: with_pictures_as(f, "photo", b"hello, world"),
+        "photo: expected EXR, HDR, PNG, JPEG or TIFF, found",
+    ),
+    "an empty file": (
+        lambda f: with_pictures_as(f, "photo.png", b""),
+        "photo.png: expected a picture, found an empty file",
+    ),
+    "TOML that is none": (lambda f: set_toml(f, "fov = "), "scene.toml: expected TOML, found"),
+    "an unknown key": (
+        lambda f: set_toml(f, "fow = 60"),
+        "scene.toml: expected keys fov, color_space, .*, found fow",
+    ),
+    "a fov in words": (
+        lambda f: set_toml(f, 'fov = "wide"'),
+        "scene.toml: fov: expected a number, found 'wide'",
+    ),
+    "a fov out of range": (
+        lambda f: set_toml(f, "fov = 180"),
+        r"scene.toml: fov: expected degrees in \[0, 180\), found 180",
+    ),
+    "an unknown colour space": (
+        lambda f: set_toml(f, 'color_space = "log"'),
+        "scene.toml: color_space: expected one of srgb, linear, .*, found 'log'",
+    ),
+    "unknown axes": (
+        lambda f: set_toml(f, 'normals = "vulkan"'),
+        "scene.toml: normals: expected one of opengl, directx, found 'vulkan'",
+    ),
+    "world space without a rotation": (
+        lambda f: set_toml(f, 'normals_frame = "world"'),
+        "scene.toml: expected world_to_camera, a 3 × 3 rotation",
+    ),
+    "a rotation that scales": (
+        lambda f: set_toml(f, "world_to_camera = [[2, 0, 0], [0, 2, 0], [0, 0, 2]]"),
+        "scene.toml: world_to_camera: expected a 3 × 3 rotation",
+    ),
+    "lights that are no JSON": (
+        lambda f: spoil_light(f, "{"),
+        "lighting.json: expected JSON with basis",
+    ),
+    "lights without keys": (lambda f: spoil_light(f, "[]"), "lighting.json: expected JSON with"),
+    "lights of order 2": (
+        lambda f: spoil_light(f, light_json(order=2)),
+        "lighting.json: expected basis .* of order 3, found .* of order 2",
+    ),
+    "lights of other pictures": (
+        lambda f: spoil_light(f, light_json(names=["a", "b", "c"])),
+        "lighting.json: expected a light for every picture, found none for light_00 and 2 more",
+    ),
+    "too few lights": (
+        lambda f: spoil_light(f, light_json(names=["a"])),
+        r"lighting.json: expected coefficients of shape \(1, 16, 3\).* found shape \(3, 16, 3\)",
+    ),
+    "two lights of one name": (
+        lambda f: spoil_light(f, light_json(names=["light_00", "light_01", "light_00"])),
+        "lighting.json: expected one light a name, found light_00 twice",
+    ),
+    "NaN lights": (
+        lambda f: spoil_light(f, light_json(value=np.nan)),
+        "lighting.json: expected finite coefficients, found NaN or infinity",
+    ),
+    "a truth without maps": (
+        lambda f: (f / "truth").mkdir(),
+        "truth/materials.exr",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FOLDERS)
+def test_bad_folders_are_refused_in_one_line(folder: Path, name: str) -> None:
+    spoil, message = BAD_FOLDERS[name]
+    spoil(folder)
+    with pytest.raises((InputError, OSError), match=message) as caught:
+        Scene.load(folder)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"fov": 180.0}, "fov: expected degrees"),
+        ({"fov": np.nan}, "fov: expected degrees"),
+        ({"max_size": 0}, "max_size: expected at least 1 pixel, found 0"),
+        ({"color_space": "log"}, "color_space: expected one of srgb"),
+        ({"code_range": (9, 3)}, "code_range: expected two 8-bit codes"),
+    ],
+)
+def test_bad_options_are_refused(folder: Path, option: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Scene.load(folder, **option)
+
+
+def test_published_multi_illumination_photographs(shared_data: Path, tmp_path: Path) -> None:
+    source = shared_data / "mit_multi_illumination"
+    pictures = sorted(source.rglob("dir_*_mip6.jpg"))
+    if not pictures:
+        pytest.skip("these photographs are not in the data folder")
+    for path in pictures:
+        shutil.copy(path, tmp_path)
+    facing = np.broadcast_to([0, 0, 1], images.read_data(pictures[0]).shape)
+    write_normals(tmp_path, facing)
+    scene = Scene.load(tmp_path, fov=50)
+    assert len(scene.images) == 25
+    assert scene.names[2] == "dir_2_mip6"
+    np.testing.assert_array_equal(scene.views, view_directions(62, 93, 50))
+    assert "with a channel above code 250 of 255" in scene.assumed["exposure"]
+    assert scene.weights is not None
+    assert 0.06 < np.mean(scene.weights == 0) < 0.07
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere all file names are Unicode")
+def test_a_file_name_that_no_text_file_can_hold_is_refused(folder: Path) -> None:
+    picture = next((folder / "images").iterdir())
+    picture.rename(picture.with_name(os.fsdecode(b"caf\xe9.exr")))
+    with pytest.raises(InputError, match=r"images: expected file names in UTF-8, found 'caf.*exr'"):
+        Scene.load(folder)
+
+
+# ------------------------------------------------------------------------ how far off normals are
+
+
+def write_uncertain(folder: Path, uncertainty: NDArray[np.float64]) -> None:
+    """The room's normals with `uncertainty.Y`, as `pbrfit normals` writes it."""
+    normal_files.write_normals(folder / "normals.exr", room().normals, uncertainty)
+
+
+def test_the_uncertainty_of_normals_is_read_and_saved_again(folder: Path, tmp_path: Path) -> None:
+    uncertainty = np.linspace(0, 20, SIZE * SIZE).reshape(SIZE, SIZE)
+    write_uncertain(folder, uncertainty)
+    scene = Scene.load(folder)
+    assert scene.normal_sigma is not None
+    np.testing.assert_array_equal(scene.normal_sigma, uncertainty.astype(np.float32))
+    assert scene.assumed["normals"] == (
+        "normals.exr, opengl axes, camera space, uncertain by 0 to 20 degrees, median 10"
+    )
+    scene.save(tmp_path / "saved")
+    channels = images.read_channels(tmp_path / "saved" / "normals.exr")
+    np.testing.assert_array_equal(channels["uncertainty.Y"], scene.normal_sigma)
+    loaded = Scene.load(tmp_path / "saved")
+    assert loaded.normal_sigma is not None
+    np.testing.assert_array_equal(loaded.normal_sigma, scene.normal_sigma)
+
+
+def test_normals_without_uncertainty_are_saved_without(folder: Path, tmp_path: Path) -> None:
+    scene = Scene.load(folder)
+    assert scene.normal_sigma is None
+    scene.save(tmp_path / "saved")
+    assert set(images.read_channels(tmp_path / "saved" / "normals.exr")) == {"X", "Y", "Z"}
+
+
+def test_the_uncertainty_of_normals_is_averaged_as_they_are(folder: Path) -> None:
+    uncertainty = np.arange(SIZE * SIZE, dtype=np.float64).reshape(SIZE, SIZE)
+    uncertainty[0, 0] = np.nan  # outside the mask
+    write_uncertain(folder, uncertainty)
+    white = np.ones((SIZE, SIZE), bool)
+    white[0, 0] = False
+    write_mask(folder / "mask.png", white)
+    scene = Scene.load(folder, max_size=SIZE // 2)
+    assert scene.normal_sigma is not None
+    expected = uncertainty.reshape(SIZE // 2, 2, SIZE // 2, 2).mean(axis=(1, 3))
+    assert not scene.valid[0, 0]
+    np.testing.assert_allclose(scene.normal_sigma, expected, rtol=1e-6)  # NaN where it is NaN
+
+
+def test_uncertainty_outside_the_mask_is_saved_as_a_number(tmp_path: Path) -> None:
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[:3] = False
+    sigma = np.where(mask, 4.0, np.nan)
+    dataclasses.replace(room(), mask=mask, normal_sigma=sigma).save(tmp_path / "saved")
+    stored = images.read_channels(tmp_path / "saved" / "normals.exr")["uncertainty.Y"]
+    np.testing.assert_array_equal(stored, np.where(mask, 4.0, 0.0))
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
+def test_uncertainty_of_normals_that_means_nothing_is_refused(folder: Path, bad: float) -> None:
+    uncertainty = np.ones((SIZE, SIZE))
+    uncertainty[2, 3] = bad
+    write_uncertain(folder, uncertainty)
+    with pytest.raises(
+        InputError,
+        match=rf"normals\.exr: expected uncertainty\.Y of finite degrees, 0 or more, found {bad:g}",
+    ):
+        Scene.load(folder)
+    write_mask(folder / "mask.png", np.isfinite(uncertainty) & (uncertainty > 0))
+    assert Scene.load(folder).normal_sigma is not None

@@ -1,0 +1,490 @@
+"""Synthetic scenes: the ray caster against known geometry, the lights, the scenes' promises."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import reference
+from pbrfit.model.geometry import view_directions
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import render, sh_basis
+from pbrfit.scene.scene import Scene, Truth
+from pbrfit.synthetic import build, make_scene, random_lights
+from pbrfit.synthetic.geometry import (
+    Box,
+    Cylinder,
+    Frustum,
+    Plane,
+    Primitive,
+    Sphere,
+    rotation,
+    trace,
+)
+from pbrfit.synthetic.stages import case_stage, room_stage
+
+Array = NDArray[np.float64]
+KINDS: tuple[str, ...] = ("room", "spheres", "textured")
+ORIGIN = np.zeros(3)
+
+
+def camera_rays(height: int, width: int, fov: float) -> Array:
+    return -view_directions(height, width, fov)
+
+
+def slow_render(materials: Materials, normals: NDArray[Any], lighting: Array, fov: float) -> Array:
+    """(N, H, W, 3), by the tests' own model."""
+    height, width = normals.shape[:2]
+    view = view_directions(height, width, fov)
+    weights = reference.shade(
+        normals, view, materials.albedo, materials.roughness, materials.metallic
+    )
+    return np.asarray(np.einsum("hwck,nkc->nhwc", weights, lighting))
+
+
+# ------------------------------------------------------------------------------------ ray caster
+
+
+def test_rays_pass_through_pixel_centres() -> None:
+    rays = camera_rays(2, 4, 90.0)
+    np.testing.assert_allclose(rays[0, 0] / -rays[0, 0, 2], [-0.75, 0.25, -1.0], rtol=1e-15)
+    np.testing.assert_allclose(rays[1, 3] / -rays[1, 3, 2], [0.75, -0.25, -1.0], rtol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=1e-15)
+
+
+@pytest.mark.parametrize("fov", [0.0, 180.0, -1.0, np.nan])
+def test_field_of_view_out_of_range(fov: float) -> None:
+    with pytest.raises(ValueError, match="fov"):
+        build("room", 4, np.random.default_rng(0), fov)
+
+
+def test_rotation_is_right_handed() -> None:
+    x, y, z = np.eye(3)
+    np.testing.assert_allclose(rotation(0, 90) @ y, z, atol=1e-16)
+    np.testing.assert_allclose(rotation(1, 90) @ z, x, atol=1e-16)
+    np.testing.assert_allclose(rotation(2, 90) @ x, y, atol=1e-16)
+
+
+def test_centre_pixel_of_a_sphere() -> None:
+    ball = Sphere(centre=np.array([0.0, 0.0, -5.0]), radius=1.5)
+    hits = trace([ball], ORIGIN, camera_rays(3, 3, 60.0).reshape(-1, 3))
+    assert hits.index[4] == 0
+    assert hits.distance[4] == 3.5
+    np.testing.assert_array_equal(hits.normals[4], [0.0, 0.0, 1.0])
+
+
+def test_nearest_primitive_wins_in_any_order() -> None:
+    near = Sphere(centre=np.array([0.0, 0.0, -3.0]), radius=0.5)
+    middle = Box(centre=np.array([0.0, 0.0, -5.0]), half=np.array([1.0, 1.0, 0.5]))
+    wall = Plane(centre=np.array([0.0, 0.0, -9.0]), rotation=rotation(0, 90))
+    rays = camera_rays(65, 65, 60.0).reshape(-1, 3)
+    forward = trace([near, middle, wall], ORIGIN, rays)
+    backward = trace([wall, middle, near], ORIGIN, rays)
+    np.testing.assert_array_equal(forward.index, 2 - backward.index)
+    np.testing.assert_array_equal(forward.normals, backward.normals)
+    centre, corner = 65 * 65 // 2, 0
+    assert (forward.index[centre], forward.distance[centre]) == (0, 2.5)
+    assert forward.index[corner] == 2
+    assert set(forward.index) == {0, 1, 2}
+
+
+TURNED = rotation(1, 30) @ rotation(0, 50)
+AT = np.array([0.2, -0.1, -4.0])
+
+
+def cone(p: Array, bottom: float, top: float, half: float) -> Array:
+    """Signed distance, outside only of the nearest side, of a frustum."""
+    slope = (top - bottom) / (2 * half)
+    radius = (top + bottom) / 2 + slope * p[..., 1]
+    side = (np.hypot(p[..., 0], p[..., 2]) - radius) / np.hypot(1, slope)
+    return np.asarray(np.maximum(side, np.abs(p[..., 1]) - half))
+
+
+SOLIDS: dict[str, tuple[Primitive, Any]] = {
+    # primitive, signed function of object-space points that is negative inside
+    "sphere": (
+        Sphere(centre=AT, rotation=TURNED, radius=1.1),
+        lambda p: np.linalg.norm(p, axis=-1) - 1.1,
+    ),
+    "box": (
+        Box(centre=AT, rotation=TURNED, half=np.array([0.5, 1.0, 0.7])),
+        lambda p: (np.abs(p) - [0.5, 1.0, 0.7]).max(axis=-1),
+    ),
+    "cylinder": (
+        Cylinder(centre=AT, rotation=TURNED, radius=0.6, half=0.9),
+        lambda p: np.maximum(np.hypot(p[..., 0], p[..., 2]) - 0.6, np.abs(p[..., 1]) - 0.9),
+    ),
+    "frustum": (
+        Frustum(centre=AT, rotation=TURNED, bottom=0.9, top=0.4, half=0.8),
+        lambda p: cone(p, 0.9, 0.4, 0.8),
+    ),
+    "frustum upside down": (
+        Frustum(centre=AT, rotation=rotation(0, 130), bottom=0.9, top=0.4, half=0.8),
+        lambda p: cone(p, 0.9, 0.4, 0.8),
+    ),
+    "cone": (
+        Frustum(centre=AT, rotation=TURNED, bottom=0.0, top=1.1, half=0.6),
+        lambda p: cone(p, 0.0, 1.1, 0.6),
+    ),
+    "plane": (
+        Plane(centre=AT, rotation=TURNED),
+        lambda p: p[..., 1],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_hits_agree_with_marching_along_the_ray(name: str) -> None:
+    primitive, inside = SOLIDS[name]
+    rays = camera_rays(24, 24, 60.0).reshape(-1, 3)
+    hits = trace([primitive], ORIGIN, rays)
+
+    steps = np.linspace(0.0, 8.0, 4001)
+    turn = primitive.rotation
+    march = (steps[:, None, None] * rays - AT) @ turn
+    negative = inside(march) < 0
+    met = negative.any(axis=0)
+    first = steps[negative.argmax(axis=0)]
+    # Marching may step over a sliver, and stops at its last step; it never sees what is not there.
+    assert (hits.index[met] == 0).all()
+    np.testing.assert_array_less(hits.distance[met], first[met] + 1e-9)
+    np.testing.assert_array_less(first[met] - 0.002 - 1e-9, hits.distance[met])
+    slivers = (hits.distance < 8.0) & ~met
+    assert slivers.sum() <= 3
+    assert met.sum() > 50
+
+    hit = hits.index == 0
+    np.testing.assert_allclose(inside(hits.local[hit]), 0.0, atol=1e-14)
+    world = hits.local[hit] @ turn.T + AT
+    np.testing.assert_allclose(world, hits.distance[hit, None] * rays[hit], atol=1e-14)
+    # The normal is the gradient of the signed function.
+    step = 1e-6 * np.eye(3)
+    gradient = [inside(hits.local[hit] + s) - inside(hits.local[hit] - s) for s in step]
+    gradient_scene = np.stack(gradient, axis=-1) / 2e-6 @ turn.T
+    np.testing.assert_allclose(hits.normals[hit], gradient_scene, atol=2e-6)
+
+
+def test_what_is_behind_or_around_the_camera_is_not_seen() -> None:
+    behind = Sphere(centre=np.array([0.0, 0.0, 3.0]), radius=1.0)
+    around = [
+        Sphere(centre=ORIGIN, radius=1.0),
+        Box(centre=ORIGIN, half=np.ones(3)),
+        Cylinder(centre=ORIGIN, radius=1.0, half=1.0),
+        Frustum(centre=ORIGIN, bottom=1.0, top=0.5, half=1.0),
+    ]
+    seen_from_below = Plane(centre=np.array([0.0, 1.0, 0.0]))
+    hits = trace([behind, *around, seen_from_below], ORIGIN, camera_rays(9, 9, 60.0).reshape(-1, 3))
+    np.testing.assert_array_equal(hits.index, -1)
+    np.testing.assert_array_equal(hits.distance, np.inf)
+    np.testing.assert_array_equal(hits.normals, 0.0)
+
+
+def test_rays_along_the_axes_of_a_solid() -> None:
+    down = np.array([[0.0, -1.0, 0.0]])
+    at = np.array([0.0, -3.0, 0.0])
+    box = Box(centre=at, half=np.array([1.0, 0.5, 1.0]))
+    barrel = Cylinder(centre=at, radius=1.0, half=0.5)
+    pot = Frustum(centre=at, bottom=0.9, top=1.0, half=0.5)
+    for solid in (box, barrel, pot):
+        for x in (0.0, 0.75):
+            hits = trace([solid], np.array([x, 0.0, 0.0]), down)
+            np.testing.assert_array_equal(hits.distance, 2.5)
+            np.testing.assert_array_equal(hits.normals, [[0.0, 1.0, 0.0]])
+        beside = trace([solid], np.array([1.5, 0.0, 0.0]), down)
+        np.testing.assert_array_equal(beside.index, -1)
+
+
+# ---------------------------------------------------------------------------------------- lights
+
+
+def sphere_samples(count: int) -> Array:
+    directions = np.random.default_rng(0).normal(size=(count, 3))
+    return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
+
+
+@pytest.mark.parametrize("sh_order", [2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_lights_are_positive_everywhere(sh_order: int, seed: int) -> None:
+    lights = random_lights(16, np.random.default_rng(seed), sh_order)
+    assert lights.shape == (16, 16, 3)
+    assert lights.dtype == np.float64
+    radiance = np.einsum("pk,nkc->npc", reference.sh_basis(sphere_samples(20_000)), lights)
+    assert radiance.min() > 0.0
+
+
+@pytest.mark.parametrize("sh_order", [2, 3])
+def test_lights_fill_exactly_the_bands_of_their_order(sh_order: int) -> None:
+    lights = random_lights(16, np.random.default_rng(1), sh_order)
+    if sh_order == 2:
+        np.testing.assert_array_equal(lights[:, 9:], 0.0)
+    used = (sh_order + 1) ** 2
+    assert (np.linalg.norm(lights[:, :used], axis=(0, 2)) > 0.05).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 15, 16, 40])
+def test_light_matrices_are_well_conditioned(count: int) -> None:
+    for seed in range(10):
+        lights = random_lights(count, np.random.default_rng(seed))
+        assert np.linalg.cond(np.moveaxis(lights, -1, 0)).max() <= 3000.0
+
+
+def test_visible_surfaces_get_more_light_than_hidden_ones() -> None:
+    lights = np.concatenate([random_lights(16, np.random.default_rng(s)) for s in range(10)])
+    y, z = lights[:, 1].mean(), lights[:, 2].mean()
+    assert min(y, z) > 0.1 * lights[:, 0].mean()
+
+
+@pytest.mark.parametrize(("count", "sh_order"), [(0, 3), (4, 1), (4, 4)])
+def test_bad_light_arguments(count: int, sh_order: int) -> None:
+    with pytest.raises(ValueError, match="count" if count == 0 else "sh_order"):
+        random_lights(count, np.random.default_rng(0), sh_order)
+
+
+# ---------------------------------------------------------------------------------------- scenes
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(8))
+def test_every_pixel_is_valid_and_faces_the_camera(kind: str, seed: int) -> None:
+    view = build(kind, 64, np.random.default_rng(seed))
+    assert view.mask is None
+    np.testing.assert_allclose(np.linalg.norm(view.normals, axis=-1), 1.0, rtol=1e-14)
+    assert (np.sum(-camera_rays(64, 64, view.fov) * view.normals, axis=-1) > 0.0).all()
+    assert view.segments.dtype == np.uint16
+    assert view.segments.min() >= 1
+    albedo, roughness, metallic = (
+        view.materials.albedo,
+        view.materials.roughness,
+        view.materials.metallic,
+    )
+    assert albedo.min() >= 0.05 - 1e-15
+    assert albedo.max() < 1.0
+    assert roughness.min() >= 0.15
+    assert roughness.max() <= 0.9
+    assert metallic.min() == 0.0
+    assert metallic.max() == 1.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_metal_is_visible_in_every_scene(kind: str) -> None:
+    for seed in range(40):
+        metallic = build(kind, 48, np.random.default_rng(seed)).materials.metallic
+        assert (metallic == 1.0).mean() > 0.005, f"seed {seed}"
+
+
+@pytest.mark.parametrize("kind", ["room", "spheres"])
+def test_segments_have_one_material_each(kind: str) -> None:
+    for seed in range(5):
+        view = build(kind, 64, np.random.default_rng(seed))
+        m = view.materials
+        packed = np.concatenate([m.albedo, m.roughness[..., None], m.metallic[..., None]], axis=-1)
+        for segment in np.unique(view.segments):
+            values = packed[view.segments == segment]
+            np.testing.assert_array_equal(values, np.broadcast_to(values[0], values.shape))
+
+
+def test_at_least_a_third_of_the_furniture_is_metal() -> None:
+    for seed in range(20):
+        view = build("room", 64, np.random.default_rng(seed))
+        pieces = np.unique(view.segments[view.segments > 6])
+        metal = np.unique(view.segments[view.materials.metallic == 1.0])
+        assert metal.min() > 6
+        assert 10 <= len(pieces) <= 12
+        assert len(metal) >= len(pieces) / 3
+
+
+def gauge(solid: Primitive, p: Array) -> Array:
+    """Of object-space points: below 1 inside a solid, 1 on its surface, proportional to |p|."""
+    match solid:
+        case Sphere():
+            return np.asarray(np.linalg.norm(p, axis=-1) / solid.radius)
+        case Box():
+            return np.asarray((np.abs(p) / solid.half).max(axis=-1))
+        case Cylinder():
+            side = np.hypot(p[:, 0], p[:, 2]) / solid.radius
+            return np.asarray(np.maximum(side, np.abs(p[:, 1]) / solid.half))
+    raise AssertionError(type(solid))
+
+
+def test_pieces_do_not_run_into_each_other_or_the_walls() -> None:
+    # The corners of the cube are the corners of any box.
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
+    cloud = np.concatenate([corners, np.random.default_rng(0).uniform(-1, 1, size=(1500, 3))])
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        rows, columns = rng.integers(4, 6, size=2)
+        for stage in (room_stage(rng), case_stage(rows, columns, rng)):
+            for piece in stage.pieces:
+                local = cloud * (piece.half if isinstance(piece, Box) else 1.0)
+                local = local / gauge(piece, local)[:, None]
+                points = piece.centre + local @ piece.rotation.T
+                for wall in stage.walls:
+                    height = ((points - wall.centre) @ wall.rotation)[:, 1]
+                    assert height.min() > -1e-9, f"seed {seed}: {piece}"
+                for other in stage.pieces:
+                    inside = gauge(other, (points - other.centre) @ other.rotation) < 1 - 1e-9
+                    assert other is piece or not inside.any(), f"seed {seed}: {piece}, {other}"
+
+
+def test_roughness_of_the_spheres_grows_to_the_right() -> None:
+    view = build("spheres", 64, np.random.default_rng(0))
+    metal = view.materials.metallic == 1.0
+    x = np.broadcast_to(np.arange(64.0), metal.shape)
+    assert np.corrcoef(x[metal], view.materials.roughness[metal])[0, 1] > 0.95
+
+
+def test_textures_vary_all_three_maps_within_pieces() -> None:
+    varied = np.zeros(3, dtype=int)
+    for seed in range(10):
+        view = build("textured", 64, np.random.default_rng(seed))
+        for segment in np.unique(view.segments):
+            here = view.segments == segment
+            maps = (view.materials.albedo, view.materials.roughness, view.materials.metallic)
+            varied += [np.ptp(values[here], axis=0).max() > 0.1 for values in maps]
+    assert (varied >= 10).all(), varied
+
+
+def test_textured_room_shares_the_geometry_of_the_room() -> None:
+    room = build("room", 32, np.random.default_rng(3))
+    textured = build("textured", 32, np.random.default_rng(3))
+    np.testing.assert_array_equal(room.segments, textured.segments)
+    np.testing.assert_array_equal(room.normals, textured.normals)
+
+
+def test_scene_does_not_depend_on_the_resolution() -> None:
+    # The centres of every third pixel of 96 are the pixel centres of 32.
+    for kind in KINDS:
+        small = build(kind, 32, np.random.default_rng(5))
+        large = build(kind, 96, np.random.default_rng(5))
+        assert (small.segments == large.segments[1::3, 1::3]).all()
+        np.testing.assert_allclose(
+            small.materials.albedo, large.materials.albedo[1::3, 1::3], atol=1e-9
+        )
+
+
+@pytest.mark.parametrize("fov", [20.0, 90.0, 150.0])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_shell_is_closed(kind: str, fov: float) -> None:
+    for seed in range(5):
+        view = build(kind, 32, np.random.default_rng(seed), fov)
+        assert view.segments.min() >= 1
+        assert view.fov == fov
+
+
+def test_bad_scene_arguments() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match="kind: expected one of room, spheres, textured"):
+        build("garden", 8, rng)
+    with pytest.raises(ValueError, match="size"):
+        build("room", 0, rng)
+    with pytest.raises(ValueError, match="noise"):
+        make_scene("room", size=8, noise=-0.1)
+    with pytest.raises(ValueError, match="noise"):
+        make_scene("room", size=8, noise=float("nan"))
+    with pytest.raises(ValueError, match="seed"):
+        make_scene("room", size=8, seed=-1)
+    with pytest.raises(ValueError, match="count"):
+        make_scene("room", size=8, held_out=0)
+
+
+# -------------------------------------------------------------------------------------- pictures
+
+
+def truth(scene: Scene) -> Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def lights(scene: Scene) -> NDArray[np.float64]:
+    lighting = truth(scene).lighting
+    assert lighting is not None
+    return lighting
+
+
+def relight(scene: Scene) -> tuple[NDArray[Any], Array]:
+    """Held-out pictures and their lights."""
+    images, lighting = truth(scene).relight_images, truth(scene).relight_lighting
+    assert images is not None
+    assert lighting is not None
+    return images, lighting
+
+
+def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
+    assert scene.segments is not None
+    return {
+        "images": scene.images,
+        "normals": scene.normals,
+        "segments": scene.segments,
+        "albedo": truth(scene).materials.albedo,
+        "roughness": truth(scene).materials.roughness,
+        "metallic": truth(scene).materials.metallic,
+        "lighting": lights(scene),
+        "relight_lighting": relight(scene)[1],
+        "relight_images": relight(scene)[0],
+    }
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_same_seed_same_bytes(kind: str) -> None:
+    first = arrays(make_scene(kind, size=24, lights=4, held_out=2, noise=0.01, seed=7))
+    again = arrays(make_scene(kind, size=24, lights=4, held_out=2, noise=0.01, seed=7))
+    other = arrays(make_scene(kind, size=24, lights=4, held_out=2, noise=0.01, seed=8))
+    for name in first:
+        assert first[name].tobytes() == again[name].tobytes(), name
+        assert first[name].tobytes() != other[name].tobytes(), name
+
+
+def test_streams_are_separate() -> None:
+    base = make_scene("room", size=24, lights=4, held_out=3)
+    more = make_scene("room", size=24, lights=6, held_out=3, noise=0.01)
+    np.testing.assert_array_equal(base.segments, more.segments)
+    np.testing.assert_array_equal(truth(base).materials.albedo, truth(more).materials.albedo)
+    # The held-out lights are the same up to the exposure.
+    ratio = relight(more)[1][:, 0] / relight(base)[1][:, 0]
+    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_exposure(kind: str) -> None:
+    for seed in range(4):
+        scene = make_scene(kind, size=32, seed=seed)
+        assert scene.images.mean() == pytest.approx(0.4, rel=1e-12)
+        assert scene.images.min() > 0.0
+        for pictures in (scene.images, relight(scene)[0]):
+            means = pictures.mean(axis=(1, 2, 3)) / 0.4
+            assert means.min() >= 0.5
+            assert means.max() <= 2.0
+            assert means.max() > 1.2 * means.min()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pictures_are_the_model_of_their_truth(kind: str) -> None:
+    scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2, model="paper")
+    for images, lighting in (
+        (scene.images, lights(scene)),
+        relight(scene),
+    ):
+        again = render(truth(scene).materials, scene.normals, lighting, scene.fov, model="paper")
+        np.testing.assert_allclose(images, again, rtol=1e-13, atol=1e-15)
+        slow = slow_render(truth(scene).materials, scene.normals, lighting, scene.fov)
+        np.testing.assert_allclose(images, slow, rtol=1e-11, atol=1e-12)
+
+
+def test_harmonics_are_those_of_the_reference() -> None:
+    directions = sphere_samples(200)
+    np.testing.assert_allclose(sh_basis(directions), reference.sh_basis(directions), atol=1e-14)
+
+
+def test_noise_has_its_size_and_leaves_the_rest_alone() -> None:
+    clean = make_scene("room", size=48, seed=3)
+    noisy = make_scene("room", size=48, seed=3, noise=0.2)
+    added = noisy.images - clean.images
+    count = added.size
+    assert abs(added.mean()) < 5 * 0.2 / np.sqrt(count)
+    assert abs(added.std() / 0.2 - 1) < 5 / np.sqrt(2 * count)
+    assert noisy.images.min() < 0.0
+    np.testing.assert_array_equal(relight(noisy)[0], relight(clean)[0])
+    np.testing.assert_array_equal(truth(noisy).lighting, truth(clean).lighting)

@@ -1,0 +1,200 @@
+"""The relight view in a browser, beside what the package itself says about the same pixels."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from browser import Visit, visit
+from pbrfit import Result, decompose, relight
+from pbrfit.io.display import ToneMap, encoded
+from pbrfit.model.materials import Materials
+from pbrfit.report.viewer import fragment, maps
+from pbrfit.synthetic import make_scene
+from pbrfit.synthetic.lights import random_lights
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Locator, Page
+
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1"><title>view</title></head>
+<body>
+{}</body></html>
+"""
+
+READY = '.relight-view[data-state="ready"]'
+
+
+def room(size: int = 24, lights: int = 3) -> Result:
+    """A room with its true materials and lights, names and all."""
+    scene = make_scene("room", size=size, lights=lights)
+    assert scene.truth is not None
+    assert scene.truth.lighting is not None
+    found = decompose(scene, iterations=1)
+    return dataclasses.replace(
+        found, materials=scene.truth.materials, lighting=scene.truth.lighting
+    )
+
+
+def made(
+    height: int,
+    width: int,
+    *,
+    fov: float = 60.0,
+    mask: NDArray[np.bool_] | None = None,
+    grey: bool = False,
+    binary: bool = False,
+    seed: int = 0,
+) -> Result:
+    """A result of random materials, normals all over the sphere and two random lights.
+
+    `binary`: roughness and metallic are 0 or 1.
+    """
+    rng = np.random.default_rng(seed)
+    mask = np.ones((height, width), bool) if mask is None else mask
+    normals = rng.normal(size=(height, width, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    albedo = rng.random((height, width, 3))
+    finish = rng.random((2, height, width))
+    lighting = random_lights(2, rng)
+    if binary:
+        finish = np.rint(finish)
+    if grey:
+        albedo, lighting = np.repeat(albedo[..., :1], 3, -1), np.repeat(lighting[..., :1], 3, -1)
+    outside = ~mask
+    for plane in (albedo, normals, *finish):
+        plane[outside] = np.nan
+    template = decompose(make_scene("room", size=8, lights=2), iterations=1)
+    return dataclasses.replace(
+        template,
+        materials=Materials(albedo, finish[0], finish[1]),
+        lighting=lighting,
+        normals=normals,
+        mask=mask,
+        fov=fov,
+    )
+
+
+def expected(
+    result: Result,
+    light: NDArray[np.float64],
+    *,
+    exposure: float = 0.0,
+    tone_map: ToneMap = "none",
+    max_side: int = 1024,
+    roughness: float = 0.0,
+    metallic: float = 0.0,
+) -> NDArray[np.uint8]:
+    """(H, W, 4) uint8 sRGB of the result, at the view's size; transparent outside the mask."""
+    small = maps.of_result(result, max_side)
+    finish = Materials(
+        small.materials.albedo,
+        np.clip(small.materials.roughness + roughness, 0, 1),
+        np.clip(small.materials.metallic + metallic, 0, 1),
+    )
+    shown = dataclasses.replace(result, materials=finish, normals=small.normals, mask=small.mask)
+    return coded(encoded(relight(shown, light), exposure, tone_map), small.mask)
+
+
+def coded(display: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Values in [0, 1] as 8 bits, with alpha."""
+    color = np.where(mask[..., None], display, 0.0)
+    codes = np.rint(255 * np.concatenate([color, mask[..., None]], axis=-1))
+    return np.asarray(codes.astype(np.uint8))
+
+
+def difference(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> tuple[int, float]:
+    """Largest and mean difference of colours inside the mask, in 1/255; alpha has to be equal."""
+    assert found.shape == true.shape
+    np.testing.assert_array_equal(found[..., 3], true[..., 3])
+    inside = true[..., 3] > 0
+    apart = np.abs(found[inside].astype(int) - true[inside].astype(int))
+    return int(apart.max()), float(apart.mean())
+
+
+def pixels_of_png(content: bytes) -> NDArray[np.uint8]:
+    """(H, W, 4) uint8."""
+    with Image.open(io.BytesIO(content)) as picture:
+        assert (picture.format, picture.mode) == ("PNG", "RGBA")
+        return np.asarray(picture)
+
+
+@dataclasses.dataclass
+class View:
+    """The view in an open page."""
+
+    page: Page
+    troubles: list[str]
+
+    def go(self, address: str) -> None:
+        """Change the part of the address after #, and wait until the view has read it."""
+        self.page.evaluate(
+            """address => new Promise((done) => {
+                if (location.hash === '#' + address) return done();
+                addEventListener('hashchange', () => setTimeout(done), { once: true });
+                location.hash = address;
+            })""",
+            address,
+        )
+
+    def saved(self) -> NDArray[np.uint8]:
+        """The pixels that Save PNG writes, (H, W, 4)."""
+        code = self.page.evaluate(
+            """async () => {
+                const { view } = document.querySelector('.relight-view');
+                const bytes = new Uint8Array(await (await view.png()).arrayBuffer());
+                return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(''));
+            }"""
+        )
+        return pixels_of_png(base64.b64decode(code))
+
+    def control(self, name: str) -> Locator:
+        """A slider or menu."""
+        return self.page.locator(f"input[type=range][name={name}], select[name={name}]")
+
+    def state(self) -> dict[str, Any]:
+        return dict(self.page.evaluate("document.querySelector('.relight-view').view.state"))
+
+    def light(self) -> NDArray[np.float64]:
+        """(16, 3): the chosen light before it is turned."""
+        values = self.page.evaluate(
+            "Array.from(document.querySelector('.relight-view').view.light())"
+        )
+        return np.array(values).reshape(16, 3)
+
+    def open(self, *files: Path) -> str:
+        """Choose a panorama; return what the view says about it."""
+        before = self.message()
+        self.page.locator('input[type="file"]').set_input_files(list(files))
+        self.page.wait_for_function(
+            "before => document.querySelector('.relight-message').textContent !== before",
+            arg=before,
+        )
+        return self.message()
+
+    def message(self) -> str:
+        return self.page.locator(".relight-message").first.inner_text()
+
+
+@contextmanager
+def opened(
+    browser: Browser, result: Result, folder: Path, max_side: int = 1024, width: int = 1280
+) -> Iterator[View]:
+    """The view of a result in a page of its own; nothing may go wrong there meanwhile."""
+    file = folder / "page.html"
+    file.write_text(PAGE.format(fragment(result, max_side)), encoding="utf-8")
+    visited: Visit
+    with visit(browser, file, width=width) as visited:
+        visited.page.wait_for_selector(READY)
+        yield View(visited.page, visited.troubles)
+        assert visited.troubles == []
