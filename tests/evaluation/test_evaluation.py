@@ -10,20 +10,20 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluation_tasks import Task, work
 
 import pbrfit
+from evaluation_tasks import Task, work
 from pbrfit import InputError, Materials, Result, Scene
 from pbrfit.scene.scene import Truth
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import jobs, recipes, scores, tables, workspace
 from pbrfit_evaluation.jobs import Record
+from processes import alive, until
 
 
 def attempts(folder: Path) -> dict[str, int]:
@@ -95,25 +95,6 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
         parent.wait()
     workers = [int(trace.read_text("utf-8")) for trace in tmp_path.glob("*.trace")]
     until(lambda: not any(alive(worker) for worker in workers))
-
-
-def until(condition: Callable[[], bool]) -> None:
-    """Wait for something that is bound to happen soon."""
-    for _ in range(600):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("it did not happen")
-
-
-def alive(process: int) -> bool:
-    """Whether it runs; one that has ended and waits for its parent does not."""
-    try:
-        os.kill(process, 0)
-        status = Path(f"/proc/{process}/stat")
-        return not status.exists() or status.read_text("utf-8").rpartition(")")[2].split()[0] != "Z"
-    except (ProcessLookupError, FileNotFoundError):
-        return False
 
 
 def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
 from pbrfit.fit.objective import MEAN_RADIANCE, Objective
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import chosen_model, render
 from pbrfit.scene.scene import Scene
@@ -270,12 +270,12 @@ def work(task: Task, threads: int) -> dict[str, Any]:
     }
 
 
-def _samples(layout: Layout, pixels: int) -> int:
+def _samples(layout: ParameterLayout, pixels: int) -> int:
     """Samples of so many pixels."""
     return layout.pictures * layout.channels * pixels
 
 
-def _columns(maps: Materials, layout: Layout) -> Array:
+def _columns(maps: Materials, layout: ParameterLayout) -> Array:
     """(P, 5) of the valid pixels."""
     planes = (*np.moveaxis(maps.albedo, -1, 0), maps.roughness, maps.metallic)
     return np.stack([plane[layout.valid] for plane in planes], axis=-1)

@@ -13,7 +13,7 @@ from PIL import Image
 from pbrfit._core import image_format
 from pbrfit.batch.settings import Fitting, Reading
 from pbrfit.fit import memory
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.io import images
 from pbrfit.io.resampling import reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE
@@ -44,7 +44,7 @@ def of_scene(folder: Path, reading: Reading, fitting: Fitting) -> memory.FitMemo
     pixels, pictures = height * width, len(paths)
     integers = any(path.suffix.lower() not in (".exr", ".hdr") for path in paths)
     weighted = integers or (folder / WEIGHT_FILE).exists()
-    layout = Layout(
+    layout = ParameterLayout(
         valid=np.broadcast_to(np.True_, (height, width)),
         segments=None,
         segment_count=0,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import memory
-from pbrfit.fit.plan import Needs
+from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.priors.penalties import Priors
 from pbrfit.fit.robust import check_loss
 from pbrfit.fit.solvers import Limits, Progress, Solver, check_solver
@@ -178,7 +178,7 @@ def decompose(
         log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     asked = replace(asked, hindered=hindered or plan.hindered)
     found = (fit_tiles if plan.tiled else fit_whole)(scene, asked, start)
-    needs = Needs.of(
+    needs = FitPlan.of(
         scene,
         layout,
         priors=asked.priors,

@@ -70,8 +70,8 @@ def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientChec
     """
     rng = np.random.default_rng(seed)
     x = rng.uniform(0.25, 0.75, objective.size)
-    if objective.tilts is not None:
-        x[objective.tilts] = 0.8 * (x[objective.tilts] - 0.5)
+    if objective.tangent_offsets is not None:
+        x[objective.tangent_offsets] = 0.8 * (x[objective.tangent_offsets] - 0.5)
     x = objective.with_best_lights(x)
     if objective.lighting is not None:
         # Away from the best lights, where their gradient is zero.
@@ -96,7 +96,7 @@ def _along_blocks(
 ) -> list[GradientCheck]:
     _, gradient = value_and_grad(x)
     checks = []
-    for unknowns in ("albedo", "roughness", "metallic", "tilts", "lighting"):
+    for unknowns in ("albedo", "roughness", "metallic", "tangent_offsets", "lighting"):
         block: slice | None = getattr(objective, unknowns)
         if block is None:
             continue  # known, no unknown

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.solvers.projected_lbfgs import CORRECTIONS, choose
 from pbrfit.fit.tiles.tiling import FEW
 from pbrfit.scene.scene import Scene
@@ -102,7 +102,7 @@ class FitMemory:
 
 
 def of_fit(
-    scene: Scene, layout: Layout, method: Method, *, refine_normals: bool = False
+    scene: Scene, layout: ParameterLayout, method: Method, *, refine_normals: bool = False
 ) -> FitMemory:
     """What `decompose` needs of memory with a solver.
 
@@ -131,7 +131,7 @@ def bytes_of(scene: Scene) -> int:
 
 
 def of_layout(
-    layout: Layout,
+    layout: ParameterLayout,
     method: Method,
     *,
     held: int,
@@ -171,7 +171,7 @@ def of_layout(
 
 
 def of_tiles(
-    layout: Layout, *, held: int, exact: bool = False, refine_normals: bool = False
+    layout: ParameterLayout, *, held: int, exact: bool = False, refine_normals: bool = False
 ) -> FitMemory:
     """The same where the scene is fitted in tiles: as of a lattice, and maps of all pixels."""
     few = replace(layout, valid=np.ones((1, min(FEW, layout.pixels)), dtype=bool), segments=None)
@@ -224,7 +224,7 @@ class Plan:
 
 
 def plan(
-    layout: Layout,
+    layout: ParameterLayout,
     solver: Method,
     *,
     held: int,

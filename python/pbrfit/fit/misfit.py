@@ -14,13 +14,13 @@ Array = NDArray[np.float64]
 PAIRS = 1024
 """Neighbouring pixels by which a fit is judged."""
 
-NOISE_SHARED = 0.25
+NEIGHBOUR_CORRELATION_MAX = 0.25
 """Mean cosine between neighbours' residuals up to which these are noise. On six synthetic rooms
 noise of 1 %, or of float32, left at most 0.05; wrong normals, field of view or SH order 0.84 and
 more."""
 
 
-class Neighbours:
+class NeighbourPairs:
     """Some pairs of neighbouring pixels of a scene.
 
     Attributes
@@ -38,7 +38,7 @@ class Neighbours:
         self._first, self._second = np.searchsorted(self.pixels, pairs)
         self._objective = objective
 
-    def shared(self, x: Array) -> float:
+    def residual_correlation(self, x: Array) -> float:
         """Mean cosine between the residuals of neighbours at x; 0 where nothing is left of any.
 
         Each pair counts as much as any other: a few pixels that are still in a wrong minimum do not

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import Priors, penalties
-from pbrfit.fit.robust import MOST_PIXELS, loss_scale, noise_sigma, pull
+from pbrfit.fit.robust import MOST_PIXELS, irls_weights, loss_scale, noise_sigma
 from pbrfit.fit.sampling import spread
 from pbrfit.io.checks import real_array, real_number
 from pbrfit.model.materials import Materials
@@ -50,7 +50,7 @@ SH_ORDERS = (2, 3)
 
 
 @dataclass(frozen=True, eq=False)
-class Units:
+class Normalization:
     """What pictures and their weights are divided by before they are fitted.
 
     Attributes
@@ -68,7 +68,7 @@ class Units:
     largest_weight: float
 
     @classmethod
-    def of(cls, scene: Scene, equal_exposures: bool | None = None) -> Units:
+    def of(cls, scene: Scene, equal_exposures: bool | None = None) -> Normalization:
         """Of a scene; `equal_exposures` as for `Objective`.
 
         Raises
@@ -87,14 +87,14 @@ class Units:
 class Objective:
     """Mean squared error of the pictures as a function of x, with its gradient, plus penalties.
 
-    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts |
-    lighting (N, K, C)], float64, without what is known: metallic where it is fixed, known lights,
-    and normals unless they are free. What a scene does not need is not computed: grey pictures have
-    C = 1, lights of order 2 have K = 9 coefficients instead of 16, lights that are the same in all
-    channels are there once, (N, K). Samples count as much as `scene.weights` says. Inside, pictures
-    are divided by one scene scale that makes their mean valid radiance 0.4, and where exposures are
-    far apart each by its own (`pbrfit.scene.exposure`); `pack` and `unpack` convert between x and
-    maps and lights of three channels in the scene's own units.
+    x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tangent
+    offsets | lighting (N, K, C)], float64, without what is known: metallic where it is fixed, known
+    lights, and normals unless they are free. What a scene does not need is not computed: grey
+    pictures have C = 1, lights of order 2 have K = 9 coefficients instead of 16, lights that are
+    the same in all channels are there once, (N, K). Samples count as much as `scene.weights` says.
+    Inside, pictures are divided by one scene scale that makes their mean valid radiance 0.4, and
+    where exposures are far apart each by its own (`pbrfit.scene.exposure`); `pack` and `unpack`
+    convert between x and maps and lights of three channels in the scene's own units.
 
     The tilt (a, b) of a pixel turns its given normal n₀ to n = (n₀ + a t₁ + b t₂)/√(1 + a² + b²),
     with tangents t₁ and t₂ at n₀ (docs/model.md has them).
@@ -184,7 +184,7 @@ class Objective:
         equal_exposures: bool | None = None,
         free_normals: bool = False,
         model: Model | None = None,
-        units: Units | None = None,
+        units: Normalization | None = None,
     ) -> None:
         self.model = chosen_model(model, scene.model)
         threads = whole_number("threads", threads)
@@ -192,7 +192,7 @@ class Objective:
         if sh_order not in SH_ORDERS:
             raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
         self.known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
-        layout = Layout.of(
+        layout = ParameterLayout.of(
             scene,
             sh_order=sh_order,
             metallic_known=metallic is not None,
@@ -201,7 +201,7 @@ class Objective:
         )
         self.channels, self.coefficients = layout.channels, layout.coefficients
         self._lay_out(layout)
-        units = units or Units.of(scene, equal_exposures)
+        units = units or Normalization.of(scene, equal_exposures)
         self.weights = weights = _weights(scene, units.largest_weight) if layout.weighted else None
         self.samples = self.channels * (
             layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
@@ -223,10 +223,10 @@ class Objective:
         self.problem = self._problem(weights)
         self.penalties = [] if priors is None else penalties(layout, priors)
 
-    def _lay_out(self, layout: Layout) -> None:
+    def _lay_out(self, layout: ParameterLayout) -> None:
         self.layout, self.pixels, self.size = layout, layout.pixels, layout.size
         self.albedo, self.roughness = layout.albedo, layout.roughness
-        self.metallic, self.tilts = layout.metallic, layout.tilts
+        self.metallic, self.tangent_offsets = layout.metallic, layout.tangent_offsets
         self.lighting = layout.lighting
 
     @property
@@ -248,8 +248,8 @@ class Objective:
         maps[self.roughness] = START_ROUGHNESS
         if self.metallic is not None:
             maps[self.metallic] = START_METALLIC
-        if self.tilts is not None:
-            maps[self.tilts] = 0.0
+        if self.tangent_offsets is not None:
+            maps[self.tangent_offsets] = 0.0
         return self.with_best_lights(maps)
 
     def with_best_lights(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -362,7 +362,7 @@ class Objective:
         if self.robust is None:
             return self
         pixels = np.arange(self.pixels, dtype=np.uint64)
-        factors = pull(self.robust, self.problem.residuals(self.for_core(x), pixels))
+        factors = irls_weights(self.robust, self.problem.residuals(self.for_core(x), pixels))
         if self.weights is not None:
             factors *= self.weights[..., None]
         found = copy.copy(self)
@@ -436,7 +436,7 @@ class Objective:
                 values = _channels(values, self.channels).T.ravel()
             if name != "metallic" or self.metallic is not None:
                 maps.append(values)
-        if self.tilts is not None:
+        if self.tangent_offsets is not None:
             maps.append(np.zeros(2 * self.pixels))
         x = np.concatenate(maps)
         if lighting is None or self.lighting is None:
@@ -481,7 +481,7 @@ class Objective:
 
     def normals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """(P, 3): the unit normals of x, in camera space; the given ones where they are known."""
-        if self.tilts is None:
+        if self.tangent_offsets is None:
             return self._rows(self._scene.normals)
         return self.problem.normals(x[self.layout.maps])
 

@@ -1,4 +1,4 @@
-"""Layout: which unknowns a scene has, and where in x they lie."""
+"""ParameterLayout: which unknowns a scene has, and where in x they lie."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ORDER_2 = 9
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class ParameterLayout:
     """Where the unknowns of a scene lie in x.
 
     x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts
@@ -65,7 +65,7 @@ class Layout:
         metallic_known: bool = False,
         mono_light: bool = False,
         free_normals: bool = False,
-    ) -> Layout:
+    ) -> ParameterLayout:
         """Of the fit of `scene` with these options; see `Objective`.
 
         Grey pictures have one channel, and known lights without band 3 are of order 2: neither
@@ -122,7 +122,7 @@ class Layout:
         return None if self.metallic_known else slice(end, end + self.pixels)
 
     @property
-    def finish(self) -> tuple[slice, ...]:
+    def roughness_metallic(self) -> tuple[slice, ...]:
         """The planes that tell one finish from another: roughness, and metallic if it is free."""
         return (self.roughness,) if self.metallic is None else (self.roughness, self.metallic)
 
@@ -132,7 +132,7 @@ class Layout:
         return slice(0, (self.metallic or self.roughness).stop)
 
     @property
-    def tilts(self) -> slice | None:
+    def tangent_offsets(self) -> slice | None:
         """Two planes, a and b; None where normals are known."""
         end = self.materials.stop
         return slice(end, end + 2 * self.pixels) if self.free_normals else None
@@ -140,7 +140,7 @@ class Layout:
     @property
     def maps(self) -> slice:
         """All that are no lights."""
-        return slice(0, (self.tilts or self.materials).stop)
+        return slice(0, (self.tangent_offsets or self.materials).stop)
 
     @property
     def lighting(self) -> slice | None:

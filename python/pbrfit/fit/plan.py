@@ -1,4 +1,4 @@
-"""Needs: which parts the fit of a scene has, what is left out, and the weights chosen by rule."""
+"""FitPlan: which parts the fit of a scene has, what is left out, and the weights chosen by rule."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import Priors, prior_names, tied_neighbours
 from pbrfit.scene.scene import Scene
 
@@ -21,7 +21,7 @@ GREY_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True)
-class Needs:
+class FitPlan:
     """Which parts the fit of a scene has.
 
     Attributes
@@ -44,13 +44,13 @@ class Needs:
     def of(
         cls,
         scene: Scene,
-        layout: Layout,
+        layout: ParameterLayout,
         *,
         priors: Priors | None = None,
         robust: str = "none",
         uncertainty: bool = True,
         lighting: NDArray[np.float64] | None = None,
-    ) -> Needs:
+    ) -> FitPlan:
         """Of a fit with these options.
 
         Parameters
@@ -97,7 +97,7 @@ def color_deviation(lighting: NDArray[np.float64]) -> float:
 
 
 def _idle_priors(
-    layout: Layout, priors: Priors, lighting: NDArray[np.float64] | None
+    layout: ParameterLayout, priors: Priors, lighting: NDArray[np.float64] | None
 ) -> dict[str, str]:
     """Names of priors that are asked for but cannot or must not act, with the reason."""
     idle = {}
@@ -119,7 +119,7 @@ def _idle_priors(
     return idle
 
 
-def _used(layout: Layout, priors: Priors, robust: str, uncertainty: bool) -> Iterator[str]:
+def _used(layout: ParameterLayout, priors: Priors, robust: str, uncertainty: bool) -> Iterator[str]:
     weighted = ", with weights" if layout.weighted else ""
     yield f"{layout.pixels} pixels of {layout.pictures} pictures{weighted}"
     yield "albedo in three channels" if layout.channels == 3 else "albedo in one channel"
@@ -145,7 +145,7 @@ def _used(layout: Layout, priors: Priors, robust: str, uncertainty: bool) -> Ite
         yield "uncertainty"
 
 
-def _data_left_out(scene: Scene, layout: Layout) -> Iterator[str]:
+def _data_left_out(scene: Scene, layout: ParameterLayout) -> Iterator[str]:
     masked = 0 if scene.mask is None else int(np.count_nonzero(~scene.mask))
     if masked:
         yield f"{masked} pixels outside the mask"
@@ -159,7 +159,7 @@ def _data_left_out(scene: Scene, layout: Layout) -> Iterator[str]:
         yield f"{single} samples of weight 0 at other pixels"
 
 
-def _unknowns_left_out(scene: Scene, layout: Layout) -> Iterator[str]:
+def _unknowns_left_out(scene: Scene, layout: ParameterLayout) -> Iterator[str]:
     if layout.channels == 1:
         yield "second and third colour channel: equal to the first"
     elif layout.light_channels == 1 and layout.lighting is not None:

@@ -77,7 +77,7 @@ def loss_scale(loss: str, sigma: float) -> float:
     return SCALES[loss] * sigma
 
 
-def pull(loss: tuple[str, float], residuals: NDArray[np.float32]) -> NDArray[np.float32]:
+def irls_weights(loss: tuple[str, float], residuals: NDArray[np.float32]) -> NDArray[np.float32]:
     """φ'(e)/2e: how much a residual pulls beside its square, 1 for small ones.
 
     Squares with these weights have the slopes that the loss has.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.gauss_newton.light_spectrum import spectrum
 from pbrfit.fit.gauss_newton.normal_equations import WORKING_SET, chunks, held_at_bounds, inverse
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.sampling import spread
 from pbrfit.io.json_files import flag, number, whole
 from pbrfit.model.materials import Materials
@@ -292,7 +292,7 @@ def variances(objective: Objective, x: Array, lights: LightModes | None) -> Vari
 
 def of_variances(
     found: Variances,
-    layout: Layout,
+    layout: ParameterLayout,
     lights: LightModes | None,
     *,
     samples: int,
@@ -460,7 +460,7 @@ def _omitted(
     return float(1 - np.sqrt((kept[known] / (kept + rest)[known]).min(initial=1.0)))
 
 
-def _materials(values: NDArray[np.floating[Any]], layout: Layout) -> Materials:
+def _materials(values: NDArray[np.floating[Any]], layout: ParameterLayout) -> Materials:
     """Maps of (P, D); what is known has 0."""
     c = layout.channels
     metallic = np.zeros(layout.pixels) if layout.metallic_known else values[:, c + 1]
@@ -471,7 +471,7 @@ def _materials(values: NDArray[np.floating[Any]], layout: Layout) -> Materials:
     )
 
 
-def _flags(values: NDArray[np.bool_], layout: Layout) -> NDArray[np.bool_]:
+def _flags(values: NDArray[np.bool_], layout: ParameterLayout) -> NDArray[np.bool_]:
     """(H, W, 3) of (P, D), False outside the mask."""
     c = layout.channels
     flags = np.zeros((*layout.valid.shape, 3), dtype=bool)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.normals import refined_fit
-from pbrfit.fit.objective import Objective, Units
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.objective import Normalization, Objective
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import Priors
 from pbrfit.fit.solvers import Limits, Progress, Run, Solver
-from pbrfit.fit.solvers.run import Taught
+from pbrfit.fit.solvers.run import SharedState
 from pbrfit.fit.uncertainty import Uncertainty, estimate
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
@@ -57,9 +57,9 @@ class Asked:
     progress: Callable[[Progress], None] | None
     began: float
 
-    def layout(self, scene: Scene) -> Layout:
+    def layout(self, scene: Scene) -> ParameterLayout:
         """Which unknowns a scene has."""
-        return Layout.of(
+        return ParameterLayout.of(
             scene,
             sh_order=self.sh_order,
             metallic_known=self.metallic is not None,
@@ -67,7 +67,7 @@ class Asked:
         )
 
     def objective(
-        self, scene: Scene, *, free_normals: bool = False, units: Units | None = None
+        self, scene: Scene, *, free_normals: bool = False, units: Normalization | None = None
     ) -> Objective:
         """What is minimised."""
         return Objective(
@@ -87,7 +87,7 @@ class Asked:
         self,
         scene: Scene,
         objective: Objective,
-        taught: Taught | None = None,
+        taught: SharedState | None = None,
     ) -> Run:
         """A run that is about to begin."""
         return Run(
@@ -169,7 +169,7 @@ def fit_whole(scene: Scene, asked: Asked, start: Start) -> Found:
 
 
 def fit_pixels(
-    scene: Scene, asked: Asked, start: Start, units: Units | None = None
+    scene: Scene, asked: Asked, start: Start, units: Normalization | None = None
 ) -> tuple[refined_fit.Fit, Refinement]:
     """Where the fit of a scene ends, and what was decided about its normals.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pbrfit.fit import memory
-from pbrfit.fit.parameters import Layout
-from pbrfit.fit.plan import Needs
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.priors.penalties import Priors
 from pbrfit.io.normal_files import UNCERTAINTY
 from pbrfit.model import geometry
@@ -16,7 +16,7 @@ from pbrfit.scene import alignment
 from pbrfit.scene.scene import Scene
 
 
-def _needed(scene: Scene, layout: Layout) -> str:
+def _needed(scene: Scene, layout: ParameterLayout) -> str:
     """Memory that `decompose` needs at its peak, beside the interpreter and its libraries."""
     refinable = hindrance(scene) is None
     of_solver = {
@@ -65,7 +65,7 @@ def _refinable(scene: Scene) -> str:
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
-    layout = Layout.of(scene)
+    layout = ParameterLayout.of(scene)
     radiance = np.stack([scene.samples(i) for i in range(len(scene.images))])
     away = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
     found = [
@@ -96,7 +96,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
     if "model" not in scene.assumed:
         by = f"{scene.model}, with which the pictures were rendered"
         found.append(("assumed model", by if scene.model else f"{DEFAULT_MODEL}, the default"))
-    needs = Needs.of(scene, layout, priors=Priors())
+    needs = FitPlan.of(scene, layout, priors=Priors())
     found += [
         ("fit by default", "; ".join(needs.used)),
         ("left out", "; ".join(needs.left_out) or "nothing"),

@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evaluation_tasks import Task, work
-from test_evaluation import alive, until
 
+from evaluation_tasks import Task, work
 from pbrfit import Scene
 from pbrfit.batch import place, scenes
 from pbrfit.batch.driver import Attempt, drive
@@ -30,7 +29,7 @@ from pbrfit.batch.scenes import SceneTask, decompose_scene
 from pbrfit.batch.settings import Fitting, Reading
 from pbrfit.batch.unchanged import kept
 from pbrfit.fit import memory
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import Priors
 from pbrfit.io import images
 from pbrfit.io.weight_files import write_weights
@@ -38,6 +37,7 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.result.result import CONTAINS, FILES, Result
 from pbrfit.scene import folder as scene_folder
 from pbrfit.synthetic import make_scene
+from processes import alive, until
 from scene_files import FORMATS, SIZE, room, run, write_folder
 
 FEW = ("--iterations", 2, "--refine-normals", "off")
@@ -535,7 +535,7 @@ def test_memory_is_predicted_as_inspect_does(
     folder = write_folder(tmp_path / "scene", form)
     spoil(folder)
     scene = Scene.load(folder, max_size=max_size)
-    told = memory.of_fit(scene, Layout.of(scene), "auto", refine_normals=True).peak
+    told = memory.of_fit(scene, ParameterLayout.of(scene), "auto", refine_normals=True).peak
     predicted = of_scene(folder, Reading(max_size=max_size), Fitting()).peak
     reading = 48 * SIZE * SIZE
     if spoil is as_it_is and form == "float EXR":

@@ -19,12 +19,12 @@ from multiprocessing import util
 from pathlib import Path
 
 import pytest
-from test_evaluation import alive, until
 
 from pbrfit.batch import place
 from pbrfit.batch.executors import Processes
 from pbrfit.io.output import new_folder
 from pbrfit.result.result import CONTAINS
+from processes import alive, until
 from scene_files import run, write_folder
 
 FEW = ("--iterations", 2, "--refine-normals", "off")

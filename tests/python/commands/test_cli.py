@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_result import FILES, KEYS
 
 from pbrfit import InputError, Result, Scene
 from pbrfit.commands.arguments import add_priors, given_priors
@@ -24,6 +23,7 @@ from pbrfit.fit.priors.penalties import Priors
 from pbrfit.io import images
 from pbrfit.model.lighting import Lighting
 from pbrfit.synthetic import make_scene
+from result_files import FILES, KEYS
 from scene_files import FORMATS, LIGHTS, SIZE, room, run, write_folder, write_jpeg, write_normals
 
 FEW = ("--iterations", 3)

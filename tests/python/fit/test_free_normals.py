@@ -14,8 +14,8 @@ import reference
 from pbrfit import InputError
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import Layout
-from pbrfit.fit.robust import pull
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.robust import irls_weights
 from pbrfit.synthetic import make_scene
 
 Array = NDArray[np.float64]
@@ -59,13 +59,13 @@ def test_tilts_lie_between_materials_and_lights(options: dict[str, Any]) -> None
     scene = room()
     known, free = (Objective(scene, **options, free_normals=f) for f in (False, True))
     p = free.pixels
-    assert known.tilts is None
-    assert free.tilts is not None
+    assert known.tangent_offsets is None
+    assert free.tangent_offsets is not None
     assert free.lighting is not None
     assert known.lighting is not None
-    assert free.tilts == slice(known.layout.maps.stop, known.layout.maps.stop + 2 * p)
+    assert free.tangent_offsets == slice(known.layout.maps.stop, known.layout.maps.stop + 2 * p)
     assert free.layout.materials == known.layout.maps
-    assert free.layout.maps.stop == free.tilts.stop == free.lighting.start
+    assert free.layout.maps.stop == free.tangent_offsets.stop == free.lighting.start
     assert free.size == known.size + 2 * p
     assert free.problem.size == known.problem.size + 2 * p
     bounds = free.bounds
@@ -78,8 +78,8 @@ def test_the_start_has_the_given_normals(options: dict[str, Any]) -> None:
     scene = room()
     known, free = (Objective(scene, **options, free_normals=f) for f in (False, True))
     x, start = known.start(), free.start()
-    np.testing.assert_allclose(np.delete(start, np.r_[free.tilts]), x, rtol=0, atol=1e-6)
-    assert not start[free.tilts].any()
+    np.testing.assert_allclose(np.delete(start, np.r_[free.tangent_offsets]), x, rtol=0, atol=1e-6)
+    assert not start[free.tangent_offsets].any()
     given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
     np.testing.assert_array_equal(known.normals(x), given)
     np.testing.assert_allclose(free.normals(start), given, rtol=0, atol=1e-6)
@@ -88,7 +88,7 @@ def test_the_start_has_the_given_normals(options: dict[str, Any]) -> None:
     materials = truth(scene).materials
     packed = free.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
     assert packed.shape == (free.size,)
-    assert not packed[free.tilts].any()
+    assert not packed[free.tangent_offsets].any()
     found, _ = free.unpack(packed)
     np.testing.assert_allclose(found.roughness, materials.roughness, rtol=0, atol=1e-12)
 
@@ -98,7 +98,7 @@ def test_normals_are_the_given_ones_turned() -> None:
     objective = Objective(scene, free_normals=True)
     x = objective.start()
     tilts = np.random.default_rng(0).normal(size=(2, objective.pixels))
-    x[objective.tilts] = tilts.ravel()
+    x[objective.tangent_offsets] = tilts.ravel()
     given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
     expected = reference.turned(given, tilts)
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
@@ -118,12 +118,12 @@ def test_the_tilts_to_the_true_normals_explain_the_pictures() -> None:
         materials.albedo, materials.roughness, materials.metallic, truth(scene).lighting
     )
     wrong, gradient = objective.value_and_grad(x)
-    x[objective.tilts] = tilts_back(
+    x[objective.tangent_offsets] = tilts_back(
         np.asarray(disturbed.normals, dtype=np.float64)[scene.valid], given
     ).ravel()
     right, _ = objective.value_and_grad(x)
     assert right < 1e-9 < 1e-4 < wrong
-    assert np.abs(gradient[objective.tilts]).max() > 0
+    assert np.abs(gradient[objective.tangent_offsets]).max() > 0
     # The best lights at these normals are the true ones.
     again = objective.with_best_lights(x)
     np.testing.assert_allclose(again[objective.lighting], x[objective.lighting], atol=1e-3)
@@ -134,7 +134,7 @@ def test_a_part_keeps_its_tilts() -> None:
     objective = Objective(scene, free_normals=True)
     rng = np.random.default_rng(2)
     x = objective.start()
-    x[objective.tilts] = 0.3 * rng.normal(size=2 * objective.pixels)
+    x[objective.tangent_offsets] = 0.3 * rng.normal(size=2 * objective.pixels)
     pixels = np.sort(rng.choice(objective.pixels, 100, replace=False)).astype(np.uint64)
     part, of_part = objective.restricted(pixels), objective.part_of(x, pixels)
     assert part.size == of_part.size
@@ -145,8 +145,10 @@ def test_a_part_keeps_its_tilts() -> None:
     )
     again = objective.start()
     objective.put_part(again, pixels, of_part)
-    planes = again[objective.tilts].reshape(2, -1)
-    np.testing.assert_array_equal(planes[:, pixels], x[objective.tilts].reshape(2, -1)[:, pixels])
+    planes = again[objective.tangent_offsets].reshape(2, -1)
+    np.testing.assert_array_equal(
+        planes[:, pixels], x[objective.tangent_offsets].reshape(2, -1)[:, pixels]
+    )
     assert np.count_nonzero(planes) == 200
 
 
@@ -165,14 +167,14 @@ def test_gradients_are_those_of_the_loss(options: dict[str, Any], loss: str) -> 
 def test_reweighted_squares_have_the_gradient_of_the_robust_loss(loss: str) -> None:
     objective = Objective(room(noise=0.05), free_normals=True)
     x = objective.start()
-    x[objective.tilts] = 0.1 * np.random.default_rng(3).normal(size=2 * objective.pixels)
+    x[objective.tangent_offsets] = 0.1 * np.random.default_rng(3).normal(size=2 * objective.pixels)
     objective.robust = objective.robust_around(x, loss)
     _, gradient = objective.value_and_grad(x)
     _, of_squares = objective.reweighted(x).value_and_grad(x)
     # Each is a mean, over sums of weights of its own.
     assert objective.robust is not None
     every = np.arange(objective.pixels, dtype=np.uint64)
-    factors = pull(objective.robust, objective.problem.residuals(x, every))
+    factors = irls_weights(objective.robust, objective.problem.residuals(x, every))
     factor = factors.sum(dtype=float) / objective.total_weight
     np.testing.assert_allclose(
         factor * of_squares, gradient, rtol=0, atol=1e-5 * np.abs(gradient).max()
@@ -192,7 +194,7 @@ def test_refused_tilts_are_named() -> None:
 
 
 def test_without_free_normals_nothing_is_laid_out_for_them() -> None:
-    layout = Layout.of(room())
+    layout = ParameterLayout.of(room())
     assert not layout.free_normals
-    assert layout.tilts is None
+    assert layout.tangent_offsets is None
     assert layout.maps == layout.materials

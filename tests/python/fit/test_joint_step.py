@@ -104,7 +104,7 @@ def case(
     on_bound = np.zeros(len(x), bool)
     on_bound[layout.materials] = np.isin(x[layout.materials], (0, 1))
     x += np.where(on_bound, 0, away * rng.normal(size=len(x)))
-    count, finish = few.pixels, len(layout.finish)
+    count, finish = few.pixels, len(layout.roughness_metallic)
     values = x[layout.materials].reshape(-1, count).T[:, layout.channels :]
     pull = Pull(
         values + away * rng.normal(size=(count, finish)),
@@ -138,7 +138,7 @@ def dense(case: Case) -> tuple[Array, Array]:
     pixels = np.arange(count, dtype=np.uint64)
     by_unknowns, by_light, omega = few.problem.derivatives(few.for_core(x), pixels)
     left = few.problem.residuals(few.for_core(x), pixels)
-    finish = len(layout.finish)
+    finish = len(layout.roughness_metallic)
     planes = np.arange(layout.maps.stop).reshape(-1, count)
     columns = light_columns(few)
     size = len(x) + CLUSTERS * finish
@@ -234,7 +234,7 @@ def test_the_joint_step_solves_the_whole_system(kind: str) -> None:
     made = case(**KINDS[kind])
     layout = made.few.layout
     step, offsets = solution(made)
-    assert layout.tilts is not None
+    assert layout.tangent_offsets is not None
     assert layout.lighting is not None
     found = taken(made)
     expected = made.state.x + step
@@ -242,10 +242,10 @@ def test_the_joint_step_solves_the_whole_system(kind: str) -> None:
     # Nothing is cut off, else the comparison would be of limits.
     roughness = step[layout.roughness]
     assert np.abs(roughness).max() < ROUGHNESS_REACH
-    assert np.linalg.norm(step[layout.tilts].reshape(2, -1), axis=0).max() < REACH
+    assert np.linalg.norm(step[layout.tangent_offsets].reshape(2, -1), axis=0).max() < REACH
     for name, block in {
         "materials": layout.materials,
-        "tilts": layout.tilts,
+        "tilts": layout.tangent_offsets,
         "lights": layout.lighting,
     }.items():
         size = np.abs(step[block]).max()
@@ -285,8 +285,8 @@ def test_a_step_from_far_away_stays_within_reach(damping: float) -> None:
     materials = found.x[layout.materials]
     assert materials.min() >= 0
     assert materials.max() <= 1
-    assert layout.tilts is not None
-    turned = np.linalg.norm((found.x - x)[layout.tilts].reshape(2, -1), axis=0)
+    assert layout.tangent_offsets is not None
+    turned = np.linalg.norm((found.x - x)[layout.tangent_offsets].reshape(2, -1), axis=0)
     assert turned.max() <= REACH * (1 + 1e-12)
     if damping == 0:
         assert turned.max() == pytest.approx(REACH)
@@ -297,7 +297,7 @@ def test_damping_shortens_the_step() -> None:
     made = case(sh_order=2)
     layout = made.few.layout
     lengths = [
-        np.linalg.norm((taken(made, damping).x - made.state.x)[layout.tilts])
+        np.linalg.norm((taken(made, damping).x - made.state.x)[layout.tangent_offsets])
         for damping in (0.0, 1e-2, 1.0, 100.0)
     ]
     assert lengths == sorted(lengths, reverse=True)
@@ -314,7 +314,7 @@ def test_pixels_that_no_picture_shows_stay_where_neighbours_are() -> None:
     assert np.isfinite(found.offsets).all()
     materials = (found.x - made.state.x)[layout.materials].reshape(-1, made.few.pixels)
     np.testing.assert_array_equal(materials[:, 10], 0)
-    assert layout.tilts is not None
-    tilts = found.x[layout.tilts].reshape(2, -1).T
+    assert layout.tangent_offsets is not None
+    tilts = found.x[layout.tangent_offsets].reshape(2, -1).T
     centre, _ = made.prior.beside_others(tilts, VARIANCE)
     np.testing.assert_allclose(tilts[10], centre[10], rtol=0, atol=1e-12)

@@ -194,7 +194,7 @@ def test_the_grid_refuses_what_it_cannot_use(
 def some_pull(
     objective: Objective, pixels: Pixels, rng: np.random.Generator, clusters: int = 4
 ) -> Pull:
-    f = len(objective.layout.finish)
+    f = len(objective.layout.roughness_metallic)
     centre = rng.uniform(0.2, 0.8, (len(pixels), f))
     precision = rng.uniform(0.01, 0.05, (len(pixels), f))
     cluster = rng.permutation(np.arange(len(pixels)) % clusters)
@@ -206,7 +206,7 @@ def total_of(objective: Objective, x: Array, pixels: Pixels, pull: Pull) -> floa
     residuals = objective.problem.residuals(objective.for_core(x), pixels).astype(np.float64)
     _, _, weights = objective.problem.derivatives(objective.for_core(x), pixels)
     total = (weights.transpose(1, 0, 2) * residuals**2).sum()
-    for f, block in enumerate(objective.layout.finish):
+    for f, block in enumerate(objective.layout.roughness_metallic):
         for g in range(pull.clusters):
             here = pull.cluster == g
             a, d = pull.precision[here, f], x[block][pixels[here]] - pull.centre[here, f]
@@ -262,7 +262,9 @@ def test_the_pull_has_the_right_gradient(room: Scene) -> None:
     objective = Objective(room)
     rng = np.random.default_rng(5)
     pixels = np.arange(objective.pixels, dtype=np.uint64)
-    penalty = MaterialPull(some_pull(objective, pixels, rng, 7), objective.layout.finish, 0.3)
+    penalty = MaterialPull(
+        some_pull(objective, pixels, rng, 7), objective.layout.roughness_metallic, 0.3
+    )
     x = some_point(objective, rng)
     gradient = np.zeros(objective.size)
     value = penalty.value_and_grad(x, gradient)
@@ -281,9 +283,9 @@ def test_the_pull_lets_a_cluster_move_as_a_whole(room: Scene) -> None:
     objective = Objective(room)
     pixels = np.arange(objective.pixels, dtype=np.uint64)
     pull = some_pull(objective, pixels, np.random.default_rng(6), clusters=3)
-    penalty = MaterialPull(pull, objective.layout.finish, 1.0)
+    penalty = MaterialPull(pull, objective.layout.roughness_metallic, 1.0)
     x = objective.start()
-    for f, block in enumerate(objective.layout.finish):
+    for f, block in enumerate(objective.layout.roughness_metallic):
         x[block] = pull.centre[:, f]
     at_centre = penalty.value_and_grad(x, np.zeros(objective.size))
     assert at_centre == pytest.approx(0, abs=1e-20)

@@ -16,7 +16,7 @@ import pbrfit
 from pbrfit._core import InputError
 from pbrfit.fit import memory
 from pbrfit.fit.memory import FitMemory, Method
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 
 GIB = 2**30
 
@@ -29,7 +29,7 @@ import scipy.optimize
 
 import pbrfit
 from pbrfit import memory, projected_lbfgs
-from pbrfit.layout import Layout
+from pbrfit.layout import ParameterLayout
 from pbrfit.objective import Objective
 
 method, size = sys.argv[1], 256
@@ -60,7 +60,7 @@ if method == "lbfgsb":
 else:
     bounds = projected_lbfgs.Bounds.of_slices(objective.size, (objective.layout.maps, 0.0, 1.0))
     projected_lbfgs.minimize(objective.value_and_grad, x0, bounds, iterations=20)
-print(resident("VmHWM") - before, memory.of_fit(scene, Layout.of(scene), method).further)
+print(resident("VmHWM") - before, memory.of_fit(scene, ParameterLayout.of(scene), method).further)
 """
 
 
@@ -172,7 +172,7 @@ class TestRefiningNormals:
     @pytest.fixture
     def scene(self, system: Path) -> pbrfit.Scene:
         scene = scene_of(16, 4)
-        layout = Layout.of(scene)
+        layout = ParameterLayout.of(scene)
         held = memory.of_fit(scene, layout, "auto").further
         both = memory.of_fit(scene, layout, "auto", refine_normals=True).further
         assert held < both
@@ -193,7 +193,7 @@ class TestRefiningNormals:
 class TestPrediction:
     def test_adds_up(self) -> None:
         scene = scene_of(64, 4)
-        needed = memory.of_fit(scene, Layout.of(scene), "lbfgsb")
+        needed = memory.of_fit(scene, ParameterLayout.of(scene), "lbfgsb")
         assert needed.scene == scene.images.nbytes + scene.normals.nbytes
         assert needed.further == needed.core + max(needed.making, needed.solver)
         assert needed.peak == needed.scene + needed.further
@@ -202,18 +202,18 @@ class TestPrediction:
         """16 pictures: at most 8 times their own bytes, and 4 MP within 8 GiB."""
         size, pictures = 512, 16
         scene = scene_of(size, pictures)
-        needed = memory.of_fit(scene, Layout.of(scene), "auto")
+        needed = memory.of_fit(scene, ParameterLayout.of(scene), "auto")
         own = pictures * size**2 * 12
         assert needed.peak < 8 * own
         assert needed.peak * (2048 / size) ** 2 < 8 * GIB
-        assert memory.of_fit(scene, Layout.of(scene), "lbfgsb").peak > 1.5 * needed.peak
+        assert memory.of_fit(scene, ParameterLayout.of(scene), "lbfgsb").peak > 1.5 * needed.peak
 
     @pytest.mark.parametrize("method", ["lbfgsb", "auto"])
     def test_counts_refining_normals_apart(self, method: Method) -> None:
         """2 MP with 16 pictures within 8 GiB."""
         size = 512
         scene = scene_of(size, 16)
-        layout = Layout.of(scene)
+        layout = ParameterLayout.of(scene)
         held = memory.of_fit(scene, layout, method)
         refined = memory.of_fit(scene, layout, method, refine_normals=True)
         assert held.refining == 0

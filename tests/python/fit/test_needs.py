@@ -1,4 +1,4 @@
-"""Needs: which parts of a fit apply, and why others do not."""
+"""FitPlan: which parts of a fit apply, and why others do not."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import Layout
-from pbrfit.fit.plan import GREY_WEIGHT, NEAR_GREY, Needs, color_deviation
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.plan import GREY_WEIGHT, NEAR_GREY, FitPlan, color_deviation
 from pbrfit.fit.priors.penalties import Priors, prior_names
 from pbrfit.synthetic import make_scene
 
@@ -36,11 +36,11 @@ def grey() -> pbrfit.Scene:
     return dataclasses.replace(made, images=np.repeat(made.images[..., :1], 3, axis=-1))
 
 
-def needs(of: pbrfit.Scene, priors: Priors | None = ALL, **options: Any) -> Needs:
+def needs(of: pbrfit.Scene, priors: Priors | None = ALL, **options: Any) -> FitPlan:
     """Of a fit with `options` of a layout, and others."""
     keys = ("sh_order", "metallic_known", "mono_light")
-    layout = Layout.of(of, **{key: options.pop(key) for key in keys if key in options})
-    return Needs.of(of, layout, priors=priors, **options)
+    layout = ParameterLayout.of(of, **{key: options.pop(key) for key in keys if key in options})
+    return FitPlan.of(of, layout, priors=priors, **options)
 
 
 def off_grey(deviation: float) -> NDArray[np.float64]:
@@ -63,7 +63,8 @@ def test_a_scene_that_has_all_leaves_out_nothing() -> None:
         "roughness",
         "metallic",
         "lights of order 3 in three channels",
-        f"prior material, weight 1: learnt for {Layout.of(scene()).segment_count} segments",
+        "prior material, weight 1: learnt for "
+        f"{ParameterLayout.of(scene()).segment_count} segments",
         *(f"prior {name}, weight 1" for name in prior_names() if name != "material"),
         "uncertainty",
     )

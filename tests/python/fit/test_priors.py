@@ -16,7 +16,7 @@ import pbrfit
 from pbrfit import InputError, _core
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import Penalty, Priors, penalties, prior_names, tied_neighbours
 from pbrfit.scene.segments import consecutive_labels
 from pbrfit.synthetic import make_scene
@@ -26,13 +26,13 @@ Array = NDArray[np.float64]
 ALL = Priors(material=1.0, cohesion=0.7, smoothness=0.3, sparsity=0.2, monochrome=0.5)
 
 
-def layout(valid: Any, segments: Any = None, **changes: Any) -> Layout:
+def layout(valid: Any, segments: Any = None, **changes: Any) -> ParameterLayout:
     """Of `valid` (H, W) and ids (H, W), with two pictures and four coefficients."""
     valid = np.asarray(valid, bool)
     labels, count = None, 0
     if segments is not None:
         labels, count = consecutive_labels(np.asarray(segments)[valid])
-    made = Layout(
+    made = ParameterLayout(
         valid=valid,
         segments=labels,
         segment_count=count,
@@ -76,11 +76,11 @@ def ints(*values: int) -> NDArray[np.int64]:
     return np.array(values, dtype=np.int64)
 
 
-def random_x(of: Layout, seed: int = 0) -> Array:
+def random_x(of: ParameterLayout, seed: int = 0) -> Array:
     return np.random.default_rng(seed).random(of.size)
 
 
-def slow_values(of: Layout, x: Array) -> dict[str, float]:
+def slow_values(of: ParameterLayout, x: Array) -> dict[str, float]:
     """Each prior at weight 1, pixel by pixel from its definition."""
     pixels = [(int(i), int(j)) for i, j in np.argwhere(of.valid)]
     labels = [0] * len(pixels) if of.segments is None else [int(label) for label in of.segments]
@@ -214,7 +214,7 @@ def test_neighbours_are_tied_unless_in_two_segments() -> None:
 # --- Weights mean the same for every scene ---
 
 
-def smooth_maps(size: int) -> tuple[Layout, Array]:
+def smooth_maps(size: int) -> tuple[ParameterLayout, Array]:
     """The same two waves in two segments, at any resolution; a third of the picture is masked."""
     y, x = (np.mgrid[:size, :size] + 0.5) / size
     of = layout(x > 1 / 3, np.where(y > 0.5, 1, 2))

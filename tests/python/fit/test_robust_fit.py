@@ -12,7 +12,7 @@ import pytest
 import pbrfit
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import LEAST_SIGMA, Objective
-from pbrfit.fit.robust import FEWEST_DEGREES, LOSSES, MEDIAN_TO_SIGMA, SCALES, pull
+from pbrfit.fit.robust import FEWEST_DEGREES, LOSSES, MEDIAN_TO_SIGMA, SCALES, irls_weights
 from pbrfit.fit.solvers import Solver
 from pbrfit.synthetic import make_scene
 
@@ -162,7 +162,9 @@ def test_reweighted_squares_have_the_gradient_of_the_loss(name: str, weighted: b
     reweighted = objective.reweighted(x)
     assert reweighted.robust is None
     # Each is a mean, over sums of weights of its own.
-    factors = pull(objective.robust, objective.problem.residuals(x, np.arange(144, dtype="u8")))
+    factors = irls_weights(
+        objective.robust, objective.problem.residuals(x, np.arange(144, dtype="u8"))
+    )
     if objective.weights is not None:
         factors *= objective.weights[..., None]
     by_squares = reweighted.value_and_grad(x)[1] * factors.sum(dtype=float) / objective.total_weight
@@ -172,7 +174,7 @@ def test_reweighted_squares_have_the_gradient_of_the_loss(name: str, weighted: b
 @pytest.mark.parametrize(("name", "expected"), [("huber", 0.25), ("cauchy", 1 / 17)])
 def test_pull(name: str, expected: float) -> None:
     sizes = np.array([0, 1e-6, -0.02, 1e30, -3e38], dtype=np.float32)
-    found = pull((name, 0.005), sizes)
+    found = irls_weights((name, 0.005), sizes)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found[:3], [1, 1, expected], rtol=1e-6)
     assert (found[3:] < 1e-18).all()

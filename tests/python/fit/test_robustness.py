@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_result import FILES
 
 from pbrfit import Result, Scene, decompose
 from pbrfit.fit.solvers import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
+from result_files import FILES
 from scene_files import room, run, write_folder
 
 PBRFIT = (sys.executable, "-m", "pbrfit")

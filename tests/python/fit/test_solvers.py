@@ -14,7 +14,7 @@ import pytest
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene, decompose
-from pbrfit.fit.misfit import NOISE_SHARED, Neighbours
+from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
 from pbrfit.fit.solvers import SOLVERS, Solver
 from pbrfit.model import reflection as model
 from pbrfit.synthetic import make_scene
@@ -186,8 +186,8 @@ def test_neighbours_share_what_the_model_lacks_and_not_noise() -> None:
         maps = scene.truth.materials
         objective = Objective(scene)
         x = objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
-        shared = Neighbours(objective).shared(x)
-        assert (shared > NOISE_SHARED) == alike
+        shared = NeighbourPairs(objective).residual_correlation(x)
+        assert (shared > NEIGHBOUR_CORRELATION_MAX) == alike
         assert shared > 0.5 if alike else shared < 0.1
 
 
@@ -196,7 +196,7 @@ def test_no_pixel_has_a_neighbour() -> None:
     mask = np.zeros((24, 24), bool)
     mask[::2, ::2] = True
     scene = dataclasses.replace(scene, mask=mask)
-    judges = Neighbours(Objective(scene, priors=None)).pixels
+    judges = NeighbourPairs(Objective(scene, priors=None)).pixels
     assert judges.shape == (0,)
     for solver in SOLVERS:
         result = decompose(scene, solver=solver, priors=None, iterations=60)

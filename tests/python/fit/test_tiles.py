@@ -403,7 +403,8 @@ class TestWhenTilesAreUsed:
     def plan(self, pixels: int, solver: Any = "auto") -> memory.Plan:
         scene = make_scene("room", size=8, lights=3, held_out=1)
         layout = replace(
-            pbrfit.fit.parameters.Layout.of(scene), valid=np.broadcast_to(np.True_, (1, pixels))
+            pbrfit.fit.parameters.ParameterLayout.of(scene),
+            valid=np.broadcast_to(np.True_, (1, pixels)),
         )
         return memory.plan(layout, solver, held=pixels * 48, refine_normals=True, optional=True)
 
@@ -464,7 +465,8 @@ class TestWhenTilesAreUsed:
         scene = make_scene("room", size=8, lights=16, held_out=1)
         pixels = 8_000_000
         layout = replace(
-            pbrfit.fit.parameters.Layout.of(scene), valid=np.broadcast_to(np.True_, (1, pixels))
+            pbrfit.fit.parameters.ParameterLayout.of(scene),
+            valid=np.broadcast_to(np.True_, (1, pixels)),
         )
         held = pixels * (16 * 12 + 24)
         needed = memory.of_tiles(layout, held=held, refine_normals=True)

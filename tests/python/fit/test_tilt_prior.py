@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.normals.offset_prior import LARGEST_SPREAD, SMALLEST_SPREAD, TiltPrior
 from pbrfit.fit.normals.strided_subset import Neighbourhood, lattice, numbered
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
 
 VARIANCE = 0.7
 
 
-def layout(valid: NDArray[np.bool_]) -> Layout:
+def layout(valid: NDArray[np.bool_]) -> ParameterLayout:
     known: Any = SimpleNamespace(valid=valid, pixels=int(np.count_nonzero(valid)))
     return known  # type: ignore[no-any-return]
 

@@ -18,9 +18,9 @@ from pbrfit.fit.priors.penalties import Priors
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.result.refinement import NOT_ASKED
 from pbrfit.synthetic import make_scene
+from result_files import FILES, KEYS
 
 SIZE = 12
-FILES = ["history.csv", "lighting.json", "materials.exr", "preview.png", "result.json"]
 LAYERS = {
     *("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y"),
     *("normal.X", "normal.Y", "normal.Z", "mask.Y"),
@@ -35,11 +35,6 @@ LAYERS = {
         for parameter in ("albedo", "roughness", "metallic")
     ),
 }
-KEYS = [
-    *("version", "status", "stop_reason", "fov", "model", "iterations", "evaluations"),
-    *("seconds", "protocol", "metrics", "uncertainty", "normals", "options", "assumed", "left_out"),
-    *("stages", "inputs", "scene", "files"),
-]
 HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
 ERRORS = ["albedo_rmse", "roughness_rmse", "metallic_rmse"]
 

@@ -19,6 +19,13 @@ valleys, and trying all finishes frees the pixels; each alone stalls too.
 Where lights are known there is 2 alone.
 """
 
-from pbrfit.fit.gauss_newton.driver import Fit, Lit, Watch, find_lights, fit_materials, fit_pulled
+from pbrfit.fit.gauss_newton.driver import (
+    Fit,
+    LightEstimate,
+    Watch,
+    find_lights,
+    fit_materials,
+    fit_pulled,
+)
 
-__all__ = ["Fit", "Lit", "Watch", "find_lights", "fit_materials", "fit_pulled"]
+__all__ = ["Fit", "LightEstimate", "Watch", "find_lights", "fit_materials", "fit_pulled"]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.gauss_newton import subsample
 from pbrfit.fit.gauss_newton.global_gauss_newton import polish
 from pbrfit.fit.gauss_newton.pixels import STEPS, Towards, descended, fit_all, place, retry, taken
-from pbrfit.fit.misfit import NOISE_SHARED, Neighbours
+from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.material import HeldPull, MaterialPull
 
@@ -71,7 +71,7 @@ class Watch(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Lit:
+class LightEstimate:
     """x with lights, and with the materials of the pixels that found and judged them.
 
     Attributes
@@ -101,16 +101,18 @@ class Fit:
     squares: Array
 
 
-def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> Lit:
+def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> LightEstimate:
     """Lights that explain some pixels, from those of x; where they are known, they are left.
 
     Few pixels may lead into a wrong valley. So where their lights leave more than noise of the
     pixels that judge, others try from x. If all leave about the same, it is the model that does not
     fit; else more pixels go on from the lights that leave least.
     """
-    judge = Neighbours(objective)
+    judge = NeighbourPairs(objective)
     if objective.lighting is None:
-        return Lit(x.copy(), fits=True, judges=judge.pixels, squares=0.0, note="lights known")
+        return LightEstimate(
+            x.copy(), fits=True, judges=judge.pixels, squares=0.0, note="lights known"
+        )
     search = _Search(objective, judge, watch, np.random.default_rng(seed))
     with _one_blas_thread():
         best, worst = None, 0.0
@@ -145,13 +147,13 @@ class _Search:
     """
 
     def __init__(
-        self, objective: Objective, judge: Neighbours, watch: Watch, rng: np.random.Generator
+        self, objective: Objective, judge: NeighbourPairs, watch: Watch, rng: np.random.Generator
     ) -> None:
         self._objective, self._judge, self._watch, self._rng = objective, judge, watch, rng
         self.used: list[int] = []
         self.stopped = False
 
-    def by(self, size: int, x: Array) -> Lit:
+    def by(self, size: int, x: Array) -> LightEstimate:
         """Lights that so many pixels find from x, judged."""
         objective, judge, layout = self._objective, self._judge, self._objective.layout
         lights = layout.light_channels * layout.pictures * layout.coefficients
@@ -161,10 +163,10 @@ class _Search:
         x, self.stopped = _lit_by(objective, x, chosen.astype(np.uint64), self._watch)
         materials, squares = descended(objective, x, judge.pixels, steps=STEPS, starts=2)
         place(objective, x, judge.pixels, materials)
-        fits = not judge.pixels.size or judge.shared(x) <= NOISE_SHARED
-        return Lit(x, fits, judge.pixels, float(squares.sum()), "")
+        fits = not judge.pixels.size or judge.residual_correlation(x) <= NEIGHBOUR_CORRELATION_MAX
+        return LightEstimate(x, fits, judge.pixels, float(squares.sum()), "")
 
-    def is_exact(self, lit: Lit) -> bool:
+    def is_exact(self, lit: LightEstimate) -> bool:
         """Whether nothing is left of the pixels that judge."""
         share = len(lit.judges) / self._objective.pixels
         return lit.squares <= EXACT**2 * self._objective.total_weight * share

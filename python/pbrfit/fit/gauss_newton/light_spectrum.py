@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.fit.gauss_newton.normal_equations import Eliminated, chunks, eliminate
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Spectrum:
 def spectrum(
     problem: _core.Problem,
     x: Array,
-    layout: Layout,
+    layout: ParameterLayout,
     pixels: NDArray[np.uint64],
     held: NDArray[np.bool_],
 ) -> Spectrum:
@@ -99,7 +99,9 @@ def _units(alone: Array) -> tuple[Array, Array]:
     return roots[:, :, None] * directions.transpose(0, 2, 1), directions * inverses[:, None, :]
 
 
-def _leading(parts: list[Eliminated], from_units: Array, layout: Layout) -> tuple[Array, Array]:
+def _leading(
+    parts: list[Eliminated], from_units: Array, layout: ParameterLayout
+) -> tuple[Array, Array]:
     """Smallest λ and their directions.
 
     Subspace iteration with 1 − Tᵀ S T = Σ_p Tᵀ Bᵀ A⁻¹ B T from random directions (N. Halko,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def _scaled(matrices: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
     return scaled, scale
 
 
-def held_at_bounds(x: Array, layout: Layout) -> NDArray[np.bool_]:
+def held_at_bounds(x: Array, layout: ParameterLayout) -> NDArray[np.bool_]:
     """(P, D): unknowns of pixels that lie on a bound."""
     materials = x[layout.maps].reshape(-1, layout.pixels).T
     return (materials <= 0) | (materials >= 1)
@@ -102,7 +102,7 @@ class Eliminated:
     whiten: Array
     rows: Array
 
-    def information_alone(self, layout: Layout) -> Array:
+    def information_alone(self, layout: ParameterLayout) -> Array:
         """(N, light channels, K, K): what the pixels say about lights if materials are known."""
         w = self.by_light
         gram = np.einsum("pnc,pck,pcl->nckl", self.weights, w, w, optimize=True)
@@ -110,7 +110,7 @@ class Eliminated:
             gram = gram.sum(axis=1, keepdims=True)
         return np.asarray(gram)
 
-    def information(self, layout: Layout) -> Array:
+    def information(self, layout: ParameterLayout) -> Array:
         """(M, M): what is left of it when materials are solved for, G − Σ_p Bᵀ A⁻¹ B."""
         channels, unknowns = layout.channels, self.rows.shape[1]
         n, lit, k = layout.pictures, layout.light_channels, layout.coefficients
@@ -129,7 +129,7 @@ class Eliminated:
         by_light[lights, :, lights, :] += self.information_alone(layout).reshape(-1, k, k)
         return found
 
-    def imitated(self, lights: Array, layout: Layout) -> Array:
+    def imitated(self, lights: Array, layout: ParameterLayout) -> Array:
         """Σ_p Bᵀ A⁻¹ B v, the part of v that materials imitate, for `lights` (N, ·, K, R) = v."""
         n, lit, k, count = lights.shape
         channels = layout.channels
@@ -148,7 +148,7 @@ class Eliminated:
                 found[:, c % lit] += by_light.transpose(1, 0, 2)
         return found
 
-    def light_rows(self, chunk: slice, layout: Layout) -> Array:
+    def light_rows(self, chunk: slice, layout: ParameterLayout) -> Array:
         """U B of roughness and metallic, (pixels · unknowns, M)."""
         rows = self.rows[chunk, layout.channels :, ..., None] * self.by_light[chunk, None, None]
         if layout.light_channels < layout.channels:
@@ -159,7 +159,7 @@ class Eliminated:
 def eliminate(
     problem: _core.Problem,
     x: Array,
-    layout: Layout,
+    layout: ParameterLayout,
     pixels: NDArray[np.uint64],
     held: NDArray[np.bool_],
     *,
@@ -192,7 +192,7 @@ def chunks(count: int, bytes_each: int) -> list[slice]:
     return [slice(first, min(first + step, count)) for first in range(0, count, step)]
 
 
-def _by_unknowns(by_material: Array, layout: Layout) -> Array:
+def _by_unknowns(by_material: Array, layout: ParameterLayout) -> Array:
     """(P, N, C, D) from (P, N, C, 3): the albedo of a channel changes that channel alone."""
     c = layout.channels
     unknowns = c + (1 if layout.metallic_known else 2)
@@ -211,7 +211,7 @@ def _products(jacobian: Array, weights: Array) -> Array:
     return np.asarray(weighted.transpose(0, 2, 1) @ rows)
 
 
-def as_in_x(moves: Array, layout: Layout) -> Array:
+def as_in_x(moves: Array, layout: ParameterLayout) -> Array:
     """From (light channel, picture, coefficient), as the core has them, to the order in x."""
     shape = (layout.light_channels, layout.pictures, layout.coefficients)
     return moves.reshape(shape).transpose(1, 2, 0).ravel()

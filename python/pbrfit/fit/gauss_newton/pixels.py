@@ -100,7 +100,7 @@ def descended(
         A pull, with rows of `pixels`.
     """
     if exact_steps is None:
-        exact_steps = EXACT_STEPS if objective.tilts is None else TURNING_STEPS
+        exact_steps = EXACT_STEPS if objective.tangent_offsets is None else TURNING_STEPS
     roughness, metallic = nodes
     if objective.known_metallic is not None:
         metallic = np.array([objective.known_metallic])

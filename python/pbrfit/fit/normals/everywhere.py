@@ -48,11 +48,11 @@ def start_nearer(objective: Objective, x: Array, tilts: Array) -> None:
 
     Each with its best albedo, and roughness and metallic as they are.
     """
-    assert objective.tilts is not None
+    assert objective.tangent_offsets is not None
     everything = np.arange(objective.pixels, dtype=np.uint64)
     before = objective.put_best_albedo(x, everything)
     other = x.copy()
-    other[objective.tilts] = tilts.T.ravel()
+    other[objective.tangent_offsets] = tilts.T.ravel()
     nearer = objective.put_best_albedo(other, everything) < before
     maps = slice(0, objective.layout.maps.stop)
     planes = x[maps].reshape(-1, objective.pixels)
@@ -94,13 +94,13 @@ def turn(
         (P,); None if time ran out before all pixels had turned.
     """
     layout = objective.layout
-    assert layout.tilts is not None
+    assert layout.tangent_offsets is not None
     squares = None
     for number in range(ROUNDS):
-        tilts = x[layout.tilts].reshape(2, -1).T
+        tilts = x[layout.tangent_offsets].reshape(2, -1).T
         variance = noise_variance(objective, pixel_squares(objective, x))
         centre, precision = prior.beside_others(tilts, variance)
-        drawn, by = np.zeros((2, len(tilts), len(layout.finish)))
+        drawn, by = np.zeros((2, len(tilts), len(layout.roughness_metallic)))
         if finish is not None:
             drawn, by = finish, by + variance / GATHERED**2
         towards = Towards(
@@ -120,7 +120,7 @@ def turn(
         if objective.lighting is not None:
             polish(objective, x, squares, lambda *_: stop(), stop, towards)
         prior = prior.learnt(
-            x[layout.tilts].reshape(2, -1).T,
+            x[layout.tangent_offsets].reshape(2, -1).T,
             uncertain_tilts(objective, x, towards.precision, variance),
         )
     return prior, squares

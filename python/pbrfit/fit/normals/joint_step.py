@@ -86,7 +86,7 @@ def moves(
         Share of their diagonals that is added to the pixels' matrices.
     """
     layout, x = few.layout, state.x
-    assert layout.tilts is not None
+    assert layout.tangent_offsets is not None
     assert layout.lighting is not None
     count, channels = few.pixels, layout.channels
     unknowns = layout.materials.stop // count
@@ -112,7 +112,7 @@ def moves(
     others[:, :samples, :2] = by_unknowns[:, :, 3:] * root[:, :, None]
     left[:, :samples] = residuals.reshape(count, samples) * root
     values = x[layout.materials].reshape(unknowns, count).T
-    tilts = x[layout.tilts].reshape(2, count).T
+    tilts = x[layout.tangent_offsets].reshape(2, count).T
     strength = np.sqrt(pull.precision * weights[:, None])
     off = values[:, channels:] - pull.centre - state.offsets[pull.cluster]
     for f in range(finish):
@@ -190,7 +190,7 @@ def moves(
         moved = x.copy()
         materials = np.clip(values + share * changed, 0, 1)
         moved[layout.materials] = materials.T.ravel()
-        moved[layout.tilts] += share * turned.T.ravel()
+        moved[layout.tangent_offsets] += share * turned.T.ravel()
         moved[layout.lighting] += share * as_in_x(light_moves, layout)
         return State(moved, state.offsets + share * offset_moves)
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import normals as free_normals
 from pbrfit.fit.gauss_newton.pixels import chunks, taken
-from pbrfit.fit.misfit import NOISE_SHARED, Neighbours
+from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
 from pbrfit.fit.normals.noise import degrees_of_freedom, noise_variance
 from pbrfit.fit.objective import MEAN_RADIANCE, Objective
 from pbrfit.fit.solvers import Run, Solver, solve
@@ -116,7 +116,7 @@ def fit(
     if asked == "auto":
         held = Fit(run, *solve(run, solver, x.copy(), start_given=start_given))
         objective = run.objective
-        shared = Neighbours(objective).shared(held.x)
+        shared = NeighbourPairs(objective).residual_correlation(held.x)
         before = objective.data_value_and_grad(held.x)[0]
         figures = {
             "residual_before": objective.residual_rmse(before),
@@ -146,7 +146,7 @@ def fit(
     refined, spread = found
     objective = refined.run.objective
     after = objective.data_value_and_grad(refined.x)[0]
-    shared = Neighbours(objective).shared(refined.x)
+    shared = NeighbourPairs(objective).residual_correlation(refined.x)
     figures |= {
         "residual_after": objective.residual_rmse(after),
         "shared_after": shared,
@@ -175,7 +175,9 @@ def _explained(
     after: float, before: float, far_less: float, shared: float, shared_before: float
 ) -> str | None:
     """Why refined normals are kept, by what they leave and what of it neighbours share; or None."""
-    if after <= NOTHING * far_less or (after <= MUCH_LESS * far_less and shared <= NOISE_SHARED):
+    if after <= NOTHING * far_less or (
+        after <= MUCH_LESS * far_less and shared <= NEIGHBOUR_CORRELATION_MAX
+    ):
         return "with other normals the pictures are explained far better"
     if after < before and shared <= min(EXPLAINED, LESS_SHARED * shared_before):
         return "only with other normals are the pictures explained up to noise"
@@ -245,7 +247,7 @@ def _refined(
                 if number == PASSES - 1:
                     _put_back(free, moving, squares)
             run, ended = _fit_held(run, scene, free, moving, make, solver)
-            finish = np.stack([moving[block] for block in layout.finish], axis=-1)
+            finish = np.stack([moving[block] for block in layout.roughness_metallic], axis=-1)
             starts = 0
             if run.out_of_time():
                 break
@@ -299,9 +301,9 @@ def _put_back(free: Objective, x: Array, squares: Array) -> None:
     from scipy.ndimage import uniform_filter
 
     layout = free.layout
-    assert layout.tilts is not None
+    assert layout.tangent_offsets is not None
     nowhere = x.copy()
-    nowhere[layout.tilts] = 0.0
+    nowhere[layout.tangent_offsets] = 0.0
     as_given = np.empty(free.pixels)
     own = np.empty((free.pixels, layout.maps.stop // free.pixels))
     empty = np.empty(0)

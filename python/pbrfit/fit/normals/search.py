@@ -214,7 +214,7 @@ class _Search:
         self.few, self.prior, self._stop = few, prior, stop
         self._pixels = np.arange(few.pixels, dtype=np.uint64)
         self._damping = FIRST_DAMPING
-        finish = len(few.layout.finish)
+        finish = len(few.layout.roughness_metallic)
         nothing = np.zeros((few.pixels, finish))
         self._pull = Pull(nothing, nothing, np.zeros(few.pixels, np.intp), 1)
         self._offset_pull = np.full(finish, OFFSET_PULL)
@@ -253,16 +253,16 @@ class _Search:
         return pixel_squares(self.few, x)
 
     def _tilts(self, x: Array) -> Array:
-        tilts = self.few.layout.tilts
+        tilts = self.few.layout.tangent_offsets
         assert tilts is not None
         return x[tilts].reshape(2, -1).T
 
     def _finish(self, x: Array) -> Array:
-        return np.stack([x[block] for block in self.few.layout.finish], axis=-1)
+        return np.stack([x[block] for block in self.few.layout.roughness_metallic], axis=-1)
 
     def _draw(self, number: int) -> None:
         """What roughness and metallic are drawn to in this round."""
-        finish = len(self.few.layout.finish)
+        finish = len(self.few.layout.roughness_metallic)
         variance = self.variance
         if number < DIELECTRIC_ROUNDS:
             centre, precision = np.zeros((2, self.few.pixels, finish))
@@ -297,7 +297,7 @@ class _Search:
         few = self.few
         centre, precision = self._towards(state, x, self.variance if turn else 0.0)
         if not turn:
-            finish = len(few.layout.finish)
+            finish = len(few.layout.roughness_metallic)
             centre[:, finish:], precision[:, finish:] = 0.0, 0.0
         nodes = _nodes(few) if starts else (np.empty(0), np.empty(0))
         found, squares = few.problem.fit_materials(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class Neighbourhood:
         return np.asarray(np.einsum("ed,ed->e", difference, difference))
 
 
-def lattice(layout: Layout, at_most: int) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+def lattice(layout: ParameterLayout, at_most: int) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
     """Valid pixels in every s-th row and column, and where they stand.
 
     Returns
@@ -126,7 +126,7 @@ def _places(valid: NDArray[np.bool_], step: int) -> tuple[int, int, int]:
     return int(counts[place]), place // step, place % step
 
 
-def numbered(layout: Layout) -> NDArray[np.intp]:
+def numbered(layout: ParameterLayout) -> NDArray[np.intp]:
     """(H, W): the index of each valid pixel in the order of x, −1 elsewhere."""
     index = np.full(layout.valid.shape, -1)
     index[layout.valid] = np.arange(layout.pixels)

@@ -32,7 +32,7 @@ from pbrfit.fit.gauss_newton.normal_equations import (
     eliminate,
 )
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
 
@@ -140,7 +140,7 @@ def _with_best_albedo(
 ) -> _State:
     """The state of x, whose albedo is put to its best."""
     squares = objective.put_best_albedo(x, pixels)
-    values = np.stack([x[block][pixels] for block in objective.layout.finish], axis=-1)
+    values = np.stack([x[block][pixels] for block in objective.layout.roughness_metallic], axis=-1)
     off = values - pull.centre - offsets[pull.cluster]
     pulled = float((pull.precision * off**2).sum())
     held = OFFSET_PULL * float((pull.offset_precision() * offsets**2).sum())
@@ -225,7 +225,7 @@ class _System:
     by_offsets: Array
 
     @classmethod
-    def of(cls, part: Eliminated, of_lights: Array, pull: Pull, layout: Layout) -> _System:
+    def of(cls, part: Eliminated, of_lights: Array, pull: Pull, layout: ParameterLayout) -> _System:
         finish = slice(layout.channels, None)
         by_offsets = -part.whiten[:, finish, finish] * pull.precision[:, None, :]
         shape = (layout.pictures, layout.light_channels, layout.coefficients)

@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.misfit import NOISE_SHARED, Neighbours
+from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors import map_gauss_newton as pulled_steps
 from pbrfit.fit.priors.map_gauss_newton import OFFSET_PULL, Pull
@@ -183,7 +183,7 @@ class HeldPull:
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
+class FittedPrior:
     """What was learnt on some pixels, to be held for others of the same segments and lights.
 
     Attributes
@@ -204,7 +204,7 @@ class Lesson:
     clusters: Labels
     offsets: Array
 
-    def moved(self, penalty: MaterialPull, x: Array) -> Lesson:
+    def moved(self, penalty: MaterialPull, x: Array) -> FittedPrior:
         """With the offsets that the penalty, made by this lesson, has at x."""
         return replace(self, offsets=penalty.offsets(x))
 
@@ -222,7 +222,7 @@ class Lesson:
         if posterior is None:
             return None
         variance = self.strength * self.variance
-        centre, precision = _drawn(posterior, FLOORS[-1], variance, len(layout.finish))
+        centre, precision = _drawn(posterior, FLOORS[-1], variance, len(layout.roughness_metallic))
         # Clusters that nobody has met stay where they are.
         found = np.searchsorted(self.clusters, posterior.cluster)
         found[found == len(self.clusters)] = 0
@@ -233,7 +233,7 @@ class Lesson:
         everything = np.arange(layout.pixels, dtype=np.uint64)
         _put(objective, x, everything, centre)
         objective.put_best_albedo(x, everything)
-        return x, HeldPull(centre, precision, layout.finish, 1 / objective.total_weight)
+        return x, HeldPull(centre, precision, layout.roughness_metallic, 1 / objective.total_weight)
 
 
 def learn(
@@ -241,7 +241,7 @@ def learn(
     x: Array,
     strength: float,
     out_of_time: Callable[[], bool] = lambda: False,
-) -> tuple[Array, MaterialPull, Lesson] | None:
+) -> tuple[Array, MaterialPull, FittedPrior] | None:
     """Learn the prior around x.
 
     Returned are x for all pixels with the lights found, the penalty, and what was learnt.
@@ -281,11 +281,11 @@ def learn(
         if posterior is None:
             return None
         variance = strength * grid.variance
-        pull, clusters = _pull(posterior, FLOORS[-1], variance, len(layout.finish))
+        pull, clusters = _pull(posterior, FLOORS[-1], variance, len(layout.roughness_metallic))
         _put(objective, x, everything, pull.centre)
         objective.put_best_albedo(x, everything)
-    lesson = Lesson(learnt, grid.variance, strength, clusters, np.zeros_like(pull.centre[:0]))
-    return x, MaterialPull(pull, layout.finish, 1 / objective.total_weight), lesson
+    lesson = FittedPrior(learnt, grid.variance, strength, clusters, np.zeros_like(pull.centre[:0]))
+    return x, MaterialPull(pull, layout.roughness_metallic, 1 / objective.total_weight), lesson
 
 
 def pull_at(objective: Objective, x: Array, floor: float, variance: float, metallic: Array) -> Pull:
@@ -305,7 +305,7 @@ def pull_at(objective: Objective, x: Array, floor: float, variance: float, metal
     grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
     posterior = _learnt(grid, labels).of_all(grid, labels)
     assert posterior is not None
-    return _pull(posterior, floor, variance, len(layout.finish))[0]
+    return _pull(posterior, floor, variance, len(layout.roughness_metallic))[0]
 
 
 def _learnt(grid: _Grid, labels: Labels) -> _Learnt:
@@ -328,7 +328,9 @@ def _with_lights(
         grid = _Grid(objective, x, pixels)
         likelihood = grid.likelihood(pixels)
         posterior = _Learnt.of(likelihood, labels, grid).posterior(likelihood, labels)
-        pull, _ = _pull(posterior, floor, strength * grid.variance, len(objective.layout.finish))
+        pull, _ = _pull(
+            posterior, floor, strength * grid.variance, len(objective.layout.roughness_metallic)
+        )
         _put(objective, x, pixels, pull.centre)
         del grid  # which holds x
         x, _ = pulled_steps.minimize(objective, x, pixels, pull, STEPS)
@@ -345,7 +347,7 @@ def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
     neighbours share them; lights that lower such residuals by a little bend the materials to the
     error, and are worse ones.
     """
-    neighbours = Neighbours(objective)
+    neighbours = NeighbourPairs(objective)
     pixels = neighbours.pixels
     if not pixels.size:
         return False
@@ -356,7 +358,10 @@ def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
         squares.append(float(objective.put_best_albedo(best, pixels).sum()))
     if squares[1] <= MUCH_LESS * squares[0]:
         return True
-    return squares[1] <= NOT_MORE * squares[0] and neighbours.shared(best) <= NOISE_SHARED
+    return (
+        squares[1] <= NOT_MORE * squares[0]
+        and neighbours.residual_correlation(best) <= NEIGHBOUR_CORRELATION_MAX
+    )
 
 
 def _pieces(count: int) -> list[slice]:
@@ -365,7 +370,7 @@ def _pieces(count: int) -> list[slice]:
 
 def _put(objective: Objective, x: Array, pixels: NDArray[np.uint64], values: Array) -> None:
     """Give some pixels of x these roughness and metallic (Q, F)."""
-    for block, of_block in zip(objective.layout.finish, values.T, strict=True):
+    for block, of_block in zip(objective.layout.roughness_metallic, values.T, strict=True):
         x[block][pixels] = of_block
 
 
@@ -388,7 +393,7 @@ class _Grid:
     ) -> None:
         layout = objective.layout
         self._known_variance = variance
-        self._planes = len(layout.finish)
+        self._planes = len(layout.roughness_metallic)
         self._problem = objective.problem
         self._given, self._x = x, objective.for_core(x)
         known = objective.known_metallic

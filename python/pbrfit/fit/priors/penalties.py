@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.io.checks import real_number
 
 SMOOTHNESS_STEP = 0.01
@@ -89,7 +89,7 @@ class Penalty(Protocol):
         """Value at x; its gradient is added to `gradient`, (size,) like x."""
 
 
-def penalties(layout: Layout, priors: Priors) -> list[Penalty]:
+def penalties(layout: ParameterLayout, priors: Priors) -> list[Penalty]:
     """Penalties of weight above 0 that have something to act on.
 
     The learnt prior on materials is none of them: it changes while a fit runs. Nor is a monochrome
@@ -123,10 +123,10 @@ class Cohesion:
 
     name = "cohesion"
 
-    def __init__(self, layout: Layout, weight: float) -> None:
+    def __init__(self, layout: ParameterLayout, weight: float) -> None:
         assert layout.segments is not None
         self._factor = weight / layout.pixels
-        self._blocks = layout.finish
+        self._blocks = layout.roughness_metallic
         self._groups = _core.Groups(layout.segments.astype(np.int64))
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
@@ -156,9 +156,9 @@ class Smoothness:
 
     name = "smoothness"
 
-    def __init__(self, layout: Layout, pairs: NDArray[np.int64], weight: float) -> None:
+    def __init__(self, layout: ParameterLayout, pairs: NDArray[np.int64], weight: float) -> None:
         self._factor = weight * SMOOTHNESS_STEP**2
-        self._blocks = layout.finish
+        self._blocks = layout.roughness_metallic
         self._neighbours = _core.Neighbours(layout.pixels, *pairs)
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
@@ -171,7 +171,7 @@ class Sparsity:
 
     name = "sparsity"
 
-    def __init__(self, layout: Layout, weight: float) -> None:
+    def __init__(self, layout: ParameterLayout, weight: float) -> None:
         assert layout.metallic is not None
         self._factor = weight / layout.pixels
         self._block = layout.metallic
@@ -191,7 +191,7 @@ class Monochrome:
 
     name = "monochrome"
 
-    def __init__(self, layout: Layout, weight: float) -> None:
+    def __init__(self, layout: ParameterLayout, weight: float) -> None:
         assert layout.lighting is not None
         self._block = layout.lighting
         self._channels = layout.light_channels
@@ -205,7 +205,7 @@ class Monochrome:
         return float(self._factor * np.square(deviations).sum())
 
 
-def tied_neighbours(layout: Layout) -> NDArray[np.int64]:
+def tied_neighbours(layout: ParameterLayout) -> NDArray[np.int64]:
     """(2, E) pairs of valid pixels, below one another or side by side, by their index in a plane.
 
     Both pixels are in the same segment, or one of them is unclassified.

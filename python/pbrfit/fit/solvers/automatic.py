@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.gauss_newton import Lit
+from pbrfit.fit.gauss_newton import LightEstimate
 from pbrfit.fit.solvers.descent import STALL, Descent, lowered, robust_around, staged
 from pbrfit.fit.solvers.first_order import FIRST_SHARE
 from pbrfit.fit.solvers.gauss_newton import find_lights, fit_materials, with_material_prior
@@ -88,7 +88,7 @@ def _by_all_pixels(
     return loss, x
 
 
-def _may_be_better(run: Run, lit: Lit, by_all: Array) -> bool:
+def _may_be_better(run: Run, lit: LightEstimate, by_all: Array) -> bool:
     """Whether all pixels need be fitted to tell, by those that judge."""
     objective = run.objective
     *_, squares = objective.problem.normal_equations(objective.for_core(by_all), lit.judges)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import gauss_newton as second_order
-from pbrfit.fit.gauss_newton import Lit
+from pbrfit.fit.gauss_newton import LightEstimate
 from pbrfit.fit.gauss_newton.pixels import put
 from pbrfit.fit.solvers.learning import learns, learnt
 from pbrfit.fit.solvers.run import Run
@@ -56,7 +56,7 @@ class _Watch:
         return run.left <= 0 or run.out_of_time()
 
 
-def find_lights(run: Run, x: Array) -> Lit:
+def find_lights(run: Run, x: Array) -> LightEstimate:
     """Lights that explain some pixels, from x."""
     with run.stage("lights by Gauss-Newton") as notes:
         lit = second_order.find_lights(run.objective, x, _Watch(run, x), run.seed)
@@ -64,7 +64,7 @@ def find_lights(run: Run, x: Array) -> Lit:
     return lit
 
 
-def fit_materials(run: Run, lit: Lit) -> Array | None:
+def fit_materials(run: Run, lit: LightEstimate) -> Array | None:
     """X with the squares of all pixels as low as they get; None if time ran out before."""
     with run.stage("all pixels by Gauss-Newton") as notes:
         fit = second_order.fit_materials(run.objective, lit.x, _Watch(run, lit.x))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.plan import Needs
+from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.priors import material as material_prior
 from pbrfit.fit.priors.material import HeldPull, MaterialPull
 from pbrfit.fit.priors.penalties import Penalty, penalties
@@ -37,7 +37,7 @@ def learnt(run: Run, x: Array) -> tuple[Array, MaterialPull | HeldPull | None]:
         if run.taught is not None:
             others = run.taught.penalties(objective.layout)
         run.measured_lighting = objective.unpack(x)[1]
-        needs = Needs.of(
+        needs = FitPlan.of(
             run.scene, objective.layout, priors=run.priors, lighting=run.measured_lighting
         )
         objective.penalties = [*penalties(objective.layout, needs.priors), *others, pull]

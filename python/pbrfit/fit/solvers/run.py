@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import Layout
-from pbrfit.fit.priors.material import HeldPull, Lesson, MaterialPull
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.priors.material import FittedPrior, HeldPull, MaterialPull
 from pbrfit.fit.priors.penalties import Penalty, Priors
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
@@ -63,7 +63,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class Taught:
+class SharedState:
     """What some pixels of a scene were found to have in common with all others.
 
     Attributes
@@ -77,11 +77,11 @@ class Taught:
         each pixel is pulled to it with; None where the prior has no weight.
     """
 
-    material: Lesson | None = None
+    material: FittedPrior | None = None
     robust: tuple[str, float] | None = None
     cohesion: tuple[Array, float] | None = None
 
-    def penalties(self, layout: Layout) -> list[Penalty]:
+    def penalties(self, layout: ParameterLayout) -> list[Penalty]:
         """Those that hold from the start."""
         if self.cohesion is None or layout.segments is None:
             return []
@@ -90,7 +90,9 @@ class Taught:
         known = np.isfinite(centre) & (layout.segments > 0)[:, None]
         precision = np.where(known, weight, 0.0)
         centre = np.where(known, centre, 0.0)
-        return [HeldPull(centre, precision, layout.finish, 1 / layout.pixels, "cohesion")]
+        return [
+            HeldPull(centre, precision, layout.roughness_metallic, 1 / layout.pixels, "cohesion")
+        ]
 
 
 class Run:
@@ -126,7 +128,7 @@ class Run:
         seed: int,
         progress: Callable[[Progress], None] | None,
         began: float,
-        taught: Taught | None = None,
+        taught: SharedState | None = None,
     ) -> None:
         self.taught = taught
         self.scene, self.objective = scene, objective
@@ -134,7 +136,7 @@ class Run:
         self.limits, self.seed = limits, seed
         self.iterations = limits.iterations
         self.measured_lighting: Array | None = None
-        self.lesson: tuple[Lesson, MaterialPull] | None = None
+        self.lesson: tuple[FittedPrior, MaterialPull] | None = None
         self._truth = None if scene.truth is None else scene.truth.materials
         self._progress = progress
         self._began = began

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pbrfit.fit import uncertainty
-from pbrfit.fit.parameters import Layout
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.tiles.tiling import Tile
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
@@ -22,7 +22,7 @@ class Canvas:
         Of the valid pixels; None where nobody asked.
     """
 
-    def __init__(self, scene: Scene, layout: Layout, *, uncertain: bool) -> None:
+    def __init__(self, scene: Scene, layout: ParameterLayout, *, uncertain: bool) -> None:
         shape = scene.valid.shape
         self.materials = Materials(
             np.full((*shape, 3), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)

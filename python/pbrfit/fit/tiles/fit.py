@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
 from pbrfit.fit.normals import refined_fit
-from pbrfit.fit.objective import Objective, Units
+from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.priors.penalties import Priors
 from pbrfit.fit.solvers import Run
-from pbrfit.fit.solvers.run import Taught, material_errors
+from pbrfit.fit.solvers.run import SharedState, material_errors
 from pbrfit.fit.tiles.canvas import Canvas
 from pbrfit.fit.tiles.part import Parts
 from pbrfit.fit.tiles.subset_fit import Lattice, fit_lattice
@@ -48,7 +48,7 @@ def fit_tiles(
 
 
 def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) -> Found:
-    units = Units.of(scene, asked.equal_exposures)
+    units = Normalization.of(scene, asked.equal_exposures)
     parts = Parts(scene)
     known = fit_lattice(parts, lattice(scene.valid, few), asked, units, start)
     layout = asked.layout(scene)
@@ -135,7 +135,7 @@ def _maps(canvas: Canvas, known: Lattice) -> tuple[Materials, Array]:
 
 
 def _fit_tile(
-    tile: Tile, known: Lattice, parts: Parts, asked: Asked, units: Units, whole: Total
+    tile: Tile, known: Lattice, parts: Parts, asked: Asked, units: Normalization, whole: Total
 ) -> tuple[Run, Array, Status]:
     """The run of a tile, its x, and why it ended; `whole` is of the scene."""
     # Nobody reads the history of a tile, so it need not know the truth.
@@ -170,7 +170,7 @@ def _fit_tile(
     return found.run, found.x, found.status
 
 
-def _of_part(known: Lattice, part: Total, whole: Total) -> tuple[Priors, Taught]:
+def _of_part(known: Lattice, part: Total, whole: Total) -> tuple[Priors, SharedState]:
     """What a part's priors and penalties weigh, so that they are as strong as in the whole.
 
     The data term is a mean by weight. Beside that of the whole, smoothness is a sum, and sparsity

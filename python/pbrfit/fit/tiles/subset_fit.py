@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
-from pbrfit.fit.objective import Objective, Units, valid_values
+from pbrfit.fit.objective import Normalization, Objective, valid_values
 from pbrfit.fit.priors.penalties import Priors
 from pbrfit.fit.solvers import Run
-from pbrfit.fit.solvers.run import Taught
+from pbrfit.fit.solvers.run import SharedState
 from pbrfit.fit.tiles.nearest import Nearest
 from pbrfit.fit.tiles.part import Parts, Window, cut
 from pbrfit.fit.whole_picture import Asked, Start, fit_pixels
@@ -53,13 +53,15 @@ class Lattice:
     pixels: int
     lighting: Array
     refinement: Refinement
-    taught: Taught
+    taught: SharedState
     priors: Priors
     modes: uncertainty.LightModes | None
     near: Nearest
 
 
-def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start: Start) -> Lattice:
+def fit_lattice(
+    parts: Parts, window: Window, asked: Asked, units: Normalization, start: Start
+) -> Lattice:
     """Fit the pixels of a window of a scene as if they were all.
 
     `units` are those of the scene. Of a time limit half is left to the tiles.
@@ -84,7 +86,7 @@ def fit_lattice(parts: Parts, window: Window, asked: Asked, units: Units, start:
     if run.lesson is not None:
         learnt, pull = run.lesson
         lesson = learnt.moved(pull, x)
-    taught = Taught(
+    taught = SharedState(
         material=lesson,
         robust=objective.robust,
         cohesion=_means_of_segments(objective, x, asked.priors.cohesion),
@@ -116,7 +118,7 @@ def _of_window(
 
 
 def _means_of_segments(objective: Objective, x: Array, weight: float) -> tuple[Array, float] | None:
-    """As `Taught.cohesion`; NaN for segments that none of these pixels is in."""
+    """As `SharedState.cohesion`; NaN for segments that none of these pixels is in."""
     layout = objective.layout
     if not weight or layout.segments is None:
         return None
@@ -125,6 +127,6 @@ def _means_of_segments(objective: Objective, x: Array, weight: float) -> tuple[A
     with np.errstate(invalid="ignore"):
         means = [
             np.bincount(layout.segments, weights=x[block], minlength=length) / counts
-            for block in layout.finish
+            for block in layout.roughness_metallic
         ]
     return np.stack(means, axis=-1), weight

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.objective import Objective, Units
+from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ class Total:
         weights, of which the largest is 1.
     """
 
-    def __init__(self, scene: Scene, units: Units, channels: int) -> None:
+    def __init__(self, scene: Scene, units: Normalization, channels: int) -> None:
         self._scale, self.channels = units.scale, channels
         self._left = self._of = 0.0
         self.pixels = int(np.count_nonzero(scene.valid))
