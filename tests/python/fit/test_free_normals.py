@@ -158,7 +158,7 @@ def test_gradients_are_those_of_the_loss(options: dict[str, Any], loss: str) -> 
     objective = Objective(room(noise=0.05), **options, free_normals=True)
     objective.robust = objective.robust_around(objective.start(), loss)
     checks = check_gradients(objective, seed=1)
-    assert {"tilts", "roughness"} <= {check.unknowns for check in checks}
+    assert {"tangent_offsets", "roughness"} <= {check.unknowns for check in checks}
     failed = [check for check in checks if not check.passed]
     assert not failed, failed
 
