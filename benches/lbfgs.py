@@ -22,6 +22,7 @@ from scipy import optimize
 from threadpoolctl import threadpool_limits
 
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.settings import LBFGS_PAIRS
 from pbrfit.fit.solvers import projected_lbfgs
 from pbrfit.fit.solvers.projected_lbfgs import Bounds
 from pbrfit.synthetic import make_scene
@@ -149,7 +150,7 @@ def added_memory(method: str, objective: Objective, threads: int) -> float:
     objective.value_and_grad(objective.start())
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak starts anew
     before = _kibibytes("VmRSS")
-    trace(method, objective, 2 * projected_lbfgs.CORRECTIONS, threads)
+    trace(method, objective, 2 * LBFGS_PAIRS, threads)
     return 1024 * (_kibibytes("VmHWM") - before) / objective.size
 
 
@@ -236,7 +237,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     heading = INTRODUCTION.format(
         machine=machine()["processor"],
         threads=options.threads,
-        pairs=projected_lbfgs.CORRECTIONS,
+        pairs=LBFGS_PAIRS,
         scipy_pairs=SCIPY_PAIRS,
     )
     text = heading + TIMES.format(rounds=options.rounds, iterations=options.iterations)

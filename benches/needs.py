@@ -18,7 +18,7 @@ import numpy as np
 
 import pbrfit
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.penalties import Priors
+from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.summary import machine
 

@@ -182,7 +182,7 @@ def in_tiles() -> AbstractContextManager[object]:
     from pbrfit.fit.tiles import fit_tiles
 
     stack = ExitStack()
-    stack.enter_context(mock.patch.object(memory, "WHOLE", 0))
+    stack.enter_context(mock.patch.object(memory, "WHOLE_PIXELS_MAX", 0))
     stack.enter_context(mock.patch("pbrfit.fit.tiles.tiling.FEWEST", 16))
     stack.enter_context(
         mock.patch.object(decompose_module, "fit_tiles", partial(fit_tiles, few=1296, side=30))

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.decompose import decompose
-from pbrfit.fit.objective import MEAN_RADIANCE
-from pbrfit.fit.priors.penalties import Priors
+from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
+from pbrfit.result.options import Priors
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene

@@ -3,16 +3,17 @@
 from pbrfit._core import InputError
 from pbrfit.fit.decompose import Progress, decompose
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
+from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.relighting import DirectionalLight, relight
 from pbrfit.result.result import Result, Status
 from pbrfit.scene.scene import Scene, Truth
 
 __all__ = [
     "DirectionalLight",
+    "FitOptions",
     "InputError",
     "Materials",
     "Objective",

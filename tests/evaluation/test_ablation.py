@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pbrfit
-from pbrfit.fit.priors.penalties import Priors, prior_names
+from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.scene import Scene, Truth
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE

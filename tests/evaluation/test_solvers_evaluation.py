@@ -16,8 +16,8 @@ import pbrfit
 from pbrfit import Materials
 from pbrfit.cli import main
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.result import metrics
+from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import page, solvers, summary

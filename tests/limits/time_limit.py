@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pbrfit import Scene, decompose
-from pbrfit.fit.priors.penalties import Priors
-from pbrfit.fit.solvers import Run
+from pbrfit.fit.solvers.run import Run
+from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {

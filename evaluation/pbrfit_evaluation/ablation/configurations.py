@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from pbrfit.fit.decompose import decompose
-from pbrfit.fit.priors.penalties import Priors, prior_names
 from pbrfit.model.reflection import Model
+from pbrfit.result.options import Priors, prior_names
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.recipes import PAPER_PRIORS

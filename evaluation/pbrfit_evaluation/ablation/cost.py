@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.penalties import Priors, penalties, prior_names
+from pbrfit.fit.priors.penalties import penalties
 from pbrfit.fit.robust import SCALES
 from pbrfit.model.reflection import Model
+from pbrfit.result.options import Priors, prior_names
 from pbrfit_evaluation.ablation.cases import case
 from pbrfit_evaluation.ablation.configurations import WEIGHTS, Configuration
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pbrfit.commands.arguments import Subcommands, positive, unread_is_no_failure, whole_number
-from pbrfit.commands.fit_options import add_model
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit_evaluation.commands import resumable
 
@@ -32,7 +32,7 @@ def add(suites: Subcommands) -> None:
         "environment variable PBRFIT_DATA names, if any)",
     )
     resumable.add_options(added)
-    add_model(added, DEFAULT_MODEL)
+    add_option(added, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
     added.add_argument(
         "--scenes",
         metavar="K",

@@ -6,8 +6,12 @@ import argparse
 
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import Subcommands, positive, unread_is_no_failure
-from pbrfit.commands.fit_options import add_model
-from pbrfit_evaluation.commands.resumable import add_options, exit_code, run_tasks
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
+from pbrfit_evaluation.commands.resumable import (
+    add_options,
+    exit_code,
+    run_tasks,
+)
 
 
 def add(suites: Subcommands) -> None:
@@ -23,7 +27,7 @@ def add(suites: Subcommands) -> None:
     added.set_defaults(command=_run)
     # Times mean something only if nothing else runs.
     add_options(added, jobs=1, timed=True)
-    add_model(added, "paper")
+    add_option(added, "model", MODEL_OF_PICTURES, "paper")
     added.add_argument(
         "--seeds", metavar="K", type=positive, help="scenes of a case (default: 3; 1 if quick)"
     )

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, chosen_model, render
 from pbrfit.result import metrics
+from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene

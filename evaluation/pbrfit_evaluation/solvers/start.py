@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.penalties import Priors
+from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.scenes import ADDED_KINDS
 from pbrfit.synthetic.scenes import KINDS as ALWAYS

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from pbrfit.fit.decompose import decompose
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.model.reflection import render
 from pbrfit.result import metrics
+from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.stability.checks import Array, Check, worst_of

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
-from pbrfit.fit.objective import MEAN_RADIANCE, Objective
+from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import chosen_model, render
 from pbrfit.scene.scene import Scene

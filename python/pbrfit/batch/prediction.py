@@ -11,12 +11,13 @@ import numpy as np
 from PIL import Image
 
 from pbrfit._core import image_format
-from pbrfit.batch.settings import Fitting, Reading
+from pbrfit.batch.settings import Reading
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.io import images
 from pbrfit.io.resampling import reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE
+from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import LEAST_PICTURES
 from pbrfit.scene import folder as scene_folder
 
@@ -27,7 +28,7 @@ _HEAD = 1 << 20
 """Bytes of an EXR or HDR file in which its size is sought."""
 
 
-def of_scene(folder: Path, reading: Reading, fitting: Fitting) -> memory.FitMemory:
+def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitMemory:
     """What reading and fitting a scene needs at most, beside the interpreter and its libraries.
 
     Of what no head tells, the dearer is assumed: no pixel is masked, no picture is grey, integer
@@ -50,18 +51,18 @@ def of_scene(folder: Path, reading: Reading, fitting: Fitting) -> memory.FitMemo
         segment_count=0,
         pictures=pictures,
         channels=3,
-        coefficients=(fitting.sh_order + 1) ** 2,
-        light_channels=1 if fitting.mono_light else 3,
-        metallic_known=fitting.metallic is not None,
+        coefficients=(options.sh_order + 1) ** 2,
+        light_channels=1 if options.mono_light else 3,
+        metallic_known=options.metallic is not None,
         lighting_known=(folder / "lighting.json").exists(),
         weighted=weighted,
     )
     # Pictures and weights in float32, normals in float64, how far off they may be.
     held = pixels * (4 * pictures * (3 + weighted) + 24 + 4 * (folder / "normals.exr").exists())
-    refining = fitting.refine_normals != "off" and pictures >= LEAST_PICTURES
-    optional = fitting.refine_normals == "auto"
+    refining = options.refine_normals != "off" and pictures >= LEAST_PICTURES
+    optional = options.refine_normals == "auto"
     found = memory.plan(
-        layout, fitting.solver, held=held, refine_normals=refining, optional=optional
+        layout, options.solver, held=held, refine_normals=refining, optional=optional
     ).needed
     reading_takes = held + 2 * pictures * pixels + DECODING_BYTES * full[0] * full[1]
     return found if found.peak >= reading_takes else memory.FitMemory(reading_takes, 0, 0, 0)

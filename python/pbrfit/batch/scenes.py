@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pbrfit._core import InputError
-from pbrfit.batch.settings import Fitting, Reading
+from pbrfit.batch.settings import Reading
+from pbrfit.result.options import FitOptions
 
 if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
@@ -36,7 +37,7 @@ class SceneTask:
     ----------
     scene, output
         Folders.
-    reading, fitting
+    reading, options
         How.
     threads
         As asked for; 0 = what there are for a task.
@@ -52,7 +53,7 @@ class SceneTask:
     scene: Path
     output: Path
     reading: Reading
-    fitting: Fitting
+    options: FitOptions
     threads: int = 0
     resume: bool = False
     overwrite: bool = False
@@ -110,6 +111,7 @@ def decompose_scene(
     """
     from pbrfit.batch import process_memory
     from pbrfit.batch.unchanged import check_model, kept
+    from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.result.result import CONTAINS
     from pbrfit.scene import alignment
@@ -117,8 +119,8 @@ def decompose_scene(
     wanted = _Wanted(task, show)
     wanted.check()
     if not task.overwrite and task.output.is_dir():
-        check_model(task.output, task.scene, task.fitting)
-        content = kept(task.output, task.scene, task.reading, task.fitting)
+        check_model(task.output, task.scene, task.options)
+        content = kept(task.output, task.scene, task.reading, task.options)
         if content is not None:
             # Without `resume` the place was free: the result is of an attempt at this very task,
             # whose process died before it could tell.
@@ -140,7 +142,9 @@ def decompose_scene(
         scene = task.reading.load(task.scene)
         for complaint in alignment.complaints(scene):
             log.warning("%s: %s: pictures must line up pixel by pixel", task.scene, complaint)
-        result = task.fitting.fit(scene, task.threads or threads, wanted.show)
+        result = decompose(
+            scene, task.options, threads=task.threads or threads, progress=wanted.show
+        )
         result.write(folder, scene, task.output)
         wanted.check()
     peak = process_memory.peak_kib() if fresh else None
@@ -159,7 +163,7 @@ def memory_of(task: SceneTask) -> int:
     from pbrfit.batch.prediction import of_scene
 
     try:
-        return LIBRARIES_BYTES + of_scene(task.scene, task.reading, task.fitting).peak
+        return LIBRARIES_BYTES + of_scene(task.scene, task.reading, task.options).peak
     except (InputError, OSError):
         return 0
 

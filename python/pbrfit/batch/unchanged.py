@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.batch.settings import Fitting, Reading
+from pbrfit.batch.settings import Reading
 from pbrfit.io.json_files import table
 from pbrfit.io.output import digest
 from pbrfit.model.reflection import chosen_model
+from pbrfit.result.options import FitOptions
 from pbrfit.result.result import FILES, model_of
 from pbrfit.scene import folder as scene_folder
 
 
-def kept(output: Path, scene: Path, reading: Reading, fitting: Fitting) -> Mapping[str, Any] | None:
+def kept(
+    output: Path, scene: Path, reading: Reading, options: FitOptions
+) -> Mapping[str, Any] | None:
     """Give what `result.json` holds if a result may stay as it is, else None.
 
     It may where all its files are as they were written, by this version, of these options, and of
@@ -29,9 +31,9 @@ def kept(output: Path, scene: Path, reading: Reading, fitting: Fitting) -> Mappi
         content = json.loads((output / "result.json").read_text(encoding="utf-8"))
         same = (
             content["version"] == version("pbrfit")
-            and content["options"] == _as_json(asdict(fitting.options()))
+            and content["options"] == options.to_json()
             and {**content["scene"], "path": ""} == {**_as_json(reading.as_json()), "path": ""}
-            and content["uncertainty"] is not None  # the command always asks for it
+            and (content["uncertainty"] is not None) == options.uncertainty
             and set(content["files"]) == set(FILES)
             and content["files"] == {name: digest(output / name) for name in FILES}
             and content["inputs"] == scene_folder.digests(scene)
@@ -41,7 +43,7 @@ def kept(output: Path, scene: Path, reading: Reading, fitting: Fitting) -> Mappi
     return content if same else None
 
 
-def check_model(output: Path, scene: Path, fitting: Fitting) -> None:
+def check_model(output: Path, scene: Path, options: FitOptions) -> None:
     """See that a result, if there is one, is of the model that a scene would be fitted with now.
 
     Materials of one model are worth nothing in another, so a result of another model is no earlier
@@ -58,7 +60,7 @@ def check_model(output: Path, scene: Path, fitting: Fitting) -> None:
     except (OSError, ValueError, RecursionError):
         return
     of_pictures = scene_folder.read_settings(scene / "scene.toml", {}).model
-    found, wanted = model_of(content, file), chosen_model(fitting.model, of_pictures)
+    found, wanted = model_of(content, file), chosen_model(options.model, of_pictures)
     if found != wanted:
         raise InputError(
             f"{output}: expected a result of model {wanted} to resume, found one of model {found}; "

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pbrfit.fit.priors.penalties import Priors, prior_names
+from pbrfit.result.options import Priors, prior_names
 
 Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""

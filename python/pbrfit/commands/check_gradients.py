@@ -14,7 +14,7 @@ from pbrfit.commands.arguments import (
     given_priors,
     whole_number,
 )
-from pbrfit.commands.fit_options import EXPOSURES, add_model, add_unknowns, metallic
+from pbrfit.commands.fit_options import UNKNOWNS, add_option, given
 from pbrfit.commands.scene_options import add_input, load
 
 
@@ -25,8 +25,8 @@ def add(commands: Subcommands) -> None:
     )
     added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
     add_input(added)
-    add_model(added)
-    add_unknowns(added, "of the lights; 2 leaves out band 3")
+    for name in ("model", *UNKNOWNS):
+        add_option(added, name)
     add_priors(added)
     added.add_argument(
         "--seed", type=whole_number, default=0, help="of the random point and directions"
@@ -41,10 +41,10 @@ def _run(options: argparse.Namespace) -> int:
     objective = Objective(
         scene,
         sh_order=options.sh_order,
-        metallic=metallic(options),
+        metallic=given(options, "metallic"),
         mono_light=options.mono_light,
         priors=given_priors(options),
-        equal_exposures=EXPOSURES[options.exposures],
+        equal_exposures=given(options, "equal_exposures"),
         model=options.model,
     )
     objective.robust = objective.robust_around(objective.start(), options.robust)

@@ -18,20 +18,11 @@ from pbrfit.commands.arguments import (
     Subcommands,
     add_command,
     add_out,
-    add_priors,
     add_quiet,
     complain,
     message_of,
 )
-from pbrfit.commands.fit_options import (
-    add_model,
-    add_refinement,
-    add_seed,
-    add_solver,
-    add_unknowns,
-    fit_bar,
-    fitting,
-)
+from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.commands.worker_options import add_cluster, add_jobs
 
@@ -59,12 +50,7 @@ def add(commands: Subcommands) -> None:
     add_jobs(added, "scenes at the same time, each in a process of its own (default: 1)")
     add_cluster(added)
     add_input(added)
-    add_solver(added)
-    add_seed(added)
-    add_model(added)
-    add_unknowns(added, "of the lights; 2 leaves out band 3")
-    add_refinement(added)
-    add_priors(added)
+    add_fit_options(added)
     add_quiet(added)
 
 
@@ -103,7 +89,7 @@ def _task(
         scene=scene.absolute() if far else scene,
         output=output.absolute() if far else output,
         reading=reading(options),
-        fitting=fitting(options),
+        options=fit_options(options),
         threads=options.threads,
         resume=options.resume,
         overwrite=options.overwrite,
@@ -181,7 +167,7 @@ def _run_all(
 def _decompose_here(task: SceneTask, threads: int, *, quiet: bool) -> SceneOutcome:
     from pbrfit.batch.scenes import decompose_scene
 
-    with fit_bar(task.fitting.iterations, task.name, quiet=quiet, within=True) as show:
+    with fit_bar(task.options.iterations, task.name, quiet=quiet, within=True) as show:
         return decompose_scene(task, threads, show)
 
 

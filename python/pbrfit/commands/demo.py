@@ -6,14 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pbrfit.commands.arguments import DONE, Subcommands, add_command, add_priors, add_quiet
+from pbrfit.commands.arguments import DONE, Subcommands, add_command, add_quiet
 from pbrfit.commands.fit_options import (
-    add_model,
-    add_refinement,
-    add_solver,
-    add_unknowns,
+    MODEL_OF_PICTURES,
+    add_fit_options,
+    add_option,
     fit_bar,
-    fitting,
+    fit_options,
 )
 from pbrfit.commands.synth import add_synthetic, make_scene
 from pbrfit.model.reflection import DEFAULT_MODEL
@@ -29,11 +28,9 @@ def add(commands: Subcommands) -> None:
     )
     added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
     add_synthetic(added, "of scene, lights and noise, and of what the fit draws at random")
-    add_solver(added)
-    add_model(added, DEFAULT_MODEL)
-    add_unknowns(added, "of the lights, true and fitted")
-    add_refinement(added)
-    add_priors(added)
+    add_option(added, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
+    add_option(added, "sh_order", "of the lights, true and fitted")
+    add_fit_options(added, there=("seed", "model", "sh_order"))
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
     add_quiet(added)
 
@@ -46,6 +43,7 @@ FRAMES = 48
 
 def _run(options: argparse.Namespace) -> int:
     from pbrfit.batch.scenes import table
+    from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.report import write_report
     from pbrfit.result.preview import plot_history
@@ -56,7 +54,7 @@ def _run(options: argparse.Namespace) -> int:
         make_scene(options).save(folder / "scene")
         scene = Scene.load(folder / "scene")
         with fit_bar(options.iterations, options.kind, quiet=options.quiet) as show:
-            result = fitting(options).fit(scene, options.threads, show)
+            result = decompose(scene, fit_options(options), threads=options.threads, progress=show)
         result.save(folder / "result", scene=scene)
         plot_history(result, folder / "history.png")
         _relight(result, folder, options.threads)

@@ -1,145 +1,81 @@
-"""Options of a fit, what they ask for, and how it is shown."""
+"""Flags of a fit, made from `FitOptions`; how a fit is shown."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
 
-from pbrfit.commands.arguments import add_threads, given_priors, progress_bar, whole_number
-from pbrfit.fit.robust import LOSSES
-from pbrfit.fit.solvers import SOLVERS
-from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
-from pbrfit.result.refinement import CHOICES
+from pbrfit.commands.arguments import (
+    add_priors,
+    add_threads,
+    given_priors,
+    progress_bar,
+    whole_number,
+)
+from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions
 
 if TYPE_CHECKING:
-    from pbrfit.batch.settings import Fitting
     from pbrfit.fit.decompose import Progress
 
-EXPOSURES = {"auto": None, "as-is": False, "equal": True}
-"""`equal_exposures` by what it is called here."""
+DEFAULTS = {one.name: one.default for one in fields(FitOptions)}
+
+UNKNOWNS = ("sh_order", "metallic", "robust", "equal_exposures", "mono_light")
+"""Options that say which unknowns there are and how residuals count."""
+
+MODEL_OF_PICTURES = f"how surfaces reflect light. {MODELS_IN_WORDS}"
+"""Help of `--model` where pictures are rendered with it."""
 
 
-def add_solver(parser: argparse.ArgumentParser) -> None:
-    """Add what says how long is fitted."""
-    parser.add_argument(
-        "--solver",
-        choices=SOLVERS,
-        default="auto",
-        help="auto: Gauss-Newton, then L-BFGS where there is more to minimise than squares; "
-        "gauss-newton: squares and the material prior; lbfgsb: the paper's recipe "
-        "(default: %(default)s)",
-    )
-    parser.add_argument("--iterations", metavar="K", type=int, default=500, help="at most so many")
-    parser.add_argument(
-        "--time-limit",
-        metavar="S",
-        type=float,
-        help="stop the fit of a scene after so many seconds (default: none)",
-    )
+def add_fit_options(parser: argparse.ArgumentParser, *, there: Collection[str] = ()) -> None:
+    """Add all flags of a fit, those of the priors and `--threads`; `fit_options` reads them.
+
+    Options of the names in `there` have flags already.
+    """
+    for name in FLAGS:
+        if name not in there:
+            add_option(parser, name)
+    add_priors(parser)
     add_threads(parser)
 
 
-def add_seed(parser: argparse.ArgumentParser) -> None:
-    """Add `--seed`."""
-    parser.add_argument(
-        "--seed",
-        metavar="SEED",
-        type=whole_number,
-        default=0,
-        help="of what a fit draws at random: pixels on which lights are sought "
-        "(default: %(default)s)",
-    )
-
-
-MODELS_IN_WORDS = (
-    "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
-    "glTF and game engines, integrated exactly"
-)
-"""What the values of `--model` mean."""
-
-
-def add_model(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    """Add `--model`; without it the scene decides, unless there is a `default`."""
-    meaning = f"how surfaces reflect light. {MODELS_IN_WORDS}"
-    if default is None:
-        meaning += (
-            f" (default: what the scene was rendered with, where it says so, else {DEFAULT_MODEL})"
+def add_option(
+    parser: argparse.ArgumentParser, name: str, said: str | None = None, default: Any = None
+) -> None:
+    """Add the flag of one option, perhaps with a help or a default of its own."""
+    flag = FLAGS[name]
+    option = f"--{flag.name or name.replace('_', '-')}"
+    said = said or flag.help
+    if flag.kind is bool:
+        parser.add_argument(option, dest=name, action="store_true", help=said)
+        return
+    default = DEFAULTS[name] if default is None else default
+    if flag.values is None:
+        kind = whole_number if name == "seed" else flag.kind
+        parser.add_argument(
+            option, dest=name, metavar=flag.metavar, type=kind, default=default, help=said
         )
-    parser.add_argument("--model", choices=MODELS, default=default, help=meaning)
-
-
-def add_unknowns(parser: argparse.ArgumentParser, what_order: str) -> None:
-    """Add what says what is fitted."""
-    add_sh_order(parser, what_order)
+        return
+    if isinstance(flag.values, Mapping):
+        default = next(word for word, value in flag.values.items() if value == default)
+    kind = int if isinstance(default, int) else str
     parser.add_argument(
-        "--metallic",
-        choices=("free", "0"),
-        default="free",
-        help="0: no pixel is a metal, and metallic is not fitted",
-    )
-    parser.add_argument(
-        "--robust",
-        choices=LOSSES,
-        default="none",
-        help="loss that shadows and other outliers pull less at than at squares",
-    )
-    parser.add_argument(
-        "--exposures",
-        choices=EXPOSURES,
-        default="auto",
-        help="equal: pictures are divided by their mean radiance, so that bright ones do not "
-        "outweigh dark ones; as-is: they are not; auto: where one has more than 4 times the mean "
-        "of another",
-    )
-
-    parser.add_argument(
-        "--mono-light",
-        action="store_true",
-        help="lights are grey: the same in all colour channels",
+        option, dest=name, choices=tuple(flag.values), type=kind, default=default, help=said
     )
 
 
-def add_refinement(parser: argparse.ArgumentParser) -> None:
-    """Add `--refine-normals`."""
-    parser.add_argument(
-        "--refine-normals",
-        choices=CHOICES,
-        default="auto",
-        help="fit the normals too, from three pictures on; auto: where the pictures say that the "
-        "given ones are wrong (default: %(default)s)",
-    )
+def given(options: argparse.Namespace, name: str) -> Any:
+    """The value that an option was given on the command line."""
+    value, values = getattr(options, name), FLAGS[name].values
+    return values[value] if isinstance(values, Mapping) else value
 
 
-def add_sh_order(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add `--sh-order`."""
-    parser.add_argument("--sh-order", type=int, choices=(2, 3), default=3, help=what)
-
-
-def metallic(options: argparse.Namespace) -> float | None:
-    """Metallic of all pixels that `--metallic` asks for."""
-    return None if options.metallic == "free" else float(options.metallic)
-
-
-def fitting(options: argparse.Namespace) -> Fitting:
-    """What the options ask for."""
-    from pbrfit.batch.settings import Fitting
-
-    return Fitting(
-        solver=options.solver,
-        iterations=options.iterations,
-        time_limit=options.time_limit,
-        sh_order=options.sh_order,
-        metallic=metallic(options),
-        mono_light=options.mono_light,
-        priors=given_priors(options),
-        robust=options.robust,
-        equal_exposures=EXPOSURES[options.exposures],
-        refine_normals=options.refine_normals,
-        seed=options.seed,
-        model=options.model,
-    )
+def fit_options(options: argparse.Namespace) -> FitOptions:
+    """What the flags of `add_fit_options` ask for."""
+    asked = {name: given(options, name) for name in FLAGS if hasattr(options, name)}
+    return FitOptions(**asked, priors=given_priors(options))
 
 
 @contextmanager

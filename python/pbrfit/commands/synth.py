@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbrfit.commands.arguments import DONE, Subcommands, add_command, whole_number
-from pbrfit.commands.fit_options import add_model, add_sh_order
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.model.reflection import DEFAULT_MODEL
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ def add(commands: Subcommands) -> None:
     )
     added.add_argument("out", metavar="DIR", type=Path, help="scene folder to write")
     add_synthetic(added)
-    add_model(added, DEFAULT_MODEL)
-    add_sh_order(added, "of the lights")
+    add_option(added, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
+    add_option(added, "sh_order", "of the lights")
     added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.solvers.projected_lbfgs import CORRECTIONS, choose
+from pbrfit.fit.settings import LBFGS_PAIRS, WHOLE_PIXELS_MAX
+from pbrfit.fit.solvers.projected_lbfgs import choose
 from pbrfit.fit.tiles.tiling import FEW
 from pbrfit.scene.scene import Scene
 
@@ -27,7 +28,7 @@ SCIPY_BYTES = 480
 """An unknown, measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and
 gradient."""
 
-PROJECTED_BYTES = 8 * CORRECTIONS + 16 * 8
+PROJECTED_BYTES = 8 * LBFGS_PAIRS + 16 * 8
 """An unknown, of `projected_lbfgs`: pairs in float32; in float64 the start, x, the next x, the way
 there, two gradients and the core's copy of x; the rest, measured on whole fits of 640² with 16
 pictures, is what the stages before it and the history hold."""
@@ -49,10 +50,6 @@ drawn to. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 besid
 
 VECTOR_BYTES = 5 * 24
 """Of a pixel while the core is made: view directions, and two copies of those and of normals."""
-
-WHOLE = 1 << 21
-"""Valid pixels up to which the solver auto fits all of them at once; larger pictures are fitted in
-tiles."""
 
 WORTH_SAYING = 2**30
 """A fit that needs more bytes says so."""
@@ -234,14 +231,14 @@ def plan(
 ) -> Plan:
     """How a scene is fitted: the first of these ways that there is memory for.
 
-    The solver auto fits it at once, or in tiles where it has more than `WHOLE` valid pixels; or in
-    tiles all the same; or without refining normals, where that is `optional`. The other solvers
-    have no tiles. Where there is memory for none, it is the way that needs least. Other arguments
-    are those of `of_layout`.
+    The solver auto fits it at once, or in tiles where it has more than `WHOLE_PIXELS_MAX` valid
+    pixels; or in tiles all the same; or without refining normals, where that is `optional`. The
+    other solvers have no tiles. Where there is memory for none, it is the way that needs least.
+    Other arguments are those of `of_layout`.
     """
     ways = []
     for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
-        if solver != "auto" or layout.pixels <= WHOLE:
+        if solver != "auto" or layout.pixels <= WHOLE_PIXELS_MAX:
             needed = of_layout(layout, solver, held=held, exact=exact, refine_normals=refining)
             ways.append(Plan(False, refining, needed))
         if solver == "auto":

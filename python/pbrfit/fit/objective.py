@@ -13,37 +13,25 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors.penalties import Priors, penalties
+from pbrfit.fit.priors.penalties import penalties
 from pbrfit.fit.robust import MOST_PIXELS, irls_weights, loss_scale, noise_sigma
 from pbrfit.fit.sampling import spread
-from pbrfit.io.checks import real_array, real_number
+from pbrfit.fit.settings import (
+    LARGEST_LIGHT,
+    LIGHT_RIDGE,
+    MEAN_RADIANCE,
+    NOISE_SIGMA_MIN,
+    START_ALBEDO_RANGE,
+    START_MEAN_ALBEDO,
+    START_METALLIC,
+    START_ROUGHNESS,
+)
+from pbrfit.io.checks import real_array
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
+from pbrfit.result.options import Priors, unit_interval
 from pbrfit.scene.exposure import relative_exposures
 from pbrfit.scene.scene import Scene, equal_channels
-
-MEAN_RADIANCE = 0.4
-"""Mean valid radiance after division by the scene scale, so that exposure does not matter."""
-
-START_MEAN_ALBEDO = 0.5
-"""The mean picture is scaled to this mean, the middle of the range. The scale between albedo and
-light is what the fit finds last, so it matters where it starts: from 0.4, its own mean, the errors
-on synthetic rooms after 500 iterations are 1.5 times as large."""
-
-START_ROUGHNESS = 0.5
-START_METALLIC = 0.25
-START_ALBEDO_RANGE = (0.02, 0.98)
-"""The start keeps clear of the bounds, where the gradient by albedo may vanish."""
-
-LARGEST_LIGHT = 1e15
-"""Known lights beyond this multiple of the scene scale are refused: float32 has to hold the squares
-of residuals."""
-
-LIGHT_RIDGE = 1e-6
-"""Of the mean eigenvalue: keeps the lights finite where the normals show only part of a sphere."""
-
-LEAST_SIGMA = 1e-4 * MEAN_RADIANCE
-"""Of the noise that a robust loss allows for: pictures may be explained perfectly."""
 
 SH_ORDERS = (2, 3)
 """Highest bands that the lights may have."""
@@ -191,7 +179,7 @@ class Objective:
         sh_order = whole_number("sh_order", sh_order)
         if sh_order not in SH_ORDERS:
             raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
-        self.known_metallic = None if metallic is None else _unit_interval("metallic", metallic)
+        self.known_metallic = None if metallic is None else unit_interval("metallic", metallic)
         layout = ParameterLayout.of(
             scene,
             sh_order=sh_order,
@@ -351,7 +339,7 @@ class Objective:
             None if self.weights is None else self.weights[:, pixels],
             unknowns=self.size * len(pixels) / self.pixels,
         )
-        return name, loss_scale(name, max(sigma, LEAST_SIGMA))
+        return name, loss_scale(name, max(sigma, NOISE_SIGMA_MIN))
 
     def reweighted(self, x: NDArray[np.float64]) -> Objective:
         """Squares instead of the robust loss, with the weights that they have in it at x.
@@ -593,13 +581,6 @@ class _OneByOne:
 def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]:
     """From three channels on the last axis to 3 or 1."""
     return values if channels == 3 else values.mean(axis=-1, keepdims=True)
-
-
-def _unit_interval(name: str, value: float) -> float:
-    number = real_number(name, value, "None or a number in [0, 1]")
-    if not 0 <= number <= 1:
-        raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
-    return number
 
 
 def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:

@@ -9,15 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors.penalties import Priors, prior_names, tied_neighbours
+from pbrfit.fit.priors.penalties import tied_neighbours
+from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
+from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.scene import Scene
-
-NEAR_GREY = 0.05
-"""Lights whose `color_deviation` is at most this are taken for grey; docs/priors.md has what was
-measured."""
-
-GREY_WEIGHT = 1e-3
-"""Weight of the monochrome prior on lights that are near grey."""
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 
-LOSSES = ("none", "huber", "cauchy")
-"""By name; "none" is the square."""
-
 SCALES = {"huber": 1.345, "cauchy": 2.385}
 """δ/σ by loss, for an efficiency of 95 % on Gaussian noise."""
 
@@ -45,14 +42,6 @@ LARGEST_RATIO = np.float32(1e19)
 
 FEWEST_DEGREES = 0.1
 """Of the samples: the noise is not estimated from fewer degrees of freedom."""
-
-
-def check_loss(name: str) -> None:
-    """Raise InputError where no loss has this name."""
-    if name not in LOSSES:
-        raise InputError(
-            f"robust: expected {', '.join(LOSSES[:-1])} or {LOSSES[-1]}, found {name!r}"
-        )
 
 
 def loss_scale(loss: str, sigma: float) -> float:

@@ -1,4 +1,4 @@
-"""A fit of all pixels of a scene at once, and what any fit is asked for and finds."""
+"""A fit of all pixels of a scene at once, and what any fit is given and finds."""
 
 from __future__ import annotations
 
@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors.penalties import Priors
-from pbrfit.fit.solvers import Limits, Progress, Run, Solver
-from pbrfit.fit.solvers.run import SharedState
+from pbrfit.fit.solvers.run import Progress, Run, SharedState
 from pbrfit.fit.uncertainty import Uncertainty, estimate
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import Model
 from pbrfit.result.history import HistoryRow
-from pbrfit.result.refinement import Refinement, RefineNormals
+from pbrfit.result.options import FitOptions, Priors
+from pbrfit.result.refinement import Refinement
 from pbrfit.result.result import Stage, Status
 from pbrfit.scene.scene import Scene
 
@@ -29,82 +27,72 @@ Start = Materials | tuple[Materials, Array] | None
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """What `decompose` was asked for; its docstring has each.
+class FitSetup:
+    """The options of a fit, and what belongs to this call alone.
 
     Attributes
     ----------
-    hindered
-        Why normals cannot be refined; None if they can.
+    options
+        With the reflection model that was decided for.
+    threads
+        0 = one for each processor.
+    progress
+        Called as the fit goes on; None = nobody.
     began
-        When, by `time.perf_counter`.
+        When the fit began, by `time.perf_counter`.
+    normals_hindrance
+        Why normals cannot be refined; None if they can.
     """
 
-    solver: Solver
-    limits: Limits
+    options: FitOptions
     threads: int
-    sh_order: int
-    metallic: float | None
-    mono_light: bool
-    priors: Priors
-    uncertainty: bool
-    robust: str
-    equal_exposures: bool | None
-    refine_normals: RefineNormals
-    hindered: str | None
-    seed: int
-    model: Model
     progress: Callable[[Progress], None] | None
     began: float
+    normals_hindrance: str | None
 
     def layout(self, scene: Scene) -> ParameterLayout:
         """Which unknowns a scene has."""
         return ParameterLayout.of(
             scene,
-            sh_order=self.sh_order,
-            metallic_known=self.metallic is not None,
-            mono_light=self.mono_light,
+            sh_order=self.options.sh_order,
+            metallic_known=self.options.metallic is not None,
+            mono_light=self.options.mono_light,
         )
 
     def objective(
         self, scene: Scene, *, free_normals: bool = False, units: Normalization | None = None
     ) -> Objective:
         """What is minimised."""
+        options = self.options
         return Objective(
             scene,
             threads=self.threads,
-            sh_order=self.sh_order,
-            metallic=self.metallic,
-            mono_light=self.mono_light,
-            priors=None if free_normals else self.priors,
-            equal_exposures=self.equal_exposures,
+            sh_order=options.sh_order,
+            metallic=options.metallic,
+            mono_light=options.mono_light,
+            priors=None if free_normals else options.priors,
+            equal_exposures=options.equal_exposures,
             free_normals=free_normals,
-            model=self.model,
+            model=options.model,
             units=units,
         )
 
     def run(
-        self,
-        scene: Scene,
-        objective: Objective,
-        taught: SharedState | None = None,
+        self, scene: Scene, objective: Objective, shared_state: SharedState | None = None
     ) -> Run:
         """A run that is about to begin."""
         return Run(
             scene,
             objective,
-            priors=self.priors,
-            robust=self.robust,
-            limits=self.limits,
-            seed=self.seed,
+            self.options,
             progress=self.progress,
             began=self.began,
-            taught=taught,
+            shared_state=shared_state,
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FitOutput:
     """What a fit found: arrays of whole pictures, and nothing of the core.
 
     Attributes
@@ -116,7 +104,7 @@ class Found:
     status, reason, rows, evaluations, iterations, stages
         How it went.
     seconds
-        Since it began, without those of the uncertainty and of who was told.
+        Since it began, without those of the uncertainty and of `progress`.
     refinement
         What was decided about normals.
     exposures
@@ -141,16 +129,16 @@ class Found:
     measured_lighting: Array | None
 
 
-def fit_whole(scene: Scene, asked: Asked, start: Start) -> Found:
+def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
     """Fit all pixels of a scene at once."""
-    found, refinement = fit_pixels(scene, asked, start)
+    found, refinement = fit_pixels(scene, setup, start)
     run, x = found.run, found.x
     seconds = run.elapsed
     uncertainty = None
-    if asked.uncertainty:
-        uncertainty = estimate(run.objective, x, priors=asked.priors != Priors.none())
+    if setup.options.uncertainty:
+        uncertainty = estimate(run.objective, x, priors=setup.options.priors != Priors.none())
     materials, lighting = run.objective.unpack(x)
-    return Found(
+    return FitOutput(
         materials=materials,
         lighting=lighting,
         normals=np.asarray(run.scene.normals, dtype=np.float64),
@@ -169,7 +157,7 @@ def fit_whole(scene: Scene, asked: Asked, start: Start) -> Found:
 
 
 def fit_pixels(
-    scene: Scene, asked: Asked, start: Start, units: Normalization | None = None
+    scene: Scene, setup: FitSetup, start: Start, units: Normalization | None = None
 ) -> tuple[refined_fit.Fit, Refinement]:
     """Where the fit of a scene ends, and what was decided about its normals.
 
@@ -177,17 +165,16 @@ def fit_pixels(
     """
 
     def make(of: Scene, free_normals: bool) -> Objective:
-        return asked.objective(of, free_normals=free_normals, units=units)
+        return setup.objective(of, free_normals=free_normals, units=units)
 
     objective = make(scene, False)
     return refined_fit.fit(
-        asked.run(scene, objective),
+        setup.run(scene, objective),
         _start_of(objective, start),
         make,
-        solver=asked.solver,
         start_given=start is not None,
-        asked=asked.refine_normals,
-        hindered=asked.hindered,
+        asked=setup.options.refine_normals,
+        hindered=setup.normals_hindrance,
     )
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.plan import FitPlan
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.io.normal_files import UNCERTAINTY
 from pbrfit.model import geometry
 from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit.result.options import Priors
 from pbrfit.result.refinement import hindrance
 from pbrfit.scene import alignment
 from pbrfit.scene.scene import Scene

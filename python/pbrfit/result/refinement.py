@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.io.json_files import flag, number, table, text
 from pbrfit.io.quoting import quoted
 
@@ -97,12 +96,6 @@ class Refinement:
 
 
 NOT_ASKED = Refinement("off", False, "not asked for")
-
-
-def check_choice(asked: str) -> None:
-    """Raise InputError unless `asked` is one of `CHOICES`."""
-    if asked not in CHOICES:
-        raise InputError(f"refine_normals: expected one of {', '.join(CHOICES)}, found {asked!r}")
 
 
 def hindrance(scene: Scene) -> str | None:

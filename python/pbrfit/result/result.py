@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
@@ -20,11 +20,9 @@ from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.json_files import (
     UNFIT,
-    flag,
     number,
     path_text,
     read_json,
-    seed,
     table,
     text,
     texts,
@@ -36,9 +34,10 @@ from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import angles_between, check_fov
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, read_materials, write_materials
-from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model, checked_model
+from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
+from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.scene.scene import Scene, Source
 
@@ -68,44 +67,6 @@ class Stage:
     name: str
     seconds: float
     note: str = ""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of `decompose` that change the result.
-
-    Attributes
-    ----------
-    solver, iterations, time_limit, sh_order, seed
-        As given.
-    metallic
-        The number that all pixels have; None = free.
-    mono_light
-        Whether lights are the same in all channels.
-    priors
-        Weights by name.
-    robust
-        Loss of the residuals, "none" for their squares.
-    equal_exposures
-        Whether pictures are divided by their exposures; None = where these are far apart.
-    refine_normals
-        "off", "auto" or "on".
-    model
-        As given; None = the scene's, else the default. `Result.model` is what came of it.
-    """
-
-    solver: str
-    iterations: int
-    time_limit: float | None
-    sh_order: int = 3
-    metallic: float | None = None
-    mono_light: bool = False
-    priors: Mapping[str, float | None] = field(default_factory=dict)
-    robust: str = "none"
-    equal_exposures: bool | None = None
-    seed: int = 0
-    refine_normals: str = "off"
-    model: Model | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +134,7 @@ class Result:
     evaluations: int
     seconds: float
     metrics: Mapping[str, float]
-    options: Options
+    options: FitOptions
     assumed: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
@@ -276,7 +237,7 @@ class Result:
             "metrics": dict(self.metrics),
             "uncertainty": None if uncertainty is None else uncertainty.summary(),
             "normals": self.refinement.as_json(),
-            "options": asdict(self.options),
+            "options": self.options.to_json(),
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
             "stages": [asdict(stage) for stage in self.stages],
@@ -330,7 +291,7 @@ class Result:
                 evaluations=whole(content["evaluations"]),
                 seconds=number(content["seconds"]),
                 metrics={k: number(v) for k, v in table(content["metrics"]).items()},
-                options=_options(table(content["options"])),
+                options=FitOptions.from_json(table(content["options"])),
                 assumed={k: text(v) for k, v in table(content["assumed"]).items()},
                 left_out=texts(content["left_out"]),
                 inputs={k: text(v) for k, v in table(content["inputs"]).items()},
@@ -399,35 +360,6 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
         if name == model:
             return model
     raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
-
-
-def _options(content: Mapping[str, Any]) -> Options:
-    """Undo `asdict`; one of `UNFIT` if it is something else."""
-
-    def optional(kind: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        return lambda value: None if value is None else kind(value)
-
-    def priors(value: Any) -> Mapping[str, float | None]:
-        return {name: optional(number)(weight) for name, weight in table(value).items()}
-
-    kinds: dict[str, Callable[[Any], Any]] = {
-        "solver": text,
-        "iterations": whole,
-        "time_limit": optional(number),
-        "sh_order": whole,
-        "metallic": optional(number),
-        "mono_light": flag,
-        "priors": priors,
-        "robust": text,
-        "equal_exposures": optional(flag),
-        "seed": seed,
-        "refine_normals": text,
-        "model": optional(checked_model),
-    }
-    unknown = sorted(set(content) - set(kinds))
-    if unknown:
-        raise ValueError(f"options {listed(unknown)}")
-    return Options(**{name: kinds[name](value) for name, value in content.items()})
 
 
 def _stage(content: Mapping[str, Any]) -> Stage:

@@ -26,14 +26,15 @@ from pbrfit.batch.driver import Attempt, drive
 from pbrfit.batch.executors import Processes
 from pbrfit.batch.prediction import of_scene, picture_size
 from pbrfit.batch.scenes import SceneTask, decompose_scene
-from pbrfit.batch.settings import Fitting, Reading
+from pbrfit.batch.settings import Reading
 from pbrfit.batch.unchanged import kept
 from pbrfit.fit import memory
+from pbrfit.fit.decompose import decompose
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.io import images
 from pbrfit.io.weight_files import write_weights
 from pbrfit.model.lighting import Lighting
+from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.result import CONTAINS, FILES, Result
 from pbrfit.scene import folder as scene_folder
 from pbrfit.synthetic import make_scene
@@ -292,7 +293,7 @@ def test_resuming_replaces_only_results(
 
 
 READING = Reading(fov=60.0)
-FITTING = Fitting(iterations=1, refine_normals="off")
+OPTIONS = FitOptions(iterations=1, refine_normals="off")
 
 
 @pytest.fixture(scope="module")
@@ -308,7 +309,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert scene.truth is not None
     assert scene.truth.lighting is not None
     Lighting(scene.names, scene.truth.lighting).save(folder / "scene" / "lighting.json")
-    decompose_scene(SceneTask(folder / "scene", folder / "out", READING, FITTING), 0)
+    decompose_scene(SceneTask(folder / "scene", folder / "out", READING, OPTIONS), 0)
     return folder
 
 
@@ -318,8 +319,8 @@ def result(whole: Path, tmp_path: Path) -> Path:
     return tmp_path / "copy"
 
 
-def is_kept(folder: Path, reading: Reading = READING, fitting: Fitting = FITTING) -> bool:
-    return kept(folder / "out", folder / "scene", reading, fitting) is not None
+def is_kept(folder: Path, reading: Reading = READING, options: FitOptions = OPTIONS) -> bool:
+    return kept(folder / "out", folder / "scene", reading, options) is not None
 
 
 def test_an_unchanged_scene_is_kept_wherever_it_lies(result: Path) -> None:
@@ -328,7 +329,7 @@ def test_an_unchanged_scene_is_kept_wherever_it_lies(result: Path) -> None:
         os.utime(path, (1, 1))
     (result / "scene" / "notes.txt").write_text("not read")
     (result / "scene").rename(result / "elsewhere")
-    assert kept(result / "out", result / "elsewhere", READING, FITTING) is not None
+    assert kept(result / "out", result / "elsewhere", READING, OPTIONS) is not None
 
 
 def test_the_files_that_are_looked_at_are_those_that_are_read(whole: Path) -> None:
@@ -398,13 +399,13 @@ OTHERWISE: dict[str, Any] = {
 
 @pytest.mark.parametrize("name", OTHERWISE)
 def test_fitted_in_another_way_is_done_again(result: Path, name: str) -> None:
-    assert not is_kept(result, fitting=replace(FITTING, **{name: OTHERWISE[name]}))
+    assert not is_kept(result, options=replace(OPTIONS, **{name: OTHERWISE[name]}))
 
 
 def test_a_result_says_what_was_asked_for() -> None:
     scene = make_scene("room", size=8, lights=4)
-    fitting = Fitting(**{**OTHERWISE, "iterations": 1, "refine_normals": "auto"})
-    assert fitting.fit(scene, 0, lambda _: None).options == fitting.options()
+    options = FitOptions(**{**OTHERWISE, "iterations": 1, "refine_normals": "auto"})
+    assert decompose(scene, options).options == options
 
 
 @pytest.mark.parametrize("name", [*FILES, "result.json"])
@@ -497,7 +498,7 @@ def test_a_scene_that_is_no_longer_wanted_is_given_up(folder: Path, tmp_path: Pa
         folder / "one",
         tmp_path / "out" / "one",
         Reading(),
-        Fitting(iterations=10**6, refine_normals="off", solver="lbfgsb"),
+        FitOptions(iterations=10**6, refine_normals="off", solver="lbfgsb"),
         temporaries=temporaries,
     )
     with pytest.raises(OSError, match="which a running batch has and all its workers see"):
@@ -536,7 +537,7 @@ def test_memory_is_predicted_as_inspect_does(
     spoil(folder)
     scene = Scene.load(folder, max_size=max_size)
     told = memory.of_fit(scene, ParameterLayout.of(scene), "auto", refine_normals=True).peak
-    predicted = of_scene(folder, Reading(max_size=max_size), Fitting()).peak
+    predicted = of_scene(folder, Reading(max_size=max_size), FitOptions()).peak
     reading = 48 * SIZE * SIZE
     if spoil is as_it_is and form == "float EXR":
         assert told <= predicted <= max(1.02 * told, reading)
@@ -563,7 +564,7 @@ def test_scenes_wait_for_memory(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """More processes than there is room for: then they are not all used at once."""
-    needed = scenes.memory_of(SceneTask(folder / "one", tmp_path, Reading(), Fitting()))
+    needed = scenes.memory_of(SceneTask(folder / "one", tmp_path, Reading(), FitOptions()))
     assert needed > scenes.LIBRARIES_BYTES
     monkeypatch.setattr(memory, "available", lambda: 0)
     arguments = ("decompose", folder, "--out", tmp_path / "out", *FEW, "--quiet", "--jobs", 3)
@@ -578,4 +579,4 @@ def test_scenes_wait_for_memory(
 
 
 def test_what_cannot_be_read_needs_no_memory(tmp_path: Path) -> None:
-    assert scenes.memory_of(SceneTask(tmp_path / "no", tmp_path, Reading(), Fitting())) == 0
+    assert scenes.memory_of(SceneTask(tmp_path / "no", tmp_path, Reading(), FitOptions())) == 0

@@ -19,9 +19,9 @@ import pytest
 
 from pbrfit import InputError, Result, Scene
 from pbrfit.commands.arguments import add_priors, given_priors
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.io import images
 from pbrfit.model.lighting import Lighting
+from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
 from result_files import FILES, KEYS
 from scene_files import FORMATS, LIGHTS, SIZE, room, run, write_folder, write_jpeg, write_normals

@@ -29,11 +29,11 @@ from pbrfit.export.lights import file_names
 from pbrfit.export.maps import Maps
 from pbrfit.export.nonnegative import RIDGE, nonnegative_radiance
 from pbrfit.export.view_mesh import Geometry, camera, facets
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.io.color import decode_srgb
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials
+from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
 from scene_files import run
 

@@ -172,7 +172,7 @@ def test_wrong_normals_are_refined() -> None:
 def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = room("principled", size=20)
     whole = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
-    monkeypatch.setattr(memory, "WHOLE", 0)
+    monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 0)
     monkeypatch.setattr("pbrfit.fit.tiles.tiling.FEWEST", 16)
     monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=100, side=14))
     tiled = decompose(scene, refine_normals="off", priors=None, uncertainty=False)

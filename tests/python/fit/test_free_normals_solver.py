@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Priors, Progress, Result, Scene, Status, Truth, decompose, render
-from pbrfit.fit import solvers
 from pbrfit.fit.normals import refined_fit
-from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.fit.solvers import strategies
 from pbrfit.model.geometry import angles_between
+from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normals.disturbances import disturbed
@@ -273,7 +273,7 @@ def test_lights_are_those_of_the_joint_steps_unless_more_is_asked_of_them(
     options: dict[str, Any], held: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known: list[bool] = []
-    solve = solvers.solve
+    solve = strategies.solve
 
     def watched(run: Any, *arguments: Any, **named: Any) -> Any:
         known.append(run.objective.lighting is None)

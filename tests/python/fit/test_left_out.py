@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import pbrfit
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 
 SIZE, N = 16, 5

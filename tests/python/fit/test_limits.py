@@ -14,7 +14,8 @@ from pbrfit import Priors, Result, Scene, Status, _core
 from pbrfit.fit.gauss_newton import global_gauss_newton as polish
 from pbrfit.fit.gauss_newton import pixels
 from pbrfit.fit.priors import material as material_prior
-from pbrfit.fit.solvers import SOLVERS, Run, Solver
+from pbrfit.fit.solvers.run import Run
+from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 
 SIZE, LIGHTS = 12, 3

@@ -16,7 +16,7 @@ from pbrfit.fit.priors import material as material_prior
 from pbrfit.fit.priors.map_gauss_newton import OFFSET_PULL, Pull
 from pbrfit.fit.priors.material import MaterialPull
 from pbrfit.fit.sampling import spread, spread_over
-from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 
 Array = NDArray[np.float64]

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 import pbrfit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.plan import GREY_WEIGHT, NEAR_GREY, FitPlan, color_deviation
-from pbrfit.fit.priors.penalties import Priors, prior_names
+from pbrfit.fit.plan import FitPlan, color_deviation
+from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
+from pbrfit.result.options import Priors, prior_names
 from pbrfit.synthetic import make_scene
 
 SIZE, N = 8, 3

@@ -17,7 +17,8 @@ from pbrfit import InputError, _core
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors.penalties import Penalty, Priors, penalties, prior_names, tied_neighbours
+from pbrfit.fit.priors.penalties import Penalty, penalties, tied_neighbours
+from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.segments import consecutive_labels
 from pbrfit.synthetic import make_scene
 

@@ -65,7 +65,7 @@ def test_known_lights_do_not_hinder() -> None:
 def test_two_pictures_leave_normals_as_given(asked: str, caplog: pytest.LogCaptureFixture) -> None:
     made = scene(2)
     with caplog.at_level(logging.WARNING, "pbrfit"):
-        found = decompose(made, iterations=1, uncertainty=False, refine_normals=asked)  # type: ignore[arg-type]
+        found = decompose(made, iterations=1, uncertainty=False, refine_normals=asked)
     assert found.options.refine_normals == found.refinement.asked == asked
     assert not found.refinement.refined
     assert found.given_normals is None

@@ -11,9 +11,10 @@ import pytest
 
 import pbrfit
 from pbrfit.fit.gradient_check import check_gradients
-from pbrfit.fit.objective import LEAST_SIGMA, Objective
-from pbrfit.fit.robust import FEWEST_DEGREES, LOSSES, MEDIAN_TO_SIGMA, SCALES, irls_weights
-from pbrfit.fit.solvers import Solver
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.robust import FEWEST_DEGREES, MEDIAN_TO_SIGMA, SCALES, irls_weights
+from pbrfit.fit.settings import NOISE_SIGMA_MIN
+from pbrfit.result.options import LOSSES, Solver
 from pbrfit.synthetic import make_scene
 
 ROBUST = LOSSES[1:]
@@ -126,7 +127,7 @@ def test_perfectly_explained_pictures_have_a_scale() -> None:
     maps = scene.truth.materials
     objective = Objective(scene)
     x = objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
-    assert objective.robust_around(x, "huber") == ("huber", SCALES["huber"] * LEAST_SIGMA)
+    assert objective.robust_around(x, "huber") == ("huber", SCALES["huber"] * NOISE_SIGMA_MIN)
 
 
 def test_more_unknowns_than_samples_have_a_scale() -> None:
@@ -208,5 +209,7 @@ def test_the_loss_is_kept_with_the_result(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("loss", ["l1", "Huber", None, 1])
 def test_other_losses_are_refused(loss: Any) -> None:
-    with pytest.raises(pbrfit.InputError, match=r"^robust: expected none, huber or cauchy, found"):
+    with pytest.raises(
+        pbrfit.InputError, match=r"^robust: expected one of none, huber, cauchy, found"
+    ):
         pbrfit.decompose(room(size=8), robust=loss)

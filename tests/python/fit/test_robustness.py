@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from pbrfit import Result, Scene, decompose
-from pbrfit.fit.solvers import SOLVERS, Solver
+from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 from result_files import FILES
 from scene_files import room, run, write_folder

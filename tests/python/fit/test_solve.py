@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
-from pbrfit.fit.solvers import SOLVERS, Solver
-from pbrfit.fit.solvers.descent import TRAP_ROUGHNESS
+from pbrfit.fit.settings import TRAP_ROUGHNESS
+from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 
 every_solver = pytest.mark.parametrize("solver", SOLVERS)

@@ -15,8 +15,8 @@ import pytest
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene, decompose
 from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
-from pbrfit.fit.solvers import SOLVERS, Solver
 from pbrfit.model import reflection as model
+from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 from scene_files import run
 

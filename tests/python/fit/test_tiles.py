@@ -17,7 +17,8 @@ from pbrfit import Priors
 from pbrfit.cli import main
 from pbrfit.fit import decompose as solve
 from pbrfit.fit import memory
-from pbrfit.fit.solvers import Progress
+from pbrfit.fit.settings import WHOLE_PIXELS_MAX
+from pbrfit.fit.solvers.run import Progress
 from pbrfit.fit.tiles import fit as tiles_fit
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.tiles.canvas import Canvas
@@ -49,7 +50,7 @@ def noisy() -> pbrfit.Scene:
 @pytest.fixture
 def in_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every picture is a large one."""
-    monkeypatch.setattr(memory, "WHOLE", 0)
+    monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 0)
     monkeypatch.setattr("pbrfit.fit.tiles.tiling.FEWEST", 16)
     monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=SIDE))
 
@@ -180,7 +181,7 @@ class TestFit:
         """With lights from all of them."""
         monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=72**2, side=SIDE))
         in_nine = held(noisy)
-        monkeypatch.setattr(memory, "WHOLE", 1 << 21)
+        monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 1 << 21)
         whole = held(noisy)
         for error in ERRORS:
             assert in_nine.metrics[error] < 1.1 * whole.metrics[error] + 1e-4, error
@@ -330,7 +331,7 @@ class TestFit:
         )
         priors = replace(Priors.none(), cohesion=1e-3)
         in_tiles = held(scene, priors=priors, uncertainty=False)
-        monkeypatch.setattr(memory, "WHOLE", 1 << 21)
+        monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 1 << 21)
         whole = held(scene, priors=priors, uncertainty=False)
         off = np.abs(in_tiles.metallic - whole.metallic)
         assert off[:40, :40].mean() < 0.01
@@ -416,15 +417,15 @@ class TestWhenTilesAreUsed:
 
     @pytest.mark.usefixtures("available")
     def test_above_the_stated_size(self) -> None:
-        assert not self.plan(memory.WHOLE).tiled
-        assert self.plan(memory.WHOLE + 1).tiled
-        assert not self.plan(memory.WHOLE + 1, "lbfgsb").tiled
-        assert not self.plan(memory.WHOLE + 1, "gauss-newton").tiled
+        assert not self.plan(WHOLE_PIXELS_MAX).tiled
+        assert self.plan(WHOLE_PIXELS_MAX + 1).tiled
+        assert not self.plan(WHOLE_PIXELS_MAX + 1, "lbfgsb").tiled
+        assert not self.plan(WHOLE_PIXELS_MAX + 1, "gauss-newton").tiled
 
     def test_where_a_whole_fit_has_no_room(self, available: list[int | None]) -> None:
-        whole = self.plan(memory.WHOLE)
+        whole = self.plan(WHOLE_PIXELS_MAX)
         available[0] = whole.needed.further - 1
-        in_tiles = self.plan(memory.WHOLE)
+        in_tiles = self.plan(WHOLE_PIXELS_MAX)
         assert in_tiles.tiled
         assert in_tiles.refine_normals
         assert in_tiles.needed.further < whole.needed.further
@@ -443,13 +444,13 @@ class TestWhenTilesAreUsed:
             "fitted in tiles: there is not enough memory for all pixels at once"
         ]
         caplog.clear()
-        monkeypatch.setattr(memory, "WHOLE", 0)
+        monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 0)
         held(noisy, **options)
         assert not caplog.records
 
     def test_then_without_refined_normals(self, available: list[int | None]) -> None:
-        available[0] = self.plan(2 * memory.WHOLE).needed.further - 1
-        without = self.plan(2 * memory.WHOLE)
+        available[0] = self.plan(2 * WHOLE_PIXELS_MAX).needed.further - 1
+        without = self.plan(2 * WHOLE_PIXELS_MAX)
         assert without.tiled
         assert not without.refine_normals
         assert without.hindered is not None
@@ -457,7 +458,7 @@ class TestWhenTilesAreUsed:
 
     def test_and_where_nothing_fits_it_is_said(self, available: list[int | None]) -> None:
         available[0] = 1000
-        plan = self.plan(2 * memory.WHOLE)
+        plan = self.plan(2 * WHOLE_PIXELS_MAX)
         with pytest.raises(pbrfit.InputError, match=r"expected .* of memory to be available"):
             memory.check("auto", plan.needed)
 

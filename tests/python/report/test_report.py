@@ -28,7 +28,8 @@ from pbrfit.report import budget, lights, originals, write_report
 from pbrfit.report.page import REFLECTION
 from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.history import History, HistoryRow
-from pbrfit.result.result import Options, Status
+from pbrfit.result.options import FitOptions
+from pbrfit.result.result import Status
 from pbrfit.synthetic import make_scene
 
 if TYPE_CHECKING:
@@ -495,7 +496,7 @@ def noise(size: int, pictures: int) -> tuple[Scene, Result]:
         evaluations=1,
         seconds=0.1,
         metrics={"recon_rmse": 1.0},
-        options=Options("lbfgsb", 0, None),
+        options=FitOptions(solver="lbfgsb", iterations=0),
     )
     return scene, result
 

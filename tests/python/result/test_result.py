@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from pbrfit import InputError, Result, Scene, Status, decompose
-from pbrfit.fit.priors.penalties import Priors
 from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit.result.options import Priors
 from pbrfit.result.refinement import NOT_ASKED
 from pbrfit.synthetic import make_scene
 from result_files import FILES, KEYS

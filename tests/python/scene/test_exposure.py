@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 import pbrfit
 from finite_differences import ridders
-from pbrfit.fit.objective import MEAN_RADIANCE, Objective
-from pbrfit.fit.solvers import Solver
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.result.options import Solver
 from pbrfit.scene.exposure import EXPOSURE_RANGE, LEAST_EXPOSURE, mean_radiance, relative_exposures
 from pbrfit.synthetic import make_scene
 

@@ -23,8 +23,10 @@ from pbrfit.fit import normals as free_normals
 from pbrfit.fit.gauss_newton.pixels import chunks, taken
 from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
 from pbrfit.fit.normals.noise import degrees_of_freedom, noise_variance
-from pbrfit.fit.objective import MEAN_RADIANCE, Objective
-from pbrfit.fit.solvers import Run, Solver, solve
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.fit.solvers.run import Run
+from pbrfit.fit.solvers.strategies import solve
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import LEAST_CHANGE, Refinement
 from pbrfit.result.result import Status
@@ -86,7 +88,6 @@ def fit(
     x: Array,
     make: Callable[[Scene, bool], Objective],
     *,
-    solver: Solver,
     start_given: bool,
     asked: str,
     hindered: str | None,
@@ -109,12 +110,10 @@ def fit(
     if why is None and run.left <= 0:
         why = "0 iterations asked for"
     if why is not None:
-        return Fit(run, *solve(run, solver, x, start_given=start_given)), Refinement(
-            asked, False, why
-        )
+        return Fit(run, *solve(run, x, start_given=start_given)), Refinement(asked, False, why)
     held, figures = None, dict[str, float]()
     if asked == "auto":
-        held = Fit(run, *solve(run, solver, x.copy(), start_given=start_given))
+        held = Fit(run, *solve(run, x.copy(), start_given=start_given))
         objective = run.objective
         shared = NeighbourPairs(objective).residual_correlation(held.x)
         before = objective.data_value_and_grad(held.x)[0]
@@ -138,10 +137,10 @@ def fit(
         if run.out_of_time():
             return held, Refinement(asked, False, "the time limit came first", figures)
     rows = len(run.rows)
-    found = _refined(run, x, make, solver, turned)
+    found = _refined(run, x, make, turned)
     if found is None:
         assert held is not None or run.out_of_time()
-        held = held or Fit(run, *solve(run, solver, x, start_given=start_given))
+        held = held or Fit(run, *solve(run, x, start_given=start_given))
         return held, Refinement(asked, False, "the time limit came first", figures)
     refined, spread = found
     objective = refined.run.objective
@@ -202,7 +201,6 @@ def _refined(
     run: Run,
     x: Array,
     make: Callable[[Scene, bool], Objective],
-    solver: Solver,
     turned: Array | None,
 ) -> tuple[Fit, float] | None:
     """The fit with refined normals, and the spread of their changes; None if time ran out."""
@@ -225,7 +223,7 @@ def _refined(
             with run.stage("normals and lights from a lattice") as notes:
                 # Not what the fit before has left: each fit has all iterations that were asked for.
                 lattice = free_normals.find(
-                    free, moving, given, sigma, run.out_of_time, rounds=run.iterations
+                    free, moving, given, sigma, run.out_of_time, rounds=run.options.iterations
                 )
                 free_normals.spread_out(free, moving, lattice)
                 spread = lattice.prior.spread
@@ -246,7 +244,7 @@ def _refined(
                     break
                 if number == PASSES - 1:
                     _put_back(free, moving, squares)
-            run, ended = _fit_held(run, scene, free, moving, make, solver)
+            run, ended = _fit_held(run, scene, free, moving, make)
             finish = np.stack([moving[block] for block in layout.roughness_metallic], axis=-1)
             starts = 0
             if run.out_of_time():
@@ -257,7 +255,7 @@ def _refined(
         ended = run.ended("")
     if run.objective.lighting is None and free.lighting is not None:
         unlit = replace(run.scene, lighting=None)
-        run = run.again(unlit, make(unlit, False))
+        run = run.continued(unlit, make(unlit, False))
     return Fit(run, _of_held(free, moving, run.objective), *ended), prior.spread
 
 
@@ -267,7 +265,6 @@ def _fit_held(
     free: Objective,
     moving: Array,
     make: Callable[[Scene, bool], Objective],
-    solver: Solver,
 ) -> tuple[Run, tuple[Status, str]]:
     """Fit materials with all priors, normals and lights held at those of an x of `free`.
 
@@ -277,12 +274,16 @@ def _fit_held(
     squares only: where more was asked of lights, they are fitted once more.
     """
     turned = replace(scene, normals=free.layout.whole(free.normals(moving)))
-    if free.lighting is not None and run.robust == "none" and not run.priors.monochrome:
+    if (
+        free.lighting is not None
+        and run.options.robust == "none"
+        and not run.options.priors.monochrome
+    ):
         turned = replace(turned, lighting=free.unpack(moving)[1])
-    run = run.again(turned, make(turned, False))
+    run = run.continued(turned, make(turned, False))
     objective = run.objective
     start = _of_held(free, moving, objective)
-    found, status, reason = solve(run, solver, start, start_given=True)
+    found, status, reason = solve(run, start, start_given=True)
     moving[free.layout.materials] = found[objective.layout.materials]
     if objective.lighting is not None:
         moving[free.layout.maps.stop :] = found[objective.lighting]

@@ -32,9 +32,10 @@ from pbrfit.fit.normals.noise import (
 )
 from pbrfit.fit.normals.offset_prior import TiltPrior
 from pbrfit.fit.normals.strided_subset import Neighbourhood, lattice
-from pbrfit.fit.objective import MEAN_RADIANCE, Objective
+from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors import material as material_prior
 from pbrfit.fit.priors.map_gauss_newton import OFFSET_PULL, Pull
+from pbrfit.fit.settings import MEAN_RADIANCE
 
 Array = NDArray[np.float64]
 

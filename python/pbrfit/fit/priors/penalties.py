@@ -2,80 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.io.checks import real_number
+from pbrfit.result.options import Priors
 
 SMOOTHNESS_STEP = 0.01
 """Differences of neighbours are measured over this share of the picture's side; see `Smoothness`.
 """
-
-
-@dataclass(frozen=True)
-class Priors:
-    """Weights of the priors, beside a data term that is a mean over samples; 0 = not evaluated.
-
-    A weight means the same at any resolution, exposure and number of pictures. docs/priors.md says
-    when each prior helps and when it hurts.
-
-    Attributes
-    ----------
-    material
-        Strength of the discrete prior on roughness and metallic that is learnt for each segment; 1
-        is Bayes' rule.
-    cohesion
-        Of the squared distance of roughness and metallic to their segment's mean.
-    smoothness
-        Of the squared change of roughness and metallic between neighbours.
-    sparsity
-        Of metallic itself.
-    monochrome
-        Of the squared deviation of lights from grey; None = chosen from the fitted lights.
-
-    Raises
-    ------
-    InputError
-        If a weight is no finite number of 0 or more.
-    """
-
-    material: float = 1.0
-    cohesion: float = 0.0
-    smoothness: float = 0.0
-    sparsity: float = 0.0
-    monochrome: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in prior_names():
-            weight = getattr(self, name)
-            if name == "monochrome" and weight is None:
-                continue
-            object.__setattr__(self, name, _weight(name, weight))
-
-    @classmethod
-    def none(cls) -> Priors:
-        """All weights 0."""
-        return cls(**dict.fromkeys(prior_names(), 0.0))
-
-
-def prior_names() -> tuple[str, ...]:
-    """Of the weights in `Priors`."""
-    return tuple(field.name for field in fields(Priors))
-
-
-def _weight(name: str, value: object) -> float:
-    expected = "a finite weight, 0 or more"
-    number = real_number(f"prior {name}", value, expected)
-    if not 0 <= number < math.inf:
-        raise InputError(f"prior {name}: expected {expected}, found {value!r}")
-    return number
 
 
 class Penalty(Protocol):

@@ -10,36 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.objective import START_ROUGHNESS
+from pbrfit.fit.settings import (
+    LBFGS_PAIRS,
+    LBFGS_STAGES,
+    LBFGS_STAGES_GIVEN_START,
+    LOSS_RESOLUTION,
+    ROBUST_STAGES_GIVEN_START,
+    START_ROUGHNESS,
+    TRAP_ROUGHNESS,
+    TRAPPED_MARGIN,
+)
 from pbrfit.fit.solvers import projected_lbfgs
 from pbrfit.fit.solvers.projected_lbfgs import Bounds
 from pbrfit.fit.solvers.run import Run
 
 Array = NDArray[np.float64]
-
-CORRECTIONS = 10
-"""Pairs of steps and gradients that L-BFGS-B remembers."""
-
-TRAP_ROUGHNESS = 0.1
-"""The first stages keep roughness above this. Band weights and G1 depend on r⁴, so their slope is
-r³ and roughness 0 is a stationary point of every pixel: one that overshoots to the bound stays
-there, far from its minimum, and pulls at the lights. Between 0 and 0.1 pictures under SH light
-hardly change, so little is lost by waiting."""
-
-STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
-"""(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
-that ended at the bound start again from the middle."""
-
-STALL = (10, 1e-5)
-"""(Iterations, share): after Gauss-Newton, L-BFGS stops where the loss fell by less than this share
-of itself over so many iterations."""
-
-RESOLUTION = 1e-9
-"""Of a difference of nearby losses, whose residuals are those of float32."""
-
-STAGES_GIVEN_START = ((0.0, 1.0),)
-ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
-"""A robust loss needs a fit by squares first, which tells its scale."""
 
 
 def staged(
@@ -71,13 +56,13 @@ def staged(
 
 def _stages(run: Run, start_given: bool) -> tuple[tuple[float, float], ...]:
     if not start_given:
-        return STAGES
-    return STAGES_GIVEN_START if run.robust == "none" else ROBUST_STAGES_GIVEN_START
+        return LBFGS_STAGES
+    return LBFGS_STAGES_GIVEN_START if run.options.robust == "none" else ROBUST_STAGES_GIVEN_START
 
 
 def robust_around(run: Run, best: tuple[float, Array]) -> tuple[float, Array]:
     """Make the loss robust, if it is to be, with the scale at this state; returns it anew."""
-    if run.robust == "none":
+    if run.options.robust == "none":
         return best
     _, x = best
     run.objective.robust = run.robust_around(x)
@@ -88,7 +73,7 @@ def _restarted(run: Run, x: Array) -> Array:
     """X with the pixels that are trapped at the roughness bound put back to the middle."""
     x = x.copy()
     roughness = x[run.objective.roughness]
-    roughness[roughness <= TRAP_ROUGHNESS + 0.005] = START_ROUGHNESS
+    roughness[roughness <= TRAP_ROUGHNESS + TRAPPED_MARGIN] = START_ROUGHNESS
     return x
 
 
@@ -167,7 +152,7 @@ def rusts(
         callback=after_iteration,
         threads=objective.threads,
         stall=stall,
-        resolution=RESOLUTION,
+        resolution=LOSS_RESOLUTION,
     )
     return found.fun, found.x
 
@@ -211,7 +196,7 @@ def scipys(
     def evaluate(x: Array) -> tuple[float, Array]:
         nonlocal last
         loss, gradient = in_time(x)
-        if last is None and run.limits.seconds is not None:
+        if last is None and run.options.time_limit is not None:
             last = loss, x.copy()
         return loss, gradient
 
@@ -220,7 +205,7 @@ def scipys(
         run.iteration += 1
         loss = float(intermediate_result.fun)
         run.record(intermediate_result.x, loss)
-        if run.limits.seconds is not None:  # else nothing ends a search along a line
+        if run.options.time_limit is not None:  # else nothing ends a search along a line
             last = loss, intermediate_result.x.copy()
         losses.append(loss)
         stalled = window and len(losses) > window and losses[0] - loss < share * losses[0]
@@ -241,7 +226,7 @@ def scipys(
                 options={
                     "maxiter": iterations,
                     "maxfun": 10**9,  # iterations and time are the limits
-                    "maxcor": CORRECTIONS,
+                    "maxcor": LBFGS_PAIRS,
                     # The loss is a mean, so its gradient entries are tiny: scipy's absolute
                     # tolerances would stop at once. Run on until no step lowers the loss.
                     "ftol": 0.0,

@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.fit.settings import LBFGS_PAIRS, SCIPY_UP_TO
 from pbrfit.model.reflection import whole_number
 
 Array = NDArray[np.float64]
@@ -41,25 +42,14 @@ Reason = Literal["iterations", "stopped", "gradient", "descent", "stall"]
 """Why a minimisation ended: iterations done; `callback` or `fun` raised StopIteration; no entry may
 move downwards; no step lowers the loss; it falls too slowly."""
 
-CORRECTIONS = 10
-"""Pairs that are kept."""
-
 DECREASE = 1e-4
-"""Of what the slope promises: a step has to lower the loss by as much."""
+"""Share of the decrease that the slope promises by which a step has to lower the loss (Armijo)."""
 
 SHORTEN = (0.1, 0.5)
-"""Least and largest factor by which a step that was refused gets shorter."""
+"""Smallest and largest factor by which a step that was refused is shortened."""
 
 TRIALS = 12
-"""Evaluations on the way to one minimum of the model."""
-
-
-SCIPY_UP_TO = 100_000
-"""Unknowns up to which scipy's L-BFGS-B is taken, 128² pixels of three channels. There 500 of its
-iterations take seconds, and the fit is that of the reference, bit for bit. Its own work is nowhere
-a small share of an iteration (73 % and more); ours takes a third to a tenth of the time at any
-size, but after as many iterations single scenes end up to 12 % above scipy's loss, others as much
-below."""
+"""Evaluations in one line search at most; then the model's pairs are given up."""
 
 
 def choose(size: int) -> Literal["scipy", "rust"]:
@@ -157,7 +147,7 @@ def minimize(
     *,
     iterations: int,
     callback: Callable[[Iterate], Any] | None = None,
-    corrections: int = CORRECTIONS,
+    corrections: int = LBFGS_PAIRS,
     threads: int = 0,
     stall: tuple[int, float] | None = None,
     resolution: float = 0.0,

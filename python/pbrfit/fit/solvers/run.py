@@ -1,4 +1,4 @@
-"""A running fit: its clock, its limits, its history, and who is told."""
+"""A running fit: its clock, its limits, its history, its progress."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.material import FittedPrior, HeldPull, MaterialPull
-from pbrfit.fit.priors.penalties import Penalty, Priors
+from pbrfit.fit.priors.penalties import Penalty
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.result.history import HistoryRow
+from pbrfit.result.options import FitOptions
 from pbrfit.result.result import Stage, Status
 from pbrfit.scene.scene import Scene
 
@@ -52,14 +53,6 @@ class Progress:
     elapsed_s: float
     state: Callable[[], tuple[Materials, NDArray[np.float64]]] = field(repr=False, compare=False)
     tiles: tuple[int, int] | None = None
-
-
-@dataclass(frozen=True)
-class Limits:
-    """How long a fit may go on: iterations, and seconds or None."""
-
-    iterations: int
-    seconds: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,43 +93,36 @@ class Run:
 
     Attributes
     ----------
-    scene, objective, priors, robust, limits, seed
+    scene, objective, options
         What is fitted and how.
-    taught
-        What other pixels of the scene were found to have, where these are a part of it; None = the
-        whole, which learns for itself.
-    iterations
-        At most so many in each of its fits.
+    shared_state
+        What a subset of the scene's pixels has found, where this is another part of it; None = the
+        whole scene, which finds it itself.
     measured_lighting
-        When the material prior was learnt; by these lights the monochrome weight is chosen.
-    lesson
-        The material prior as it was learnt last, and its penalty; None until then.
+        Lights when the material prior was fitted, by which the monochrome weight is chosen.
+    fitted_prior
+        The material prior as it was fitted last, and its penalty; None until then.
     iteration, evaluations, rows, stages
         What was done.
     unmeasured
-        Seconds spent on comparing with the truth and in `progress`.
+        Seconds spent on comparing with the ground truth and in `progress`.
     """
 
     def __init__(
         self,
         scene: Scene,
         objective: Objective,
+        options: FitOptions,
         *,
-        priors: Priors,
-        robust: str,
-        limits: Limits,
-        seed: int,
         progress: Callable[[Progress], None] | None,
         began: float,
-        taught: SharedState | None = None,
+        shared_state: SharedState | None = None,
     ) -> None:
-        self.taught = taught
-        self.scene, self.objective = scene, objective
-        self.priors, self.robust = priors, robust
-        self.limits, self.seed = limits, seed
-        self.iterations = limits.iterations
+        self.shared_state = shared_state
+        self.scene, self.objective, self.options = scene, objective, options
+        self._iteration_limit = options.iterations
         self.measured_lighting: Array | None = None
-        self.lesson: tuple[FittedPrior, MaterialPull] | None = None
+        self.fitted_prior: tuple[FittedPrior, MaterialPull] | None = None
         self._truth = None if scene.truth is None else scene.truth.materials
         self._progress = progress
         self._began = began
@@ -146,21 +132,18 @@ class Run:
         self.rows: list[HistoryRow] = []
         self.stages: list[Stage] = []
 
-    def again(self, scene: Scene, objective: Objective) -> Run:
+    def continued(self, scene: Scene, objective: Objective) -> Run:
         """A run that goes on with another scene and objective, and has all iterations again."""
         later = Run(
             scene,
             objective,
-            priors=self.priors,
-            robust=self.robust,
-            limits=Limits(self.iteration + self.iterations, self.limits.seconds),
-            seed=self.seed,
+            self.options,
             progress=self._progress,
             began=self._began,
-            taught=self.taught,
+            shared_state=self.shared_state,
         )
-        later.iterations = self.iterations
-        later.measured_lighting, later.lesson = self.measured_lighting, self.lesson
+        later._iteration_limit = self.iteration + self.options.iterations
+        later.measured_lighting, later.fitted_prior = self.measured_lighting, self.fitted_prior
         later.iteration, later.evaluations = self.iteration, self.evaluations
         later.unmeasured = self.unmeasured
         later.rows, later.stages = self.rows, self.stages
@@ -169,7 +152,7 @@ class Run:
     @property
     def left(self) -> int:
         """Iterations."""
-        return self.limits.iterations - self.iteration
+        return self._iteration_limit - self.iteration
 
     @property
     def elapsed(self) -> float:
@@ -178,14 +161,14 @@ class Run:
 
     def out_of_time(self) -> bool:
         """Whether the time limit is reached."""
-        return self.limits.seconds is not None and self.elapsed >= self.limits.seconds
+        return self.options.time_limit is not None and self.elapsed >= self.options.time_limit
 
     def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
         """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""
         if self.out_of_time():
-            return Status.TIME_LIMIT, f"time limit of {self.limits.seconds:g} s reached{kept}"
+            return Status.TIME_LIMIT, f"time limit of {self.options.time_limit:g} s reached{kept}"
         if self.left <= 0:
-            return Status.ITERATION_LIMIT, f"{self.limits.iterations} iterations done{kept}"
+            return Status.ITERATION_LIMIT, f"{self._iteration_limit} iterations done{kept}"
         return Status.CONVERGED, why
 
     @contextmanager
@@ -197,9 +180,9 @@ class Run:
 
     def robust_around(self, x: Array) -> tuple[str, float] | None:
         """The loss and its scale for residuals as they are at x; None = squares."""
-        if self.taught is not None:
-            return self.taught.robust
-        return self.objective.robust_around(x, self.robust)
+        if self.shared_state is not None:
+            return self.shared_state.robust
+        return self.objective.robust_around(x, self.options.robust)
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """Loss, penalties included, and gradient."""
@@ -210,7 +193,7 @@ class Run:
         return loss, gradient
 
     def record(self, x: Array, loss: float, data: float | None = None) -> None:
-        """A row of the history, and word to who wants to know.
+        """Add a row to the history, and call `progress`.
 
         `data` is the loss without penalties, if it is known.
         """
@@ -231,7 +214,7 @@ class Run:
         self._tell(recon, elapsed, lambda: self.objective.unpack(x))
 
     def tell(self, recon_rmse: float, state: Callable[[], Array]) -> None:
-        """Word to who wants to know, of a state that not all pixels have joined."""
+        """Call `progress` with a state of which only a subset of the pixels is fitted."""
         self._tell(recon_rmse, self.elapsed, lambda: self.objective.unpack(state()))
 
     def tell_tile(
@@ -240,7 +223,7 @@ class Run:
         recon_rmse: float,
         state: Callable[[], tuple[Materials, Array]],
     ) -> None:
-        """Word to who wants to know, of a large picture of which some tiles are done."""
+        """Call `progress` with a large picture of which some tiles are done."""
         self._tell(recon_rmse, self.elapsed, state, tiles)
 
     def _tell(
@@ -254,7 +237,7 @@ class Run:
             self._progress(
                 Progress(
                     self.iteration,
-                    self.limits.iterations,
+                    self._iteration_limit,
                     self.evaluations,
                     recon,
                     elapsed,

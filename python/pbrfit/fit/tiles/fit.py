@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from pbrfit.fit import uncertainty
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
-from pbrfit.fit.priors.penalties import Priors
-from pbrfit.fit.solvers import Run
-from pbrfit.fit.solvers.run import SharedState, material_errors
+from pbrfit.fit.solvers.run import Run, SharedState, material_errors
 from pbrfit.fit.tiles.canvas import Canvas
 from pbrfit.fit.tiles.part import Parts
 from pbrfit.fit.tiles.subset_fit import Lattice, fit_lattice
 from pbrfit.fit.tiles.tiling import FEW, MARGIN, THIN_MARGIN, TILE, Tile, lattice, tiles
 from pbrfit.fit.tiles.total import Total
-from pbrfit.fit.whole_picture import Asked, Found, Start
+from pbrfit.fit.whole_picture import FitOutput, FitSetup, Start
 from pbrfit.model.materials import Materials
 from pbrfit.result.history import HistoryRow
+from pbrfit.result.options import Priors
 from pbrfit.result.result import Stage, Status
 from pbrfit.scene.scene import Scene
 
@@ -29,8 +28,8 @@ Array = NDArray[np.float64]
 
 
 def fit_tiles(
-    scene: Scene, asked: Asked, start: Start, *, few: int = FEW, side: int = TILE
-) -> Found:
+    scene: Scene, setup: FitSetup, start: Start, *, few: int = FEW, side: int = TILE
+) -> FitOutput:
     """Fit a scene: some of its pixels together, then all of them in tiles.
 
     Parameters
@@ -44,30 +43,30 @@ def fit_tiles(
 
     # Sums split over threads would round differently on a machine with more processors.
     with threadpool_limits(1, user_api="blas"):
-        return _fit_tiles(scene, asked, start, few, side)
+        return _fit_tiles(scene, setup, start, few, side)
 
 
-def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) -> Found:
-    units = Normalization.of(scene, asked.equal_exposures)
+def _fit_tiles(scene: Scene, setup: FitSetup, start: Start, few: int, side: int) -> FitOutput:
+    units = Normalization.of(scene, setup.options.equal_exposures)
     parts = Parts(scene)
-    known = fit_lattice(parts, lattice(scene.valid, few), asked, units, start)
-    layout = asked.layout(scene)
-    canvas = Canvas(scene, layout, uncertain=asked.uncertainty)
+    known = fit_lattice(parts, lattice(scene.valid, few), setup, units, start)
+    layout = setup.layout(scene)
+    canvas = Canvas(scene, layout, uncertain=setup.options.uncertainty)
     refined = known.refinement.refined
-    margin = MARGIN if asked.priors.smoothness or refined else THIN_MARGIN
+    margin = MARGIN if setup.options.priors.smoothness or refined else THIN_MARGIN
     pieces = list(tiles(scene.valid, margin, side))
     whole = Total(scene, units, layout.channels)
     clock, late, cut_short = known.run, 0, 0
     began, passes = clock.elapsed, 0.0
     clock.tell_tile((0, len(pieces)), clock.rows[-1].recon_rmse, lambda: _maps(canvas, known))
     for number, tile in enumerate(pieces, 1):
-        run, x, status = _fit_tile(tile, known, parts, asked, units, whole)
+        run, x, status = _fit_tile(tile, known, parts, setup, units, whole)
         late += status is Status.TIME_LIMIT
         cut_short += status is Status.ITERATION_LIMIT
         canvas.put(tile, run.scene, run.objective.unpack(x)[0])
         whole.add(run.objective, x)
         passes += run.evaluations * run.objective.pixels / whole.pixels
-        if asked.uncertainty:
+        if setup.options.uncertainty:
             before = time.perf_counter()
             canvas.put_variances(
                 tile, run.scene, uncertainty.variances(run.objective, x, known.modes)
@@ -94,14 +93,16 @@ def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) ->
     if late:
         status = Status.TIME_LIMIT
         reason = (
-            f"time limit of {asked.limits.seconds:g} s reached: {late} of {len(pieces)} tiles are "
-            "unfinished"
+            f"time limit of {setup.options.time_limit:g} s reached: {late} of {len(pieces)} tiles "
+            "are unfinished"
         )
     elif status is Status.TIME_LIMIT:
-        reason = f"half of the time limit of {asked.limits.seconds:g} s was not enough for lights"
+        reason = (
+            f"half of the time limit of {setup.options.time_limit:g} s was not enough for lights"
+        )
     elif status is Status.CONVERGED and cut_short:
         status = Status.ITERATION_LIMIT
-        reason = f"{asked.limits.iterations} iterations done in {cut_short} of {len(pieces)} tiles"
+        reason = f"{setup.options.iterations} iterations done in {cut_short} of {len(pieces)} tiles"
     deviations = None
     if canvas.variances is not None:
         deviations = uncertainty.of_variances(
@@ -110,9 +111,9 @@ def _fit_tiles(scene: Scene, asked: Asked, start: Start, few: int, side: int) ->
             known.modes,
             samples=whole.samples,
             scale=units.scale,
-            priors=asked.priors != Priors.none(),
+            priors=setup.options.priors != Priors.none(),
         )
-    return Found(
+    return FitOutput(
         materials=canvas.materials,
         lighting=known.lighting,
         normals=canvas.normals,
@@ -135,23 +136,23 @@ def _maps(canvas: Canvas, known: Lattice) -> tuple[Materials, Array]:
 
 
 def _fit_tile(
-    tile: Tile, known: Lattice, parts: Parts, asked: Asked, units: Normalization, whole: Total
+    tile: Tile, known: Lattice, parts: Parts, setup: FitSetup, units: Normalization, whole: Total
 ) -> tuple[Run, Array, Status]:
     """The run of a tile, its x, and why it ended; `whole` is of the scene."""
     # Nobody reads the history of a tile, so it need not know the truth.
     part = replace(parts.cut(tile.outer, known.lighting), truth=None)
     near, normals = known.near.at(tile.outer)
     priors, taught = _of_part(known, Total(part, units, whole.channels), whole)
-    asked = replace(asked, priors=priors, progress=None)
+    setup = replace(setup, options=replace(setup.options, priors=priors), progress=None)
 
     def objective_of(of: Scene, free_normals: bool) -> Objective:
-        objective = asked.objective(of, free_normals=free_normals, units=units)
+        objective = setup.objective(of, free_normals=free_normals, units=units)
         if not free_normals:
             objective.penalties += taught.penalties(objective.layout)
         return objective
 
     objective = objective_of(part, False)
-    run = asked.run(part, objective, taught)
+    run = setup.run(part, objective, taught)
     run.unmeasured = known.run.unmeasured
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
@@ -161,7 +162,6 @@ def _fit_tile(
         run,
         x,
         objective_of,
-        solver=asked.solver,
         start_given=True,
         asked="on" if known.refinement.refined else "off",
         hindered=None,

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
 from pbrfit.fit.objective import Normalization, Objective, valid_values
-from pbrfit.fit.priors.penalties import Priors
-from pbrfit.fit.solvers import Run
-from pbrfit.fit.solvers.run import SharedState
+from pbrfit.fit.solvers.run import Run, SharedState
 from pbrfit.fit.tiles.nearest import Nearest
 from pbrfit.fit.tiles.part import Parts, Window, cut
-from pbrfit.fit.whole_picture import Asked, Start, fit_pixels
+from pbrfit.fit.whole_picture import FitSetup, Start, fit_pixels
 from pbrfit.model.materials import Materials
+from pbrfit.result.options import Priors
 from pbrfit.result.refinement import Refinement
 from pbrfit.result.result import Status
 
@@ -60,36 +59,36 @@ class Lattice:
 
 
 def fit_lattice(
-    parts: Parts, window: Window, asked: Asked, units: Normalization, start: Start
+    parts: Parts, window: Window, setup: FitSetup, units: Normalization, start: Start
 ) -> Lattice:
     """Fit the pixels of a window of a scene as if they were all.
 
     `units` are those of the scene. Of a time limit half is left to the tiles.
     """
-    limits = asked.limits
-    if limits.seconds is not None:
-        asked = replace(asked, limits=replace(limits, seconds=limits.seconds / 2))
+    options = setup.options
+    if options.time_limit is not None:
+        setup = replace(setup, options=replace(options, time_limit=options.time_limit / 2))
     whole, scene = parts.scene, parts.cut(window)
     if start is not None:
         start = _of_window(start, window, whole.valid)
-    found, refinement = fit_pixels(scene, asked, start, units)
+    found, refinement = fit_pixels(scene, setup, start, units)
     run, x = found.run, found.x
     objective = run.objective
     materials, lighting = objective.unpack(x)
     modes = None
-    if asked.uncertainty:
+    if setup.options.uncertainty:
         began = time.perf_counter()
         pixels = int(np.count_nonzero(whole.valid))
         modes = uncertainty.light_modes(objective, x, of_pixels=pixels)
         run.unmeasured += time.perf_counter() - began
     lesson = None
-    if run.lesson is not None:
-        learnt, pull = run.lesson
+    if run.fitted_prior is not None:
+        learnt, pull = run.fitted_prior
         lesson = learnt.moved(pull, x)
     taught = SharedState(
         material=lesson,
         robust=objective.robust,
-        cohesion=_means_of_segments(objective, x, asked.priors.cohesion),
+        cohesion=_means_of_segments(objective, x, setup.options.priors.cohesion),
     )
     return Lattice(
         run=run,
@@ -100,7 +99,7 @@ def fit_lattice(
         refinement=refinement,
         taught=taught,
         # Where the lattice had no time for the learnt prior or no use, tiles have none either.
-        priors=asked.priors if lesson else replace(asked.priors, material=0.0),
+        priors=setup.options.priors if lesson else replace(setup.options.priors, material=0.0),
         modes=modes,
         near=Nearest(window, whole.valid, materials, np.asarray(run.scene.normals)),
     )

@@ -1,0 +1,267 @@
+"""The solvers of `decompose`: from a start to a fit.
+
+`lbfgsb` is the paper's recipe and the reference, `gauss-newton` the fast one for squares and the
+material prior, `auto` puts them together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import gauss_newton as joint
+from pbrfit.fit.gauss_newton import LightEstimate
+from pbrfit.fit.gauss_newton.pixels import put
+from pbrfit.fit.plan import FitPlan
+from pbrfit.fit.priors import material
+from pbrfit.fit.priors.material import HeldPull, MaterialPull
+from pbrfit.fit.priors.penalties import Penalty, penalties
+from pbrfit.fit.settings import (
+    DATA_SHARE_OF_ITERATIONS,
+    EXACT_RMSE,
+    FAR_BETTER,
+    SAME_FIT,
+    SAME_FIT_OF_VALIDATION_PIXELS,
+    STALL,
+)
+from pbrfit.fit.solvers.descent import SCIPYS, Descent, lowered, robust_around, staged
+from pbrfit.fit.solvers.run import Run
+from pbrfit.result.result import Status
+
+Array = NDArray[np.float64]
+
+MISFIT = "the model does not fit the pictures: residuals of neighbours are alike"
+ROBUST = "for a robust loss"
+"""Why L-BFGS takes all pixels from the start."""
+
+
+def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]:
+    """X of a fit from x by the solver of the options, and why it ended.
+
+    `start_given` tells L-BFGS-B to trust the start: it has no stages then.
+    """
+    loss = run.evaluate(x)[0]  # not the gradient, which is as large as x
+    run.record(x, loss)
+    if run.left <= 0:
+        return x, Status.ITERATION_LIMIT, "0 iterations asked for"
+    if run.options.solver == "gauss-newton":
+        return gauss_newton(run, x)
+    method = auto if run.options.solver == "auto" else lbfgsb
+    return method(run, x, loss, start_given=start_given)
+
+
+def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
+    """X of the fit, and why it ended.
+
+    Where neighbouring pixels have something in common in what Gauss-Newton leaves of them, the
+    model is wrong somewhere: normals, field of view, shadows, order of the lights. A lower loss can
+    mean worse materials there, because lights that fit some pixels closely bend their materials to
+    the error. Then L-BFGS takes all pixels from the start, and its fit stays unless Gauss-Newton's
+    is the same or far better. It takes them with a robust loss too: squares of outliers lead far
+    from where that is least, and the material prior would be fitted there.
+    """
+    least, by_lbfgs, lights = (loss, x), None, None
+    if run.options.robust == "none":
+        lights = find_lights(run, x)
+    if lights is None or not lights.fits:
+        why = ROBUST if lights is None else MISFIT
+        least = _by_lbfgs(run, x, loss, why, start_given=start_given)
+        by_lbfgs = least[1]
+    found = None
+    if lights is not None and (by_lbfgs is None or _may_be_better(run, lights, by_lbfgs)):
+        found = fit_materials(run, lights)
+    if found is not None and (by_lbfgs is None or _is_better(run, found, by_lbfgs)):
+        x, by_gauss_newton = with_material_prior(run, found), True
+    else:
+        x, by_gauss_newton = least[1], False
+        if has_mixture_prior(run) and _goes_on(run):
+            x, _ = fit_mixture_prior(run, x)
+    only_squares = run.options.robust == "none" and not run.objective.penalties
+    done = by_gauss_newton and only_squares
+    if not done and _goes_on(run):
+        if not has_mixture_prior(run):  # else it is robust already
+            robust_around(run, (loss, x))
+        x = lowered(run, x, stall=STALL if by_gauss_newton else None)
+    comparable = not has_mixture_prior(run) and run.options.robust == "none"
+    if comparable and run.rows[-1].loss > least[0]:
+        # Squares know nothing of penalties, and there was no time to lower these.
+        return least[1], *run.ended("", "; kept an earlier state, whose loss is lower")
+    why = "no joint step lowers the squares" if done else "the loss falls no"
+    return x, *run.ended(f"{why} further")
+
+
+def _goes_on(run: Run) -> bool:
+    return run.left > 0 and not run.out_of_time()
+
+
+def _by_lbfgs(
+    run: Run, x: Array, loss: float, why: str, *, start_given: bool
+) -> tuple[float, Array]:
+    """Loss and x of L-BFGS from the start."""
+    descent = Descent.for_size(run)
+    with run.stage(descent.name) as notes:
+        share = DATA_SHARE_OF_ITERATIONS if has_mixture_prior(run) else 1.0
+        x, loss, _ = staged(run, x, loss, share * run.left, descent, start_given=start_given)
+        notes.append(why)
+    return loss, x
+
+
+def _may_be_better(run: Run, lights: LightEstimate, by_lbfgs: Array) -> bool:
+    """Whether all pixels need be fitted to tell, judged by the validation pixels."""
+    objective = run.objective
+    *_, squares = objective.problem.normal_equations(objective.for_core(by_lbfgs), lights.judges)
+    share = lights.squares / max(float(squares.sum()), np.finfo(np.float64).tiny)
+    least, most = SAME_FIT_OF_VALIDATION_PIXELS
+    return _goes_on(run) and (share <= FAR_BETTER or least <= share <= most)
+
+
+def _is_better(run: Run, found: Array, by_lbfgs: Array) -> bool:
+    squares, left = (run.objective.data_value_and_grad(x)[0] for x in (found, by_lbfgs))
+    return squares <= FAR_BETTER * left or SAME_FIT * left <= squares <= left
+
+
+def lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
+    """X of the fit, and why it ended."""
+    with run.stage("L-BFGS-B"):
+        share = DATA_SHARE_OF_ITERATIONS if has_mixture_prior(run) else 1.0
+        x, _, kept = staged(run, x, loss, share * run.left, SCIPYS, start_given=start_given)
+    if has_mixture_prior(run) and not run.out_of_time():
+        x, prior = fit_mixture_prior(run, x)
+        kept = kept if prior is None else ""
+        if run.left > 0 and not run.out_of_time():  # scipy takes a step even where none is left
+            with run.stage("L-BFGS-B with the material prior"):
+                _, x = SCIPYS(run, x, run.left)
+    # With zero tolerances scipy stops early only where rounding hides any further descent.
+    return x, *run.ended("no step lowers the loss further", kept)
+
+
+def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
+    """X of the fit, and why it ended."""
+    found = fit_materials(run, find_lights(run, x))
+    if found is not None:
+        x = with_material_prior(run, found)
+    return x, *run.ended("no joint step lowers the sum further")
+
+
+def find_lights(run: Run, x: Array) -> LightEstimate:
+    """Lights that explain some pixels, from x."""
+    with run.stage("lights by Gauss-Newton") as notes:
+        lights = joint.find_lights(run.objective, x, _Watch(run, x), run.options.seed)
+        notes.append(lights.note)
+    return lights
+
+
+def fit_materials(run: Run, lights: LightEstimate) -> Array | None:
+    """X with the squares of all pixels as low as they get; None if time ran out before."""
+    with run.stage("all pixels by Gauss-Newton") as notes:
+        fit = joint.fit_materials(run.objective, lights.x, _Watch(run, lights.x))
+        if fit is None:
+            notes.append("stopped before all pixels had lights")
+    return None if fit is None else fit.x
+
+
+def with_material_prior(run: Run, x: Array) -> Array:
+    """X with the material prior fitted around it, and all pixels and lights fitted with it.
+
+    Where there is none, or no time, x is as it was; so it is where nothing is left of the pictures
+    but rounding: the prior is as strong as the noise.
+    """
+    if not has_mixture_prior(run) or run.left <= 0 or run.out_of_time():
+        return x
+    if run.objective.data_value_and_grad(x)[0] <= EXACT_RMSE**2:
+        with run.stage("material prior") as notes:
+            notes.append("left out: the pictures are explained to the last digit")
+        return x
+    x, prior = fit_mixture_prior(run, x)
+    if prior is None:
+        return x
+    with run.stage("all pixels by Gauss-Newton, with the material prior"):
+        joint.fit_pulled(run.objective, x, prior, _Watch(run, x))
+    return x
+
+
+def has_mixture_prior(run: Run) -> bool:
+    """Whether the fit has a mixture prior on materials."""
+    return run.options.priors.material > 0
+
+
+def fit_mixture_prior(run: Run, x: Array) -> tuple[Array, MaterialPull | HeldPull | None]:
+    """X with the material prior fitted around it, which is a penalty from here on; one iteration.
+
+    Where time runs out before, x is as it was and there is no prior.
+
+    Weights that are chosen by rule are chosen by the lights that were found with it.
+    """
+    objective = run.objective
+    others: list[Penalty] = []
+    with run.stage("material prior") as notes:
+        found = _fitted_by(run, x)
+        if found is None:
+            notes.append("stopped before all pixels had theirs")
+            return x, None
+        x, prior = found
+        if run.shared_state is not None:
+            others = run.shared_state.penalties(objective.layout)
+        run.measured_lighting = objective.unpack(x)[1]
+        plan = FitPlan.of(
+            run.scene, objective.layout, priors=run.options.priors, lighting=run.measured_lighting
+        )
+        objective.penalties = [*penalties(objective.layout, plan.priors), *others, prior]
+        objective.robust = run.robust_around(x)
+        loss = run.evaluate(x)[0]
+        run.iteration += 1
+        run.record(x, loss)
+    return x, prior
+
+
+def _fitted_by(run: Run, x: Array) -> tuple[Array, MaterialPull | HeldPull] | None:
+    """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
+    reweighted = run.objective.reweighted(x)
+    if run.shared_state is not None:
+        assert run.shared_state.material is not None
+        return run.shared_state.material.applied(reweighted, x, run.out_of_time)
+    found = material.learn(reweighted, x, run.options.priors.material, out_of_time=run.out_of_time)
+    if found is None:
+        return None
+    x, prior, fitted = found
+    run.fitted_prior = fitted, prior
+    return x, prior
+
+
+class _Watch:
+    """Turns steps of Gauss-Newton into iterations and rows of the history."""
+
+    def __init__(self, run: Run, x: Array) -> None:
+        self._run, self._x = run, x
+        self._steps_of_few, self._most_of_few = 0, run.left
+
+    def stop(self) -> bool:
+        return self._run.out_of_time()
+
+    def visit_few(
+        self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float
+    ) -> bool:
+        # Steps on a subset do not count as iterations: they cost little, and where they fail L-BFGS
+        # is to have all iterations. But there are no more of them, so that few iterations take
+        # little time.
+        run = self._run
+        self._steps_of_few += 1
+
+        def state() -> Array:
+            x = put(run.objective, self._x, pixels, materials)
+            x[run.objective.layout.maps.stop :] = lights
+            return x
+
+        run.tell(run.objective.residual_rmse(share), state)
+        return self._steps_of_few >= self._most_of_few or run.out_of_time()
+
+    def visit(self, x: Array, squares: Array) -> bool:
+        run = self._run
+        # Pixels that are freed after the last iteration belong to that.
+        run.iteration += run.left > 0
+        # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
+        loss = data = float(squares.sum()) / run.objective.total_weight
+        if run.objective.penalties:
+            loss += run.objective.add_penalties(x, np.zeros(run.objective.size))
+        run.record(x, loss, data)
+        return run.left <= 0 or run.out_of_time()

@@ -1,0 +1,286 @@
+"""Options of a fit: said once, for `decompose`, for `result.json`, for batches and for flags."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from pbrfit._core import InputError
+from pbrfit.io.checks import of_what, real_number
+from pbrfit.io.json_files import table
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model, checked_model, whole_number
+from pbrfit.result.refinement import CHOICES, RefineNormals
+
+Solver = Literal["auto", "gauss-newton", "lbfgsb"]
+SOLVERS: tuple[Solver, ...] = get_args(Solver)
+
+Loss = Literal["none", "huber", "cauchy"]
+LOSSES: tuple[Loss, ...] = get_args(Loss)
+
+MODELS_IN_WORDS = (
+    "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
+    "glTF and game engines, integrated exactly"
+)
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Weights of the priors, beside a data term that is a mean over samples; 0 = not evaluated.
+
+    A weight means the same at any resolution, exposure and number of pictures. docs/priors.md says
+    when each prior helps and when it hurts.
+
+    Attributes
+    ----------
+    material
+        Strength of the mixture prior on roughness and metallic that is fitted for each segment; 1
+        is Bayes' rule.
+    cohesion
+        Weight of the squared distance of roughness and metallic to their segment's mean.
+    smoothness
+        Weight of the squared change of roughness and metallic between neighbours.
+    sparsity
+        Weight of metallic itself.
+    monochrome
+        Weight of the squared deviation of lights from grey; None = chosen from the fitted lights.
+
+    Raises
+    ------
+    InputError
+        If a weight is no finite number of 0 or more.
+    """
+
+    material: float = 1.0
+    cohesion: float = 0.0
+    smoothness: float = 0.0
+    sparsity: float = 0.0
+    monochrome: float | None = None
+
+    def __post_init__(self) -> None:
+        expected = "a finite weight, 0 or more"
+        for name in prior_names():
+            value = getattr(self, name)
+            if name == "monochrome" and value is None:
+                continue
+            weight = real_number(f"prior {name}", value, expected)
+            if not 0 <= weight < math.inf:
+                raise InputError(f"prior {name}: expected {expected}, found {value!r}")
+            object.__setattr__(self, name, weight)
+
+    @classmethod
+    def none(cls) -> Priors:
+        """All weights 0."""
+        return cls(**dict.fromkeys(prior_names(), 0.0))
+
+
+def prior_names() -> tuple[str, ...]:
+    """Names of the weights in `Priors`."""
+    return tuple(one.name for one in fields(Priors))
+
+
+@dataclass(frozen=True)
+class Flag:
+    """How the command line asks for an option.
+
+    Attributes
+    ----------
+    help
+        What it does, in words.
+    name
+        Without dashes, where it is not the field's.
+    values
+        The values that it takes, or what the words that it takes stand for; None = any.
+    kind
+        How a text is read where there are no `values`; bool for a switch.
+    metavar
+        What stands for the value in the help.
+    """
+
+    help: str
+    name: str | None = None
+    values: Mapping[str, Any] | Sequence[Any] | None = None
+    kind: Callable[[str], Any] = int
+    metavar: str | None = None
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Options of `decompose` that change the result.
+
+    Attributes
+    ----------
+    solver
+        `"auto"`: Gauss-Newton, then L-BFGS on the whole objective where it has more than squares;
+        where the model does not fit the pictures, L-BFGS from the start; above 2 MP, or where
+        memory is short, lights from a subset of the pixels and then tiles. `"gauss-newton"`:
+        squares and the mixture prior alone. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the
+        paper's recipe), in stages that keep off roughness 0; in one stage when `start` is given.
+        docs/solver.md has more.
+    iterations
+        Largest number of iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these
+        at most as many steps on a subset of the pixels, which find the lights and do not count.
+    time_limit
+        In seconds; the fit stops after the iteration that passes it. None = no limit.
+    sh_order
+        Highest band of the lights: 3, or 2 to fit lights without band 3.
+    metallic
+        A number in [0, 1] that all pixels have, then it is not fitted; None = fitted.
+    mono_light
+        Whether lights are the same in all channels.
+    priors
+        Weights of the priors; None stands for `Priors.none()`.
+    robust
+        `"huber"` or `"cauchy"`: a loss in which shadows and other outliers weigh less, its scale
+        estimated from the residuals after the first stage and again before each later one;
+        `"none"`: squares (docs/solver.md).
+    equal_exposures
+        Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
+        dark ones; None = where the brightest has more than 4 times that of the darkest.
+    refine_normals
+        Whether to refine the given normals together with materials and lights (docs/normals.md):
+        `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
+        three pictures cannot say it, then normals stay as they are; with `"auto"` also where there
+        is not enough memory. `Result.refinement` tells what was decided and why.
+    seed
+        Seed of what is drawn at random: the pixels on which Gauss-Newton finds the lights.
+    model
+        How surfaces reflect light (docs/model.md): "paper", its eq. 12; "principled", the BRDF of
+        Blender's Principled node. None = that which the scene says its pictures were rendered
+        with, else the default, `pbrfit.model.reflection.DEFAULT_MODEL`.
+    uncertainty
+        Whether to estimate standard deviations of the maps (docs/uncertainty.md).
+
+    Raises
+    ------
+    InputError
+        If a value is none of the above; one line that names the option.
+    """
+
+    solver: Solver = "auto"
+    iterations: int = 500
+    time_limit: float | None = None
+    sh_order: int = 3
+    metallic: float | None = None
+    mono_light: bool = False
+    priors: Priors = field(default_factory=Priors)
+    robust: Loss = "none"
+    equal_exposures: bool | None = None
+    refine_normals: RefineNormals = "auto"
+    seed: int = 0
+    model: Model | None = None
+    uncertainty: bool = True
+
+    def __post_init__(self) -> None:
+        self._keep(
+            solver=_one_of("solver", self.solver, SOLVERS),
+            robust=_one_of("robust", self.robust, LOSSES),
+            refine_normals=_one_of("refine_normals", self.refine_normals, CHOICES),
+            iterations=whole_number("iterations", self.iterations),
+            seed=whole_number("seed", self.seed),
+            sh_order=whole_number("sh_order", self.sh_order),
+            priors=Priors.none() if self.priors is None else self.priors,
+            mono_light=_flag("mono_light", self.mono_light),
+            uncertainty=_flag("uncertainty", self.uncertainty),
+        )
+        if self.sh_order not in (2, 3):
+            raise InputError(f"sh_order: expected 2 or 3, found {self.sh_order}")
+        if self.time_limit is not None:
+            seconds = real_number("time_limit", self.time_limit, "seconds, 0 or more")
+            if not 0 <= seconds < math.inf:
+                raise InputError(f"time_limit: expected seconds, 0 or more, found {seconds}")
+            self._keep(time_limit=seconds)
+        if self.metallic is not None:
+            self._keep(metallic=unit_interval("metallic", self.metallic))
+        if self.equal_exposures is not None:
+            self._keep(equal_exposures=_flag("equal_exposures", self.equal_exposures))
+        if self.model is not None:
+            checked_model(self.model)
+
+    def _keep(self, **values: Any) -> None:
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def to_json(self) -> dict[str, Any]:
+        """What `result.json` holds under `options`."""
+        values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return values
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> FitOptions:
+        """Undo `to_json`; ValueError or TypeError if it is something else.
+
+        Results of versions that had no `refine_normals` were fitted without.
+        """
+        values = {"refine_normals": "off", **table(content)}
+        if "priors" in values:
+            values["priors"] = Priors(**table(values["priors"]))
+        return cls(**values)
+
+
+FLAGS: dict[str, Flag] = {
+    "solver": Flag(
+        "auto: Gauss-Newton, then L-BFGS where there is more to minimise than squares; "
+        "gauss-newton: squares and the material prior; lbfgsb: the paper's recipe "
+        "(default: %(default)s)",
+        values=SOLVERS,
+    ),
+    "iterations": Flag("at most so many", metavar="K"),
+    "time_limit": Flag(
+        "stop the fit of a scene after so many seconds (default: none)", kind=float, metavar="S"
+    ),
+    "sh_order": Flag("of the lights; 2 leaves out band 3", values=(2, 3)),
+    "metallic": Flag(
+        "0: no pixel is a metal, and metallic is not fitted",
+        values={"free": None, "0": 0.0},
+    ),
+    "robust": Flag(
+        "loss in which shadows and other outliers weigh less than in squares", values=LOSSES
+    ),
+    "equal_exposures": Flag(
+        "equal: pictures are divided by their mean radiance, so that bright ones do not outweigh "
+        "dark ones; as-is: they are not; auto: where one has more than 4 times the mean of another",
+        name="exposures",
+        values={"auto": None, "as-is": False, "equal": True},
+    ),
+    "mono_light": Flag("lights are grey: the same in all colour channels", kind=bool),
+    "refine_normals": Flag(
+        "fit the normals too, from three pictures on; auto: where the pictures say that the given "
+        "ones are wrong (default: %(default)s)",
+        values=CHOICES,
+    ),
+    "seed": Flag(
+        "of what a fit draws at random: pixels on which lights are sought (default: %(default)s)",
+        metavar="SEED",
+    ),
+    "model": Flag(
+        f"how surfaces reflect light. {MODELS_IN_WORDS} (default: what the scene was rendered "
+        f"with, where it says so, else {DEFAULT_MODEL})",
+        values=MODELS,
+    ),
+}
+"""Options that have a flag, by the names of the fields; priors have flags of their own."""
+
+
+def unit_interval(name: str, value: Any) -> float:
+    """Check a number in [0, 1]."""
+    number = real_number(name, value, "None or a number in [0, 1]")
+    if not 0 <= number <= 1:
+        raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
+    return number
+
+
+def _one_of(name: str, value: Any, values: tuple[Any, ...]) -> Any:
+    if not isinstance(value, str) or value not in values:
+        raise InputError(f"{name}: expected one of {', '.join(values)}, found {of_what(value)}")
+    return value
+
+
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name}: expected True or False, found {of_what(value)}")
+    return bool(value)
