@@ -7,6 +7,8 @@ stand beside it.
 
 from __future__ import annotations
 
+import math
+
 # --- Start and normalization ------------------------------------------------------------------
 
 MEAN_RADIANCE = 0.4
@@ -121,9 +123,216 @@ as many iterations single scenes end up to 12 % above scipy's loss, others as mu
 
 
 # --- Normals ----------------------------------------------------------------------------------
+# A prefix sets apart what has another value or meaning than in Gauss-Newton with held normals.
+
+DAMPING_START = 1e-3
+"""Share of the diagonal of each pixel's matrix that the first joint step adds to it, as in
+Marquardt's method: more damping makes steps shorter, and safer where the model is not linear."""
+
+DAMPING_MIN = 1e-9
+"""Smallest such share. It is divided by `DAMPING_DECREASE` after each step that is taken."""
+
+DAMPING_DECREASE = 5
+DAMPING_INCREASE = 10
+"""Factors between the damping of one joint step and of the next, after one that lowers the sum and
+after one that fails."""
+
+DAMPING_AFTER_FAILURE_MIN = 1e-6
+"""Smallest damping, as a share of the diagonal, after a joint step that failed."""
+
+LIGHT_DAMPING = 1e-3
+"""Damping of the lights, as a share of that of the pixels."""
+
+STEP_FAILURES_MAX = 4
+"""Dampings that a joint step is tried with before its round ends."""
+
+STEP_SHARES = (1.0, 0.4)
+"""Shares of a joint step that are tried before more damping is."""
+
+STEP_DECREASE_MIN = 1e-4
+"""Share of the sum by which a joint step has to lower it for another to follow in its round."""
+
+LIGHT_SCALE_TRIALS = (1.2, 1 / 1.2, 1.05, 1 / 1.05)
+"""Factors on the lights that are tried after a round, with albedo divided by them."""
+
+STRIDED_SUBSET_EXCESS = 1.25
+"""Times as many pixels as wanted that a strided subset may have: rows and columns are chosen, not
+pixels, so their number is not exact."""
+
+NORMALS_SUBSET_PIXELS_MAX = 1024
+"""Pixels of the strided subset that finds lights and normals, about. More pixels find lights with
+less noise, and take longer."""
+
+NORMALS_LIGHT_SCALE_STARTS = (1.0, 2.0, 1.4)
+"""Factors on the lights from which the search starts, the next only where the one before has not
+ended well: which of several ways lights and normals go is decided in the first rounds."""
+
+NORMALS_MEAN_OVER_MEDIAN_MAX = 1.25
+"""Ratio of mean to median of the pixels' summed squared residuals, divided by that of noise, up to
+which a search has ended well; above it another start is tried."""
+
+NORMALS_RMS_MAX = 2e-3
+"""Root mean square residual of the better half of the pixels, as a share of the mean radiance, up
+to which a search has ended well too: without noise that half ends exact, and what is wrong
+elsewhere is never noise, but lights are right by then."""
+
+NORMALS_ROUNDS_MAX = 12
+"""Rounds of a search."""
+
+NORMALS_ROUND_DECREASE_MIN = 1e-3
+"""Share of the sum by which a round has to lower it for another to follow."""
+
+NORMALS_STEPS_PER_ROUND = 4
+"""Joint steps of a round, at most."""
+
+NORMALS_STARTS = 2
+"""Nodes of roughness and metallic from which each pixel starts in every other round."""
+
+NORMALS_PIXEL_STEPS = 12
+"""Steps of a pixel by itself from such a start."""
+
+NORMALS_DIELECTRIC_ROUNDS = 3
+"""First rounds of a search, in which metallic has a prior around 0 in place of the fitted one."""
+
+NORMALS_DIELECTRIC_SIGMA = 0.2
+"""Standard deviation of that prior on metallic."""
+
+NORMALS_MATERIAL_SIGMAS_MIN = (0.1, 0.06, 0.036, 0.02)
+"""Smallest standard deviation of the fitted prior on roughness and metallic in the rounds after
+those; the last value holds from then on. A smaller one binds pixels of a segment more strongly."""
+
+NORMALS_METALLIC_NODES = (0.0, 1.0)
+"""Metallic of the nodes that the prior is fitted on: there is hardly anything between dielectrics
+and metals, and with normals free the pictures alone do not say so."""
+
+NORMALS_METALLIC_BINARY_ROUND = 8
+"""Round from which on clusters have no offset in metallic, which then is drawn to 0 or 1. Before,
+they are free to move together, which lights need to find their scale."""
+
+NORMALS_METALLIC_OFFSET_PRECISION = 1e3
+"""Precision of that offset from then on, as a share of the summed precision of the pixels."""
+
+NORMALS_DIELECTRIC_TRIAL_ROUNDS = (5, 8)
+"""Rounds after which segments that are neither dielectric nor metal are tried as dielectrics, each
+as a whole. They stay so if all is explained better for it: what is in between has been bent there
+by wrong normals, and its own way back is uphill."""
+
+NORMALS_DIELECTRIC_TRIALS_MAX = 12
+"""Segments that are tried so in a round."""
+
+NORMALS_DIELECTRIC_TRIAL_PIXELS_MIN = 8
+"""Pixels of the subset that a segment needs to be tried so."""
+
+NORMALS_DIELECTRIC_TRIAL_STEPS = 2
+"""Joint steps of such a trial."""
+
+NORMALS_MIXED_METALLIC = (0.04, 0.96)
+"""Mean metallic of a segment between which it is neither dielectric nor metal."""
+
+NORMALS_LOSS_BOUND = 4.0
+NORMALS_LOSS_BOUND_QUANTILE = 0.8
+"""The bound τ of a pixel's loss is this multiple of this quantile of the pixels' summed squared
+residuals. Pixels far above τ have little weight in joint steps."""
+
+NORMALS_OFFSET_STEP_MAX = 0.3
+"""Longest joint step of a pixel's tangent offset, as the tangent of an angle."""
+
+NORMALS_ROUGHNESS_STEP_MAX = 0.25
+"""Largest joint step of roughness."""
+
+NORMALS_OFFSET_SIGMA_ALONE = math.radians(60.0)
+"""Standard deviation of each tangent offset by itself, in radians. It is weak on purpose: counted
+once a pixel, a stronger one would hold back a turn that all normals have in common."""
+
+NORMALS_OFFSET_SIGMA_START = math.radians(6.0)
+"""Standard deviation of the difference between neighbours' tangent offsets, in radians, before it
+is found from the pictures."""
+
+NORMALS_OFFSET_SIGMA_RANGE = (math.radians(0.05), math.radians(12.0))
+"""Smallest and largest standard deviation, in radians, that is found for it."""
+
+NORMALS_HALF_WEIGHT_STEP = 3.0
+"""Difference between neighbours' tangent offsets, in their standard deviations, at which a pair
+counts half; larger ones, at outlines, count less."""
+
+NORMALS_EDGE_SCALE = 0.1
+"""Squared difference |Δn|² between neighbours' given normals, 18 degrees, at which the weight of
+the pair has fallen to 1/e: from about here on an edge lies between them."""
+
+NORMALS_GIVEN_SIGMA_MIN = 0.1
+"""Smallest uncertainty of a given normal, as a share of the mean one: nothing is known for sure."""
+
+NORMALS_PRIOR_UPDATES = 3
+"""Times that all pixels refine their normals, each time with a prior around where their neighbours
+were the time before."""
+
+NORMALS_ROUGHNESS_METALLIC_SIGMA = 0.03
+"""Standard deviation of roughness and metallic, while normals are refined again, around those of
+the fit before, which has all priors."""
+
+NORMALS_PASSES = 2
+"""Times that all normals are refined, and then held in a fit."""
+
+NORMALS_GIVEN_CORRELATION_MAX = 0.03
+"""Mean cosine between residuals of neighbours up to which the given normals are right; above it
+`auto` goes on to refine them."""
+
+NORMALS_ROUNDING_RMS = 1e-6
+"""Root mean square residual, as a share of the mean radiance, up to which given normals are right
+whatever neighbours have in common: rounding to float32 leaves 6e-8 at most, and neighbours of one
+colour may be rounded alike."""
+
+NORMALS_SAMPLES_PER_UNKNOWN_MIN = 2.0
+"""Samples for each unknown of a pixel, its normal's included, from which on `auto` refines: with
+fewer almost anything can be explained."""
+
+NORMALS_ITERATIONS_MIN = 50
+"""Iterations up to which `auto` does not refine after a fit that was stopped by their number: what
+it leaves may be gone with the next ones."""
+
+NORMALS_FAR_BETTER = 0.1
+NORMALS_PERFECT = 0.01
+"""Ratios of the loss with refined normals to that with given ones, each by its degrees of freedom.
+Up to the first refined ones are kept if residuals of neighbours have little in common (normals that
+bend to shadows leave little too, but neighbours share that); up to the second, always."""
+
+NORMALS_REFINED_CORRELATION_MAX = 0.1
+NORMALS_REFINED_CORRELATION_RATIO = 0.5
+"""Mean cosine between residuals of neighbours up to which refined normals leave noise, and are kept
+if they leave less than given ones; and the largest ratio of it to that with given ones."""
+
+NORMALS_GAIN_WINDOW = 5
+"""Rows and columns of pixels over which the gain of refined normals is averaged."""
+
+NORMALS_GAIN_OF_NOISE = 2.0
+"""Gain of a pixel, in summed squared residuals over the noise's variance, that two numbers more
+have on noise alone."""
+
+NORMALS_GAIN_SIGMAS = 3.0
+"""Standard deviations above that from which on a mean gain is real; below it pixels get their given
+normals back."""
 
 
 # --- Tiles ------------------------------------------------------------------------------------
+
+TILES_SUBSET_PIXELS_MAX = 1 << 18
+"""Pixels that find the lights of a large picture, about: 512². The error of a pixel's materials
+that comes from the lights is then 1 % of that from its own noise, and a fit of so many takes a
+minute."""
+
+TILES_SUBSET_PIXELS_MIN = 1 << 12
+"""Pixels that find the lights at least, where a mask would leave a strided subset fewer."""
+
+TILE_SIDE = 512
+"""Rows and columns of a tile, at most: memory grows with its square."""
+
+TILE_MARGIN = 2
+"""Pixels around a tile that are fitted with it and left to its neighbours, where pixels are fitted
+each for itself: only those that are tried again look beside."""
+
+TILE_MARGIN_SMOOTH = 32
+"""The same where neighbouring pixels are to be alike: the borders of two tiles then come from
+almost the same pixels."""
 
 
 # --- Uncertainty ------------------------------------------------------------------------------

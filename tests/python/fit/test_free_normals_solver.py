@@ -206,7 +206,7 @@ def test_history_and_stages_go_on_over_all_fits() -> None:
     scene = wrong(right())
     result = decompose(scene, refine_normals="auto", iterations=60, uncertainty=False)
     names = [stage.name for stage in result.stages]
-    assert "normals and lights from a lattice" in names
+    assert "normals and lights from a subset" in names
     assert "normals of all pixels" in names
     iterations, seconds = result.history["iteration"], result.history["elapsed_s"]
     assert (np.diff(iterations) >= 0).all()

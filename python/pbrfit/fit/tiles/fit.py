@@ -165,7 +165,7 @@ def _fit_tile(
         start_given=True,
         asked="on" if known.refinement.refined else "off",
         hindered=None,
-        turned=normals[part.valid] if known.refinement.refined else None,
+        normals=normals[part.valid] if known.refinement.refined else None,
     )
     return found.run, found.x, found.status
 
