@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from functools import partial
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Priors, Scene, decompose
-from pbrfit.fit import decompose as solve
-from pbrfit.fit import memory, uncertainty
+from pbrfit.fit import uncertainty
 from pbrfit.fit.gauss_newton.lights import options
 from pbrfit.fit.gradient_check import check_gradients
-from pbrfit.fit.tiles import fit_tiles
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
+from tiled import in_tiles
 
 MAPS = ("albedo_rmse", "roughness_rmse", "metallic_rmse")
 
@@ -172,9 +170,7 @@ def test_wrong_normals_are_refined() -> None:
 def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = room("principled", size=20)
     whole = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
-    monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 0)
-    monkeypatch.setattr("pbrfit.fit.tiles.tiling.FEWEST", 16)
-    monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=100, side=14))
+    in_tiles(monkeypatch, side=14, subset=100)
     tiled = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
     assert "tiles" in tiled.stages[-1].name
     for name in ("albedo", "roughness", "metallic"):

@@ -21,7 +21,7 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import render
 from pbrfit.report import write_report
 from pbrfit.result.differences import PALETTE, WHITE, turned
-from pbrfit.result.refinement import CHOICES, CHANGE_DEGREES_MIN, NOT_ASKED, Refinement, hindrance
+from pbrfit.result.refinement import CHANGE_DEGREES_MIN, CHOICES, NOT_ASKED, Refinement, hindrance
 from pbrfit.synthetic import make_scene
 from refined import LARGEST, degrees_of, refined
 from scene_files import run

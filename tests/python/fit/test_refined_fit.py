@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit import Priors, Progress, Result, Scene, Status, Truth, decompose, render
 from pbrfit.fit.normals import refined_fit
+from pbrfit.fit.settings import NORMALS_ITERATIONS_MIN, NORMALS_PASSES
 from pbrfit.fit.solvers import strategies
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.options import SOLVERS, Solver
@@ -193,7 +194,7 @@ def test_no_iterations_leave_the_normals_alone(asked: RefineNormals) -> None:
     assert result.refinement.why == "0 iterations asked for"
 
 
-@pytest.mark.parametrize("iterations", [1, 5, refined_fit.LOOK])
+@pytest.mark.parametrize("iterations", [1, 5, NORMALS_ITERATIONS_MIN])
 def test_auto_does_not_refine_what_is_not_fitted_yet(iterations: int) -> None:
     result = decompose(wrong(small()), solver="lbfgsb", iterations=iterations, uncertainty=False)
     assert result.status == Status.ITERATION_LIMIT
@@ -226,7 +227,7 @@ def test_each_fit_has_its_iterations_and_no_more(solver: Solver, iterations: int
         uncertainty=False,
         progress=seen.append,
     )
-    assert result.history.iterations <= refined_fit.PASSES * iterations
+    assert result.history.iterations <= NORMALS_PASSES * iterations
     told = [progress.iteration for progress in seen]
     assert told == sorted(told)
     assert all(progress.iteration <= progress.iterations for progress in seen)
@@ -282,7 +283,7 @@ def test_lights_are_those_of_the_joint_steps_unless_more_is_asked_of_them(
     monkeypatch.setattr(refined_fit, "solve", watched)
     scene = wrong(right(16, 8))
     result = decompose(scene, refine_normals="on", iterations=5, **options)
-    assert known == refined_fit.PASSES * [held]
+    assert known == NORMALS_PASSES * [held]
     check(result, scene)
     assert not any("known" in entry for entry in result.left_out)
     assert result.uncertainty is not None
