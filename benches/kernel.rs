@@ -7,18 +7,19 @@ use criterion::{
     BenchmarkGroup, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main,
 };
 use glam::DVec3;
-use pbrfit::band_table::TABLE;
-use pbrfit::directional::{DirectionalLight, render_directional};
-use pbrfit::ggx;
-use pbrfit::model::Model;
-use pbrfit::paper::Paper;
-use pbrfit::pixel_fit::Search;
+use pbrfit::pixel::pixel_fit::Search;
+use pbrfit::problem::directional::{DirectionalLight, render_directional};
+use pbrfit::problem::render::render;
+use pbrfit::problem::targets::Targets;
 use pbrfit::problem::{Options, Pictures, Problem};
-use pbrfit::reduced::Elimination;
-use pbrfit::render::render;
-use pbrfit::shade::{Frame, Material, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
-use pbrfit::simd::{Instructions, Isa, Kernel};
-use pbrfit::targets::Targets;
+use pbrfit::reflectance::band_table::TABLE;
+use pbrfit::reflectance::ggx;
+use pbrfit::reflectance::model::Model;
+use pbrfit::reflectance::paper::Paper;
+use pbrfit::reflectance::planes::Material;
+use pbrfit::reflectance::shade::{Frame, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
+use pbrfit::runtime::simd::{Instructions, Isa, Kernel};
+use pbrfit::schur::Elimination;
 
 /// Bands of one roughness: exact, and from the table that the fast path uses.
 fn bands(c: &mut Criterion) {

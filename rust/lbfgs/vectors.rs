@@ -4,7 +4,7 @@ use std::iter;
 
 use super::bounds::{BlockBounds, Bounds, is_free};
 use super::{BLOCK, LINES, Numbers};
-use crate::simd::{Ahead, Isa, Kernel};
+use crate::runtime::simd::{Ahead, Isa, Kernel};
 
 /// Sums are kept in so many parts, which the compiler can put into vector registers.
 const PARTS: usize = 8;

@@ -8,8 +8,8 @@ use pyo3::prelude::*;
 
 use super::InputError;
 use super::arrays::{Contiguous, array, shape};
-use crate::Error;
-use crate::penalties::{Groups, Neighbours};
+use crate::problem::penalties::{Groups, Neighbours};
+use crate::runtime::Error;
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyNeighbours>()?;

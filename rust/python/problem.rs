@@ -12,11 +12,11 @@ use pyo3::prelude::*;
 use super::arrays::{Contiguous, array, collect, copied, shape, try_copied, vectors};
 use super::images::Images;
 use super::model::{array2, array3, matrix};
-use crate::pixel_fit::{Search, Towards};
+use crate::pixel::pixel_fit::{Search, Towards};
+use crate::problem::robust::Robust;
 use crate::problem::{Options, Pictures, Problem};
-use crate::reduced::{Elimination, Pull};
-use crate::robust::Robust;
-use crate::{Error, check, pool};
+use crate::runtime::{Error, check, pool};
+use crate::schur::{Elimination, Pull};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProblem>()

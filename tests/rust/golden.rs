@@ -4,9 +4,10 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
-use pbrfit::ggx;
-use pbrfit::paper::Paper;
-use pbrfit::shade::{Material, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
+use pbrfit::reflectance::ggx;
+use pbrfit::reflectance::paper::Paper;
+use pbrfit::reflectance::planes::Material;
+use pbrfit::reflectance::shade::{TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
 use serde_json::Value;
 
 fn golden(name: &str, list: &str) -> Vec<Value> {

@@ -1,13 +1,13 @@
 //! Derivatives by the normal against central differences, and the two numbers that turn a normal.
 
 use glam::DVec3;
-use pbrfit::ggx::{self, MIN_COSINE};
-use pbrfit::paper::Paper;
-use pbrfit::sh;
-use pbrfit::shade::{
-    Frame, Material, TurningFrame, Weights, shade, shade_vjp, shade_vjp_by_normal,
-};
-use pbrfit::tilt;
+use pbrfit::reflectance::ggx::{self, MIN_COSINE};
+use pbrfit::reflectance::paper::Paper;
+use pbrfit::reflectance::planes::Material;
+use pbrfit::reflectance::reflection::Weights;
+use pbrfit::reflectance::sh;
+use pbrfit::reflectance::shade::{Frame, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
+use pbrfit::reflectance::tangent_offset as tilt;
 
 /// Numbers in \[0, 1) that look random.
 struct Numbers(u64);

@@ -2,18 +2,19 @@
 //! against itself at other thread counts.
 
 use glam::DVec3;
-use pbrfit::band_table::TABLE;
-use pbrfit::ggx;
-use pbrfit::model::Model;
-use pbrfit::paper::Paper;
+use pbrfit::problem::render::render;
+use pbrfit::problem::robust::Robust;
+use pbrfit::problem::targets::Targets;
 use pbrfit::problem::{Options, Pictures, Problem};
-use pbrfit::reduced::Elimination;
-use pbrfit::render::render;
-use pbrfit::robust::Robust;
-use pbrfit::shade::{Frame, Material, TurningFrame, shade, shade_vjp_by_normal};
-use pbrfit::simd::{Instructions, Isa, Kernel};
-use pbrfit::targets::Targets;
-use pbrfit::tilt;
+use pbrfit::reflectance::band_table::TABLE;
+use pbrfit::reflectance::ggx;
+use pbrfit::reflectance::model::Model;
+use pbrfit::reflectance::paper::Paper;
+use pbrfit::reflectance::planes::Material;
+use pbrfit::reflectance::shade::{Frame, TurningFrame, shade, shade_vjp_by_normal};
+use pbrfit::reflectance::tangent_offset as tilt;
+use pbrfit::runtime::simd::{Instructions, Isa, Kernel};
+use pbrfit::schur::Elimination;
 
 #[derive(Clone)]
 struct Example {

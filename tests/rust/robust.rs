@@ -1,8 +1,8 @@
 //! Robust losses of single residuals against their definition in float64.
 
-use pbrfit::block::{BLOCK, Plane};
-use pbrfit::robust::{Robust, Tame};
-use pbrfit::simd::Instructions;
+use pbrfit::problem::robust::{Robust, Tame};
+use pbrfit::reflectance::planes::{BLOCK, Plane};
+use pbrfit::runtime::simd::Instructions;
 
 /// φ(e) and φ'(e)/2 of float32 residuals, one at a time.
 fn tamed(loss: Robust, residuals: &[f32], instructions: Instructions) -> Vec<(f64, f64)> {

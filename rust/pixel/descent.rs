@@ -1,0 +1,435 @@
+//! Levenberg–Marquardt on the materials, and free tilts, of a block of pixels, each for itself.
+//!
+//! With g half of the gradient and A the Gauss–Newton matrix of a pixel's squares, a step δ solves
+//!
+//! ```text
+//! (A + λ diag A) δ = −g
+//! ```
+//!
+//! for the unknowns that are free, inside a box: the bounds \[0, 1\], and for roughness no further
+//! than [`REACH`]. Tilts have no bounds, but both together a reach ([`within_reach`]). Damping by the diagonal means that the unit of an unknown does not matter, so no
+//! scaling is needed; an unknown that radiance does not depend on has a diagonal of 0 and is held,
+//! as is one on a bound whose gradient points outwards. A step that leaves the box is cut there and
+//! the other unknowns are solved for again with the cut ones where they are: cut alone, it would
+//! leave them where they make sense only with the rest of the step.
+//!
+//! The equations of one pixel are in [`arrow`](crate::arrow).
+
+use crate::block::normal_jacobian::Tilts;
+use crate::pixel::arrowhead::{Arrow, MAX_SHARED, shared};
+use crate::pixel::offset_step::within_reach;
+use crate::pixel::samples::{Sums, UNKNOWNS};
+use crate::reflectance::planes::{BLOCK, Doubles, Materials, Plane};
+use crate::reflectance::tangent_offset::TILTS;
+use crate::runtime::simd::{Instructions, Isa, Kernel};
+
+/// Roughness at most moves so far in a step. Its derivative falls with r³ towards 0, so from there
+/// the step that Gauss–Newton proposes is far too long.
+const REACH: f64 = 0.25;
+/// Steps that turn normals more than double roughness as little as they more than halve it, down to
+/// this: with a wrong normal it is mostly the normal that asks for a mirror, and a mirror does not
+/// say how rough it should be.
+const LEAST_ROUGHNESS: f64 = 1e-3;
+/// Damping after a rejected step is at least this.
+const RESTRAINED: f64 = 1e-3;
+/// Damping never falls below: it keeps the pivots positive.
+const LEAST_DAMPING: f64 = 1e-12;
+/// Beyond it nothing is to be gained.
+const MOST_DAMPING: f64 = 1e10;
+/// Factors of the damping after a step that kept its promise, and one that did not. Where residuals
+/// are large and bend, steps are too long time after time, though squares fall.
+const CALMER: f64 = 0.2;
+const WILDER: f64 = 10.0;
+/// Parts of the predicted decrease from which a promise is kept, or else broken.
+const HELD: f64 = 0.25;
+const BROKEN: f64 = 0.1;
+/// Diagonals up to this are 0: their inverse would overflow.
+const NOTHING: f64 = 1e-280;
+/// Squares of a block of pixels as a function of their unknowns, U at most.
+pub(crate) trait Squares<const C: usize, const U: usize> {
+    /// Squares, gradient and matrix at materials and tilts; what `sums` holds is overwritten.
+    fn take(&mut self, materials: &Materials<C>, tilts: &Tilts, sums: &mut Sums<U>);
+}
+
+/// Σ_f precision (v_f − centre)² beside the squares, for f = roughness, metallic and the tilts; zeros
+/// are none.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Pull {
+    pub(crate) centre: [Doubles; MAX_SHARED],
+    pub(crate) precision: [Doubles; MAX_SHARED],
+}
+
+/// A point for each pixel, and what is known there.
+#[derive(Clone, Debug)]
+pub(crate) struct Point<const C: usize, const U: usize> {
+    pub(crate) materials: Materials<C>,
+    /// Where they are among the U unknowns; else not looked at.
+    pub(crate) tilts: Tilts,
+    pub(crate) sums: Sums<U>,
+    /// Squares and pull.
+    pub(crate) cost: Doubles,
+}
+
+impl<const C: usize, const U: usize> Default for Point<C, U> {
+    fn default() -> Self {
+        Self {
+            materials: Materials::default(),
+            tilts: Tilts::default(),
+            sums: Sums::default(),
+            cost: Doubles::default(),
+        }
+    }
+}
+
+impl<const C: usize, const U: usize> Point<C, U> {
+    /// Works out what holds at the materials and tilts.
+    pub(crate) fn take(
+        &mut self,
+        isa: Instructions,
+        squares: &mut impl Squares<C, U>,
+        pull: Option<&Pull>,
+    ) {
+        squares.take(&self.materials, &self.tilts, &mut self.sums);
+        self.cost = self.sums.squares;
+        if let Some(pull) = pull {
+            isa.run(AddPull { point: self, pull });
+        }
+    }
+
+    /// Takes the pixels of `other` whose cost is less.
+    pub(crate) fn keep_lower(&mut self, isa: Instructions, other: &Self) {
+        let mut lower = Doubles::default();
+        for x in 0..BLOCK {
+            lower.0[x] = if other.cost.0[x] < self.cost.0[x] {
+                1.0
+            } else {
+                0.0
+            };
+        }
+        isa.run(Take {
+            which: &lower,
+            from: other,
+            to: self,
+        });
+    }
+}
+
+/// How a block descends.
+pub(crate) struct Descent<'a, const C: usize, const U: usize> {
+    pub(crate) isa: Instructions,
+    pub(crate) pull: Option<&'a Pull>,
+    /// Where it is known, metallic stays.
+    pub(crate) metallic_known: bool,
+    /// Decreases up to this are rounding.
+    pub(crate) floor: &'a Doubles,
+    /// Before the first step.
+    pub(crate) damping: f64,
+    pub(crate) trial: &'a mut Box<Point<C, U>>,
+}
+
+impl<const C: usize, const U: usize> Descent<'_, C, U> {
+    /// At most `steps` steps from a point at which everything is known, for the pixels that are
+    /// `active` (1, else 0).
+    pub(crate) fn run(
+        &mut self,
+        squares: &mut impl Squares<C, U>,
+        point: &mut Box<Point<C, U>>,
+        mut active: Doubles,
+        steps: usize,
+    ) {
+        let mut damping = Plane([self.damping; BLOCK]);
+        let mut predicted = Doubles::default();
+        for _ in 0..steps {
+            if active.0.iter().all(|&a| a == 0.0) {
+                break;
+            }
+            self.isa.run(Step {
+                point,
+                metallic_known: self.metallic_known,
+                damping: &damping,
+                active: &active,
+                trial: &mut self.trial.materials,
+                tilts: &mut self.trial.tilts,
+                predicted: &mut predicted,
+            });
+            self.trial.take(self.isa, squares, self.pull);
+            let mut accepted = Doubles::default();
+            let tried = active;
+            self.isa.run(Judge {
+                cost: &point.cost,
+                trial: &self.trial.cost,
+                predicted: &predicted,
+                floor: self.floor,
+                active: &mut active,
+                damping: &mut damping,
+                accepted: &mut accepted,
+            });
+            // Where a pixel was not tried, both points are the same.
+            if accepted.0 == tried.0 {
+                std::mem::swap(point, self.trial);
+            } else {
+                self.isa.run(Take {
+                    which: &accepted,
+                    from: self.trial,
+                    to: point,
+                });
+            }
+        }
+    }
+}
+
+struct AddPull<'a, const C: usize, const U: usize> {
+    point: &'a mut Point<C, U>,
+    pull: &'a Pull,
+}
+
+impl<const C: usize, const U: usize> Kernel for AddPull<'_, C, U> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self { point, pull } = self;
+        let (materials, [a, b]) = (&point.materials, &point.tilts);
+        let shared_values = [&materials.roughness, &materials.metallic, a, b];
+        for (f, values) in shared_values.into_iter().take(shared(U)).enumerate() {
+            let unknown = C + f;
+            for x in 0..BLOCK {
+                let precision = pull.precision[f].0[x];
+                let offset = values.0[x] - pull.centre[f].0[x];
+                point.cost.0[x] += precision * offset * offset;
+                point.sums.gradient[unknown].0[x] += precision * offset;
+                point.sums.matrix[unknown][unknown].0[x] += precision;
+            }
+        }
+    }
+}
+
+/// Copies the pixels whose entry of `which` is 1.
+struct Take<'a, const C: usize, const U: usize> {
+    which: &'a Doubles,
+    from: &'a Point<C, U>,
+    to: &'a mut Point<C, U>,
+}
+
+impl<const C: usize, const U: usize> Kernel for Take<'_, C, U> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self { which, from, to } = self;
+        // By bits: of a choice between two numbers in memory the compiler makes a jump a pixel.
+        let mut new = [0; BLOCK];
+        for x in 0..BLOCK {
+            new[x] = if which.0[x] > 0.0 { u64::MAX } else { 0 };
+        }
+        let take = |from: &Doubles, to: &mut Doubles| {
+            for x in 0..BLOCK {
+                let (a, b) = (from.0[x].to_bits(), to.0[x].to_bits());
+                to.0[x] = f64::from_bits((a & new[x]) | (b & !new[x]));
+            }
+        };
+        for c in 0..C {
+            take(&from.materials.albedo[c], &mut to.materials.albedo[c]);
+        }
+        take(&from.materials.roughness, &mut to.materials.roughness);
+        take(&from.materials.metallic, &mut to.materials.metallic);
+        for tilt in 0..shared(U) - 2 {
+            take(&from.tilts[tilt], &mut to.tilts[tilt]);
+        }
+        for row in 0..C + shared(U) {
+            take(&from.sums.gradient[row], &mut to.sums.gradient[row]);
+            for column in 0..=row {
+                // Of the albedos with each other there is only the diagonal.
+                if row >= C || row == column {
+                    take(
+                        &from.sums.matrix[row][column],
+                        &mut to.sums.matrix[row][column],
+                    );
+                }
+            }
+        }
+        take(&from.sums.squares, &mut to.sums.squares);
+        take(&from.cost, &mut to.cost);
+    }
+}
+
+/// Which trials are accepted, who is done, and the damping of the next step.
+struct Judge<'a> {
+    cost: &'a Doubles,
+    trial: &'a Doubles,
+    predicted: &'a Doubles,
+    floor: &'a Doubles,
+    active: &'a mut Doubles,
+    damping: &'a mut Doubles,
+    accepted: &'a mut Doubles,
+}
+
+impl Kernel for Judge<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        for x in 0..BLOCK {
+            // A comparison with NaN is false.
+            let fell = self.trial.0[x] < self.cost.0[x];
+            let accepted = if fell { self.active.0[x] } else { 0.0 };
+            let gained = if fell {
+                self.cost.0[x] - self.trial.0[x]
+            } else {
+                self.predicted.0[x]
+            };
+            let promised = self.predicted.0[x];
+            let damping = self.damping.0[x];
+            let damping = if fell & (gained > HELD * promised) {
+                (CALMER * damping).max(LEAST_DAMPING)
+            } else if fell & (gained > BROKEN * promised) {
+                damping
+            } else {
+                (WILDER * damping).max(RESTRAINED)
+            };
+            let goes_on = gained > self.floor.0[x] && damping < MOST_DAMPING;
+            self.accepted.0[x] = accepted;
+            self.damping.0[x] = damping;
+            self.active.0[x] = if goes_on { self.active.0[x] } else { 0.0 };
+        }
+    }
+}
+
+/// One step: what is to be tried, and by how much the squares would fall were they quadratic.
+struct Step<'a, const C: usize, const U: usize> {
+    point: &'a Point<C, U>,
+    metallic_known: bool,
+    damping: &'a Doubles,
+    active: &'a Doubles,
+    trial: &'a mut Materials<C>,
+    tilts: &'a mut Tilts,
+    predicted: &'a mut Doubles,
+}
+
+impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self {
+            point,
+            metallic_known,
+            damping,
+            active,
+            trial,
+            tilts,
+            predicted,
+        } = self;
+        let Point {
+            materials, sums, ..
+        } = point;
+        let metallic_free = if metallic_known { 0.0 } else { 1.0 };
+        for x in 0..BLOCK {
+            let mut value = [0.0; U];
+            for c in 0..C {
+                value[c] = materials.albedo[c].0[x];
+            }
+            value[C] = materials.roughness.0[x];
+            value[C + 1] = materials.metallic.0[x];
+            let mut system = Arrow::<C, U>::of(sums, x);
+            let mut lowest = [0.0; U];
+            let mut highest = [0.0; U];
+            for j in 0..C + 2 {
+                lowest[j] = -value[j];
+                highest[j] = 1.0 - value[j];
+                let outwards = if system.gradient[j] > 0.0 {
+                    lowest[j] >= 0.0
+                } else {
+                    highest[j] <= 0.0
+                };
+                let held = outwards | (system.diagonal[j] <= NOTHING);
+                system.free[j] = if held { 0.0 } else { active.0[x] };
+            }
+            for j in C + 2..C + shared(U) {
+                let held = system.diagonal[j] <= NOTHING;
+                system.free[j] = if held { 0.0 } else { active.0[x] };
+            }
+            system.free[C + 1] *= metallic_free;
+            if U > UNKNOWNS {
+                let down = 0.5 * (LEAST_ROUGHNESS - value[C]);
+                lowest[C] = lowest[C].max(down);
+                highest[C] = highest[C].min(value[C] + LEAST_ROUGHNESS);
+            }
+            lowest[C] = lowest[C].max(-REACH);
+            highest[C] = highest[C].min(REACH);
+            let tilt = [point.tilts[0].0[x], point.tilts[1].0[x]];
+
+            let damped = 1.0 + damping.0[x];
+            let mut step = system.solve(damped);
+            for j in 0..C + 2 {
+                let cut = step[j].max(lowest[j]).min(highest[j]);
+                let inside = cut == step[j];
+                system.free[j] = if inside { system.free[j] } else { 0.0 };
+                system.fixed[j] = if inside { 0.0 } else { cut };
+            }
+            if U > UNKNOWNS {
+                let wanted = [step[C + 2], step[C + 3]];
+                let (share, there) = within_reach(tilt, wanted);
+                // Turned round or shortened, it leads elsewhere than the step.
+                let inside = (share == 1.0)
+                    & (there[0] == tilt[0] + wanted[0])
+                    & (there[1] == tilt[1] + wanted[1]);
+                for t in 0..TILTS {
+                    let j = C + 2 + t;
+                    system.free[j] = if inside { system.free[j] } else { 0.0 };
+                    system.fixed[j] = if inside { 0.0 } else { there[t] - tilt[t] };
+                }
+            }
+            step = system.solve(damped);
+            for j in 0..C + 2 {
+                step[j] = step[j].max(lowest[j]).min(highest[j]);
+            }
+            for c in 0..C {
+                trial.albedo[c].0[x] = (value[c] + step[c]).clamp(0.0, 1.0);
+            }
+            trial.roughness.0[x] = (value[C] + step[C]).clamp(0.0, 1.0);
+            trial.metallic.0[x] = (value[C + 1] + step[C + 1]).clamp(0.0, 1.0);
+            if U > UNKNOWNS {
+                let (_, there) = within_reach(tilt, [step[C + 2], step[C + 3]]);
+                for t in 0..TILTS {
+                    step[C + 2 + t] = there[t] - tilt[t];
+                    tilts[t].0[x] = there[t];
+                }
+            }
+            predicted.0[x] = system.decrease(&step);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nothing_depends_on_stays_where_it_is() {
+        let mut point = Point::<3, UNKNOWNS> {
+            materials: Materials {
+                albedo: [Plane([0.5; BLOCK]); 3],
+                roughness: Plane([0.5; BLOCK]),
+                metallic: Plane([0.5; BLOCK]),
+            },
+            ..Point::default()
+        };
+        point.sums.matrix[0][0] = Plane([4.0; BLOCK]);
+        point.sums.gradient[0] = Plane([1.0; BLOCK]);
+        let mut trial = Materials::default();
+        let mut predicted = Doubles::default();
+        Instructions::best().run(Step {
+            point: &point,
+            metallic_known: false,
+            damping: &Doubles::default(),
+            active: &Plane([1.0; BLOCK]),
+            trial: &mut trial,
+            tilts: &mut Tilts::default(),
+            predicted: &mut predicted,
+        });
+        let found: Vec<f64> = trial.planes().map(|plane| plane.0[7]).collect();
+        assert_eq!(found, [0.25, 0.5, 0.5, 0.5, 0.5]);
+        assert_eq!(predicted.0[7], 0.25);
+    }
+}

@@ -1,0 +1,490 @@
+//! The best material of each pixel when the lights are known.
+//!
+//! Pixels then have nothing to do with each other. A pixel's squares may have several minima, most
+//! of them apart in roughness and metallic; so it descends from several starts, its own material
+//! and the best nodes of a grid ([`material_grid`](crate::material_grid)), and keeps the lowest.
+//!
+//! Most of the way costs the same for any number of pictures: squares come from products over them
+//! ([`product_form`](crate::product_form)), at the normals that x has. These know squares to 10⁻¹⁵ of
+//! Σ ω T², that is residuals to half of the digits; the last steps ([`residual_steps`]) therefore
+//! take the residuals one by one, in passes over the pictures. They also turn normals that are free.
+//!
+//! [`residual_steps`]: crate::residual_steps
+//!
+//! Every pixel has its own damping, and once it is done it stays where it is: what it ends at does
+//! not depend on the pixels beside it.
+
+use crate::block::normal_jacobian::Tilts;
+use crate::pixel::descent::{Descent, Point, Pull};
+use crate::pixel::material_grid::{self, AlbedoFromProducts};
+use crate::pixel::product_form::{Form, SquaresFromProducts};
+use crate::pixel::residual_steps::ResidualSteps;
+use crate::pixel::samples::{DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS, handed_out};
+use crate::problem::Problem;
+use crate::reflectance::model::with_model;
+use crate::reflectance::planes::{BLOCK, Doubles, Materials};
+use crate::reflectance::sh::COEFFICIENTS;
+use crate::runtime::memory::zeros;
+use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::runtime::{Result, check, pool};
+
+/// Blocks of pixels in a piece of work at most: a piece has a cost of its own.
+const MAX_CHUNK: usize = 8;
+/// Pieces of work that are wanted, so that threads are busy to the end.
+const PIECES: usize = 64;
+/// Of Σ ω T²: a decrease that the products cannot tell from rounding.
+const FORM_FLOOR: f64 = 1e-13;
+/// Of Σ ω T²: a difference that the products can tell for sure.
+const FORM_CLEAR: f64 = 1e-11;
+/// Damping of the first step on products.
+const FORM_DAMPING: f64 = 1e-3;
+/// Descents begin at least at this roughness: at 0 nothing depends on roughness, and they would
+/// never leave it. A material of x below it is still kept if nothing better is found.
+const LEAST_ROUGHNESS: f64 = 1e-3;
+
+/// Of the best albedo of a node, which only has to be good enough to begin from.
+const NEWTON_STEPS: usize = 2;
+
+/// How materials are looked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Search<'a> {
+    /// Roughness of the nodes of the grid; empty for no grid.
+    pub roughness: &'a [f64],
+    /// Metallic of the nodes; not read where metallic is known.
+    pub metallic: &'a [f64],
+    /// Lowest local minima of the grid that are descended from, beside the material of x.
+    pub starts: usize,
+    /// Steps of a descent on products at most.
+    pub steps: usize,
+    /// Steps on residuals at most, of the best.
+    pub exact_steps: usize,
+    /// Whether normals stay where x has them, though they are free.
+    pub held_normals: bool,
+    /// What materials are drawn to, beside the pictures.
+    pub pull: Option<Towards<'a>>,
+}
+
+/// Adds Σ_f precision_f (v_f − centre_f)² to the squares of a pixel, for f = roughness, metallic
+/// unless it is known and, where normals are free, the two tilts.
+#[derive(Clone, Copy, Debug)]
+pub struct Towards<'a> {
+    /// (pixel, f)
+    pub centre: &'a [f64],
+    /// (pixel, f)
+    pub precision: &'a [f64],
+}
+
+/// Materials of D numbers: albedo by channel, roughness, metallic unless it is known and, where
+/// normals are free, the two tilts.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    /// (pixel, D)
+    pub materials: Vec<f64>,
+    /// Σ ω (I − T)², without the pull: (pixel).
+    pub squares: Vec<f64>,
+}
+
+impl Problem {
+    /// The best material of each of `pixels` with the lights of x, never worse than that of x.
+    ///
+    /// What is compared is Σ ω (I − T)² and the pull; it is summed up residual by residual unless
+    /// `exact_steps` is 0, when it comes from products. Free normals move in those steps only.
+    pub fn fit_materials(&self, x: &[f64], pixels: &[usize], search: &Search) -> Result<Fitted> {
+        check::unit_interval("roughness", search.roughness)?;
+        check::unit_interval("metallic", search.metallic)?;
+        if let Some(pull) = &search.pull {
+            let count = pixels.len() * (self.unknowns_of_pixel() - self.channels());
+            check::length("centre", count, pull.centre.len())?;
+            check::length("precision", count, pull.precision.len())?;
+            check::moderate("centre", pull.centre, LARGEST_PULL)?;
+            check::moderate("precision", pull.precision, LARGEST_PULL)?;
+            check::not_negative("precision", pull.precision)?;
+        }
+        with_model!(self.model(), M => fit_by_kind::<M>(self, x, pixels, search))
+    }
+}
+
+/// Models that pixels are fitted with.
+trait Fits: AlbedoFromProducts + SquaresFromProducts {}
+
+impl<M: AlbedoFromProducts + SquaresFromProducts> Fits for M {}
+
+fn fit_by_kind<M: Fits>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+    search: &Search,
+) -> Result<Fitted> {
+    let turns = problem.free_normals() && !search.held_normals;
+    match (problem.channels(), turns) {
+        (1, false) => fit::<M, 1, DERIVATIVES, UNKNOWNS>(problem, x, pixels, search),
+        (_, false) => fit::<M, 3, DERIVATIVES, UNKNOWNS>(problem, x, pixels, search),
+        (1, true) => fit::<M, 1, FREE_DERIVATIVES, FREE_UNKNOWNS>(problem, x, pixels, search),
+        (_, true) => fit::<M, 3, FREE_DERIVATIVES, FREE_UNKNOWNS>(problem, x, pixels, search),
+    }
+}
+
+/// Centres and precisions at most.
+const LARGEST_PULL: f64 = 1e100;
+
+fn fit<M: Fits, const C: usize, const D: usize, const U: usize>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+    search: &Search,
+) -> Result<Fitted> {
+    let (maps, lights) = problem.at(x, pixels)?;
+    let known = problem.known_metallic();
+    let metallic = match &known {
+        Some(metallic) => std::slice::from_ref(metallic),
+        None => search.metallic,
+    };
+    let search = Search {
+        metallic,
+        ..*search
+    };
+    let rows = if problem.free_normals() {
+        handed_out::<C, FREE_DERIVATIVES>(problem)
+    } else {
+        handed_out::<C, DERIVATIVES>(problem)
+    };
+    let unknowns = rows.len();
+    let mut fitted = Fitted {
+        materials: zeros("materials", pixels.len() * unknowns)?,
+        squares: zeros("materials", pixels.len())?,
+    };
+    let size = (pixels.len().div_ceil(PIECES * BLOCK)).clamp(1, MAX_CHUNK) * BLOCK;
+    let pieces = pixels
+        .chunks(size)
+        .zip(fitted.materials.chunks_mut(size * unknowns))
+        .zip(fitted.squares.chunks_mut(size))
+        .enumerate()
+        .collect();
+    pool::map(
+        problem.threads(),
+        pieces,
+        |(piece, ((pixels, materials), squares))| {
+            let mut block = Block::<M, C, D, U>::new(problem, &lights, &search, &rows);
+            for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
+                let best = block.fit(maps, pixels, piece * size + i * BLOCK);
+                for x in 0..pixels.len() {
+                    let p = i * BLOCK + x;
+                    // Rounding may leave less than nothing of a sum of squares.
+                    squares[p] = best.squares.0[x].max(0.0);
+                    let planes: Vec<_> = best.materials.planes().chain(best.tilts).collect();
+                    for (to, &row) in materials[p * unknowns..].iter_mut().zip(&rows) {
+                        *to = planes[row].0[x];
+                    }
+                }
+            }
+        },
+    );
+    Ok(fitted)
+}
+
+/// Up to [`BLOCK`] pixels.
+struct Block<'a, M: Fits, const C: usize, const D: usize, const U: usize> {
+    problem: &'a Problem,
+    lights: &'a [[f64; COEFFICIENTS]],
+    search: &'a Search<'a>,
+    /// The unknowns of a pixel, as they are handed out.
+    rows: &'a [usize],
+    isa: Instructions,
+    grid: material_grid::Block<'a, M>,
+    /// A plane for each node.
+    nodes: Vec<Doubles>,
+    tilts: Tilts,
+    own: Box<Point<C, UNKNOWNS>>,
+    best: Box<Point<C, UNKNOWNS>>,
+    candidate: Box<Point<C, UNKNOWNS>>,
+    trial: Box<Point<C, UNKNOWNS>>,
+    steps: ResidualSteps<'a, M, C, D, U>,
+}
+
+/// The best of a block of pixels.
+struct Best<'a, const C: usize> {
+    materials: &'a Materials<C>,
+    tilts: &'a Tilts,
+    squares: &'a Doubles,
+}
+
+impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C, D, U> {
+    fn new(
+        problem: &'a Problem,
+        lights: &'a [[f64; COEFFICIENTS]],
+        search: &'a Search<'a>,
+        rows: &'a [usize],
+    ) -> Self {
+        let nodes = search.roughness.len() * search.metallic.len();
+        Self {
+            problem,
+            lights,
+            search,
+            rows,
+            isa: problem.instructions(),
+            grid: material_grid::Block::new(problem),
+            nodes: vec![Doubles::default(); if search.starts > 0 { nodes } else { 0 }],
+            tilts: Tilts::default(),
+            own: Box::default(),
+            best: Box::default(),
+            candidate: Box::default(),
+            trial: Box::default(),
+            steps: ResidualSteps::new(problem, lights),
+        }
+    }
+
+    /// The best of some pixels, the first of which is number `first` of all.
+    fn fit(&mut self, maps: &[f64], pixels: &[usize], first: usize) -> Best<'_, C> {
+        let (isa, search) = (self.isa, self.search);
+        let pull = search
+            .pull
+            .map(|pull| planes(&pull, &self.rows[C..], C, first, pixels.len()));
+        let pull = pull.as_ref();
+        self.grid.load(maps, self.lights, pixels);
+        self.tilts = self.problem.picked_tilts(maps, pixels);
+        self.own.materials = Materials::default();
+        let mut used = Doubles::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            self.own.materials.set(x, &self.problem.material(maps, p));
+            used.0[x] = 1.0;
+        }
+        let mut size = Doubles::default();
+        for products in &self.grid.products.by_channel {
+            for x in 0..BLOCK {
+                size.0[x] += products.target_target.0[x];
+            }
+        }
+
+        self.own
+            .take(isa, &mut Form::<M>::new(isa, &self.grid.products), pull);
+        self.best.clone_from(&self.own);
+        self.candidate.clone_from(&self.own);
+        self.descend(&used, &size, pull);
+        for start in 0..search.starts {
+            let Some(active) = self.start(start, pull, pixels.len()) else {
+                break;
+            };
+            self.descend(&active, &size, pull);
+        }
+        if search.exact_steps > 0 {
+            self.finish(maps, pixels, &used, &size, pull);
+            let best = &self.steps.best;
+            return Best {
+                materials: &best.materials,
+                tilts: if U > UNKNOWNS {
+                    &best.tilts
+                } else {
+                    &self.tilts
+                },
+                squares: &best.sums.squares,
+            };
+        }
+        Best {
+            materials: &self.best.materials,
+            tilts: &self.tilts,
+            squares: &self.best.sums.squares,
+        }
+    }
+
+    /// Descends from the candidate, on products, and keeps what is better than the best. Pixels that
+    /// are not active have no candidate.
+    fn descend(&mut self, active: &Doubles, size: &Doubles, pull: Option<&Pull>) {
+        let isa = self.isa;
+        for r in &mut self.candidate.materials.roughness.0 {
+            *r = r.max(LEAST_ROUGHNESS);
+        }
+        let mut form = Form::<M>::new(isa, &self.grid.products);
+        self.candidate.take(isa, &mut form, pull);
+        let mut floor = Doubles::default();
+        for x in 0..BLOCK {
+            floor.0[x] = FORM_FLOOR * size.0[x];
+        }
+        Descent {
+            isa,
+            pull,
+            metallic_known: self.problem.known_metallic().is_some(),
+            floor: &floor,
+            damping: FORM_DAMPING,
+            trial: &mut self.trial,
+        }
+        .run(&mut form, &mut self.candidate, *active, self.search.steps);
+        for x in 0..BLOCK {
+            if active.0[x] == 0.0 {
+                self.candidate.cost.0[x] = f64::INFINITY;
+            }
+        }
+        self.best.keep_lower(isa, &self.candidate);
+    }
+
+    /// Makes the local minimum number `start` of the grid the candidate; 1 for the pixels that have
+    /// so many, or None if none has.
+    fn start(&mut self, start: usize, pull: Option<&Pull>, count: usize) -> Option<Doubles> {
+        let Search {
+            roughness,
+            metallic,
+            starts,
+            ..
+        } = *self.search;
+        if start == 0 && !self.nodes.is_empty() {
+            self.grid
+                .fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut self.nodes);
+            if let Some(pull) = pull {
+                add_pull(pull, roughness, metallic, &mut self.nodes);
+            }
+        }
+        if self.nodes.is_empty() {
+            return None;
+        }
+        let lowest = self.isa.run(Lowest { nodes: &self.nodes });
+        let mut active = Doubles::default();
+        for x in 0..count {
+            let node = if starts == 1 {
+                Some(lowest.0[x] as usize)
+            } else {
+                local_minimum(&self.nodes, metallic.len(), x, start)
+            };
+            if let Some(node) = node {
+                active.0[x] = 1.0;
+                self.grid.roughness.0[x] = roughness[node / metallic.len()];
+                self.grid.metallic.0[x] = metallic[node % metallic.len()];
+            }
+        }
+        if active.0.iter().all(|&a| a == 0.0) {
+            return None;
+        }
+        self.grid.at_own_roughness();
+        let materials = &mut self.candidate.materials;
+        materials.roughness = self.grid.roughness;
+        materials.metallic = self.grid.metallic;
+        for (to, from) in materials.albedo.iter_mut().zip(&self.grid.albedo) {
+            *to = *from;
+        }
+        Some(active)
+    }
+
+    /// The last steps, on residuals, from the best or the own material, whichever is better.
+    fn finish(
+        &mut self,
+        maps: &[f64],
+        pixels: &[usize],
+        used: &Doubles,
+        size: &Doubles,
+        pull: Option<&Pull>,
+    ) {
+        // Where products tell for sure, no pass over the pictures is needed to tell.
+        let mut unclear = Doubles::default();
+        for x in 0..pixels.len() {
+            let gained = self.own.cost.0[x] - self.best.cost.0[x];
+            if gained <= FORM_CLEAR * size.0[x] {
+                unclear.0[x] = 1.0;
+            }
+        }
+        self.steps.place(maps, pixels, &self.tilts);
+        self.steps.run(
+            [&self.own.materials, &self.best.materials],
+            [used, &unclear],
+            pull,
+            self.search.exact_steps,
+        );
+    }
+}
+
+/// The pull of `count` pixels from `first` on, at some unknowns of a pixel: those after its `albedos`.
+fn planes(pull: &Towards, unknowns: &[usize], albedos: usize, first: usize, count: usize) -> Pull {
+    let mut planes = Pull::default();
+    for (f, unknown) in unknowns.iter().enumerate() {
+        for x in 0..count {
+            let i = (first + x) * unknowns.len() + f;
+            planes.centre[unknown - albedos].0[x] = pull.centre[i];
+            planes.precision[unknown - albedos].0[x] = pull.precision[i];
+        }
+    }
+    planes
+}
+
+fn add_pull(pull: &Pull, roughness: &[f64], metallic: &[f64], nodes: &mut [Doubles]) {
+    for (node, plane) in nodes.iter_mut().enumerate() {
+        let at = [
+            roughness[node / metallic.len()],
+            metallic[node % metallic.len()],
+        ];
+        for (f, value) in at.into_iter().enumerate() {
+            for x in 0..BLOCK {
+                let offset = value - pull.centre[f].0[x];
+                plane.0[x] += pull.precision[f].0[x] * offset * offset;
+            }
+        }
+    }
+}
+
+/// The lowest node of each pixel, the first of equals.
+struct Lowest<'a> {
+    nodes: &'a [Doubles],
+}
+
+impl Kernel for Lowest<'_> {
+    type Output = Doubles;
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) -> Doubles {
+        let (mut least, mut lowest) = (self.nodes[0], Doubles::default());
+        for (i, node) in self.nodes.iter().enumerate() {
+            for x in 0..BLOCK {
+                let lower = node.0[x] < least.0[x];
+                lowest.0[x] = if lower { i as f64 } else { lowest.0[x] };
+                least.0[x] = if lower { node.0[x] } else { least.0[x] };
+            }
+        }
+        lowest
+    }
+}
+
+/// Of a pixel's nodes that are lower than their eight neighbours, number `rank` from the lowest. Of
+/// equal neighbours the first counts as the lower one.
+fn local_minimum(nodes: &[Doubles], columns: usize, x: usize, rank: usize) -> Option<usize> {
+    let rows = nodes.len() / columns.max(1);
+    let is_minimum = |&node: &usize| {
+        let (i, j) = (node / columns, node % columns);
+        let value = nodes[node].0[x];
+        let mut around = (i.saturating_sub(1)..rows.min(i + 2))
+            .flat_map(|i| (j.saturating_sub(1)..columns.min(j + 2)).map(move |j| i * columns + j));
+        around.all(|other| {
+            let there = nodes[other].0[x];
+            value < there || (value == there && node <= other)
+        })
+    };
+    let mut minima: Vec<usize> = (0..nodes.len()).filter(is_minimum).collect();
+    minima.sort_by(|&a, &b| nodes[a].0[x].total_cmp(&nodes[b].0[x]));
+    minima.get(rank).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reflectance::planes::Plane;
+
+    #[test]
+    fn local_minima_come_from_the_lowest_and_equals_count_once() {
+        let values = [
+            [3.0, 2.0, 2.0, 9.0],
+            [3.0, 5.0, 5.0, 9.0],
+            [9.0, 9.0, 9.0, 9.0],
+            [1.0, 9.0, 9.0, 4.0],
+        ];
+        let nodes: Vec<Doubles> = values
+            .as_flattened()
+            .iter()
+            .map(|&v| Plane([v; BLOCK]))
+            .collect();
+        let found: Vec<_> = (0..5)
+            .map(|rank| local_minimum(&nodes, 4, 3, rank))
+            .collect();
+        assert_eq!(found, [Some(12), Some(1), Some(15), None, None]);
+        let lowest = Instructions::best().run(Lowest { nodes: &nodes });
+        assert_eq!(lowest.0, [12.0; BLOCK]);
+        let lowest = Instructions::best().run(Lowest {
+            nodes: &nodes[..12],
+        });
+        assert_eq!(lowest.0, [1.0; BLOCK]);
+    }
+}

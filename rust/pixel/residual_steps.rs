@@ -1,0 +1,197 @@
+//! The last steps of a pixel's fit, on its residuals one by one, in passes over the pictures.
+//!
+//! Where normals are given they only finish what products began. Free normals turn here: each trial
+//! makes directions, basis functions and derivatives anew. What is best at the normals of x may lie
+//! in another valley than what is best with better normals, so pixels descend twice then, from the
+//! material of x and from the best that products found, and the lower one is kept.
+
+use crate::block::normal_jacobian::Tilts;
+use crate::pixel::descent::{Descent, Point, Pull, Squares};
+use crate::pixel::samples::{Block, Sums, UNKNOWNS};
+use crate::problem::Problem;
+use crate::reflectance::planes::{BLOCK, Doubles, Materials};
+use crate::reflectance::reflection::Reflection;
+use crate::reflectance::sh::COEFFICIENTS;
+use crate::runtime::simd::Instructions;
+
+/// Of the squares: a decrease that sums of squares cannot tell from rounding.
+const FLOOR: f64 = 1e-14;
+/// Damping of the first step where materials are nearly the best already, and of one that turns
+/// normals, which are not.
+const DAMPING: f64 = 1e-9;
+const TURNING_DAMPING: f64 = 1e-3;
+/// Turning begins at least at this roughness: far below, radiance hardly depends on roughness, and a
+/// pixel whose wrong normal made it a mirror would stay one.
+const TURNING_ROUGHNESS: f64 = 0.05;
+
+/// Up to [`BLOCK`] pixels, and where they stand.
+pub(crate) struct ResidualSteps<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
+    pub(crate) best: Box<Point<C, U>>,
+    /// Of the pixels, as they were given.
+    tilts: Tilts,
+    /// Where normals turn: what descends.
+    candidate: Option<Box<Point<C, U>>>,
+    walk: Walk<'a, M, C, D, U>,
+}
+
+/// What a descent needs beside the point that it moves.
+struct Walk<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
+    isa: Instructions,
+    metallic_known: bool,
+    squares: Exact<'a, M, C, D>,
+    trial: Box<Point<C, U>>,
+}
+
+/// Squares from residuals.
+struct Exact<'a, M: Reflection, const C: usize, const D: usize> {
+    lights: &'a [[f64; COEFFICIENTS]],
+    block: Block<'a, M, C, D>,
+}
+
+impl<M: Reflection, const C: usize, const D: usize, const U: usize> Squares<C, U>
+    for Exact<'_, M, C, D>
+{
+    fn take(&mut self, materials: &Materials<C>, tilts: &Tilts, sums: &mut Sums<U>) {
+        *sums = Sums::default();
+        self.block.take(materials, tilts);
+        self.block.add_samples(self.lights, sums);
+    }
+}
+
+impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
+    ResidualSteps<'a, M, C, D, U>
+{
+    pub(crate) fn new(problem: &'a Problem, lights: &'a [[f64; COEFFICIENTS]]) -> Self {
+        Self {
+            best: Box::default(),
+            tilts: Tilts::default(),
+            candidate: (U > UNKNOWNS).then(Box::default),
+            walk: Walk {
+                isa: problem.instructions(),
+                metallic_known: problem.known_metallic().is_some(),
+                squares: Exact {
+                    lights,
+                    block: Block::new(problem),
+                },
+                trial: Box::default(),
+            },
+        }
+    }
+
+    /// Takes up pixels with the normals of `maps`, whose tilts are `tilts`.
+    pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], tilts: &Tilts) {
+        self.walk.squares.block.place(maps, pixels);
+        self.tilts = *tilts;
+    }
+
+    /// Leaves in `best` where at most `steps` steps of the `used` pixels lead from their `own`
+    /// materials or those that were `found`, whichever is better. Where it is not `unclear`, that is
+    /// what was found.
+    pub(crate) fn run(
+        &mut self,
+        [own, found]: [&Materials<C>; 2],
+        [used, unclear]: [&Doubles; 2],
+        pull: Option<&Pull>,
+        steps: usize,
+    ) {
+        let Self {
+            best,
+            tilts,
+            candidate,
+            walk,
+        } = self;
+        if let Some(candidate) = candidate {
+            best.materials.clone_from(own);
+            best.tilts = *tilts;
+            walk.take(best, pull);
+            let others = differing(own, found, used);
+            for (start, active) in [(own, used), (found, &others)] {
+                if active.0.iter().any(|&active| active > 0.0) {
+                    candidate.materials.clone_from(start);
+                    candidate.tilts = *tilts;
+                    walk.turn(candidate, active, pull, steps);
+                    best.keep_lower(walk.isa, candidate);
+                }
+            }
+            return;
+        }
+        best.materials.clone_from(found);
+        walk.take(best, pull);
+        if unclear.0.iter().any(|&unclear| unclear > 0.0) {
+            let trial = &mut walk.trial;
+            trial.materials.clone_from(own);
+            trial.take(walk.isa, &mut walk.squares, pull);
+            ignore_others(&mut trial.cost, unclear);
+            best.keep_lower(walk.isa, trial);
+        }
+        walk.descend(best, used, pull, DAMPING, steps);
+    }
+}
+
+impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, C, D, U> {
+    fn take(&mut self, point: &mut Point<C, U>, pull: Option<&Pull>) {
+        point.take(self.isa, &mut self.squares, pull);
+    }
+
+    /// Turns the normals of the `active` pixels, and moves their materials; other pixels cost more
+    /// than anything then.
+    fn turn(
+        &mut self,
+        candidate: &mut Box<Point<C, U>>,
+        active: &Doubles,
+        pull: Option<&Pull>,
+        steps: usize,
+    ) {
+        for r in &mut candidate.materials.roughness.0 {
+            *r = r.max(TURNING_ROUGHNESS);
+        }
+        self.take(candidate, pull);
+        self.descend(candidate, active, pull, TURNING_DAMPING, steps);
+        ignore_others(&mut candidate.cost, active);
+    }
+
+    fn descend(
+        &mut self,
+        point: &mut Box<Point<C, U>>,
+        active: &Doubles,
+        pull: Option<&Pull>,
+        damping: f64,
+        steps: usize,
+    ) {
+        let mut floor = Doubles::default();
+        for x in 0..BLOCK {
+            floor.0[x] = FLOOR * point.cost.0[x];
+        }
+        Descent {
+            isa: self.isa,
+            pull,
+            metallic_known: self.metallic_known,
+            floor: &floor,
+            damping,
+            trial: &mut self.trial,
+        }
+        .run(&mut self.squares, point, *active, steps);
+    }
+}
+
+/// 1 for the `used` pixels whose materials are not the same.
+fn differing<const C: usize>(one: &Materials<C>, other: &Materials<C>, used: &Doubles) -> Doubles {
+    let mut differing = Doubles::default();
+    for (one, other) in one.planes().zip(other.planes()) {
+        for x in 0..BLOCK {
+            if one.0[x] != other.0[x] {
+                differing.0[x] = used.0[x];
+            }
+        }
+    }
+    differing
+}
+
+/// Pixels that are not active cost more than anything.
+fn ignore_others(cost: &mut Doubles, active: &Doubles) {
+    for x in 0..BLOCK {
+        if active.0[x] == 0.0 {
+            cost.0[x] = f64::INFINITY;
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! A normal that turns away from the given one, by two numbers: its tilt.
+//!
+//! With unit tangents t₁ and t₂ at the given normal n₀, the normal of the tilt (a, b) is
+//!
+//! ```text
+//! n = u/|u|,     u = n₀ + a t₁ + b t₂,     |u|² = 1 + a² + b²
+//! ```
+//!
+//! so that (0, 0) is the given normal, √(a² + b²) the tangent of the angle between both, and every
+//! direction less than 90 degrees away has one tilt.
+
+use glam::DVec3;
+
+/// Tilts of a pixel.
+pub const TILTS: usize = 2;
+
+/// Tilts at most, by size: a thousandth of a radian from 90 degrees.
+pub const LARGEST: f64 = 1e3;
+
+/// Up to this z a normal has the frame of the normal mirrored in the plane z = 0.
+const FRAME_FROM: f64 = -0.99;
+
+/// A turned normal, and its derivatives by the tilt.
+#[derive(Clone, Copy, Debug)]
+pub struct Turned {
+    /// n
+    pub normal: DVec3,
+    /// ∂n/∂a and ∂n/∂b
+    pub by_tilt: [DVec3; 2],
+}
+
+/// Unit tangents at a unit normal, orthogonal to it and to each other.
+///
+/// They are the x and y axes under the smallest rotation that takes +z to n = (x, y, z),
+///
+/// ```text
+/// t₁ = (1 − x²/(1+z), −xy/(1+z), −x)          t₂ = (−xy/(1+z), 1 − y²/(1+z), −y)
+/// ```
+///
+/// so neighbours with normals alike have frames alike. This has its one singularity at z = −1, which
+/// no camera sees; near there, up to z = −0.99, the tangents are those of (x, y, −z) with their z
+/// turned round.
+#[inline(always)]
+pub fn tangents(normal: DVec3) -> [DVec3; 2] {
+    let DVec3 { x, y, z } = normal;
+    let sign = if z > FRAME_FROM { 1.0 } else { -1.0 };
+    let inverse = 1.0 / (1.0 + sign * z);
+    let xy = -x * y * inverse;
+    [
+        DVec3::new(1.0 - x * x * inverse, xy, -sign * x),
+        DVec3::new(xy, 1.0 - y * y * inverse, -sign * y),
+    ]
+}
+
+/// The normal that a tilt makes of a given unit normal.
+///
+/// Its derivatives are those of u/|u|: ∂n/∂a = (I − n nᵀ) t₁/|u|.
+#[inline(always)]
+pub fn turn(given: DVec3, [a, b]: [f64; 2]) -> Turned {
+    let [t1, t2] = tangents(given);
+    let u = given + a * t1 + b * t2;
+    let inverse = 1.0 / u.dot(u).sqrt();
+    let normal = inverse * u;
+    let by = |t: DVec3| inverse * (t - normal.dot(t) * normal);
+    Turned {
+        normal,
+        by_tilt: [by(t1), by(t2)],
+    }
+}

@@ -1,0 +1,47 @@
+//! Materials and lights together: the normal equations of pixels, and of lights with the pixels
+//! solved for.
+
+mod dense;
+mod eliminated_block;
+pub mod gauss_newton_hessian;
+mod kernels;
+mod light_system;
+mod schur_complement;
+
+/// How the pixels are solved for.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Elimination<'a> {
+    /// Added to each A, as a share of its diagonal.
+    pub damping: f64,
+    /// Whether all channels have the same light.
+    pub mono: bool,
+    /// What pulls at roughness, at metallic unless it is known, and at free tilts.
+    pub pull: Option<Pull<'a>>,
+}
+
+/// Σ a (v − c)² beside the squares of the data.
+#[derive(Clone, Copy, Debug)]
+pub struct Pull<'a> {
+    /// a: (pixel, F), for the F unknowns that are not albedo.
+    pub precision: &'a [f64],
+    /// v − c: (pixel, F)
+    pub off: &'a [f64],
+}
+
+/// What is left for the lights, M unknowns (light channel, picture, coefficient).
+#[derive(Clone, Debug)]
+pub struct Reduced {
+    /// S: (M, M).
+    pub matrix: Vec<f64>,
+    /// s: (M).
+    pub gradient: Vec<f64>,
+}
+
+/// The same without a matrix.
+#[derive(Clone, Debug)]
+pub struct ReducedProduct {
+    /// S v: (M).
+    pub product: Vec<f64>,
+    /// s: (M).
+    pub gradient: Vec<f64>,
+}
