@@ -19,7 +19,7 @@ pub struct Parts([f32; PARTS]);
 pub type LightSums<const K: usize> = [Parts; K];
 
 /// Second product, reduced at once to the derivatives by kd and by the rows' factors.
-pub struct Reduce<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
+pub struct ByFactors<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
     /// Whether to begin the sums, or add to them.
     pub begin: bool,
     /// The basis functions.
@@ -38,7 +38,7 @@ pub struct Reduce<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
     pub model: M,
 }
 
-/// Takes the derivatives by the weights as [`Reduce`] comes upon them; `()` does nothing with them.
+/// Takes the derivatives by the weights as [`ByFactors`] comes upon them; `()` does nothing with them.
 pub trait ByWeights {
     /// Those by coefficient k, of V vectors of pixels from number `v` on,
     /// summed over some pictures.
@@ -63,7 +63,7 @@ impl ByWeights for () {
     }
 }
 
-impl<M: Reflection, const K: usize, B: ByWeights> Kernel for Reduce<'_, M, K, B> {
+impl<M: Reflection, const K: usize, B: ByWeights> Kernel for ByFactors<'_, M, K, B> {
     type Output = ();
 
     #[inline(always)]
@@ -86,9 +86,9 @@ impl<M: Reflection, const K: usize, B: ByWeights> Kernel for Reduce<'_, M, K, B>
     }
 }
 
-impl<'a, M: Reflection, const K: usize> Reduce<'a, M, K> {
+impl<'a, M: Reflection, const K: usize> ByFactors<'a, M, K> {
     /// The same, with another use for the derivatives by the weights.
-    pub fn giving<B: ByWeights>(self, by_weights: B) -> Reduce<'a, M, K, B> {
+    pub fn giving<B: ByWeights>(self, by_weights: B) -> ByFactors<'a, M, K, B> {
         let Self {
             begin,
             basis,
@@ -99,7 +99,7 @@ impl<'a, M: Reflection, const K: usize> Reduce<'a, M, K> {
             model,
             ..
         } = self;
-        Reduce {
+        ByFactors {
             begin,
             basis,
             lights,
@@ -112,7 +112,7 @@ impl<'a, M: Reflection, const K: usize> Reduce<'a, M, K> {
     }
 }
 
-impl<M: Reflection, const K: usize, B: ByWeights> Reduce<'_, M, K, B> {
+impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
     /// `COUNT` coefficients from `FIRST`, V vectors at a time.
     #[inline(always)]
     fn some<I: Vectors<f32>, const FIRST: usize, const COUNT: usize, const V: usize>(
@@ -159,7 +159,7 @@ impl<M: Reflection, const K: usize, B: ByWeights> Reduce<'_, M, K, B> {
     }
 }
 
-impl<M: Reflection, const K: usize, B: ByWeights> Reduce<'_, M, K, B> {
+impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
     /// The sums of the rows of band L.
     #[inline(always)]
     fn rows<I: Vectors<f32>, const V: usize, const L: usize>(

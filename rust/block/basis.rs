@@ -73,44 +73,48 @@ fn fill_lobe<M: Reflection, T: Real, const K: usize>(
 }
 
 /// Numbers of a light that a pixel sees at most: the diffuse one, then one for each row.
-pub const MAX_SEEN: usize = 1 + MAX_ROWS;
+pub const MAX_PROJECTIONS: usize = 1 + MAX_ROWS;
 
 /// What the pixels see of a light: Σ_k A_l Y_k(n) L_k, and for each row Σ_k R_jk L_k.
 #[inline(always)]
-pub fn seen<M: Reflection>(
+pub fn light_projections<M: Reflection>(
     basis: &Basis<f64>,
     light: &[f64; COEFFICIENTS],
-) -> [Plane<f64>; MAX_SEEN] {
-    let mut seen = [Plane::default(); MAX_SEEN];
+) -> [Plane<f64>; MAX_PROJECTIONS] {
+    let mut light_projections = [Plane::default(); MAX_PROJECTIONS];
     for k in 0..DIFFUSE {
         for x in 0..BLOCK {
-            seen[0].0[x] += light[k] * basis.diffuse[k].0[x];
+            light_projections[0].0[x] += light[k] * basis.diffuse[k].0[x];
         }
     }
     each_entry::<M, COEFFICIENTS>(|k, row, entry| {
-        let (sum, lobe) = (&mut seen[1 + row], &basis.lobe[entry]);
+        let (sum, lobe) = (&mut light_projections[1 + row], &basis.lobe[entry]);
         for x in 0..BLOCK {
             sum.0[x] += light[k] * lobe.0[x];
         }
     });
-    seen
+    light_projections
 }
 
 /// The same for one vector of pixels, number `v` of the block.
 #[inline(always)]
-pub fn seen_by<M: Reflection, I: Vectors<f64>>(
+pub fn light_projections_at<M: Reflection, I: Vectors<f64>>(
     isa: I,
     basis: &Basis<f64>,
     light: &[f64; COEFFICIENTS],
     v: usize,
-) -> [I::Vector; MAX_SEEN] {
-    let mut seen = [isa.splat(0.0); MAX_SEEN];
+) -> [I::Vector; MAX_PROJECTIONS] {
+    let mut light_projections = [isa.splat(0.0); MAX_PROJECTIONS];
     for k in 0..DIFFUSE {
-        seen[0] = isa.mul_add(isa.splat(light[k]), I::of(&basis.diffuse[k].0)[v], seen[0]);
+        light_projections[0] = isa.mul_add(
+            isa.splat(light[k]),
+            I::of(&basis.diffuse[k].0)[v],
+            light_projections[0],
+        );
     }
     each_entry::<M, COEFFICIENTS>(|k, row, entry| {
-        let sum = &mut seen[1 + row];
+        let sum = &mut light_projections[1 + row];
         *sum = isa.mul_add(isa.splat(light[k]), I::of(&basis.lobe[entry].0)[v], *sum);
     });
-    seen
+    light_projections
 }

@@ -12,13 +12,13 @@ use crate::reflectance::planes::{
 use crate::reflectance::reflection::{Factors, Reflection, first_entry};
 use crate::reflectance::reflection::{factors_of, sums_of};
 use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
-use crate::reflectance::tangent_offset as tilt;
+use crate::reflectance::tangent_offset;
 use crate::runtime::Result;
 use crate::runtime::memory::zeros;
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 
 /// The tilts (a, b) of a block of pixels.
-pub type Tilts = [Doubles; 2];
+pub type TangentOffsets = [Doubles; 2];
 
 /// Normals that tilts turn, of length 1, and view directions; a pixel that is not used has +z for
 /// both.
@@ -78,7 +78,7 @@ fn vector(planes: &[Doubles; 3], pixel: usize) -> DVec3 {
 
 /// Derivatives of [`Directions`] by the tilts a and b.
 #[derive(Clone, Debug, Default)]
-pub struct Turns {
+pub struct NormalJacobian {
     /// Of n.
     pub normal: [[Doubles; 3]; 2],
     /// Of the mirror direction.
@@ -87,40 +87,40 @@ pub struct Turns {
     pub cosine: [Doubles; 2],
 }
 
-/// Turns the pixels of a block.
+/// NormalJacobian the pixels of a block.
 ///
 /// ```text
 /// R = 2(n·v)n − v          ∂R/∂a = 2(v·∂n/∂a) n + 2(n·v) ∂n/∂a          ∂(n·v)/∂a = v·∂n/∂a
 /// ```
-pub struct Turn<'a, T: Real> {
+pub struct OffsetNormals<'a, T: Real> {
     /// What is turned.
     pub given: &'a GivenDirections,
     /// By how much.
-    pub tilts: &'a Tilts,
+    pub offsets: &'a TangentOffsets,
     /// To be written.
     pub directions: &'a mut Directions<T>,
     /// To be written.
-    pub turns: &'a mut Turns,
+    pub jacobian: &'a mut NormalJacobian,
 }
 
-impl<T: Real> Kernel for Turn<'_, T> {
+impl<T: Real> Kernel for OffsetNormals<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
         let Self {
             given,
-            tilts,
+            offsets,
             directions,
-            turns,
+            jacobian,
         } = self;
         // Planes of their own, which overlap nothing: else the compiler makes no vector code.
         let mut cosines = Doubles::default();
         let [mut normals, mut mirrors] = <[[Doubles; 3]; 2]>::default();
-        let mut slopes = Turns::default();
+        let mut slopes = NormalJacobian::default();
         for x in 0..BLOCK {
             let [normal, view] = given.get(x);
-            let turned = tilt::turn(normal, [tilts[0].0[x], tilts[1].0[x]]);
+            let turned = tangent_offset::offset_normal(normal, [offsets[0].0[x], offsets[1].0[x]]);
             let normal = turned.normal;
             let cosine = normal.dot(view);
             let mirror = 2.0 * cosine * normal - view;
@@ -132,7 +132,7 @@ impl<T: Real> Kernel for Turn<'_, T> {
                 mirrors[axis].0[x] = mirror[axis];
             }
             for t in 0..2 {
-                let by = turned.by_tilt[t];
+                let by = turned.by_offset[t];
                 let by_cosine = view.dot(by);
                 let mirror = 2.0 * (by_cosine * normal + cosine * by);
                 for axis in 0..3 {
@@ -143,7 +143,7 @@ impl<T: Real> Kernel for Turn<'_, T> {
             }
         }
         directions.fill(&cosines, &normals, &mirrors);
-        turns.clone_from(&slopes);
+        jacobian.clone_from(&slopes);
     }
 }
 
@@ -153,9 +153,9 @@ pub struct FillBasisSlopes<'a, M: Reflection> {
     /// Where the pixels look.
     pub directions: &'a Directions<f64>,
     /// How that changes.
-    pub turns: &'a Turns,
+    pub jacobian: &'a NormalJacobian,
     /// 0 or 1.
-    pub tilt: usize,
+    pub offset: usize,
     /// To be written.
     pub slopes: &'a mut Basis<f64>,
     /// Whose basis it is.
@@ -169,12 +169,12 @@ impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
     fn run<I: Isa>(self, _: I) {
         let Self {
             directions,
-            turns,
-            tilt,
+            jacobian,
+            offset,
             slopes,
             ..
         } = self;
-        let (by_normal, by_mirror) = (&turns.normal[tilt], &turns.mirror[tilt]);
+        let (by_normal, by_mirror) = (&jacobian.normal[offset], &jacobian.mirror[offset]);
         for x in 0..BLOCK {
             let by = vector(by_normal, x).to_array();
             let mut along = [0.0; COEFFICIENTS];
@@ -197,8 +197,8 @@ impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
 }
 
 /// Takes the tilts of `count` pixels from planes of `pixels` values each, starting at `first`.
-/// Returns whether all are finite and up to [`tilt::LARGEST`] in size.
-pub struct LoadTilts<'a> {
+/// Returns whether all are finite and up to [`tangent_offset::OFFSET_MAX`] in size.
+pub struct LoadOffsets<'a> {
     /// Two planes.
     pub maps: &'a [f64],
     /// Pixels in a plane.
@@ -208,19 +208,19 @@ pub struct LoadTilts<'a> {
     /// Pixels of the block that are used; the others get 0.
     pub count: usize,
     /// To be written.
-    pub tilts: &'a mut Tilts,
+    pub offsets: &'a mut TangentOffsets,
 }
 
-impl Kernel for LoadTilts<'_> {
+impl Kernel for LoadOffsets<'_> {
     type Output = bool;
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) -> bool {
         let mut moderate = true;
-        for (to, plane) in self.tilts.iter_mut().zip(self.maps.chunks(self.pixels)) {
+        for (to, plane) in self.offsets.iter_mut().zip(self.maps.chunks(self.pixels)) {
             to.0[self.count..].fill(0.0);
             for (to, &from) in to.0.iter_mut().zip(&plane[self.first..][..self.count]) {
-                moderate &= from.abs() <= tilt::LARGEST; // NaN is not
+                moderate &= from.abs() <= tangent_offset::OFFSET_MAX; // NaN is not
                 *to = from;
             }
         }
@@ -291,11 +291,11 @@ impl<M: Reflection> ByWeights for ByBasis<'_, M> {
 /// g_x = Σ_c dkd_c/dx g_kd_c + Σ_j ds_cj/dx g_s_cj
 /// g_a = g_n·∂n/∂a + g_R·∂mirror/∂a + g_x ∂x/∂a
 /// ```
-pub struct PullBackTurns<'a, M: Reflection, const C: usize, const K: usize> {
+pub struct PullBackNormals<'a, M: Reflection, const C: usize, const K: usize> {
     /// Where the pixels look.
     pub directions: &'a Directions,
     /// How that changes with their tilts.
-    pub turns: &'a Turns,
+    pub jacobian: &'a NormalJacobian,
     /// What they are made of.
     pub materials: &'a Materials<C>,
     /// The functions of their roughness and n·v, with derivatives by n·v.
@@ -307,19 +307,19 @@ pub struct PullBackTurns<'a, M: Reflection, const C: usize, const K: usize> {
     /// Factor on all derivatives.
     pub scale: f64,
     /// To be written.
-    pub gradient: &'a mut Tilts,
+    pub gradient: &'a mut TangentOffsets,
     /// Whose factors they are.
     pub model: M,
 }
 
-impl<M: Reflection, const C: usize, const K: usize> Kernel for PullBackTurns<'_, M, C, K> {
+impl<M: Reflection, const C: usize, const K: usize> Kernel for PullBackNormals<'_, M, C, K> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
         let Self {
             directions,
-            turns,
+            jacobian,
             materials,
             functions,
             sums,
@@ -374,17 +374,17 @@ impl<M: Reflection, const C: usize, const K: usize> Kernel for PullBackTurns<'_,
             by_cosine.0[x] = by;
         }
         for t in 0..2 {
-            let (normal, mirror) = (&turns.normal[t], &turns.mirror[t]);
-            let mut by_tilt = Doubles::default();
+            let (normal, mirror) = (&jacobian.normal[t], &jacobian.mirror[t]);
+            let mut by_offset = Doubles::default();
             for x in 0..BLOCK {
-                let mut by = by_cosine.0[x] * turns.cosine[t].0[x];
+                let mut by = by_cosine.0[x] * jacobian.cosine[t].0[x];
                 for axis in 0..3 {
                     by += f64::from(by_normal[axis].0[x]) * normal[axis].0[x]
                         + f64::from(by_mirror[axis].0[x]) * mirror[axis].0[x];
                 }
-                by_tilt.0[x] = scale * by;
+                by_offset.0[x] = scale * by;
             }
-            gradient[t] = by_tilt;
+            gradient[t] = by_offset;
         }
     }
 }

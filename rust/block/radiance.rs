@@ -100,21 +100,21 @@ impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
     #[inline(always)]
     fn all<I: Vectors<f32>, const V: usize>(&mut self, isa: I) -> f64 {
         let n = self.lights.len();
-        let mut squares = [isa.splat(0.0); V];
+        let mut sum_sq = [isa.splat(0.0); V];
         let mut j = 0;
         while j + 4 <= n {
-            self.some::<I, V, 4>(isa, j, &mut squares);
+            self.some::<I, V, 4>(isa, j, &mut sum_sq);
             j += 4;
         }
         match n - j {
-            3 => self.some::<I, V, 3>(isa, j, &mut squares),
-            2 => self.some::<I, V, 2>(isa, j, &mut squares),
-            1 => self.some::<I, V, 1>(isa, j, &mut squares),
+            3 => self.some::<I, V, 3>(isa, j, &mut sum_sq),
+            2 => self.some::<I, V, 2>(isa, j, &mut sum_sq),
+            1 => self.some::<I, V, 1>(isa, j, &mut sum_sq),
             _ => {}
         }
         let mut sum = 0.0;
         for i in 0..V {
-            sum += lanes(isa, squares[i])
+            sum += lanes(isa, sum_sq[i])
                 .iter()
                 .map(|&s| f64::from(s))
                 .sum::<f64>();
@@ -128,7 +128,7 @@ impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
         &mut self,
         isa: I,
         first: usize,
-        squares: &mut [I::Vector; V],
+        sum_sq: &mut [I::Vector; V],
     ) {
         let lights = &self.lights[first..first + J];
         let targets = &self.targets[first..first + J];
@@ -153,10 +153,10 @@ impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
                     if WEIGHTED {
                         let omega = I::of(&self.sample_weights[first + j].0)[v + i];
                         out[i] = isa.mul(omega, e);
-                        squares[i] = isa.mul_add(out[i], e, squares[i]);
+                        sum_sq[i] = isa.mul_add(out[i], e, sum_sq[i]);
                     } else {
                         out[i] = e;
-                        squares[i] = isa.mul_add(e, e, squares[i]);
+                        sum_sq[i] = isa.mul_add(e, e, sum_sq[i]);
                     }
                 }
             }

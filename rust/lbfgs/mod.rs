@@ -15,7 +15,7 @@ use std::ops::Range;
 
 use self::bounds::Bounds;
 use self::count::{ALL, Count, Counts, FREE, GRADIENT};
-use self::vectors::{Direction, Dot, Moved, Squares, differences};
+use self::vectors::{Direction, Dot, Moved, PairProducts, differences};
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Error, Result, check, pool};
 
@@ -125,7 +125,7 @@ impl Lbfgs {
     }
 
     /// Forgets all pairs; their memory stays.
-    pub fn forget(&mut self) {
+    pub fn clear_pairs(&mut self) {
         self.order.clear();
         self.fresh = false;
     }
@@ -137,7 +137,7 @@ impl Lbfgs {
     ///
     /// # Errors
     /// If a vector has another length, or there is no memory for one more pair.
-    pub fn learn(&mut self, x: [&[f64]; 2], gradient: [&[f64]; 2]) -> Result<bool> {
+    pub fn add_pair(&mut self, x: [&[f64]; 2], gradient: [&[f64]; 2]) -> Result<bool> {
         self.check("x", &x)?;
         self.check("gradient", &gradient)?;
         if self.fresh {
@@ -147,7 +147,7 @@ impl Lbfgs {
         for [a, b, c] in self.map(|range| {
             let [x, new_x] = x.map(|v| &v[range.clone()]);
             let [g, new_g] = gradient.map(|v| &v[range.clone()]);
-            self.instructions.run(Squares { x, new_x, g, new_g })
+            self.instructions.run(PairProducts { x, new_x, g, new_g })
         }) {
             ss += a;
             sy += b;
@@ -166,7 +166,7 @@ impl Lbfgs {
                 .last()
                 .map_or(0, |last| (last + 1) % self.corrections)
         };
-        let units = [ss, yy].map(|squares| (squares / self.size as f64).sqrt());
+        let units = [ss, yy].map(|sum_sq| (sum_sq / self.size as f64).sqrt());
         self.units[2 * place..][..2].copy_from_slice(&units);
         let (piece, width) = (self.piece(), 2 * self.corrections);
         let columns = self.columns.chunks_mut(piece / BLOCK * width).enumerate();

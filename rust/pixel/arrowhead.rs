@@ -5,13 +5,13 @@
 //! is two by two, or four by four with tilts.
 
 use crate::pixel::samples::{Sums, UNKNOWNS};
-use crate::reflectance::tangent_offset::TILTS;
+use crate::reflectance::tangent_offset::OFFSETS;
 
 /// Of the diagonal, below which a pivot is rounding.
 const LEAST_PIVOT: f64 = 1e-14;
 
 /// Unknowns at most that all channels share: of U, those that are no albedo.
-pub(crate) const MAX_SHARED: usize = 2 + TILTS;
+pub(crate) const MAX_SHARED: usize = 2 + OFFSETS;
 
 /// How many these are.
 pub(crate) const fn shared(unknowns: usize) -> usize {
@@ -20,7 +20,7 @@ pub(crate) const fn shared(unknowns: usize) -> usize {
 
 /// The matrix and gradient of one pixel; albedos first, then what all channels share: roughness,
 /// metallic, tilts.
-pub(crate) struct Arrow<const C: usize, const U: usize> {
+pub(crate) struct Arrowhead<const C: usize, const U: usize> {
     pub(crate) diagonal: [f64; U],
     /// Of what is shared with the albedos.
     arms: [[f64; C]; MAX_SHARED],
@@ -32,13 +32,13 @@ pub(crate) struct Arrow<const C: usize, const U: usize> {
     pub(crate) fixed: [f64; U],
 }
 
-impl<const C: usize, const U: usize> Arrow<C, U> {
+impl<const C: usize, const U: usize> Arrowhead<C, U> {
     /// Unknowns that all channels share.
     const SHARED: usize = shared(U);
 
     #[inline(always)]
     pub(crate) fn of(sums: &Sums<U>, x: usize) -> Self {
-        let mut arrow = Self {
+        let mut arrowhead = Self {
             diagonal: [0.0; U],
             arms: [[0.0; C]; MAX_SHARED],
             dense: [[0.0; MAX_SHARED]; MAX_SHARED],
@@ -47,18 +47,18 @@ impl<const C: usize, const U: usize> Arrow<C, U> {
             fixed: [0.0; U],
         };
         for j in 0..C + Self::SHARED {
-            arrow.diagonal[j] = sums.matrix[j][j].0[x];
-            arrow.gradient[j] = sums.gradient[j].0[x];
+            arrowhead.diagonal[j] = sums.matrix[j][j].0[x];
+            arrowhead.gradient[j] = sums.gradient[j].0[x];
         }
         for f in 0..Self::SHARED {
             for c in 0..C {
-                arrow.arms[f][c] = sums.matrix[C + f][c].0[x];
+                arrowhead.arms[f][c] = sums.matrix[C + f][c].0[x];
             }
             for g in 0..f {
-                arrow.dense[f][g] = sums.matrix[C + f][C + g].0[x];
+                arrowhead.dense[f][g] = sums.matrix[C + f][C + g].0[x];
             }
         }
-        arrow
+        arrowhead
     }
 
     /// δ with (A + λ diag A) δ = −g in the free unknowns, where `damped` = 1 + λ.
@@ -185,7 +185,7 @@ mod tests {
     use crate::pixel::samples::FREE_UNKNOWNS;
 
     /// A matrix of 4 samples a channel, a gradient, and who is free.
-    fn example<const U: usize>(seed: u32) -> Arrow<3, U> {
+    fn example<const U: usize>(seed: u32) -> Arrowhead<3, U> {
         let mut state = seed;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -205,21 +205,21 @@ mod tests {
                 }
             }
         }
-        let mut arrow = Arrow::of(&sums, 0);
+        let mut arrowhead = Arrowhead::of(&sums, 0);
         for j in 0..U {
             let is_free = random() > -0.2;
-            arrow.free[j] = if is_free { 1.0 } else { 0.0 };
-            arrow.fixed[j] = if is_free { 0.0 } else { random() };
+            arrowhead.free[j] = if is_free { 1.0 } else { 0.0 };
+            arrowhead.fixed[j] = if is_free { 0.0 } else { random() };
         }
-        arrow
+        arrowhead
     }
 
-    fn entry<const U: usize>(arrow: &Arrow<3, U>, i: usize, j: usize) -> f64 {
+    fn entry<const U: usize>(arrowhead: &Arrowhead<3, U>, i: usize, j: usize) -> f64 {
         match (i.max(j), i.min(j)) {
-            (a, b) if a == b => arrow.diagonal[a],
+            (a, b) if a == b => arrowhead.diagonal[a],
             (0..3, _) => 0.0,
-            (f, c) if c < 3 => arrow.arms[f - 3][c],
-            (f, g) => arrow.dense[f - 3][g - 3],
+            (f, c) if c < 3 => arrowhead.arms[f - 3][c],
+            (f, g) => arrowhead.dense[f - 3][g - 3],
         }
     }
 
@@ -231,18 +231,18 @@ mod tests {
 
     fn solves_the_damped_equations<const U: usize>() {
         for seed in 0..200 {
-            let arrow = example::<U>(seed);
-            let step = arrow.solve(1.3);
+            let arrowhead = example::<U>(seed);
+            let step = arrowhead.solve(1.3);
             for i in 0..U {
-                if arrow.free[i] == 0.0 {
-                    assert_eq!(step[i], arrow.fixed[i]);
+                if arrowhead.free[i] == 0.0 {
+                    assert_eq!(step[i], arrowhead.fixed[i]);
                     continue;
                 }
-                let mut left = 0.3 * arrow.diagonal[i] * step[i];
+                let mut left = 0.3 * arrowhead.diagonal[i] * step[i];
                 for j in 0..U {
-                    left += entry(&arrow, i, j) * step[j];
+                    left += entry(&arrowhead, i, j) * step[j];
                 }
-                assert!((left + arrow.gradient[i]).abs() < 1e-12, "{seed}: {i}");
+                assert!((left + arrowhead.gradient[i]).abs() < 1e-12, "{seed}: {i}");
             }
         }
     }
@@ -255,16 +255,16 @@ mod tests {
 
     fn predicts_the_quadratic<const U: usize>() {
         for seed in 0..20 {
-            let arrow = example::<U>(seed);
-            let step = arrow.solve(1.01);
+            let arrowhead = example::<U>(seed);
+            let step = arrowhead.solve(1.01);
             let mut decrease = 0.0;
             for i in 0..U {
-                decrease -= 2.0 * arrow.gradient[i] * step[i];
+                decrease -= 2.0 * arrowhead.gradient[i] * step[i];
                 for j in 0..U {
-                    decrease -= step[i] * entry(&arrow, i, j) * step[j];
+                    decrease -= step[i] * entry(&arrowhead, i, j) * step[j];
                 }
             }
-            assert!((decrease - arrow.decrease(&step)).abs() < 1e-12);
+            assert!((decrease - arrowhead.decrease(&step)).abs() < 1e-12);
         }
     }
 }

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! for the unknowns that are free, inside a box: the bounds \[0, 1\], and for roughness no further
-//! than [`REACH`]. Tilts have no bounds, but both together a reach ([`within_reach`]). Damping by the diagonal means that the unit of an unknown does not matter, so no
+//! than [`REACH`]. TangentOffsets have no bounds, but both together a reach ([`limit_offset_step`]). Damping by the diagonal means that the unit of an unknown does not matter, so no
 //! scaling is needed; an unknown that radiance does not depend on has a diagonal of 0 and is held,
 //! as is one on a bound whose gradient points outwards. A step that leaves the box is cut there and
 //! the other unknowns are solved for again with the cut ones where they are: cut alone, it would
@@ -15,12 +15,12 @@
 //!
 //! The equations of one pixel are in [`arrow`](crate::arrow).
 
-use crate::block::normal_jacobian::Tilts;
-use crate::pixel::arrowhead::{Arrow, MAX_SHARED, shared};
-use crate::pixel::offset_step::within_reach;
+use crate::block::normal_jacobian::TangentOffsets;
+use crate::pixel::arrowhead::{Arrowhead, MAX_SHARED, shared};
+use crate::pixel::offset_step::limit_offset_step;
 use crate::pixel::samples::{Sums, UNKNOWNS};
 use crate::reflectance::planes::{BLOCK, Doubles, Materials, Plane};
-use crate::reflectance::tangent_offset::TILTS;
+use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 /// Roughness at most moves so far in a step. Its derivative falls with r³ towards 0, so from there
@@ -46,16 +46,16 @@ const BROKEN: f64 = 0.1;
 /// Diagonals up to this are 0: their inverse would overflow.
 const NOTHING: f64 = 1e-280;
 /// Squares of a block of pixels as a function of their unknowns, U at most.
-pub(crate) trait Squares<const C: usize, const U: usize> {
+pub(crate) trait LeastSquares<const C: usize, const U: usize> {
     /// Squares, gradient and matrix at materials and tilts; what `sums` holds is overwritten.
-    fn take(&mut self, materials: &Materials<C>, tilts: &Tilts, sums: &mut Sums<U>);
+    fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets, sums: &mut Sums<U>);
 }
 
 /// Σ_f precision (v_f − centre)² beside the squares, for f = roughness, metallic and the tilts; zeros
 /// are none.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Pull {
-    pub(crate) centre: [Doubles; MAX_SHARED],
+pub(crate) struct PriorPlanes {
+    pub(crate) mean: [Doubles; MAX_SHARED],
     pub(crate) precision: [Doubles; MAX_SHARED],
 }
 
@@ -64,7 +64,7 @@ pub(crate) struct Pull {
 pub(crate) struct Point<const C: usize, const U: usize> {
     pub(crate) materials: Materials<C>,
     /// Where they are among the U unknowns; else not looked at.
-    pub(crate) tilts: Tilts,
+    pub(crate) offsets: TangentOffsets,
     pub(crate) sums: Sums<U>,
     /// Squares and pull.
     pub(crate) cost: Doubles,
@@ -74,7 +74,7 @@ impl<const C: usize, const U: usize> Default for Point<C, U> {
     fn default() -> Self {
         Self {
             materials: Materials::default(),
-            tilts: Tilts::default(),
+            offsets: TangentOffsets::default(),
             sums: Sums::default(),
             cost: Doubles::default(),
         }
@@ -86,13 +86,13 @@ impl<const C: usize, const U: usize> Point<C, U> {
     pub(crate) fn take(
         &mut self,
         isa: Instructions,
-        squares: &mut impl Squares<C, U>,
-        pull: Option<&Pull>,
+        least_squares: &mut impl LeastSquares<C, U>,
+        prior: Option<&PriorPlanes>,
     ) {
-        squares.take(&self.materials, &self.tilts, &mut self.sums);
-        self.cost = self.sums.squares;
-        if let Some(pull) = pull {
-            isa.run(AddPull { point: self, pull });
+        least_squares.take(&self.materials, &self.offsets, &mut self.sums);
+        self.cost = self.sums.sum_sq_residuals;
+        if let Some(prior) = prior {
+            isa.run(AddPrior { point: self, prior });
         }
     }
 
@@ -117,7 +117,7 @@ impl<const C: usize, const U: usize> Point<C, U> {
 /// How a block descends.
 pub(crate) struct Descent<'a, const C: usize, const U: usize> {
     pub(crate) isa: Instructions,
-    pub(crate) pull: Option<&'a Pull>,
+    pub(crate) prior: Option<&'a PriorPlanes>,
     /// Where it is known, metallic stays.
     pub(crate) metallic_known: bool,
     /// Decreases up to this are rounding.
@@ -132,7 +132,7 @@ impl<const C: usize, const U: usize> Descent<'_, C, U> {
     /// `active` (1, else 0).
     pub(crate) fn run(
         &mut self,
-        squares: &mut impl Squares<C, U>,
+        least_squares: &mut impl LeastSquares<C, U>,
         point: &mut Box<Point<C, U>>,
         mut active: Doubles,
         steps: usize,
@@ -149,10 +149,10 @@ impl<const C: usize, const U: usize> Descent<'_, C, U> {
                 damping: &damping,
                 active: &active,
                 trial: &mut self.trial.materials,
-                tilts: &mut self.trial.tilts,
+                offsets: &mut self.trial.offsets,
                 predicted: &mut predicted,
             });
-            self.trial.take(self.isa, squares, self.pull);
+            self.trial.take(self.isa, least_squares, self.prior);
             let mut accepted = Doubles::default();
             let tried = active;
             self.isa.run(Judge {
@@ -178,26 +178,26 @@ impl<const C: usize, const U: usize> Descent<'_, C, U> {
     }
 }
 
-struct AddPull<'a, const C: usize, const U: usize> {
+struct AddPrior<'a, const C: usize, const U: usize> {
     point: &'a mut Point<C, U>,
-    pull: &'a Pull,
+    prior: &'a PriorPlanes,
 }
 
-impl<const C: usize, const U: usize> Kernel for AddPull<'_, C, U> {
+impl<const C: usize, const U: usize> Kernel for AddPrior<'_, C, U> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let Self { point, pull } = self;
-        let (materials, [a, b]) = (&point.materials, &point.tilts);
+        let Self { point, prior } = self;
+        let (materials, [a, b]) = (&point.materials, &point.offsets);
         let shared_values = [&materials.roughness, &materials.metallic, a, b];
         for (f, values) in shared_values.into_iter().take(shared(U)).enumerate() {
             let unknown = C + f;
             for x in 0..BLOCK {
-                let precision = pull.precision[f].0[x];
-                let offset = values.0[x] - pull.centre[f].0[x];
-                point.cost.0[x] += precision * offset * offset;
-                point.sums.gradient[unknown].0[x] += precision * offset;
+                let precision = prior.precision[f].0[x];
+                let deviation = values.0[x] - prior.mean[f].0[x];
+                point.cost.0[x] += precision * deviation * deviation;
+                point.sums.gradient[unknown].0[x] += precision * deviation;
                 point.sums.matrix[unknown][unknown].0[x] += precision;
             }
         }
@@ -233,8 +233,8 @@ impl<const C: usize, const U: usize> Kernel for Take<'_, C, U> {
         }
         take(&from.materials.roughness, &mut to.materials.roughness);
         take(&from.materials.metallic, &mut to.materials.metallic);
-        for tilt in 0..shared(U) - 2 {
-            take(&from.tilts[tilt], &mut to.tilts[tilt]);
+        for offset in 0..shared(U) - 2 {
+            take(&from.offsets[offset], &mut to.offsets[offset]);
         }
         for row in 0..C + shared(U) {
             take(&from.sums.gradient[row], &mut to.sums.gradient[row]);
@@ -248,7 +248,7 @@ impl<const C: usize, const U: usize> Kernel for Take<'_, C, U> {
                 }
             }
         }
-        take(&from.sums.squares, &mut to.sums.squares);
+        take(&from.sums.sum_sq_residuals, &mut to.sums.sum_sq_residuals);
         take(&from.cost, &mut to.cost);
     }
 }
@@ -302,7 +302,7 @@ struct Step<'a, const C: usize, const U: usize> {
     damping: &'a Doubles,
     active: &'a Doubles,
     trial: &'a mut Materials<C>,
-    tilts: &'a mut Tilts,
+    offsets: &'a mut TangentOffsets,
     predicted: &'a mut Doubles,
 }
 
@@ -317,7 +317,7 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
             damping,
             active,
             trial,
-            tilts,
+            offsets,
             predicted,
         } = self;
         let Point {
@@ -331,7 +331,7 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
             }
             value[C] = materials.roughness.0[x];
             value[C + 1] = materials.metallic.0[x];
-            let mut system = Arrow::<C, U>::of(sums, x);
+            let mut system = Arrowhead::<C, U>::of(sums, x);
             let mut lowest = [0.0; U];
             let mut highest = [0.0; U];
             for j in 0..C + 2 {
@@ -357,7 +357,7 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
             }
             lowest[C] = lowest[C].max(-REACH);
             highest[C] = highest[C].min(REACH);
-            let tilt = [point.tilts[0].0[x], point.tilts[1].0[x]];
+            let offset = [point.offsets[0].0[x], point.offsets[1].0[x]];
 
             let damped = 1.0 + damping.0[x];
             let mut step = system.solve(damped);
@@ -369,15 +369,15 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
             }
             if U > UNKNOWNS {
                 let wanted = [step[C + 2], step[C + 3]];
-                let (share, there) = within_reach(tilt, wanted);
+                let (share, there) = limit_offset_step(offset, wanted);
                 // Turned round or shortened, it leads elsewhere than the step.
                 let inside = (share == 1.0)
-                    & (there[0] == tilt[0] + wanted[0])
-                    & (there[1] == tilt[1] + wanted[1]);
-                for t in 0..TILTS {
+                    & (there[0] == offset[0] + wanted[0])
+                    & (there[1] == offset[1] + wanted[1]);
+                for t in 0..OFFSETS {
                     let j = C + 2 + t;
                     system.free[j] = if inside { system.free[j] } else { 0.0 };
-                    system.fixed[j] = if inside { 0.0 } else { there[t] - tilt[t] };
+                    system.fixed[j] = if inside { 0.0 } else { there[t] - offset[t] };
                 }
             }
             step = system.solve(damped);
@@ -390,10 +390,10 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
             trial.roughness.0[x] = (value[C] + step[C]).clamp(0.0, 1.0);
             trial.metallic.0[x] = (value[C + 1] + step[C + 1]).clamp(0.0, 1.0);
             if U > UNKNOWNS {
-                let (_, there) = within_reach(tilt, [step[C + 2], step[C + 3]]);
-                for t in 0..TILTS {
-                    step[C + 2 + t] = there[t] - tilt[t];
-                    tilts[t].0[x] = there[t];
+                let (_, there) = limit_offset_step(offset, [step[C + 2], step[C + 3]]);
+                for t in 0..OFFSETS {
+                    step[C + 2 + t] = there[t] - offset[t];
+                    offsets[t].0[x] = there[t];
                 }
             }
             predicted.0[x] = system.decrease(&step);
@@ -425,7 +425,7 @@ mod tests {
             damping: &Doubles::default(),
             active: &Plane([1.0; BLOCK]),
             trial: &mut trial,
-            tilts: &mut Tilts::default(),
+            offsets: &mut TangentOffsets::default(),
             predicted: &mut predicted,
         });
         let found: Vec<f64> = trial.planes().map(|plane| plane.0[7]).collect();

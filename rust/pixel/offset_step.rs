@@ -1,26 +1,29 @@
 //! How far the tangent offset of a normal moves in one step of a fit.
 
-use crate::reflectance::tangent_offset::TILTS;
+use crate::reflectance::tangent_offset::OFFSETS;
 
 /// A tilt moves no further in a step: 17 degrees from the given normal. Squares are far from
 /// quadratic beyond.
-pub(crate) const TILT_REACH: f64 = 0.3;
+pub(crate) const OFFSET_STEP_MAX: f64 = 0.3;
 
 /// Steps lead to tilts of at most tan 60°, or of the length that there was.
-pub(crate) const LONGEST_TILT: f64 = 1.732_050_807_568_877_2;
+pub(crate) const OFFSET_AFTER_STEP_MAX: f64 = 1.732_050_807_568_877_2;
 
 /// The share of a step that is within reach, and where it leads.
 ///
 /// Where it would lead too far from the given normal the tilt is shortened, its direction kept.
 #[inline(always)]
-pub(crate) fn within_reach(tilt: [f64; TILTS], step: [f64; TILTS]) -> (f64, [f64; TILTS]) {
-    let length = |v: [f64; TILTS]| (v[0] * v[0] + v[1] * v[1]).sqrt();
-    let share = shorter(length(step), TILT_REACH);
-    let (before, far) = (length(tilt), [0, 1].map(|t| tilt[t] + share * step[t]));
-    let longest = if before > LONGEST_TILT {
+pub(crate) fn limit_offset_step(
+    offset: [f64; OFFSETS],
+    step: [f64; OFFSETS],
+) -> (f64, [f64; OFFSETS]) {
+    let length = |v: [f64; OFFSETS]| (v[0] * v[0] + v[1] * v[1]).sqrt();
+    let share = shorter(length(step), OFFSET_STEP_MAX);
+    let (before, far) = (length(offset), [0, 1].map(|t| offset[t] + share * step[t]));
+    let longest = if before > OFFSET_AFTER_STEP_MAX {
         before
     } else {
-        LONGEST_TILT
+        OFFSET_AFTER_STEP_MAX
     };
     let kept = shorter(length(far), longest);
     (share, far.map(|far| kept * far))
@@ -40,36 +43,36 @@ fn shorter(length: f64, longest: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn length(v: [f64; TILTS]) -> f64 {
+    fn length(v: [f64; OFFSETS]) -> f64 {
         v[0].hypot(v[1])
     }
 
     #[test]
     fn steps_within_reach_are_taken_whole() {
         assert_eq!(
-            within_reach([0.5, -0.25], [0.125, 0.25]),
+            limit_offset_step([0.5, -0.25], [0.125, 0.25]),
             (1.0, [0.625, 0.0])
         );
-        assert_eq!(within_reach([0.1, 0.0], [TILT_REACH, 0.0]).0, 1.0);
+        assert_eq!(limit_offset_step([0.1, 0.0], [OFFSET_STEP_MAX, 0.0]).0, 1.0);
     }
 
     #[test]
     fn long_steps_keep_their_direction() {
-        let (share, there) = within_reach([0.1, 0.2], [3.0, -4.0]);
-        assert!((share - TILT_REACH / 5.0).abs() < 1e-15);
+        let (share, there) = limit_offset_step([0.1, 0.2], [3.0, -4.0]);
+        assert!((share - OFFSET_STEP_MAX / 5.0).abs() < 1e-15);
         let step = [there[0] - 0.1, there[1] - 0.2];
-        assert!((length(step) - TILT_REACH).abs() < 1e-15);
+        assert!((length(step) - OFFSET_STEP_MAX).abs() < 1e-15);
         assert!((step[0] * 4.0 + step[1] * 3.0).abs() < 1e-15);
     }
 
     #[test]
     fn tilts_grow_to_the_longest_or_stay_as_long_as_they_were() {
-        let (_, there) = within_reach([LONGEST_TILT - 0.1, 0.0], [0.2, 0.0]);
-        assert!((length(there) - LONGEST_TILT).abs() < 1e-15);
-        let (_, there) = within_reach([0.0, 5.0], [0.2, 0.1]);
+        let (_, there) = limit_offset_step([OFFSET_AFTER_STEP_MAX - 0.1, 0.0], [0.2, 0.0]);
+        assert!((length(there) - OFFSET_AFTER_STEP_MAX).abs() < 1e-15);
+        let (_, there) = limit_offset_step([0.0, 5.0], [0.2, 0.1]);
         assert!((length(there) - 5.0).abs() < 1e-14);
-        let (_, there) = within_reach([0.0, 5.0], [0.0, -0.1]);
+        let (_, there) = limit_offset_step([0.0, 5.0], [0.0, -0.1]);
         assert_eq!(there, [0.0, 4.9]);
-        assert_eq!(within_reach([3.0, 4.0], [0.0; 2]), (1.0, [3.0, 4.0]));
+        assert_eq!(limit_offset_step([3.0, 4.0], [0.0; 2]), (1.0, [3.0, 4.0]));
     }
 }

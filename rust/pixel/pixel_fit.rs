@@ -14,12 +14,14 @@
 //! Every pixel has its own damping, and once it is done it stays where it is: what it ends at does
 //! not depend on the pixels beside it.
 
-use crate::block::normal_jacobian::Tilts;
-use crate::pixel::descent::{Descent, Point, Pull};
+use crate::block::normal_jacobian::TangentOffsets;
+use crate::pixel::descent::{Descent, Point, PriorPlanes};
 use crate::pixel::material_grid::{self, AlbedoFromProducts};
-use crate::pixel::product_form::{Form, SquaresFromProducts};
+use crate::pixel::product_form::{Form, LeastSquaresFromProducts};
 use crate::pixel::residual_steps::ResidualSteps;
-use crate::pixel::samples::{DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS, handed_out};
+use crate::pixel::samples::{
+    DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS, free_unknowns,
+};
 use crate::problem::Problem;
 use crate::reflectance::model::with_model;
 use crate::reflectance::planes::{BLOCK, Doubles, Materials};
@@ -61,15 +63,15 @@ pub struct Search<'a> {
     /// Whether normals stay where x has them, though they are free.
     pub held_normals: bool,
     /// What materials are drawn to, beside the pictures.
-    pub pull: Option<Towards<'a>>,
+    pub prior: Option<GaussianPrior<'a>>,
 }
 
 /// Adds Σ_f precision_f (v_f − centre_f)² to the squares of a pixel, for f = roughness, metallic
 /// unless it is known and, where normals are free, the two tilts.
 #[derive(Clone, Copy, Debug)]
-pub struct Towards<'a> {
+pub struct GaussianPrior<'a> {
     /// (pixel, f)
-    pub centre: &'a [f64],
+    pub mean: &'a [f64],
     /// (pixel, f)
     pub precision: &'a [f64],
 }
@@ -81,7 +83,7 @@ pub struct Fitted {
     /// (pixel, D)
     pub materials: Vec<f64>,
     /// Σ ω (I − T)², without the pull: (pixel).
-    pub squares: Vec<f64>,
+    pub sum_sq_residuals: Vec<f64>,
 }
 
 impl Problem {
@@ -92,22 +94,22 @@ impl Problem {
     pub fn fit_materials(&self, x: &[f64], pixels: &[usize], search: &Search) -> Result<Fitted> {
         check::unit_interval("roughness", search.roughness)?;
         check::unit_interval("metallic", search.metallic)?;
-        if let Some(pull) = &search.pull {
+        if let Some(prior) = &search.prior {
             let count = pixels.len() * (self.unknowns_of_pixel() - self.channels());
-            check::length("centre", count, pull.centre.len())?;
-            check::length("precision", count, pull.precision.len())?;
-            check::moderate("centre", pull.centre, LARGEST_PULL)?;
-            check::moderate("precision", pull.precision, LARGEST_PULL)?;
-            check::not_negative("precision", pull.precision)?;
+            check::length("mean", count, prior.mean.len())?;
+            check::length("precision", count, prior.precision.len())?;
+            check::moderate("mean", prior.mean, PRIOR_MAX)?;
+            check::moderate("precision", prior.precision, PRIOR_MAX)?;
+            check::not_negative("precision", prior.precision)?;
         }
         with_model!(self.model(), M => fit_by_kind::<M>(self, x, pixels, search))
     }
 }
 
 /// Models that pixels are fitted with.
-trait Fits: AlbedoFromProducts + SquaresFromProducts {}
+trait Fits: AlbedoFromProducts + LeastSquaresFromProducts {}
 
-impl<M: AlbedoFromProducts + SquaresFromProducts> Fits for M {}
+impl<M: AlbedoFromProducts + LeastSquaresFromProducts> Fits for M {}
 
 fn fit_by_kind<M: Fits>(
     problem: &Problem,
@@ -115,8 +117,8 @@ fn fit_by_kind<M: Fits>(
     pixels: &[usize],
     search: &Search,
 ) -> Result<Fitted> {
-    let turns = problem.free_normals() && !search.held_normals;
-    match (problem.channels(), turns) {
+    let jacobian = problem.free_normals() && !search.held_normals;
+    match (problem.channels(), jacobian) {
         (1, false) => fit::<M, 1, DERIVATIVES, UNKNOWNS>(problem, x, pixels, search),
         (_, false) => fit::<M, 3, DERIVATIVES, UNKNOWNS>(problem, x, pixels, search),
         (1, true) => fit::<M, 1, FREE_DERIVATIVES, FREE_UNKNOWNS>(problem, x, pixels, search),
@@ -125,7 +127,7 @@ fn fit_by_kind<M: Fits>(
 }
 
 /// Centres and precisions at most.
-const LARGEST_PULL: f64 = 1e100;
+const PRIOR_MAX: f64 = 1e100;
 
 fn fit<M: Fits, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
@@ -144,34 +146,34 @@ fn fit<M: Fits, const C: usize, const D: usize, const U: usize>(
         ..*search
     };
     let rows = if problem.free_normals() {
-        handed_out::<C, FREE_DERIVATIVES>(problem)
+        free_unknowns::<C, FREE_DERIVATIVES>(problem)
     } else {
-        handed_out::<C, DERIVATIVES>(problem)
+        free_unknowns::<C, DERIVATIVES>(problem)
     };
     let unknowns = rows.len();
     let mut fitted = Fitted {
         materials: zeros("materials", pixels.len() * unknowns)?,
-        squares: zeros("materials", pixels.len())?,
+        sum_sq_residuals: zeros("materials", pixels.len())?,
     };
     let size = (pixels.len().div_ceil(PIECES * BLOCK)).clamp(1, MAX_CHUNK) * BLOCK;
     let pieces = pixels
         .chunks(size)
         .zip(fitted.materials.chunks_mut(size * unknowns))
-        .zip(fitted.squares.chunks_mut(size))
+        .zip(fitted.sum_sq_residuals.chunks_mut(size))
         .enumerate()
         .collect();
     pool::map(
         problem.threads(),
         pieces,
-        |(piece, ((pixels, materials), squares))| {
+        |(piece, ((pixels, materials), sum_sq_residuals))| {
             let mut block = Block::<M, C, D, U>::new(problem, &lights, &search, &rows);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 let best = block.fit(maps, pixels, piece * size + i * BLOCK);
                 for x in 0..pixels.len() {
                     let p = i * BLOCK + x;
                     // Rounding may leave less than nothing of a sum of squares.
-                    squares[p] = best.squares.0[x].max(0.0);
-                    let planes: Vec<_> = best.materials.planes().chain(best.tilts).collect();
+                    sum_sq_residuals[p] = best.sum_sq_residuals.0[x].max(0.0);
+                    let planes: Vec<_> = best.materials.planes().chain(best.offsets).collect();
                     for (to, &row) in materials[p * unknowns..].iter_mut().zip(&rows) {
                         *to = planes[row].0[x];
                     }
@@ -193,7 +195,7 @@ struct Block<'a, M: Fits, const C: usize, const D: usize, const U: usize> {
     grid: material_grid::Block<'a, M>,
     /// A plane for each node.
     nodes: Vec<Doubles>,
-    tilts: Tilts,
+    offsets: TangentOffsets,
     own: Box<Point<C, UNKNOWNS>>,
     best: Box<Point<C, UNKNOWNS>>,
     candidate: Box<Point<C, UNKNOWNS>>,
@@ -204,8 +206,8 @@ struct Block<'a, M: Fits, const C: usize, const D: usize, const U: usize> {
 /// The best of a block of pixels.
 struct Best<'a, const C: usize> {
     materials: &'a Materials<C>,
-    tilts: &'a Tilts,
-    squares: &'a Doubles,
+    offsets: &'a TangentOffsets,
+    sum_sq_residuals: &'a Doubles,
 }
 
 impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C, D, U> {
@@ -224,7 +226,7 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
             isa: problem.instructions(),
             grid: material_grid::Block::new(problem),
             nodes: vec![Doubles::default(); if search.starts > 0 { nodes } else { 0 }],
-            tilts: Tilts::default(),
+            offsets: TangentOffsets::default(),
             own: Box::default(),
             best: Box::default(),
             candidate: Box::default(),
@@ -236,12 +238,12 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
     /// The best of some pixels, the first of which is number `first` of all.
     fn fit(&mut self, maps: &[f64], pixels: &[usize], first: usize) -> Best<'_, C> {
         let (isa, search) = (self.isa, self.search);
-        let pull = search
-            .pull
-            .map(|pull| planes(&pull, &self.rows[C..], C, first, pixels.len()));
-        let pull = pull.as_ref();
+        let prior = search
+            .prior
+            .map(|prior| planes(&prior, &self.rows[C..], C, first, pixels.len()));
+        let prior = prior.as_ref();
         self.grid.load(maps, self.lights, pixels);
-        self.tilts = self.problem.picked_tilts(maps, pixels);
+        self.offsets = self.problem.picked_offsets(maps, pixels);
         self.own.materials = Materials::default();
         let mut used = Doubles::default();
         for (x, &p) in pixels.iter().enumerate() {
@@ -256,52 +258,52 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         }
 
         self.own
-            .take(isa, &mut Form::<M>::new(isa, &self.grid.products), pull);
+            .take(isa, &mut Form::<M>::new(isa, &self.grid.products), prior);
         self.best.clone_from(&self.own);
         self.candidate.clone_from(&self.own);
-        self.descend(&used, &size, pull);
+        self.descend(&used, &size, prior);
         for start in 0..search.starts {
-            let Some(active) = self.start(start, pull, pixels.len()) else {
+            let Some(active) = self.start(start, prior, pixels.len()) else {
                 break;
             };
-            self.descend(&active, &size, pull);
+            self.descend(&active, &size, prior);
         }
         if search.exact_steps > 0 {
-            self.finish(maps, pixels, &used, &size, pull);
+            self.descend_on_residuals(maps, pixels, &used, &size, prior);
             let best = &self.steps.best;
             return Best {
                 materials: &best.materials,
-                tilts: if U > UNKNOWNS {
-                    &best.tilts
+                offsets: if U > UNKNOWNS {
+                    &best.offsets
                 } else {
-                    &self.tilts
+                    &self.offsets
                 },
-                squares: &best.sums.squares,
+                sum_sq_residuals: &best.sums.sum_sq_residuals,
             };
         }
         Best {
             materials: &self.best.materials,
-            tilts: &self.tilts,
-            squares: &self.best.sums.squares,
+            offsets: &self.offsets,
+            sum_sq_residuals: &self.best.sums.sum_sq_residuals,
         }
     }
 
     /// Descends from the candidate, on products, and keeps what is better than the best. Pixels that
     /// are not active have no candidate.
-    fn descend(&mut self, active: &Doubles, size: &Doubles, pull: Option<&Pull>) {
+    fn descend(&mut self, active: &Doubles, size: &Doubles, prior: Option<&PriorPlanes>) {
         let isa = self.isa;
         for r in &mut self.candidate.materials.roughness.0 {
             *r = r.max(LEAST_ROUGHNESS);
         }
         let mut form = Form::<M>::new(isa, &self.grid.products);
-        self.candidate.take(isa, &mut form, pull);
+        self.candidate.take(isa, &mut form, prior);
         let mut floor = Doubles::default();
         for x in 0..BLOCK {
             floor.0[x] = FORM_FLOOR * size.0[x];
         }
         Descent {
             isa,
-            pull,
+            prior,
             metallic_known: self.problem.known_metallic().is_some(),
             floor: &floor,
             damping: FORM_DAMPING,
@@ -318,7 +320,12 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
 
     /// Makes the local minimum number `start` of the grid the candidate; 1 for the pixels that have
     /// so many, or None if none has.
-    fn start(&mut self, start: usize, pull: Option<&Pull>, count: usize) -> Option<Doubles> {
+    fn start(
+        &mut self,
+        start: usize,
+        prior: Option<&PriorPlanes>,
+        count: usize,
+    ) -> Option<Doubles> {
         let Search {
             roughness,
             metallic,
@@ -328,8 +335,8 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         if start == 0 && !self.nodes.is_empty() {
             self.grid
                 .fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut self.nodes);
-            if let Some(pull) = pull {
-                add_pull(pull, roughness, metallic, &mut self.nodes);
+            if let Some(prior) = prior {
+                add_prior(prior, roughness, metallic, &mut self.nodes);
             }
         }
         if self.nodes.is_empty() {
@@ -363,13 +370,13 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
     }
 
     /// The last steps, on residuals, from the best or the own material, whichever is better.
-    fn finish(
+    fn descend_on_residuals(
         &mut self,
         maps: &[f64],
         pixels: &[usize],
         used: &Doubles,
         size: &Doubles,
-        pull: Option<&Pull>,
+        prior: Option<&PriorPlanes>,
     ) {
         // Where products tell for sure, no pass over the pictures is needed to tell.
         let mut unclear = Doubles::default();
@@ -379,30 +386,36 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
                 unclear.0[x] = 1.0;
             }
         }
-        self.steps.place(maps, pixels, &self.tilts);
+        self.steps.place(maps, pixels, &self.offsets);
         self.steps.run(
             [&self.own.materials, &self.best.materials],
             [used, &unclear],
-            pull,
+            prior,
             self.search.exact_steps,
         );
     }
 }
 
 /// The pull of `count` pixels from `first` on, at some unknowns of a pixel: those after its `albedos`.
-fn planes(pull: &Towards, unknowns: &[usize], albedos: usize, first: usize, count: usize) -> Pull {
-    let mut planes = Pull::default();
+fn planes(
+    prior: &GaussianPrior,
+    unknowns: &[usize],
+    albedos: usize,
+    first: usize,
+    count: usize,
+) -> PriorPlanes {
+    let mut planes = PriorPlanes::default();
     for (f, unknown) in unknowns.iter().enumerate() {
         for x in 0..count {
             let i = (first + x) * unknowns.len() + f;
-            planes.centre[unknown - albedos].0[x] = pull.centre[i];
-            planes.precision[unknown - albedos].0[x] = pull.precision[i];
+            planes.mean[unknown - albedos].0[x] = prior.mean[i];
+            planes.precision[unknown - albedos].0[x] = prior.precision[i];
         }
     }
     planes
 }
 
-fn add_pull(pull: &Pull, roughness: &[f64], metallic: &[f64], nodes: &mut [Doubles]) {
+fn add_prior(prior: &PriorPlanes, roughness: &[f64], metallic: &[f64], nodes: &mut [Doubles]) {
     for (node, plane) in nodes.iter_mut().enumerate() {
         let at = [
             roughness[node / metallic.len()],
@@ -410,8 +423,8 @@ fn add_pull(pull: &Pull, roughness: &[f64], metallic: &[f64], nodes: &mut [Doubl
         ];
         for (f, value) in at.into_iter().enumerate() {
             for x in 0..BLOCK {
-                let offset = value - pull.centre[f].0[x];
-                plane.0[x] += pull.precision[f].0[x] * offset * offset;
+                let deviation = value - prior.mean[f].0[x];
+                plane.0[x] += prior.precision[f].0[x] * deviation * deviation;
             }
         }
     }

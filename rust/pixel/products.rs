@@ -9,7 +9,7 @@
 
 use std::marker::PhantomData;
 
-use crate::block::basis::{Basis, FillBasis, MAX_SEEN, seen_by};
+use crate::block::basis::{Basis, FillBasis, MAX_PROJECTIONS, light_projections_at};
 use crate::problem::Problem;
 use crate::reflectance::planes::MAX_ROWS;
 use crate::reflectance::planes::{BLOCK, Directions, Doubles};
@@ -139,20 +139,21 @@ impl<M: Reflection> SumPictures<'_, M> {
             let (mut dr, mut rt) = ([zero; MAX_ROWS], [zero; MAX_ROWS]);
             let mut rr = [zero; MAX_PAIRS];
             for (light, [target, weight]) in lights.iter().zip(given) {
-                let seen: [_; MAX_SEEN] = seen_by::<M, I>(isa, basis, light, v);
-                let diffuse = seen[0];
+                let light_projections: [_; MAX_PROJECTIONS] =
+                    light_projections_at::<M, I>(isa, basis, light, v);
+                let diffuse = light_projections[0];
                 let (target, weight) = (I::of(&target.0)[v], I::of(&weight.0)[v]);
                 let d = isa.mul(weight, diffuse);
                 tt = isa.mul_add(isa.mul(weight, target), target, tt);
                 dd = isa.mul_add(d, diffuse, dd);
                 dt = isa.mul_add(d, target, dt);
                 for i in 0..M::ROWS {
-                    let row = isa.mul(weight, seen[1 + i]);
+                    let row = isa.mul(weight, light_projections[1 + i]);
                     dr[i] = isa.mul_add(row, diffuse, dr[i]);
                     rt[i] = isa.mul_add(row, target, rt[i]);
                     for j in 0..=i {
                         let sum = &mut rr[pair(i, j)];
-                        *sum = isa.mul_add(row, seen[1 + j], *sum);
+                        *sum = isa.mul_add(row, light_projections[1 + j], *sum);
                     }
                 }
             }

@@ -5,8 +5,8 @@
 //! in another valley than what is best with better normals, so pixels descend twice then, from the
 //! material of x and from the best that products found, and the lower one is kept.
 
-use crate::block::normal_jacobian::Tilts;
-use crate::pixel::descent::{Descent, Point, Pull, Squares};
+use crate::block::normal_jacobian::TangentOffsets;
+use crate::pixel::descent::{Descent, LeastSquares, Point, PriorPlanes};
 use crate::pixel::samples::{Block, Sums, UNKNOWNS};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Doubles, Materials};
@@ -28,7 +28,7 @@ const TURNING_ROUGHNESS: f64 = 0.05;
 pub(crate) struct ResidualSteps<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     pub(crate) best: Box<Point<C, U>>,
     /// Of the pixels, as they were given.
-    tilts: Tilts,
+    offsets: TangentOffsets,
     /// Where normals turn: what descends.
     candidate: Option<Box<Point<C, U>>>,
     walk: Walk<'a, M, C, D, U>,
@@ -38,22 +38,22 @@ pub(crate) struct ResidualSteps<'a, M: Reflection, const C: usize, const D: usiz
 struct Walk<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     isa: Instructions,
     metallic_known: bool,
-    squares: Exact<'a, M, C, D>,
+    least_squares: FromResiduals<'a, M, C, D>,
     trial: Box<Point<C, U>>,
 }
 
 /// Squares from residuals.
-struct Exact<'a, M: Reflection, const C: usize, const D: usize> {
+struct FromResiduals<'a, M: Reflection, const C: usize, const D: usize> {
     lights: &'a [[f64; COEFFICIENTS]],
     block: Block<'a, M, C, D>,
 }
 
-impl<M: Reflection, const C: usize, const D: usize, const U: usize> Squares<C, U>
-    for Exact<'_, M, C, D>
+impl<M: Reflection, const C: usize, const D: usize, const U: usize> LeastSquares<C, U>
+    for FromResiduals<'_, M, C, D>
 {
-    fn take(&mut self, materials: &Materials<C>, tilts: &Tilts, sums: &mut Sums<U>) {
+    fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets, sums: &mut Sums<U>) {
         *sums = Sums::default();
-        self.block.take(materials, tilts);
+        self.block.take(materials, offsets);
         self.block.add_samples(self.lights, sums);
     }
 }
@@ -64,12 +64,12 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     pub(crate) fn new(problem: &'a Problem, lights: &'a [[f64; COEFFICIENTS]]) -> Self {
         Self {
             best: Box::default(),
-            tilts: Tilts::default(),
+            offsets: TangentOffsets::default(),
             candidate: (U > UNKNOWNS).then(Box::default),
             walk: Walk {
                 isa: problem.instructions(),
                 metallic_known: problem.known_metallic().is_some(),
-                squares: Exact {
+                least_squares: FromResiduals {
                     lights,
                     block: Block::new(problem),
                 },
@@ -79,9 +79,9 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// Takes up pixels with the normals of `maps`, whose tilts are `tilts`.
-    pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], tilts: &Tilts) {
-        self.walk.squares.block.place(maps, pixels);
-        self.tilts = *tilts;
+    pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], offsets: &TangentOffsets) {
+        self.walk.least_squares.block.place(maps, pixels);
+        self.offsets = *offsets;
     }
 
     /// Leaves in `best` where at most `steps` steps of the `used` pixels lead from their `own`
@@ -91,62 +91,62 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         &mut self,
         [own, found]: [&Materials<C>; 2],
         [used, unclear]: [&Doubles; 2],
-        pull: Option<&Pull>,
+        prior: Option<&PriorPlanes>,
         steps: usize,
     ) {
         let Self {
             best,
-            tilts,
+            offsets,
             candidate,
             walk,
         } = self;
         if let Some(candidate) = candidate {
             best.materials.clone_from(own);
-            best.tilts = *tilts;
-            walk.take(best, pull);
+            best.offsets = *offsets;
+            walk.take(best, prior);
             let others = differing(own, found, used);
             for (start, active) in [(own, used), (found, &others)] {
                 if active.0.iter().any(|&active| active > 0.0) {
                     candidate.materials.clone_from(start);
-                    candidate.tilts = *tilts;
-                    walk.turn(candidate, active, pull, steps);
+                    candidate.offsets = *offsets;
+                    walk.turn(candidate, active, prior, steps);
                     best.keep_lower(walk.isa, candidate);
                 }
             }
             return;
         }
         best.materials.clone_from(found);
-        walk.take(best, pull);
+        walk.take(best, prior);
         if unclear.0.iter().any(|&unclear| unclear > 0.0) {
             let trial = &mut walk.trial;
             trial.materials.clone_from(own);
-            trial.take(walk.isa, &mut walk.squares, pull);
+            trial.take(walk.isa, &mut walk.least_squares, prior);
             ignore_others(&mut trial.cost, unclear);
             best.keep_lower(walk.isa, trial);
         }
-        walk.descend(best, used, pull, DAMPING, steps);
+        walk.descend(best, used, prior, DAMPING, steps);
     }
 }
 
 impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, C, D, U> {
-    fn take(&mut self, point: &mut Point<C, U>, pull: Option<&Pull>) {
-        point.take(self.isa, &mut self.squares, pull);
+    fn take(&mut self, point: &mut Point<C, U>, prior: Option<&PriorPlanes>) {
+        point.take(self.isa, &mut self.least_squares, prior);
     }
 
-    /// Turns the normals of the `active` pixels, and moves their materials; other pixels cost more
+    /// NormalJacobian the normals of the `active` pixels, and moves their materials; other pixels cost more
     /// than anything then.
     fn turn(
         &mut self,
         candidate: &mut Box<Point<C, U>>,
         active: &Doubles,
-        pull: Option<&Pull>,
+        prior: Option<&PriorPlanes>,
         steps: usize,
     ) {
         for r in &mut candidate.materials.roughness.0 {
             *r = r.max(TURNING_ROUGHNESS);
         }
-        self.take(candidate, pull);
-        self.descend(candidate, active, pull, TURNING_DAMPING, steps);
+        self.take(candidate, prior);
+        self.descend(candidate, active, prior, TURNING_DAMPING, steps);
         ignore_others(&mut candidate.cost, active);
     }
 
@@ -154,7 +154,7 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, 
         &mut self,
         point: &mut Box<Point<C, U>>,
         active: &Doubles,
-        pull: Option<&Pull>,
+        prior: Option<&PriorPlanes>,
         damping: f64,
         steps: usize,
     ) {
@@ -164,13 +164,13 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, 
         }
         Descent {
             isa: self.isa,
-            pull,
+            prior,
             metallic_known: self.metallic_known,
             floor: &floor,
             damping,
             trial: &mut self.trial,
         }
-        .run(&mut self.squares, point, *active, steps);
+        .run(&mut self.least_squares, point, *active, steps);
     }
 }
 

@@ -10,12 +10,12 @@
 
 use std::marker::PhantomData;
 
-use crate::block::basis::{Basis, FillBasis, MAX_SEEN, seen};
+use crate::block::basis::{Basis, FillBasis, MAX_PROJECTIONS, light_projections};
 use crate::block::factors::{FillFactors, FillFunctions};
-use crate::block::normal_jacobian::Tilts;
+use crate::block::normal_jacobian::TangentOffsets;
 use crate::block::radiance::Radiance;
 use crate::block::weights::FillWeights;
-use crate::pixel::weight_jacobian::Tilted;
+use crate::pixel::weight_jacobian::WeightJacobian;
 use crate::problem::Problem;
 use crate::reflectance::planes::{
     BLOCK, ChannelFactors, Directions, Doubles, Materials, no_functions,
@@ -23,7 +23,7 @@ use crate::reflectance::planes::{
 use crate::reflectance::planes::{MAX_ROWS, Material};
 use crate::reflectance::reflection::{ExactFunctions, Factors, Reflection};
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::reflectance::tangent_offset::TILTS;
+use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 /// By what radiance is derived in one channel where normals are given: its albedo, roughness,
@@ -32,8 +32,8 @@ pub(crate) const DERIVATIVES: usize = 3;
 /// Unknowns of a pixel at most, where normals are given.
 pub(crate) const UNKNOWNS: usize = 5;
 /// Derivatives and unknowns where normals are free: the tilts follow.
-pub(crate) const FREE_DERIVATIVES: usize = DERIVATIVES + TILTS;
-pub(crate) const FREE_UNKNOWNS: usize = UNKNOWNS + TILTS;
+pub(crate) const FREE_DERIVATIVES: usize = DERIVATIVES + OFFSETS;
+pub(crate) const FREE_UNKNOWNS: usize = UNKNOWNS + OFFSETS;
 
 /// `f::<M, C, D, U>(…)` for the kind of problem.
 macro_rules! by_kind {
@@ -58,7 +58,7 @@ pub(crate) fn unknowns_of_channel<const C: usize, const D: usize>(channel: usize
 }
 
 /// The unknowns that are handed out, in order: all but a known metallic.
-pub(crate) fn handed_out<const C: usize, const D: usize>(problem: &Problem) -> Vec<usize> {
+pub(crate) fn free_unknowns<const C: usize, const D: usize>(problem: &Problem) -> Vec<usize> {
     let known = problem.known_metallic().is_some();
     (0..C + D - 1)
         .filter(|&unknown| !(known && unknown == C + 1))
@@ -81,7 +81,7 @@ pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
     pub weights: Box<[[Doubles; COEFFICIENTS]; C]>,
     responses: Vec<Responses>,
     /// Where D says that normals are free.
-    pub tilted: Option<Tilted>,
+    pub weight_jacobian: Option<WeightJacobian>,
     /// Targets and weights ω: (channel, picture).
     given: Vec<[Doubles; 2]>,
     sample: Sample<D>,
@@ -90,15 +90,15 @@ pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
 /// By which the numbers that a pixel sees of a light become radiance and its derivatives.
 #[derive(Clone, Debug)]
 pub(crate) struct Responses {
-    pub(crate) radiance: [Doubles; MAX_SEEN],
-    pub(crate) derivatives: [[Doubles; MAX_SEEN]; DERIVATIVES],
+    pub(crate) radiance: [Doubles; MAX_PROJECTIONS],
+    pub(crate) derivatives: [[Doubles; MAX_PROJECTIONS]; DERIVATIVES],
 }
 
 impl Default for Responses {
     fn default() -> Self {
         Self {
-            radiance: [Doubles::default(); MAX_SEEN],
-            derivatives: [[Doubles::default(); MAX_SEEN]; DERIVATIVES],
+            radiance: [Doubles::default(); MAX_PROJECTIONS],
+            derivatives: [[Doubles::default(); MAX_PROJECTIONS]; DERIVATIVES],
         }
     }
 }
@@ -138,7 +138,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             factors: std::array::from_fn(|_| ChannelFactors::default()),
             weights: Box::new([[Doubles::default(); COEFFICIENTS]; C]),
             responses: vec![Responses::default(); C],
-            tilted: (D > DERIVATIVES).then(|| Tilted::new(C)),
+            weight_jacobian: (D > DERIVATIVES).then(|| WeightJacobian::new(C)),
             given: Vec::new(),
             sample: Sample::default(),
         }
@@ -151,8 +151,8 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             materials.set(x, &self.problem.material(maps, p));
         }
         self.place(maps, pixels);
-        let tilts = self.problem.picked_tilts(maps, pixels);
-        self.take(&materials, &tilts);
+        let offsets = self.problem.picked_offsets(maps, pixels);
+        self.take(&materials, &offsets);
     }
 
     /// Takes up pixels, whose materials, and tilts where they are free, are still to come.
@@ -166,8 +166,8 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
                     .push(self.problem.picked_samples(c, picture, pixels));
             }
         }
-        if let Some(tilted) = &mut self.tilted {
-            tilted.place(self.problem, pixels);
+        if let Some(weight_jacobian) = &mut self.weight_jacobian {
+            weight_jacobian.place(self.problem, pixels);
             return;
         }
         self.directions = self.problem.picked_directions(maps, pixels);
@@ -184,16 +184,16 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
 
     /// Gives the pixels materials and, where they are free, tilts, and works out all that no picture
     /// changes.
-    pub(crate) fn take(&mut self, materials: &Materials<C>, tilts: &Tilts) {
+    pub(crate) fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets) {
         self.materials = materials.clone();
-        if let Some(tilted) = &mut self.tilted {
-            tilted.turn(self.isa, tilts, &mut self.directions);
+        if let Some(weight_jacobian) = &mut self.weight_jacobian {
+            weight_jacobian.turn(self.isa, offsets, &mut self.directions);
             self.fill_basis();
         }
         self.isa.run(FillFunctions {
             cosine: self.directions.cosines(),
             roughness: &self.materials.roughness,
-            by_cosine: self.tilted.is_some(),
+            by_cosine: self.weight_jacobian.is_some(),
             functions: &mut self.functions,
             model: self.model,
         });
@@ -208,8 +208,8 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
                 model: PhantomData::<M>,
             });
         }
-        if let Some(tilted) = &mut self.tilted {
-            tilted.fill::<M, C>(
+        if let Some(weight_jacobian) = &mut self.weight_jacobian {
+            weight_jacobian.fill::<M, C>(
                 self.isa,
                 &self.directions,
                 &self.basis,
@@ -277,7 +277,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             light,
             target,
             responses: &self.responses[channel],
-            by_tilts: self.tilted.as_ref().map(|t| &t.weights[channel]),
+            by_offsets: self.weight_jacobian.as_ref().map(|t| &t.weights[channel]),
             sample: &mut self.sample,
             model: PhantomData::<M>,
         });
@@ -309,20 +309,20 @@ impl<M: Reflection> Kernel for FillResponses<'_, M> {
             let functions = M::functions_of(self.functions, x);
             let factors = M::factors(self.directions.cosine(x), &material, functions);
             // One call, in a loop: of several the compiler would make a function and no vector code.
-            for seen in 0..=M::ROWS {
-                let mut alone = [0.0; MAX_SEEN];
-                alone[seen] = 1.0;
+            for projection in 0..=M::ROWS {
+                let mut alone = [0.0; MAX_PROJECTIONS];
+                alone[projection] = 1.0;
                 let mut by_row = [0.0; MAX_ROWS];
                 by_row.copy_from_slice(&alone[1..]);
                 let derivatives = factors.pull_back(&material, &[alone[0]], &[by_row]);
-                self.responses.radiance[seen].0[x] = if seen == 0 {
+                self.responses.radiance[projection].0[x] = if projection == 0 {
                     factors.diffuse(0)
                 } else {
-                    factors.row(0, seen - 1)
+                    factors.row(0, projection - 1)
                 };
-                self.responses.derivatives[0][seen].0[x] = derivatives.albedo[0];
-                self.responses.derivatives[1][seen].0[x] = derivatives.roughness;
-                self.responses.derivatives[2][seen].0[x] = derivatives.metallic;
+                self.responses.derivatives[0][projection].0[x] = derivatives.albedo[0];
+                self.responses.derivatives[1][projection].0[x] = derivatives.roughness;
+                self.responses.derivatives[2][projection].0[x] = derivatives.metallic;
             }
         }
     }
@@ -335,7 +335,7 @@ struct TakeSample<'a, M: Reflection, const D: usize> {
     target: &'a Doubles,
     responses: &'a Responses,
     /// ∂w_k by each tilt.
-    by_tilts: Option<&'a [[Doubles; COEFFICIENTS]; TILTS]>,
+    by_offsets: Option<&'a [[Doubles; COEFFICIENTS]; OFFSETS]>,
     sample: &'a mut Sample<D>,
     model: PhantomData<M>,
 }
@@ -350,28 +350,29 @@ impl<M: Reflection, const D: usize> Kernel for TakeSample<'_, M, D> {
             light,
             target,
             responses,
-            by_tilts,
+            by_offsets,
             sample,
             ..
         } = self;
-        let seen = seen::<M>(basis, light);
+        let light_projections = light_projections::<M>(basis, light);
         for x in 0..BLOCK {
             sample.residual.0[x] = -target.0[x];
         }
         sample.derivatives[..DERIVATIVES].fill(Doubles::default());
         for s in 0..=M::ROWS {
             for x in 0..BLOCK {
-                sample.residual.0[x] += responses.radiance[s].0[x] * seen[s].0[x];
+                sample.residual.0[x] += responses.radiance[s].0[x] * light_projections[s].0[x];
             }
             for j in 0..DERIVATIVES {
                 for x in 0..BLOCK {
-                    sample.derivatives[j].0[x] += responses.derivatives[j][s].0[x] * seen[s].0[x];
+                    sample.derivatives[j].0[x] +=
+                        responses.derivatives[j][s].0[x] * light_projections[s].0[x];
                 }
             }
         }
-        if let Some(by_tilts) = by_tilts {
-            let (_, of_tilts) = sample.derivatives.split_at_mut(DERIVATIVES);
-            for (weights, radiance) in by_tilts.iter().zip(of_tilts) {
+        if let Some(by_offsets) = by_offsets {
+            let (_, of_offsets) = sample.derivatives.split_at_mut(DERIVATIVES);
+            for (weights, radiance) in by_offsets.iter().zip(of_offsets) {
                 let radiance = Radiance {
                     weights,
                     light,
@@ -388,7 +389,7 @@ impl<M: Reflection, const D: usize> Kernel for TakeSample<'_, M, D> {
 pub(crate) struct Sums<const U: usize> {
     pub(crate) matrix: [[Doubles; U]; U],
     pub(crate) gradient: [Doubles; U],
-    pub(crate) squares: Doubles,
+    pub(crate) sum_sq_residuals: Doubles,
 }
 
 impl<const U: usize> Default for Sums<U> {
@@ -396,7 +397,7 @@ impl<const U: usize> Default for Sums<U> {
         Self {
             matrix: [[Doubles::default(); U]; U],
             gradient: [Doubles::default(); U],
-            squares: Doubles::default(),
+            sum_sq_residuals: Doubles::default(),
         }
     }
 }
@@ -433,7 +434,7 @@ impl<const D: usize, const U: usize> Kernel for AddSample<'_, D, U> {
         let mut weighted = Doubles::default();
         for x in 0..BLOCK {
             weighted.0[x] = sample.weight.0[x] * sample.residual.0[x];
-            sums.squares.0[x] += weighted.0[x] * sample.residual.0[x];
+            sums.sum_sq_residuals.0[x] += weighted.0[x] * sample.residual.0[x];
         }
         for i in 0..D {
             let by_row = &sample.derivatives[i];

@@ -10,34 +10,36 @@
 //! and the same for b. No picture changes it, so a sample costs a sum over k, as radiance does.
 
 use crate::block::basis::{Basis, DIFFUSE};
-use crate::block::normal_jacobian::{FillBasisSlopes, GivenDirections, Tilts, Turn, Turns};
+use crate::block::normal_jacobian::{
+    FillBasisSlopes, GivenDirections, NormalJacobian, OffsetNormals, TangentOffsets,
+};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Directions, Doubles, Materials};
 use crate::reflectance::planes::{MAX_ROWS, Material};
 use crate::reflectance::reflection::{ExactFunctions, Factors, Reflection, each_entry};
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::reflectance::tangent_offset::TILTS;
+use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 /// The normals of up to [`BLOCK`] pixels, and the derivatives of their weights.
-pub(crate) struct Tilted {
+pub(crate) struct WeightJacobian {
     given: GivenDirections,
-    pub(crate) tilts: Tilts,
-    turns: Turns,
+    pub(crate) offsets: TangentOffsets,
+    jacobian: NormalJacobian,
     /// Derivatives of the basis functions, by tilt.
-    slopes: [Basis<f64>; TILTS],
+    slopes: [Basis<f64>; OFFSETS],
     /// ∂w_ck by each tilt, by channel.
-    pub(crate) weights: Vec<[[Doubles; COEFFICIENTS]; TILTS]>,
+    pub(crate) weights: Vec<[[Doubles; COEFFICIENTS]; OFFSETS]>,
 }
 
-impl Tilted {
+impl WeightJacobian {
     pub(crate) fn new(channels: usize) -> Self {
         Self {
             given: GivenDirections::default(),
-            tilts: Tilts::default(),
-            turns: Turns::default(),
+            offsets: TangentOffsets::default(),
+            jacobian: NormalJacobian::default(),
             slopes: Default::default(),
-            weights: vec![[[Doubles::default(); COEFFICIENTS]; TILTS]; channels],
+            weights: vec![[[Doubles::default(); COEFFICIENTS]; OFFSETS]; channels],
         }
     }
 
@@ -50,15 +52,15 @@ impl Tilted {
     pub(crate) fn turn(
         &mut self,
         isa: Instructions,
-        tilts: &Tilts,
+        offsets: &TangentOffsets,
         directions: &mut Directions<f64>,
     ) {
-        self.tilts = *tilts;
-        isa.run(Turn {
+        self.offsets = *offsets;
+        isa.run(OffsetNormals {
             given: &self.given,
-            tilts,
+            offsets,
             directions,
-            turns: &mut self.turns,
+            jacobian: &mut self.jacobian,
         });
     }
 
@@ -72,20 +74,20 @@ impl Tilted {
         functions: &ExactFunctions<M>,
     ) {
         let model = M::default();
-        for (tilt, slopes) in self.slopes.iter_mut().enumerate() {
+        for (offset, slopes) in self.slopes.iter_mut().enumerate() {
             isa.run(FillBasisSlopes {
                 directions,
-                turns: &self.turns,
-                tilt,
+                jacobian: &self.jacobian,
+                offset,
                 slopes,
                 model,
             });
         }
         for (albedo, weights) in materials.albedo.iter().zip(&mut self.weights) {
-            isa.run(FillWeightSlopes::<M> {
+            isa.run(FillWeightJacobian::<M> {
                 directions,
                 basis,
-                turns: &self.turns,
+                jacobian: &self.jacobian,
                 slopes: &self.slopes,
                 albedo,
                 roughness: &materials.roughness,
@@ -98,19 +100,19 @@ impl Tilted {
 }
 
 /// Fills in the derivatives of the weights of one channel.
-struct FillWeightSlopes<'a, M: Reflection> {
+struct FillWeightJacobian<'a, M: Reflection> {
     directions: &'a Directions<f64>,
     basis: &'a Basis<f64>,
-    turns: &'a Turns,
-    slopes: &'a [Basis<f64>; TILTS],
+    jacobian: &'a NormalJacobian,
+    slopes: &'a [Basis<f64>; OFFSETS],
     albedo: &'a Doubles,
     roughness: &'a Doubles,
     metallic: &'a Doubles,
     functions: &'a ExactFunctions<M>,
-    weights: &'a mut [[Doubles; COEFFICIENTS]; TILTS],
+    weights: &'a mut [[Doubles; COEFFICIENTS]; OFFSETS],
 }
 
-impl<M: Reflection> Kernel for FillWeightSlopes<'_, M> {
+impl<M: Reflection> Kernel for FillWeightJacobian<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -134,20 +136,20 @@ impl<M: Reflection> Kernel for FillWeightSlopes<'_, M> {
                 by_row[j].0[x] = row_slopes[j];
             }
         }
-        for t in 0..TILTS {
-            let (cosine, slopes) = (&self.turns.cosine[t], &self.slopes[t]);
-            let of_tilt = &mut self.weights[t];
-            of_tilt.fill(Doubles::default());
+        for t in 0..OFFSETS {
+            let (cosine, slopes) = (&self.jacobian.cosine[t], &self.slopes[t]);
+            let of_offset = &mut self.weights[t];
+            of_offset.fill(Doubles::default());
             each_entry::<M, COEFFICIENTS>(|k, j, entry| {
                 let (row, by_row) = (&rows[j], &by_row[j]);
                 let (slope, lobe) = (&slopes.lobe[entry], &self.basis.lobe[entry]);
-                let weights = &mut of_tilt[k];
+                let weights = &mut of_offset[k];
                 for x in 0..BLOCK {
                     weights.0[x] += row.0[x] * slope.0[x] + cosine.0[x] * by_row.0[x] * lobe.0[x];
                 }
             });
             for k in 0..DIFFUSE {
-                let weights = &mut of_tilt[k];
+                let weights = &mut of_offset[k];
                 for x in 0..BLOCK {
                     weights.0[x] += diffuse.0[x] * slopes.diffuse[k].0[x]
                         + cosine.0[x] * by_diffuse.0[x] * self.basis.diffuse[k].0[x];

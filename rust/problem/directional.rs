@@ -177,8 +177,8 @@ fn glass(cosine: f64) -> f64 {
 fn distribution(normal: DVec3, half: DVec3, alpha: f64) -> f64 {
     let cosine = normal.dot(half);
     let sine2 = normal.cross(half).length_squared();
-    let spread = sine2.max(f64::EPSILON * f64::EPSILON) + alpha * alpha * cosine * cosine;
-    let root = alpha / spread;
+    let denominator = sine2.max(f64::EPSILON * f64::EPSILON) + alpha * alpha * cosine * cosine;
+    let root = alpha / denominator;
     FRAC_1_PI * root * root
 }
 

@@ -3,12 +3,14 @@
 //! What a problem does not have (a second and third channel, the third band, sample weights,
 //! unknown lights, unknown normals) is not in its version at all, so it costs nothing and no loop asks for it.
 
-use super::robust::{Robust, Tame};
+use super::robust::{ApplyRobustLoss, Robust};
 use super::{Problem, add};
-use crate::block::adjoint::{ByLights, Flush, Parts, Reduce, WideParts};
+use crate::block::adjoint::{ByFactors, ByLights, Flush, Parts, WideParts};
 use crate::block::basis::{Basis, FillBasis};
 use crate::block::factors::{FillFactors, Load, PullBack};
-use crate::block::normal_jacobian::{ByBasis, LoadTilts, PullBackTurns, Tilts, Turn, Turns};
+use crate::block::normal_jacobian::{
+    ByBasis, LoadOffsets, NormalJacobian, OffsetNormals, PullBackNormals, TangentOffsets,
+};
 use crate::block::radiance::Residuals;
 use crate::block::weights::FillWeights;
 use crate::reflectance::model::{Model, with_model};
@@ -174,17 +176,17 @@ fn with_normals<M: Reflection, const C: usize, const K: usize, const FREE_NORMAL
 
 /// Where the pixels of a block look at their tilts.
 #[derive(Default)]
-struct Turned {
-    tilts: Tilts,
+struct OffsetDirections {
+    offsets: TangentOffsets,
     directions: Directions,
-    turns: Turns,
+    jacobian: NormalJacobian,
 }
 
 /// Derivatives by the normals of a block.
 #[derive(Default)]
 struct ByNormals {
     basis: Basis,
-    tilts: Tilts,
+    offsets: TangentOffsets,
 }
 
 /// A block at a time: basis functions and factors of its pixels; then, channel by channel and
@@ -210,7 +212,7 @@ fn evaluate<
     } = piece;
     let (isa, pixels, pictures) = (problem.instructions(), problem.pixels(), problem.pictures());
     let lights: &[[f32; K]] = lights.as_chunks().0;
-    let (of_materials, of_tilts) = problem.split_maps(maps);
+    let (of_materials, of_offsets) = problem.split_maps(maps);
     let materials_of_gradient = problem.unknowns_of_material();
     let mut partial = Partial {
         loss: 0.0,
@@ -231,7 +233,7 @@ fn evaluate<
     let mut weights = [[Plane::default(); K]; C];
     let mut residuals = [Plane::default(); GROUP];
 
-    let mut turned = FREE_NORMALS.then(Box::<Turned>::default);
+    let mut offset_directions = FREE_NORMALS.then(Box::<OffsetDirections>::default);
     let mut by_normals = FREE_NORMALS.then(Box::<ByNormals>::default);
 
     let mut ahead = Ahead::default();
@@ -247,24 +249,24 @@ fn evaluate<
             known_metallic: problem.known_metallic(),
             materials: &mut materials,
         });
-        if let Some(turned) = &mut turned {
-            partial.in_range &= isa.run(LoadTilts {
-                maps: of_tilts,
+        if let Some(offset_directions) = &mut offset_directions {
+            partial.in_range &= isa.run(LoadOffsets {
+                maps: of_offsets,
                 pixels,
                 first,
                 count,
-                tilts: &mut turned.tilts,
+                offsets: &mut offset_directions.offsets,
             });
-            isa.run(Turn {
+            isa.run(OffsetNormals {
                 given: problem.given_directions(block),
-                tilts: &turned.tilts,
-                directions: &mut turned.directions,
-                turns: &mut turned.turns,
+                offsets: &offset_directions.offsets,
+                directions: &mut offset_directions.directions,
+                jacobian: &mut offset_directions.jacobian,
             });
         }
-        let directions = match &turned {
+        let directions = match &offset_directions {
             None => problem.known_directions(block),
-            Some(turned) => &turned.directions,
+            Some(offset_directions) => &offset_directions.directions,
         };
         isa.run(FillBasis::<M, f32, K> {
             directions,
@@ -311,14 +313,14 @@ fn evaluate<
                     Some(loss) => {
                         // The weights come after φ.
                         isa.run(step.unweighted());
-                        isa.run(Tame {
+                        isa.run(ApplyRobustLoss {
                             loss,
                             sample_weights,
                             residuals,
                         })
                     }
                 };
-                let step = Reduce {
+                let step = ByFactors {
                     begin: group.start == 0,
                     basis: &basis,
                     lights,
@@ -358,20 +360,20 @@ fn evaluate<
         });
         let to = first - first_pixel;
         by_materials.store(&mut gradient[..materials_of_gradient], to, count);
-        if let (Some(turned), Some(by_normals)) = (&turned, &mut by_normals) {
-            isa.run(PullBackTurns::<M, C, K> {
+        if let (Some(offset_directions), Some(by_normals)) = (&offset_directions, &mut by_normals) {
+            isa.run(PullBackNormals::<M, C, K> {
                 directions,
-                turns: &turned.turns,
+                jacobian: &offset_directions.jacobian,
                 materials: &materials,
                 functions: &functions,
                 sums: &sums,
                 by_basis: &by_normals.basis,
                 scale,
-                gradient: &mut by_normals.tilts,
+                gradient: &mut by_normals.offsets,
                 model,
             });
             let planes = gradient[materials_of_gradient..].iter_mut();
-            for (plane, own) in planes.zip(&by_normals.tilts) {
+            for (plane, own) in planes.zip(&by_normals.offsets) {
                 plane[to..][..count].copy_from_slice(&own.0[..count]);
             }
         }

@@ -1,6 +1,6 @@
 //! Where the pixels look, block by block, as a [`Problem`](super::Problem) keeps it.
 
-use super::low_words::{self, DirectionRemainders};
+use super::low_words::{self, DirectionLowWords};
 use crate::block::normal_jacobian::GivenDirections;
 use crate::reflectance::planes::{BLOCK, Directions};
 use crate::runtime::Result;
@@ -12,7 +12,7 @@ use glam::DVec3;
 pub(super) enum Geometry {
     Known {
         directions: Vec<Directions>,
-        remainders: Vec<DirectionRemainders>,
+        low_words: Vec<DirectionLowWords>,
     },
     Free(Vec<GivenDirections>),
 }
@@ -26,7 +26,7 @@ impl Geometry {
         }
         Ok(Self::Known {
             directions,
-            remainders: low_words::of_directions(normals, views)?,
+            low_words: low_words::of_directions(normals, views)?,
         })
     }
 }

@@ -5,7 +5,7 @@ use crate::reflectance::model::with_model;
 use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::shade::shade;
-use crate::reflectance::tangent_offset as tilt;
+use crate::reflectance::tangent_offset;
 use crate::runtime::{Result, check, pool};
 use std::ops::Range;
 
@@ -27,9 +27,9 @@ impl Problem {
     /// first part of x. Sums run in float64, because the lights' condition number squares here.
     pub fn light_equations(&self, maps: &[f64]) -> Result<Vec<LightEquations>> {
         check::length("maps", self.maps(), maps.len())?;
-        let (materials, tilts) = self.split_maps(maps);
+        let (materials, offsets) = self.split_maps(maps);
         check::unit_interval("maps (albedo, roughness, metallic)", materials)?;
-        check::moderate("maps (tilt)", tilts, tilt::LARGEST)?;
+        check::moderate("maps (tangent offset)", offsets, tangent_offset::OFFSET_MAX)?;
         let pieces: Vec<_> = self.chunks().collect();
         let mut total: Option<Vec<LightEquations>> = None;
         // A few pieces at a time: with weights each holds a matrix for every picture.

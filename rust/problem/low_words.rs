@@ -11,25 +11,25 @@ use crate::runtime::Result;
 use crate::runtime::memory::zeros;
 
 /// The nearest float32, and what is left of the number.
-pub(crate) fn rounded(value: f64) -> (f32, f32) {
-    let near = value as f32;
-    (near, (value - f64::from(near)) as f32)
+pub(crate) fn high_and_low(value: f64) -> (f32, f32) {
+    let high_words = value as f32;
+    (high_words, (value - f64::from(high_words)) as f32)
 }
 
 /// What float32 leaves of the directions of a block of pixels.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct DirectionRemainders {
+pub(crate) struct DirectionLowWords {
     normal: [Plane; 3],
     mirror: [Plane; 3],
 }
 
-impl DirectionRemainders {
+impl DirectionLowWords {
     /// Takes up a pixel of the block.
     pub(crate) fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
         let (_, mirror) = directions(normal, view);
         for axis in 0..3 {
-            self.normal[axis].0[pixel] = rounded(normal[axis]).1;
-            self.mirror[axis].0[pixel] = rounded(mirror[axis]).1;
+            self.normal[axis].0[pixel] = high_and_low(normal[axis]).1;
+            self.mirror[axis].0[pixel] = high_and_low(mirror[axis]).1;
         }
     }
 
@@ -41,14 +41,11 @@ impl DirectionRemainders {
 }
 
 /// Blocks of remainders for some pixels.
-pub(crate) fn of_directions(
-    normals: &[DVec3],
-    views: &[DVec3],
-) -> Result<Vec<DirectionRemainders>> {
+pub(crate) fn of_directions(normals: &[DVec3], views: &[DVec3]) -> Result<Vec<DirectionLowWords>> {
     let blocks = normals.len().div_ceil(BLOCK);
-    let mut remainders: Vec<DirectionRemainders> = zeros("normals", blocks)?;
+    let mut low_words: Vec<DirectionLowWords> = zeros("normals", blocks)?;
     for (p, (&normal, &view)) in normals.iter().zip(views).enumerate() {
-        remainders[p / BLOCK].set(p % BLOCK, normal, view);
+        low_words[p / BLOCK].set(p % BLOCK, normal, view);
     }
-    Ok(remainders)
+    Ok(low_words)
 }

@@ -12,13 +12,15 @@ pub mod targets;
 
 use self::geometry::Geometry;
 use self::targets::{Targets, planes};
-use crate::block::normal_jacobian::{GivenDirections, Tilts, Turn, Turns};
+use crate::block::normal_jacobian::{
+    GivenDirections, NormalJacobian, OffsetNormals, TangentOffsets,
+};
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::{BLOCK, Directions, Material, Plane};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::shade::{Frame, shade};
-use crate::reflectance::tangent_offset as tilt;
+use crate::reflectance::tangent_offset;
 use crate::runtime::check::LARGEST_F32;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Error, Result, check, pool};
@@ -35,7 +37,7 @@ const MIN_CHUNK: usize = 4;
 /// The first parts of x, in messages.
 const MAPS_OF_X: &str = "x (albedo, roughness, metallic)";
 
-const TILTS_OF_X: &str = "x (tilt)";
+const OFFSETS_OF_X: &str = "x (tangent offset)";
 
 /// What is given to a [`Problem`].
 #[derive(Clone, Debug)]
@@ -59,7 +61,7 @@ pub struct Options {
     pub metallic: Option<f64>,
     /// The lights, where they are no unknowns: (picture, coefficient, channel).
     pub lighting: Option<Vec<f64>>,
-    /// Whether the normals are unknowns too: x then has a [`tilt`] for each pixel.
+    /// Whether the normals are unknowns too: x then has a [`tangent_offset`] for each pixel.
     pub free_normals: bool,
     /// What makes radiance of materials.
     pub model: Model,
@@ -288,14 +290,18 @@ impl Problem {
     /// The normals of all pixels; `maps` is the first part of x.
     pub fn normals(&self, maps: &[f64]) -> Result<Vec<DVec3>> {
         check::length("maps", self.maps(), maps.len())?;
-        check::moderate("maps (tilt)", self.split_maps(maps).1, tilt::LARGEST)?;
+        check::moderate(
+            "maps (tangent offset)",
+            self.split_maps(maps).1,
+            tangent_offset::OFFSET_MAX,
+        )?;
         let mut normals = Vec::new();
         normals
             .try_reserve_exact(self.pixels)
             .map_err(|_| Error::Memory("normals"))?;
         normals.extend((0..self.pixels).map(|p| match &self.geometry {
             Geometry::Known { .. } => self.exact_directions(p).1[0],
-            Geometry::Free(_) => self.turned(maps, p)[0],
+            Geometry::Free(_) => self.offset_normal(maps, p)[0],
         }));
         Ok(normals)
     }
@@ -315,9 +321,9 @@ impl Problem {
 
     /// Materials must lie in \[0, 1\]; tilts must be moderate.
     fn check_maps(&self, maps: &[f64]) -> Result<()> {
-        let (materials, tilts) = self.split_maps(maps);
+        let (materials, offsets) = self.split_maps(maps);
         check::unit_interval(MAPS_OF_X, materials)?;
-        check::moderate(TILTS_OF_X, tilts, tilt::LARGEST)
+        check::moderate(OFFSETS_OF_X, offsets, tangent_offset::OFFSET_MAX)
     }
 
     /// The maps of x, and the lights, known or of x.
@@ -348,12 +354,12 @@ impl Problem {
     }
 
     /// The tilt of a pixel; none, where normals are known.
-    fn tilt(&self, maps: &[f64], p: usize) -> [f64; 2] {
+    fn offset(&self, maps: &[f64], p: usize) -> [f64; 2] {
         if !self.free_normals() {
             return [0.0; 2];
         }
-        let (_, tilts) = self.split_maps(maps);
-        [tilts[p], tilts[self.pixels + p]]
+        let (_, offsets) = self.split_maps(maps);
+        [offsets[p], offsets[self.pixels + p]]
     }
 
     /// Lights (picture, coefficient, channel), of any number of pictures, as (channel, picture,
@@ -434,20 +440,24 @@ impl Problem {
                 }
                 picked
             }
-            Geometry::Free(_) => self.picked_turns(maps, pixels).0,
+            Geometry::Free(_) => self.picked_jacobian(maps, pixels).0,
         }
     }
 
     /// The same where normals are free, and the derivatives by the tilts.
-    pub(crate) fn picked_turns(&self, maps: &[f64], pixels: &[usize]) -> (Directions<f64>, Turns) {
-        let (mut directions, mut turns) = (Directions::default(), Turns::default());
-        self.instructions.run(Turn {
+    pub(crate) fn picked_jacobian(
+        &self,
+        maps: &[f64],
+        pixels: &[usize],
+    ) -> (Directions<f64>, NormalJacobian) {
+        let (mut directions, mut jacobian) = (Directions::default(), NormalJacobian::default());
+        self.instructions.run(OffsetNormals {
             given: &self.picked_given(pixels),
-            tilts: &self.picked_tilts(maps, pixels),
+            offsets: &self.picked_offsets(maps, pixels),
             directions: &mut directions,
-            turns: &mut turns,
+            jacobian: &mut jacobian,
         });
-        (directions, turns)
+        (directions, jacobian)
     }
 
     /// What the tilts of some pixels turn, at most [`BLOCK`] of them; where normals are free.
@@ -460,12 +470,12 @@ impl Problem {
     }
 
     /// The tilts of some pixels; 0 where no pixel is, or normals are known.
-    pub(crate) fn picked_tilts(&self, maps: &[f64], pixels: &[usize]) -> Tilts {
-        let mut picked = Tilts::default();
+    pub(crate) fn picked_offsets(&self, maps: &[f64], pixels: &[usize]) -> TangentOffsets {
+        let mut picked = TangentOffsets::default();
         for (x, &p) in pixels.iter().enumerate() {
-            let tilt = self.tilt(maps, p);
+            let offset = self.offset(maps, p);
             for t in 0..2 {
-                picked[t].0[x] = tilt[t];
+                picked[t].0[x] = offset[t];
             }
         }
         picked
@@ -478,16 +488,19 @@ impl Problem {
                 Frame::at(cosine, normal, mirror)
             }
             Geometry::Free(_) => {
-                let [normal, view] = self.turned(maps, p);
+                let [normal, view] = self.offset_normal(maps, p);
                 Frame::new(normal, view)
             }
         }
     }
 
     /// Normal and view direction of a pixel at its tilt; where normals are free.
-    fn turned(&self, maps: &[f64], p: usize) -> [DVec3; 2] {
+    fn offset_normal(&self, maps: &[f64], p: usize) -> [DVec3; 2] {
         let [normal, view] = self.given_directions(p / BLOCK).get(p % BLOCK);
-        [tilt::turn(normal, self.tilt(maps, p)).normal, view]
+        [
+            tangent_offset::offset_normal(normal, self.offset(maps, p)).normal,
+            view,
+        ]
     }
 
     /// The clamped n·v of a pixel, and its normal and mirror direction to 48 bits; where normals are
@@ -495,14 +508,14 @@ impl Problem {
     fn exact_directions(&self, p: usize) -> (f64, [DVec3; 2]) {
         let Geometry::Known {
             directions,
-            remainders,
+            low_words,
         } = &self.geometry
         else {
             unreachable!("normals are free");
         };
         let (block, x) = (p / BLOCK, p % BLOCK);
         let [normal, mirror] = directions[block].rounded(x);
-        let [of_normal, of_mirror] = remainders[block].get(x);
+        let [of_normal, of_mirror] = low_words[block].get(x);
         (
             directions[block].cosine(x),
             [normal + of_normal, mirror + of_mirror],

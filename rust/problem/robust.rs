@@ -43,8 +43,8 @@ impl Robust {
     }
 }
 
-/// Turns residuals e into ω φ'(e)/2 and returns Σ ω φ(e).
-pub struct Tame<'a> {
+/// NormalJacobian residuals e into ω φ'(e)/2 and returns Σ ω φ(e).
+pub struct ApplyRobustLoss<'a> {
     /// φ
     pub loss: Robust,
     /// ω, a plane for each picture; or none, where all are 1.
@@ -53,7 +53,7 @@ pub struct Tame<'a> {
     pub residuals: &'a mut [Plane],
 }
 
-impl Kernel for Tame<'_> {
+impl Kernel for ApplyRobustLoss<'_> {
     type Output = f64;
 
     #[inline(always)]
@@ -65,7 +65,7 @@ impl Kernel for Tame<'_> {
     }
 }
 
-impl Tame<'_> {
+impl ApplyRobustLoss<'_> {
     #[inline(always)]
     fn with(self, shape: impl Shape) -> f64 {
         const ONES: &Plane = &Plane([1.0; BLOCK]);

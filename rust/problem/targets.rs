@@ -1,6 +1,6 @@
 //! The pictures as an evaluation reads them, taken up one at a time: they never all lie there twice.
 
-use crate::problem::low_words::rounded;
+use crate::problem::low_words::high_and_low;
 use crate::reflectance::planes::{BLOCK, Plane};
 use crate::runtime::check::LARGEST_F32;
 use crate::runtime::memory::zeros;
@@ -16,13 +16,13 @@ const PIECE: usize = 64;
 #[derive(Clone, Debug)]
 pub struct Targets {
     pixels: usize,
-    spread: Spread,
+    layout: PlaneLayout,
     /// Pictures taken up so far.
     taken: usize,
     /// (block, channel, picture)
-    near: Vec<Plane>,
+    high_words: Vec<Plane>,
     /// In the same order, once there is a picture in float64; else empty.
-    remainders: Vec<Plane>,
+    low_words: Vec<Plane>,
 }
 
 impl Targets {
@@ -41,14 +41,14 @@ impl Targets {
         check::samples(pictures, pixels)?;
         Ok(Self {
             pixels,
-            spread: Spread {
+            layout: PlaneLayout {
                 pictures,
                 channels,
                 threads,
             },
             taken: 0,
-            near: room("images", pixels, pictures, channels)?,
-            remainders: Vec::new(),
+            high_words: room("images", pixels, pictures, channels)?,
+            low_words: Vec::new(),
         })
     }
 
@@ -71,35 +71,39 @@ impl Targets {
     /// Takes up the next picture: (pixel, channel).
     pub fn push(&mut self, picture: &[f32]) -> Result<()> {
         let i = self.next(picture)?;
-        let spread = self.spread;
-        spread.put(&mut self.near, i, picture, |value| value);
+        let layout = self.layout;
+        layout.put(&mut self.high_words, i, picture, |value| value);
         Ok(())
     }
 
     /// The same of a picture in float64, to 48 bits.
     pub fn push_exact(&mut self, picture: &[f64]) -> Result<()> {
         let i = self.next(picture)?;
-        if self.remainders.is_empty() {
-            self.remainders = room(
+        if self.low_words.is_empty() {
+            self.low_words = room(
                 "images",
                 self.pixels,
-                self.spread.pictures,
-                self.spread.channels,
+                self.layout.pictures,
+                self.layout.channels,
             )?;
         }
-        let spread = self.spread;
-        spread.put(&mut self.near, i, picture, |value| rounded(value).0);
-        spread.put(&mut self.remainders, i, picture, |value| rounded(value).1);
+        let layout = self.layout;
+        layout.put(&mut self.high_words, i, picture, |value| {
+            high_and_low(value).0
+        });
+        layout.put(&mut self.low_words, i, picture, |value| {
+            high_and_low(value).1
+        });
         Ok(())
     }
 
     /// The number of the next picture, which is checked.
     fn next<T: Copy + Into<f64>>(&mut self, picture: &[T]) -> Result<usize> {
         let i = self.taken;
-        if i == self.spread.pictures {
+        if i == self.layout.pictures {
             return Err(self.wrong_count(i + 1));
         }
-        let size = self.pixels * self.spread.channels;
+        let size = self.pixels * self.layout.channels;
         check::length("images", size, picture.len())?;
         check::moderate_from("images", i * size, picture, LARGEST_F32)?;
         self.taken += 1;
@@ -108,7 +112,7 @@ impl Targets {
 
     /// Refuses pictures of which some are still to come.
     pub(crate) fn complete(&self) -> Result<()> {
-        if self.taken < self.spread.pictures {
+        if self.taken < self.layout.pictures {
             return Err(self.wrong_count(self.taken));
         }
         Ok(())
@@ -117,7 +121,7 @@ impl Targets {
     fn wrong_count(&self, found: usize) -> Error {
         Error::argument(
             "images",
-            format!("{} pictures", self.spread.pictures),
+            format!("{} pictures", self.layout.pictures),
             found,
         )
     }
@@ -129,25 +133,25 @@ impl Targets {
 
     /// Number of pictures.
     pub fn pictures(&self) -> usize {
-        self.spread.pictures
+        self.layout.pictures
     }
 
     /// Colour channels.
     pub fn channels(&self) -> usize {
-        self.spread.channels
+        self.layout.channels
     }
 
     /// Of a block in float32, a plane for each picture.
     pub(crate) fn planes(&self, block: usize, channel: usize) -> &[Plane] {
-        &self.near[(block * self.spread.channels + channel) * self.spread.pictures..]
-            [..self.spread.pictures]
+        &self.high_words[(block * self.layout.channels + channel) * self.layout.pictures..]
+            [..self.layout.pictures]
     }
 
     /// One target, with its remainder where there are any.
     pub(crate) fn get(&self, block: usize, channel: usize, picture: usize, x: usize) -> f64 {
-        let i = (block * self.spread.channels + channel) * self.spread.pictures + picture;
-        let target = f64::from(self.near[i].0[x]);
-        self.remainders
+        let i = (block * self.layout.channels + channel) * self.layout.pictures + picture;
+        let target = f64::from(self.high_words[i].0[x]);
+        self.low_words
             .get(i)
             .map_or(target, |rest| target + f64::from(rest.0[x]))
     }
@@ -163,13 +167,13 @@ pub(crate) fn planes(
 ) -> Result<Vec<Plane>> {
     let size = values.len() / pictures;
     let mut planes = room(name, size / channels, pictures, channels)?;
-    let spread = Spread {
+    let layout = PlaneLayout {
         pictures,
         channels,
         threads,
     };
     for (i, picture) in values.chunks(size).enumerate() {
-        spread.put(&mut planes, i, picture, |value| value);
+        layout.put(&mut planes, i, picture, |value| value);
     }
     Ok(planes)
 }
@@ -181,13 +185,13 @@ fn room(name: &'static str, pixels: usize, pictures: usize, channels: usize) -> 
 
 /// How pictures are spread over planes (block, channel, picture).
 #[derive(Clone, Copy, Debug)]
-struct Spread {
+struct PlaneLayout {
     pictures: usize,
     channels: usize,
     threads: usize,
 }
 
-impl Spread {
+impl PlaneLayout {
     /// Puts `part` of picture `i` into its planes.
     fn put<T: Copy + Sync>(
         &self,

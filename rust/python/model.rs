@@ -19,7 +19,7 @@ use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::Material;
 use crate::reflectance::reflection::{Reflection, Weights};
 use crate::reflectance::shade::{
-    Frame, TurningFrame, shade as shade_pixel, shade_vjp_by_normal as pull_back_pixel,
+    Frame, FrameWithSlopes, shade as shade_pixel, shade_vjp_by_normal as pull_back_pixel,
 };
 use crate::reflectance::{ggx, sh};
 use crate::runtime::check::MAX_SAMPLES;
@@ -342,7 +342,7 @@ impl Pixels {
     fn pull_back<M: Reflection>(&self, cotangent: &[Weights]) -> Result<Vec<(Material, DVec3)>> {
         let pairs = self.each().zip(cotangent);
         let gradients =
-            pairs.map(|((n, v, m), w)| pull_back_pixel(&TurningFrame::<M>::new(n, v), m, w));
+            pairs.map(|((n, v, m), w)| pull_back_pixel(&FrameWithSlopes::<M>::new(n, v), m, w));
         collect("normal", self.count(), gradients)
     }
 

@@ -52,7 +52,7 @@ impl<M: Reflection> Frame<M> {
 
 /// A [`Frame`], and how it changes with the normal.
 #[derive(Clone, Copy, Debug)]
-pub struct TurningFrame<M> {
+pub struct FrameWithSlopes<M> {
     /// At this normal.
     pub frame: Frame<M>,
     normal: DVec3,
@@ -62,7 +62,7 @@ pub struct TurningFrame<M> {
     diffuse: [DVec3; COEFFICIENTS],
 }
 
-impl<M: Reflection> TurningFrame<M> {
+impl<M: Reflection> FrameWithSlopes<M> {
     /// From unit normal and unit view direction (surface to camera).
     pub fn new(normal: DVec3, view: DVec3) -> Self {
         let (cosine, mirror) = directions(normal, view);
@@ -131,11 +131,11 @@ pub fn shade_vjp<M: Reflection, const C: usize>(
 /// of which the part along n is taken away. The mirror direction is not clamped, so g_R holds
 /// everywhere.
 pub fn shade_vjp_by_normal<M: Reflection, const C: usize>(
-    turning: &TurningFrame<M>,
+    turning: &FrameWithSlopes<M>,
     material: &Material<C>,
     cotangent: &Weights<C>,
 ) -> (Material<C>, DVec3) {
-    let TurningFrame {
+    let FrameWithSlopes {
         frame,
         normal,
         view,

@@ -11,22 +11,22 @@
 
 use glam::DVec3;
 
-/// Tilts of a pixel.
-pub const TILTS: usize = 2;
+/// TangentOffsets of a pixel.
+pub const OFFSETS: usize = 2;
 
-/// Tilts at most, by size: a thousandth of a radian from 90 degrees.
-pub const LARGEST: f64 = 1e3;
+/// TangentOffsets at most, by size: a thousandth of a radian from 90 degrees.
+pub const OFFSET_MAX: f64 = 1e3;
 
 /// Up to this z a normal has the frame of the normal mirrored in the plane z = 0.
 const FRAME_FROM: f64 = -0.99;
 
 /// A turned normal, and its derivatives by the tilt.
 #[derive(Clone, Copy, Debug)]
-pub struct Turned {
+pub struct OffsetNormal {
     /// n
     pub normal: DVec3,
     /// ∂n/∂a and ∂n/∂b
-    pub by_tilt: [DVec3; 2],
+    pub by_offset: [DVec3; 2],
 }
 
 /// Unit tangents at a unit normal, orthogonal to it and to each other.
@@ -56,14 +56,14 @@ pub fn tangents(normal: DVec3) -> [DVec3; 2] {
 ///
 /// Its derivatives are those of u/|u|: ∂n/∂a = (I − n nᵀ) t₁/|u|.
 #[inline(always)]
-pub fn turn(given: DVec3, [a, b]: [f64; 2]) -> Turned {
+pub fn offset_normal(given: DVec3, [a, b]: [f64; 2]) -> OffsetNormal {
     let [t1, t2] = tangents(given);
     let u = given + a * t1 + b * t2;
     let inverse = 1.0 / u.dot(u).sqrt();
     let normal = inverse * u;
     let by = |t: DVec3| inverse * (t - normal.dot(t) * normal);
-    Turned {
+    OffsetNormal {
         normal,
-        by_tilt: [by(t1), by(t2)],
+        by_offset: [by(t1), by(t2)],
     }
 }

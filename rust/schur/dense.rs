@@ -1,9 +1,9 @@
 //! The Schur complement as a matrix, as products of the rows R W.
 
-use super::Reduced;
-use super::eliminated_block::Solved;
-use super::kernels::{Lanes, Widen};
-use super::light_system::Lights;
+use super::SchurComplement;
+use super::eliminated_block::EliminatedBlock;
+use super::kernels::{FillDenseRows, Lanes};
+use super::light_system::LightSystem;
 use crate::problem::add;
 use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
@@ -18,28 +18,28 @@ pub(super) const BLOCKS_AT_ONCE: usize = 8;
 /// Rows and columns of S in a piece of work.
 pub(super) const TILE: usize = 128;
 
-impl<M: Reflection, const C: usize, const D: usize, const U: usize> Lights<'_, M, C, D, U> {
-    pub(super) fn reduced(&self) -> Result<Reduced> {
+impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<'_, M, C, D, U> {
+    pub(super) fn schur_complement(&self) -> Result<SchurComplement> {
         let size = self.size();
-        let mut found = Reduced {
+        let mut found = SchurComplement {
             matrix: zeros("normal equations", size * size)?,
             gradient: zeros("normal equations", size)?,
         };
         for first in (0..self.blocks()).step_by(BLOCKS_AT_ONCE) {
             let last = self.blocks().min(first + BLOCKS_AT_ONCE);
-            let wide = pool::map(self.problem.threads(), (first..last).collect(), |block| {
-                let mut solved = Solved::new(self.problem);
-                self.eliminate(block, &mut solved);
-                Wide::of(self, &mut solved)
+            let dense_rows = pool::map(self.problem.threads(), (first..last).collect(), |block| {
+                let mut eliminated = EliminatedBlock::new(self.problem);
+                self.eliminate(block, &mut eliminated);
+                DenseRows::of(self, &mut eliminated)
             });
-            for wide in &wide {
-                add(&mut found.gradient, &wide.gradient);
-                self.add_grams(&wide.grams, &mut found.matrix);
+            for dense_rows in &dense_rows {
+                add(&mut found.gradient, &dense_rows.gradient);
+                self.add_grams(&dense_rows.grams, &mut found.matrix);
             }
             let tiles = pool::map(self.problem.threads(), self.tiles(), |tile| {
                 let mut values = vec![0.0; tile.rows.1 * tile.columns.1];
-                for wide in &wide {
-                    wide.subtract(self, &tile, &mut values);
+                for dense_rows in &dense_rows {
+                    dense_rows.subtract(self, &tile, &mut values);
                 }
                 (tile, values)
             });
@@ -103,9 +103,9 @@ pub(super) struct Tile {
 }
 
 /// A block's rows times its weights, and its share of G and s.
-pub(super) struct Wide {
+pub(super) struct DenseRows {
     /// Of all but albedo: (M, unknown, pixel).
-    pub(super) finish: Vec<f64>,
+    pub(super) shared: Vec<f64>,
     /// How many these unknowns are.
     pub(super) unknowns: usize,
     /// Of albedo, in its own channel: (channel, picture, coefficient, pixel).
@@ -116,34 +116,34 @@ pub(super) struct Wide {
     pub(super) gradient: Vec<f64>,
 }
 
-impl Wide {
+impl DenseRows {
     pub(super) fn of<M: Reflection, const C: usize, const D: usize, const U: usize>(
-        lights: &Lights<M, C, D, U>,
-        solved: &mut Solved<M, C, D, U>,
+        lights: &LightSystem<M, C, D, U>,
+        eliminated: &mut EliminatedBlock<M, C, D, U>,
     ) -> Self {
         let unknowns = D - 1;
         let (n, k) = (lights.pictures, lights.coefficients);
         let (size, of_channel) = (lights.size(), lights.of_channel());
-        let mut finish = vec![0.0; size * unknowns * BLOCK];
+        let mut shared = vec![0.0; size * unknowns * BLOCK];
         let mut albedo = vec![0.0; C * of_channel * BLOCK];
         for (sample, albedo) in albedo.chunks_mut(k * BLOCK).enumerate() {
             let (c, i) = (sample / n, sample % n);
             let first = (c % lights.channels * of_channel + i * k) * unknowns * BLOCK;
-            let finish = &mut finish[first..][..k * unknowns * BLOCK];
-            solved.isa().run(Widen {
-                weights: &solved.block.weights[c][..k],
-                rows: &solved.rows[sample],
+            let shared = &mut shared[first..][..k * unknowns * BLOCK];
+            eliminated.isa().run(FillDenseRows {
+                weights: &eliminated.block.weights[c][..k],
+                rows: &eliminated.rows[sample],
                 albedo: albedo.as_chunks_mut().0,
-                finish: finish.as_chunks_mut().0,
+                shared: shared.as_chunks_mut().0,
             });
         }
         let mut gradient = vec![Lanes::default(); C * n];
-        solved.add_gradient(&mut gradient);
+        eliminated.add_gradient(&mut gradient);
         Self {
-            finish,
+            shared,
             unknowns,
             albedo,
-            grams: solved.grams(),
+            grams: eliminated.grams(),
             gradient: lights.collected(&gradient),
         }
     }
@@ -151,7 +151,7 @@ impl Wide {
     /// Subtracts this block's Bᵀ A⁻¹ B from a tile.
     pub(super) fn subtract<M: Reflection, const C: usize, const D: usize, const U: usize>(
         &self,
-        lights: &Lights<M, C, D, U>,
+        lights: &LightSystem<M, C, D, U>,
         tile: &Tile,
         values: &mut [f64],
     ) {
@@ -166,7 +166,7 @@ impl Wide {
             general_mat_mul(-1.0, &left, &right.t(), 1.0, &mut values);
         };
         subtract(
-            &self.finish,
+            &self.shared,
             self.unknowns * BLOCK,
             (tile.rows.0, tile.columns.0),
         );

@@ -2,17 +2,20 @@
 
 use super::kernels::{AddRows, Collect, FillRows, LANES, Lanes, SubtractRows, Whiten};
 use crate::block::radiance::Radiance;
-use crate::pixel::offset_step::within_reach;
-use crate::pixel::samples::{AddSample, Block, DERIVATIVES, Sums, handed_out, unknowns_of_channel};
+use crate::pixel::offset_step::limit_offset_step;
+use crate::pixel::samples::{
+    AddSample, Block, DERIVATIVES, Sums, free_unknowns, unknowns_of_channel,
+};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::reflectance::tangent_offset::TILTS;
+use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::Instructions;
 
 /// A block of pixels that are solved for. Samples are (channel, picture).
-pub(super) struct Solved<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
+pub(super) struct EliminatedBlock<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
+{
     pub(super) problem: &'a Problem,
     pub(super) block: Block<'a, M, C, D>,
     /// Pixels in the block.
@@ -34,14 +37,16 @@ pub(super) struct Solved<'a, M: Reflection, const C: usize, const D: usize, cons
     pub(super) rows: Vec<[Doubles; D]>,
 }
 
-impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Solved<'a, M, C, D, U> {
+impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
+    EliminatedBlock<'a, M, C, D, U>
+{
     pub(super) fn new(problem: &'a Problem) -> Self {
         let samples = C * problem.pictures();
         Self {
             problem,
             block: Block::new(problem),
             count: 0,
-            unknowns: handed_out::<C, D>(problem),
+            unknowns: free_unknowns::<C, D>(problem),
             weighted: vec![[Doubles::default(); D]; samples],
             slopes: vec![Doubles::default(); samples],
             omega: vec![Doubles::default(); samples],
@@ -57,7 +62,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Solved<'
         maps: &[f64],
         lights: &[[f64; COEFFICIENTS]],
         pixels: &[usize],
-        pull: Option<[&[f64]; 2]>,
+        prior: Option<[&[f64]; 2]>,
         damping: f64,
     ) {
         let isa = self.problem.instructions();
@@ -85,12 +90,12 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Solved<'
                 }
             }
         });
-        if let Some([precision, off]) = pull {
-            let finish = precision.len() / pixels.len();
-            for (i, (a, off)) in precision.iter().zip(off).enumerate() {
-                let (x, unknown) = (i / finish, self.unknowns[C + i % finish]);
+        if let Some([precision, deviation]) = prior {
+            let shared = precision.len() / pixels.len();
+            for (i, (a, deviation)) in precision.iter().zip(deviation).enumerate() {
+                let (x, unknown) = (i / shared, self.unknowns[C + i % shared]);
                 self.sums.matrix[unknown][unknown].0[x] += a;
-                self.sums.gradient[unknown].0[x] += a * off;
+                self.sums.gradient[unknown].0[x] += a * deviation;
             }
         }
         self.whiten(damping);
@@ -111,10 +116,10 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Solved<'
     /// θ of one kind.
     pub(super) fn values(&self, unknown: usize) -> &Doubles {
         let materials = &self.block.materials;
-        match (unknown, &self.block.tilted) {
+        match (unknown, &self.block.weight_jacobian) {
             (c, _) if c < C => &materials.albedo[c],
             (c, _) if c == C => &materials.roughness,
-            (c, Some(tilted)) if c > C + 1 => &tilted.tilts[c - C - 2],
+            (c, Some(weight_jacobian)) if c > C + 1 => &weight_jacobian.offsets[c - C - 2],
             _ => &materials.metallic,
         }
     }
@@ -159,9 +164,9 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Solved<'
     }
 
     /// Adds Wᵀ (Ω − Rᵀ R) W v.
-    pub(super) fn add_product(&mut self, moves: &[[f64; COEFFICIENTS]], sums: &mut [Lanes]) {
+    pub(super) fn add_product(&mut self, light_step: &[[f64; COEFFICIENTS]], sums: &mut [Lanes]) {
         let n = self.problem.pictures();
-        let radiance = self.moved_radiance(moves);
+        let radiance = self.moved_radiance(light_step);
         let mut projected = [Doubles::default(); U];
         self.add_rows(&radiance, &mut projected);
         for (sample, sums) in sums.iter_mut().enumerate() {
@@ -180,23 +185,23 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Solved<'
     }
 
     /// θ − Uᵀ (U g + R W v), within bounds and reach: (pixel, D).
-    pub(super) fn follow(&mut self, moves: &[[f64; COEFFICIENTS]], out: &mut [f64]) {
-        let radiance = self.moved_radiance(moves);
+    pub(super) fn back_substitute(&mut self, light_step: &[[f64; COEFFICIENTS]], out: &mut [f64]) {
+        let radiance = self.moved_radiance(light_step);
         let mut whitened = self.whitened;
         self.add_rows(&radiance, &mut whitened);
         let count = self.unknowns.len();
         if D > DERIVATIVES {
-            let tilts = &self.unknowns[count - TILTS..];
-            let before = [0, 1].map(|t| self.values(tilts[t]));
-            let after = [0, 1].map(|t| self.stepped(tilts[t], &whitened));
+            let offsets = &self.unknowns[count - OFFSETS..];
+            let before = [0, 1].map(|t| self.values(offsets[t]));
+            let after = [0, 1].map(|t| self.stepped(offsets[t], &whitened));
             for (x, out) in out.chunks_mut(count).enumerate() {
                 let before = before.map(|plane| plane.0[x]);
                 let step = [0, 1].map(|t| after[t].0[x] - before[t]);
-                let (share, tilt) = within_reach(before, step);
-                for &row in tilts {
+                let (share, offset) = limit_offset_step(before, step);
+                for &row in offsets {
                     whitened[row].0[x] *= share;
                 }
-                out[count - TILTS..].copy_from_slice(&tilt);
+                out[count - OFFSETS..].copy_from_slice(&offset);
             }
         }
         let of_material = self.unknowns.iter().filter(|&&unknown| unknown < C + 2);
@@ -221,10 +226,10 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Solved<'
     }
 
     /// W v of every sample.
-    pub(super) fn moved_radiance(&self, moves: &[[f64; COEFFICIENTS]]) -> Vec<Doubles> {
+    pub(super) fn moved_radiance(&self, light_step: &[[f64; COEFFICIENTS]]) -> Vec<Doubles> {
         let n = self.problem.pictures();
-        let mut radiance = vec![Doubles::default(); moves.len()];
-        for (sample, (light, radiance)) in moves.iter().zip(&mut radiance).enumerate() {
+        let mut radiance = vec![Doubles::default(); light_step.len()];
+        for (sample, (light, radiance)) in light_step.iter().zip(&mut radiance).enumerate() {
             self.isa().run(Radiance {
                 weights: &self.block.weights[sample / n],
                 light,

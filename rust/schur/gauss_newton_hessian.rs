@@ -21,7 +21,7 @@
 //! inverted afterwards.
 
 use crate::block::radiance::Radiance;
-use crate::pixel::samples::{Block, Sums, by_kind, handed_out, unknowns_of_channel};
+use crate::pixel::samples::{Block, Sums, by_kind, free_unknowns, unknowns_of_channel};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::reflection::Reflection;
@@ -40,7 +40,7 @@ pub struct NormalEquations {
     /// g = Jᵀ Ω (I − T), half of the slope of the sum of squares: (pixel, D).
     pub gradient: Vec<f64>,
     /// Σ ω (I − T)²: (pixel).
-    pub squares: Vec<f64>,
+    pub sum_sq_residuals: Vec<f64>,
 }
 
 /// Derivatives of the radiance of some pixels.
@@ -88,22 +88,22 @@ fn normal_equations<M: Reflection, const C: usize, const D: usize, const U: usiz
     pixels: &[usize],
 ) -> Result<NormalEquations> {
     let (maps, lights) = problem.at(x, pixels)?;
-    let rows = handed_out::<C, D>(problem);
+    let rows = free_unknowns::<C, D>(problem);
     let unknowns = rows.len();
     let mut matrices = zeros("normal equations", pixels.len() * unknowns * unknowns)?;
     let mut gradient = zeros("normal equations", pixels.len() * unknowns)?;
-    let mut squares = zeros("normal equations", pixels.len())?;
+    let mut sum_sq_residuals = zeros("normal equations", pixels.len())?;
     let size = CHUNK * BLOCK;
     let pieces = pixels
         .chunks(size)
         .zip(matrices.chunks_mut(size * unknowns * unknowns))
         .zip(gradient.chunks_mut(size * unknowns))
-        .zip(squares.chunks_mut(size))
+        .zip(sum_sq_residuals.chunks_mut(size))
         .collect();
     pool::map(
         problem.threads(),
         pieces,
-        |(((pixels, matrices), gradient), squares)| {
+        |(((pixels, matrices), gradient), sum_sq_residuals)| {
             let mut block = Block::<M, C, D>::new(problem);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
@@ -115,7 +115,7 @@ fn normal_equations<M: Reflection, const C: usize, const D: usize, const U: usiz
                     for (to, &row) in gradient[p * unknowns..].iter_mut().zip(&rows) {
                         *to = sums.gradient[row].0[x];
                     }
-                    squares[p] = sums.squares.0[x];
+                    sum_sq_residuals[p] = sums.sum_sq_residuals.0[x];
                 }
             }
         },
@@ -123,7 +123,7 @@ fn normal_equations<M: Reflection, const C: usize, const D: usize, const U: usiz
     Ok(NormalEquations {
         matrices,
         gradient,
-        squares,
+        sum_sq_residuals,
     })
 }
 
@@ -186,7 +186,7 @@ fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usi
     modes: &[f64],
 ) -> Result<Vec<f64>> {
     let (maps, lights) = problem.at(x, pixels)?;
-    let rows = handed_out::<C, D>(problem);
+    let rows = free_unknowns::<C, D>(problem);
     let unknowns = rows.len();
     let of_mode = problem.pictures() * problem.coefficients() * C;
     check::length(

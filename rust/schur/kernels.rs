@@ -136,15 +136,15 @@ impl<const D: usize, const U: usize> FillRows<'_, D, U> {
 }
 
 /// R W of one sample: its columns of the rows of a block.
-pub(super) struct Widen<'a, const D: usize> {
+pub(super) struct FillDenseRows<'a, const D: usize> {
     pub(super) weights: &'a [Doubles],
     pub(super) rows: &'a [Doubles; D],
     pub(super) albedo: &'a mut [[f64; BLOCK]],
     /// Added to: lights that all channels have collect from all.
-    pub(super) finish: &'a mut [[f64; BLOCK]],
+    pub(super) shared: &'a mut [[f64; BLOCK]],
 }
 
-impl<const D: usize> Kernel for Widen<'_, D> {
+impl<const D: usize> Kernel for FillDenseRows<'_, D> {
     type Output = ();
 
     #[inline(always)]
@@ -155,7 +155,7 @@ impl<const D: usize> Kernel for Widen<'_, D> {
             }
             for (unknown, rows) in self.rows[1..].iter().enumerate() {
                 for x in 0..BLOCK {
-                    self.finish[(D - 1) * k + unknown][x] += rows.0[x] * weights.0[x];
+                    self.shared[(D - 1) * k + unknown][x] += rows.0[x] * weights.0[x];
                 }
             }
         }

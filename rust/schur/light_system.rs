@@ -1,8 +1,8 @@
 //! The system of the lights, over all pixels of a call, without a matrix.
 
-use super::eliminated_block::Solved;
+use super::eliminated_block::EliminatedBlock;
 use super::kernels::Lanes;
-use super::{Elimination, ReducedProduct};
+use super::{Elimination, SchurProduct};
 use crate::problem::{Problem, add};
 use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
@@ -15,13 +15,13 @@ use std::marker::PhantomData;
 pub(super) const CHUNK: usize = 8;
 
 /// A call: the problem, where it stands, and which pixels take part.
-pub(super) struct Lights<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
+pub(super) struct LightSystem<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     pub(super) problem: &'a Problem,
     pub(super) maps: &'a [f64],
     /// (channel, picture)
     pub(super) lights: Vec<[f64; COEFFICIENTS]>,
     pub(super) pixels: &'a [usize],
-    pub(super) how: &'a Elimination<'a>,
+    pub(super) elimination: &'a Elimination<'a>,
     pub(super) pictures: usize,
     pub(super) coefficients: usize,
     /// Of the unknown lights: C, or 1 where all have the same.
@@ -29,38 +29,40 @@ pub(super) struct Lights<'a, M: Reflection, const C: usize, const D: usize, cons
     pub(super) model: PhantomData<M>,
 }
 
-impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Lights<'a, M, C, D, U> {
+impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
+    LightSystem<'a, M, C, D, U>
+{
     pub(super) fn new(
         problem: &'a Problem,
         x: &'a [f64],
         pixels: &'a [usize],
-        how: &'a Elimination<'a>,
+        elimination: &'a Elimination<'a>,
     ) -> Result<Self> {
         let (maps, lights) = problem.at(x, pixels)?;
-        if !(0.0..f64::INFINITY).contains(&how.damping) {
+        if !(0.0..f64::INFINITY).contains(&elimination.damping) {
             return Err(Error::argument(
                 "damping",
                 "a share, 0 or more",
-                how.damping,
+                elimination.damping,
             ));
         }
-        if let Some(pull) = how.pull {
+        if let Some(prior) = elimination.prior {
             let expected = pixels.len() * (problem.unknowns_of_pixel() - C);
-            check::length("precision", expected, pull.precision.len())?;
-            check::length("off", expected, pull.off.len())?;
-            check::moderate("precision", pull.precision, check::LARGEST_F64)?;
-            check::not_negative("precision", pull.precision)?;
-            check::moderate("off", pull.off, check::LARGEST_F64)?;
+            check::length("precision", expected, prior.precision.len())?;
+            check::length("deviation", expected, prior.deviation.len())?;
+            check::moderate("precision", prior.precision, check::LARGEST_F64)?;
+            check::not_negative("precision", prior.precision)?;
+            check::moderate("deviation", prior.deviation, check::LARGEST_F64)?;
         }
         Ok(Self {
             problem,
             maps,
             lights,
             pixels,
-            how,
+            elimination,
             pictures: problem.pictures(),
             coefficients: problem.coefficients(),
-            channels: if how.mono { 1 } else { C },
+            channels: if elimination.mono { 1 } else { C },
             model: PhantomData,
         })
     }
@@ -90,36 +92,42 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Lights<'
     }
 
     /// Takes up a block of pixels, the `block`th of the call, and solves for them.
-    pub(super) fn eliminate(&self, block: usize, solved: &mut Solved<'a, M, C, D, U>) {
+    pub(super) fn eliminate(&self, block: usize, eliminated: &mut EliminatedBlock<'a, M, C, D, U>) {
         let first = block * BLOCK;
         let pixels = &self.pixels[first..self.pixels.len().min(first + BLOCK)];
-        let finish = self.problem.unknowns_of_pixel() - C;
-        let pull = self.how.pull.map(|pull| {
-            [pull.precision, pull.off]
-                .map(|of_all| &of_all[first * finish..][..pixels.len() * finish])
+        let shared = self.problem.unknowns_of_pixel() - C;
+        let prior = self.elimination.prior.map(|prior| {
+            [prior.precision, prior.deviation]
+                .map(|of_all| &of_all[first * shared..][..pixels.len() * shared])
         });
-        solved.take(self.maps, &self.lights, pixels, pull, self.how.damping);
+        eliminated.take(
+            self.maps,
+            &self.lights,
+            pixels,
+            prior,
+            self.elimination.damping,
+        );
     }
 
     pub(super) fn blocks(&self) -> usize {
         self.pixels.len().div_ceil(BLOCK)
     }
 
-    pub(super) fn product(&self, v: &[f64]) -> Result<ReducedProduct> {
-        let moves = self.padded(v)?;
+    pub(super) fn product(&self, v: &[f64]) -> Result<SchurProduct> {
+        let light_step = self.padded(v)?;
         let pieces = (0..self.blocks()).step_by(CHUNK).collect();
         let parts = pool::map(self.problem.threads(), pieces, |first: usize| {
-            let mut solved = Solved::new(self.problem);
+            let mut eliminated = EliminatedBlock::new(self.problem);
             let mut product = vec![Lanes::default(); C * self.pictures];
             let mut gradient = product.clone();
             for block in first..self.blocks().min(first + CHUNK) {
-                self.eliminate(block, &mut solved);
-                solved.add_gradient(&mut gradient);
-                solved.add_product(&moves, &mut product);
+                self.eliminate(block, &mut eliminated);
+                eliminated.add_gradient(&mut gradient);
+                eliminated.add_product(&light_step, &mut product);
             }
             [self.collected(&product), self.collected(&gradient)]
         });
-        let mut found = ReducedProduct {
+        let mut found = SchurProduct {
             product: zeros("normal equations", self.size())?,
             gradient: zeros("normal equations", self.size())?,
         };
@@ -145,8 +153,8 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Lights<'
         collected
     }
 
-    pub(super) fn follow(&self, v: &[f64]) -> Result<Vec<f64>> {
-        let moves = self.padded(v)?;
+    pub(super) fn back_substitute(&self, v: &[f64]) -> Result<Vec<f64>> {
+        let light_step = self.padded(v)?;
         let unknowns = self.problem.unknowns_of_pixel();
         let mut materials = zeros("normal equations", self.pixels.len() * unknowns)?;
         let pieces = materials
@@ -157,10 +165,10 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize> Lights<'
             self.problem.threads(),
             pieces,
             |(piece, out): (usize, &mut [f64])| {
-                let mut solved = Solved::new(self.problem);
+                let mut eliminated = EliminatedBlock::new(self.problem);
                 for (i, out) in out.chunks_mut(BLOCK * unknowns).enumerate() {
-                    self.eliminate(piece * CHUNK + i, &mut solved);
-                    solved.follow(&moves, out);
+                    self.eliminate(piece * CHUNK + i, &mut eliminated);
+                    eliminated.back_substitute(&light_step, out);
                 }
             },
         );

@@ -16,21 +16,21 @@ pub struct Elimination<'a> {
     /// Whether all channels have the same light.
     pub mono: bool,
     /// What pulls at roughness, at metallic unless it is known, and at free tilts.
-    pub pull: Option<Pull<'a>>,
+    pub prior: Option<PriorTerm<'a>>,
 }
 
 /// Σ a (v − c)² beside the squares of the data.
 #[derive(Clone, Copy, Debug)]
-pub struct Pull<'a> {
+pub struct PriorTerm<'a> {
     /// a: (pixel, F), for the F unknowns that are not albedo.
     pub precision: &'a [f64],
     /// v − c: (pixel, F)
-    pub off: &'a [f64],
+    pub deviation: &'a [f64],
 }
 
 /// What is left for the lights, M unknowns (light channel, picture, coefficient).
 #[derive(Clone, Debug)]
-pub struct Reduced {
+pub struct SchurComplement {
     /// S: (M, M).
     pub matrix: Vec<f64>,
     /// s: (M).
@@ -39,7 +39,7 @@ pub struct Reduced {
 
 /// The same without a matrix.
 #[derive(Clone, Debug)]
-pub struct ReducedProduct {
+pub struct SchurProduct {
     /// S v: (M).
     pub product: Vec<f64>,
     /// s: (M).

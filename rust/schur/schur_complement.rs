@@ -21,13 +21,13 @@
 //! cost a ninth. Where normals are free two more rows are dense, those of the tilts.
 //!
 //! Damping adds a share of its diagonal to A. An unknown on a bound that its slope pushes against is
-//! held: its row is 0, and it does not move. So is one on which no radiance depends. Tilts have no
+//! held: its row is 0, and it does not move. So is one on which no radiance depends. TangentOffsets have no
 //! bounds; they move no further than 0.3 at once. They are the last unknowns, and U is
 //! triangular, so what the tilts do is Uᵀ of their own rows: with these scaled down, −Uᵀ (U g + …)
 //! is the step that is best for the other unknowns with the shorter tilts.
 
-use super::light_system::Lights;
-use super::{Elimination, Reduced, ReducedProduct};
+use super::light_system::LightSystem;
+use super::{Elimination, SchurComplement, SchurProduct};
 use crate::pixel::samples::by_kind;
 use crate::problem::Problem;
 use crate::reflectance::reflection::Reflection;
@@ -35,60 +35,65 @@ use crate::runtime::Result;
 
 impl Problem {
     /// S and s of some pixels at x.
-    pub fn reduced(&self, x: &[f64], pixels: &[usize], how: &Elimination) -> Result<Reduced> {
-        by_kind!(self, reduced(self, x, pixels, how))
+    pub fn schur_complement(
+        &self,
+        x: &[f64],
+        pixels: &[usize],
+        elimination: &Elimination,
+    ) -> Result<SchurComplement> {
+        by_kind!(self, schur_complement(self, x, pixels, elimination))
     }
 
     /// S v and s of some pixels at x, for v (light channel, picture, coefficient).
-    pub fn reduced_product(
+    pub fn schur_product(
         &self,
         x: &[f64],
         pixels: &[usize],
         v: &[f64],
-        how: &Elimination,
-    ) -> Result<ReducedProduct> {
-        by_kind!(self, reduced_product(self, x, pixels, v, how))
+        elimination: &Elimination,
+    ) -> Result<SchurProduct> {
+        by_kind!(self, schur_product(self, x, pixels, v, elimination))
     }
 
     /// Where the unknowns of some pixels go when the lights move by v (light channel, picture,
     /// coefficient): (pixel, D). Materials are clipped to \[0, 1\]; tilts move by 0.3 at most, and
     /// grow no longer than tan 60°.
-    pub fn follow_lights(
+    pub fn back_substitute(
         &self,
         x: &[f64],
         pixels: &[usize],
         v: &[f64],
-        how: &Elimination,
+        elimination: &Elimination,
     ) -> Result<Vec<f64>> {
-        by_kind!(self, follow_lights(self, x, pixels, v, how))
+        by_kind!(self, back_substitute(self, x, pixels, v, elimination))
     }
 }
 
-fn reduced<M: Reflection, const C: usize, const D: usize, const U: usize>(
+fn schur_complement<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
-    how: &Elimination,
-) -> Result<Reduced> {
-    Lights::<M, C, D, U>::new(problem, x, pixels, how)?.reduced()
+    elimination: &Elimination,
+) -> Result<SchurComplement> {
+    LightSystem::<M, C, D, U>::new(problem, x, pixels, elimination)?.schur_complement()
 }
 
-fn reduced_product<M: Reflection, const C: usize, const D: usize, const U: usize>(
+fn schur_product<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
     v: &[f64],
-    how: &Elimination,
-) -> Result<ReducedProduct> {
-    Lights::<M, C, D, U>::new(problem, x, pixels, how)?.product(v)
+    elimination: &Elimination,
+) -> Result<SchurProduct> {
+    LightSystem::<M, C, D, U>::new(problem, x, pixels, elimination)?.product(v)
 }
 
-fn follow_lights<M: Reflection, const C: usize, const D: usize, const U: usize>(
+fn back_substitute<M: Reflection, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
     v: &[f64],
-    how: &Elimination,
+    elimination: &Elimination,
 ) -> Result<Vec<f64>> {
-    Lights::<M, C, D, U>::new(problem, x, pixels, how)?.follow(v)
+    LightSystem::<M, C, D, U>::new(problem, x, pixels, elimination)?.back_substitute(v)
 }

@@ -77,7 +77,7 @@ pub(crate) struct ByAlbedo<'a, G> {
     /// To be written.
     pub(crate) albedo: &'a mut Doubles,
     /// Added to.
-    pub(crate) squares: &'a mut Doubles,
+    pub(crate) sum_sq_residuals: &'a mut Doubles,
 }
 
 /// Best albedo of each pixel, and Σ ω (I − T)² with it.
@@ -86,7 +86,7 @@ pub struct BestAlbedo {
     /// (pixel, channel)
     pub albedo: Vec<f64>,
     /// (pixel)
-    pub squares: Vec<f64>,
+    pub sum_sq_residuals: Vec<f64>,
 }
 
 impl Problem {
@@ -155,7 +155,7 @@ fn best_albedo<M: AlbedoFromProducts>(
         pixels.chunks(CHUNK * BLOCK).collect(),
         |pixels: &[usize]| {
             let mut block = Block::<M>::new(problem);
-            let (mut albedo, mut squares) = (Vec::new(), Vec::new());
+            let (mut albedo, mut sum_sq_residuals) = (Vec::new(), Vec::new());
             for pixels in pixels.chunks(BLOCK) {
                 block.load(maps, &lights, pixels);
                 for (x, &p) in pixels.iter().enumerate() {
@@ -165,16 +165,16 @@ fn best_albedo<M: AlbedoFromProducts>(
                 block.at_own_roughness();
                 for x in 0..pixels.len() {
                     albedo.extend(block.albedo.iter().map(|plane| plane.0[x]));
-                    squares.push(block.squares.0[x]);
+                    sum_sq_residuals.push(block.sum_sq_residuals.0[x]);
                 }
             }
-            (albedo, squares)
+            (albedo, sum_sq_residuals)
         },
     );
-    let (albedo, squares): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+    let (albedo, sum_sq_residuals): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
     Ok(BestAlbedo {
         albedo: albedo.concat(),
-        squares: squares.concat(),
+        sum_sq_residuals: sum_sq_residuals.concat(),
     })
 }
 
@@ -191,7 +191,7 @@ pub(crate) struct Block<'a, M: AlbedoFromProducts> {
     pub(crate) metallic: Doubles,
     /// By channel.
     pub(crate) albedo: Vec<Doubles>,
-    squares: Doubles,
+    sum_sq_residuals: Doubles,
 }
 
 impl<'a, M: AlbedoFromProducts> Block<'a, M> {
@@ -206,7 +206,7 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
             roughness: Doubles::default(),
             metallic: Doubles::default(),
             albedo: vec![Doubles::default(); problem.channels()],
-            squares: Doubles::default(),
+            sum_sq_residuals: Doubles::default(),
         }
     }
 
@@ -234,9 +234,9 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
                 // Squares wait in their plane until all channels have added theirs.
                 for (sum, &m) in of_roughness.iter_mut().zip(metallic) {
                     self.metallic.0.fill(m);
-                    std::mem::swap(&mut self.squares, sum);
+                    std::mem::swap(&mut self.sum_sq_residuals, sum);
                     self.minimize::<STEPS>(c);
-                    std::mem::swap(&mut self.squares, sum);
+                    std::mem::swap(&mut self.sum_sq_residuals, sum);
                 }
             }
         }
@@ -257,7 +257,7 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
             &self.functions,
             &mut self.given,
         );
-        self.squares = Doubles::default();
+        self.sum_sq_residuals = Doubles::default();
         for c in 0..self.albedo.len() {
             self.give_channel(c);
             self.minimize::<NEWTON_STEPS>(c);
@@ -277,7 +277,7 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
                 given: &self.given,
                 metallic: &self.metallic,
                 albedo: &mut self.albedo[channel],
-                squares: &mut self.squares,
+                sum_sq_residuals: &mut self.sum_sq_residuals,
             },
         );
     }

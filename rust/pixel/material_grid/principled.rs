@@ -120,7 +120,7 @@ impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
             given,
             metallic,
             albedo,
-            squares,
+            sum_sq_residuals,
         } = self.0;
         for x in 0..BLOCK {
             let surface = Surface::new(
@@ -174,7 +174,7 @@ impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
             albedo.0[x] = if value < least { rho } else { best };
             least = if value < least { value } else { least };
             // Rounding may leave less than nothing of a sum of squares.
-            squares.0[x] += if least > 0.0 { least } else { 0.0 };
+            sum_sq_residuals.0[x] += if least > 0.0 { least } else { 0.0 };
         }
     }
 }

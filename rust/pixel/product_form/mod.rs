@@ -6,10 +6,10 @@
 
 use std::marker::PhantomData;
 
-use crate::block::basis::MAX_SEEN;
+use crate::block::basis::MAX_PROJECTIONS;
 use crate::block::factors::FillFunctions;
-use crate::block::normal_jacobian::Tilts;
-use crate::pixel::descent::Squares;
+use crate::block::normal_jacobian::TangentOffsets;
+use crate::pixel::descent::LeastSquares;
 use crate::pixel::products::{PixelProducts, Products, pair};
 use crate::pixel::samples::{
     DERIVATIVES, FillResponses, Responses, Sums, UNKNOWNS, unknowns_of_channel,
@@ -22,14 +22,14 @@ use crate::runtime::simd::{Instructions, Isa, Kernel};
 mod paper;
 
 /// Models whose squares come from products.
-pub(crate) trait SquaresFromProducts: Reflection {
+pub(crate) trait LeastSquaresFromProducts: Reflection {
     /// Adds one channel's squares, gradient and matrix.
     fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, Self, C>) {
         add_channel::<Self, C>(isa, channel);
     }
 }
 
-impl SquaresFromProducts for Principled {}
+impl LeastSquaresFromProducts for Principled {}
 
 /// One channel of a block.
 pub(crate) struct Channel<'a, M: Reflection, const C: usize> {
@@ -65,8 +65,8 @@ impl<'a, M: Reflection> Form<'a, M> {
     }
 }
 
-impl<M: SquaresFromProducts, const C: usize> Squares<C, UNKNOWNS> for Form<'_, M> {
-    fn take(&mut self, materials: &Materials<C>, _: &Tilts, sums: &mut Sums<UNKNOWNS>) {
+impl<M: LeastSquaresFromProducts, const C: usize> LeastSquares<C, UNKNOWNS> for Form<'_, M> {
+    fn take(&mut self, materials: &Materials<C>, _: &TangentOffsets, sums: &mut Sums<UNKNOWNS>) {
         self.isa.run(FillFunctions {
             cosine: self.products.directions.cosines(),
             roughness: &materials.roughness,
@@ -128,8 +128,8 @@ impl<M: Reflection, const C: usize> Kernel for AddChannel<'_, M, C> {
         } = &*responses;
         let unknowns = unknowns_of_channel::<C, DERIVATIVES>(channel);
         // Gf − t, and G f_x.
-        let mut slope = [Doubles::default(); MAX_SEEN];
-        let mut bent = [[Doubles::default(); MAX_SEEN]; DERIVATIVES];
+        let mut slope = [Doubles::default(); MAX_PROJECTIONS];
+        let mut bent = [[Doubles::default(); MAX_PROJECTIONS]; DERIVATIVES];
         for s in 0..=M::ROWS {
             let target = if s == 0 {
                 &products.diffuse_target
@@ -155,11 +155,11 @@ impl<M: Reflection, const C: usize> Kernel for AddChannel<'_, M, C> {
                 }
             }
             for x in 0..BLOCK {
-                sums.squares.0[x] += radiance[s].0[x] * (slope[s].0[x] - target.0[x]);
+                sums.sum_sq_residuals.0[x] += radiance[s].0[x] * (slope[s].0[x] - target.0[x]);
             }
         }
         for x in 0..BLOCK {
-            sums.squares.0[x] += products.target_target.0[x];
+            sums.sum_sq_residuals.0[x] += products.target_target.0[x];
         }
         for (i, by) in derivatives.iter().enumerate() {
             for s in 0..=M::ROWS {

@@ -10,7 +10,7 @@
 //! so all follows from ten products a channel, which are small quadratic forms in h and h' of the
 //! [`products`](crate::products).
 
-use crate::pixel::product_form::{Channel, SquaresFromProducts};
+use crate::pixel::product_form::{Channel, LeastSquaresFromProducts};
 use crate::pixel::products::pair;
 use crate::reflectance::ggx::Bands;
 use crate::reflectance::paper::{Factors, Paper};
@@ -19,7 +19,7 @@ use crate::reflectance::planes::{ByRow, MAX_ROWS, Material};
 use crate::reflectance::reflection::Factors as _;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
-impl SquaresFromProducts for Paper {
+impl LeastSquaresFromProducts for Paper {
     fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, Self, C>) {
         isa.run(AddChannel(channel));
     }
@@ -107,7 +107,8 @@ impl<const C: usize> Kernel for AddChannel<'_, C> {
             let ed = a * dd + b * ds - dt;
             let es = a * ds + b * ss - st;
             let ep = a * dp + b * sp - pt;
-            sums.squares.0[x] += a * (ed - dt) + b * (es - st) + products.target_target.0[x];
+            sums.sum_sq_residuals.0[x] +=
+                a * (ed - dt) + b * (es - st) + products.target_target.0[x];
             sums.gradient[channel].0[x] += a_rho * ed + b_rho * es;
             sums.gradient[r].0[x] += b_r * es + b * ep;
             sums.gradient[m].0[x] += a_m * ed + b_m * es;
