@@ -18,7 +18,7 @@ pub struct Parts([f32; PARTS]);
 /// Derivatives by the K coefficients of one light.
 pub type LightSums<const K: usize> = [Parts; K];
 
-/// Second product, reduced at once to the derivatives by kd and by the rows' factors.
+/// Second product, e L, projected at once on the basis: the derivatives by kd and by the rows' factors.
 pub struct ByFactors<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
     /// Whether to begin the sums, or add to them.
     pub begin: bool,

@@ -5,7 +5,7 @@ use crate::reflectance::reflection::{Reflection, each_entry, first_entry};
 use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 
-/// Basis functions with a diffuse response: bands 0 to 2.
+/// Basis functions with a diffuse response, those of bands 0 to 2: A₃ = 0.
 pub const DIFFUSE: usize = 9;
 
 /// The basis functions at those directions, A_l Y_k(n) and R_jk; of the latter, as many as the model
@@ -72,10 +72,10 @@ fn fill_lobe<M: Reflection, T: Real, const K: usize>(
     }
 }
 
-/// Numbers of a light that a pixel sees at most: the diffuse one, then one for each row.
+/// Projections of a light on a pixel at most: the diffuse one, then one for each row of its lobe.
 pub const MAX_PROJECTIONS: usize = 1 + MAX_ROWS;
 
-/// What the pixels see of a light: Σ_k A_l Y_k(n) L_k, and for each row Σ_k R_jk L_k.
+/// The light projected on the pixels' basis: Σ_k A_l Y_k(n) L_k, and for each row Σ_k R_jk L_k.
 #[inline(always)]
 pub fn light_projections<M: Reflection>(
     basis: &Basis<f64>,

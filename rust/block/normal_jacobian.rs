@@ -1,4 +1,5 @@
-//! Blocks of pixels whose normals are free: where they look, and how that changes with their tilts.
+//! Blocks of pixels whose normals are free: where they look, and how that changes with their tangent
+//! offsets.
 
 use glam::DVec3;
 
@@ -17,10 +18,10 @@ use crate::runtime::Result;
 use crate::runtime::memory::zeros;
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 
-/// The tilts (a, b) of a block of pixels.
+/// The tangent offsets (a, b) of a block of pixels.
 pub type TangentOffsets = [Doubles; 2];
 
-/// Normals that tilts turn, of length 1, and view directions; a pixel that is not used has +z for
+/// Normals that tangent offsets start from, of length 1, and view directions; a pixel that is not used has +z for
 /// both.
 #[derive(Clone, Debug)]
 pub struct GivenDirections {
@@ -37,7 +38,7 @@ impl Default for GivenDirections {
 
 impl GivenDirections {
     /// Puts a pixel into the block. The normal is brought to length 1 to the last digit, as
-    /// those of any tilt are.
+    /// those of any tangent offset are.
     pub fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
         self.put(pixel, [normal.normalize(), view]);
     }
@@ -76,7 +77,7 @@ fn vector(planes: &[Doubles; 3], pixel: usize) -> DVec3 {
     DVec3::new(planes[0].0[pixel], planes[1].0[pixel], planes[2].0[pixel])
 }
 
-/// Derivatives of [`Directions`] by the tilts a and b.
+/// Derivatives of [`Directions`] by the tangent offsets a and b.
 #[derive(Clone, Debug, Default)]
 pub struct NormalJacobian {
     /// Of n.
@@ -87,13 +88,13 @@ pub struct NormalJacobian {
     pub cosine: [Doubles; 2],
 }
 
-/// NormalJacobian the pixels of a block.
+/// Directions of the pixels of a block at their tangent offsets, and how they change with these.
 ///
 /// ```text
 /// R = 2(n·v)n − v          ∂R/∂a = 2(v·∂n/∂a) n + 2(n·v) ∂n/∂a          ∂(n·v)/∂a = v·∂n/∂a
 /// ```
 pub struct OffsetNormals<'a, T: Real> {
-    /// What is turned.
+    /// Where the offsets start.
     pub given: &'a GivenDirections,
     /// By how much.
     pub offsets: &'a TangentOffsets,
@@ -147,7 +148,7 @@ impl<T: Real> Kernel for OffsetNormals<'_, T> {
     }
 }
 
-/// Fills in the derivatives of the basis functions by one of the tilts: A_l ∇Y_k(n)·∂n/∂a, and those
+/// Fills in the derivatives of the basis functions by one of the tangent offsets: A_l ∇Y_k(n)·∂n/∂a, and those
 /// of R_jk.
 pub struct FillBasisSlopes<'a, M: Reflection> {
     /// Where the pixels look.
@@ -196,7 +197,7 @@ impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
     }
 }
 
-/// Takes the tilts of `count` pixels from planes of `pixels` values each, starting at `first`.
+/// Takes the tangent offsets of `count` pixels from planes of `pixels` values each, starting at `first`.
 /// Returns whether all are finite and up to [`tangent_offset::OFFSET_MAX`] in size.
 pub struct LoadOffsets<'a> {
     /// Two planes.
@@ -282,7 +283,7 @@ impl<M: Reflection> ByWeights for ByBasis<'_, M> {
     }
 }
 
-/// The last step: from the sums over pictures to the derivatives by the tilts, times `scale`.
+/// The last step: from the sums over pictures to the derivatives by the tangent offsets, times `scale`.
 ///
 /// With g_D and g_B what [`ByBasis`] found, and x = n·v,
 ///
@@ -294,7 +295,7 @@ impl<M: Reflection> ByWeights for ByBasis<'_, M> {
 pub struct PullBackNormals<'a, M: Reflection, const C: usize, const K: usize> {
     /// Where the pixels look.
     pub directions: &'a Directions,
-    /// How that changes with their tilts.
+    /// How that changes with their tangent offsets.
     pub jacobian: &'a NormalJacobian,
     /// What they are made of.
     pub materials: &'a Materials<C>,

@@ -1,14 +1,14 @@
 //! The damped normal equations of one pixel.
 //!
-//! Channels have nothing to do with each other but for roughness, metallic and the tilts of a free
-//! normal, so the matrix is an arrow: its albedo part is diagonal, and what is left to be factorised
-//! is two by two, or four by four with tilts.
+//! Channels have nothing to do with each other but for roughness, metallic and the tangent offsets of
+//! a free normal, so the matrix is an arrowhead: its albedo part is diagonal, and what is left to be
+//! factorised is two by two, or four by four with tangent offsets.
 
 use crate::pixel::samples::{Sums, UNKNOWNS};
 use crate::reflectance::tangent_offset::OFFSETS;
 
-/// Of the diagonal, below which a pivot is rounding.
-const LEAST_PIVOT: f64 = 1e-14;
+/// Least pivot, as a share of its diagonal entry: below it a pivot is rounding, and is raised to it.
+const PIVOT_MIN: f64 = 1e-14;
 
 /// Unknowns at most that all channels share: of U, those that are no albedo.
 pub(crate) const MAX_SHARED: usize = 2 + OFFSETS;
@@ -19,12 +19,12 @@ pub(crate) const fn shared(unknowns: usize) -> usize {
 }
 
 /// The matrix and gradient of one pixel; albedos first, then what all channels share: roughness,
-/// metallic, tilts.
+/// metallic, tangent offsets.
 pub(crate) struct Arrowhead<const C: usize, const U: usize> {
     pub(crate) diagonal: [f64; U],
-    /// Of what is shared with the albedos.
+    /// Entries of shared unknowns with the albedos.
     arms: [[f64; C]; MAX_SHARED],
-    /// Of what is shared with each other, below the diagonal.
+    /// Entries of shared unknowns with each other, below the diagonal.
     dense: [[f64; MAX_SHARED]; MAX_SHARED],
     pub(crate) gradient: [f64; U],
     /// 1, or 0 for an unknown that moves by `fixed`.
@@ -100,7 +100,7 @@ impl<const C: usize, const U: usize> Arrowhead<C, U> {
         let mut least = [0.0; MAX_SHARED];
         let mut dense = [[0.0; MAX_SHARED]; MAX_SHARED];
         for f in 0..Self::SHARED {
-            least[f] = LEAST_PIVOT * pivot[C + f];
+            least[f] = PIVOT_MIN * pivot[C + f];
             for g in 0..f {
                 dense[f][g] = free[C + f] * free[C + g] * self.dense[f][g];
             }
@@ -156,7 +156,7 @@ impl<const C: usize, const U: usize> Arrowhead<C, U> {
         step
     }
 
-    /// By how much the squares fall with a step: −2gᵀδ − δᵀAδ.
+    /// By how much the sum of squares falls with a step: −2gᵀδ − δᵀAδ.
     #[inline(always)]
     pub(crate) fn decrease(&self, step: &[f64; U]) -> f64 {
         let mut sum = 0.0;

@@ -1,19 +1,22 @@
-//! Levenberg–Marquardt on the materials, and free tilts, of a block of pixels, each for itself.
+//! Levenberg–Marquardt on the materials, and free tangent offsets, of a block of pixels, each for
+//! itself.
 //!
-//! With g half of the gradient and A the Gauss–Newton matrix of a pixel's squares, a step δ solves
+//! With g half of the gradient and A the Gauss–Newton matrix of a pixel's sum of squared residuals, a
+//! step δ solves
 //!
 //! ```text
 //! (A + λ diag A) δ = −g
 //! ```
 //!
 //! for the unknowns that are free, inside a box: the bounds \[0, 1\], and for roughness no further
-//! than [`REACH`]. TangentOffsets have no bounds, but both together a reach ([`limit_offset_step`]). Damping by the diagonal means that the unit of an unknown does not matter, so no
-//! scaling is needed; an unknown that radiance does not depend on has a diagonal of 0 and is held,
-//! as is one on a bound whose gradient points outwards. A step that leaves the box is cut there and
-//! the other unknowns are solved for again with the cut ones where they are: cut alone, it would
-//! leave them where they make sense only with the rest of the step.
+//! than [`ROUGHNESS_STEP_MAX`]. Tangent offsets have no bounds, but both together a longest step
+//! ([`limit_offset_step`]). Damping by the diagonal means that the unit of an unknown does not
+//! matter, so no scaling is needed; an unknown that radiance does not depend on has a diagonal of 0
+//! and is fixed, as is one on a bound whose gradient points outwards. A step that leaves the box is
+//! cut there and the other unknowns are solved for again with the cut ones where they are: cut
+//! alone, it would leave them where they make sense only with the rest of the step.
 //!
-//! The equations of one pixel are in [`arrow`](crate::arrow).
+//! The equations of one pixel are in [`arrowhead`](super::arrowhead).
 
 use crate::block::normal_jacobian::TangentOffsets;
 use crate::pixel::arrowhead::{Arrowhead, MAX_SHARED, shared};
@@ -23,36 +26,39 @@ use crate::reflectance::planes::{BLOCK, Doubles, Materials, Plane};
 use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
-/// Roughness at most moves so far in a step. Its derivative falls with r³ towards 0, so from there
-/// the step that Gauss–Newton proposes is far too long.
-const REACH: f64 = 0.25;
-/// Steps that turn normals more than double roughness as little as they more than halve it, down to
-/// this: with a wrong normal it is mostly the normal that asks for a mirror, and a mirror does not
-/// say how rough it should be.
-const LEAST_ROUGHNESS: f64 = 1e-3;
-/// Damping after a rejected step is at least this.
-const RESTRAINED: f64 = 1e-3;
-/// Damping never falls below: it keeps the pivots positive.
-const LEAST_DAMPING: f64 = 1e-12;
-/// Beyond it nothing is to be gained.
-const MOST_DAMPING: f64 = 1e10;
-/// Factors of the damping after a step that kept its promise, and one that did not. Where residuals
-/// are large and bend, steps are too long time after time, though squares fall.
-const CALMER: f64 = 0.2;
-const WILDER: f64 = 10.0;
-/// Parts of the predicted decrease from which a promise is kept, or else broken.
-const HELD: f64 = 0.25;
-const BROKEN: f64 = 0.1;
-/// Diagonals up to this are 0: their inverse would overflow.
-const NOTHING: f64 = 1e-280;
-/// Squares of a block of pixels as a function of their unknowns, U at most.
+/// Longest move of perceptual roughness in one step; a longer one is cut to it. The derivative by
+/// roughness falls with r³ towards 0, so from there the step that Gauss–Newton proposes is far too
+/// long.
+const ROUGHNESS_STEP_MAX: f64 = 0.25;
+/// Perceptual roughness ε in the limits of a step with free normals, which goes down at most half way
+/// to ε, and up at most to twice the roughness plus ε. With a wrong normal it is mostly the normal
+/// that asks for a mirror, and a mirror does not say how rough it should be.
+const ROUGHNESS_HALVING_FLOOR: f64 = 1e-3;
+/// Least damping λ after a rejected step, as a share of the diagonal.
+const DAMPING_AFTER_REJECTION_MIN: f64 = 1e-3;
+/// Least damping λ at any time, as a share of the diagonal: it keeps the pivots positive.
+const DAMPING_MIN: f64 = 1e-12;
+/// Damping λ from which a pixel stops: its steps would be this much shorter than Newton's.
+const DAMPING_MAX: f64 = 1e10;
+/// Factor on the damping after a step whose gain ratio is good.
+const DAMPING_DECREASE: f64 = 0.2;
+/// Factor on the damping after a step that was rejected, or whose gain ratio is poor. Where residuals
+/// are large and bend, steps are too long time after time, though the cost falls.
+const DAMPING_INCREASE: f64 = 10.0;
+/// Gain ratio (decrease of the cost over the predicted one) above which damping falls.
+const GAIN_RATIO_GOOD: f64 = 0.25;
+/// Gain ratio up to which damping grows; between both it stays.
+const GAIN_RATIO_POOR: f64 = 0.1;
+/// Diagonal entries up to this count as 0, and their unknowns are held: the inverse would overflow.
+const DIAGONAL_MIN: f64 = 1e-280;
+/// The sums of squared residuals of a block of pixels as a function of their unknowns, U at most.
 pub(crate) trait LeastSquares<const C: usize, const U: usize> {
-    /// Squares, gradient and matrix at materials and tilts; what `sums` holds is overwritten.
+    /// Sum of squares, gradient and matrix at materials and tangent offsets; `sums` is overwritten.
     fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets, sums: &mut Sums<U>);
 }
 
-/// Σ_f precision (v_f − centre)² beside the squares, for f = roughness, metallic and the tilts; zeros
-/// are none.
+/// Gaussian priors, Σ_f precision (v_f − mean)² beside the squared residuals, for f = roughness,
+/// metallic and the tangent offsets; a precision of 0 is no prior.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PriorPlanes {
     pub(crate) mean: [Doubles; MAX_SHARED],
@@ -66,7 +72,7 @@ pub(crate) struct Point<const C: usize, const U: usize> {
     /// Where they are among the U unknowns; else not looked at.
     pub(crate) offsets: TangentOffsets,
     pub(crate) sums: Sums<U>,
-    /// Squares and pull.
+    /// Sum of squared residuals and prior.
     pub(crate) cost: Doubles,
 }
 
@@ -82,7 +88,7 @@ impl<const C: usize, const U: usize> Default for Point<C, U> {
 }
 
 impl<const C: usize, const U: usize> Point<C, U> {
-    /// Works out what holds at the materials and tilts.
+    /// Works out what holds at the materials and tangent offsets.
     pub(crate) fn take(
         &mut self,
         isa: Instructions,
@@ -106,7 +112,7 @@ impl<const C: usize, const U: usize> Point<C, U> {
                 0.0
             };
         }
-        isa.run(Take {
+        isa.run(CopySelected {
             which: &lower,
             from: other,
             to: self,
@@ -155,7 +161,7 @@ impl<const C: usize, const U: usize> Descent<'_, C, U> {
             self.trial.take(self.isa, least_squares, self.prior);
             let mut accepted = Doubles::default();
             let tried = active;
-            self.isa.run(Judge {
+            self.isa.run(UpdateDamping {
                 cost: &point.cost,
                 trial: &self.trial.cost,
                 predicted: &predicted,
@@ -168,7 +174,7 @@ impl<const C: usize, const U: usize> Descent<'_, C, U> {
             if accepted.0 == tried.0 {
                 std::mem::swap(point, self.trial);
             } else {
-                self.isa.run(Take {
+                self.isa.run(CopySelected {
                     which: &accepted,
                     from: self.trial,
                     to: point,
@@ -205,13 +211,13 @@ impl<const C: usize, const U: usize> Kernel for AddPrior<'_, C, U> {
 }
 
 /// Copies the pixels whose entry of `which` is 1.
-struct Take<'a, const C: usize, const U: usize> {
+struct CopySelected<'a, const C: usize, const U: usize> {
     which: &'a Doubles,
     from: &'a Point<C, U>,
     to: &'a mut Point<C, U>,
 }
 
-impl<const C: usize, const U: usize> Kernel for Take<'_, C, U> {
+impl<const C: usize, const U: usize> Kernel for CopySelected<'_, C, U> {
     type Output = ();
 
     #[inline(always)]
@@ -254,7 +260,7 @@ impl<const C: usize, const U: usize> Kernel for Take<'_, C, U> {
 }
 
 /// Which trials are accepted, who is done, and the damping of the next step.
-struct Judge<'a> {
+struct UpdateDamping<'a> {
     cost: &'a Doubles,
     trial: &'a Doubles,
     predicted: &'a Doubles,
@@ -264,7 +270,7 @@ struct Judge<'a> {
     accepted: &'a mut Doubles,
 }
 
-impl Kernel for Judge<'_> {
+impl Kernel for UpdateDamping<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -278,16 +284,16 @@ impl Kernel for Judge<'_> {
             } else {
                 self.predicted.0[x]
             };
-            let promised = self.predicted.0[x];
+            let predicted = self.predicted.0[x];
             let damping = self.damping.0[x];
-            let damping = if fell & (gained > HELD * promised) {
-                (CALMER * damping).max(LEAST_DAMPING)
-            } else if fell & (gained > BROKEN * promised) {
+            let damping = if fell & (gained > GAIN_RATIO_GOOD * predicted) {
+                (DAMPING_DECREASE * damping).max(DAMPING_MIN)
+            } else if fell & (gained > GAIN_RATIO_POOR * predicted) {
                 damping
             } else {
-                (WILDER * damping).max(RESTRAINED)
+                (DAMPING_INCREASE * damping).max(DAMPING_AFTER_REJECTION_MIN)
             };
-            let goes_on = gained > self.floor.0[x] && damping < MOST_DAMPING;
+            let goes_on = gained > self.floor.0[x] && damping < DAMPING_MAX;
             self.accepted.0[x] = accepted;
             self.damping.0[x] = damping;
             self.active.0[x] = if goes_on { self.active.0[x] } else { 0.0 };
@@ -295,7 +301,7 @@ impl Kernel for Judge<'_> {
     }
 }
 
-/// One step: what is to be tried, and by how much the squares would fall were they quadratic.
+/// One step: what is to be tried, and by how much the cost would fall were it quadratic.
 struct Step<'a, const C: usize, const U: usize> {
     point: &'a Point<C, U>,
     metallic_known: bool,
@@ -342,21 +348,21 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
                 } else {
                     highest[j] <= 0.0
                 };
-                let held = outwards | (system.diagonal[j] <= NOTHING);
+                let held = outwards | (system.diagonal[j] <= DIAGONAL_MIN);
                 system.free[j] = if held { 0.0 } else { active.0[x] };
             }
             for j in C + 2..C + shared(U) {
-                let held = system.diagonal[j] <= NOTHING;
+                let held = system.diagonal[j] <= DIAGONAL_MIN;
                 system.free[j] = if held { 0.0 } else { active.0[x] };
             }
             system.free[C + 1] *= metallic_free;
             if U > UNKNOWNS {
-                let down = 0.5 * (LEAST_ROUGHNESS - value[C]);
+                let down = 0.5 * (ROUGHNESS_HALVING_FLOOR - value[C]);
                 lowest[C] = lowest[C].max(down);
-                highest[C] = highest[C].min(value[C] + LEAST_ROUGHNESS);
+                highest[C] = highest[C].min(value[C] + ROUGHNESS_HALVING_FLOOR);
             }
-            lowest[C] = lowest[C].max(-REACH);
-            highest[C] = highest[C].min(REACH);
+            lowest[C] = lowest[C].max(-ROUGHNESS_STEP_MAX);
+            highest[C] = highest[C].min(ROUGHNESS_STEP_MAX);
             let offset = [point.offsets[0].0[x], point.offsets[1].0[x]];
 
             let damped = 1.0 + damping.0[x];

@@ -2,16 +2,16 @@
 
 use crate::reflectance::tangent_offset::OFFSETS;
 
-/// A tilt moves no further in a step: 17 degrees from the given normal. Squares are far from
-/// quadratic beyond.
+/// Longest step of a tangent offset (a, b), a tangent: 17 degrees from the given normal. A longer one
+/// is shortened, because the sum of squares is far from quadratic beyond.
 pub(crate) const OFFSET_STEP_MAX: f64 = 0.3;
 
-/// Steps lead to tilts of at most tan 60°, or of the length that there was.
+/// Longest tangent offset that a step leads to, tan 60°, unless it was longer before: then that length.
 pub(crate) const OFFSET_AFTER_STEP_MAX: f64 = 1.732_050_807_568_877_2;
 
 /// The share of a step that is within reach, and where it leads.
 ///
-/// Where it would lead too far from the given normal the tilt is shortened, its direction kept.
+/// Where it would lead too far from the given normal the offset is shortened, its direction kept.
 #[inline(always)]
 pub(crate) fn limit_offset_step(
     offset: [f64; OFFSETS],

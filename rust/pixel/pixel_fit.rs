@@ -1,15 +1,14 @@
 //! The best material of each pixel when the lights are known.
 //!
-//! Pixels then have nothing to do with each other. A pixel's squares may have several minima, most
+//! Pixels then have nothing to do with each other. Its sum of squares may have several minima, most
 //! of them apart in roughness and metallic; so it descends from several starts, its own material
-//! and the best nodes of a grid ([`material_grid`](crate::material_grid)), and keeps the lowest.
+//! and the best nodes of a grid ([`material_grid`](super::material_grid)), and keeps the lowest.
 //!
-//! Most of the way costs the same for any number of pictures: squares come from products over them
-//! ([`product_form`](crate::product_form)), at the normals that x has. These know squares to 10⁻¹⁵ of
-//! Σ ω T², that is residuals to half of the digits; the last steps ([`residual_steps`]) therefore
-//! take the residuals one by one, in passes over the pictures. They also turn normals that are free.
-//!
-//! [`residual_steps`]: crate::residual_steps
+//! Most of the way costs the same for any number of pictures: the sum of squared residuals comes from
+//! products over them ([`product_form`](super::product_form)), at the normals that x has. These know
+//! it to 10⁻¹⁵ of Σ ω T², that is residuals to half of the digits; the last steps
+//! ([`residual_steps`](super::residual_steps)) therefore take the residuals one by one, in passes
+//! over the pictures. They also move normals that are free.
 //!
 //! Every pixel has its own damping, and once it is done it stays where it is: what it ends at does
 //! not depend on the pixels beside it.
@@ -34,18 +33,20 @@ use crate::runtime::{Result, check, pool};
 const MAX_CHUNK: usize = 8;
 /// Pieces of work that are wanted, so that threads are busy to the end.
 const PIECES: usize = 64;
-/// Of Σ ω T²: a decrease that the products cannot tell from rounding.
-const FORM_FLOOR: f64 = 1e-13;
-/// Of Σ ω T²: a difference that the products can tell for sure.
-const FORM_CLEAR: f64 = 1e-11;
-/// Damping of the first step on products.
-const FORM_DAMPING: f64 = 1e-3;
-/// Descents begin at least at this roughness: at 0 nothing depends on roughness, and they would
-/// never leave it. A material of x below it is still kept if nothing better is found.
-const LEAST_ROUGHNESS: f64 = 1e-3;
+/// Decrease of the cost, as a share of Σ ω T², up to which products cannot tell it from rounding: the
+/// pixel stops.
+const PRODUCTS_ROUNDING: f64 = 1e-13;
+/// Difference of two costs, as a share of Σ ω T², above which products tell for sure which is lower.
+/// Up to it both are compared by their residuals.
+const PRODUCTS_CERTAIN: f64 = 1e-11;
+/// Damping λ of the first step on products, as a share of the diagonal.
+const PRODUCTS_DAMPING: f64 = 1e-3;
+/// Least perceptual roughness that a descent begins at: at 0 nothing depends on roughness, and it
+/// would never leave it. A material of x below it is still kept if nothing better is found.
+const START_ROUGHNESS_MIN: f64 = 1e-3;
 
-/// Of the best albedo of a node, which only has to be good enough to begin from.
-const NEWTON_STEPS: usize = 2;
+/// Newton steps to the best albedo of a grid node, which only has to be good enough to begin from.
+const NODE_NEWTON_STEPS: usize = 2;
 
 /// How materials are looked for.
 #[derive(Clone, Copy, Debug)]
@@ -62,12 +63,12 @@ pub struct Search<'a> {
     pub exact_steps: usize,
     /// Whether normals stay where x has them, though they are free.
     pub held_normals: bool,
-    /// What materials are drawn to, beside the pictures.
+    /// What is known of the materials beside the pictures.
     pub prior: Option<GaussianPrior<'a>>,
 }
 
-/// Adds Σ_f precision_f (v_f − centre_f)² to the squares of a pixel, for f = roughness, metallic
-/// unless it is known and, where normals are free, the two tilts.
+/// Adds Σ_f precision_f (v_f − mean_f)² to the sum of squared residuals of a pixel, for f = roughness,
+/// metallic unless it is known and, where normals are free, the two tangent offsets.
 #[derive(Clone, Copy, Debug)]
 pub struct GaussianPrior<'a> {
     /// (pixel, f)
@@ -77,19 +78,19 @@ pub struct GaussianPrior<'a> {
 }
 
 /// Materials of D numbers: albedo by channel, roughness, metallic unless it is known and, where
-/// normals are free, the two tilts.
+/// normals are free, the two tangent offsets.
 #[derive(Clone, Debug)]
 pub struct Fitted {
     /// (pixel, D)
     pub materials: Vec<f64>,
-    /// Σ ω (I − T)², without the pull: (pixel).
+    /// Σ ω (I − T)², without the prior: (pixel).
     pub sum_sq_residuals: Vec<f64>,
 }
 
 impl Problem {
     /// The best material of each of `pixels` with the lights of x, never worse than that of x.
     ///
-    /// What is compared is Σ ω (I − T)² and the pull; it is summed up residual by residual unless
+    /// What is compared is Σ ω (I − T)² and the prior; it is summed up residual by residual unless
     /// `exact_steps` is 0, when it comes from products. Free normals move in those steps only.
     pub fn fit_materials(&self, x: &[f64], pixels: &[usize], search: &Search) -> Result<Fitted> {
         check::unit_interval("roughness", search.roughness)?;
@@ -126,7 +127,7 @@ fn fit_by_kind<M: Fits>(
     }
 }
 
-/// Centres and precisions at most.
+/// Largest mean and precision of a prior that are taken: the square of one times the other is finite.
 const PRIOR_MAX: f64 = 1e100;
 
 fn fit<M: Fits, const C: usize, const D: usize, const U: usize>(
@@ -293,20 +294,20 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
     fn descend(&mut self, active: &Doubles, size: &Doubles, prior: Option<&PriorPlanes>) {
         let isa = self.isa;
         for r in &mut self.candidate.materials.roughness.0 {
-            *r = r.max(LEAST_ROUGHNESS);
+            *r = r.max(START_ROUGHNESS_MIN);
         }
         let mut form = Form::<M>::new(isa, &self.grid.products);
         self.candidate.take(isa, &mut form, prior);
         let mut floor = Doubles::default();
         for x in 0..BLOCK {
-            floor.0[x] = FORM_FLOOR * size.0[x];
+            floor.0[x] = PRODUCTS_ROUNDING * size.0[x];
         }
         Descent {
             isa,
             prior,
             metallic_known: self.problem.known_metallic().is_some(),
             floor: &floor,
-            damping: FORM_DAMPING,
+            damping: PRODUCTS_DAMPING,
             trial: &mut self.trial,
         }
         .run(&mut form, &mut self.candidate, *active, self.search.steps);
@@ -334,7 +335,7 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         } = *self.search;
         if start == 0 && !self.nodes.is_empty() {
             self.grid
-                .fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut self.nodes);
+                .fill_grid::<NODE_NEWTON_STEPS>(roughness, metallic, &mut self.nodes);
             if let Some(prior) = prior {
                 add_prior(prior, roughness, metallic, &mut self.nodes);
             }
@@ -382,7 +383,7 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         let mut unclear = Doubles::default();
         for x in 0..pixels.len() {
             let gained = self.own.cost.0[x] - self.best.cost.0[x];
-            if gained <= FORM_CLEAR * size.0[x] {
+            if gained <= PRODUCTS_CERTAIN * size.0[x] {
                 unclear.0[x] = 1.0;
             }
         }
@@ -396,7 +397,7 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
     }
 }
 
-/// The pull of `count` pixels from `first` on, at some unknowns of a pixel: those after its `albedos`.
+/// The prior of `count` pixels from `first` on, at some unknowns of a pixel: those after its `albedos`.
 fn planes(
     prior: &GaussianPrior,
     unknowns: &[usize],

@@ -1,6 +1,6 @@
 //! The last steps of a pixel's fit, on its residuals one by one, in passes over the pictures.
 //!
-//! Where normals are given they only finish what products began. Free normals turn here: each trial
+//! Where normals are given they only end what products began. Free normals move here: each trial
 //! makes directions, basis functions and derivatives anew. What is best at the normals of x may lie
 //! in another valley than what is best with better normals, so pixels descend twice then, from the
 //! material of x and from the best that products found, and the lower one is kept.
@@ -14,22 +14,23 @@ use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::simd::Instructions;
 
-/// Of the squares: a decrease that sums of squares cannot tell from rounding.
-const FLOOR: f64 = 1e-14;
-/// Damping of the first step where materials are nearly the best already, and of one that turns
-/// normals, which are not.
-const DAMPING: f64 = 1e-9;
-const TURNING_DAMPING: f64 = 1e-3;
-/// Turning begins at least at this roughness: far below, radiance hardly depends on roughness, and a
-/// pixel whose wrong normal made it a mirror would stay one.
-const TURNING_ROUGHNESS: f64 = 0.05;
+/// Decrease of the cost, as a share of it, up to which residuals cannot tell it from rounding: the
+/// pixel stops.
+const RESIDUALS_ROUNDING: f64 = 1e-14;
+/// Damping λ of the first step, as a share of the diagonal, where materials are nearly the best already.
+const MATERIALS_DAMPING: f64 = 1e-9;
+/// The same where normals move too, which are not.
+const NORMALS_DAMPING: f64 = 1e-3;
+/// Least perceptual roughness that a descent with normals begins at: far below, radiance hardly
+/// depends on roughness, and a pixel whose wrong normal made it a mirror would stay one.
+const NORMALS_ROUGHNESS_MIN: f64 = 0.05;
 
 /// Up to [`BLOCK`] pixels, and where they stand.
 pub(crate) struct ResidualSteps<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     pub(crate) best: Box<Point<C, U>>,
-    /// Of the pixels, as they were given.
+    /// Tangent offsets of the pixels, as they were given.
     offsets: TangentOffsets,
-    /// Where normals turn: what descends.
+    /// What descends, where normals are free.
     candidate: Option<Box<Point<C, U>>>,
     walk: Walk<'a, M, C, D, U>,
 }
@@ -42,7 +43,7 @@ struct Walk<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     trial: Box<Point<C, U>>,
 }
 
-/// Squares from residuals.
+/// Sums of squares from residuals.
 struct FromResiduals<'a, M: Reflection, const C: usize, const D: usize> {
     lights: &'a [[f64; COEFFICIENTS]],
     block: Block<'a, M, C, D>,
@@ -78,7 +79,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         }
     }
 
-    /// Takes up pixels with the normals of `maps`, whose tilts are `tilts`.
+    /// Takes up pixels with the normals of `maps`, whose tangent offsets are `offsets`.
     pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], offsets: &TangentOffsets) {
         self.walk.least_squares.block.place(maps, pixels);
         self.offsets = *offsets;
@@ -109,7 +110,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
                 if active.0.iter().any(|&active| active > 0.0) {
                     candidate.materials.clone_from(start);
                     candidate.offsets = *offsets;
-                    walk.turn(candidate, active, prior, steps);
+                    walk.descend_with_normals(candidate, active, prior, steps);
                     best.keep_lower(walk.isa, candidate);
                 }
             }
@@ -124,7 +125,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             ignore_others(&mut trial.cost, unclear);
             best.keep_lower(walk.isa, trial);
         }
-        walk.descend(best, used, prior, DAMPING, steps);
+        walk.descend(best, used, prior, MATERIALS_DAMPING, steps);
     }
 }
 
@@ -133,9 +134,8 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, 
         point.take(self.isa, &mut self.least_squares, prior);
     }
 
-    /// NormalJacobian the normals of the `active` pixels, and moves their materials; other pixels cost more
-    /// than anything then.
-    fn turn(
+    /// Moves normals and materials of the `active` pixels; other pixels cost more than anything then.
+    fn descend_with_normals(
         &mut self,
         candidate: &mut Box<Point<C, U>>,
         active: &Doubles,
@@ -143,10 +143,10 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, 
         steps: usize,
     ) {
         for r in &mut candidate.materials.roughness.0 {
-            *r = r.max(TURNING_ROUGHNESS);
+            *r = r.max(NORMALS_ROUGHNESS_MIN);
         }
         self.take(candidate, prior);
-        self.descend(candidate, active, prior, TURNING_DAMPING, steps);
+        self.descend(candidate, active, prior, NORMALS_DAMPING, steps);
         ignore_others(&mut candidate.cost, active);
     }
 
@@ -160,7 +160,7 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, 
     ) {
         let mut floor = Doubles::default();
         for x in 0..BLOCK {
-            floor.0[x] = FLOOR * point.cost.0[x];
+            floor.0[x] = RESIDUALS_ROUNDING * point.cost.0[x];
         }
         Descent {
             isa: self.isa,

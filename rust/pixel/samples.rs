@@ -1,9 +1,9 @@
 //! The samples of a block of pixels, one at a time: residual, and derivatives by the unknowns.
 //!
-//! A pixel sees a few numbers of a light: Σ_k A_l Y_k(n) L_k and, for each row of its lobe, Σ_k R_jk
-//! L_k. Radiance and its derivatives by the material are linear in them, with coefficients that no
-//! picture changes ([`FillResponses`]). Those by the two tilts of a free normal are Σ_k L_k ∂w_ck/∂a,
-//! with the derivatives of the weights from [`tilted`](crate::tilted).
+//! A pixel depends on a few projections of a light: Σ_k A_l Y_k(n) L_k and, for each row of its lobe,
+//! Σ_k R_jk L_k. Radiance and its derivatives by the material are linear in them, with coefficients that no
+//! picture changes ([`FillResponses`]). Those by the two tangent offsets of a free normal are
+//! Σ_k L_k ∂w_ck/∂a, with ∂w_ck/∂a from [`weight_jacobian`](super::weight_jacobian).
 //!
 //! Code is compiled for pixels whose normals are given, with D = 3 derivatives of a sample and U = 5
 //! unknowns of a pixel at most, and for free ones, with 5 and 7.
@@ -26,13 +26,13 @@ use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
-/// By what radiance is derived in one channel where normals are given: its albedo, roughness,
-/// metallic.
+/// Derivatives of a sample where normals are given: by its channel's albedo, roughness, metallic.
 pub(crate) const DERIVATIVES: usize = 3;
 /// Unknowns of a pixel at most, where normals are given.
 pub(crate) const UNKNOWNS: usize = 5;
-/// Derivatives and unknowns where normals are free: the tilts follow.
+/// Derivatives of a sample, where normals are free: the tangent offsets come after the others.
 pub(crate) const FREE_DERIVATIVES: usize = DERIVATIVES + OFFSETS;
+/// Unknowns of a pixel at most, where normals are free.
 pub(crate) const FREE_UNKNOWNS: usize = UNKNOWNS + OFFSETS;
 
 /// `f::<M, C, D, U>(…)` for the kind of problem.
@@ -52,12 +52,12 @@ macro_rules! by_kind {
 pub(crate) use by_kind;
 
 /// Where the derivatives of a channel belong among the unknowns of a pixel: albedo by channel,
-/// roughness, metallic, tilts.
+/// roughness, metallic, tangent offsets.
 pub(crate) fn unknowns_of_channel<const C: usize, const D: usize>(channel: usize) -> [usize; D] {
     std::array::from_fn(|j| if j == 0 { channel } else { C + j - 1 })
 }
 
-/// The unknowns that are handed out, in order: all but a known metallic.
+/// The unknowns that are free, in order: all but a known metallic.
 pub(crate) fn free_unknowns<const C: usize, const D: usize>(problem: &Problem) -> Vec<usize> {
     let known = problem.known_metallic().is_some();
     (0..C + D - 1)
@@ -87,7 +87,7 @@ pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
     sample: Sample<D>,
 }
 
-/// By which the numbers that a pixel sees of a light become radiance and its derivatives.
+/// By which the projections of a light become radiance and its derivatives.
 #[derive(Clone, Debug)]
 pub(crate) struct Responses {
     pub(crate) radiance: [Doubles; MAX_PROJECTIONS],
@@ -110,7 +110,7 @@ pub(crate) struct Sample<const D: usize> {
     pub residual: Doubles,
     /// ω; 0 where no pixel is.
     pub weight: Doubles,
-    /// ∂I/∂(albedo, roughness, metallic), and by the tilts.
+    /// ∂I/∂(albedo, roughness, metallic), and by the tangent offsets.
     pub derivatives: [Doubles; D],
 }
 
@@ -144,7 +144,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
         }
     }
 
-    /// Takes up pixels with their materials, and tilts, of `maps`.
+    /// Takes up pixels with their materials, and tangent offsets, of `maps`.
     pub(crate) fn load(&mut self, maps: &[f64], pixels: &[usize]) {
         let mut materials = Materials::default();
         for (x, &p) in pixels.iter().enumerate() {
@@ -155,7 +155,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
         self.take(&materials, &offsets);
     }
 
-    /// Takes up pixels, whose materials, and tilts where they are free, are still to come.
+    /// Takes up pixels, whose materials, and tangent offsets where they are free, are still to come.
     pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize]) {
         self.places.clear();
         self.places.extend(pixels);
@@ -182,8 +182,8 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
         });
     }
 
-    /// Gives the pixels materials and, where they are free, tilts, and works out all that no picture
-    /// changes.
+    /// Gives the pixels materials and, where they are free, tangent offsets, and works out all that no
+    /// picture changes.
     pub(crate) fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets) {
         self.materials = materials.clone();
         if let Some(weight_jacobian) = &mut self.weight_jacobian {
@@ -284,7 +284,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
     }
 }
 
-/// Fills in the coefficients of one channel: what [`Factors`] make of each seen number alone.
+/// Fills in the coefficients of one channel: what [`Factors`] make of each projection alone.
 pub(crate) struct FillResponses<'a, M: Reflection> {
     pub(crate) directions: &'a Directions<f64>,
     pub(crate) albedo: &'a Doubles,
@@ -334,7 +334,7 @@ struct TakeSample<'a, M: Reflection, const D: usize> {
     light: &'a [f64; COEFFICIENTS],
     target: &'a Doubles,
     responses: &'a Responses,
-    /// ∂w_k by each tilt.
+    /// ∂w_k by each tangent offset.
     by_offsets: Option<&'a [[Doubles; COEFFICIENTS]; OFFSETS]>,
     sample: &'a mut Sample<D>,
     model: PhantomData<M>,

@@ -1,6 +1,6 @@
-//! How the weights of a block of pixels change with the tilts of their normals.
+//! How the weights of a block of pixels change with the tangent offsets of their normals.
 //!
-//! With the clamped x = n·v the derivative of w_ck (see [`shade`](crate::shade)) by the tilt a is
+//! With the clamped x = n·v the derivative of w_ck (see [`shade`](crate::reflectance::shade)) by the tangent offset a is
 //!
 //! ```text
 //! ∂w_ck/∂a = kd_c A_l ∇Y_k(n)·∂n/∂a + (dkd_c/dx) (∂x/∂a) A_l Y_k(n)
@@ -26,9 +26,9 @@ pub(crate) struct WeightJacobian {
     given: GivenDirections,
     pub(crate) offsets: TangentOffsets,
     jacobian: NormalJacobian,
-    /// Derivatives of the basis functions, by tilt.
+    /// Derivatives of the basis functions, by tangent offset.
     slopes: [Basis<f64>; OFFSETS],
-    /// ∂w_ck by each tilt, by channel.
+    /// ∂w_ck by each tangent offset, by channel.
     pub(crate) weights: Vec<[[Doubles; COEFFICIENTS]; OFFSETS]>,
 }
 
@@ -43,12 +43,12 @@ impl WeightJacobian {
         }
     }
 
-    /// Takes up pixels, whose tilts are still to come.
+    /// Takes up pixels, whose tangent offsets are still to come.
     pub(crate) fn place(&mut self, problem: &Problem, pixels: &[usize]) {
         self.given = problem.picked_given(pixels);
     }
 
-    /// Gives the pixels tilts, and works out where they look.
+    /// Gives the pixels tangent offsets, and works out where they look.
     pub(crate) fn turn(
         &mut self,
         isa: Instructions,

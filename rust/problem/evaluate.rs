@@ -29,7 +29,7 @@ pub const GROUP: usize = 16;
 const FLUSH: usize = 16;
 
 impl Problem {
-    /// The loss at x, of squares unless `robust` says otherwise; its gradient is written to
+    /// The loss at x, of squared residuals unless `robust` says otherwise; its gradient is written to
     /// `gradient`.
     pub fn value_and_grad(
         &self,
@@ -126,7 +126,7 @@ pub struct Partial {
     pub loss: f64,
     /// Derivatives of ½ Σ ω φ(I − T) by the lights: (channel, picture, coefficient).
     pub by_lights: Vec<f64>,
-    /// Whether all materials lay in \[0, 1\], and all tilts were moderate.
+    /// Whether all materials lay in \[0, 1\], and all tangent offsets were moderate.
     pub in_range: bool,
 }
 
@@ -174,7 +174,7 @@ fn with_normals<M: Reflection, const C: usize, const K: usize, const FREE_NORMAL
     }
 }
 
-/// Where the pixels of a block look at their tilts.
+/// Where the pixels of a block look at their tangent offsets.
 #[derive(Default)]
 struct OffsetDirections {
     offsets: TangentOffsets,
@@ -219,9 +219,9 @@ fn evaluate<
         by_lights: Vec::new(),
         in_range: true,
     };
-    let lit = if FREE_LIGHTS { C * pictures } else { 0 };
-    let mut light_sums = vec![[Parts::default(); K]; lit];
-    let mut light_totals = vec![[WideParts::default(); K]; lit];
+    let light_sum_count = if FREE_LIGHTS { C * pictures } else { 0 };
+    let mut light_sums = vec![[Parts::default(); K]; light_sum_count];
+    let mut light_totals = vec![[WideParts::default(); K]; light_sum_count];
 
     let mut basis = Basis::default();
     let mut materials = Materials::<C>::default();

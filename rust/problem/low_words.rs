@@ -1,4 +1,5 @@
-//! What float32 leaves of numbers that came in float64: as much again in float32, 48 bits together.
+//! Low words: what float32 leaves of numbers that came in float64, as much again in float32, 48 bits
+//! together.
 //!
 //! The fast evaluation reads targets and directions in float32, and has no use for more. A fit that
 //! is exact needs more of both: rounded directions alone move radiance by 10⁻⁷ of itself.
@@ -16,7 +17,7 @@ pub(crate) fn high_and_low(value: f64) -> (f32, f32) {
     (high_words, (value - f64::from(high_words)) as f32)
 }
 
-/// What float32 leaves of the directions of a block of pixels.
+/// The low words of the directions of a block of pixels.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct DirectionLowWords {
     normal: [Plane; 3],
@@ -40,7 +41,7 @@ impl DirectionLowWords {
     }
 }
 
-/// Blocks of remainders for some pixels.
+/// The low words of the directions of some pixels, by block.
 pub(crate) fn of_directions(normals: &[DVec3], views: &[DVec3]) -> Result<Vec<DirectionLowWords>> {
     let blocks = normals.len().div_ceil(BLOCK);
     let mut low_words: Vec<DirectionLowWords> = zeros("normals", blocks)?;

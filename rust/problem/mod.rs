@@ -27,16 +27,17 @@ use crate::runtime::{Error, Result, check, pool};
 use glam::DVec3;
 use std::ops::Range;
 
-/// At most so many pieces of work. Their borders depend on the pixel count alone, and their
+/// Pieces of work at most. Their borders depend on the pixel count alone, and their
 /// results are added in order, so every sum is the same at any number of threads.
 const MAX_CHUNKS: usize = 64;
 
 /// Blocks in a piece of work at least: a piece has a cost of its own.
 const MIN_CHUNK: usize = 4;
 
-/// The first parts of x, in messages.
+/// The materials in x, as messages name them.
 const MAPS_OF_X: &str = "x (albedo, roughness, metallic)";
 
+/// The tangent offsets in x, as messages name them.
 const OFFSETS_OF_X: &str = "x (tangent offset)";
 
 /// What is given to a [`Problem`].
@@ -89,7 +90,7 @@ impl Default for Options {
 /// The pictures, prepared for repeated evaluation.
 ///
 /// Unknowns are one vector, x = \[albedo (a plane of `pixels` for each channel) | roughness |
-/// metallic | tilt a | tilt b | lighting (picture, coefficient, channel)\], without those that are
+/// metallic | tangent offset a | tangent offset b | lighting (picture, coefficient, channel)\], without those that are
 /// known; what comes before the lighting are its maps. The loss is the mean of φ(I − T) over pixels,
 /// pictures and channels, weighted if there are weights; φ is the square, or a [`Robust`] loss.
 #[derive(Debug)]
@@ -216,7 +217,7 @@ impl Problem {
         self.maps() + if self.lighting.is_none() { lights } else { 0 }
     }
 
-    /// Unknowns of a pixel: those of its material, and its tilt where normals are free.
+    /// Unknowns of a pixel: those of its material, and its tangent offset where normals are free.
     pub(crate) fn unknowns_of_pixel(&self) -> usize {
         self.unknowns_of_material() + if self.free_normals() { 2 } else { 0 }
     }
@@ -231,7 +232,7 @@ impl Problem {
         matches!(self.geometry, Geometry::Free(_))
     }
 
-    /// Maps, in their planes of materials and of tilts; the latter empty where normals are known.
+    /// Maps, in their planes of materials and of tangent offsets; the latter empty where normals are known.
     pub(crate) fn split_maps<'a>(&self, maps: &'a [f64]) -> (&'a [f64], &'a [f64]) {
         maps.split_at(self.unknowns_of_material() * self.pixels)
     }
@@ -319,7 +320,7 @@ impl Problem {
         Ok((maps, self.padded_lights(lighting)))
     }
 
-    /// Materials must lie in \[0, 1\]; tilts must be moderate.
+    /// Materials must lie in \[0, 1\]; tangent offsets must be moderate.
     fn check_maps(&self, maps: &[f64]) -> Result<()> {
         let (materials, offsets) = self.split_maps(maps);
         check::unit_interval(MAPS_OF_X, materials)?;
@@ -353,7 +354,7 @@ impl Problem {
         (plane(0), self.metallic.unwrap_or_else(|| plane(1)))
     }
 
-    /// The tilt of a pixel; none, where normals are known.
+    /// The tangent offset of a pixel; 0 where normals are known.
     fn offset(&self, maps: &[f64], p: usize) -> [f64; 2] {
         if !self.free_normals() {
             return [0.0; 2];
@@ -416,7 +417,7 @@ impl Problem {
         }
     }
 
-    /// What tilts turn in a block; where normals are free.
+    /// What tangent offsets start from in a block; where normals are free.
     pub(crate) fn given_directions(&self, block: usize) -> &GivenDirections {
         match &self.geometry {
             Geometry::Known { .. } => unreachable!("normals are known"),
@@ -429,7 +430,7 @@ impl Problem {
         self.targets.planes(block, channel)
     }
 
-    /// Where some pixels look, at most [`BLOCK`] of them, from anywhere; at the tilts of x.
+    /// Where some pixels look, at most [`BLOCK`] of them, from anywhere; at the tangent offsets of x.
     pub(crate) fn picked_directions(&self, maps: &[f64], pixels: &[usize]) -> Directions<f64> {
         match &self.geometry {
             Geometry::Known { .. } => {
@@ -460,7 +461,7 @@ impl Problem {
         (directions, jacobian)
     }
 
-    /// What the tilts of some pixels turn, at most [`BLOCK`] of them; where normals are free.
+    /// What the tangent offsets of some pixels start from, at most [`BLOCK`] of them; where normals are free.
     pub(crate) fn picked_given(&self, pixels: &[usize]) -> GivenDirections {
         let mut picked = GivenDirections::default();
         for (x, &p) in pixels.iter().enumerate() {
@@ -469,7 +470,7 @@ impl Problem {
         picked
     }
 
-    /// The tilts of some pixels; 0 where no pixel is, or normals are known.
+    /// The tangent offsets of some pixels; 0 where no pixel is, or normals are known.
     pub(crate) fn picked_offsets(&self, maps: &[f64], pixels: &[usize]) -> TangentOffsets {
         let mut picked = TangentOffsets::default();
         for (x, &p) in pixels.iter().enumerate() {
@@ -494,7 +495,7 @@ impl Problem {
         }
     }
 
-    /// Normal and view direction of a pixel at its tilt; where normals are free.
+    /// Normal and view direction of a pixel at its tangent offset; where normals are free.
     fn offset_normal(&self, maps: &[f64], p: usize) -> [DVec3; 2] {
         let [normal, view] = self.given_directions(p / BLOCK).get(p % BLOCK);
         [

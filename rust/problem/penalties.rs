@@ -6,9 +6,9 @@
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 use crate::runtime::{Error, Result, check};
 
-/// Pairs of a run are handled by so many: their numbers stay in the fastest cache.
+/// Pairs of a run that are handled at once: their numbers stay in the fastest cache.
 const PIECE: usize = 512;
-/// Sums are kept in so many parts, which the compiler can put into vector registers.
+/// Parts that a sum is kept in, which the compiler can put into vector registers.
 const PARTS: usize = 8;
 
 /// Pairs of neighbours, for Σ (v_second − v_first)².

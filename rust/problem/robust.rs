@@ -1,5 +1,5 @@
 //! Losses to which a residual that fits badly adds less than its square: shadows, interreflections
-//! and highlights that the model does not know then pull less at what it does know.
+//! and highlights that the model does not know then weigh less beside what it does know.
 //!
 //! ```text
 //! squares   φ(e) = e²                                   φ'(e)/2 = e
@@ -14,7 +14,7 @@ use crate::reflectance::planes::{BLOCK, Plane};
 use crate::runtime::simd::{Isa, Kernel};
 use crate::runtime::{Error, Result};
 
-/// Scales δ that are taken. The squares of all residuals and scales then fit into float32.
+/// Scales δ that are taken, in the unit of the residuals. The squares of all residuals and scales then fit into float32.
 const SCALES: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
 /// Sums of values that run side by side.
 const LANES: usize = 16;
@@ -24,7 +24,7 @@ const LANES: usize = 16;
 pub enum Robust {
     /// Quadratic up to δ, linear beyond.
     Huber(f64),
-    /// Logarithmic beyond δ; far outliers lose their pull altogether.
+    /// Logarithmic beyond δ; the slope of far outliers falls to 0.
     Cauchy(f64),
 }
 
@@ -43,7 +43,7 @@ impl Robust {
     }
 }
 
-/// NormalJacobian residuals e into ω φ'(e)/2 and returns Σ ω φ(e).
+/// Turns residuals e into ω φ'(e)/2 and returns Σ ω φ(e).
 pub struct ApplyRobustLoss<'a> {
     /// φ
     pub loss: Robust,

@@ -147,7 +147,7 @@ impl Targets {
             [..self.layout.pictures]
     }
 
-    /// One target, with its remainder where there are any.
+    /// One target, with its low word where there is one.
     pub(crate) fn get(&self, block: usize, channel: usize, picture: usize, x: usize) -> f64 {
         let i = (block * self.layout.channels + channel) * self.layout.pictures + picture;
         let target = f64::from(self.high_words[i].0[x]);
@@ -183,7 +183,7 @@ fn room(name: &'static str, pixels: usize, pictures: usize, channels: usize) -> 
     zeros(name, pixels.div_ceil(BLOCK) * channels * pictures)
 }
 
-/// How pictures are spread over planes (block, channel, picture).
+/// Where pictures lie in planes (block, channel, picture).
 #[derive(Clone, Copy, Debug)]
 struct PlaneLayout {
     pictures: usize,

@@ -516,7 +516,7 @@ impl PyProblem {
         Ok(copied)
     }
 
-    /// Precision and distance of a pull, both (pixels, unknowns without albedo), or none.
+    /// Precision and deviation of a prior, both (pixels, unknowns without albedo), or none.
     fn prior(
         &self,
         pixels: usize,

@@ -1,4 +1,4 @@
-//! The band weights of [`ggx::bands`](crate::ggx::bands) from a table, for blocks of pixels.
+//! The band weights of [`ggx::bands`] from a table, for blocks of pixels.
 //!
 //! The logarithm and the long series of the exact functions would be a third of an evaluation. The
 //! table holds polynomials instead: 16 cells to the octave of roughness, so that a cell follows
@@ -16,11 +16,16 @@ use crate::runtime::simd::Vectors;
 /// Functions in a row: h₀ to h₃, then their derivatives.
 pub const FUNCTIONS: usize = 8;
 
-/// Below, 2⁻⁶, pixels are rare and the closed form is at its best.
+/// Roughness 2⁻⁶ from which the table is used. Below, pixels are rare and the closed form is at its
+/// best.
 const LOWEST: f64 = 0.015625;
+/// Octaves of roughness from there to 1.
 const OCTAVES: usize = 6;
+/// Binary logarithm of the cells in an octave.
 const CELLS_BITS: u32 = 4;
+/// Cells in all.
 const CELLS: usize = OCTAVES << CELLS_BITS;
+/// Coefficients of a cell's polynomials, degree 7.
 const TERMS: usize = 8;
 /// Shift that leaves the exponent and the first bits of the mantissa.
 const SHIFT: u32 = 52 - CELLS_BITS;

@@ -24,15 +24,17 @@ pub const VALUES: usize = 22;
 pub const SECTION: usize = 24;
 /// Numbers at a knot of the file, two of them nothing.
 const IN_FILE: usize = 24;
-/// At a knot in memory: whole vectors of any width.
+/// Numbers at a knot in memory: whole vectors of any width.
 const STORED: usize = 32;
 /// Cells from r = 0 to 1, and from n·v = 0 to 1; there is a knot more, and one beyond each end.
 const CELLS: [usize; 2] = [52, 44];
-/// c of both coordinates, and w.
+/// c of both coordinates, roughness and n·v.
 const BEND: [f64; 2] = [0.15625, 0.01953125];
+/// w of both coordinates.
 const BENT: [f64; 2] = [0.8125, 0.5];
+/// Knots of both coordinates.
 const KNOTS: [usize; 2] = [CELLS[0] + 3, CELLS[1] + 3];
-/// What the file begins with: a name, and the numbers above.
+/// Bytes that the file begins with: a name, and the numbers above.
 const HEADER: usize = 32;
 
 static FILE: &[u8; HEADER + 4 * IN_FILE * KNOTS[0] * KNOTS[1]] = include_bytes!("lobe_table.bin");
@@ -127,8 +129,9 @@ macro_rules! tabled {
 tabled!(f32, SINGLE, glam::Mat4);
 tabled!(f64, DOUBLE, glam::DMat4);
 
-/// Number of a coordinate.
+/// Number of the coordinate roughness.
 const ROUGHNESS: usize = 0;
+/// Number of the coordinate n·v.
 const COSINE: usize = 1;
 
 /// What each pixel takes of four knots in a row of one coordinate.

@@ -1,6 +1,6 @@
 //! What a reflection model has to give: the rows of its lobe, and their factors.
 //!
-//! A lobe sees a few numbers of a light, its *rows* j, each a sum over one band: B_j = Σ_k R_jk L_k.
+//! A lobe depends on a few projections of a light, its *rows* j, each a sum over one band: B_j = Σ_k R_jk L_k.
 //! R depends on directions alone, the factors kd and s on material and n·v; no picture changes
 //! either. Which rows there are and what their factors are is the [`Reflection`] model:
 //! [`Paper`](super::paper::Paper) or [`Principled`](super::principled::Principled). All else, here
@@ -161,7 +161,7 @@ pub trait Factors<const C: usize>: Copy + Debug {
     /// ∂kd_c and ∂s_cj by n·v, at the cosine and material that these factors are of.
     ///
     /// They hold for n·v > [`MIN_COSINE`]. Up to and at it the clamped cosine stays where it is
-    /// when the normal turns, and callers take 0 instead.
+    /// when the normal changes, and callers take 0 instead.
     fn slopes_by_cosine(&self, cosine: f64, material: &Material<C>) -> ([f64; C], [ByRow; C]);
 
     /// The derivative of a scalar by n·v, what each channel adds to it; arguments as of

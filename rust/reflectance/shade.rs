@@ -118,7 +118,7 @@ pub fn shade_vjp<M: Reflection, const C: usize>(
 }
 
 /// [`shade_vjp`], and the derivative by the normal: a vector in the normal's tangent plane, so that
-/// its product with a small turn dn of the normal is the change of the scalar.
+/// its product with a small change dn of the normal is the change of the scalar.
 ///
 /// With g_ck the cotangent and R the mirror direction, dR = 2(v·dn)n + 2(n·v)dn and d(n·v) = v·dn:
 ///

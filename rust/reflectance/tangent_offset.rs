@@ -1,26 +1,26 @@
-//! A normal that turns away from the given one, by two numbers: its tilt.
+//! A normal beside the given one, by two numbers: its offset in the tangent plane.
 //!
-//! With unit tangents t₁ and t₂ at the given normal n₀, the normal of the tilt (a, b) is
+//! With unit tangents t₁ and t₂ at the given normal n₀, the normal of the offset (a, b) is
 //!
 //! ```text
 //! n = u/|u|,     u = n₀ + a t₁ + b t₂,     |u|² = 1 + a² + b²
 //! ```
 //!
 //! so that (0, 0) is the given normal, √(a² + b²) the tangent of the angle between both, and every
-//! direction less than 90 degrees away has one tilt.
+//! direction less than 90 degrees away has one offset.
 
 use glam::DVec3;
 
-/// TangentOffsets of a pixel.
+/// Tangent offsets of a pixel, a and b.
 pub const OFFSETS: usize = 2;
 
-/// TangentOffsets at most, by size: a thousandth of a radian from 90 degrees.
+/// Largest size of a and of b that is taken, a tangent: a thousandth of a radian from 90 degrees.
 pub const OFFSET_MAX: f64 = 1e3;
 
-/// Up to this z a normal has the frame of the normal mirrored in the plane z = 0.
+/// z of a unit normal up to which its tangents are those of the normal mirrored in the plane z = 0.
 const FRAME_FROM: f64 = -0.99;
 
-/// A turned normal, and its derivatives by the tilt.
+/// A normal at its offset, and the derivatives by that.
 #[derive(Clone, Copy, Debug)]
 pub struct OffsetNormal {
     /// n
@@ -52,7 +52,7 @@ pub fn tangents(normal: DVec3) -> [DVec3; 2] {
     ]
 }
 
-/// The normal that a tilt makes of a given unit normal.
+/// The normal at the offset (a, b) from a given unit normal.
 ///
 /// Its derivatives are those of u/|u|: ∂n/∂a = (I − n nᵀ) t₁/|u|.
 #[inline(always)]

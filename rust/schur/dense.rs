@@ -102,13 +102,13 @@ pub(super) struct Tile {
     pub(super) channel: Option<usize>,
 }
 
-/// A block's rows times its weights, and its share of G and s.
+/// A block's rows times its weights, R W, and its share of G and s.
 pub(super) struct DenseRows {
-    /// Of all but albedo: (M, unknown, pixel).
+    /// R W of the unknowns that all channels share: (M, unknown, pixel).
     pub(super) shared: Vec<f64>,
-    /// How many these unknowns are.
+    /// How many unknowns are shared.
     pub(super) unknowns: usize,
-    /// Of albedo, in its own channel: (channel, picture, coefficient, pixel).
+    /// R W of albedo, in its own channel: (channel, picture, coefficient, pixel).
     pub(super) albedo: Vec<f64>,
     /// (channel, 1 or picture, K, K)
     pub(super) grams: Vec<f64>,

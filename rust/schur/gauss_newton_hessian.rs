@@ -1,15 +1,15 @@
-//! Gauss–Newton: the normal matrix of each pixel's material, and how it is tied to the lights.
+//! The Gauss–Newton Hessian of each pixel's material, and how it is tied to the lights.
 //!
 //! With radiance I, targets T, weights ω of the samples (picture i, channel c) and θ the unknowns of
 //! a pixel, that is albedo by channel, roughness, metallic unless it is known and, where normals are
-//! free, the two tilts:
+//! free, the two tangent offsets:
 //!
 //! ```text
 //! J = ∂I/∂θ          A = Jᵀ Ω J          g = Jᵀ Ω (I − T)
 //! ```
 //!
 //! Radiance is linear in the light, I_ic = Σ_k w_ck L_ick, so the normal matrix of materials and
-//! lights together is an arrow. Pixels touch the lights only, and a light of one channel touches
+//! lights together is an arrowhead. Pixels touch the lights only, and a light of one channel touches
 //! none but itself:
 //!
 //! ```text
@@ -17,7 +17,7 @@
 //! ⎝ B_pᵀ  G  ⎠       G[ick, ick']   = Σ_p ω_ic w_ck w_ck'
 //! ```
 //!
-//! All of this is float64 (see [`samples`](crate::samples)): the matrices are differenced and
+//! All of this is float64 (see [`samples`](crate::pixel::samples)): the matrices are differenced and
 //! inverted afterwards.
 
 use crate::block::radiance::Radiance;
@@ -32,7 +32,7 @@ use crate::runtime::{Error, Result, check, pool};
 /// Blocks of pixels in a piece of work.
 const CHUNK: usize = 2;
 
-/// Of some pixels with D unknowns each.
+/// The normal equations of some pixels with D unknowns each.
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
     /// A = Jᵀ Ω J: (pixel, D, D).
@@ -47,7 +47,7 @@ pub struct NormalEquations {
 #[derive(Clone, Debug)]
 pub struct Derivatives {
     /// By albedo (of the same channel), roughness, metallic, known or not, and, where normals are
-    /// free, the two tilts: (pixel, picture, channel, 3 or 5).
+    /// free, the two tangent offsets: (pixel, picture, channel, 3 or 5).
     pub by_material: Vec<f64>,
     /// By the coefficients of the light, w_ck, the same for all pictures: (pixel, channel, K).
     pub by_light: Vec<f64>,

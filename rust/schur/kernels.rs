@@ -5,7 +5,7 @@ use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 
-/// Added to the unit diagonal of scaled matrices: far below what data can tell.
+/// Ridge on the unit diagonal of scaled matrices, and their least pivot: far below what data can tell.
 pub(super) const RIDGE: f64 = 1e-12;
 
 /// Numbers that are summed side by side.

@@ -15,11 +15,11 @@ pub struct Elimination<'a> {
     pub damping: f64,
     /// Whether all channels have the same light.
     pub mono: bool,
-    /// What pulls at roughness, at metallic unless it is known, and at free tilts.
+    /// The prior of roughness, metallic unless it is known, and free tangent offsets.
     pub prior: Option<PriorTerm<'a>>,
 }
 
-/// Σ a (v − c)² beside the squares of the data.
+/// A Gaussian prior where the unknowns stand: Σ a (v − c)² beside the squared residuals.
 #[derive(Clone, Copy, Debug)]
 pub struct PriorTerm<'a> {
     /// a: (pixel, F), for the F unknowns that are not albedo.

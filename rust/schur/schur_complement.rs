@@ -1,6 +1,7 @@
 //! Lights with the materials of the pixels solved for: the Schur complement of the normal equations.
 //!
-//! The normal matrix of materials and lights is an arrow (see [`normal_matrix`](crate::normal_matrix)):
+//! The Gauss–Newton Hessian of materials and lights is an arrowhead (see
+//! [`gauss_newton_hessian`](super::gauss_newton_hessian)):
 //! pixels touch the lights only. So each pixel's unknowns are eliminated by themselves, and what is
 //! left is a system of the lights' size, however many pixels there are:
 //!
@@ -18,13 +19,13 @@
 //!
 //! which needs no matrix, and costs about what an evaluation does; or, for some pixels, S itself as
 //! products of R W. The row of an albedo has entries in its own channel alone, so of five rows three
-//! cost a ninth. Where normals are free two more rows are dense, those of the tilts.
+//! cost a ninth. Where normals are free two more rows are dense, those of the tangent offsets.
 //!
 //! Damping adds a share of its diagonal to A. An unknown on a bound that its slope pushes against is
-//! held: its row is 0, and it does not move. So is one on which no radiance depends. TangentOffsets have no
-//! bounds; they move no further than 0.3 at once. They are the last unknowns, and U is
-//! triangular, so what the tilts do is Uᵀ of their own rows: with these scaled down, −Uᵀ (U g + …)
-//! is the step that is best for the other unknowns with the shorter tilts.
+//! held: its row is 0, and it does not move. So is one on which no radiance depends. Tangent offsets have
+//! no bounds; they move no further than 0.3 at once. They are the last unknowns, and U is
+//! triangular, so what the offsets do is Uᵀ of their own rows: with these scaled down,
+//! −Uᵀ (U g + …) is the step that is best for the other unknowns with the shorter offsets.
 
 use super::light_system::LightSystem;
 use super::{Elimination, SchurComplement, SchurProduct};
@@ -56,7 +57,7 @@ impl Problem {
     }
 
     /// Where the unknowns of some pixels go when the lights move by v (light channel, picture,
-    /// coefficient): (pixel, D). Materials are clipped to \[0, 1\]; tilts move by 0.3 at most, and
+    /// coefficient): (pixel, D). Materials are clipped to \[0, 1\]; tangent offsets move by 0.3 at most, and
     /// grow no longer than tan 60°.
     pub fn back_substitute(
         &self,

@@ -2,7 +2,7 @@
 //!
 //! With the lights known, roughness and metallic given, the channels of a pixel have nothing to do
 //! with each other, and each has one unknown, its albedo ρ, of which χ² = Σ_i ω_i (I_i − T_i)² is a
-//! smooth function whose coefficients come from [`products`](crate::products) over pictures. Given
+//! smooth function whose coefficients come from [`products`](super::products) over pictures. Given
 //! these, roughness costs a quadratic form, metallic and albedo a handful of operations. What these
 //! are is the model's own ([`AlbedoFromProducts`]).
 
@@ -20,9 +20,9 @@ use crate::runtime::{Result, check, pool};
 mod paper;
 mod principled;
 
-/// Steps of Newton's method for the best albedo. From the best of [`STARTS`] three reach 1e-9.
+/// Newton steps to the best albedo. From the best of [`STARTS`] three reach 1e-9 of albedo.
 const NEWTON_STEPS: usize = 4;
-/// Albedos to start from: χ² may have two minima.
+/// Albedos that Newton's method may start from; the lowest does, as χ² may have two minima.
 pub(crate) const STARTS: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// Blocks of pixels in a piece of work.
 const CHUNK: usize = 2;
@@ -65,7 +65,7 @@ pub(crate) trait AlbedoFromProducts: Reflection {
     );
 
     /// The albedo of this channel with the least χ², by `STEPS` of Newton's method; χ² is added to
-    /// the squares.
+    /// the sum of squares.
     fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, Self::Given>);
 }
 

@@ -1,8 +1,9 @@
-//! Squares of pixels as a function of their materials, from products over pictures.
+//! Sums of squared residuals of pixels as a function of their materials, from products over pictures.
 //!
-//! With f the factors of what a pixel sees ([`products`](crate::products)) and f_ρ, f_m, f_r their
-//! derivatives, squares are fᵀGf − 2fᵀt + TᵀT, their gradient's half f_x·(Gf − t), the Gauss–Newton
-//! matrix f_xᵀGf_y. They cost the same for any number of pictures, and know squares to 10⁻¹⁵ of Σ ω T².
+//! With f the factors of a pixel's light projections ([`products`](super::products)) and f_ρ, f_m, f_r
+//! their derivatives, Σ ω (I − T)² is fᵀGf − 2fᵀt + TᵀT, half of its gradient f_x·(Gf − t), the
+//! Gauss–Newton matrix f_xᵀGf_y. They cost the same for any number of pictures, and know the sum to
+//! 10⁻¹⁵ of Σ ω T².
 
 use std::marker::PhantomData;
 
@@ -21,9 +22,9 @@ use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 mod paper;
 
-/// Models whose squares come from products.
+/// Models whose sum of squared residuals comes from products.
 pub(crate) trait LeastSquaresFromProducts: Reflection {
-    /// Adds one channel's squares, gradient and matrix.
+    /// Adds one channel's sum of squares, gradient and matrix.
     fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, Self, C>) {
         add_channel::<Self, C>(isa, channel);
     }
@@ -44,7 +45,7 @@ pub(crate) struct Channel<'a, M: Reflection, const C: usize> {
     pub(crate) sums: &'a mut Sums<UNKNOWNS>,
 }
 
-/// Squares from products, at the normals that these were summed at.
+/// Sums of squares from products, at the normals that these were summed at.
 pub(crate) struct Form<'a, M: Reflection> {
     isa: Instructions,
     products: &'a PixelProducts,
@@ -92,7 +93,7 @@ impl<M: LeastSquaresFromProducts, const C: usize> LeastSquares<C, UNKNOWNS> for 
     }
 }
 
-/// Adds one channel, with all that a pixel sees.
+/// Adds one channel, with all of a pixel's light projections.
 fn add_channel<M: Reflection, const C: usize>(isa: Instructions, channel: Channel<'_, M, C>) {
     isa.run(FillResponses {
         directions: channel.directions,

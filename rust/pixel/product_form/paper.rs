@@ -8,7 +8,7 @@
 //! ```
 //!
 //! so all follows from ten products a channel, which are small quadratic forms in h and h' of the
-//! [`products`](crate::products).
+//! [`products`](super::super::products).
 
 use crate::pixel::product_form::{Channel, LeastSquaresFromProducts};
 use crate::pixel::products::pair;
@@ -25,7 +25,7 @@ impl LeastSquaresFromProducts for Paper {
     }
 }
 
-/// Adds one channel's squares, gradient and matrix, from its products.
+/// Adds one channel's sum of squares, gradient and matrix, from its products.
 struct AddChannel<'a, const C: usize>(Channel<'a, Paper, C>);
 
 /// Products of S and S' at the roughness of each pixel.

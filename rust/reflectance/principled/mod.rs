@@ -9,7 +9,7 @@
 //! a_j(r, n·v) = ∫ D V (n·l) (1 − (1−v·h)⁵) Y_j dl          b_j(r, n·v) = ∫ D V (n·l) (1−v·h)⁵ Y_j dl
 //! ```
 //!
-//! over n·l > 0 ([`lobe_table`](crate::lobe_table)). With F0 = 1 a lobe reflects E = 2√π(a₀ + b₀) of a uniform
+//! over n·l > 0 ([`lobe_table`]). With F0 = 1 a lobe reflects E = 2√π(a₀ + b₀) of a uniform
 //! light, and of what is scattered on, a surface of reflectance F0 gives back so much that the lobe
 //! grows by
 //!
@@ -27,7 +27,7 @@
 //! B_c  = (1−m) G + m M(ρ_c)                          E_d  = 2√π G (0.04 a₀ + b₀)
 //! ```
 //!
-//! R_jk is the rotation of spherical harmonics into the frame ([`lobe_rows`](crate::lobe_rows)).
+//! R_jk is the rotation of spherical harmonics into the frame ([`lobe_rows`]).
 //! Sources of the formulas: docs/model.md.
 
 mod block;
