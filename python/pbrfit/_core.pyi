@@ -103,9 +103,9 @@ class Problem:
     (N, K, C) float64, known; metallic a number, known; threads 0 = all. K = (sh_order + 1)²,
     sh_order 2 or 3.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | tangent offsets (2 planes) |
-    lighting (N, K, C)], without those that are known; normals are unless `free_normals`. A tangent offset
-    (a, b), at most 1e3 in size, moves the given normal to (normal + a t₁ + b t₂)/√(1 + a² + b²). The
-    loss is the (weighted) mean of the squared residuals, or of a robust loss of them.
+    lighting (N, K, C)], without those that are known; normals are unless `free_normals`. A tangent
+    offset (a, b), at most 1e3 in size, moves the given normal to (normal + a t₁ + b t₂)/√(1 + a² +
+    b²). The loss is the (weighted) mean of the squared residuals, or of a robust loss of them.
     """
 
     def __new__(

@@ -18,7 +18,8 @@ pub struct Parts([f32; PARTS]);
 /// Derivatives by the K coefficients of one light.
 pub type LightSums<const K: usize> = [Parts; K];
 
-/// Second product, e L, projected at once on the basis: the derivatives by kd and by the rows' factors.
+/// Second product, e L, projected at once on the basis: the derivatives by kd and by the rows'
+/// factors.
 pub struct ByFactors<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
     /// Whether to begin the sums, or add to them.
     pub begin: bool,
@@ -38,7 +39,8 @@ pub struct ByFactors<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
     pub model: M,
 }
 
-/// Takes the derivatives by the weights as [`ByFactors`] comes upon them; `()` does nothing with them.
+/// Takes the derivatives by the weights as [`ByFactors`] comes upon them; `()` does nothing with
+/// them.
 pub trait ByWeights {
     /// Those by coefficient k, of V vectors of pixels from number `v` on,
     /// summed over some pictures.

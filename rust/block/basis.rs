@@ -55,8 +55,8 @@ impl<M: Reflection, T: Real, const K: usize> Kernel for FillBasis<'_, M, T, K> {
     }
 }
 
-/// A function of its own, from whose arguments the compiler knows that they do not overlap, and a count
-/// that it knows beforehand: else it makes no vector code of so many planes.
+/// A function of its own, from whose arguments the compiler knows that they do not overlap, and a
+/// count that it knows beforehand: else it makes no vector code of so many planes.
 #[inline(always)]
 fn fill_lobe<M: Reflection, T: Real, const K: usize>(
     normal: &[Plane<T>; 3],

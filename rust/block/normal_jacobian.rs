@@ -21,8 +21,8 @@ use crate::runtime::simd::{Isa, Kernel, Vectors};
 /// The tangent offsets (a, b) of a block of pixels.
 pub type TangentOffsets = [Doubles; 2];
 
-/// Normals that tangent offsets start from, of length 1, and view directions; a pixel that is not used has +z for
-/// both.
+/// Normals that tangent offsets start from, of length 1, and view directions; a pixel that is not
+/// used has +z for both.
 #[derive(Clone, Debug)]
 pub struct GivenDirections {
     normal: [Doubles; 3],
@@ -148,8 +148,8 @@ impl<T: Real> Kernel for OffsetNormals<'_, T> {
     }
 }
 
-/// Fills in the derivatives of the basis functions by one of the tangent offsets: A_l ∇Y_k(n)·∂n/∂a, and those
-/// of R_jk.
+/// Fills in the derivatives of the basis functions by one of the tangent offsets: A_l
+/// ∇Y_k(n)·∂n/∂a, and those of R_jk.
 pub struct FillBasisSlopes<'a, M: Reflection> {
     /// Where the pixels look.
     pub directions: &'a Directions<f64>,
@@ -197,8 +197,8 @@ impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
     }
 }
 
-/// Takes the tangent offsets of `count` pixels from planes of `pixels` values each, starting at `first`.
-/// Returns whether all are finite and up to [`tangent_offset::OFFSET_MAX`] in size.
+/// Takes the tangent offsets of `count` pixels from planes of `pixels` values each, starting at
+/// `first`. Returns whether all are finite and up to [`tangent_offset::OFFSET_MAX`] in size.
 pub struct LoadOffsets<'a> {
     /// Two planes.
     pub maps: &'a [f64],
@@ -283,7 +283,8 @@ impl<M: Reflection> ByWeights for ByBasis<'_, M> {
     }
 }
 
-/// The last step: from the sums over pictures to the derivatives by the tangent offsets, times `scale`.
+/// The last step: from the sums over pictures to the derivatives by the tangent offsets, times
+/// `scale`.
 ///
 /// With g_D and g_B what [`ByBasis`] found, and x = n·v,
 ///

@@ -56,7 +56,8 @@ fn fill_weights<M: Reflection, T: Real, I: Vectors<T>, const K: usize, const C: 
     }
 }
 
-/// Those of band L, for one vector of pixels. Of one band, because then the compiler knows all counts.
+/// Those of band L, for one vector of pixels. Of one band, because then the compiler knows all
+/// counts.
 #[inline(always)]
 fn weights_of_band<
     M: Reflection,

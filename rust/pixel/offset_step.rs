@@ -6,7 +6,8 @@ use crate::reflectance::tangent_offset::OFFSETS;
 /// is shortened, because the sum of squares is far from quadratic beyond.
 pub(crate) const OFFSET_STEP_MAX: f64 = 0.3;
 
-/// Longest tangent offset that a step leads to, tan 60°, unless it was longer before: then that length.
+/// Longest tangent offset that a step leads to, tan 60°, unless it was longer before: then that
+/// length.
 pub(crate) const OFFSET_AFTER_STEP_MAX: f64 = 1.732_050_807_568_877_2;
 
 /// The share of a step that is within reach, and where it leads.

@@ -18,11 +18,8 @@ use crate::pixel::descent::{Descent, Point, PriorPlanes};
 use crate::pixel::material_grid::{self, AlbedoFromProducts};
 use crate::pixel::product_form::{Form, LeastSquaresFromProducts};
 use crate::pixel::residual_steps::ResidualSteps;
-use crate::pixel::samples::{
-    DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS, free_unknowns,
-};
+use crate::pixel::samples::{DERIVATIVES, FREE_DERIVATIVES, UNKNOWNS, by_kind, free_unknowns};
 use crate::problem::Problem;
-use crate::reflectance::model::with_model;
 use crate::reflectance::planes::{BLOCK, Doubles, Materials};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::memory::zeros;
@@ -67,8 +64,8 @@ pub struct Search<'a> {
     pub prior: Option<GaussianPrior<'a>>,
 }
 
-/// Adds Σ_f precision_f (v_f − mean_f)² to the sum of squared residuals of a pixel, for f = roughness,
-/// metallic unless it is known and, where normals are free, the two tangent offsets.
+/// Adds Σ_f precision_f (v_f − mean_f)² to the sum of squared residuals of a pixel, for f =
+/// roughness, metallic unless it is known and, where normals are free, the two tangent offsets.
 #[derive(Clone, Copy, Debug)]
 pub struct GaussianPrior<'a> {
     /// (pixel, f)
@@ -103,7 +100,8 @@ impl Problem {
             check::moderate("precision", prior.precision, PRIOR_MAX)?;
             check::not_negative("precision", prior.precision)?;
         }
-        with_model!(self.model(), M => fit_by_kind::<M>(self, x, pixels, search))
+        let free = self.free_normals() && !search.held_normals;
+        by_kind!(self, free, M, C, D, U => fit::<M, C, D, U>(self, x, pixels, search))
     }
 }
 
@@ -111,21 +109,6 @@ impl Problem {
 trait Fits: AlbedoFromProducts + LeastSquaresFromProducts {}
 
 impl<M: AlbedoFromProducts + LeastSquaresFromProducts> Fits for M {}
-
-fn fit_by_kind<M: Fits>(
-    problem: &Problem,
-    x: &[f64],
-    pixels: &[usize],
-    search: &Search,
-) -> Result<Fitted> {
-    let jacobian = problem.free_normals() && !search.held_normals;
-    match (problem.channels(), jacobian) {
-        (1, false) => fit::<M, 1, DERIVATIVES, UNKNOWNS>(problem, x, pixels, search),
-        (_, false) => fit::<M, 3, DERIVATIVES, UNKNOWNS>(problem, x, pixels, search),
-        (1, true) => fit::<M, 1, FREE_DERIVATIVES, FREE_UNKNOWNS>(problem, x, pixels, search),
-        (_, true) => fit::<M, 3, FREE_DERIVATIVES, FREE_UNKNOWNS>(problem, x, pixels, search),
-    }
-}
 
 /// Largest mean and precision of a prior that are taken: the square of one times the other is finite.
 const PRIOR_MAX: f64 = 1e100;
@@ -397,7 +380,8 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
     }
 }
 
-/// The prior of `count` pixels from `first` on, at some unknowns of a pixel: those after its `albedos`.
+/// The prior of `count` pixels from `first` on, at some unknowns of a pixel: those after its
+/// `albedos`.
 fn planes(
     prior: &GaussianPrior,
     unknowns: &[usize],

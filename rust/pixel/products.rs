@@ -2,10 +2,10 @@
 //!
 //! Radiance in one channel is I_i = Σ_s f_s B_is over pictures i, with the projections of a light,
 //! B_0 = D = Σ_k A_l Y_k(n) L_k and B_j = Σ_k R_jk L_k for each row of its lobe, and factors f that
-//! depend on the material alone. So Σ ω (I − T)², and all its derivatives by the material, follow from
-//! the products of these vectors and T over pictures. They are summed once a pixel; what is done with
-//! them costs the same for any number of pictures. They know a sum of squares to about 10⁻¹⁵ of Σ ω T²,
-//! which is half of the digits of a residual.
+//! depend on the material alone. So Σ ω (I − T)², and all its derivatives by the material, follow
+//! from the products of these vectors and T over pictures. They are summed once a pixel; what is
+//! done with them costs the same for any number of pictures. They know a sum of squares to about
+//! 10⁻¹⁵ of Σ ω T², which is half of the digits of a residual.
 
 use std::marker::PhantomData;
 

@@ -17,7 +17,8 @@ use crate::runtime::simd::Instructions;
 /// Decrease of the cost, as a share of it, up to which residuals cannot tell it from rounding: the
 /// pixel stops.
 const RESIDUALS_ROUNDING: f64 = 1e-14;
-/// Damping λ of the first step, as a share of the diagonal, where materials are nearly the best already.
+/// Damping λ of the first step, as a share of the diagonal, where materials are nearly the best
+/// already.
 const MATERIALS_DAMPING: f64 = 1e-9;
 /// The same where normals move too, which are not.
 const NORMALS_DAMPING: f64 = 1e-3;

@@ -1,9 +1,10 @@
 //! The samples of a block of pixels, one at a time: residual, and derivatives by the unknowns.
 //!
-//! A pixel depends on a few projections of a light: Σ_k A_l Y_k(n) L_k and, for each row of its lobe,
-//! Σ_k R_jk L_k. Radiance and its derivatives by the material are linear in them, with coefficients that no
-//! picture changes ([`FillResponses`]). Those by the two tangent offsets of a free normal are
-//! Σ_k L_k ∂w_ck/∂a, with ∂w_ck/∂a from [`weight_jacobian`](super::weight_jacobian).
+//! A pixel depends on a few projections of a light: Σ_k A_l Y_k(n) L_k and, for each row of its
+//! lobe, Σ_k R_jk L_k. Radiance and its derivatives by the material are linear in them, with
+//! coefficients that no picture changes ([`FillResponses`]). Those by the two tangent offsets of a
+//! free normal are Σ_k L_k ∂w_ck/∂a, with ∂w_ck/∂a from
+//! [`weight_jacobian`](super::weight_jacobian).
 //!
 //! Code is compiled for pixels whose normals are given, with D = 3 derivatives of a sample and U = 5
 //! unknowns of a pixel at most, and for free ones, with 5 and 7.
@@ -35,16 +36,26 @@ pub(crate) const FREE_DERIVATIVES: usize = DERIVATIVES + OFFSETS;
 /// Unknowns of a pixel at most, where normals are free.
 pub(crate) const FREE_UNKNOWNS: usize = UNKNOWNS + OFFSETS;
 
-/// `f::<M, C, D, U>(…)` for the kind of problem.
+/// `by_kind!(problem, free, M, C, D, U => f::<M, C, D, U>(…))`: code that is compiled for each kind
+/// of problem, with its model, its channels, and derivatives and unknowns as they are where normals
+/// are `free` or not.
 macro_rules! by_kind {
-    ($problem:expr, $f:ident($($argument:expr),*)) => {{
+    ($problem:expr, $free:expr, $m:ident, $c:ident, $d:ident, $u:ident => $code:expr) => {{
         use $crate::pixel::samples::{DERIVATIVES, FREE_DERIVATIVES, FREE_UNKNOWNS, UNKNOWNS};
-        $crate::reflectance::model::with_model!($problem.model(), M => {
-            match ($problem.channels(), $problem.free_normals()) {
-                (1, false) => $f::<M, 1, DERIVATIVES, UNKNOWNS>($($argument),*),
-                (_, false) => $f::<M, 3, DERIVATIVES, UNKNOWNS>($($argument),*),
-                (1, true) => $f::<M, 1, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
-                (_, true) => $f::<M, 3, FREE_DERIVATIVES, FREE_UNKNOWNS>($($argument),*),
+        macro_rules! kind {
+            ($channels:expr, $derivatives:expr, $unknowns:expr) => {{
+                const $c: usize = $channels;
+                const $d: usize = $derivatives;
+                const $u: usize = $unknowns;
+                $code
+            }};
+        }
+        $crate::reflectance::model::with_model!($problem.model(), $m => {
+            match ($problem.channels(), $free) {
+                (1, false) => kind!(1, DERIVATIVES, UNKNOWNS),
+                (_, false) => kind!(3, DERIVATIVES, UNKNOWNS),
+                (1, true) => kind!(1, FREE_DERIVATIVES, FREE_UNKNOWNS),
+                (_, true) => kind!(3, FREE_DERIVATIVES, FREE_UNKNOWNS),
             }
         })
     }};
@@ -182,8 +193,8 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
         });
     }
 
-    /// Gives the pixels materials and, where they are free, tangent offsets, and works out all that no
-    /// picture changes.
+    /// Gives the pixels materials and, where they are free, tangent offsets, and works out all that
+    /// no picture changes.
     pub(crate) fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets) {
         self.materials = materials.clone();
         if let Some(weight_jacobian) = &mut self.weight_jacobian {

@@ -1,6 +1,7 @@
 //! How the weights of a block of pixels change with the tangent offsets of their normals.
 //!
-//! With the clamped x = n·v the derivative of w_ck (see [`shade`](crate::reflectance::shade)) by the tangent offset a is
+//! With the clamped x = n·v the derivative of w_ck (see [`shade`](crate::reflectance::shade)) by
+//! the tangent offset a is
 //!
 //! ```text
 //! ∂w_ck/∂a = kd_c A_l ∇Y_k(n)·∂n/∂a + (dkd_c/dx) (∂x/∂a) A_l Y_k(n)

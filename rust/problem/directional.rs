@@ -1,9 +1,9 @@
 //! Light from single directions with the full reflection models: relighting by lamps and the sun.
 //!
-//! SH light cannot hold a sharp lamp, so nothing here is projected: reflection is evaluated point by
-//! point. Of the paper that is eqs. 1 and 3-5 as they are, without the approximations of eq. 12 that
-//! [`shade`](crate::reflectance::shade) makes; of the principled model the BRDF whose integral over SH light
-//! `shade` has.
+//! SH light cannot hold a sharp lamp, so nothing here is projected: reflection is evaluated point
+//! by point. Of the paper that is eqs. 1 and 3-5 as they are, without the approximations of eq. 12
+//! that [`shade`](crate::reflectance::shade) makes; of the principled model the BRDF whose integral
+//! over SH light `shade` has.
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
@@ -20,7 +20,8 @@ use crate::runtime::{Result, check};
 /// Pixels in a piece of work.
 const PIECE: usize = 1024;
 
-/// Largest colour of a light that is taken, a radiance. It does not overflow: a surface reflects at most 10³⁵ times as much.
+/// Largest colour of a light that is taken, a radiance. It does not overflow: a surface reflects at
+/// most 10³⁵ times as much.
 const LARGEST_COLOR: f64 = 1e260;
 
 /// Light from one direction, infinitely far away.

@@ -1,7 +1,10 @@
 //! Loss and gradient of one piece of work, in a version for every kind of problem.
 //!
 //! What a problem does not have (a second and third channel, the third band, sample weights,
-//! unknown lights, unknown normals) is not in its version at all, so it costs nothing and no loop asks for it.
+//! unknown lights, unknown normals) is not in its version at all, so it costs nothing and no loop
+//! asks for it.
+
+use std::ops::Range;
 
 use super::robust::{ApplyRobustLoss, Robust};
 use super::{Problem, add};
@@ -20,7 +23,6 @@ use crate::reflectance::planes::{
 use crate::reflectance::reflection::Reflection;
 use crate::runtime::simd::Ahead;
 use crate::runtime::{Result, check, pool};
-use std::ops::Range;
 
 /// Pictures at most that go through the products together: their residuals stay in the cache.
 pub const GROUP: usize = 16;

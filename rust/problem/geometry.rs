@@ -1,11 +1,12 @@
 //! Where the pixels look, block by block, as a [`Problem`](super::Problem) keeps it.
 
+use glam::DVec3;
+
 use super::low_words::{self, DirectionLowWords};
 use crate::block::normal_jacobian::GivenDirections;
 use crate::reflectance::planes::{BLOCK, Directions};
 use crate::runtime::Result;
 use crate::runtime::memory::zeros;
-use glam::DVec3;
 
 /// What is kept of normals and views, by block.
 #[derive(Debug)]

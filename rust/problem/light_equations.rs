@@ -1,5 +1,7 @@
 //! The least-squares problem for the lights when the materials are known.
 
+use std::ops::Range;
+
 use super::{Problem, add};
 use crate::reflectance::model::with_model;
 use crate::reflectance::planes::BLOCK;
@@ -7,7 +9,6 @@ use crate::reflectance::reflection::Reflection;
 use crate::reflectance::shade::shade;
 use crate::reflectance::tangent_offset;
 use crate::runtime::{Result, check, pool};
-use std::ops::Range;
 
 /// Pieces of work whose normal equations are held at once.
 const PIECES_AT_ONCE: usize = 16;

@@ -10,6 +10,10 @@ pub mod render;
 pub mod robust;
 pub mod targets;
 
+use std::ops::Range;
+
+use glam::DVec3;
+
 use self::geometry::Geometry;
 use self::targets::{Targets, planes};
 use crate::block::normal_jacobian::{
@@ -24,8 +28,6 @@ use crate::reflectance::tangent_offset;
 use crate::runtime::check::LARGEST_F32;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Error, Result, check, pool};
-use glam::DVec3;
-use std::ops::Range;
 
 /// Pieces of work at most. Their borders depend on the pixel count alone, and their
 /// results are added in order, so every sum is the same at any number of threads.
@@ -90,9 +92,10 @@ impl Default for Options {
 /// The pictures, prepared for repeated evaluation.
 ///
 /// Unknowns are one vector, x = \[albedo (a plane of `pixels` for each channel) | roughness |
-/// metallic | tangent offset a | tangent offset b | lighting (picture, coefficient, channel)\], without those that are
-/// known; what comes before the lighting are its maps. The loss is the mean of φ(I − T) over pixels,
-/// pictures and channels, weighted if there are weights; φ is the square, or a [`Robust`] loss.
+/// metallic | tangent offset a | tangent offset b | lighting (picture, coefficient, channel)\],
+/// without those that are known; what comes before the lighting are its maps. The loss is the mean
+/// of φ(I − T) over pixels, pictures and channels, weighted if there are weights; φ is the square,
+/// or a [`Robust`] loss.
 #[derive(Debug)]
 pub struct Problem {
     pixels: usize,
@@ -232,7 +235,8 @@ impl Problem {
         matches!(self.geometry, Geometry::Free(_))
     }
 
-    /// Maps, in their planes of materials and of tangent offsets; the latter empty where normals are known.
+    /// Maps, in their planes of materials and of tangent offsets; the latter empty where normals
+    /// are known.
     pub(crate) fn split_maps<'a>(&self, maps: &'a [f64]) -> (&'a [f64], &'a [f64]) {
         maps.split_at(self.unknowns_of_material() * self.pixels)
     }
@@ -461,7 +465,8 @@ impl Problem {
         (directions, jacobian)
     }
 
-    /// What the tangent offsets of some pixels start from, at most [`BLOCK`] of them; where normals are free.
+    /// What the tangent offsets of some pixels start from, at most [`BLOCK`] of them; where normals
+    /// are free.
     pub(crate) fn picked_given(&self, pixels: &[usize]) -> GivenDirections {
         let mut picked = GivenDirections::default();
         for (x, &p) in pixels.iter().enumerate() {

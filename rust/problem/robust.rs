@@ -14,7 +14,8 @@ use crate::reflectance::planes::{BLOCK, Plane};
 use crate::runtime::simd::{Isa, Kernel};
 use crate::runtime::{Error, Result};
 
-/// Scales δ that are taken, in the unit of the residuals. The squares of all residuals and scales then fit into float32.
+/// Scales δ that are taken, in the unit of the residuals. The squares of all residuals and scales
+/// then fit into float32.
 const SCALES: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
 /// Sums of values that run side by side.
 const LANES: usize = 16;

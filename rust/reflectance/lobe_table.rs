@@ -73,8 +73,8 @@ pub fn prepare() {
 
 /// Numbers that the splines are evaluated in.
 pub trait Tabled: Real {
-    /// Fills in all functions of a block of pixels at roughness r and the clamped n·v, their slopes by
-    /// r and, where they are asked for, by n·v: three [`SECTION`]s.
+    /// Fills in all functions of a block of pixels at roughness r and the clamped n·v, their slopes
+    /// by r and, where they are asked for, by n·v: three [`SECTION`]s.
     fn look_up<I: Isa>(
         isa: I,
         roughness: &Plane<f64>,

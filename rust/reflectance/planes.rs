@@ -1,9 +1,10 @@
 //! What a block of pixels holds, value by value: planes, pixel beside pixel, so that a loop over the
 //! pixels becomes vector code. And one pixel's material, of which these are made.
 
+use glam::DVec3;
+
 use super::ggx::MIN_COSINE;
 use super::sh::Real;
-use glam::DVec3;
 
 /// Pixels in a block.
 pub const BLOCK: usize = 128;

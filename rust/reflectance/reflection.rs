@@ -1,10 +1,14 @@
 //! What a reflection model has to give: the rows of its lobe, and their factors.
 //!
-//! A lobe depends on a few projections of a light, its *rows* j, each a sum over one band: B_j = Σ_k R_jk L_k.
-//! R depends on directions alone, the factors kd and s on material and n·v; no picture changes
-//! either. Which rows there are and what their factors are is the [`Reflection`] model:
-//! [`Paper`](super::paper::Paper) or [`Principled`](super::principled::Principled). All else, here
-//! and in the fast float32 blocks, is the same code for both.
+//! A lobe depends on a few projections of a light, its *rows* j, each a sum over one band: B_j =
+//! Σ_k R_jk L_k. R depends on directions alone, the factors kd and s on material and n·v; no
+//! picture changes either. Which rows there are and what their factors are is the [`Reflection`]
+//! model: [`Paper`](super::paper::Paper) or [`Principled`](super::principled::Principled). All
+//! else, here and in the fast float32 blocks, is the same code for both.
+
+use std::fmt::Debug;
+
+use glam::DVec3;
 
 use super::lobe_table::Tabled;
 use super::planes::{
@@ -13,8 +17,6 @@ use super::planes::{
 };
 use super::sh::{BAND_OF, BANDS, COEFFICIENTS, Real};
 use crate::runtime::simd::Isa;
-use glam::DVec3;
-use std::fmt::Debug;
 
 /// Weights w_ck of one pixel, channel first.
 pub type Weights<const C: usize = 3> = [[f64; COEFFICIENTS]; C];

@@ -9,12 +9,14 @@
 //!
 //! with the rows and factors of a [`Reflection`] model.
 
+use std::marker::PhantomData;
+
+use glam::DVec3;
+
 use super::ggx::MIN_COSINE;
 use super::planes::{ByRow, MAX_ENTRIES, MAX_ROWS, Material, directions};
 use super::reflection::{Factors, Reflection, Weights, each_entry};
 use super::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
-use glam::DVec3;
-use std::marker::PhantomData;
 
 /// What a pixel's weights need of its directions; fixed while materials change.
 #[derive(Clone, Copy, Debug)]

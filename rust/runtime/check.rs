@@ -7,7 +7,8 @@ use super::{Error, Result};
 /// Samples (pixels times pictures) at most; more are refused.
 pub(crate) const MAX_SAMPLES: usize = 1 << 31;
 
-/// Distance of a unit vector's length from 1 above which it is refused: ones that were normalised in float32 pass.
+/// Distance of a unit vector's length from 1 above which it is refused: ones that were normalised
+/// in float32 pass.
 const UNIT_TOLERANCE: f64 = 1e-5;
 
 pub(crate) fn length(name: &'static str, expected: usize, found: usize) -> Result<()> {
@@ -29,8 +30,8 @@ pub(crate) fn samples(pictures: usize, pixels: usize) -> Result<usize> {
     })
 }
 
-/// Largest radiance and light that are taken: up to here they do not overflow when they are multiplied, squared and summed in
-/// float32.
+/// Largest radiance and light that are taken: up to here they do not overflow when they are
+/// multiplied, squared and summed in float32.
 pub(crate) const LARGEST_F32: f64 = 1e16;
 /// Largest number that is taken where it is multiplied with weights or their derivatives, which are
 /// below 10³, and summed in float64.

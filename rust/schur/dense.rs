@@ -1,5 +1,8 @@
 //! The Schur complement as a matrix, as products of the rows R W.
 
+use ndarray::linalg::general_mat_mul;
+use ndarray::{ArrayView2, ArrayViewMut2};
+
 use super::SchurComplement;
 use super::eliminated_block::EliminatedBlock;
 use super::kernels::{FillDenseRows, Lanes};
@@ -9,14 +12,12 @@ use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
 use crate::runtime::memory::zeros;
 use crate::runtime::{Result, pool};
-use ndarray::linalg::general_mat_mul;
-use ndarray::{ArrayView2, ArrayViewMut2};
 
 /// Blocks whose rows are held at once while S is built.
-pub(super) const BLOCKS_AT_ONCE: usize = 8;
+const BLOCKS_AT_ONCE: usize = 8;
 
 /// Rows and columns of S in a piece of work.
-pub(super) const TILE: usize = 128;
+const TILE: usize = 128;
 
 impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<'_, M, C, D, U> {
     pub(super) fn schur_complement(&self) -> Result<SchurComplement> {
@@ -59,7 +60,7 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
     }
 
     /// Pieces of the lower triangle of S; none crosses a border of channels.
-    pub(super) fn tiles(&self) -> Vec<Tile> {
+    fn tiles(&self) -> Vec<Tile> {
         let of_channel = self.of_channel();
         let pieces: Vec<_> = (0..self.channels)
             .flat_map(|c| (0..of_channel).step_by(TILE).map(move |first| (c, first)))
@@ -79,7 +80,7 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
     }
 
     /// G of a block: one Gram matrix a channel, or one a channel and picture.
-    pub(super) fn add_grams(&self, grams: &[f64], matrix: &mut [f64]) {
+    fn add_grams(&self, grams: &[f64], matrix: &mut [f64]) {
         let (k, size) = (self.coefficients, self.size());
         let grams: Vec<_> = grams.chunks(k * k).collect();
         for light in 0..self.channels * self.pictures {
@@ -96,28 +97,28 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
 }
 
 /// A piece of S: first row and number of rows, the same of columns, and the channel if it is one.
-pub(super) struct Tile {
-    pub(super) rows: (usize, usize),
-    pub(super) columns: (usize, usize),
-    pub(super) channel: Option<usize>,
+struct Tile {
+    rows: (usize, usize),
+    columns: (usize, usize),
+    channel: Option<usize>,
 }
 
 /// A block's rows times its weights, R W, and its share of G and s.
-pub(super) struct DenseRows {
+struct DenseRows {
     /// R W of the unknowns that all channels share: (M, unknown, pixel).
-    pub(super) shared: Vec<f64>,
+    shared: Vec<f64>,
     /// How many unknowns are shared.
-    pub(super) unknowns: usize,
+    unknowns: usize,
     /// R W of albedo, in its own channel: (channel, picture, coefficient, pixel).
-    pub(super) albedo: Vec<f64>,
+    albedo: Vec<f64>,
     /// (channel, 1 or picture, K, K)
-    pub(super) grams: Vec<f64>,
+    grams: Vec<f64>,
     /// (M)
-    pub(super) gradient: Vec<f64>,
+    gradient: Vec<f64>,
 }
 
 impl DenseRows {
-    pub(super) fn of<M: Reflection, const C: usize, const D: usize, const U: usize>(
+    fn of<M: Reflection, const C: usize, const D: usize, const U: usize>(
         lights: &LightSystem<M, C, D, U>,
         eliminated: &mut EliminatedBlock<M, C, D, U>,
     ) -> Self {
@@ -149,7 +150,7 @@ impl DenseRows {
     }
 
     /// Subtracts this block's Bᵀ A⁻¹ B from a tile.
-    pub(super) fn subtract<M: Reflection, const C: usize, const D: usize, const U: usize>(
+    fn subtract<M: Reflection, const C: usize, const D: usize, const U: usize>(
         &self,
         lights: &LightSystem<M, C, D, U>,
         tile: &Tile,

@@ -16,23 +16,23 @@ use crate::runtime::simd::Instructions;
 /// A block of pixels that are solved for. Samples are (channel, picture).
 pub(super) struct EliminatedBlock<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 {
-    pub(super) problem: &'a Problem,
+    problem: &'a Problem,
     pub(super) block: Block<'a, M, C, D>,
     /// Pixels in the block.
-    pub(super) count: usize,
+    count: usize,
     /// The unknowns that there are.
-    pub(super) unknowns: Vec<usize>,
+    unknowns: Vec<usize>,
     /// Ω J, by the channel's own albedo, roughness, metallic and what follows.
-    pub(super) weighted: Vec<[Doubles; D]>,
+    weighted: Vec<[Doubles; D]>,
     /// ω (I − T)
-    pub(super) slopes: Vec<Doubles>,
+    slopes: Vec<Doubles>,
     /// ω
-    pub(super) omega: Vec<Doubles>,
-    pub(super) sums: Sums<U>,
+    omega: Vec<Doubles>,
+    sums: Sums<U>,
     /// U, lower triangular; 0 for what is held.
-    pub(super) whiten: [[Doubles; U]; U],
+    whiten: [[Doubles; U]; U],
     /// U g
-    pub(super) whitened: [Doubles; U],
+    whitened: [Doubles; U],
     /// R, in the same order as J.
     pub(super) rows: Vec<[Doubles; D]>,
 }
@@ -114,7 +114,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// θ of one kind.
-    pub(super) fn values(&self, unknown: usize) -> &Doubles {
+    fn values(&self, unknown: usize) -> &Doubles {
         let materials = &self.block.materials;
         match (unknown, &self.block.weight_jacobian) {
             (c, _) if c < C => &materials.albedo[c],
@@ -125,7 +125,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// Works out U, which is 0 for unknowns that are held, and U g.
-    pub(super) fn whiten(&mut self, damping: f64) {
+    fn whiten(&mut self, damping: f64) {
         let mut scale = [Doubles::default(); U];
         for &unknown in &self.unknowns {
             let values = self.values(unknown);
@@ -214,7 +214,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// θ − Uᵀ `whitened` of one kind.
-    pub(super) fn stepped(&self, unknown: usize, whitened: &[Doubles; U]) -> Doubles {
+    fn stepped(&self, unknown: usize, whitened: &[Doubles; U]) -> Doubles {
         let mut values = *self.values(unknown);
         for &row in self.unknowns.iter().filter(|&&row| row >= unknown) {
             let whiten = &self.whiten[row][unknown];
@@ -226,7 +226,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// W v of every sample.
-    pub(super) fn moved_radiance(&self, light_step: &[[f64; COEFFICIENTS]]) -> Vec<Doubles> {
+    fn moved_radiance(&self, light_step: &[[f64; COEFFICIENTS]]) -> Vec<Doubles> {
         let n = self.problem.pictures();
         let mut radiance = vec![Doubles::default(); light_step.len()];
         for (sample, (light, radiance)) in light_step.iter().zip(&mut radiance).enumerate() {
@@ -240,7 +240,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// Adds R times `values`, one for each sample.
-    pub(super) fn add_rows(&self, values: &[Doubles], sums: &mut [Doubles; U]) {
+    fn add_rows(&self, values: &[Doubles], sums: &mut [Doubles; U]) {
         let n = self.problem.pictures();
         for (sample, values) in values.iter().enumerate() {
             self.isa().run(AddRows {
@@ -253,7 +253,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// Subtracts the sample's Rᵀ `whitened`.
-    pub(super) fn subtract_rows(
+    fn subtract_rows(
         &self,
         sample: usize,
         channel: usize,

@@ -58,12 +58,16 @@ pub struct Derivatives {
 impl Problem {
     /// The normal equations of the materials of some pixels, with the lights held.
     pub fn normal_equations(&self, x: &[f64], pixels: &[usize]) -> Result<NormalEquations> {
-        by_kind!(self, normal_equations(self, x, pixels))
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            normal_equations::<M, C, D, U>(self, x, pixels)
+        })
     }
 
     /// Derivatives of the radiance of some pixels by their materials and by the lights.
     pub fn derivatives(&self, x: &[f64], pixels: &[usize]) -> Result<Derivatives> {
-        by_kind!(self, derivatives(self, x, pixels))
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            derivatives::<M, C, D, U>(self, x, pixels)
+        })
     }
 
     /// How far the materials of some pixels move with the lights: (pixel, D).
@@ -78,7 +82,9 @@ impl Problem {
         covariances: &[f64],
         modes: &[f64],
     ) -> Result<Vec<f64>> {
-        by_kind!(self, moves_with_lights(self, x, pixels, covariances, modes))
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            moves_with_lights::<M, C, D, U>(self, x, pixels, covariances, modes)
+        })
     }
 }
 

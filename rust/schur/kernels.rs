@@ -5,8 +5,9 @@ use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 
-/// Ridge on the unit diagonal of scaled matrices, and their least pivot: far below what data can tell.
-pub(super) const RIDGE: f64 = 1e-12;
+/// Ridge on the unit diagonal of scaled matrices, and their least pivot: far below what data can
+/// tell.
+const RIDGE: f64 = 1e-12;
 
 /// Numbers that are summed side by side.
 pub(super) const LANES: usize = 8;

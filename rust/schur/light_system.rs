@@ -1,5 +1,7 @@
 //! The system of the lights, over all pixels of a call, without a matrix.
 
+use std::marker::PhantomData;
+
 use super::eliminated_block::EliminatedBlock;
 use super::kernels::Lanes;
 use super::{Elimination, SchurProduct};
@@ -9,24 +11,23 @@ use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::memory::zeros;
 use crate::runtime::{Error, Result, check, pool};
-use std::marker::PhantomData;
 
 /// Blocks in a piece of work of a product.
-pub(super) const CHUNK: usize = 8;
+const CHUNK: usize = 8;
 
 /// A call: the problem, where it stands, and which pixels take part.
 pub(super) struct LightSystem<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     pub(super) problem: &'a Problem,
-    pub(super) maps: &'a [f64],
+    maps: &'a [f64],
     /// (channel, picture)
-    pub(super) lights: Vec<[f64; COEFFICIENTS]>,
-    pub(super) pixels: &'a [usize],
-    pub(super) elimination: &'a Elimination<'a>,
+    lights: Vec<[f64; COEFFICIENTS]>,
+    pixels: &'a [usize],
+    elimination: &'a Elimination<'a>,
     pub(super) pictures: usize,
     pub(super) coefficients: usize,
     /// Of the unknown lights: C, or 1 where all have the same.
     pub(super) channels: usize,
-    pub(super) model: PhantomData<M>,
+    model: PhantomData<M>,
 }
 
 impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
@@ -78,7 +79,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// v as (channel, picture), zeros where a band is left out; of all C channels.
-    pub(super) fn padded(&self, v: &[f64]) -> Result<Vec<[f64; COEFFICIENTS]>> {
+    fn padded(&self, v: &[f64]) -> Result<Vec<[f64; COEFFICIENTS]>> {
         check::length("v", self.size(), v.len())?;
         check::moderate("v", v, check::LARGEST_F64)?;
         Ok((0..C * self.pictures)

@@ -21,17 +21,16 @@
 //! products of R W. The row of an albedo has entries in its own channel alone, so of five rows three
 //! cost a ninth. Where normals are free two more rows are dense, those of the tangent offsets.
 //!
-//! Damping adds a share of its diagonal to A. An unknown on a bound that its slope pushes against is
-//! held: its row is 0, and it does not move. So is one on which no radiance depends. Tangent offsets have
-//! no bounds; they move no further than 0.3 at once. They are the last unknowns, and U is
-//! triangular, so what the offsets do is Uᵀ of their own rows: with these scaled down,
+//! Damping adds a share of its diagonal to A. An unknown on a bound that its slope pushes against
+//! is held: its row is 0, and it does not move. So is one on which no radiance depends. Tangent
+//! offsets have no bounds; they move no further than 0.3 at once. They are the last unknowns, and U
+//! is triangular, so what the offsets do is Uᵀ of their own rows: with these scaled down,
 //! −Uᵀ (U g + …) is the step that is best for the other unknowns with the shorter offsets.
 
 use super::light_system::LightSystem;
 use super::{Elimination, SchurComplement, SchurProduct};
 use crate::pixel::samples::by_kind;
 use crate::problem::Problem;
-use crate::reflectance::reflection::Reflection;
 use crate::runtime::Result;
 
 impl Problem {
@@ -42,7 +41,9 @@ impl Problem {
         pixels: &[usize],
         elimination: &Elimination,
     ) -> Result<SchurComplement> {
-        by_kind!(self, schur_complement(self, x, pixels, elimination))
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.schur_complement()
+        })
     }
 
     /// S v and s of some pixels at x, for v (light channel, picture, coefficient).
@@ -53,12 +54,14 @@ impl Problem {
         v: &[f64],
         elimination: &Elimination,
     ) -> Result<SchurProduct> {
-        by_kind!(self, schur_product(self, x, pixels, v, elimination))
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.product(v)
+        })
     }
 
     /// Where the unknowns of some pixels go when the lights move by v (light channel, picture,
-    /// coefficient): (pixel, D). Materials are clipped to \[0, 1\]; tangent offsets move by 0.3 at most, and
-    /// grow no longer than tan 60°.
+    /// coefficient): (pixel, D). Materials are clipped to \[0, 1\]; tangent offsets move by 0.3 at
+    /// most, and grow no longer than tan 60°.
     pub fn back_substitute(
         &self,
         x: &[f64],
@@ -66,35 +69,8 @@ impl Problem {
         v: &[f64],
         elimination: &Elimination,
     ) -> Result<Vec<f64>> {
-        by_kind!(self, back_substitute(self, x, pixels, v, elimination))
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.back_substitute(v)
+        })
     }
-}
-
-fn schur_complement<M: Reflection, const C: usize, const D: usize, const U: usize>(
-    problem: &Problem,
-    x: &[f64],
-    pixels: &[usize],
-    elimination: &Elimination,
-) -> Result<SchurComplement> {
-    LightSystem::<M, C, D, U>::new(problem, x, pixels, elimination)?.schur_complement()
-}
-
-fn schur_product<M: Reflection, const C: usize, const D: usize, const U: usize>(
-    problem: &Problem,
-    x: &[f64],
-    pixels: &[usize],
-    v: &[f64],
-    elimination: &Elimination,
-) -> Result<SchurProduct> {
-    LightSystem::<M, C, D, U>::new(problem, x, pixels, elimination)?.product(v)
-}
-
-fn back_substitute<M: Reflection, const C: usize, const D: usize, const U: usize>(
-    problem: &Problem,
-    x: &[f64],
-    pixels: &[usize],
-    v: &[f64],
-    elimination: &Elimination,
-) -> Result<Vec<f64>> {
-    LightSystem::<M, C, D, U>::new(problem, x, pixels, elimination)?.back_substitute(v)
 }

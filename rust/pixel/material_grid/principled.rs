@@ -4,9 +4,9 @@
 //! I_i = kd D_i + A U_i + B V_i         U_i = Σ_j a_j B_ji         V_i = Σ_j b_j B_ji
 //! ```
 //!
-//! With the factors f = (kd, A, B)(ρ) and G, t the products of D, U and V with each other and with T,
-//! χ² = fᵀGf − 2f·t + TᵀT. The factors are nearly linear in ρ, so Newton's method may take 2 f'ᵀGf' for
-//! its second derivative, which is never negative.
+//! With the factors f = (kd, A, B)(ρ) and G, t the products of D, U and V with each other and with
+//! T, χ² = fᵀGf − 2f·t + TᵀT. The factors are nearly linear in ρ, so Newton's method may take 2
+//! f'ᵀGf' for its second derivative, which is never negative.
 
 use crate::pixel::material_grid::{AlbedoFromProducts, ByAlbedo, STARTS};
 use crate::pixel::products::{Products, pair};

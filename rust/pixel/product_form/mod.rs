@@ -1,7 +1,7 @@
 //! Sums of squared residuals of pixels as a function of their materials, from products over pictures.
 //!
-//! With f the factors of a pixel's light projections ([`products`](super::products)) and f_ρ, f_m, f_r
-//! their derivatives, Σ ω (I − T)² is fᵀGf − 2fᵀt + TᵀT, half of its gradient f_x·(Gf − t), the
+//! With f the factors of a pixel's light projections ([`products`](super::products)) and f_ρ, f_m,
+//! f_r their derivatives, Σ ω (I − T)² is fᵀGf − 2fᵀt + TᵀT, half of its gradient f_x·(Gf − t), the
 //! Gauss–Newton matrix f_xᵀGf_y. They cost the same for any number of pictures, and know the sum to
 //! 10⁻¹⁵ of Σ ω T².
 

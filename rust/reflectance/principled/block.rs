@@ -1,4 +1,5 @@
-//! Blocks of pixels of the principled model: the same as pixel by pixel, in loops over a few planes each.
+//! Blocks of pixels of the principled model: the same as pixel by pixel, in loops over a few planes
+//! each.
 //!
 //! Ten rows, two functions each with derivatives are more planes than the compiler keeps apart in one
 //! loop.

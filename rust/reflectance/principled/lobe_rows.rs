@@ -1,4 +1,5 @@
-//! The rotation of spherical harmonics into the frame of a pixel: the rows of a lobe that is even in y.
+//! The rotation of spherical harmonics into the frame of a pixel: the rows of a lobe that is even
+//! in y.
 //!
 //! The frame has the normal n as z, and its x towards the mirror direction R. With u = R − (n·R)n, of
 //! length s = sin of the view angle, row (l, m) times sᵐ is a polynomial in n and u, so that nothing

@@ -1,9 +1,9 @@
 //! The microfacet model that Blender's Principled BSDF, glTF and game engines share, under light of
 //! l ≤ 3: GGX, height-correlated Smith masking, Schlick's Fresnel at v·h, multiple scattering.
 //!
-//! In the pixel's frame (z the normal, the mirror direction in the xz-plane) a lobe answers to the ten
-//! harmonics that are even in y, j = l(l+1)/2 + m with 0 ≤ m ≤ l. Schlick's F = F0 + (1−F0)(1−v·h)⁵
-//! makes the lobe F0 a_j + b_j with
+//! In the pixel's frame (z the normal, the mirror direction in the xz-plane) a lobe answers to the
+//! ten harmonics that are even in y, j = l(l+1)/2 + m with 0 ≤ m ≤ l. Schlick's F = F0 +
+//! (1−F0)(1−v·h)⁵ makes the lobe F0 a_j + b_j with
 //!
 //! ```text
 //! a_j(r, n·v) = ∫ D V (n·l) (1 − (1−v·h)⁵) Y_j dl          b_j(r, n·v) = ∫ D V (n·l) (1−v·h)⁵ Y_j dl
@@ -17,9 +17,9 @@
 //! M(F0) = 1 + F_ms (1−E)/E,   F_ms = F̄ Ē/(1 − F̄(1−Ē)),   F̄ = F0 + (1−F0)/21,   Ē(r) = 2∫E x dx.
 //! ```
 //!
-//! A pixel is a mixture of a dielectric over a matt ground that gets what the lobe leaves, and a metal,
-//! F0 = ρ. Schlick's Fresnel with F0 = 0.04 is some way off glass; κ(r, n·v) makes up for what that
-//! changes of a uniform light. With G = κ M(0.04),
+//! A pixel is a mixture of a dielectric over a matt ground that gets what the lobe leaves, and a
+//! metal, F0 = ρ. Schlick's Fresnel with F0 = 0.04 is some way off glass; κ(r, n·v) makes up for
+//! what that changes of a uniform light. With G = κ M(0.04),
 //!
 //! ```text
 //! w_ck = kd_c A_l Y_k(n) + Σ_j s_cj R_jk             s_cj = A_c a_j + B_c b_j
