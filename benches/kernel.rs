@@ -400,7 +400,7 @@ impl Example {
         }
     }
 
-    /// With tilts in x.
+    /// With tangent offsets in x.
     fn turned(&self) -> Self {
         let pixels = self.normals.len();
         let mut turned = self.clone();

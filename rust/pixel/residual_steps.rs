@@ -33,11 +33,11 @@ pub(crate) struct ResidualSteps<'a, M: Reflection, const C: usize, const D: usiz
     offsets: TangentOffsets,
     /// What descends, where normals are free.
     candidate: Option<Box<Point<C, U>>>,
-    walk: Walk<'a, M, C, D, U>,
+    workspace: Workspace<'a, M, C, D, U>,
 }
 
 /// What a descent needs beside the point that it moves.
-struct Walk<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
+struct Workspace<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     isa: Instructions,
     metallic_known: bool,
     least_squares: FromResiduals<'a, M, C, D>,
@@ -68,7 +68,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             best: Box::default(),
             offsets: TangentOffsets::default(),
             candidate: (U > UNKNOWNS).then(Box::default),
-            walk: Walk {
+            workspace: Workspace {
                 isa: problem.instructions(),
                 metallic_known: problem.known_metallic().is_some(),
                 least_squares: FromResiduals {
@@ -82,7 +82,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 
     /// Takes up pixels with the normals of `maps`, whose tangent offsets are `offsets`.
     pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], offsets: &TangentOffsets) {
-        self.walk.least_squares.block.place(maps, pixels);
+        self.workspace.least_squares.block.place(maps, pixels);
         self.offsets = *offsets;
     }
 
@@ -100,37 +100,37 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             best,
             offsets,
             candidate,
-            walk,
+            workspace,
         } = self;
         if let Some(candidate) = candidate {
             best.materials.clone_from(own);
             best.offsets = *offsets;
-            walk.take(best, prior);
+            workspace.take(best, prior);
             let others = differing(own, found, used);
             for (start, active) in [(own, used), (found, &others)] {
                 if active.0.iter().any(|&active| active > 0.0) {
                     candidate.materials.clone_from(start);
                     candidate.offsets = *offsets;
-                    walk.descend_with_normals(candidate, active, prior, steps);
-                    best.keep_lower(walk.isa, candidate);
+                    workspace.descend_with_normals(candidate, active, prior, steps);
+                    best.keep_lower(workspace.isa, candidate);
                 }
             }
             return;
         }
         best.materials.clone_from(found);
-        walk.take(best, prior);
+        workspace.take(best, prior);
         if unclear.0.iter().any(|&unclear| unclear > 0.0) {
-            let trial = &mut walk.trial;
+            let trial = &mut workspace.trial;
             trial.materials.clone_from(own);
-            trial.take(walk.isa, &mut walk.least_squares, prior);
+            trial.take(workspace.isa, &mut workspace.least_squares, prior);
             ignore_others(&mut trial.cost, unclear);
-            best.keep_lower(walk.isa, trial);
+            best.keep_lower(workspace.isa, trial);
         }
-        walk.descend(best, used, prior, MATERIALS_DAMPING, steps);
+        workspace.descend(best, used, prior, MATERIALS_DAMPING, steps);
     }
 }
 
-impl<M: Reflection, const C: usize, const D: usize, const U: usize> Walk<'_, M, C, D, U> {
+impl<M: Reflection, const C: usize, const D: usize, const U: usize> Workspace<'_, M, C, D, U> {
     fn take(&mut self, point: &mut Point<C, U>, prior: Option<&PriorPlanes>) {
         point.take(self.isa, &mut self.least_squares, prior);
     }

@@ -445,24 +445,17 @@ impl Problem {
                 }
                 picked
             }
-            Geometry::Free(_) => self.picked_jacobian(maps, pixels).0,
+            Geometry::Free(_) => {
+                let mut picked = Directions::default();
+                self.instructions.run(OffsetNormals {
+                    given: &self.picked_given(pixels),
+                    offsets: &self.picked_offsets(maps, pixels),
+                    directions: &mut picked,
+                    jacobian: &mut NormalJacobian::default(),
+                });
+                picked
+            }
         }
-    }
-
-    /// The same where normals are free, and the derivatives by the tilts.
-    pub(crate) fn picked_jacobian(
-        &self,
-        maps: &[f64],
-        pixels: &[usize],
-    ) -> (Directions<f64>, NormalJacobian) {
-        let (mut directions, mut jacobian) = (Directions::default(), NormalJacobian::default());
-        self.instructions.run(OffsetNormals {
-            given: &self.picked_given(pixels),
-            offsets: &self.picked_offsets(maps, pixels),
-            directions: &mut directions,
-            jacobian: &mut jacobian,
-        });
-        (directions, jacobian)
     }
 
     /// What the tangent offsets of some pixels start from, at most [`BLOCK`] of them; where normals

@@ -2,7 +2,7 @@
 //!
 //! With the lights known, roughness and metallic given, the channels of a pixel have nothing to do
 //! with each other, and each has one unknown, its albedo ρ, of which χ² = Σ_i ω_i (I_i − T_i)² is a
-//! smooth function whose coefficients come from [`products`](super::products) over pictures. Given
+//! smooth function whose coefficients come from [`products`](super::products) over pictures. AtRoughness
 //! these, roughness costs a quadratic form, metallic and albedo a handful of operations. What these
 //! are is the model's own ([`AlbedoFromProducts`]).
 
@@ -30,7 +30,7 @@ const CHUNK: usize = 2;
 /// Models whose best albedo comes from products.
 pub(crate) trait AlbedoFromProducts: Reflection {
     /// What is left of products and functions when roughness is given.
-    type Given: Default + Send;
+    type AtRoughness: Default + Send;
 
     /// Fills in the functions of a roughness that all pixels of a block share.
     fn fill_shared(
@@ -49,30 +49,30 @@ pub(crate) trait AlbedoFromProducts: Reflection {
     }
 
     /// Takes up what all channels share.
-    fn give(
+    fn set_roughness(
         cosine: &Doubles,
         roughness: &Doubles,
         functions: &ExactFunctions<Self>,
-        given: &mut Self::Given,
+        at_roughness: &mut Self::AtRoughness,
     );
 
     /// Takes up one channel.
-    fn give_channel(
+    fn set_channel(
         isa: Instructions,
         products: &Products,
         functions: &ExactFunctions<Self>,
-        given: &mut Self::Given,
+        at_roughness: &mut Self::AtRoughness,
     );
 
     /// The albedo of this channel with the least χ², by `STEPS` of Newton's method; χ² is added to
     /// the sum of squares.
-    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, Self::Given>);
+    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, Self::AtRoughness>);
 }
 
 /// What the best albedo is looked for with.
 pub(crate) struct ByAlbedo<'a, G> {
     pub(crate) products: &'a Products,
-    pub(crate) given: &'a G,
+    pub(crate) at_roughness: &'a G,
     pub(crate) metallic: &'a Doubles,
     /// To be written.
     pub(crate) albedo: &'a mut Doubles,
@@ -186,7 +186,7 @@ pub(crate) struct Block<'a, M: AlbedoFromProducts> {
     cosine: Doubles,
     pub(crate) products: PixelProducts,
     functions: Box<ExactFunctions<M>>,
-    given: Box<M::Given>,
+    at_roughness: Box<M::AtRoughness>,
     pub(crate) roughness: Doubles,
     pub(crate) metallic: Doubles,
     /// By channel.
@@ -202,7 +202,7 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
             cosine: Plane([1.0; BLOCK]),
             products: PixelProducts::new(problem.channels()),
             functions: no_functions(),
-            given: Box::default(),
+            at_roughness: Box::default(),
             roughness: Doubles::default(),
             metallic: Doubles::default(),
             albedo: vec![Doubles::default(); problem.channels()],
@@ -227,10 +227,15 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
         for (&r, of_roughness) in roughness.iter().zip(nodes.chunks_mut(metallic.len())) {
             M::fill_shared(self.isa, &self.cosine, r, &mut self.functions);
             let roughness = Plane([r; BLOCK]);
-            M::give(&self.cosine, &roughness, &self.functions, &mut self.given);
+            M::set_roughness(
+                &self.cosine,
+                &roughness,
+                &self.functions,
+                &mut self.at_roughness,
+            );
             of_roughness.fill(Doubles::default());
             for c in 0..self.albedo.len() {
-                self.give_channel(c);
+                self.set_channel(c);
                 // Squares wait in their plane until all channels have added theirs.
                 for (sum, &m) in of_roughness.iter_mut().zip(metallic) {
                     self.metallic.0.fill(m);
@@ -251,22 +256,22 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
             functions: &mut self.functions,
             model: M::default(),
         });
-        M::give(
+        M::set_roughness(
             &self.cosine,
             &self.roughness,
             &self.functions,
-            &mut self.given,
+            &mut self.at_roughness,
         );
         self.sum_sq_residuals = Doubles::default();
         for c in 0..self.albedo.len() {
-            self.give_channel(c);
+            self.set_channel(c);
             self.minimize::<NEWTON_STEPS>(c);
         }
     }
 
-    fn give_channel(&mut self, channel: usize) {
+    fn set_channel(&mut self, channel: usize) {
         let products = &self.products.by_channel[channel];
-        M::give_channel(self.isa, products, &self.functions, &mut self.given);
+        M::set_channel(self.isa, products, &self.functions, &mut self.at_roughness);
     }
 
     fn minimize<const STEPS: usize>(&mut self, channel: usize) {
@@ -274,7 +279,7 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
             self.isa,
             ByAlbedo {
                 products: &self.products.by_channel[channel],
-                given: &self.given,
+                at_roughness: &self.at_roughness,
                 metallic: &self.metallic,
                 albedo: &mut self.albedo[channel],
                 sum_sq_residuals: &mut self.sum_sq_residuals,

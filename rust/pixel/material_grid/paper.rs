@@ -21,7 +21,7 @@ use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 /// What remains when roughness is given: products of D, S and T, and masking and Fresnel.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Given {
+pub(crate) struct AtRoughness {
     specular_specular: Doubles,
     diffuse_specular: Doubles,
     specular_target: Doubles,
@@ -31,7 +31,7 @@ pub(crate) struct Given {
 }
 
 impl AlbedoFromProducts for Paper {
-    type Given = Given;
+    type AtRoughness = AtRoughness;
 
     fn fill_shared(_: Instructions, _: &Doubles, roughness: f64, functions: &mut BlockFunctions) {
         for (plane, h) in functions.iter_mut().zip(ggx::bands(roughness).weight) {
@@ -39,27 +39,32 @@ impl AlbedoFromProducts for Paper {
         }
     }
 
-    fn give(cosine: &Doubles, roughness: &Doubles, _: &BlockFunctions, given: &mut Given) {
+    fn set_roughness(
+        cosine: &Doubles,
+        roughness: &Doubles,
+        _: &BlockFunctions,
+        at_roughness: &mut AtRoughness,
+    ) {
         for x in 0..BLOCK {
-            given.schlick.0[x] = ggx::schlick(cosine.0[x]);
-            given.g1.0[x] = ggx::smith_g1(cosine.0[x], roughness.0[x]).0;
+            at_roughness.schlick.0[x] = ggx::schlick(cosine.0[x]);
+            at_roughness.g1.0[x] = ggx::smith_g1(cosine.0[x], roughness.0[x]).0;
         }
     }
 
-    fn give_channel(
+    fn set_channel(
         isa: Instructions,
         products: &Products,
         functions: &BlockFunctions,
-        given: &mut Given,
+        at_roughness: &mut AtRoughness,
     ) {
         isa.run(TakeRoughness {
             products,
             functions,
-            given,
+            at_roughness,
         });
     }
 
-    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, Given>) {
+    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, AtRoughness>) {
         isa.run(Minimize::<STEPS>(by_albedo));
     }
 }
@@ -68,7 +73,7 @@ impl AlbedoFromProducts for Paper {
 struct TakeRoughness<'a> {
     products: &'a Products,
     functions: &'a BlockFunctions,
-    given: &'a mut Given,
+    at_roughness: &'a mut AtRoughness,
 }
 
 impl Kernel for TakeRoughness<'_> {
@@ -79,22 +84,22 @@ impl Kernel for TakeRoughness<'_> {
         let Self {
             products,
             functions,
-            given,
+            at_roughness,
         } = self;
-        given.specular_specular = Doubles::default();
-        given.diffuse_specular = Doubles::default();
-        given.specular_target = Doubles::default();
+        at_roughness.specular_specular = Doubles::default();
+        at_roughness.diffuse_specular = Doubles::default();
+        at_roughness.specular_target = Doubles::default();
         for l in 0..BANDS {
             for x in 0..BLOCK {
                 let h = functions[l].0[x];
-                given.diffuse_specular.0[x] += h * products.diffuse_row[l].0[x];
-                given.specular_target.0[x] += h * products.row_target[l].0[x];
+                at_roughness.diffuse_specular.0[x] += h * products.diffuse_row[l].0[x];
+                at_roughness.specular_target.0[x] += h * products.row_target[l].0[x];
             }
             for j in 0..=l {
                 let product = &products.row_row[pair(l, j)];
                 let twice = if j < l { 2.0 } else { 1.0 };
                 for x in 0..BLOCK {
-                    given.specular_specular.0[x] +=
+                    at_roughness.specular_specular.0[x] +=
                         twice * functions[l].0[x] * functions[j].0[x] * product.0[x];
                 }
             }
@@ -103,7 +108,7 @@ impl Kernel for TakeRoughness<'_> {
 }
 
 /// By `STEPS` of Newton's method.
-struct Minimize<'a, const STEPS: usize>(ByAlbedo<'a, Given>);
+struct Minimize<'a, const STEPS: usize>(ByAlbedo<'a, AtRoughness>);
 
 impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
     type Output = ();
@@ -112,7 +117,7 @@ impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
     fn run<I: Isa>(self, _: I) {
         let ByAlbedo {
             products,
-            given: specular,
+            at_roughness: specular,
             metallic,
             albedo,
             sum_sq_residuals,

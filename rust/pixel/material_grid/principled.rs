@@ -17,7 +17,7 @@ use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 /// What remains when roughness is given.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Given {
+pub(crate) struct AtRoughness {
     /// a₀, b₀, Ē and κ.
     a: Doubles,
     b: Doubles,
@@ -35,27 +35,32 @@ pub(crate) struct Given {
 }
 
 impl AlbedoFromProducts for Principled {
-    type Given = Given;
+    type AtRoughness = AtRoughness;
 
-    fn give(_: &Doubles, _: &Doubles, functions: &BlockFunctions, given: &mut Given) {
-        (given.a, given.b) = (functions[0], functions[ROWS]);
-        (given.mean, given.glass) = (functions[2 * ROWS], functions[2 * ROWS + 1]);
+    fn set_roughness(
+        _: &Doubles,
+        _: &Doubles,
+        functions: &BlockFunctions,
+        at_roughness: &mut AtRoughness,
+    ) {
+        (at_roughness.a, at_roughness.b) = (functions[0], functions[ROWS]);
+        (at_roughness.mean, at_roughness.glass) = (functions[2 * ROWS], functions[2 * ROWS + 1]);
     }
 
-    fn give_channel(
+    fn set_channel(
         isa: Instructions,
         products: &Products,
         functions: &BlockFunctions,
-        given: &mut Given,
+        at_roughness: &mut AtRoughness,
     ) {
         isa.run(TakeLobe {
             products,
             functions,
-            given,
+            at_roughness,
         });
     }
 
-    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, Given>) {
+    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, AtRoughness>) {
         isa.run(Minimize::<STEPS>(by_albedo));
     }
 }
@@ -64,7 +69,7 @@ impl AlbedoFromProducts for Principled {
 struct TakeLobe<'a> {
     products: &'a Products,
     functions: &'a BlockFunctions,
-    given: &'a mut Given,
+    at_roughness: &'a mut AtRoughness,
 }
 
 impl Kernel for TakeLobe<'_> {
@@ -75,7 +80,7 @@ impl Kernel for TakeLobe<'_> {
         let Self {
             products,
             functions,
-            given,
+            at_roughness,
         } = self;
         let (a, b) = (&functions[..ROWS], &functions[ROWS..2 * ROWS]);
         let zero = Doubles::default();
@@ -102,13 +107,18 @@ impl Kernel for TakeLobe<'_> {
                 vt.0[x] += b[i].0[x] * target.0[x];
             }
         }
-        (given.uu, given.uv, given.vv) = (uu, uv, vv);
-        (given.du, given.dv, given.ut, given.vt) = (du, dv, ut, vt);
+        (at_roughness.uu, at_roughness.uv, at_roughness.vv) = (uu, uv, vv);
+        (
+            at_roughness.du,
+            at_roughness.dv,
+            at_roughness.ut,
+            at_roughness.vt,
+        ) = (du, dv, ut, vt);
     }
 }
 
 /// By `STEPS` of Newton's method.
-struct Minimize<'a, const STEPS: usize>(ByAlbedo<'a, Given>);
+struct Minimize<'a, const STEPS: usize>(ByAlbedo<'a, AtRoughness>);
 
 impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
     type Output = ();
@@ -117,24 +127,28 @@ impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
     fn run<I: Isa>(self, _: I) {
         let ByAlbedo {
             products,
-            given,
+            at_roughness,
             metallic,
             albedo,
             sum_sq_residuals,
         } = self.0;
         for x in 0..BLOCK {
             let surface = Surface::new(
-                given.a.0[x],
-                given.b.0[x],
-                given.mean.0[x],
-                given.glass.0[x],
+                at_roughness.a.0[x],
+                at_roughness.b.0[x],
+                at_roughness.mean.0[x],
+                at_roughness.glass.0[x],
             );
             let mixer = Mixer::new(metallic.0[x], surface);
             let mixed = |rho: f64| mixer.mix(rho, &mixer.metal(rho));
             let (dd, dt) = (products.diffuse_diffuse.0[x], products.diffuse_target.0[x]);
-            let (du, dv) = (given.du.0[x], given.dv.0[x]);
-            let (uu, uv, vv) = (given.uu.0[x], given.uv.0[x], given.vv.0[x]);
-            let (ut, vt) = (given.ut.0[x], given.vt.0[x]);
+            let (du, dv) = (at_roughness.du.0[x], at_roughness.dv.0[x]);
+            let (uu, uv, vv) = (
+                at_roughness.uu.0[x],
+                at_roughness.uv.0[x],
+                at_roughness.vv.0[x],
+            );
+            let (ut, vt) = (at_roughness.ut.0[x], at_roughness.vt.0[x]);
             let tt = products.target_target.0[x];
             // Gf
             let through = |f: &Mix| Mix {
