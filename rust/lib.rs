@@ -2,7 +2,8 @@
 //! one view.
 //!
 //! A pixel's radiance in colour channel c is linear in the light, whose real spherical-harmonic
-//! coefficients (l ≤ 3) are L_kc. Its weights are a matt part and a lobe, by one of two [`model`]s:
+//! coefficients (l ≤ 3) are L_kc. Its weights are a matt part and a lobe, by one of two
+//! [models](reflectance::model):
 //!
 //! ```text
 //! I_c  = Σ_k w_ck L_kc                         w_ck = kd_c A_l Y_k(n) + Σ_j s_cj R_jk

@@ -47,7 +47,7 @@ fn radiance<I: Vectors<f64>>(
     }
 }
 
-/// First product: e = ω (W Lᵀ − T) for up to [`GROUP`] pictures. Returns Σ ω (I − T)².
+/// First product: e = ω (W Lᵀ − T) for some pictures. Returns Σ ω (I − T)².
 pub struct Residuals<'a, const K: usize, const WEIGHTED: bool> {
     /// The channel's weights.
     pub weights: &'a [Plane; K],

@@ -95,7 +95,7 @@ impl Default for Options {
 /// metallic | tangent offset a | tangent offset b | lighting (picture, coefficient, channel)\],
 /// without those that are known; what comes before the lighting are its maps. The loss is the mean
 /// of φ(I − T) over pixels, pictures and channels, weighted if there are weights; φ is the square,
-/// or a [`Robust`] loss.
+/// or a [robust] loss.
 #[derive(Debug)]
 pub struct Problem {
     pixels: usize,

@@ -35,7 +35,7 @@ pub const MAX_FUNCTIONS: usize = 72;
 /// One number for each row of a lobe.
 pub type ByRow = [f64; MAX_ROWS];
 
-/// The [functions](Reflection::Functions) of a block of pixels.
+/// The [functions](super::reflection::Reflection::Functions) of a block of pixels.
 pub type BlockFunctions<T = f64> = [Plane<T>; MAX_FUNCTIONS];
 
 /// No functions of a block yet.

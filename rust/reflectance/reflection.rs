@@ -162,7 +162,7 @@ pub trait Factors<const C: usize>: Copy + Debug {
 
     /// ∂kd_c and ∂s_cj by n·v, at the cosine and material that these factors are of.
     ///
-    /// They hold for n·v > [`MIN_COSINE`]. Up to and at it the clamped cosine stays where it is
+    /// They hold for n·v > [`MIN_COSINE`](super::ggx::MIN_COSINE). Up to and at it the clamped cosine stays where it is
     /// when the normal changes, and callers take 0 instead.
     fn slopes_by_cosine(&self, cosine: f64, material: &Material<C>) -> ([f64; C], [ByRow; C]);
 

@@ -2,7 +2,7 @@
 //!
 //! With the lights known, roughness and metallic given, the channels of a pixel have nothing to do
 //! with each other, and each has one unknown, its albedo ρ, of which χ² = Σ_i ω_i (I_i − T_i)² is a
-//! smooth function whose coefficients come from [`products`](super::products) over pictures. AtRoughness
+//! smooth function whose coefficients come from [`products`](super::products) over pictures. Given
 //! these, roughness costs a quadratic form, metallic and albedo a handful of operations. What these
 //! are is the model's own ([`AlbedoFromProducts`]).
 

@@ -31,7 +31,7 @@
 //! Sources of the formulas: docs/model.md.
 
 mod block;
-mod lobe_rows;
+pub mod lobe_rows;
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
