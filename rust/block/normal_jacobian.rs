@@ -257,29 +257,42 @@ impl<M: Reflection> ByWeights for ByBasis<'_, M> {
             sums,
             ..
         } = self;
-        let add = |factor: &Plane, sum: &mut Plane| {
-            let factor = &I::of(&factor.0)[v..v + V];
-            let sum = &mut I::of_mut(&mut sum.0)[v..v + V];
-            for i in 0..V {
-                sum[i] = if *begin {
-                    isa.mul(factor[i], by_weights[i])
-                } else {
-                    isa.mul_add(factor[i], by_weights[i], sum[i])
-                };
-            }
-        };
         if k > 0 {
             let (first, next) = (M::FIRST_ROW[BAND_OF[k]], M::FIRST_ROW[BAND_OF[k] + 1]);
             for j in first..next {
-                add(
-                    &factors.rows[j],
-                    &mut sums.lobe[first_entry::<M>(k) + j - first],
-                );
+                let sum = &mut sums.lobe[first_entry::<M>(k) + j - first];
+                add_products(isa, *begin, &factors.rows[j], by_weights, v, sum);
             }
             if k < DIFFUSE {
-                add(&factors.diffuse, &mut sums.diffuse[k]);
+                let sum = &mut sums.diffuse[k];
+                add_products(isa, *begin, &factors.diffuse, by_weights, v, sum);
             }
         }
+    }
+}
+
+/// sum = factor · by_weights, or added to it unless this is where to `begin`; for V vectors of pixels
+/// from number `v` on.
+///
+/// No closure in `take`: whether the compiler inlines one there changes with the order of
+/// the code, and a call costs a third of an evaluation.
+#[inline(always)]
+fn add_products<I: Vectors<f32>, const V: usize>(
+    isa: I,
+    begin: bool,
+    factor: &Plane,
+    by_weights: &[I::Vector; V],
+    v: usize,
+    sum: &mut Plane,
+) {
+    let factor = &I::of(&factor.0)[v..v + V];
+    let sum = &mut I::of_mut(&mut sum.0)[v..v + V];
+    for i in 0..V {
+        sum[i] = if begin {
+            isa.mul(factor[i], by_weights[i])
+        } else {
+            isa.mul_add(factor[i], by_weights[i], sum[i])
+        };
     }
 }
 
