@@ -6,10 +6,12 @@ from pbrfit.fit.objective import Objective
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
+from pbrfit.result.data import Status
 from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.relighting import DirectionalLight, relight
-from pbrfit.result.result import Result, Status
-from pbrfit.scene.scene import Scene, Truth
+from pbrfit.result.result import Result
+from pbrfit.scene.arrays import Truth
+from pbrfit.scene.scene import Scene
 
 __all__ = [
     "DirectionalLight",

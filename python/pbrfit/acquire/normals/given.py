@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.normals.maps import check_reducible, fit_to_size, read_npy
 from pbrfit.io.normal_files import Convention, read_normals
-from pbrfit.scene.scene import MIN_NORMAL_LENGTH
+from pbrfit.scene.arrays import MIN_NORMAL_LENGTH
 
 Axes = Literal["opengl", "directx"]
 Frame = Literal["camera", "tangent", "world"]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io.quoting import shown
 from pbrfit.io.resampling import averaged, reduced_size
-from pbrfit.scene.scene import MIN_NORMAL_LENGTH
+from pbrfit.scene.arrays import MIN_NORMAL_LENGTH
 
 
 def fit_to_size(
