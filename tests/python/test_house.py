@@ -6,6 +6,7 @@ import ast
 import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -143,18 +144,21 @@ def test_names_are_the_fields_words() -> None:
 
 def test_constants_state_their_quantity() -> None:
     vague = [
-        f"{path.relative_to(ROOT)}:{text.lineno}"
+        f"{path.relative_to(ROOT)}:{line}: {text}"
         for path in modules(PACKAGE).values()
-        for constant, text in pairs(ast.parse(path.read_text("utf-8")).body)
-        if re.match(r"Of (a|an|the|all)\b", text.value.value)
+        for line, text in constants(ast.parse(path.read_text("utf-8")).body)
+        if re.match(r"Of (a|an|the|all)\b", text)
     ]
     assert not vague, "\n".join(vague)
 
 
-def pairs(body: list[ast.stmt]) -> Iterator[tuple[ast.stmt, ast.Expr]]:
-    """Assignments and the docstrings that follow them."""
-    for statement, text in zip(body, body[1:], strict=False):
-        said = isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-        if isinstance(statement, (ast.Assign, ast.AnnAssign)) and said:
-            if isinstance(text.value.value, str):
-                yield statement, text
+def constants(body: list[ast.stmt]) -> Iterator[tuple[int, str]]:
+    """Line and text of the docstrings that follow assignments."""
+    for statement, text in pairwise(body):
+        if (
+            isinstance(statement, (ast.Assign, ast.AnnAssign))
+            and isinstance(text, ast.Expr)
+            and isinstance(text.value, ast.Constant)
+            and isinstance(text.value.value, str)
+        ):
+            yield text.lineno, text.value.value
