@@ -267,7 +267,9 @@ def accuracy(kind: Kind) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) -> None:
     example, expected = expected_of(kind)
-    matrix, gradient = example.problem().schur_complement(example.x, example.pixels, **example.options())
+    matrix, gradient = example.problem().schur_complement(
+        example.x, example.pixels, **example.options()
+    )
     assert matrix.shape == (example.size, example.size)
     close(matrix, expected.matrix, accuracy(example.kind))
     close(gradient, expected.gradient, accuracy(example.kind))
@@ -455,9 +457,9 @@ NAN = np.full(PICTURES * 16 * 3, np.nan)
         ({"deviation": np.ones((150, 2))}, r"^precision: expected"),
         ({"precision": np.ones((150, 1)), "deviation": np.ones((150, 2))}, r"^precision: expected"),
         ({"precision": np.ones((150, 2)), "deviation": np.ones((149, 2))}, r"^deviation: expected"),
-        ({"precision": np.full((150, 2), np.nan), "deviation": np.ones((150, 2))}, r"^precision: expe"),
-        ({"precision": np.full((150, 2), -1.0), "deviation": np.ones((150, 2))}, r"^precision: expe"),
-        ({"precision": np.ones((150, 2)), "deviation": np.full((150, 2), np.inf)}, r"^deviation: expected"),
+        ({"precision": np.full((150, 2), np.nan), "deviation": np.ones((150, 2))}, r"^precision:"),
+        ({"precision": np.full((150, 2), -1.0), "deviation": np.ones((150, 2))}, r"^precision:"),
+        ({"precision": np.ones((150, 2)), "deviation": np.full((150, 2), np.inf)}, r"^deviation:"),
         ({"v": np.zeros(7)}, r"^v: expected"),
         ({"v": NAN}, r"^v: expected"),
         ({"mono": True, "v": np.zeros(PICTURES * 48)}, r"^v: expected"),
@@ -467,9 +469,13 @@ def test_unusable_input_is_refused_in_one_line(changes: dict[str, Any], message:
     example = Example()
     given: dict[str, Any] = {"x": example.x, "pixels": example.pixels, "v": example.moves()}
     given |= changes
-    calls = ["schur_product", "back_substitute"] + (["schur_complement"] if "v" not in changes else [])
+    calls = ["schur_product", "back_substitute"] + (
+        ["schur_complement"] if "v" not in changes else []
+    )
     for name in calls:
-        options = {key: value for key, value in given.items() if key != "v" or name != "schur_complement"}
+        options = {
+            key: value for key, value in given.items() if key != "v" or name != "schur_complement"
+        }
         with pytest.raises(InputError, match=message) as caught:
             getattr(example.problem(), name)(**options)
         assert "\n" not in str(caught.value)

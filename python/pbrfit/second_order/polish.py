@@ -127,7 +127,9 @@ def _basis(objective: Objective, x: Array, how: _How) -> Cholesky:
     few = objective.restricted(chosen)
     part, pixels = objective.part_of(x, chosen), np.arange(len(chosen), dtype=np.uint64)
     of_few = _How(None if how.towards is None else how.towards.of(chosen), how.damping)
-    matrix, _ = few.problem.schur_complement(few.for_core(part), pixels, **of_few.of(few, part, pixels))
+    matrix, _ = few.problem.schur_complement(
+        few.for_core(part), pixels, **of_few.of(few, part, pixels)
+    )
     matrix *= objective.pixels / len(chosen)
     return Cholesky(matrix, BASIS_DAMPING)
 
