@@ -17,10 +17,10 @@ import pbrfit
 import reference
 from pbrfit import _core
 from pbrfit.fit import uncertainty
-from pbrfit.result.uncertainty import PARAMETERS, layer_names
 from pbrfit.fit.gauss_newton import light_spectrum, normal_equations
 from pbrfit.fit.objective import Objective
 from pbrfit.io.images import read_channels, write_exr
+from pbrfit.result.uncertainty import PARAMETERS, layer_names
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normal_errors import facing, turned
 
