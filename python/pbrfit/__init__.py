@@ -10,10 +10,12 @@ if TYPE_CHECKING:
     from pbrfit.model.geometry import view_directions
     from pbrfit.model.materials import Materials
     from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
+    from pbrfit.result.data import Status
     from pbrfit.result.options import FitOptions, Priors
     from pbrfit.result.relighting import DirectionalLight, relight
-    from pbrfit.result.result import Result, Status
-    from pbrfit.scene.scene import Scene, Truth
+    from pbrfit.result.result import Result
+    from pbrfit.scene.arrays import Truth
+    from pbrfit.scene.scene import Scene
 
 __all__ = [
     "DirectionalLight",
@@ -44,10 +46,12 @@ _MODULES = {
     "model.geometry": ("view_directions",),
     "model.materials": ("Materials",),
     "model.reflection": ("ggx_band_weights", "render", "sh_basis", "shade", "shade_vjp"),
+    "result.data": ("Status",),
     "result.options": ("FitOptions", "Priors"),
     "result.relighting": ("DirectionalLight", "relight"),
-    "result.result": ("Result", "Status"),
-    "scene.scene": ("Scene", "Truth"),
+    "result.result": ("Result",),
+    "scene.arrays": ("Truth",),
+    "scene.scene": ("Scene",),
 }
 """Where the public names are. Each is imported when it is first asked for, so that the command line
 starts without the fit."""

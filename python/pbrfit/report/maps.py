@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.uncertainty import PARAMETERS
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import Materials
@@ -19,6 +18,7 @@ from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences
 from pbrfit.result.differences import Difference
 from pbrfit.result.result import Result
+from pbrfit.result.uncertainty import PARAMETERS
 
 BALL_SIDE = 96
 

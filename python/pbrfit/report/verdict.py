@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pbrfit.fit.uncertainty import PARAMETERS
 from pbrfit.report import normals
 from pbrfit.report.html import Cell, Table
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
-from pbrfit.result.result import Result, Status
+from pbrfit.result.data import Status
+from pbrfit.result.result import Result
+from pbrfit.result.uncertainty import PARAMETERS
 
 EXPLAINED = (
     (0.01, "explain the pictures almost exactly"),

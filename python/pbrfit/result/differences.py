@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.uncertainty import PARAMETERS, Uncertainty
 from pbrfit.model.materials import Materials
 from pbrfit.result.colormap import blue_to_yellow
 from pbrfit.result.refinement import LEAST_CHANGE
+from pbrfit.result.uncertainty import PARAMETERS, Uncertainty
 
 Map = NDArray[np.floating[Any]]
 

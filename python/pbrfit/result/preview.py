@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.uncertainty import PARAMETERS
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render
 from pbrfit.result import differences, metrics
+from pbrfit.result.data import ResultData
 from pbrfit.result.differences import PALETTE, Difference
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
-
-if TYPE_CHECKING:
-    from pbrfit.result.result import Result
-    from pbrfit.scene.scene import Scene
+from pbrfit.result.uncertainty import PARAMETERS
+from pbrfit.scene.arrays import SceneArrays
 
 
-def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
+def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.uint8]:
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
     The first row shows a picture (with `scene`), its reconstruction and what is between them, the
@@ -76,7 +73,7 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     return sheet(rows, title=title, labels=labels, keys=keys)
 
 
-def normals_preview(scene: Scene) -> NDArray[np.uint8]:
+def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
     """Sheet for checking normals: (H, W, 3) uint8 sRGB.
 
     The first picture, the normals, n·v, and how far off they may be, where the scene says it.
@@ -102,7 +99,7 @@ def normals_preview(scene: Scene) -> NDArray[np.uint8]:
     )
 
 
-def plot_history(result: Result, path: Path) -> None:
+def plot_history(result: ResultData, path: Path) -> None:
     """Errors against run time and iterations, logarithmic, as PNG."""
     from pbrfit.result import drawing
     from pbrfit.result.history_plot import draw_history
@@ -115,7 +112,7 @@ def plot_history(result: Result, path: Path) -> None:
     path.write_bytes(drawing.as_png(draw_history(result.history, title), 120))
 
 
-def _pictures(result: Result, scene: Scene | None) -> Row:
+def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
     """The first picture, its reconstruction, and the residual, as far as there are pictures."""
     reconstruction = render(
         result.materials, result.normals, result.lighting[0], result.fov, model=result.model

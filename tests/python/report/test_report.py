@@ -26,10 +26,10 @@ from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import Model, render
 from pbrfit.report import budget, lights, originals, write_report
 from pbrfit.report.page import REFLECTION
+from pbrfit.result.data import Status
 from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.history import History, HistoryRow
 from pbrfit.result.options import FitOptions
-from pbrfit.result.result import Status
 from pbrfit.synthetic import make_scene
 
 if TYPE_CHECKING:

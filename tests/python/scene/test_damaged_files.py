@@ -62,7 +62,7 @@ def test_a_decoder_that_panics_prints_nothing(tmp_path: Path) -> None:
     data = zlib.compress(b"\0\0\0\0\0\0\0\0\0\0")
     (tmp_path / "a.png").write_bytes(png(9, 1, (b"PLTE", b"a"), (b"IDAT", data)))
     code = f"""
-from pbrfit import images
+from pbrfit.io import images
 try:
     images.read_picture({str(tmp_path / "a.png")!r})
 except images.InputError as error:

@@ -13,7 +13,7 @@ from pbrfit._core import InputError
 from pbrfit.io.normal_files import Convention, read_normals
 from pbrfit.io.quoting import shown
 from pbrfit.io.resampling import averaged, reduced_size
-from pbrfit.scene.scene import MIN_NORMAL_LENGTH
+from pbrfit.scene.arrays import MIN_NORMAL_LENGTH
 
 FACING = np.array([0.0, 0.0, 1.0])
 """The normal of a surface that faces the viewer: of all pixels that have none."""

@@ -308,7 +308,7 @@ class _Search:
             starts=starts,
             steps=steps,
             exact_steps=exact_steps,
-            centre=centre,
+            mean=centre,
             precision=precision,
             held_normals=not turn,
         )
