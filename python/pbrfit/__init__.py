@@ -1,17 +1,25 @@
-"""pbrfit: physically based materials and lighting from several pictures of one view."""
+"""pbrfit: physically based materials and lighting from several pictures of one view.
 
-from pbrfit._core import InputError
-from pbrfit.fit.decompose import Progress, decompose
-from pbrfit.fit.objective import Objective
-from pbrfit.model.geometry import view_directions
-from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
-from pbrfit.result.data import Status
-from pbrfit.result.options import FitOptions, Priors
-from pbrfit.result.relighting import DirectionalLight, relight
-from pbrfit.result.result import Result
-from pbrfit.scene.arrays import Truth
-from pbrfit.scene.scene import Scene
+A public name is imported from its module when it is first used, so that `import pbrfit` and the
+command line's help start at once.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pbrfit._core import InputError
+    from pbrfit.fit.decompose import Progress, decompose
+    from pbrfit.fit.objective import Objective
+    from pbrfit.model.geometry import view_directions
+    from pbrfit.model.materials import Materials
+    from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
+    from pbrfit.result.data import Status
+    from pbrfit.result.options import FitOptions, Priors
+    from pbrfit.result.relighting import DirectionalLight, relight
+    from pbrfit.result.result import Result
+    from pbrfit.scene.arrays import Truth
+    from pbrfit.scene.scene import Scene
 
 __all__ = [
     "DirectionalLight",
@@ -34,3 +42,31 @@ __all__ = [
     "shade_vjp",
     "view_directions",
 ]
+
+_MODULES = {
+    "_core": "InputError",
+    "fit.decompose": "Progress decompose",
+    "fit.objective": "Objective",
+    "model.geometry": "view_directions",
+    "model.materials": "Materials",
+    "model.reflection": "ggx_band_weights render sh_basis shade shade_vjp",
+    "result.data": "Status",
+    "result.options": "FitOptions Priors",
+    "result.relighting": "DirectionalLight relight",
+    "result.result": "Result",
+    "scene.arrays": "Truth",
+    "scene.scene": "Scene",
+}
+"""Public names by the module of this package that has them."""
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names.split():
+            globals()[name] = value = getattr(import_module(f"{__name__}.{module}"), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
