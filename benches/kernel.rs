@@ -7,18 +7,19 @@ use criterion::{
     BenchmarkGroup, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main,
 };
 use glam::DVec3;
-use pbrfit::band_table::TABLE;
-use pbrfit::directional::{DirectionalLight, render_directional};
-use pbrfit::ggx;
-use pbrfit::model::Model;
-use pbrfit::paper::Paper;
-use pbrfit::pixel_fit::Search;
+use pbrfit::pixel::pixel_fit::Search;
+use pbrfit::problem::directional::{DirectionalLight, render_directional};
+use pbrfit::problem::render::render;
+use pbrfit::problem::targets::Targets;
 use pbrfit::problem::{Options, Pictures, Problem};
-use pbrfit::reduced::Elimination;
-use pbrfit::render::render;
-use pbrfit::shade::{Frame, Material, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
-use pbrfit::simd::{Instructions, Isa, Kernel};
-use pbrfit::targets::Targets;
+use pbrfit::reflectance::band_table::TABLE;
+use pbrfit::reflectance::ggx;
+use pbrfit::reflectance::model::Model;
+use pbrfit::reflectance::paper::Paper;
+use pbrfit::reflectance::planes::Material;
+use pbrfit::reflectance::shade::{Frame, FrameWithSlopes, shade, shade_vjp, shade_vjp_by_normal};
+use pbrfit::runtime::simd::{Instructions, Isa, Kernel};
+use pbrfit::schur::Elimination;
 
 /// Bands of one roughness: exact, and from the table that the fast path uses.
 fn bands(c: &mut Criterion) {
@@ -69,9 +70,9 @@ fn pixel(c: &mut Criterion) {
         b.iter(|| shade_vjp(black_box(&frame), &material, &cotangent));
     });
     let (normal, view) = (DVec3::new(0.0, 0.6, 0.8), DVec3::Z);
-    group.bench_function("TurningFrame, shade_vjp_by_normal", |b| {
+    group.bench_function("FrameWithSlopes, shade_vjp_by_normal", |b| {
         b.iter(|| {
-            let turning = TurningFrame::<Paper>::new(black_box(normal), view);
+            let turning = FrameWithSlopes::<Paper>::new(black_box(normal), view);
             shade_vjp_by_normal(&turning, &material, &cotangent)
         });
     });
@@ -231,7 +232,7 @@ fn pixel_fit(c: &mut Criterion) {
             steps,
             exact_steps,
             held_normals: false,
-            pull: None,
+            prior: None,
         };
         group.bench_function(name, |b| {
             b.iter(|| problem.fit_materials(&grey, &everything, &search).unwrap());
@@ -261,7 +262,7 @@ fn free_normals_of_pixels(c: &mut Criterion) {
         steps: 0,
         exact_steps: 8,
         held_normals: false,
-        pull: None,
+        prior: None,
     };
     for (name, example, free_normals) in [
         ("given", example.clone(), false),
@@ -277,20 +278,19 @@ fn free_normals_of_pixels(c: &mut Criterion) {
         group.bench_function(BenchmarkId::new("normal equations", name), |b| {
             b.iter(|| problem.normal_equations(x, &everything).unwrap());
         });
-        group.bench_function(BenchmarkId::new("reduced product", name), |b| {
-            b.iter(|| {
-                problem
-                    .reduced_product(x, &everything, &moves, &how)
-                    .unwrap()
-            });
+        group.bench_function(BenchmarkId::new("schur_complement product", name), |b| {
+            b.iter(|| problem.schur_product(x, &everything, &moves, &how).unwrap());
         });
         group.bench_function(BenchmarkId::new("8 steps of materials", name), |b| {
             b.iter(|| problem.fit_materials(x, &everything, &search).unwrap());
         });
         group.throughput(Throughput::Elements(few.len() as u64));
-        group.bench_function(BenchmarkId::new("reduced, of 1024 pixels", name), |b| {
-            b.iter(|| problem.reduced(x, &few, &how).unwrap());
-        });
+        group.bench_function(
+            BenchmarkId::new("schur_complement, of 1024 pixels", name),
+            |b| {
+                b.iter(|| problem.schur_complement(x, &few, &how).unwrap());
+            },
+        );
     }
     group.finish();
 }
@@ -400,13 +400,13 @@ impl Example {
         }
     }
 
-    /// With tilts in x.
+    /// With tangent offsets in x.
     fn turned(&self) -> Self {
         let pixels = self.normals.len();
         let mut turned = self.clone();
         let end = (self.channels + 2) * pixels;
-        let tilts = (0..2 * pixels).map(|i| 0.4 * (wave(i, 0.17) - 0.5));
-        turned.x.splice(end..end, tilts);
+        let offsets = (0..2 * pixels).map(|i| 0.4 * (wave(i, 0.17) - 0.5));
+        turned.x.splice(end..end, offsets);
         turned
     }
 

@@ -1,4 +1,4 @@
-"""Print the Chebyshev coefficients in `rust/ggx.rs` (needs mpmath).
+"""Print the Chebyshev coefficients in `rust/reflectance/ggx.rs` (needs mpmath).
 
 Interpolates h_l(r) and dh_l/dr, l = 1, 2, 3, at Chebyshev nodes of [0.4, 1] in 60-digit
 arithmetic. Value and derivative are fitted apart: differentiating the series of the value would

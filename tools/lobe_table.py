@@ -1,4 +1,4 @@
-"""Makes rust/lobe_table.bin, the lobe functions of the principled model as bicubic splines.
+"""Makes rust/reflectance/lobe_table.bin, the principled lobe functions as bicubic splines.
 
     python tools/lobe_table.py              integrate, fit, write the table, print its errors
     python tools/lobe_table.py --check      the table as it is: its errors, and five samples
@@ -28,7 +28,7 @@ import numpy as np
 from lobe_integrals import DIELECTRIC_F0, ORDER, Array, Quadrature
 
 ROOT = Path(__file__).resolve().parent.parent
-TABLE = ROOT / "rust" / "lobe_table.bin"
+TABLE = ROOT / "rust" / "reflectance" / "lobe_table.bin"
 SAMPLES = ROOT / "tests" / "data" / "lobe_samples.json"
 
 MAGIC = b"PBRLOBE1"

@@ -102,10 +102,10 @@ class Problem:
     normals, views (P, 3) float64 unit vectors; weights (N, P) or (N, P, C) float32; lighting
     (N, K, C) float64, known; metallic a number, known; threads 0 = all. K = (sh_order + 1)²,
     sh_order 2 or 3.
-    Unknowns x = [albedo (C planes of P) | roughness | metallic | tilts (2 planes) | lighting
-    (N, K, C)], without those that are known; normals are unless `free_normals`. A tilt (a, b), at
-    most 1e3 in size, turns the given normal to (normal + a t₁ + b t₂)/√(1 + a² + b²). The loss is
-    the (weighted) mean of the squared residuals, or of a robust loss of them.
+    Unknowns x = [albedo (C planes of P) | roughness | metallic | tangent offsets (2 planes) |
+    lighting (N, K, C)], without those that are known; normals are unless `free_normals`. A tangent
+    offset (a, b), at most 1e3 in size, moves the given normal to (normal + a t₁ + b t₂)/√(1 + a² +
+    b²). The loss is the (weighted) mean of the squared residuals, or of a robust loss of them.
     """
 
     def __new__(
@@ -146,7 +146,7 @@ class Problem:
         `pixels` are indices below P, in any order.
         """
     def normals(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit normals (P, 3) at the tilts of `maps`, which is x without its lighting."""
+        """Unit normals (P, 3) at the tangent offsets of `maps`, which is x without its lighting."""
     def light_equations(
         self, maps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -173,7 +173,7 @@ class Problem:
         starts: int = 1,
         steps: int = 10,
         exact_steps: int = 1,
-        centre: NDArray[np.float64] | None = None,
+        mean: NDArray[np.float64] | None = None,
         precision: NDArray[np.float64] | None = None,
         held_normals: bool = False,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -182,12 +182,12 @@ class Problem:
         Of each pixel alone: the lowest of what is reached from its material in x and from the
         `starts` lowest local minima of the grid roughness × metallic (no grid if one is empty;
         metallic is not read where it is known), by `steps` Levenberg-Marquardt steps on products
-        over pictures. Then `exact_steps` on residuals; without, squares have half of the digits.
-        Never worse than in x. `centre` and `precision` (P', F) of the F unknowns after albedo add
-        Σ precision (v − centre)² to what is minimised, not to the squares that are returned.
+        over pictures. Then `exact_steps` on residuals; without, sums have half of the digits.
+        Never worse than in x. `mean` and `precision` (P', F) of a Gaussian prior of the F unknowns
+        after albedo add Σ precision (v − mean)² to what is minimised, not to the sums returned.
         The D unknowns of a pixel: albedo by channel, roughness, metallic unless it is known and, if
-        normals are free, both tilts. Tilts move in the steps on residuals alone, from the material
-        of x and from the best found at its normals; not if they are held.
+        normals are free, both tangent offsets. These move in the steps on residuals alone, from the
+        material of x and from the best found at its normals; not if `held_normals`.
         """
     def best_albedo(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
@@ -199,15 +199,15 @@ class Problem:
         """JᵀΩJ (P', D, D), JᵀΩ(I−T) (P', D) and Σω(I−T)² (P',) of some pixels, the lights held.
 
         The D unknowns of a pixel: albedo by channel, roughness, metallic unless it is known and, if
-        normals are free, both tilts.
+        normals are free, both tangent offsets.
         """
     def derivatives(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Derivatives of the radiance of some pixels, and the weights of the samples (P', N, C).
 
-        By the channel's albedo, roughness, metallic and, if normals are free, both tilts, (P', N,
-        C, 3 or 5); and by the light, the same for all pictures, (P', C, K).
+        By the channel's albedo, roughness, metallic and, if normals are free, both tangent offsets,
+        (P', N, C, 3 or 5); and by the light, the same for all pictures, (P', C, K).
         """
     def moves_with_lights(
         self,
@@ -220,7 +220,7 @@ class Problem:
 
         covariances (P', D, D), the inverse of JᵀΩJ; modes (M, N, K, C) of the lights.
         """
-    def reduced(
+    def schur_complement(
         self,
         x: NDArray[np.float64],
         pixels: NDArray[np.uint64],
@@ -228,15 +228,16 @@ class Problem:
         damping: float = 0.0,
         mono: bool = False,
         precision: NDArray[np.float64] | None = None,
-        off: NDArray[np.float64] | None = None,
+        deviation: NDArray[np.float64] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Matrix S (M, M) and gradient s (M,) of the lights with some pixels solved for.
+        """Schur complement S (M, M) and gradient s (M,) of the lights, some pixels eliminated.
 
         The M unknowns are (light channel, picture, coefficient); one light channel if `mono`. A
-        share `damping` of its diagonal is added to the matrix of each pixel. precision a and off =
-        v − c, both (P', F), are of a pull Σ a (v − c)² at the F unknowns of a pixel after albedo.
+        share `damping` of its diagonal is added to the matrix of each pixel. precision a and
+        deviation v − c, both (P', F), are those of a Gaussian prior Σ a (v − c)² of the F unknowns
+        of a pixel after albedo.
         """
-    def reduced_product(
+    def schur_product(
         self,
         x: NDArray[np.float64],
         pixels: NDArray[np.uint64],
@@ -245,10 +246,10 @@ class Problem:
         damping: float = 0.0,
         mono: bool = False,
         precision: NDArray[np.float64] | None = None,
-        off: NDArray[np.float64] | None = None,
+        deviation: NDArray[np.float64] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """S v (M,) and s (M,) of `reduced`, without making S."""
-    def follow_lights(
+        """S v (M,) and s (M,) of `schur_complement`, without making S."""
+    def back_substitute(
         self,
         x: NDArray[np.float64],
         pixels: NDArray[np.uint64],
@@ -257,12 +258,12 @@ class Problem:
         damping: float = 0.0,
         mono: bool = False,
         precision: NDArray[np.float64] | None = None,
-        off: NDArray[np.float64] | None = None,
+        deviation: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
         """Unknowns (P', D) that a Gauss-Newton step leads to when the lights move by v (M,).
 
-        Materials are clipped to [0, 1]. Tilts move by 0.3 at most, the other unknowns as is best
-        with that, and grow no longer than tan 60°.
+        Materials are clipped to [0, 1]. Tangent offsets move by 0.3 at most, the other unknowns
+        as is best with that, and grow no longer than tan 60°.
         """
 
 @final
@@ -309,16 +310,15 @@ class Lbfgs:
     def size(self) -> int: ...
     @property
     def pairs(self) -> int: ...
-    def forget(self) -> None:
-        """All pairs."""
-    def learn(
+    def clear_pairs(self) -> None: ...
+    def add_pair(
         self,
         x: NDArray[np.float64],
         new_x: NDArray[np.float64],
         gradient: NDArray[np.float64],
         new_gradient: NDArray[np.float64],
     ) -> bool:
-        """Take a pair s = new_x − x and y = new_gradient − gradient, if sᵀy is well above 0."""
+        """Add a pair s = new_x − x and y = new_gradient − gradient, if sᵀy is well above 0."""
     def products(
         self, x: NDArray[np.float64], gradient: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:

@@ -3,7 +3,7 @@
 Python hears of a signal between two of its own instructions. A call into the core, numpy or a
 library may take seconds, so a thread of the core watches as well: half a second after the signal it
 takes away what is unfinished (`pbrfit.io.output.unfinished`) and ends the process, whoever keeps
-the interpreter (`rust/ending.rs`).
+the interpreter (`rust/runtime/ending.rs`).
 """
 
 from __future__ import annotations

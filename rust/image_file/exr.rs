@@ -19,7 +19,7 @@ use ::exr::prelude::{
 use super::{
     Format, broken, check_memory, check_size, content, guarded, read_bytes, write_atomically,
 };
-use crate::{Error, Result};
+use crate::runtime::{Error, Result};
 
 /// Largest accepted sum of samples over all channels: 4 GiB as float.
 const MAX_SAMPLES: u64 = 1 << 30;

@@ -5,7 +5,7 @@ use std::path::Path;
 use moxcms::{ColorProfile, DataColorSpace, ParametricCurve, ToneReprCurve};
 
 use super::{content, guarded};
-use crate::Result;
+use crate::runtime::Result;
 
 /// A profile of the matrix-and-curves kind, or of grey.
 #[derive(Clone, Debug, PartialEq)]

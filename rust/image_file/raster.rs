@@ -15,7 +15,7 @@ use super::{
     Format, MAX_PIXELS, broken, check_memory, check_size, content, guarded, read_bytes,
     write_atomically,
 };
-use crate::{Error, Result};
+use crate::runtime::{Error, Result};
 
 /// Most bytes that one byte of deflated data stands for: runs of 258 in two bits.
 const DEFLATED: u64 = 1032;

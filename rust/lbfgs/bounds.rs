@@ -3,7 +3,7 @@
 use std::iter;
 
 use super::{BLOCK, Mask, Numbers};
-use crate::{Error, Result, check};
+use crate::runtime::{Error, Result, check};
 
 /// Equal bounds of consecutive entries.
 #[derive(Clone, Copy, Debug)]

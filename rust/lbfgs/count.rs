@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::bounds::{BlockBounds, Bounds, free_of};
 use super::vectors::padded;
 use super::{BLOCK, LINES, Mask, Numbers};
-use crate::simd::{Ahead, Isa, Kernel, Vectors};
+use crate::runtime::simd::{Ahead, Isa, Kernel, Vectors};
 
 /// Rows of [`Counts`]: the newest s and y over what is free, the gradient over it, the newest over
 /// all.

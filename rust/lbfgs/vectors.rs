@@ -4,7 +4,7 @@ use std::iter;
 
 use super::bounds::{BlockBounds, Bounds, is_free};
 use super::{BLOCK, LINES, Numbers};
-use crate::simd::{Ahead, Isa, Kernel};
+use crate::runtime::simd::{Ahead, Isa, Kernel};
 
 /// Sums are kept in so many parts, which the compiler can put into vector registers.
 const PARTS: usize = 8;
@@ -18,14 +18,14 @@ pub(super) fn padded(values: &[f64]) -> Numbers {
 }
 
 /// [sᵀs, sᵀy, yᵀy]
-pub(super) struct Squares<'a> {
+pub(super) struct PairProducts<'a> {
     pub(super) x: &'a [f64],
     pub(super) new_x: &'a [f64],
     pub(super) g: &'a [f64],
     pub(super) new_g: &'a [f64],
 }
 
-impl Kernel for Squares<'_> {
+impl Kernel for PairProducts<'_> {
     type Output = [f64; 3];
 
     #[inline(always)]

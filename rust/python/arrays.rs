@@ -12,9 +12,9 @@ use numpy::{
 use pyo3::prelude::*;
 
 use super::InputError;
-use crate::problem::MAX_SAMPLES;
-use crate::shade::Material;
-use crate::{Error, Result, check};
+use crate::reflectance::planes::Material;
+use crate::runtime::check::MAX_SAMPLES;
+use crate::runtime::{Error, Result, check};
 
 /// The values in C order, whatever the array's strides.
 pub(super) fn copied<T: Element + Copy, D: Dimension>(array: &PyReadonlyArray<'_, T, D>) -> Vec<T> {

@@ -8,8 +8,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyIterator;
 
 use super::arrays::{Contiguous, array, shape};
-use crate::targets::Targets;
-use crate::{Error, Result};
+use crate::problem::targets::Targets;
+use crate::runtime::{Error, Result};
 
 /// An array (N, P, C) of float32, or anything with a length that gives arrays (P, C), of float32 or
 /// of float64, one after the other.

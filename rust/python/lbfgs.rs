@@ -51,11 +51,11 @@ impl PyLbfgs {
         self.0.pairs()
     }
 
-    fn forget(&mut self) {
-        self.0.forget();
+    fn clear_pairs(&mut self) {
+        self.0.clear_pairs();
     }
 
-    fn learn(
+    fn add_pair(
         &mut self,
         x: Argument<'_, '_>,
         new_x: Argument<'_, '_>,
@@ -70,7 +70,7 @@ impl PyLbfgs {
             values("gradient", &gradient)?,
             values("new_gradient", &new_gradient)?,
         ];
-        Ok(self.0.learn(x, gradient)?)
+        Ok(self.0.add_pair(x, gradient)?)
     }
 
     #[expect(clippy::type_complexity)]

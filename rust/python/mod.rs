@@ -20,8 +20,8 @@ use pyo3::create_exception;
 use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::Error;
-use crate::{band_table, lobe_table};
+use crate::reflectance::{band_table, lobe_table};
+use crate::runtime::Error;
 
 create_exception!(
     pbrfit._core,

@@ -10,16 +10,20 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
-use crate::directional::{DirectionalLight, render_directional as render_directional_pixels};
-use crate::lobe_table;
-use crate::model::{Model, with_model};
-use crate::problem::MAX_SAMPLES;
-use crate::render::render as render_pixels;
-use crate::shade::{
-    Frame, Material, Reflection, TurningFrame, Weights, shade as shade_pixel,
-    shade_vjp_by_normal as pull_back_pixel,
+use crate::problem::directional::{
+    DirectionalLight, render_directional as render_directional_pixels,
 };
-use crate::{Error, Result, check, ggx, sh};
+use crate::problem::render::render as render_pixels;
+use crate::reflectance::lobe_table;
+use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::planes::Material;
+use crate::reflectance::reflection::{Reflection, Weights};
+use crate::reflectance::shade::{
+    Frame, FrameWithSlopes, shade as shade_pixel, shade_vjp_by_normal as pull_back_pixel,
+};
+use crate::reflectance::{ggx, sh};
+use crate::runtime::check::MAX_SAMPLES;
+use crate::runtime::{Error, Result, check};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(sh_basis, module)?)?;
@@ -338,7 +342,7 @@ impl Pixels {
     fn pull_back<M: Reflection>(&self, cotangent: &[Weights]) -> Result<Vec<(Material, DVec3)>> {
         let pairs = self.each().zip(cotangent);
         let gradients =
-            pairs.map(|((n, v, m), w)| pull_back_pixel(&TurningFrame::<M>::new(n, v), m, w));
+            pairs.map(|((n, v, m), w)| pull_back_pixel(&FrameWithSlopes::<M>::new(n, v), m, w));
         collect("normal", self.count(), gradients)
     }
 

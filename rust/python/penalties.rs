@@ -8,8 +8,8 @@ use pyo3::prelude::*;
 
 use super::InputError;
 use super::arrays::{Contiguous, array, shape};
-use crate::Error;
-use crate::penalties::{Groups, Neighbours};
+use crate::problem::penalties::{Groups, Neighbours};
+use crate::runtime::{self, Error};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyNeighbours>()?;
@@ -68,7 +68,7 @@ impl PyGroups {
 fn in_place(
     values: &Bound<'_, PyAny>,
     gradient: &Bound<'_, PyAny>,
-    add: impl FnOnce(&[f64], &mut [f64]) -> crate::Result<f64>,
+    add: impl FnOnce(&[f64], &mut [f64]) -> runtime::Result<f64>,
 ) -> PyResult<f64> {
     let values = array::<f64, Ix1>("values", values)?;
     let values = Contiguous::try_of("values", &values)?;

@@ -12,11 +12,11 @@ use pyo3::prelude::*;
 use super::arrays::{Contiguous, array, collect, copied, shape, try_copied, vectors};
 use super::images::Images;
 use super::model::{array2, array3, matrix};
-use crate::pixel_fit::{Search, Towards};
+use crate::pixel::pixel_fit::{GaussianPrior, Search};
+use crate::problem::robust::Robust;
 use crate::problem::{Options, Pictures, Problem};
-use crate::reduced::{Elimination, Pull};
-use crate::robust::Robust;
-use crate::{Error, check, pool};
+use crate::runtime::{Error, check, pool};
+use crate::schur::{Elimination, PriorTerm};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProblem>()
@@ -243,7 +243,7 @@ impl PyProblem {
 
     #[pyo3(signature = (
         x, pixels, roughness, metallic, *,
-        starts = 1, steps = 10, exact_steps = 1, centre = None, precision = None,
+        starts = 1, steps = 10, exact_steps = 1, mean = None, precision = None,
         held_normals = false
     ))]
     #[expect(clippy::too_many_arguments, clippy::type_complexity)]
@@ -257,7 +257,7 @@ impl PyProblem {
         starts: usize,
         steps: usize,
         exact_steps: usize,
-        centre: Option<&Bound<'py, PyAny>>,
+        mean: Option<&Bound<'py, PyAny>>,
         precision: Option<&Bound<'py, PyAny>>,
         held_normals: bool,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
@@ -274,15 +274,12 @@ impl PyProblem {
             shape(name, &[q, d - self.problem.channels()], values.shape())?;
             PyResult::Ok(Some(try_copied(name, &values)?))
         };
-        let (centre, precision) = (
-            of_pixels("centre", centre)?,
-            of_pixels("precision", precision)?,
-        );
-        let pull = match (&centre, &precision) {
+        let (mean, precision) = (of_pixels("mean", mean)?, of_pixels("precision", precision)?);
+        let prior = match (&mean, &precision) {
             (None, None) => None,
-            (Some(centre), Some(precision)) => Some(Towards { centre, precision }),
-            (Some(_), None) => return Err(missing("precision", "centre")),
-            (None, Some(_)) => return Err(missing("centre", "precision")),
+            (Some(mean), Some(precision)) => Some(GaussianPrior { mean, precision }),
+            (Some(_), None) => return Err(missing("precision", "mean")),
+            (None, Some(_)) => return Err(missing("mean", "precision")),
         };
         let search = Search {
             roughness: &roughness,
@@ -291,12 +288,12 @@ impl PyProblem {
             steps,
             exact_steps,
             held_normals,
-            pull,
+            prior,
         };
         let fitted = py.detach(|| self.problem.fit_materials(x, &pixels, &search))?;
         Ok((
             matrix(fitted.materials, [q, d]).into_pyarray(py),
-            fitted.squares.into_pyarray(py),
+            fitted.sum_sq_residuals.into_pyarray(py),
         ))
     }
 
@@ -313,7 +310,7 @@ impl PyProblem {
         let shape = [pixels.len(), self.problem.channels()];
         Ok((
             matrix(best.albedo, shape).into_pyarray(py),
-            best.squares.into_pyarray(py),
+            best.sum_sq_residuals.into_pyarray(py),
         ))
     }
 
@@ -335,7 +332,7 @@ impl PyProblem {
         Ok((
             array3(found.matrices, [p, d, d]).into_pyarray(py),
             matrix(found.gradient, [p, d]).into_pyarray(py),
-            found.squares.into_pyarray(py),
+            found.sum_sq_residuals.into_pyarray(py),
         ))
     }
 
@@ -394,9 +391,9 @@ impl PyProblem {
         Ok(matrix(moves, [p, d]).into_pyarray(py))
     }
 
-    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, deviation = None))]
     #[expect(clippy::type_complexity, clippy::too_many_arguments)]
-    fn reduced<'py>(
+    fn schur_complement<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
@@ -404,13 +401,13 @@ impl PyProblem {
         damping: f64,
         mono: bool,
         precision: Option<&Bound<'py, PyAny>>,
-        off: Option<&Bound<'py, PyAny>>,
+        deviation: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
         let x = x.values();
-        let pull = self.pull(pixels.len(), precision, off)?;
-        let how = elimination(damping, mono, pull.as_ref());
-        let found = py.detach(|| self.problem.reduced(x, &pixels, &how))?;
+        let prior = self.prior(pixels.len(), precision, deviation)?;
+        let how = elimination(damping, mono, prior.as_ref());
+        let found = py.detach(|| self.problem.schur_complement(x, &pixels, &how))?;
         let size = found.gradient.len();
         Ok((
             matrix(found.matrix, [size, size]).into_pyarray(py),
@@ -418,9 +415,9 @@ impl PyProblem {
         ))
     }
 
-    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None))]
     #[expect(clippy::type_complexity, clippy::too_many_arguments)]
-    fn reduced_product<'py>(
+    fn schur_product<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
@@ -429,23 +426,23 @@ impl PyProblem {
         damping: f64,
         mono: bool,
         precision: Option<&Bound<'py, PyAny>>,
-        off: Option<&Bound<'py, PyAny>>,
+        deviation: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
         let x = x.values();
         let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
-        let pull = self.pull(pixels.len(), precision, off)?;
-        let how = elimination(damping, mono, pull.as_ref());
-        let found = py.detach(|| self.problem.reduced_product(x, &pixels, &v, &how))?;
+        let prior = self.prior(pixels.len(), precision, deviation)?;
+        let how = elimination(damping, mono, prior.as_ref());
+        let found = py.detach(|| self.problem.schur_product(x, &pixels, &v, &how))?;
         Ok((
             found.product.into_pyarray(py),
             found.gradient.into_pyarray(py),
         ))
     }
 
-    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, off = None))]
+    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None))]
     #[expect(clippy::too_many_arguments)]
-    fn follow_lights<'py>(
+    fn back_substitute<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
@@ -454,24 +451,27 @@ impl PyProblem {
         damping: f64,
         mono: bool,
         precision: Option<&Bound<'py, PyAny>>,
-        off: Option<&Bound<'py, PyAny>>,
+        deviation: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let (x, pixels) = (self.x(x)?, indices(pixels)?);
         let x = x.values();
         let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
-        let pull = self.pull(pixels.len(), precision, off)?;
-        let how = elimination(damping, mono, pull.as_ref());
-        let materials = py.detach(|| self.problem.follow_lights(x, &pixels, &v, &how))?;
+        let prior = self.prior(pixels.len(), precision, deviation)?;
+        let how = elimination(damping, mono, prior.as_ref());
+        let materials = py.detach(|| self.problem.back_substitute(x, &pixels, &v, &how))?;
         let shape = [pixels.len(), self.problem.unknowns_of_pixel()];
         Ok(matrix(materials, shape).into_pyarray(py))
     }
 }
 
-fn elimination<'a>(damping: f64, mono: bool, pull: Option<&'a [Vec<f64>; 2]>) -> Elimination<'a> {
+fn elimination<'a>(damping: f64, mono: bool, prior: Option<&'a [Vec<f64>; 2]>) -> Elimination<'a> {
     Elimination {
         damping,
         mono,
-        pull: pull.map(|[precision, off]| Pull { precision, off }),
+        prior: prior.map(|[precision, deviation]| PriorTerm {
+            precision,
+            deviation,
+        }),
     }
 }
 
@@ -516,26 +516,29 @@ impl PyProblem {
         Ok(copied)
     }
 
-    /// Precision and distance of a pull, both (pixels, unknowns without albedo), or none.
-    fn pull(
+    /// Precision and deviation of a prior, both (pixels, unknowns without albedo), or none.
+    fn prior(
         &self,
         pixels: usize,
         precision: Option<&Bound<'_, PyAny>>,
-        off: Option<&Bound<'_, PyAny>>,
+        deviation: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Option<[Vec<f64>; 2]>> {
-        let (precision, off) = match (precision, off) {
+        let (precision, deviation) = match (precision, deviation) {
             (None, None) => return Ok(None),
-            (Some(precision), Some(off)) => (precision, off),
-            (Some(_), None) => return Err(missing("off", "precision")),
-            (None, Some(_)) => return Err(missing("precision", "off")),
+            (Some(precision), Some(deviation)) => (precision, deviation),
+            (Some(_), None) => return Err(missing("deviation", "precision")),
+            (None, Some(_)) => return Err(missing("precision", "deviation")),
         };
-        let finish = self.problem.unknowns_of_pixel() - self.problem.channels();
+        let shared = self.problem.unknowns_of_pixel() - self.problem.channels();
         let values = |name, argument| {
             let values = array::<f64, numpy::Ix2>(name, argument)?;
-            shape(name, &[pixels, finish], values.shape())?;
+            shape(name, &[pixels, shared], values.shape())?;
             PyResult::Ok(copied(&values))
         };
-        Ok(Some([values("precision", precision)?, values("off", off)?]))
+        Ok(Some([
+            values("precision", precision)?,
+            values("deviation", deviation)?,
+        ]))
     }
 }
 

@@ -4,9 +4,10 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
-use pbrfit::ggx;
-use pbrfit::paper::Paper;
-use pbrfit::shade::{Material, TurningFrame, shade, shade_vjp, shade_vjp_by_normal};
+use pbrfit::reflectance::ggx;
+use pbrfit::reflectance::paper::Paper;
+use pbrfit::reflectance::planes::Material;
+use pbrfit::reflectance::shade::{FrameWithSlopes, shade, shade_vjp, shade_vjp_by_normal};
 use serde_json::Value;
 
 fn golden(name: &str, list: &str) -> Vec<Value> {
@@ -69,7 +70,7 @@ fn weights_radiance_and_derivatives() {
             roughness: get("roughness")[0],
             metallic: get("metallic")[0],
         };
-        let turning = TurningFrame::<Paper>::new(vector("normal"), vector("view"));
+        let turning = FrameWithSlopes::<Paper>::new(vector("normal"), vector("view"));
         let frame = turning.frame;
         let close = |what: &str, found: &[f64], expected: &[f64]| {
             let largest = expected.iter().fold(1.0_f64, |a, b| a.max(b.abs()));

@@ -1,13 +1,13 @@
 //! Derivatives by the normal against central differences, and the two numbers that turn a normal.
 
 use glam::DVec3;
-use pbrfit::ggx::{self, MIN_COSINE};
-use pbrfit::paper::Paper;
-use pbrfit::sh;
-use pbrfit::shade::{
-    Frame, Material, TurningFrame, Weights, shade, shade_vjp, shade_vjp_by_normal,
-};
-use pbrfit::tilt;
+use pbrfit::reflectance::ggx::{self, MIN_COSINE};
+use pbrfit::reflectance::paper::Paper;
+use pbrfit::reflectance::planes::Material;
+use pbrfit::reflectance::reflection::Weights;
+use pbrfit::reflectance::sh;
+use pbrfit::reflectance::shade::{Frame, FrameWithSlopes, shade, shade_vjp, shade_vjp_by_normal};
+use pbrfit::reflectance::tangent_offset;
 
 /// Numbers in \[0, 1) that look random.
 struct Numbers(u64);
@@ -35,9 +35,9 @@ impl Numbers {
 
 /// df/dt at 0 to fourth order.
 fn slope(step: f64, f: impl Fn(f64) -> f64) -> f64 {
-    let near = (f(step) - f(-step)) / (2.0 * step);
+    let high_words = (f(step) - f(-step)) / (2.0 * step);
     let far = (f(2.0 * step) - f(-2.0 * step)) / (4.0 * step);
-    (4.0 * near - far) / 3.0
+    (4.0 * high_words - far) / 3.0
 }
 
 fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
@@ -99,7 +99,7 @@ fn slopes_of_masking_and_fresnel_by_the_cosine() {
 #[test]
 fn tangents_are_orthonormal() {
     for normal in normals() {
-        let [t1, t2] = tilt::tangents(normal);
+        let [t1, t2] = tangent_offset::tangents(normal);
         for (a, b, expected) in [
             (t1, t1, 1.0),
             (t2, t2, 1.0),
@@ -114,18 +114,23 @@ fn tangents_are_orthonormal() {
 
 #[test]
 fn tangents_at_plus_z_are_the_axes_and_change_little_beside_it() {
-    assert_eq!(tilt::tangents(DVec3::Z), [DVec3::X, DVec3::Y]);
+    assert_eq!(tangent_offset::tangents(DVec3::Z), [DVec3::X, DVec3::Y]);
     let beside = DVec3::new(1e-3, -2e-3, 1.0).normalize();
-    let [t1, t2] = tilt::tangents(beside);
+    let [t1, t2] = tangent_offset::tangents(beside);
     assert!(t1.distance(DVec3::X) < 3e-3 && t2.distance(DVec3::Y) < 3e-3);
 }
 
 #[test]
 fn a_tilt_of_zero_is_the_given_normal_and_its_size_the_tangent_of_the_angle() {
     for given in normals() {
-        assert!(tilt::turn(given, [0.0; 2]).normal.distance(given) < 1e-15);
-        for (a, b) in [(0.3, -0.4), (0.0, 2.0), (-tilt::LARGEST, 0.0)] {
-            let normal = tilt::turn(given, [a, b]).normal;
+        assert!(
+            tangent_offset::offset_normal(given, [0.0; 2])
+                .normal
+                .distance(given)
+                < 1e-15
+        );
+        for (a, b) in [(0.3, -0.4), (0.0, 2.0), (-tangent_offset::OFFSET_MAX, 0.0)] {
+            let normal = tangent_offset::offset_normal(given, [a, b]).normal;
             assert_close("length", normal.length(), 1.0, 1e-15);
             let angle = normal.cross(given).length().atan2(normal.dot(given));
             assert_close("angle", angle, f64::hypot(a, b).atan(), 1e-13);
@@ -137,13 +142,13 @@ fn a_tilt_of_zero_is_the_given_normal_and_its_size_the_tangent_of_the_angle() {
 fn derivatives_of_the_normal_by_its_tilt() {
     for given in normals() {
         for at in [[0.0, 0.0], [0.2, -0.1], [-1.5, 3.0]] {
-            let found = tilt::turn(given, at).by_tilt;
+            let found = tangent_offset::offset_normal(given, at).by_offset;
             for t in 0..2 {
                 for axis in 0..3 {
                     let along = |step: f64| {
-                        let mut tilt = at;
-                        tilt[t] += step;
-                        tilt::turn(given, tilt).normal[axis]
+                        let mut offset = at;
+                        offset[t] += step;
+                        tangent_offset::offset_normal(given, offset).normal[axis]
                     };
                     assert_close("dn", found[t][axis], slope(1e-3, along), 1e-10);
                 }
@@ -155,7 +160,7 @@ fn derivatives_of_the_normal_by_its_tilt() {
 /// View directions seen from a normal at a cosine.
 fn seen_at(numbers: &mut Numbers, cosine: f64) -> (DVec3, DVec3) {
     let normal = numbers.direction();
-    let [t1, t2] = tilt::tangents(normal);
+    let [t1, t2] = tangent_offset::tangents(normal);
     let angle = std::f64::consts::TAU * numbers.next();
     let sine = (1.0 - cosine * cosine).sqrt();
     (
@@ -172,7 +177,7 @@ fn assert_slope_by_normal(
     step: f64,
 ) {
     let cotangent = numbers.cotangent();
-    let turning = TurningFrame::<Paper>::new(normal, view);
+    let turning = FrameWithSlopes::<Paper>::new(normal, view);
     let (by_material, by_normal) = shade_vjp_by_normal(&turning, material, &cotangent);
     assert_eq!(by_material, shade_vjp(&turning.frame, material, &cotangent));
 
@@ -184,7 +189,7 @@ fn assert_slope_by_normal(
     // No larger than the sum of the sizes of what is added up, which are cotangents up to 1.
     let scale = 1.0_f64.max(by_normal.length());
     assert_close("along n", by_normal.dot(normal), 0.0, 1e-13 * scale);
-    for tangent in tilt::tangents(normal) {
+    for tangent in tangent_offset::tangents(normal) {
         let expected = slope(step, |t| scalar((normal + t * tangent).normalize()));
         assert_close(
             &format!("{material:?} at n·v = {:e}", normal.dot(view)),
@@ -252,7 +257,7 @@ fn at_the_clamp_itself_fresnel_and_masking_stand_still() {
         pairs.map(|(w, g)| w * g).sum::<f64>()
     };
     let (_, found) = shade_vjp_by_normal(
-        &TurningFrame::<Paper>::new(normal, view),
+        &FrameWithSlopes::<Paper>::new(normal, view),
         &material,
         &cotangent,
     );

@@ -2,18 +2,19 @@
 //! against itself at other thread counts.
 
 use glam::DVec3;
-use pbrfit::band_table::TABLE;
-use pbrfit::ggx;
-use pbrfit::model::Model;
-use pbrfit::paper::Paper;
+use pbrfit::problem::render::render;
+use pbrfit::problem::robust::Robust;
+use pbrfit::problem::targets::Targets;
 use pbrfit::problem::{Options, Pictures, Problem};
-use pbrfit::reduced::Elimination;
-use pbrfit::render::render;
-use pbrfit::robust::Robust;
-use pbrfit::shade::{Frame, Material, TurningFrame, shade, shade_vjp_by_normal};
-use pbrfit::simd::{Instructions, Isa, Kernel};
-use pbrfit::targets::Targets;
-use pbrfit::tilt;
+use pbrfit::reflectance::band_table::TABLE;
+use pbrfit::reflectance::ggx;
+use pbrfit::reflectance::model::Model;
+use pbrfit::reflectance::paper::Paper;
+use pbrfit::reflectance::planes::Material;
+use pbrfit::reflectance::shade::{Frame, FrameWithSlopes, shade, shade_vjp_by_normal};
+use pbrfit::reflectance::tangent_offset;
+use pbrfit::runtime::simd::{Instructions, Isa, Kernel};
+use pbrfit::schur::Elimination;
 
 #[derive(Clone)]
 struct Example {
@@ -31,7 +32,7 @@ struct Example {
     /// All maps, then all lights, known or not.
     maps: Vec<f64>,
     /// Two planes; not read unless normals are free.
-    tilts: Vec<f64>,
+    offsets: Vec<f64>,
     lighting: Vec<f64>,
 }
 
@@ -66,7 +67,7 @@ impl Example {
             maps: (0..(channels + 2) * pixels)
                 .map(|i| wave(i, 0.313))
                 .collect(),
-            tilts: (0..2 * pixels).map(|i| wave(i, 0.417) - 0.5).collect(),
+            offsets: (0..2 * pixels).map(|i| wave(i, 0.417) - 0.5).collect(),
             lighting: (0..pictures * coefficients * channels)
                 .map(|i| wave(i, 0.517))
                 .collect(),
@@ -124,7 +125,7 @@ impl Example {
     fn free_maps(&self) -> usize {
         self.free_materials()
             + if self.free_normals {
-                self.tilts.len()
+                self.offsets.len()
             } else {
                 0
             }
@@ -133,7 +134,7 @@ impl Example {
     fn x(&self) -> Vec<f64> {
         let mut x = self.maps[..self.free_materials()].to_vec();
         if self.free_normals {
-            x.extend(&self.tilts);
+            x.extend(&self.offsets);
         }
         if !self.known_lights {
             x.extend(&self.lighting);
@@ -164,9 +165,9 @@ impl Example {
         }
     }
 
-    fn turned(&self, p: usize) -> tilt::Turned {
-        let [a, b] = [0, 1].map(|t| self.tilts[t * self.pixels() + p]);
-        tilt::turn(self.normals[p], [a, b])
+    fn turned(&self, p: usize) -> tangent_offset::OffsetNormal {
+        let [a, b] = [0, 1].map(|t| self.offsets[t * self.pixels() + p]);
+        tangent_offset::offset_normal(self.normals[p], [a, b])
     }
 
     /// φ and φ', as textbooks have them.
@@ -189,7 +190,7 @@ impl Example {
         let mut total = 0.0;
         let mut loss = 0.0;
         let mut by_maps = vec![0.0; self.maps.len()];
-        let mut by_tilts = vec![0.0; self.tilts.len()];
+        let mut by_offsets = vec![0.0; self.offsets.len()];
         let mut by_lighting = vec![0.0; self.lighting.len()];
         for p in 0..pixels {
             let turned = self.turned(p);
@@ -198,7 +199,7 @@ impl Example {
             } else {
                 self.normals[p]
             };
-            let frame = TurningFrame::<Paper>::new(normal, self.views[p]);
+            let frame = FrameWithSlopes::<Paper>::new(normal, self.views[p]);
             let w = shade(&frame.frame, &self.material(p));
             let mut by_weights = [[0.0; 16]; 3];
             for i in 0..self.pictures {
@@ -218,7 +219,7 @@ impl Example {
             }
             let (g, by_normal) = shade_vjp_by_normal(&frame, &self.material(p), &by_weights);
             for t in 0..2 {
-                by_tilts[t * pixels + p] = by_normal.dot(turned.by_tilt[t]);
+                by_offsets[t * pixels + p] = by_normal.dot(turned.by_offset[t]);
             }
             for c in 0..channels {
                 by_maps[c * pixels + p] = g.albedo[c];
@@ -228,7 +229,7 @@ impl Example {
         }
         by_maps.truncate(self.free_materials());
         if self.free_normals {
-            by_maps.append(&mut by_tilts);
+            by_maps.append(&mut by_offsets);
         }
         if !self.known_lights {
             by_maps.append(&mut by_lighting);
@@ -258,7 +259,7 @@ impl Example {
             self.free_maps(),
             x.len(),
         ];
-        for (i, name) in ["albedo", "roughness", "metallic", "tilts", "lighting"]
+        for (i, name) in ["albedo", "roughness", "metallic", "offsets", "lighting"]
             .iter()
             .enumerate()
         {
@@ -382,9 +383,9 @@ fn residuals_are_those_of_the_loss() {
         let (x, problem) = (example.x(), example.problem(2));
         let all: Vec<usize> = (0..700).collect();
         let of_all = problem.residuals(&x, &all).unwrap();
-        let squares: f64 = of_all.iter().map(|&e| f64::from(e).powi(2)).sum();
+        let sum_sq_residuals: f64 = of_all.iter().map(|&e| f64::from(e).powi(2)).sum();
         let (loss, _) = example.reference();
-        let mean = squares / of_all.len() as f64;
+        let mean = sum_sq_residuals / of_all.len() as f64;
         assert!((mean / loss - 1.0).abs() < 1e-6, "{mean} is not {loss}");
 
         // More pixels than a piece of work has, in any order, some twice.
@@ -714,10 +715,10 @@ fn tilts_of_zero_are_the_given_normals() {
         };
         let known = evaluate(&example);
         example.free_normals = true;
-        example.tilts.fill(0.0);
+        example.offsets.fill(0.0);
         let mut free = evaluate(&example);
-        let tilts = example.free_materials()..example.free_maps();
-        assert!(free.1.drain(tilts).any(|g| g != 0.0));
+        let offsets = example.free_materials()..example.free_maps();
+        assert!(free.1.drain(offsets).any(|g| g != 0.0));
         assert!((free.0 / known.0 - 1.0).abs() < 1e-7);
         let off = |a: &[f64], b: &[f64]| {
             norm(a.iter().zip(b).map(|(a, b)| a - b)) / norm(a.iter().copied())
@@ -784,18 +785,21 @@ fn refusals_name_tilts() {
             for refusal in refusals {
                 assert_eq!(
                     refusal.unwrap_err().to_string(),
-                    format!("x (tilt): {reason}")
+                    format!("x (tangent offset): {reason}")
                 );
             }
             let refusal = problem.light_equations(&bad[..problem.maps()]).unwrap_err();
-            assert_eq!(refusal.to_string(), format!("maps (tilt): {reason}"));
+            assert_eq!(
+                refusal.to_string(),
+                format!("maps (tangent offset): {reason}")
+            );
         }
         let mut bad = x.clone();
         bad[first - 1] = 1.5;
         let refusal = problem.residuals(&bad, &[0]).unwrap_err().to_string();
         assert!(refusal.starts_with("x (albedo, roughness, metallic): expected numbers in [0, 1]"));
         let mut largest = x;
-        largest[first..][..40].fill(-tilt::LARGEST);
+        largest[first..][..40].fill(-tangent_offset::OFFSET_MAX);
         let mut gradient = vec![0.0; largest.len()];
         let loss = problem.value_and_grad(&largest, None, &mut gradient);
         assert!(loss.unwrap().is_finite() && gradient.iter().all(|g| g.is_finite()));
@@ -820,18 +824,18 @@ fn normal_equations(example: &Example, problem: &Problem) -> Vec<f64> {
         damping: 0.1,
         ..Elimination::default()
     };
-    let reduced = problem.reduced(&x, &pixels, &how).unwrap();
-    let follow = problem.follow_lights(&x, &pixels, &modes[..modes.len() / 2], &how);
+    let schur_complement = problem.schur_complement(&x, &pixels, &how).unwrap();
+    let back_substitute = problem.back_substitute(&x, &pixels, &modes[..modes.len() / 2], &how);
     [
         equations.matrices,
         equations.gradient,
-        equations.squares,
+        equations.sum_sq_residuals,
         derivatives.by_material,
         derivatives.by_light,
         moves.unwrap(),
-        reduced.matrix,
-        reduced.gradient,
-        follow.unwrap(),
+        schur_complement.matrix,
+        schur_complement.gradient,
+        back_substitute.unwrap(),
     ]
     .concat()
 }
@@ -898,10 +902,10 @@ fn the_true_material_is_the_best_of_the_grid() {
         let grid = problem
             .material_grid(&example.x(), &every, &roughness, &metallic)
             .unwrap();
-        for (squares, &p) in grid.as_chunks::<6>().0.iter().zip(&every) {
-            let own = squares[p % 3 * 2 + p / 3 % 2];
+        for (sum_sq_residuals, &p) in grid.as_chunks::<6>().0.iter().zip(&every) {
+            let own = sum_sq_residuals[p % 3 * 2 + p / 3 % 2];
             assert!(own < 1e-10, "{p}: {own}");
-            assert!(squares.iter().all(|&other| other >= own), "{p}");
+            assert!(sum_sq_residuals.iter().all(|&other| other >= own), "{p}");
         }
     }
 }
@@ -917,7 +921,11 @@ fn the_best_albedo_is_the_true_one() {
     let every: Vec<usize> = (0..300).collect();
     let best = problem.best_albedo(&example.x(), &every).unwrap();
     for p in 0..300 {
-        assert!(best.squares[p] < 1e-9, "{p}: {}", best.squares[p]);
+        assert!(
+            best.sum_sq_residuals[p] < 1e-9,
+            "{p}: {}",
+            best.sum_sq_residuals[p]
+        );
         for c in 0..3 {
             let (found, own) = (best.albedo[p * 3 + c], example.maps[c * 300 + p]);
             // Of a rough dielectric at grazing light, albedo may be hardly seen.

@@ -1,8 +1,8 @@
 //! Robust losses of single residuals against their definition in float64.
 
-use pbrfit::block::{BLOCK, Plane};
-use pbrfit::robust::{Robust, Tame};
-use pbrfit::simd::Instructions;
+use pbrfit::problem::robust::{ApplyRobustLoss, Robust};
+use pbrfit::reflectance::planes::{BLOCK, Plane};
+use pbrfit::runtime::simd::Instructions;
 
 /// φ(e) and φ'(e)/2 of float32 residuals, one at a time.
 fn tamed(loss: Robust, residuals: &[f32], instructions: Instructions) -> Vec<(f64, f64)> {
@@ -11,7 +11,7 @@ fn tamed(loss: Robust, residuals: &[f32], instructions: Instructions) -> Vec<(f6
         let at = i % BLOCK;
         let mut planes = [Plane::default()];
         planes[0].0[at] = e;
-        let value = instructions.run(Tame {
+        let value = instructions.run(ApplyRobustLoss {
             loss,
             sample_weights: &[],
             residuals: &mut planes,
@@ -94,7 +94,7 @@ fn weights_multiply_value_and_slope() {
         let e = Plane([0.25; BLOCK]);
         let run = |weights: &[Plane]| {
             let mut planes = [e, e];
-            let value = Instructions::best().run(Tame {
+            let value = Instructions::best().run(ApplyRobustLoss {
                 loss,
                 sample_weights: weights,
                 residuals: &mut planes,

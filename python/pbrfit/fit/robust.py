@@ -2,8 +2,8 @@
 
 A robust loss φ(e) is e² for residuals e that noise explains and grows slower beyond, so that
 shadows, interreflections and highlights outside the model pull less (the formulas are in
-`rust/robust.rs`). Where it bends is its scale δ, a multiple of the noise's standard deviation σ,
-which is not known and is taken from the residuals themselves.
+`rust/problem/robust.rs`). Where it bends is its scale δ, a multiple of the noise's standard
+deviation σ, which is not known and is taken from the residuals themselves.
 
 Notes
 -----

@@ -28,7 +28,7 @@ import sys, time
 from pathlib import Path
 from pbrfit import _core, ending
 from pbrfit.batch.place import of_batch
-from pbrfit.output import new_file, new_folder, scratch_folder, undisturbed, unfinished
+from pbrfit.io.output import new_file, new_folder, scratch_folder, undisturbed, unfinished
 ending.watch()
 here = Path(sys.argv[1])
 def ready(): print("ready", flush=True)
@@ -197,7 +197,7 @@ def test_the_command_says_so_once(here: Path, number: signal.Signals) -> None:
         "def fit(*_):\n"
         " with new_folder(here / 'a' / 'out'):\n"
         "  ready(); time.sleep(60)\n"
-        "decompose._run = fit\n"
+        "decompose.run = fit\n"
         "import sys; sys.argv = ['pbrfit', 'decompose', 'x', '--out', 'y']\n"
         "cli.run()\n"
     )

@@ -74,7 +74,7 @@ def test_mirrors_do_not_move_with_the_lights(model: Model) -> None:
     how = options(objective, x, pixels, None) | {"damping": 1e-3}
     moves = np.random.default_rng(0).normal(size=x[objective.layout.lighting].size)
     # At roughness 0 nothing depends on roughness; what rounding leaves of that would go any way.
-    followed = objective.problem.follow_lights(objective.for_core(x), pixels, moves, **how)
+    followed = objective.problem.back_substitute(objective.for_core(x), pixels, moves, **how)
     assert not followed[:, 3].any()
 
 

@@ -28,9 +28,10 @@ import numpy as np
 import scipy.optimize
 
 import pbrfit
-from pbrfit import memory, projected_lbfgs
-from pbrfit.layout import ParameterLayout
-from pbrfit.objective import Objective
+from pbrfit.fit import memory
+from pbrfit.fit.solvers import projected_lbfgs
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.objective import Objective
 
 method, size = sys.argv[1], 256
 rng = np.random.default_rng(0)

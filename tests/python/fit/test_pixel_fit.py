@@ -192,7 +192,7 @@ def test_a_pull_is_minimised_with_the_squares(kind: Kind) -> None:
         starts=4,
         steps=40,
         exact_steps=5,
-        centre=centre,
+        mean=centre,
         precision=precision,
     )
     # What is handed out is without the pull, what is least is with it.
@@ -205,7 +205,7 @@ def test_a_pull_is_minimised_with_the_squares(kind: Kind) -> None:
         example.everything,
         ROUGHNESS,
         METALLIC,
-        centre=centre,
+        mean=centre,
         precision=np.full(shape, 1e12),
     )
     np.testing.assert_allclose(stiff[:, kind.channels :], centre, atol=1e-9)
@@ -398,7 +398,7 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
             METALLIC,
             starts=2,
             exact_steps=2,
-            centre=centre[pixels],
+            mean=centre[pixels],
             precision=precision[pixels],
         )
 
@@ -434,13 +434,13 @@ TWO = np.full((3, 2), 0.5)
         ({"metallic": np.array([np.nan])}, r"metallic: expected numbers in \[0, 1\]"),
         ({"x": np.full(3, 0.5)}, "x: expected shape"),
         ({"x": np.full(40, 1.5)}, "x .*: expected numbers in"),
-        ({"centre": TWO}, "precision: expected an array beside centre, found None"),
-        ({"precision": TWO}, "centre: expected an array beside precision, found None"),
-        ({"centre": TWO[:2], "precision": TWO}, r"centre: expected shape \[3, 2\]"),
-        ({"centre": TWO, "precision": TWO[:, :1]}, r"precision: expected shape \[3, 2\]"),
-        ({"centre": TWO, "precision": -TWO}, "precision: expected numbers from 0, found -0.5 at 0"),
-        ({"centre": TWO * np.nan, "precision": TWO}, "centre: expected finite numbers"),
-        ({"centre": TWO, "precision": TWO * np.inf}, "precision: expected finite numbers"),
+        ({"mean": TWO}, "precision: expected an array beside mean, found None"),
+        ({"precision": TWO}, "mean: expected an array beside precision, found None"),
+        ({"mean": TWO[:2], "precision": TWO}, r"mean: expected shape \[3, 2\]"),
+        ({"mean": TWO, "precision": TWO[:, :1]}, r"precision: expected shape \[3, 2\]"),
+        ({"mean": TWO, "precision": -TWO}, "precision: expected numbers from 0, found -0.5 at 0"),
+        ({"mean": TWO * np.nan, "precision": TWO}, "mean: expected finite numbers"),
+        ({"mean": TWO, "precision": TWO * np.inf}, "precision: expected finite numbers"),
     ],
 )
 def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:

@@ -96,7 +96,7 @@ class TestVectors:
             if step % 4 == 3:
                 new_gradient *= rng.choice([-1, 1], size)
             s, y = new_x - x, new_gradient - gradient
-            learnt = vectors.learn(x, new_x, gradient, new_gradient)
+            learnt = vectors.add_pair(x, new_x, gradient, new_gradient)
             assert learnt == (
                 s @ y > np.finfo(np.float32).eps * np.linalg.norm(s) * np.linalg.norm(y)
             )
@@ -134,14 +134,14 @@ class TestVectors:
             vectors.moved(x, way, 0.7, out)
             assert np.array_equal(out, np.clip(x + 0.7 * way, lower, upper))
         assert size == 1 or came_free > 0
-        vectors.forget()
+        vectors.clear_pairs()
         assert vectors.pairs == 0
 
     def test_pairs_of_any_unit_are_kept_to_float32(self) -> None:
         x, gradient = np.zeros(300), np.ones(300)
         vectors = _core.Lbfgs(np.array([300]), np.array([-np.inf]), np.array([np.inf]), 2)
         s = 1e-30 * np.linspace(1, 2, 300)
-        assert vectors.learn(x, s, gradient, gradient + 1e-10 * np.linspace(2, 1, 300))
+        assert vectors.add_pair(x, s, gradient, gradient + 1e-10 * np.linspace(2, 1, 300))
         of_all, *_ = vectors.products(x, gradient)
         assert of_all[0, 0] == pytest.approx(s @ s, rel=1e-6, abs=0)
 

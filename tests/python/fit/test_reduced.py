@@ -158,7 +158,7 @@ class Example:
         rows = self.pixels if pixels is None else pixels
         found: dict[str, Any] = {"damping": self.kind.damping, "mono": self.kind.mono}
         if self.precision is not None and self.off is not None:
-            found |= {"precision": self.precision[rows], "off": self.off[rows]}
+            found |= {"precision": self.precision[rows], "deviation": self.off[rows]}
         return found
 
     def moves(self) -> Array:
@@ -267,7 +267,9 @@ def accuracy(kind: Kind) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) -> None:
     example, expected = expected_of(kind)
-    matrix, gradient = example.problem().reduced(example.x, example.pixels, **example.options())
+    matrix, gradient = example.problem().schur_complement(
+        example.x, example.pixels, **example.options()
+    )
     assert matrix.shape == (example.size, example.size)
     close(matrix, expected.matrix, accuracy(example.kind))
     close(gradient, expected.gradient, accuracy(example.kind))
@@ -278,7 +280,7 @@ def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) ->
 def test_products_are_those_of_the_whole_system(kind: str) -> None:
     example, expected = expected_of(kind)
     moves = example.moves()
-    product, gradient = example.problem().reduced_product(
+    product, gradient = example.problem().schur_product(
         example.x, example.pixels, moves, **example.options()
     )
     close(product, expected.matrix @ moves, accuracy(example.kind))
@@ -289,7 +291,7 @@ def test_products_are_those_of_the_whole_system(kind: str) -> None:
 def test_pixels_follow_the_lights_as_the_whole_system_says(kind: str) -> None:
     example, expected = expected_of(kind)
     moves = example.moves()
-    found = example.problem().follow_lights(example.x, example.pixels, moves, **example.options())
+    found = example.problem().back_substitute(example.x, example.pixels, moves, **example.options())
     of_material = example.kind.of_material
     before = example.values[example.pixels]
     steps = expected.steps(moves, of_material)
@@ -317,7 +319,7 @@ def test_offsets_grow_no_longer_than_tan_60_degrees() -> None:
     pixels = np.arange(PIXELS, dtype=np.uint64)
     # Moves that are large for the lights, so that all steps are as long as they may be.
     moves = 1e3 * example.moves()
-    found = example.problem().follow_lights(example.x, pixels, moves, damping=1e-3)[:, -2:]
+    found = example.problem().back_substitute(example.x, pixels, moves, damping=1e-3)[:, -2:]
     after = np.linalg.norm(found, axis=1)
     assert (after <= np.maximum(longest, lengths) * (1 + 1e-12)).all()
     assert np.count_nonzero(after > np.maximum(longest, lengths) * (1 - 1e-12)) > PIXELS / 5
@@ -332,7 +334,7 @@ def test_a_step_solves_the_whole_system() -> None:
 
 def step_lowers_squares(example: Example) -> None:
     problem, x, pixels, how = example.problem(), example.x, example.pixels, example.options()
-    matrix, gradient = problem.reduced(x, pixels, **how)
+    matrix, gradient = problem.schur_complement(x, pixels, **how)
     # Not all directions of the lights are told by these pixels.
     damped = matrix + 1e-2 * np.diag(np.diag(matrix))
     moves = np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
@@ -340,7 +342,7 @@ def step_lowers_squares(example: Example) -> None:
     moved = x.copy()
     maps = moved[: example.kind.unknowns * PIXELS].reshape(-1, PIXELS)
     for share in (0.01, 0.03):
-        maps[:, pixels] = problem.follow_lights(x, pixels, share * moves, **how).T
+        maps[:, pixels] = problem.back_substitute(x, pixels, share * moves, **how).T
         step = (share * moves).reshape(3, PICTURES, 16).transpose(1, 2, 0)
         moved[example.kind.unknowns * PIXELS :] = (example.lights + step).ravel()
         assert problem.normal_equations(moved, pixels)[2].sum() < before
@@ -354,18 +356,18 @@ def test_the_order_of_pixels_changes_rounding_alone(kind: str) -> None:
     other = example.pixels[order]
     first, second = (
         (
-            problem.reduced(example.x, pixels, **example.options(pixels)),
-            problem.reduced_product(example.x, pixels, moves, **example.options(pixels)),
+            problem.schur_complement(example.x, pixels, **example.options(pixels)),
+            problem.schur_product(example.x, pixels, moves, **example.options(pixels)),
         )
         for pixels in (example.pixels, other)
     )
     for one, two in zip(first, second, strict=True):
         for a, b in zip(one, two, strict=True):
             close(a, b, 1e-12)
-    one_by_one = problem.follow_lights(
+    one_by_one = problem.back_substitute(
         example.x, example.pixels, moves, **example.options(example.pixels)
     )
-    shuffled = problem.follow_lights(example.x, other, moves, **example.options(other))
+    shuffled = problem.back_substitute(example.x, other, moves, **example.options(other))
     np.testing.assert_array_equal(one_by_one[order], shuffled)
 
 
@@ -387,9 +389,9 @@ def test_the_same_bits_at_any_number_of_threads(kind: str) -> None:
     def answers(threads: int) -> list[Array]:
         problem = example.problem(threads)
         return [
-            *problem.reduced(example.x, pixels, **how),
-            *problem.reduced_product(example.x, pixels, moves, **how),
-            problem.follow_lights(example.x, pixels, moves, **how),
+            *problem.schur_complement(example.x, pixels, **how),
+            *problem.schur_product(example.x, pixels, moves, **how),
+            problem.back_substitute(example.x, pixels, moves, **how),
         ]
 
     expected = answers(1)
@@ -410,33 +412,33 @@ def test_pixels_that_nothing_is_known_about_stay() -> None:
     example.materials[6] = 0.5, 0.5, 0.5, 0.0, 1.0
     pixels = np.arange(8, dtype=np.uint64)
     expected = dense(example, pixels)
-    matrix, gradient = example.problem().reduced(example.x, pixels)
+    matrix, gradient = example.problem().schur_complement(example.x, pixels)
     close(matrix, expected.matrix, 1e-8)
     close(gradient, expected.gradient, 1e-8)
     moves = example.moves()
-    product, _ = example.problem().reduced_product(example.x, pixels, moves)
+    product, _ = example.problem().schur_product(example.x, pixels, moves)
     close(product, expected.matrix @ moves, 1e-8)
-    followed = example.problem().follow_lights(example.x, pixels, moves)
+    followed = example.problem().back_substitute(example.x, pixels, moves)
     np.testing.assert_array_equal(followed[1], example.materials[1])
     assert followed[6, 3] == 0  # the slope by roughness is r³
 
     example.lights[:] = 0
     problem = example.problem()
-    matrix, gradient = problem.reduced(example.x, pixels)
+    matrix, gradient = problem.schur_complement(example.x, pixels)
     assert np.isfinite(matrix).all()
     assert np.isfinite(gradient).all()
     np.testing.assert_array_equal(
-        problem.follow_lights(example.x, pixels, np.zeros(example.size)), example.materials[:8]
+        problem.back_substitute(example.x, pixels, np.zeros(example.size)), example.materials[:8]
     )
 
 
 def test_no_pixels_know_nothing() -> None:
     example = Example()
     none = np.empty(0, dtype=np.uint64)
-    matrix, gradient = example.problem().reduced(example.x, none)
+    matrix, gradient = example.problem().schur_complement(example.x, none)
     assert not matrix.any()
     assert not gradient.any()
-    assert example.problem().follow_lights(example.x, none, example.moves()).shape == (0, 5)
+    assert example.problem().back_substitute(example.x, none, example.moves()).shape == (0, 5)
 
 
 NAN = np.full(PICTURES * 16 * 3, np.nan)
@@ -451,13 +453,13 @@ NAN = np.full(PICTURES * 16 * 3, np.nan)
         ({"pixels": np.array([0, PIXELS], dtype=np.uint64)}, r"^pixels: expected .* found 170"),
         ({"x": np.zeros(3)}, r"^x: expected"),
         ({"x": np.full(PIXELS * 5 + PICTURES * 48, 1.5)}, r"^x .*expected"),
-        ({"precision": np.ones((150, 2))}, r"^off: expected"),
-        ({"off": np.ones((150, 2))}, r"^precision: expected"),
-        ({"precision": np.ones((150, 1)), "off": np.ones((150, 2))}, r"^precision: expected"),
-        ({"precision": np.ones((150, 2)), "off": np.ones((149, 2))}, r"^off: expected"),
-        ({"precision": np.full((150, 2), np.nan), "off": np.ones((150, 2))}, r"^precision: expe"),
-        ({"precision": np.full((150, 2), -1.0), "off": np.ones((150, 2))}, r"^precision: expe"),
-        ({"precision": np.ones((150, 2)), "off": np.full((150, 2), np.inf)}, r"^off: expected"),
+        ({"precision": np.ones((150, 2))}, r"^deviation: expected"),
+        ({"deviation": np.ones((150, 2))}, r"^precision: expected"),
+        ({"precision": np.ones((150, 1)), "deviation": np.ones((150, 2))}, r"^precision: expected"),
+        ({"precision": np.ones((150, 2)), "deviation": np.ones((149, 2))}, r"^deviation: expected"),
+        ({"precision": np.full((150, 2), np.nan), "deviation": np.ones((150, 2))}, r"^precision:"),
+        ({"precision": np.full((150, 2), -1.0), "deviation": np.ones((150, 2))}, r"^precision:"),
+        ({"precision": np.ones((150, 2)), "deviation": np.full((150, 2), np.inf)}, r"^deviation:"),
         ({"v": np.zeros(7)}, r"^v: expected"),
         ({"v": NAN}, r"^v: expected"),
         ({"mono": True, "v": np.zeros(PICTURES * 48)}, r"^v: expected"),
@@ -467,9 +469,13 @@ def test_unusable_input_is_refused_in_one_line(changes: dict[str, Any], message:
     example = Example()
     given: dict[str, Any] = {"x": example.x, "pixels": example.pixels, "v": example.moves()}
     given |= changes
-    calls = ["reduced_product", "follow_lights"] + (["reduced"] if "v" not in changes else [])
+    calls = ["schur_product", "back_substitute"] + (
+        ["schur_complement"] if "v" not in changes else []
+    )
     for name in calls:
-        options = {key: value for key, value in given.items() if key != "v" or name != "reduced"}
+        options = {
+            key: value for key, value in given.items() if key != "v" or name != "schur_complement"
+        }
         with pytest.raises(InputError, match=message) as caught:
             getattr(example.problem(), name)(**options)
         assert "\n" not in str(caught.value)

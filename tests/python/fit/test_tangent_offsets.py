@@ -311,7 +311,7 @@ def test_it_ends_no_worse_than_it_began(kind: Kind, held: bool) -> None:
         again = example.problem().normal_equations(found.T.ravel(), example.everything)[2]
         np.testing.assert_array_equal(squares, again)
         found, squares = fit(
-            example, x, held_normals=held, centre=centre, precision=precision, **options
+            example, x, held_normals=held, mean=centre, precision=precision, **options
         )
         assert (squares + prior(found) <= (before + prior(began)) * (1 + 1e-12)).all()
         lengths = np.linalg.norm(found[:, -2:], axis=1)
@@ -345,7 +345,7 @@ def test_a_stiff_prior_draws_tangent_offsets_to_its_mean() -> None:
     example = Example(grazing=False, noise=0.02)
     centre = np.hstack([np.zeros((300, 2)), 0.5 * example.offsets])
     precision = np.hstack([np.zeros((300, 2)), np.full((300, 2), 1e12)])
-    found, _ = fit(example, example.x(example.truth), centre=centre, precision=precision)
+    found, _ = fit(example, example.x(example.truth), mean=centre, precision=precision)
     # A decrease of 1e-14 of what there was to begin with is taken for rounding.
     np.testing.assert_allclose(found[:, -2:], 0.5 * example.offsets, atol=1e-7)
 
@@ -355,7 +355,7 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
     example = Example(kind, pixels=700, pictures=5, noise=0.02)
     rng = np.random.default_rng(4)
     shape = 700, kind.of_material + 2 - kind.channels
-    pull = {"centre": rng.uniform(0, 1, shape), "precision": rng.uniform(0, 0.1, shape)}
+    pull = {"mean": rng.uniform(0, 1, shape), "precision": rng.uniform(0, 0.1, shape)}
     x = example.x(np.clip(example.truth + rng.normal(0, 0.1, example.truth.shape), 0, 1))
 
     def answers(threads: int, pixels: Pixels) -> list[Array]:
@@ -380,6 +380,6 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
 def test_a_prior_without_tangent_offsets_is_refused() -> None:
     example = Example(pixels=3)
     two = np.full((3, 2), 0.5)
-    message = r"^centre: expected shape \[3, 4\], found shape \[3, 2\]$"
+    message = r"^mean: expected shape \[3, 4\], found shape \[3, 2\]$"
     with pytest.raises(InputError, match=message):
-        fit(example, example.x(example.truth), centre=two, precision=two)
+        fit(example, example.x(example.truth), mean=two, precision=two)

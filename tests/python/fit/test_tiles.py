@@ -20,7 +20,7 @@ from pbrfit.fit.solvers.run import Progress
 from pbrfit.fit.tiles.fit import SUBSET_PIXELS, Totals, ending
 from pbrfit.fit.tiles.maps import NearestMaps
 from pbrfit.fit.tiles.windows import SceneCutter, Window, strided_window, tiles
-from pbrfit.result.result import Status
+from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
 from tiled import in_tiles
 

@@ -150,7 +150,7 @@ def knots(first: int) -> Array:
 
     The coordinate w (1+c) x/(x+c) + (1−w) x is a whole number of cells there.
     """
-    path = Path(__file__).parents[3] / "rust" / "lobe_table.bin"
+    path = Path(__file__).parents[3] / "rust" / "reflectance" / "lobe_table.bin"
     head = struct.unpack_from("<8s2I4f", path.read_bytes())
     cells, c, w = head[1 + first], head[3 + 2 * first], head[4 + 2 * first]
     at = np.arange(1, cells) / cells

@@ -62,7 +62,7 @@ def test_a_decoder_that_panics_prints_nothing(tmp_path: Path) -> None:
     data = zlib.compress(b"\0\0\0\0\0\0\0\0\0\0")
     (tmp_path / "a.png").write_bytes(png(9, 1, (b"PLTE", b"a"), (b"IDAT", data)))
     code = f"""
-from pbrfit import images
+from pbrfit.io import images
 try:
     images.read_picture({str(tmp_path / "a.png")!r})
 except images.InputError as error:
@@ -320,10 +320,10 @@ def test_an_array_is_read_and_its_file_let_go(tmp_path: Path) -> None:
 def test_depths_beyond_all_measure_are_not_hit() -> None:
     depth = np.ones((8, 8))
     depth[2, 2], depth[5, 5] = 1e-308, 5e-324
-    found = from_depth(depth, fov=50.0)
-    assert np.isfinite(found.normals).all()
-    assert not found.known[2, 2]
-    assert found.known[0, 0]
+    normals, known = from_depth(depth, fov=50.0)
+    assert np.isfinite(normals).all()
+    assert not known[2, 2]
+    assert known[0, 0]
 
 
 def test_a_journal_that_somebody_damaged_is_refused(tmp_path: Path) -> None:

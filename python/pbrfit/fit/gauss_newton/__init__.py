@@ -9,8 +9,8 @@ valleys, and trying all finishes frees the pixels; each alone stalls too.
 1. `subsample`: a few hundred pixels, drawn by a seed, find the lights, at a cost that does not
    depend on the size of the picture. Rounds of two steps: each pixel by itself tries a grid of
    roughness and metallic with the best albedo at each node, descends from the best few and keeps
-   what is lower; then joint steps with the pixels solved for (`reduced` in the core), each followed
-   by a descent of every pixel under its new lights.
+   what is lower; then joint steps with the pixels solved for (`schur_complement` in the core), each
+   followed by a descent of every pixel under its new lights.
 2. `pixels`: all pixels, by themselves, given these lights; those whose residuals stand out from
    more starts, and from what their neighbours have found.
 3. `polish`: joint steps of all pixels and the lights. The system of the lights is solved by

@@ -127,7 +127,9 @@ def _basis(objective: Objective, x: Array, how: _How) -> Cholesky:
     few = objective.restricted(chosen)
     part, pixels = objective.part_of(x, chosen), np.arange(len(chosen), dtype=np.uint64)
     of_few = _How(None if how.towards is None else how.towards.of(chosen), how.damping)
-    matrix, _ = few.problem.reduced(few.for_core(part), pixels, **of_few.of(few, part, pixels))
+    matrix, _ = few.problem.schur_complement(
+        few.for_core(part), pixels, **of_few.of(few, part, pixels)
+    )
     matrix *= objective.pixels / len(chosen)
     return Cholesky(matrix, BASIS_DAMPING)
 
@@ -140,7 +142,7 @@ def _product(
     for chunk in chunks(objective.pixels):
         if stop():
             return None
-        totals += objective.problem.reduced_product(
+        totals += objective.problem.schur_product(
             objective.for_core(x), chunk, v, **how.of(objective, x, chunk)
         )
     return totals[0], totals[1]
@@ -209,7 +211,7 @@ def _step(
         for chunk in chunks(objective.pixels):
             if stop():
                 return None
-            followed = objective.problem.follow_lights(
+            followed = objective.problem.back_substitute(
                 objective.for_core(x), chunk, moved, **how.of(objective, x, chunk)
             )
             place(objective, trial, chunk, followed)

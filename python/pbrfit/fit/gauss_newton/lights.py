@@ -23,6 +23,6 @@ def options(
         finish = taken(objective, x, pixels)[:, layout.channels :]
         found |= {
             "precision": towards.precision,
-            "off": finish - towards.centre,
+            "deviation": finish - towards.centre,
         }
     return found

@@ -114,7 +114,7 @@ def descended(
         starts=starts,
         steps=steps,
         exact_steps=exact_steps,
-        centre=None if towards is None else towards.centre,
+        mean=None if towards is None else towards.centre,
         precision=None if towards is None else towards.precision,
     )
     return found, squares

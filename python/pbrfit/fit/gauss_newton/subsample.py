@@ -92,7 +92,7 @@ def _joint(
     done = failed = 0
     while done < STEPS and failed <= FAILURES:
         how = options(few, x, pixels, None) | {"damping": damping}
-        matrix, gradient = few.problem.reduced(few.for_core(x), pixels, **how)
+        matrix, gradient = few.problem.schur_complement(few.for_core(x), pixels, **how)
         try:
             moves = -Cholesky(matrix, LIGHT_DAMPING * damping).solve(gradient)
         except np.linalg.LinAlgError:
@@ -102,7 +102,7 @@ def _joint(
             break
         before = total
         for share in SHARES:
-            followed = few.problem.follow_lights(few.for_core(x), pixels, share * moves, **how)
+            followed = few.problem.back_substitute(few.for_core(x), pixels, share * moves, **how)
             trial = put(few, x, pixels, followed)
             trial[few.layout.lighting] += share * as_in_x(moves, few.layout)
             found, squares = descended(few, trial, pixels, steps=DESCENT)

@@ -34,8 +34,8 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.solvers.run import Run
 from pbrfit.fit.solvers.strategies import solve
 from pbrfit.model.geometry import angles_between
+from pbrfit.result.data import Status
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
-from pbrfit.result.result import Status
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -288,7 +288,7 @@ class NormalSearch:
             starts=starts,
             steps=settings.NORMALS_PIXEL_STEPS if starts else 0,
             exact_steps=exact_steps,
-            centre=mean,
+            mean=mean,
             precision=precision,
             held_normals=not free_normals,
         )

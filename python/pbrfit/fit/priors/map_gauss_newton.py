@@ -174,13 +174,13 @@ def _step(
     whitened = np.einsum("pij,pj->pi", part.whiten, by_materials)
 
     # Lights and offsets: matrix and gradient with the pixels solved for.
-    of_lights, by_lights = objective.problem.reduced(
+    of_lights, by_lights = objective.problem.schur_complement(
         for_core,
         pixels,
         damping=damping,
         mono=layout.light_channels < layout.channels,
         precision=pull.precision,
-        off=off,
+        deviation=off,
     )
     system = _System.of(part, of_lights, pull, layout)
     tied = np.einsum("pfg,pf->pg", system.by_offsets, whitened[:, finish])

@@ -266,7 +266,7 @@ class _Search:
         slope = self._quasi_newton() if self.vectors.pairs else None
         if slope is None or not self._along(slope):
             # The pairs may be of another region: once more without them.
-            self.vectors.forget()
+            self.vectors.clear_pairs()
             slope = self._steepest()
             if slope is None:
                 return "gradient"
@@ -316,7 +316,7 @@ class _Search:
         return False
 
     def _take(self, loss: float, gradient: Array) -> None:
-        learnt = self.vectors.learn(self.x, self.next, self.gradient, gradient)
+        learnt = self.vectors.add_pair(self.x, self.next, self.gradient, gradient)
         if not learnt and not self.vectors.pairs:
             self.reach *= 2  # the slope does not flatten yet
         self.x, self.next = self.next, self.x

@@ -18,9 +18,9 @@ from pbrfit.fit.tiles.subset_fit import SubsetResult, fit_subset
 from pbrfit.fit.tiles.windows import SceneCutter, Tile, strided_window, tiles
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, Start
 from pbrfit.model.materials import Materials
+from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions, Priors
-from pbrfit.result.result import Stage, Status
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

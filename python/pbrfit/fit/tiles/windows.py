@@ -15,7 +15,8 @@ from pbrfit.fit import settings
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
-from pbrfit.scene.scene import Scene, Truth, equal_channels
+from pbrfit.scene.arrays import Truth, equal_channels
+from pbrfit.scene.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,270 @@
+//! The damped normal equations of one pixel.
+//!
+//! Channels have nothing to do with each other but for roughness, metallic and the tangent offsets of
+//! a free normal, so the matrix is an arrowhead: its albedo part is diagonal, and what is left to be
+//! factorised is two by two, or four by four with tangent offsets.
+
+use crate::pixel::samples::{Sums, UNKNOWNS};
+use crate::reflectance::tangent_offset::OFFSETS;
+
+/// Least pivot, as a share of its diagonal entry: below it a pivot is rounding, and is raised to it.
+const PIVOT_MIN: f64 = 1e-14;
+
+/// Unknowns at most that all channels share: of U, those that are no albedo.
+pub(crate) const MAX_SHARED: usize = 2 + OFFSETS;
+
+/// How many these are.
+pub(crate) const fn shared(unknowns: usize) -> usize {
+    unknowns + 2 - UNKNOWNS
+}
+
+/// The matrix and gradient of one pixel; albedos first, then what all channels share: roughness,
+/// metallic, tangent offsets.
+pub(crate) struct Arrowhead<const C: usize, const U: usize> {
+    pub(crate) diagonal: [f64; U],
+    /// Entries of shared unknowns with the albedos.
+    arms: [[f64; C]; MAX_SHARED],
+    /// Entries of shared unknowns with each other, below the diagonal.
+    dense: [[f64; MAX_SHARED]; MAX_SHARED],
+    pub(crate) gradient: [f64; U],
+    /// 1, or 0 for an unknown that moves by `fixed`.
+    pub(crate) free: [f64; U],
+    pub(crate) fixed: [f64; U],
+}
+
+impl<const C: usize, const U: usize> Arrowhead<C, U> {
+    /// Unknowns that all channels share.
+    const SHARED: usize = shared(U);
+
+    #[inline(always)]
+    pub(crate) fn of(sums: &Sums<U>, x: usize) -> Self {
+        let mut arrowhead = Self {
+            diagonal: [0.0; U],
+            arms: [[0.0; C]; MAX_SHARED],
+            dense: [[0.0; MAX_SHARED]; MAX_SHARED],
+            gradient: [0.0; U],
+            free: [0.0; U],
+            fixed: [0.0; U],
+        };
+        for j in 0..C + Self::SHARED {
+            arrowhead.diagonal[j] = sums.matrix[j][j].0[x];
+            arrowhead.gradient[j] = sums.gradient[j].0[x];
+        }
+        for f in 0..Self::SHARED {
+            for c in 0..C {
+                arrowhead.arms[f][c] = sums.matrix[C + f][c].0[x];
+            }
+            for g in 0..f {
+                arrowhead.dense[f][g] = sums.matrix[C + f][C + g].0[x];
+            }
+        }
+        arrowhead
+    }
+
+    /// δ with (A + λ diag A) δ = −g in the free unknowns, where `damped` = 1 + λ.
+    #[inline(always)]
+    pub(crate) fn solve(&self, damped: f64) -> [f64; U] {
+        let Self {
+            free, fixed, arms, ..
+        } = self;
+        // Of a fixed unknown the equation is δ = fixed, and its share moves to the right side.
+        let mut right = [0.0; U];
+        let mut pivot = [0.0; U];
+        for c in 0..C {
+            let mut share = arms[0][c] * fixed[C];
+            for f in 1..Self::SHARED {
+                share += arms[f][c] * fixed[C + f];
+            }
+            right[c] = free[c] * (-self.gradient[c] - share) + fixed[c];
+        }
+        for f in 0..Self::SHARED {
+            let mut share = 0.0;
+            for c in 0..C {
+                share += arms[f][c] * fixed[c];
+            }
+            for g in 0..Self::SHARED {
+                if g != f {
+                    share += self.dense[f.max(g)][f.min(g)] * fixed[C + g];
+                }
+            }
+            right[C + f] = free[C + f] * (-self.gradient[C + f] - share) + fixed[C + f];
+        }
+        for j in 0..C + Self::SHARED {
+            pivot[j] = if free[j] > 0.0 {
+                damped * self.diagonal[j]
+            } else {
+                1.0
+            };
+        }
+        // The albedos out of the way.
+        let mut least = [0.0; MAX_SHARED];
+        let mut dense = [[0.0; MAX_SHARED]; MAX_SHARED];
+        for f in 0..Self::SHARED {
+            least[f] = PIVOT_MIN * pivot[C + f];
+            for g in 0..f {
+                dense[f][g] = free[C + f] * free[C + g] * self.dense[f][g];
+            }
+        }
+        let mut of_arms = [[0.0; C]; MAX_SHARED];
+        for c in 0..C {
+            let inverse = 1.0 / pivot[c];
+            let mut with = [0.0; MAX_SHARED];
+            for f in 0..Self::SHARED {
+                with[f] = free[C + f] * free[c] * arms[f][c];
+                of_arms[f][c] = with[f] * inverse;
+                pivot[C + f] -= of_arms[f][c] * with[f];
+                for g in 0..f {
+                    dense[f][g] -= of_arms[g][c] * with[f];
+                }
+                right[C + f] -= of_arms[f][c] * right[c];
+            }
+            right[c] *= inverse;
+        }
+        // L D Lᵀ of what is shared; L ends up in `dense`.
+        let mut inverse = [0.0; MAX_SHARED];
+        for f in 0..Self::SHARED {
+            pivot[C + f] = pivot[C + f].max(least[f]);
+            inverse[f] = 1.0 / pivot[C + f];
+            let column = dense.map(|row| row[f]);
+            for h in f + 1..Self::SHARED {
+                let of_column = column[h] * inverse[f];
+                pivot[C + h] -= of_column * column[h];
+                for g in f + 1..h {
+                    dense[h][g] -= of_column * column[g];
+                }
+                right[C + h] -= of_column * right[C + f];
+                dense[h][f] = of_column;
+            }
+        }
+        let mut step = [0.0; U];
+        for f in (0..Self::SHARED).rev() {
+            step[C + f] = if f + 1 < Self::SHARED {
+                right[C + f] * inverse[f]
+            } else {
+                right[C + f] / pivot[C + f]
+            };
+            for h in f + 1..Self::SHARED {
+                step[C + f] -= dense[h][f] * step[C + h];
+            }
+        }
+        for c in 0..C {
+            step[c] = right[c];
+            for f in 0..Self::SHARED {
+                step[c] -= of_arms[f][c] * step[C + f];
+            }
+        }
+        step
+    }
+
+    /// By how much the sum of squares falls with a step: −2gᵀδ − δᵀAδ.
+    #[inline(always)]
+    pub(crate) fn decrease(&self, step: &[f64; U]) -> f64 {
+        let mut sum = 0.0;
+        for j in 0..C + Self::SHARED {
+            sum += step[j] * (2.0 * self.gradient[j] + self.diagonal[j] * step[j]);
+        }
+        for c in 0..C {
+            let mut by_shared = self.arms[0][c] * step[C];
+            for f in 1..Self::SHARED {
+                by_shared += self.arms[f][c] * step[C + f];
+            }
+            sum += 2.0 * step[c] * by_shared;
+        }
+        for f in 0..Self::SHARED {
+            for g in 0..f {
+                sum += 2.0 * self.dense[f][g] * step[C + g] * step[C + f];
+            }
+        }
+        -sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pixel::samples::FREE_UNKNOWNS;
+
+    /// A matrix of 4 samples a channel, a gradient, and who is free.
+    fn example<const U: usize>(seed: u32) -> Arrowhead<3, U> {
+        let mut state = seed;
+        let mut random = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(state >> 8) / f64::from(1 << 24) - 0.5
+        };
+        let mut sums = Sums::default();
+        for sample in 0..12 {
+            let mut row = [0.0; U];
+            for j in std::iter::once(sample % 3).chain(3..U) {
+                row[j] = random();
+            }
+            let residual = random();
+            for i in 0..U {
+                sums.gradient[i].0[0] += row[i] * residual;
+                for j in 0..=i {
+                    sums.matrix[i][j].0[0] += row[i] * row[j];
+                }
+            }
+        }
+        let mut arrowhead = Arrowhead::of(&sums, 0);
+        for j in 0..U {
+            let is_free = random() > -0.2;
+            arrowhead.free[j] = if is_free { 1.0 } else { 0.0 };
+            arrowhead.fixed[j] = if is_free { 0.0 } else { random() };
+        }
+        arrowhead
+    }
+
+    fn entry<const U: usize>(arrowhead: &Arrowhead<3, U>, i: usize, j: usize) -> f64 {
+        match (i.max(j), i.min(j)) {
+            (a, b) if a == b => arrowhead.diagonal[a],
+            (0..3, _) => 0.0,
+            (f, c) if c < 3 => arrowhead.arms[f - 3][c],
+            (f, g) => arrowhead.dense[f - 3][g - 3],
+        }
+    }
+
+    #[test]
+    fn a_step_solves_the_damped_equations_of_the_free_unknowns() {
+        solves_the_damped_equations::<UNKNOWNS>();
+        solves_the_damped_equations::<FREE_UNKNOWNS>();
+    }
+
+    fn solves_the_damped_equations<const U: usize>() {
+        for seed in 0..200 {
+            let arrowhead = example::<U>(seed);
+            let step = arrowhead.solve(1.3);
+            for i in 0..U {
+                if arrowhead.free[i] == 0.0 {
+                    assert_eq!(step[i], arrowhead.fixed[i]);
+                    continue;
+                }
+                let mut left = 0.3 * arrowhead.diagonal[i] * step[i];
+                for j in 0..U {
+                    left += entry(&arrowhead, i, j) * step[j];
+                }
+                assert!((left + arrowhead.gradient[i]).abs() < 1e-12, "{seed}: {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_predicted_decrease_is_that_of_the_quadratic() {
+        predicts_the_quadratic::<UNKNOWNS>();
+        predicts_the_quadratic::<FREE_UNKNOWNS>();
+    }
+
+    fn predicts_the_quadratic<const U: usize>() {
+        for seed in 0..20 {
+            let arrowhead = example::<U>(seed);
+            let step = arrowhead.solve(1.01);
+            let mut decrease = 0.0;
+            for i in 0..U {
+                decrease -= 2.0 * arrowhead.gradient[i] * step[i];
+                for j in 0..U {
+                    decrease -= step[i] * entry(&arrowhead, i, j) * step[j];
+                }
+            }
+            assert!((decrease - arrowhead.decrease(&step)).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,289 @@
+//! How well materials explain a pixel when the lights are known, with its albedo put out of the way.
+//!
+//! With the lights known, roughness and metallic given, the channels of a pixel have nothing to do
+//! with each other, and each has one unknown, its albedo ρ, of which χ² = Σ_i ω_i (I_i − T_i)² is a
+//! smooth function whose coefficients come from [`products`](super::products) over pictures. Given
+//! these, roughness costs a quadratic form, metallic and albedo a handful of operations. What these
+//! are is the model's own ([`AlbedoFromProducts`]).
+
+use crate::block::factors::FillFunctions;
+use crate::pixel::products::{PixelProducts, Products};
+use crate::problem::Problem;
+use crate::reflectance::model::with_model;
+use crate::reflectance::planes::{BLOCK, Doubles, Plane, no_functions};
+use crate::reflectance::reflection::{ExactFunctions, Reflection};
+use crate::reflectance::sh::COEFFICIENTS;
+use crate::runtime::memory::zeros;
+use crate::runtime::simd::Instructions;
+use crate::runtime::{Result, check, pool};
+
+mod paper;
+mod principled;
+
+/// Newton steps to the best albedo. From the best of [`STARTS`] three reach 1e-9 of albedo.
+const NEWTON_STEPS: usize = 4;
+/// Albedos that Newton's method may start from; the lowest does, as χ² may have two minima.
+pub(crate) const STARTS: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+/// Blocks of pixels in a piece of work.
+const CHUNK: usize = 2;
+
+/// Models whose best albedo comes from products.
+pub(crate) trait AlbedoFromProducts: Reflection {
+    /// What is left of products and functions when roughness is given.
+    type AtRoughness: Default + Send;
+
+    /// Fills in the functions of a roughness that all pixels of a block share.
+    fn fill_shared(
+        isa: Instructions,
+        cosine: &Doubles,
+        roughness: f64,
+        functions: &mut ExactFunctions<Self>,
+    ) {
+        isa.run(FillFunctions {
+            cosine,
+            roughness: &Plane([roughness; BLOCK]),
+            by_cosine: false,
+            functions,
+            model: Self::default(),
+        });
+    }
+
+    /// Takes up what all channels share.
+    fn set_roughness(
+        cosine: &Doubles,
+        roughness: &Doubles,
+        functions: &ExactFunctions<Self>,
+        at_roughness: &mut Self::AtRoughness,
+    );
+
+    /// Takes up one channel.
+    fn set_channel(
+        isa: Instructions,
+        products: &Products,
+        functions: &ExactFunctions<Self>,
+        at_roughness: &mut Self::AtRoughness,
+    );
+
+    /// The albedo of this channel with the least χ², by `STEPS` of Newton's method; χ² is added to
+    /// the sum of squares.
+    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, Self::AtRoughness>);
+}
+
+/// What the best albedo is looked for with.
+pub(crate) struct ByAlbedo<'a, G> {
+    pub(crate) products: &'a Products,
+    pub(crate) at_roughness: &'a G,
+    pub(crate) metallic: &'a Doubles,
+    /// To be written.
+    pub(crate) albedo: &'a mut Doubles,
+    /// Added to.
+    pub(crate) sum_sq_residuals: &'a mut Doubles,
+}
+
+/// Best albedo of each pixel, and Σ ω (I − T)² with it.
+#[derive(Clone, Debug)]
+pub struct BestAlbedo {
+    /// (pixel, channel)
+    pub albedo: Vec<f64>,
+    /// (pixel)
+    pub sum_sq_residuals: Vec<f64>,
+}
+
+impl Problem {
+    /// Least Σ ω (I − T)² over albedo for every combination of roughness and metallic, with the
+    /// lights of x, in float32: (pixel of `pixels`, roughness, metallic).
+    pub fn material_grid(
+        &self,
+        x: &[f64],
+        pixels: &[usize],
+        roughness: &[f64],
+        metallic: &[f64],
+    ) -> Result<Vec<f32>> {
+        check::unit_interval("roughness", roughness)?;
+        check::unit_interval("metallic", metallic)?;
+        let nodes = [roughness, metallic];
+        with_model!(self.model(), M => material_grid::<M>(self, x, pixels, nodes))
+    }
+
+    /// The albedo that explains each of `pixels` best with the roughness and metallic of x, and the
+    /// lights of x.
+    pub fn best_albedo(&self, x: &[f64], pixels: &[usize]) -> Result<BestAlbedo> {
+        with_model!(self.model(), M => best_albedo::<M>(self, x, pixels))
+    }
+}
+
+fn material_grid<M: AlbedoFromProducts>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+    [roughness, metallic]: [&[f64]; 2],
+) -> Result<Vec<f32>> {
+    let (maps, lights) = problem.at(x, pixels)?;
+    let nodes = roughness.len() * metallic.len();
+    let mut grid: Vec<f32> = zeros("material grid", pixels.len() * nodes)?;
+    if grid.is_empty() {
+        return Ok(grid);
+    }
+    let pieces = pixels
+        .chunks(CHUNK * BLOCK)
+        .zip(grid.chunks_mut(CHUNK * BLOCK * nodes))
+        .collect();
+    pool::map(problem.threads(), pieces, |(pixels, grid)| {
+        let mut block = Block::<M>::new(problem);
+        let mut planes = vec![Doubles::default(); nodes];
+        for (pixels, grid) in pixels.chunks(BLOCK).zip(grid.chunks_mut(BLOCK * nodes)) {
+            block.load(maps, &lights, pixels);
+            block.fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut planes);
+            for (x, of_pixel) in grid.chunks_mut(nodes).enumerate() {
+                for (to, plane) in of_pixel.iter_mut().zip(&planes) {
+                    *to = plane.0[x] as f32;
+                }
+            }
+        }
+    });
+    Ok(grid)
+}
+
+fn best_albedo<M: AlbedoFromProducts>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+) -> Result<BestAlbedo> {
+    let (maps, lights) = problem.at(x, pixels)?;
+    let parts = pool::map(
+        problem.threads(),
+        pixels.chunks(CHUNK * BLOCK).collect(),
+        |pixels: &[usize]| {
+            let mut block = Block::<M>::new(problem);
+            let (mut albedo, mut sum_sq_residuals) = (Vec::new(), Vec::new());
+            for pixels in pixels.chunks(BLOCK) {
+                block.load(maps, &lights, pixels);
+                for (x, &p) in pixels.iter().enumerate() {
+                    (block.roughness.0[x], block.metallic.0[x]) =
+                        problem.roughness_and_metallic(maps, p);
+                }
+                block.at_own_roughness();
+                for x in 0..pixels.len() {
+                    albedo.extend(block.albedo.iter().map(|plane| plane.0[x]));
+                    sum_sq_residuals.push(block.sum_sq_residuals.0[x]);
+                }
+            }
+            (albedo, sum_sq_residuals)
+        },
+    );
+    let (albedo, sum_sq_residuals): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+    Ok(BestAlbedo {
+        albedo: albedo.concat(),
+        sum_sq_residuals: sum_sq_residuals.concat(),
+    })
+}
+
+/// Up to [`BLOCK`] pixels and what is known of them.
+pub(crate) struct Block<'a, M: AlbedoFromProducts> {
+    problem: &'a Problem,
+    isa: Instructions,
+    /// n·v
+    cosine: Doubles,
+    pub(crate) products: PixelProducts,
+    functions: Box<ExactFunctions<M>>,
+    at_roughness: Box<M::AtRoughness>,
+    pub(crate) roughness: Doubles,
+    pub(crate) metallic: Doubles,
+    /// By channel.
+    pub(crate) albedo: Vec<Doubles>,
+    sum_sq_residuals: Doubles,
+}
+
+impl<'a, M: AlbedoFromProducts> Block<'a, M> {
+    pub(crate) fn new(problem: &'a Problem) -> Self {
+        Self {
+            problem,
+            isa: problem.instructions(),
+            cosine: Plane([1.0; BLOCK]),
+            products: PixelProducts::new(problem.channels()),
+            functions: no_functions(),
+            at_roughness: Box::default(),
+            roughness: Doubles::default(),
+            metallic: Doubles::default(),
+            albedo: vec![Doubles::default(); problem.channels()],
+            sum_sq_residuals: Doubles::default(),
+        }
+    }
+
+    /// Takes up pixels, with the normals of `maps`, and sums their products over pictures.
+    pub(crate) fn load(&mut self, maps: &[f64], lights: &[[f64; COEFFICIENTS]], pixels: &[usize]) {
+        self.products.load::<M>(self.problem, maps, lights, pixels);
+        self.cosine = *self.products.directions.cosines();
+    }
+
+    /// χ² at every node of the grid: a plane for each, (roughness, metallic). `STEPS` of Newton's
+    /// method find the albedos.
+    pub(crate) fn fill_grid<const STEPS: usize>(
+        &mut self,
+        roughness: &[f64],
+        metallic: &[f64],
+        nodes: &mut [Doubles],
+    ) {
+        for (&r, of_roughness) in roughness.iter().zip(nodes.chunks_mut(metallic.len())) {
+            M::fill_shared(self.isa, &self.cosine, r, &mut self.functions);
+            let roughness = Plane([r; BLOCK]);
+            M::set_roughness(
+                &self.cosine,
+                &roughness,
+                &self.functions,
+                &mut self.at_roughness,
+            );
+            of_roughness.fill(Doubles::default());
+            for c in 0..self.albedo.len() {
+                self.set_channel(c);
+                // Squares wait in their plane until all channels have added theirs.
+                for (sum, &m) in of_roughness.iter_mut().zip(metallic) {
+                    self.metallic.0.fill(m);
+                    std::mem::swap(&mut self.sum_sq_residuals, sum);
+                    self.minimize::<STEPS>(c);
+                    std::mem::swap(&mut self.sum_sq_residuals, sum);
+                }
+            }
+        }
+    }
+
+    /// Best albedo and χ² at the roughness and metallic that each pixel has.
+    pub(crate) fn at_own_roughness(&mut self) {
+        self.isa.run(FillFunctions {
+            cosine: &self.cosine,
+            roughness: &self.roughness,
+            by_cosine: false,
+            functions: &mut self.functions,
+            model: M::default(),
+        });
+        M::set_roughness(
+            &self.cosine,
+            &self.roughness,
+            &self.functions,
+            &mut self.at_roughness,
+        );
+        self.sum_sq_residuals = Doubles::default();
+        for c in 0..self.albedo.len() {
+            self.set_channel(c);
+            self.minimize::<NEWTON_STEPS>(c);
+        }
+    }
+
+    fn set_channel(&mut self, channel: usize) {
+        let products = &self.products.by_channel[channel];
+        M::set_channel(self.isa, products, &self.functions, &mut self.at_roughness);
+    }
+
+    fn minimize<const STEPS: usize>(&mut self, channel: usize) {
+        M::minimize::<STEPS>(
+            self.isa,
+            ByAlbedo {
+                products: &self.products.by_channel[channel],
+                at_roughness: &self.at_roughness,
+                metallic: &self.metallic,
+                albedo: &mut self.albedo[channel],
+                sum_sq_residuals: &mut self.sum_sq_residuals,
+            },
+        );
+    }
+}

@@ -1,0 +1,463 @@
+//! Loss and gradient of one piece of work, in a version for every kind of problem.
+//!
+//! What a problem does not have (a second and third channel, the third band, sample weights,
+//! unknown lights, unknown normals) is not in its version at all, so it costs nothing and no loop
+//! asks for it.
+
+use std::ops::Range;
+
+use super::robust::{ApplyRobustLoss, Robust};
+use super::{Problem, add};
+use crate::block::adjoint::{ByFactors, ByLights, Flush, Parts, WideParts};
+use crate::block::basis::{Basis, FillBasis};
+use crate::block::factors::{FillFactors, Load, PullBack};
+use crate::block::normal_jacobian::{
+    ByBasis, LoadOffsets, NormalJacobian, OffsetNormals, PullBackNormals, TangentOffsets,
+};
+use crate::block::radiance::Residuals;
+use crate::block::weights::FillWeights;
+use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::planes::{
+    BLOCK, ChannelFactors, ChannelSums, Directions, Materials, Plane, no_functions,
+};
+use crate::reflectance::reflection::Reflection;
+use crate::runtime::simd::Ahead;
+use crate::runtime::{Result, check, pool};
+
+/// Pictures at most that go through the products together: their residuals stay in the cache.
+pub const GROUP: usize = 16;
+
+/// Blocks whose light derivatives are summed in float32 before float64 takes over.
+const FLUSH: usize = 16;
+
+impl Problem {
+    /// The loss at x, of squared residuals unless `robust` says otherwise; its gradient is written to
+    /// `gradient`.
+    pub fn value_and_grad(
+        &self,
+        x: &[f64],
+        robust: Option<Robust>,
+        gradient: &mut [f64],
+    ) -> Result<f64> {
+        let (maps, lighting) = self.split(x)?;
+        check::length("gradient", self.size(), gradient.len())?;
+        if let Some(robust) = robust {
+            robust.check()?;
+        }
+        let evaluate = choose(
+            self.model,
+            self.channels,
+            self.coefficients,
+            Has {
+                weights: !self.weights.is_empty(),
+                free_lights: self.lighting.is_none(),
+                free_normals: self.free_normals(),
+            },
+        );
+        let lights = self.by_channel(lighting);
+        let scale = 2.0 / self.total_weight;
+
+        let (by_maps, by_lighting) = gradient.split_at_mut(maps.len());
+        let chunk = self.chunk();
+        let pieces = self
+            .chunks()
+            .zip(chunks_of_planes(by_maps, self.pixels, chunk * BLOCK));
+        let partials = pool::map(self.threads, pieces.collect(), |(blocks, mut out)| {
+            let piece = Piece {
+                problem: self,
+                maps,
+                lights: &lights,
+                robust,
+                scale,
+                blocks,
+            };
+            evaluate(&piece, &mut out)
+        });
+
+        let mut loss = 0.0;
+        let mut by_lights = vec![0.0; lights.len()];
+        for partial in &partials {
+            if !partial.in_range {
+                // Which entry it was is worth a second look only now.
+                self.check_maps(maps)?;
+            }
+            loss += partial.loss;
+            add(&mut by_lights, &partial.by_lights);
+        }
+        let (k, c) = (self.coefficients, self.channels);
+        for (i, of_entry) in by_lighting.iter_mut().enumerate() {
+            let (picture, coefficient, channel) = (i / (k * c), i / c % k, i % c);
+            *of_entry = scale * by_lights[(channel * self.pictures + picture) * k + coefficient];
+        }
+        Ok(loss / self.total_weight)
+    }
+
+    /// Lights in float32: (channel, picture, coefficient).
+    fn by_channel(&self, lighting: &[f64]) -> Vec<f32> {
+        let mut lights = Vec::with_capacity(lighting.len());
+        for c in 0..self.channels {
+            let of_channel = lighting.iter().skip(c).step_by(self.channels);
+            lights.extend(of_channel.map(|&l| l as f32));
+        }
+        lights
+    }
+}
+
+/// A piece of work.
+pub struct Piece<'a> {
+    /// The pictures.
+    pub problem: &'a Problem,
+    /// The first part of x.
+    pub maps: &'a [f64],
+    /// In float32: (channel, picture, coefficient).
+    pub lights: &'a [f32],
+    /// φ, where it is not the square.
+    pub robust: Option<Robust>,
+    /// Factor on the gradient.
+    pub scale: f64,
+    /// What to evaluate.
+    pub blocks: Range<usize>,
+}
+
+/// Evaluates a piece of work and writes the planes of its gradient.
+pub type Evaluate = fn(&Piece, &mut [&mut [f64]]) -> Partial;
+
+/// What one piece of work adds to the sums over pixels.
+pub struct Partial {
+    /// Σ ω φ(I − T)
+    pub loss: f64,
+    /// Derivatives of ½ Σ ω φ(I − T) by the lights: (channel, picture, coefficient).
+    pub by_lights: Vec<f64>,
+    /// Whether all materials lay in \[0, 1\], and all tangent offsets were moderate.
+    pub in_range: bool,
+}
+
+/// Parts that a problem has or has not.
+#[derive(Clone, Copy, Debug)]
+pub struct Has {
+    /// Weights of samples.
+    pub weights: bool,
+    /// Unknown lights.
+    pub free_lights: bool,
+    /// Unknown normals.
+    pub free_normals: bool,
+}
+
+/// The version for a problem.
+pub fn choose(model: Model, channels: usize, coefficients: usize, has: Has) -> Evaluate {
+    with_model!(model, M => of_model::<M>(channels, coefficients, has))
+}
+
+fn of_model<M: Reflection>(channels: usize, coefficients: usize, has: Has) -> Evaluate {
+    match (channels, coefficients) {
+        (1, 9) => with::<M, 1, 9>(has),
+        (1, _) => with::<M, 1, 16>(has),
+        (_, 9) => with::<M, 3, 9>(has),
+        _ => with::<M, 3, 16>(has),
+    }
+}
+
+fn with<M: Reflection, const C: usize, const K: usize>(has: Has) -> Evaluate {
+    if has.free_normals {
+        with_normals::<M, C, K, true>(has)
+    } else {
+        with_normals::<M, C, K, false>(has)
+    }
+}
+
+fn with_normals<M: Reflection, const C: usize, const K: usize, const FREE_NORMALS: bool>(
+    has: Has,
+) -> Evaluate {
+    match (has.weights, has.free_lights) {
+        (false, true) => evaluate::<M, C, K, false, true, FREE_NORMALS>,
+        (false, false) => evaluate::<M, C, K, false, false, FREE_NORMALS>,
+        (true, true) => evaluate::<M, C, K, true, true, FREE_NORMALS>,
+        (true, false) => evaluate::<M, C, K, true, false, FREE_NORMALS>,
+    }
+}
+
+/// Where the pixels of a block look at their tangent offsets.
+#[derive(Default)]
+struct OffsetDirections {
+    offsets: TangentOffsets,
+    directions: Directions,
+    jacobian: NormalJacobian,
+}
+
+/// Derivatives by the normals of a block.
+#[derive(Default)]
+struct ByNormals {
+    basis: Basis,
+    offsets: TangentOffsets,
+}
+
+/// A block at a time: basis functions and factors of its pixels; then, channel by channel and
+/// group of pictures by group, the matrix products; then the derivatives by material and normal.
+fn evaluate<
+    M: Reflection,
+    const C: usize,
+    const K: usize,
+    const WEIGHTED: bool,
+    const FREE_LIGHTS: bool,
+    const FREE_NORMALS: bool,
+>(
+    piece: &Piece,
+    gradient: &mut [&mut [f64]],
+) -> Partial {
+    let &Piece {
+        problem,
+        maps,
+        lights,
+        robust,
+        scale,
+        ref blocks,
+    } = piece;
+    let (isa, pixels, pictures) = (problem.instructions(), problem.pixels(), problem.pictures());
+    let lights: &[[f32; K]] = lights.as_chunks().0;
+    let (of_materials, of_offsets) = problem.split_maps(maps);
+    let materials_of_gradient = problem.unknowns_of_material();
+    let mut partial = Partial {
+        loss: 0.0,
+        by_lights: Vec::new(),
+        in_range: true,
+    };
+    let light_sum_count = if FREE_LIGHTS { C * pictures } else { 0 };
+    let mut light_sums = vec![[Parts::default(); K]; light_sum_count];
+    let mut light_totals = vec![[WideParts::default(); K]; light_sum_count];
+
+    let mut basis = Basis::default();
+    let mut materials = Materials::<C>::default();
+    let mut by_materials = Materials::<C>::default();
+    let mut functions = no_functions();
+    let model = M::default();
+    let mut factors: [_; C] = std::array::from_fn(|_| ChannelFactors::default());
+    let mut sums: [_; C] = std::array::from_fn(|_| ChannelSums::default());
+    let mut weights = [[Plane::default(); K]; C];
+    let mut residuals = [Plane::default(); GROUP];
+
+    let mut offset_directions = FREE_NORMALS.then(Box::<OffsetDirections>::default);
+    let mut by_normals = FREE_NORMALS.then(Box::<ByNormals>::default);
+
+    let mut ahead = Ahead::default();
+    let first_pixel = blocks.start * BLOCK;
+    for block in blocks.clone() {
+        let first = block * BLOCK;
+        let count = BLOCK.min(pixels - first);
+        partial.in_range &= isa.run(Load {
+            maps: of_materials,
+            pixels,
+            first,
+            count,
+            known_metallic: problem.known_metallic(),
+            materials: &mut materials,
+        });
+        if let Some(offset_directions) = &mut offset_directions {
+            partial.in_range &= isa.run(LoadOffsets {
+                maps: of_offsets,
+                pixels,
+                first,
+                count,
+                offsets: &mut offset_directions.offsets,
+            });
+            isa.run(OffsetNormals {
+                given: problem.given_directions(block),
+                offsets: &offset_directions.offsets,
+                directions: &mut offset_directions.directions,
+                jacobian: &mut offset_directions.jacobian,
+            });
+        }
+        let directions = match &offset_directions {
+            None => problem.known_directions(block),
+            Some(offset_directions) => &offset_directions.directions,
+        };
+        isa.run(FillBasis::<M, f32, K> {
+            directions,
+            basis: &mut basis,
+            model,
+        });
+        isa.run(FillFactors {
+            directions,
+            materials: &materials,
+            pixels: count,
+            by_cosine: FREE_NORMALS,
+            functions: &mut functions,
+            factors: &mut factors,
+            model,
+        });
+        isa.run(FillWeights {
+            basis: &basis,
+            factors: &factors,
+            weights: &mut weights,
+            model,
+        });
+        for c in 0..C {
+            piece.look_ahead::<C, FREE_NORMALS>(gradient, block, c, &mut ahead);
+            let targets = problem.targets(block, c);
+            let sample_weights = problem.weights(block, c);
+            for group in groups(pictures) {
+                let lights = &lights[c * pictures..][group.clone()];
+                let residuals = &mut residuals[..group.len()];
+                let sample_weights = if WEIGHTED {
+                    &sample_weights[group.clone()]
+                } else {
+                    &[]
+                };
+                let step = Residuals::<K, WEIGHTED> {
+                    weights: &weights[c],
+                    lights,
+                    targets: &targets[group.clone()],
+                    sample_weights,
+                    residuals,
+                    ahead: &mut ahead,
+                };
+                partial.loss += match robust {
+                    None => isa.run(step),
+                    Some(loss) => {
+                        // The weights come after φ.
+                        isa.run(step.unweighted());
+                        isa.run(ApplyRobustLoss {
+                            loss,
+                            sample_weights,
+                            residuals,
+                        })
+                    }
+                };
+                let step = ByFactors {
+                    begin: group.start == 0,
+                    basis: &basis,
+                    lights,
+                    residuals,
+                    sums: &mut sums[c],
+                    by_weights: (),
+                    ahead: &mut ahead,
+                    model,
+                };
+                match &mut by_normals {
+                    None => isa.run(step),
+                    Some(by_normals) => isa.run(step.giving(ByBasis {
+                        model,
+                        begin: c == 0 && group.start == 0,
+                        factors: &factors[c],
+                        sums: &mut by_normals.basis,
+                    })),
+                }
+                if FREE_LIGHTS {
+                    isa.run(ByLights {
+                        weights: &weights[c],
+                        residuals,
+                        sums: &mut light_sums[c * pictures..][group],
+                        ahead: &mut ahead,
+                    });
+                }
+            }
+        }
+        isa.run(PullBack {
+            directions,
+            materials: &materials,
+            functions: &functions,
+            sums: &sums,
+            scale,
+            gradient: &mut by_materials,
+            model,
+        });
+        let to = first - first_pixel;
+        by_materials.store(&mut gradient[..materials_of_gradient], to, count);
+        if let (Some(offset_directions), Some(by_normals)) = (&offset_directions, &mut by_normals) {
+            isa.run(PullBackNormals::<M, C, K> {
+                directions,
+                jacobian: &offset_directions.jacobian,
+                materials: &materials,
+                functions: &functions,
+                sums: &sums,
+                by_basis: &by_normals.basis,
+                scale,
+                gradient: &mut by_normals.offsets,
+                model,
+            });
+            let planes = gradient[materials_of_gradient..].iter_mut();
+            for (plane, own) in planes.zip(&by_normals.offsets) {
+                plane[to..][..count].copy_from_slice(&own.0[..count]);
+            }
+        }
+
+        if FREE_LIGHTS && ((block + 1) % FLUSH == 0 || block + 1 == blocks.end) {
+            isa.run(Flush {
+                from: light_sums.as_flattened_mut(),
+                to: light_totals.as_flattened_mut(),
+            });
+        }
+    }
+    partial.by_lights = light_totals
+        .as_flattened()
+        .iter()
+        .map(WideParts::sum)
+        .collect();
+    partial
+}
+
+impl Piece<'_> {
+    /// While channel c of a block is worked on: the next channel's targets, and a share of what the
+    /// next block needs else.
+    fn look_ahead<const C: usize, const FREE_NORMALS: bool>(
+        &self,
+        gradient: &[&mut [f64]],
+        block: usize,
+        c: usize,
+        ahead: &mut Ahead,
+    ) {
+        ahead.clear();
+        let next = block + 1;
+        if next < self.blocks.end {
+            let pixels = self.problem.pixels();
+            let (from, to) = (next * BLOCK, ((next + 1) * BLOCK).min(pixels));
+            if c == 0 {
+                for plane in self.maps.chunks(pixels) {
+                    ahead.push(&plane[from..to]);
+                }
+            }
+            if c == 1 % C {
+                if FREE_NORMALS {
+                    ahead.push(std::slice::from_ref(self.problem.given_directions(next)));
+                } else {
+                    ahead.push(std::slice::from_ref(self.problem.known_directions(next)));
+                }
+            }
+            if c == C - 1 {
+                let first = self.blocks.start * BLOCK;
+                for plane in gradient {
+                    ahead.push(&plane[from - first..to - first]);
+                }
+                ahead.push(self.problem.targets(next, 0));
+            }
+        }
+        if c + 1 < C {
+            ahead.push(self.problem.targets(block, c + 1));
+        }
+    }
+}
+
+/// Planes of `pixels` values each, cut into pieces of `chunk` pixels.
+fn chunks_of_planes(
+    maps: &mut [f64],
+    pixels: usize,
+    chunk: usize,
+) -> impl Iterator<Item = Vec<&mut [f64]>> {
+    let mut planes: Vec<_> = maps
+        .chunks_mut(pixels)
+        .map(|plane| plane.chunks_mut(chunk))
+        .collect();
+    (0..pixels.div_ceil(chunk)).map(move |_| {
+        let pieces = planes.iter_mut().map(Iterator::next);
+        pieces.map(|piece| piece.expect("equal planes")).collect()
+    })
+}
+
+/// The pictures in groups of at most [`GROUP`], as even as fours allow.
+pub fn groups(pictures: usize) -> impl Iterator<Item = Range<usize>> {
+    let size = pictures
+        .div_ceil(pictures.div_ceil(GROUP))
+        .next_multiple_of(4);
+    (0..pictures)
+        .step_by(size)
+        .map(move |first| first..(first + size).min(pictures))
+}

@@ -1,0 +1,556 @@
+//! The pictures of one scene, and the loss over them with its gradient by every unknown.
+
+pub mod directional;
+mod evaluate;
+mod geometry;
+pub mod light_equations;
+mod low_words;
+pub mod penalties;
+pub mod render;
+pub mod robust;
+pub mod targets;
+
+use std::ops::Range;
+
+use glam::DVec3;
+
+use self::geometry::Geometry;
+use self::targets::{Targets, planes};
+use crate::block::normal_jacobian::{
+    GivenDirections, NormalJacobian, OffsetNormals, TangentOffsets,
+};
+use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::planes::{BLOCK, Directions, Material, Plane};
+use crate::reflectance::reflection::Reflection;
+use crate::reflectance::sh::COEFFICIENTS;
+use crate::reflectance::shade::{Frame, shade};
+use crate::reflectance::tangent_offset;
+use crate::runtime::check::LARGEST_F32;
+use crate::runtime::simd::Instructions;
+use crate::runtime::{Error, Result, check, pool};
+
+/// Pieces of work at most. Their borders depend on the pixel count alone, and their
+/// results are added in order, so every sum is the same at any number of threads.
+const MAX_CHUNKS: usize = 64;
+
+/// Blocks in a piece of work at least: a piece has a cost of its own.
+const MIN_CHUNK: usize = 4;
+
+/// The materials in x, as messages name them.
+const MAPS_OF_X: &str = "x (albedo, roughness, metallic)";
+
+/// The tangent offsets in x, as messages name them.
+const OFFSETS_OF_X: &str = "x (tangent offset)";
+
+/// What is given to a [`Problem`].
+#[derive(Clone, Debug)]
+pub struct Pictures<'a> {
+    /// Linear radiance.
+    pub images: Targets,
+    /// Weight of each sample, in \[0, 1\]: (picture, pixel), or (picture, pixel, channel).
+    pub weights: Option<&'a [f32]>,
+    /// Unit vectors, one a pixel.
+    pub normals: &'a [DVec3],
+    /// Unit vectors from the surface to the camera, one a pixel.
+    pub views: &'a [DVec3],
+}
+
+/// What is known beforehand, and so costs nothing in an evaluation; and how to run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Highest band of the lights, 2 or 3.
+    pub sh_order: usize,
+    /// Metallic of all pixels, where it is no unknown.
+    pub metallic: Option<f64>,
+    /// The lights, where they are no unknowns: (picture, coefficient, channel).
+    pub lighting: Option<Vec<f64>>,
+    /// Whether the normals are unknowns too: x then has a [`tangent_offset`] for each pixel.
+    pub free_normals: bool,
+    /// What makes radiance of materials.
+    pub model: Model,
+    /// 0 means one for each processor.
+    pub threads: usize,
+    /// The vector instructions to use.
+    pub instructions: Instructions,
+}
+
+impl Default for Options {
+    /// Everything unknown but the normals, order 3, all processors, the widest vectors.
+    fn default() -> Self {
+        Self {
+            sh_order: 3,
+            metallic: None,
+            lighting: None,
+            free_normals: false,
+            model: Model::Paper,
+            threads: 0,
+            instructions: Instructions::best(),
+        }
+    }
+}
+
+/// The pictures, prepared for repeated evaluation.
+///
+/// Unknowns are one vector, x = \[albedo (a plane of `pixels` for each channel) | roughness |
+/// metallic | tangent offset a | tangent offset b | lighting (picture, coefficient, channel)\],
+/// without those that are known; what comes before the lighting are its maps. The loss is the mean
+/// of φ(I − T) over pixels, pictures and channels, weighted if there are weights; φ is the square,
+/// or a [robust] loss.
+#[derive(Debug)]
+pub struct Problem {
+    pixels: usize,
+    pictures: usize,
+    channels: usize,
+    coefficients: usize,
+    model: Model,
+    metallic: Option<f64>,
+    lighting: Option<Vec<f64>>,
+    threads: usize,
+    instructions: Instructions,
+    /// Sum of the weights of all samples and channels.
+    total_weight: f64,
+    geometry: Geometry,
+    targets: Targets,
+    /// (block, channel, picture), with one channel where all share a weight; or empty.
+    weights: Vec<Plane>,
+}
+
+impl Problem {
+    /// Checks what is given, and chooses the kernel for it.
+    pub fn new(given: Pictures, options: Options) -> Result<Self> {
+        let Pictures {
+            images: targets,
+            weights,
+            normals,
+            views,
+        } = given;
+        targets.complete()?;
+        let [pixels, pictures, channels] =
+            [targets.pixels(), targets.pictures(), targets.channels()];
+        check::length("normals", pixels, normals.len())?;
+        check::length("views", pixels, views.len())?;
+        check::unit_vectors("normals", normals)?;
+        check::unit_vectors("views", views)?;
+        if !matches!(options.sh_order, 2 | 3) {
+            return Err(Error::argument("sh_order", "2 or 3", options.sh_order));
+        }
+        let coefficients = (options.sh_order + 1).pow(2);
+        if let Some(metallic) = options.metallic {
+            check::unit_interval("metallic", &[metallic])?;
+        }
+        if let Some(lighting) = &options.lighting {
+            check::length(
+                "lighting",
+                pictures * coefficients * channels,
+                lighting.len(),
+            )?;
+            check::moderate("lighting", lighting, LARGEST_F32)?;
+        }
+        let samples = pictures * pixels;
+        let (weights, total_weight) = match weights {
+            None => (Vec::new(), (samples * channels) as f64),
+            Some(weights) => {
+                let of_sample = if weights.len() == samples {
+                    1
+                } else {
+                    channels
+                };
+                check::length("weights", samples * of_sample, weights.len())?;
+                let total = check::weights("weights", weights)? * (channels / of_sample) as f64;
+                let planes = planes("weights", weights, pictures, of_sample, options.threads)?;
+                (planes, total)
+            }
+        };
+
+        let geometry = if options.free_normals {
+            Geometry::Free(GivenDirections::blocks(normals, views)?)
+        } else {
+            Geometry::known(normals, views)?
+        };
+        Ok(Self {
+            pixels,
+            pictures,
+            channels,
+            coefficients,
+            model: options.model,
+            metallic: options.metallic,
+            lighting: options.lighting,
+            threads: options.threads,
+            instructions: options.instructions,
+            total_weight,
+            geometry,
+            targets,
+            weights,
+        })
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> usize {
+        self.pixels
+    }
+
+    /// Number of pictures.
+    pub fn pictures(&self) -> usize {
+        self.pictures
+    }
+
+    /// Number of colour channels.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Coefficients of a light in one channel.
+    pub fn coefficients(&self) -> usize {
+        self.coefficients
+    }
+
+    /// What makes radiance of materials.
+    pub fn model(&self) -> Model {
+        self.model
+    }
+
+    /// Number of unknowns that are maps, the first part of x.
+    pub fn maps(&self) -> usize {
+        self.unknowns_of_pixel() * self.pixels
+    }
+
+    /// Number of unknowns.
+    pub fn size(&self) -> usize {
+        let lights = self.pictures * self.coefficients * self.channels;
+        self.maps() + if self.lighting.is_none() { lights } else { 0 }
+    }
+
+    /// Unknowns of a pixel: those of its material, and its tangent offset where normals are free.
+    pub(crate) fn unknowns_of_pixel(&self) -> usize {
+        self.unknowns_of_material() + if self.free_normals() { 2 } else { 0 }
+    }
+
+    /// Unknowns of a pixel's material: albedo, roughness and, unless it is known, metallic.
+    pub(crate) fn unknowns_of_material(&self) -> usize {
+        self.channels + 1 + usize::from(self.metallic.is_none())
+    }
+
+    /// Whether normals are unknowns.
+    pub(crate) fn free_normals(&self) -> bool {
+        matches!(self.geometry, Geometry::Free(_))
+    }
+
+    /// Maps, in their planes of materials and of tangent offsets; the latter empty where normals
+    /// are known.
+    pub(crate) fn split_maps<'a>(&self, maps: &'a [f64]) -> (&'a [f64], &'a [f64]) {
+        maps.split_at(self.unknowns_of_material() * self.pixels)
+    }
+
+    /// I − T of some pixels, without their weights, in float64 and rounded once: (picture, pixel of
+    /// `pixels`, channel).
+    pub fn residuals(&self, x: &[f64], pixels: &[usize]) -> Result<Vec<f32>> {
+        let (maps, lighting) = self.split(x)?;
+        self.check_maps(maps)?;
+        check::indices("pixels", self.pixels, pixels)?;
+        let pieces = pool::map(
+            self.threads,
+            pixels.chunks(BLOCK).collect(),
+            |pixels: &[usize]| {
+                with_model!(self.model, M => if self.channels == 1 {
+                    self.residuals_of::<M, 1>(maps, lighting, pixels)
+                } else {
+                    self.residuals_of::<M, 3>(maps, lighting, pixels)
+                })
+            },
+        );
+        let mut residuals = Vec::with_capacity(self.pictures * pixels.len() * self.channels);
+        for i in 0..self.pictures {
+            for of_pixels in &pieces {
+                let row = of_pixels.len() / self.pictures;
+                residuals.extend_from_slice(&of_pixels[i * row..][..row]);
+            }
+        }
+        Ok(residuals)
+    }
+
+    /// I − T of a few pixels: (picture, pixel, channel).
+    fn residuals_of<M: Reflection, const C: usize>(
+        &self,
+        maps: &[f64],
+        lighting: &[f64],
+        pixels: &[usize],
+    ) -> Vec<f32> {
+        let k = self.coefficients;
+        let mut residuals = vec![0.0; self.pictures * pixels.len() * C];
+        for (j, &p) in pixels.iter().enumerate() {
+            let (block, x) = (p / BLOCK, p % BLOCK);
+            let weights = shade(&self.frame::<M>(maps, p), &self.material::<C>(maps, p));
+            for (c, w) in weights.iter().enumerate() {
+                for i in 0..self.pictures {
+                    let light = lighting[i * k * C + c..].iter().step_by(C);
+                    let radiance: f64 = w[..k].iter().zip(light).map(|(w, l)| w * l).sum();
+                    residuals[(i * pixels.len() + j) * C + c] =
+                        (radiance - self.targets.get(block, c, i, x)) as f32;
+                }
+            }
+        }
+        residuals
+    }
+
+    /// The normals of all pixels; `maps` is the first part of x.
+    pub fn normals(&self, maps: &[f64]) -> Result<Vec<DVec3>> {
+        check::length("maps", self.maps(), maps.len())?;
+        check::moderate(
+            "maps (tangent offset)",
+            self.split_maps(maps).1,
+            tangent_offset::OFFSET_MAX,
+        )?;
+        let mut normals = Vec::new();
+        normals
+            .try_reserve_exact(self.pixels)
+            .map_err(|_| Error::Memory("normals"))?;
+        normals.extend((0..self.pixels).map(|p| match &self.geometry {
+            Geometry::Known { .. } => self.exact_directions(p).1[0],
+            Geometry::Free(_) => self.offset_normal(maps, p)[0],
+        }));
+        Ok(normals)
+    }
+
+    /// x where some pixels are asked for, checked: its maps, and its lights, known or of x, as
+    /// (channel, picture, coefficient), with zeros where a band is left out.
+    pub(crate) fn at<'a>(
+        &'a self,
+        x: &'a [f64],
+        pixels: &[usize],
+    ) -> Result<(&'a [f64], Vec<[f64; COEFFICIENTS]>)> {
+        let (maps, lighting) = self.split(x)?;
+        self.check_maps(maps)?;
+        check::indices("pixels", self.pixels, pixels)?;
+        Ok((maps, self.padded_lights(lighting)))
+    }
+
+    /// Materials must lie in \[0, 1\]; tangent offsets must be moderate.
+    fn check_maps(&self, maps: &[f64]) -> Result<()> {
+        let (materials, offsets) = self.split_maps(maps);
+        check::unit_interval(MAPS_OF_X, materials)?;
+        check::moderate(OFFSETS_OF_X, offsets, tangent_offset::OFFSET_MAX)
+    }
+
+    /// The maps of x, and the lights, known or of x.
+    fn split<'a>(&'a self, x: &'a [f64]) -> Result<(&'a [f64], &'a [f64])> {
+        check::length("x", self.size(), x.len())?;
+        let (maps, free) = x.split_at(self.maps());
+        let Some(known) = &self.lighting else {
+            check::moderate("x (lighting)", free, LARGEST_F32)?;
+            return Ok((maps, free));
+        };
+        Ok((maps, known))
+    }
+
+    /// The material of a pixel; `maps` is the first part of x.
+    pub(crate) fn material<const C: usize>(&self, maps: &[f64], p: usize) -> Material<C> {
+        let (roughness, metallic) = self.roughness_and_metallic(maps, p);
+        Material {
+            albedo: std::array::from_fn(|c| maps[c * self.pixels + p]),
+            roughness,
+            metallic,
+        }
+    }
+
+    /// The same without albedo.
+    pub(crate) fn roughness_and_metallic(&self, maps: &[f64], p: usize) -> (f64, f64) {
+        let plane = |i: usize| maps[(self.channels + i) * self.pixels + p];
+        (plane(0), self.metallic.unwrap_or_else(|| plane(1)))
+    }
+
+    /// The tangent offset of a pixel; 0 where normals are known.
+    fn offset(&self, maps: &[f64], p: usize) -> [f64; 2] {
+        if !self.free_normals() {
+            return [0.0; 2];
+        }
+        let (_, offsets) = self.split_maps(maps);
+        [offsets[p], offsets[self.pixels + p]]
+    }
+
+    /// Lights (picture, coefficient, channel), of any number of pictures, as (channel, picture,
+    /// coefficient), with zeros where a band is left out.
+    pub(crate) fn padded_lights(&self, lighting: &[f64]) -> Vec<[f64; COEFFICIENTS]> {
+        let (k, channels) = (self.coefficients, self.channels);
+        let mut lights = Vec::with_capacity(lighting.len() / k);
+        for channel in 0..channels {
+            lights.extend(lighting.chunks(k * channels).map(|of_picture| {
+                let mut light = [0.0; COEFFICIENTS];
+                for (to, from) in light.iter_mut().zip(of_picture.chunks(channels)) {
+                    *to = from[channel];
+                }
+                light
+            }));
+        }
+        lights
+    }
+
+    fn blocks(&self) -> usize {
+        self.pixels.div_ceil(BLOCK)
+    }
+
+    /// Blocks in a piece of work.
+    fn chunk(&self) -> usize {
+        self.blocks().div_ceil(MAX_CHUNKS).max(MIN_CHUNK)
+    }
+
+    /// The pieces of work, as ranges of blocks.
+    fn chunks(&self) -> impl Iterator<Item = Range<usize>> {
+        let (chunk, blocks) = (self.chunk(), self.blocks());
+        (0..blocks)
+            .step_by(chunk)
+            .map(move |first| first..(first + chunk).min(blocks))
+    }
+
+    pub(crate) fn threads(&self) -> usize {
+        self.threads
+    }
+
+    pub(crate) fn instructions(&self) -> Instructions {
+        self.instructions
+    }
+
+    pub(crate) fn known_metallic(&self) -> Option<f64> {
+        self.metallic
+    }
+
+    /// Where the pixels of a block look, in float32; where normals are known.
+    pub(crate) fn known_directions(&self, block: usize) -> &Directions {
+        match &self.geometry {
+            Geometry::Known { directions, .. } => &directions[block],
+            Geometry::Free(_) => unreachable!("normals are free"),
+        }
+    }
+
+    /// What tangent offsets start from in a block; where normals are free.
+    pub(crate) fn given_directions(&self, block: usize) -> &GivenDirections {
+        match &self.geometry {
+            Geometry::Known { .. } => unreachable!("normals are known"),
+            Geometry::Free(given) => &given[block],
+        }
+    }
+
+    /// A plane for each picture.
+    pub(crate) fn targets(&self, block: usize, channel: usize) -> &[Plane] {
+        self.targets.planes(block, channel)
+    }
+
+    /// Where some pixels look, at most [`BLOCK`] of them, from anywhere; at the tangent offsets of x.
+    pub(crate) fn picked_directions(&self, maps: &[f64], pixels: &[usize]) -> Directions<f64> {
+        match &self.geometry {
+            Geometry::Known { .. } => {
+                let mut picked = Directions::default();
+                for (x, &p) in pixels.iter().enumerate() {
+                    let (cosine, [normal, mirror]) = self.exact_directions(p);
+                    picked.put(x, cosine, normal, mirror);
+                }
+                picked
+            }
+            Geometry::Free(_) => {
+                let mut picked = Directions::default();
+                self.instructions.run(OffsetNormals {
+                    given: &self.picked_given(pixels),
+                    offsets: &self.picked_offsets(maps, pixels),
+                    directions: &mut picked,
+                    jacobian: &mut NormalJacobian::default(),
+                });
+                picked
+            }
+        }
+    }
+
+    /// What the tangent offsets of some pixels start from, at most [`BLOCK`] of them; where normals
+    /// are free.
+    pub(crate) fn picked_given(&self, pixels: &[usize]) -> GivenDirections {
+        let mut picked = GivenDirections::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            picked.copy(x, self.given_directions(p / BLOCK), p % BLOCK);
+        }
+        picked
+    }
+
+    /// The tangent offsets of some pixels; 0 where no pixel is, or normals are known.
+    pub(crate) fn picked_offsets(&self, maps: &[f64], pixels: &[usize]) -> TangentOffsets {
+        let mut picked = TangentOffsets::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            let offset = self.offset(maps, p);
+            for t in 0..2 {
+                picked[t].0[x] = offset[t];
+            }
+        }
+        picked
+    }
+
+    fn frame<M: Reflection>(&self, maps: &[f64], p: usize) -> Frame<M> {
+        match &self.geometry {
+            Geometry::Known { .. } => {
+                let (cosine, [normal, mirror]) = self.exact_directions(p);
+                Frame::at(cosine, normal, mirror)
+            }
+            Geometry::Free(_) => {
+                let [normal, view] = self.offset_normal(maps, p);
+                Frame::new(normal, view)
+            }
+        }
+    }
+
+    /// Normal and view direction of a pixel at its tangent offset; where normals are free.
+    fn offset_normal(&self, maps: &[f64], p: usize) -> [DVec3; 2] {
+        let [normal, view] = self.given_directions(p / BLOCK).get(p % BLOCK);
+        [
+            tangent_offset::offset_normal(normal, self.offset(maps, p)).normal,
+            view,
+        ]
+    }
+
+    /// The clamped n·v of a pixel, and its normal and mirror direction to 48 bits; where normals are
+    /// known.
+    fn exact_directions(&self, p: usize) -> (f64, [DVec3; 2]) {
+        let Geometry::Known {
+            directions,
+            low_words,
+        } = &self.geometry
+        else {
+            unreachable!("normals are free");
+        };
+        let (block, x) = (p / BLOCK, p % BLOCK);
+        let [normal, mirror] = directions[block].rounded(x);
+        let [of_normal, of_mirror] = low_words[block].get(x);
+        (
+            directions[block].cosine(x),
+            [normal + of_normal, mirror + of_mirror],
+        )
+    }
+
+    /// Targets and weights of some pixels in one channel of one picture; 0 where no pixel is.
+    pub(crate) fn picked_samples(
+        &self,
+        channel: usize,
+        picture: usize,
+        pixels: &[usize],
+    ) -> [Plane<f64>; 2] {
+        let [mut target, mut weight] = <[Plane<f64>; 2]>::default();
+        for (x, &p) in pixels.iter().enumerate() {
+            let (block, there) = (p / BLOCK, p % BLOCK);
+            target.0[x] = self.targets.get(block, channel, picture, there);
+            let weights = self.weights(block, channel);
+            weight.0[x] = weights.get(picture).map_or(1.0, |w| w.0[there].into());
+        }
+        [target, weight]
+    }
+
+    /// A plane for each picture, or none where all samples weigh the same.
+    pub(crate) fn weights(&self, block: usize, channel: usize) -> &[Plane] {
+        if self.weights.is_empty() {
+            return &[];
+        }
+        let channels = self.weights.len() / (self.blocks() * self.pictures);
+        let first = (block * channels + channel % channels) * self.pictures;
+        &self.weights[first..][..self.pictures]
+    }
+}
+
+pub(crate) fn add(total: &mut [f64], partial: &[f64]) {
+    for (t, p) in total.iter_mut().zip(partial) {
+        *t += p;
+    }
+}

@@ -1,0 +1,163 @@
+//! The forward model over many pixels in double precision: ground truth, relighting, residuals.
+
+use glam::DVec3;
+
+use crate::block::basis::{Basis, FillBasis};
+use crate::block::factors::FillFactors;
+use crate::block::radiance::Radiance;
+use crate::block::weights::FillWeights;
+use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::planes::Material;
+use crate::reflectance::planes::{
+    BLOCK, ChannelFactors, Directions, Materials, Plane, no_functions,
+};
+use crate::reflectance::reflection::Reflection;
+use crate::reflectance::sh::COEFFICIENTS;
+use crate::runtime::simd::Instructions;
+use crate::runtime::{Error, Result, check, pool};
+
+/// Blocks in a piece of work.
+const CHUNK: usize = 8;
+
+/// Radiance of every pixel under every light: (light, pixel, channel).
+///
+/// `lighting` is (light, coefficient, channel). `threads` = 0 means one for each processor.
+pub fn render(
+    normals: &[DVec3],
+    views: &[DVec3],
+    materials: &[Material],
+    lighting: &[f64],
+    model: Model,
+    threads: usize,
+) -> Result<Vec<f64>> {
+    let pixels = normals.len();
+    check::length("views", pixels, views.len())?;
+    check::length("materials", pixels, materials.len())?;
+    check::moderate("lighting", lighting, check::LARGEST_F64)?;
+    check::unit_vectors("normals", normals)?;
+    check::unit_vectors("views", views)?;
+    let (coefficients, rest) = lighting.as_chunks::<{ COEFFICIENTS * 3 }>();
+    if !rest.is_empty() {
+        return Err(Error::argument(
+            "lighting",
+            "48 numbers a picture",
+            lighting.len(),
+        ));
+    }
+    let lights: Vec<[[f64; COEFFICIENTS]; 3]> = coefficients
+        .iter()
+        .map(|light| [0, 1, 2].map(|c| std::array::from_fn(|k| light[k * 3 + c])))
+        .collect();
+
+    pictures(
+        lights.len(),
+        pixels,
+        CHUNK * BLOCK,
+        threads,
+        |first, parts| {
+            with_model!(model, M => {
+                render_chunk::<M>(normals, views, materials, &lights, first, parts);
+            });
+        },
+    )
+}
+
+/// Pictures of so many pixels, (light, pixel, channel), filled in pieces.
+///
+/// `fill` gets the index of a first pixel and, of every picture, the part of `piece` pixels (fewer
+/// at the end) that begins there, as zeros.
+pub(crate) fn pictures(
+    lights: usize,
+    pixels: usize,
+    piece: usize,
+    threads: usize,
+    fill: impl Fn(usize, &mut [&mut [f64]]) + Send + Sync,
+) -> Result<Vec<f64>> {
+    let samples = lights * pixels * 3;
+    // Asked for twice: whether there is memory, and then as zeros, which the system hands out page
+    // by page to the threads that write there.
+    Vec::<f64>::new()
+        .try_reserve_exact(samples)
+        .map_err(|_| Error::Memory("images"))?;
+    let mut images = vec![0.0; samples];
+    if images.is_empty() {
+        return Ok(images);
+    }
+    // Each piece of work writes its own part of every picture.
+    let mut pictures: Vec<_> = images
+        .chunks_mut(pixels * 3)
+        .map(|picture| picture.chunks_mut(piece * 3))
+        .collect();
+    let pieces = (0..pixels.div_ceil(piece))
+        .map(|i| {
+            let parts = pictures.iter_mut().map(Iterator::next);
+            let parts: Vec<_> = parts.map(|part| part.expect("equal pictures")).collect();
+            (i * piece, parts)
+        })
+        .collect();
+    pool::map(threads, pieces, |(first, mut parts): (usize, Vec<_>)| {
+        fill(first, &mut parts);
+    });
+    Ok(images)
+}
+
+/// Renders the pixels from `first` on that the parts have room for.
+fn render_chunk<M: Reflection>(
+    normals: &[DVec3],
+    views: &[DVec3],
+    materials: &[Material],
+    lights: &[[[f64; COEFFICIENTS]; 3]],
+    first: usize,
+    parts: &mut [&mut [f64]],
+) {
+    let isa = Instructions::best();
+    let mut directions = Directions::<f64>::default();
+    let mut of_block = Materials::<3>::default();
+    let mut basis = Basis::<f64>::default();
+    let mut functions = no_functions();
+    let model = M::default();
+    let mut factors: [ChannelFactors<f64>; 3] = Default::default();
+    let mut weights = [[Plane::default(); COEFFICIENTS]; 3];
+    let mut radiance = Plane::default();
+    let end = first + parts[0].len() / 3;
+    for block in (first..end).step_by(BLOCK) {
+        let count = BLOCK.min(end - block);
+        for x in 0..count {
+            directions.set(x, normals[block + x], views[block + x]);
+            of_block.set(x, &materials[block + x]);
+        }
+        isa.run(FillBasis::<M, f64, COEFFICIENTS> {
+            directions: &directions,
+            basis: &mut basis,
+            model,
+        });
+        isa.run(FillFactors {
+            directions: &directions,
+            materials: &of_block,
+            pixels: count,
+            by_cosine: false,
+            functions: &mut functions,
+            factors: &mut factors,
+            model,
+        });
+        isa.run(FillWeights {
+            basis: &basis,
+            factors: &factors,
+            weights: &mut weights,
+            model,
+        });
+        for c in 0..3 {
+            for (light, part) in lights.iter().zip(parts.iter_mut()) {
+                isa.run(Radiance {
+                    weights: &weights[c],
+                    light: &light[c],
+                    radiance: &mut radiance,
+                });
+                let pixels = part[(block - first) * 3..].as_chunks_mut::<3>().0;
+                for (pixel, radiance) in pixels.iter_mut().zip(&radiance.0[..count]) {
+                    pixel[c] = *radiance;
+                }
+            }
+        }
+    }
+}

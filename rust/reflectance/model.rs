@@ -1,0 +1,44 @@
+//! Which reflection model makes weights of materials.
+
+use std::str::FromStr;
+
+use crate::runtime::Error;
+
+/// A reflection model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Model {
+    /// The paper's eq. 12: a lobe round about the mirror direction, masked at the view angle.
+    #[default]
+    Paper,
+    /// The exact response of the microfacet model that Blender, glTF and game engines share.
+    Principled,
+}
+
+/// `with_model!(model, M => f::<M>(…))`: code that is compiled for each model, with its type as M.
+macro_rules! with_model {
+    ($model:expr, $type:ident => $code:expr) => {
+        match $model {
+            $crate::reflectance::model::Model::Paper => {
+                type $type = $crate::reflectance::paper::Paper;
+                $code
+            }
+            $crate::reflectance::model::Model::Principled => {
+                type $type = $crate::reflectance::principled::Principled;
+                $code
+            }
+        }
+    };
+}
+pub(crate) use with_model;
+
+impl FromStr for Model {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        match name {
+            "paper" => Ok(Self::Paper),
+            "principled" => Ok(Self::Principled),
+            _ => Err(Error::argument("model", "paper or principled", name)),
+        }
+    }
+}

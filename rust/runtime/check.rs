@@ -1,0 +1,125 @@
+//! Checks of what callers hand over; every refusal names the array, the expected and the found.
+
+use glam::DVec3;
+
+use super::{Error, Result};
+
+/// Samples (pixels times pictures) at most; more are refused.
+pub(crate) const MAX_SAMPLES: usize = 1 << 31;
+
+/// Distance of a unit vector's length from 1 above which it is refused: ones that were normalised
+/// in float32 pass.
+const UNIT_TOLERANCE: f64 = 1e-5;
+
+pub(crate) fn length(name: &'static str, expected: usize, found: usize) -> Result<()> {
+    if expected == found {
+        return Ok(());
+    }
+    Err(Error::argument(name, format!("{expected} numbers"), found))
+}
+
+/// Pixels times pictures, which must not be too many.
+pub(crate) fn samples(pictures: usize, pixels: usize) -> Result<usize> {
+    let samples = pixels.checked_mul(pictures).filter(|&s| s <= MAX_SAMPLES);
+    samples.ok_or_else(|| {
+        Error::argument(
+            "images",
+            format!("at most {MAX_SAMPLES} pixels times pictures"),
+            format!("{pictures} pictures of {pixels} pixels"),
+        )
+    })
+}
+
+/// Largest radiance and light that are taken: up to here they do not overflow when they are
+/// multiplied, squared and summed in float32.
+pub(crate) const LARGEST_F32: f64 = 1e16;
+/// Largest number that is taken where it is multiplied with weights or their derivatives, which are
+/// below 10³, and summed in float64.
+pub(crate) const LARGEST_F64: f64 = 1e304;
+
+/// Finite, and no larger than a limit.
+pub(crate) fn moderate<T: Copy + Into<f64>>(
+    name: &'static str,
+    values: &[T],
+    limit: f64,
+) -> Result<()> {
+    moderate_from(name, 0, values, limit)
+}
+
+/// The same of a part of an array, from its number `first` on.
+pub(crate) fn moderate_from<T: Copy + Into<f64>>(
+    name: &'static str,
+    first: usize,
+    values: &[T],
+    limit: f64,
+) -> Result<()> {
+    // Written so that NaN fails.
+    let is_moderate = |&v: &T| v.into().abs() <= limit;
+    let Some(i) = values.iter().position(|v| !is_moderate(v)) else {
+        return Ok(());
+    };
+    let value: f64 = values[i].into();
+    let i = first + i;
+    Err(if value.is_finite() {
+        let expected = format!("numbers up to {limit:e} in size");
+        Error::argument(name, expected, format!("{value:e} at {i}"))
+    } else {
+        Error::argument(name, "finite numbers", format!("{value} at {i}"))
+    })
+}
+
+pub(crate) fn unit_interval<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {
+    match values
+        .iter()
+        .position(|&v| !(0.0..=1.0).contains(&v.into()))
+    {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(
+            name,
+            "numbers in [0, 1]",
+            format!("{} at {i}", values[i].into()),
+        )),
+    }
+}
+
+pub(crate) fn not_negative(name: &'static str, values: &[f64]) -> Result<()> {
+    match values.iter().position(|&v| v < 0.0) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(
+            name,
+            "numbers from 0",
+            format!("{} at {i}", values[i]),
+        )),
+    }
+}
+
+/// Indices of `count` things.
+pub(crate) fn indices(name: &'static str, count: usize, indices: &[usize]) -> Result<()> {
+    match indices.iter().find(|&&i| i >= count) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(name, format!("indices below {count}"), i)),
+    }
+}
+
+/// Weights must lie in \[0, 1\] and not all be zero. Returns their sum.
+pub(crate) fn weights(name: &'static str, values: &[f32]) -> Result<f64> {
+    unit_interval(name, values)?;
+    let sum = values.iter().map(|&v| f64::from(v)).sum();
+    if sum > 0.0 {
+        return Ok(sum);
+    }
+    Err(Error::argument(name, "some weight above 0", "all zero"))
+}
+
+pub(crate) fn unit_vectors(name: &'static str, vectors: &[DVec3]) -> Result<()> {
+    // Written so that NaN fails.
+    let is_unit = |v: &DVec3| (v.length() - 1.0).abs() <= UNIT_TOLERANCE;
+    match vectors.iter().position(|v| !is_unit(v)) {
+        None => Ok(()),
+        Some(i) => Err(Error::argument(
+            name,
+            "unit vectors",
+            format!("{} of length {} at {i}", vectors[i], vectors[i].length()),
+        )),
+    }
+}

@@ -1,0 +1,292 @@
+//! The Gauss–Newton Hessian of each pixel's material, and how it is tied to the lights.
+//!
+//! With radiance I, targets T, weights ω of the samples (picture i, channel c) and θ the unknowns of
+//! a pixel, that is albedo by channel, roughness, metallic unless it is known and, where normals are
+//! free, the two tangent offsets:
+//!
+//! ```text
+//! J = ∂I/∂θ          A = Jᵀ Ω J          g = Jᵀ Ω (I − T)
+//! ```
+//!
+//! Radiance is linear in the light, I_ic = Σ_k w_ck L_ick, so the normal matrix of materials and
+//! lights together is an arrowhead. Pixels touch the lights only, and a light of one channel touches
+//! none but itself:
+//!
+//! ```text
+//! ⎛ A_p  B_p ⎞       B_p[θ, ick]    = ω_ic J_icθ w_ck
+//! ⎝ B_pᵀ  G  ⎠       G[ick, ick']   = Σ_p ω_ic w_ck w_ck'
+//! ```
+//!
+//! All of this is float64 (see [`samples`](crate::pixel::samples)): the matrices are differenced and
+//! inverted afterwards.
+
+use crate::block::radiance::Radiance;
+use crate::pixel::samples::{Block, Sums, by_kind, free_unknowns, unknowns_of_channel};
+use crate::problem::Problem;
+use crate::reflectance::planes::{BLOCK, Doubles};
+use crate::reflectance::reflection::Reflection;
+use crate::runtime::memory::zeros;
+use crate::runtime::simd::{Isa, Kernel};
+use crate::runtime::{Error, Result, check, pool};
+
+/// Blocks of pixels in a piece of work.
+const CHUNK: usize = 2;
+
+/// The normal equations of some pixels with D unknowns each.
+#[derive(Clone, Debug)]
+pub struct NormalEquations {
+    /// A = Jᵀ Ω J: (pixel, D, D).
+    pub matrices: Vec<f64>,
+    /// g = Jᵀ Ω (I − T), half of the slope of the sum of squares: (pixel, D).
+    pub gradient: Vec<f64>,
+    /// Σ ω (I − T)²: (pixel).
+    pub sum_sq_residuals: Vec<f64>,
+}
+
+/// Derivatives of the radiance of some pixels.
+#[derive(Clone, Debug)]
+pub struct Derivatives {
+    /// By albedo (of the same channel), roughness, metallic, known or not, and, where normals are
+    /// free, the two tangent offsets: (pixel, picture, channel, 3 or 5).
+    pub by_material: Vec<f64>,
+    /// By the coefficients of the light, w_ck, the same for all pictures: (pixel, channel, K).
+    pub by_light: Vec<f64>,
+    /// ω: (pixel, picture, channel).
+    pub weights: Vec<f64>,
+}
+
+impl Problem {
+    /// The normal equations of the materials of some pixels, with the lights held.
+    pub fn normal_equations(&self, x: &[f64], pixels: &[usize]) -> Result<NormalEquations> {
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            normal_equations::<M, C, D, U>(self, x, pixels)
+        })
+    }
+
+    /// Derivatives of the radiance of some pixels by their materials and by the lights.
+    pub fn derivatives(&self, x: &[f64], pixels: &[usize]) -> Result<Derivatives> {
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            derivatives::<M, C, D, U>(self, x, pixels)
+        })
+    }
+
+    /// How far the materials of some pixels move with the lights: (pixel, D).
+    ///
+    /// When the lights move by a mode v, the best material of a pixel moves by −C B v, with C its
+    /// covariance A⁻¹. The result is the sum of squares of these moves over modes. `covariances` is
+    /// (pixel, D, D), `modes` (mode, picture, coefficient, channel).
+    pub fn moves_with_lights(
+        &self,
+        x: &[f64],
+        pixels: &[usize],
+        covariances: &[f64],
+        modes: &[f64],
+    ) -> Result<Vec<f64>> {
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            moves_with_lights::<M, C, D, U>(self, x, pixels, covariances, modes)
+        })
+    }
+}
+
+fn normal_equations<M: Reflection, const C: usize, const D: usize, const U: usize>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+) -> Result<NormalEquations> {
+    let (maps, lights) = problem.at(x, pixels)?;
+    let rows = free_unknowns::<C, D>(problem);
+    let unknowns = rows.len();
+    let mut matrices = zeros("normal equations", pixels.len() * unknowns * unknowns)?;
+    let mut gradient = zeros("normal equations", pixels.len() * unknowns)?;
+    let mut sum_sq_residuals = zeros("normal equations", pixels.len())?;
+    let size = CHUNK * BLOCK;
+    let pieces = pixels
+        .chunks(size)
+        .zip(matrices.chunks_mut(size * unknowns * unknowns))
+        .zip(gradient.chunks_mut(size * unknowns))
+        .zip(sum_sq_residuals.chunks_mut(size))
+        .collect();
+    pool::map(
+        problem.threads(),
+        pieces,
+        |(((pixels, matrices), gradient), sum_sq_residuals)| {
+            let mut block = Block::<M, C, D>::new(problem);
+            for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
+                block.load(maps, pixels);
+                let mut sums = Sums::<U>::default();
+                block.add_samples(&lights, &mut sums);
+                for x in 0..pixels.len() {
+                    let p = i * BLOCK + x;
+                    sums.store_matrix(x, &rows, &mut matrices[p * unknowns * unknowns..]);
+                    for (to, &row) in gradient[p * unknowns..].iter_mut().zip(&rows) {
+                        *to = sums.gradient[row].0[x];
+                    }
+                    sum_sq_residuals[p] = sums.sum_sq_residuals.0[x];
+                }
+            }
+        },
+    );
+    Ok(NormalEquations {
+        matrices,
+        gradient,
+        sum_sq_residuals,
+    })
+}
+
+fn derivatives<M: Reflection, const C: usize, const D: usize, const U: usize>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+) -> Result<Derivatives> {
+    let (maps, lights) = problem.at(x, pixels)?;
+    let samples = problem.pictures() * C;
+    let k = problem.coefficients();
+    let mut by_material = zeros("normal equations", pixels.len() * samples * D)?;
+    let mut by_light = zeros("normal equations", pixels.len() * C * k)?;
+    let mut weights = zeros("normal equations", pixels.len() * samples)?;
+    let size = CHUNK * BLOCK;
+    let pieces = pixels
+        .chunks(size)
+        .zip(by_material.chunks_mut(size * samples * D))
+        .zip(by_light.chunks_mut(size * C * k))
+        .zip(weights.chunks_mut(size * samples))
+        .collect();
+    pool::map(
+        problem.threads(),
+        pieces,
+        |(((pixels, by_material), by_light), weights)| {
+            let mut block = Block::<M, C, D>::new(problem);
+            for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
+                block.load(maps, pixels);
+                block.fill_weights();
+                let of_block = by_light[i * BLOCK * C * k..].chunks_mut(k).enumerate();
+                for (row, of_row) in of_block.take(pixels.len() * C) {
+                    for (to, from) in of_row.iter_mut().zip(&block.weights[row % C]) {
+                        *to = from.0[row / C];
+                    }
+                }
+                block.each_sample(&lights, |c, picture, sample| {
+                    for x in 0..pixels.len() {
+                        let s = (i * BLOCK + x) * samples + picture * C + c;
+                        weights[s] = sample.weight.0[x];
+                        for j in 0..D {
+                            by_material[s * D + j] = sample.derivatives[j].0[x];
+                        }
+                    }
+                });
+            }
+        },
+    );
+    Ok(Derivatives {
+        by_material,
+        by_light,
+        weights,
+    })
+}
+
+fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usize>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+    covariances: &[f64],
+    modes: &[f64],
+) -> Result<Vec<f64>> {
+    let (maps, lights) = problem.at(x, pixels)?;
+    let rows = free_unknowns::<C, D>(problem);
+    let unknowns = rows.len();
+    let of_mode = problem.pictures() * problem.coefficients() * C;
+    check::length(
+        "covariances",
+        pixels.len() * unknowns * unknowns,
+        covariances.len(),
+    )?;
+    check::moderate("modes", modes, check::LARGEST_F64)?;
+    if !modes.len().is_multiple_of(of_mode) {
+        let expected = format!("{of_mode} numbers a mode");
+        return Err(Error::argument("modes", expected, modes.len()));
+    }
+    let modes: Vec<_> = modes
+        .chunks(of_mode)
+        .map(|mode| problem.padded_lights(mode))
+        .collect();
+    let mut moves = zeros("normal equations", pixels.len() * unknowns)?;
+    let size = CHUNK * BLOCK;
+    let pieces = pixels
+        .chunks(size)
+        .zip(covariances.chunks(size * unknowns * unknowns))
+        .zip(moves.chunks_mut(size * unknowns))
+        .collect();
+    pool::map(
+        problem.threads(),
+        pieces,
+        |((pixels, covariances), moves)| {
+            let mut block = Block::<M, C, D>::new(problem);
+            let mut weighted = vec![[Doubles::default(); D]; C * problem.pictures()];
+            let mut radiance = Doubles::default();
+            let isa = problem.instructions();
+            for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
+                block.load(maps, pixels);
+                block.fill_weights();
+                // ω J of every sample, in the order of the lights.
+                block.each_sample(&lights, |c, picture, sample| {
+                    let to = &mut weighted[c * problem.pictures() + picture];
+                    for (to, from) in to.iter_mut().zip(&sample.derivatives) {
+                        for x in 0..BLOCK {
+                            to.0[x] = sample.weight.0[x] * from.0[x];
+                        }
+                    }
+                });
+                for mode in &modes {
+                    // B v
+                    let mut product = [Doubles::default(); U];
+                    for (sample, (light, weighted)) in mode.iter().zip(&weighted).enumerate() {
+                        let c = sample / problem.pictures();
+                        isa.run(Radiance {
+                            weights: &block.weights[c],
+                            light,
+                            radiance: &mut radiance,
+                        });
+                        for (j, row) in unknowns_of_channel::<C, D>(c).into_iter().enumerate() {
+                            isa.run(AddProduct {
+                                a: &weighted[j],
+                                b: &radiance,
+                                sum: &mut product[row],
+                            });
+                        }
+                    }
+                    for x in 0..pixels.len() {
+                        let p = i * BLOCK + x;
+                        for row in 0..unknowns {
+                            let covariance =
+                                &covariances[(p * unknowns + row) * unknowns..][..unknowns];
+                            let mut moved = 0.0;
+                            for (c, &unknown) in covariance.iter().zip(&rows) {
+                                moved += c * product[unknown].0[x];
+                            }
+                            moves[p * unknowns + row] += moved * moved;
+                        }
+                    }
+                }
+            }
+        },
+    );
+    Ok(moves)
+}
+
+/// sum += a b
+struct AddProduct<'a> {
+    a: &'a Doubles,
+    b: &'a Doubles,
+    sum: &'a mut Doubles,
+}
+
+impl Kernel for AddProduct<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        for x in 0..BLOCK {
+            self.sum.0[x] += self.a.0[x] * self.b.0[x];
+        }
+    }
+}
