@@ -13,13 +13,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.gauss_newton.global_gauss_newton import polish
-from pbrfit.fit.gauss_newton.pixels import Towards, fit_all
+from pbrfit.fit.gauss_newton.global_gauss_newton import minimize
+from pbrfit.fit.gauss_newton.pixels import fit_all
 from pbrfit.fit.normals.noise import noise_variance, pixel_squares, uncertain_tilts
 from pbrfit.fit.normals.offset_prior import TiltPrior
 from pbrfit.fit.normals.search import Found
 from pbrfit.fit.normals.strided_subset import Neighbourhood, numbered
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
 
@@ -103,7 +104,7 @@ def turn(
         drawn, by = np.zeros((2, len(tilts), len(layout.roughness_metallic)))
         if finish is not None:
             drawn, by = finish, by + variance / GATHERED**2
-        towards = Towards(
+        towards = GaussianPrior(
             np.concatenate([drawn, centre], axis=1), np.concatenate([by, precision], axis=1)
         )
         first = number == 0
@@ -112,13 +113,13 @@ def turn(
             x,
             starts=starts if first else 0,
             steps=12 if first and starts else 0,
-            towards=towards,
+            prior=towards,
             stop=stop,
         )
         if squares is None:
             return prior, None
         if objective.lighting is not None:
-            polish(objective, x, squares, lambda *_: stop(), stop, towards)
+            minimize(objective, x, squares, lambda *_: stop(), stop, towards)
         prior = prior.learnt(
             x[layout.tangent_offsets].reshape(2, -1).T,
             uncertain_tilts(objective, x, towards.precision, variance),

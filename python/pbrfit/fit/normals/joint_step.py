@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.gauss_newton.normal_equations import RIDGE, Cholesky, as_in_x
 from pbrfit.fit.normals.offset_prior import TiltPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.map_gauss_newton import Pull
+from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class State:
 def moves(
     few: Objective,
     state: State,
-    pull: Pull,
+    pull: GaussianPrior,
     prior: TiltPrior,
     variance: float,
     weights: Array,
@@ -88,6 +88,7 @@ def moves(
     layout, x = few.layout, state.x
     assert layout.tangent_offsets is not None
     assert layout.lighting is not None
+    assert pull.cluster is not None
     count, channels = few.pixels, layout.channels
     unknowns = layout.materials.stop // count
     finish = unknowns - channels
@@ -114,7 +115,7 @@ def moves(
     values = x[layout.materials].reshape(unknowns, count).T
     tilts = x[layout.tangent_offsets].reshape(2, count).T
     strength = np.sqrt(pull.precision * weights[:, None])
-    off = values[:, channels:] - pull.centre - state.offsets[pull.cluster]
+    off = values[:, channels:] - pull.mean - state.offsets[pull.cluster]
     for f in range(finish):
         materials[:, samples + f, channels + f] = strength[:, f]
         others[:, samples + f, 2 + f] = -strength[:, f]

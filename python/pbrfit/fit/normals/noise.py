@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.gauss_newton.pixels import chunks
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.material import LEAST_VARIANCE
+from pbrfit.fit.settings import NOISE_VARIANCE_MIN
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ def degrees_of_freedom(objective: Objective) -> float:
 
 def noise_variance(objective: Objective, squares: Array) -> float:
     """s² of samples of weight 1, as the better half of the pixels has it, from squares (P,)."""
-    return max(float(np.median(squares)) / degrees_of_freedom(objective), LEAST_VARIANCE)
+    return max(float(np.median(squares)) / degrees_of_freedom(objective), NOISE_VARIANCE_MIN)
 
 
 def mean_over_median(objective: Objective, squares: Array) -> float:

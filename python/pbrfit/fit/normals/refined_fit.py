@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import normals as free_normals
 from pbrfit.fit.gauss_newton.pixels import chunks, taken
-from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
+from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.normals.noise import degrees_of_freedom, noise_variance
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.fit.settings import MEAN_RADIANCE, NEIGHBOUR_CORRELATION_MAX
 from pbrfit.fit.solvers.run import Run
 from pbrfit.fit.solvers.strategies import solve
 from pbrfit.model.geometry import angles_between

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.gauss_newton.pixels import METALLIC, ROUGHNESS, place, taken
+from pbrfit.fit.gauss_newton.pixels import place, start_nodes, taken
 from pbrfit.fit.normals import joint_step
 from pbrfit.fit.normals.joint_step import State
 from pbrfit.fit.normals.noise import (
@@ -33,9 +33,9 @@ from pbrfit.fit.normals.noise import (
 from pbrfit.fit.normals.offset_prior import TiltPrior
 from pbrfit.fit.normals.strided_subset import Neighbourhood, lattice
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors import material as material_prior
-from pbrfit.fit.priors.map_gauss_newton import OFFSET_PULL, Pull
-from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.material import prior_at
+from pbrfit.fit.settings import MEAN_RADIANCE, OFFSET_PRECISION_SHARE
 
 Array = NDArray[np.float64]
 
@@ -217,8 +217,8 @@ class _Search:
         self._damping = FIRST_DAMPING
         finish = len(few.layout.roughness_metallic)
         nothing = np.zeros((few.pixels, finish))
-        self._pull = Pull(nothing, nothing, np.zeros(few.pixels, np.intp), 1)
-        self._offset_pull = np.full(finish, OFFSET_PULL)
+        self._pull = GaussianPrior(nothing, nothing, np.zeros(few.pixels, np.intp))
+        self._offset_pull = np.full(finish, OFFSET_PRECISION_SHARE)
         self.state = State(x, np.zeros((1, finish)))
 
     @property
@@ -270,22 +270,22 @@ class _Search:
             if finish == 2:
                 precision[:, 1] = variance / DIELECTRIC**2
             clusters = np.zeros(self.few.pixels, np.intp)
-            self._pull = Pull(centre, precision, clusters, 1)
+            self._pull = GaussianPrior(centre, precision, clusters)
             self.state = State(self.state.x, np.zeros((1, finish)))
             return
         floor = FLOORS[min(number - DIELECTRIC_ROUNDS, len(FLOORS) - 1)]
-        self._pull = material_prior.pull_at(self.few, self.state.x, floor, variance, PURE)
+        self._pull = prior_at(self.few, self.state.x, floor, variance, PURE)
         self.state = State(self.state.x, np.zeros((self._pull.clusters, finish)))
 
     def _with_pull(self, state: State, squares: Array) -> Array:
         """Squares and pull of each pixel, (P,)."""
-        off = self._finish(state.x) - self._pull.centre - state.offsets[self._pull.cluster]
+        off = self._finish(state.x) - self._pull.mean - state.offsets[self._pull.cluster]
         return np.asarray(squares + (self._pull.precision * off**2).sum(axis=1))
 
     def _towards(self, state: State, x: Array, variance: float) -> tuple[Array, Array]:
         """Centres and precisions (P, F + 2) that a pixel by itself feels."""
         centre, precision = self.prior.beside_others(self._tilts(x), variance)
-        shifted = self._pull.centre + state.offsets[self._pull.cluster]
+        shifted = self._pull.mean + state.offsets[self._pull.cluster]
         return (
             np.concatenate([shifted, centre], axis=1),
             np.concatenate([self._pull.precision, precision], axis=1),
@@ -300,7 +300,7 @@ class _Search:
         if not turn:
             finish = len(few.layout.roughness_metallic)
             centre[:, finish:], precision[:, finish:] = 0.0, 0.0
-        nodes = _nodes(few) if starts else (np.empty(0), np.empty(0))
+        nodes = start_nodes(few) if starts else (np.empty(0), np.empty(0))
         found, squares = few.problem.fit_materials(
             few.for_core(x),
             self._pixels,
@@ -382,11 +382,12 @@ class _Search:
         few, pull = self.few, self._pull
         metallic = few.layout.metallic
         assert metallic is not None
-        centre, precision = pull.centre.copy(), pull.precision.copy()
+        assert pull.cluster is not None
+        centre, precision = pull.mean.copy(), pull.precision.copy()
         centre[there, 1], precision[there, 1] = 0.0, variance / FLOORS[-1] ** 2
         precision[there, 0] = 0.0
         cluster = np.where(there, pull.clusters, pull.cluster)
-        self._pull = Pull(centre, precision, cluster, pull.clusters + 1)
+        self._pull = GaussianPrior(centre, precision, cluster)
         offsets = np.concatenate([self.state.offsets, np.zeros((1, centre.shape[1]))])
         x = self.state.x.copy()
         x[metallic][there] = 0.0
@@ -458,8 +459,3 @@ def _bound(squares: Array) -> float:
 def _bounded(costs: Array, bound: float) -> float:
     """Σ ρ(c), with τ = `bound`."""
     return float((bound * costs / (bound + costs)).sum())
-
-
-def _nodes(objective: Objective) -> tuple[Array, Array]:
-    known = objective.known_metallic
-    return ROUGHNESS, METALLIC if known is None else np.array([known])
