@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, one_blas_thread
 from pbrfit.fit.gauss_newton.pixels import (
     PIXELS_PER_CALL,
+    Pixels,
     Watch,
     chunks,
     fit_all,
@@ -113,177 +116,152 @@ def minimize(
     prior: GaussianPrior | None = None,
 ) -> None:
     """Joint steps that lower the sum of squares and prior; x and the sums of pixels (P,) change."""
-    total = _total(objective, x, sum_sq, prior)
-    damping = 0.0
+    fit = _JointFit(objective, x, sum_sq, prior, stop)
+    total = fit.total(x, sum_sq)
     for _ in range(GLOBAL_STEPS_MAX):
         if total == 0:
             break
-        moves, predicted = _light_moves(
-            objective, x, prior, damping, GLOBAL_PREDICTED_GAIN_MIN * total, stop
-        )
-        if predicted < GLOBAL_PREDICTED_GAIN_MIN * total or stop():
+        worth = GLOBAL_PREDICTED_GAIN_MIN * total
+        moves, predicted = fit.light_moves(worth)
+        if predicted < worth or stop():
             break
-        lower = _step(objective, x, sum_sq, moves, total, prior, damping, stop)
+        lower = fit.step(moves, total)
         if lower is None:
-            if damping >= GLOBAL_DAMPING_MAX or stop():
+            if fit.damping >= GLOBAL_DAMPING_MAX or stop():
                 break
-            damping = max(GLOBAL_DAMPING_FACTOR * damping, DAMPING_START)
+            fit.damping = max(GLOBAL_DAMPING_FACTOR * fit.damping, DAMPING_START)
             continue
-        damping = 0.0 if damping <= DAMPING_START else damping / GLOBAL_DAMPING_FACTOR
+        fit.damping = 0.0 if fit.damping <= DAMPING_START else fit.damping / GLOBAL_DAMPING_FACTOR
         gain, total = 1 - lower / total, lower
         if visit(x, sum_sq) or gain < GLOBAL_GAIN_MIN:
             break
 
 
-def _total(objective: Objective, x: Array, sum_sq: Array, prior: GaussianPrior | None) -> float:
-    total = float(sum_sq.sum())
-    if prior is not None:
-        total += prior.cost(taken(objective, x, slice(None))[:, objective.channels :])
-    return total
+@dataclass(eq=False)
+class _JointFit:
+    """All pixels and the lights at x, and the sums of squares (P,) that pixels have there."""
 
+    objective: Objective
+    x: Array
+    sum_sq: Array
+    prior: GaussianPrior | None
+    stop: Stop
+    damping: float = 0.0
 
-def _preconditioner(
-    objective: Objective, x: Array, prior: GaussianPrior | None, damping: float
-) -> Cholesky:
-    """The system of some pixels, scaled up to all."""
-    chosen = evenly_spaced(objective.pixels, PRECONDITIONER_PIXELS)
-    few = objective.restricted(chosen)
-    part, pixels = objective.part_of(x, chosen), np.arange(len(chosen), dtype=np.uint64)
-    of_few = None if prior is None else prior.rows(chosen)
-    matrix, _ = few.problem.schur_complement(
-        few.for_core(part), pixels, **schur_options(few, part, pixels, of_few, damping)
-    )
-    matrix *= objective.pixels / len(chosen)
-    return Cholesky(matrix, PRECONDITIONER_DAMPING)
+    def total(self, x: Array, sum_sq: Array) -> float:
+        """The sum that is lowered, prior included."""
+        total = float(sum_sq.sum())
+        if self.prior is not None:
+            materials = taken(self.objective, x, slice(None))
+            total += self.prior.cost(materials[:, self.objective.channels :])
+        return total
 
+    def _rows(self, pixels: Pixels) -> GaussianPrior | None:
+        return None if self.prior is None else self.prior.rows(pixels)
 
-def _product(
-    objective: Objective,
-    x: Array,
-    v: Array,
-    prior: GaussianPrior | None,
-    damping: float,
-    stop: Stop,
-) -> tuple[Array, Array] | None:
-    """S v and s of all pixels, in order, so that the sums are always the same; None if stopped."""
-    totals = np.zeros((2, len(v)))
-    for chunk in chunks(objective.pixels):
-        if stop():
-            return None
-        totals += objective.problem.schur_product(
-            objective.for_core(x), chunk, v, **schur_options(objective, x, chunk, prior, damping)
-        )
-    return totals[0], totals[1]
+    def _options(self, pixels: Pixels) -> dict[str, Any]:
+        return schur_options(self.objective, self.x, pixels, self.prior, self.damping)
 
+    def _preconditioner(self) -> Cholesky:
+        """The system of some pixels, scaled up to all."""
+        objective = self.objective
+        chosen = evenly_spaced(objective.pixels, PRECONDITIONER_PIXELS)
+        few = objective.restricted(chosen)
+        part, pixels = objective.part_of(self.x, chosen), np.arange(len(chosen), dtype=np.uint64)
+        options = schur_options(few, part, pixels, self._rows(chosen), self.damping)
+        matrix, _ = few.problem.schur_complement(few.for_core(part), pixels, **options)
+        matrix *= objective.pixels / len(chosen)
+        return Cholesky(matrix, PRECONDITIONER_DAMPING)
 
-def _light_moves(
-    objective: Objective,
-    x: Array,
-    prior: GaussianPrior | None,
-    damping: float,
-    enough: float,
-    stop: Stop,
-) -> tuple[Array, float]:
-    """δ with (S + damping) δ ≈ −s by preconditioned conjugate gradients, and what it gains.
-
-    The latter is by how much the sum falls in the quadratic model; if it cannot exceed `enough`, no
-    product is made.
-    """
-    layout = objective.layout
-    size = layout.light_channels * layout.pictures * layout.coefficients
-    moves = np.zeros(size)
-    try:
-        preconditioner = _preconditioner(objective, x, prior, damping)
-    except np.linalg.LinAlgError:
-        return moves, 0.0
-    product = _product(objective, x, moves, prior, damping, stop)
-    if product is None:
-        return moves, 0.0
-    residual = -product[1]
-    direction = preconditioned = preconditioner.solve(residual)
-    first = size_now = float(residual @ preconditioned)
-    if not first >= enough:
-        return moves, 0.0
-    predicted = 0.0
-    for _ in range(CG_ITERATIONS_MAX):
-        product = _product(objective, x, direction, prior, damping, stop)
-        if product is None:
-            break
-        along = product[0] + LIGHT_DAMPING * damping * preconditioner.diagonal * direction
-        curvature = float(direction @ along)
-        if not curvature > 0:
-            break
-        length = size_now / curvature
-        moves += length * direction
-        residual -= length * along
-        predicted += length * size_now
-        preconditioned = preconditioner.solve(residual)
-        size_before, size_now = size_now, float(residual @ preconditioned)
-        if size_now <= max(CG_ERROR_RATIO**2 * first, CG_GAIN_SHARE * enough):
-            break
-        direction = preconditioned + size_now / size_before * direction
-    return moves, predicted
-
-
-def _step(
-    objective: Objective,
-    x: Array,
-    sum_sq: Array,
-    moves: Array,
-    total: float,
-    prior: GaussianPrior | None,
-    damping: float,
-    stop: Stop,
-) -> float | None:
-    """The sum after the longest step of a few that lowers it, which is taken; None if none does."""
-    trial = np.empty_like(x)
-    for share in GLOBAL_STEP_SHARES:
-        moved = share * moves
-        trial[:] = x
-        trial[objective.layout.lighting] += as_in_x(moved, objective.layout)
-        for chunk in chunks(objective.pixels):
-            if stop():
+    def _product(self, v: Array) -> tuple[Array, Array] | None:
+        """S v and s of all pixels, in order, so that sums are always the same; None if stopped."""
+        totals = np.zeros((2, len(v)))
+        for chunk in chunks(self.objective.pixels):
+            if self.stop():
                 return None
-            followed = objective.problem.back_substitute(
-                objective.for_core(x),
-                chunk,
-                moved,
-                **schur_options(objective, x, chunk, prior, damping),
+            totals += self.objective.problem.schur_product(
+                self.objective.for_core(self.x), chunk, v, **self._options(chunk)
             )
-            place(objective, trial, chunk, followed)
-        left = fit_all(
-            objective, trial, starts=0, steps=DESCENT_STEPS_AFTER_JOINT, prior=prior, stop=stop
-        )
-        if left is None:
-            return None
-        _restart_worse(objective, x, sum_sq, trial, left, prior, stop)
-        lower = _total(objective, trial, left, prior)
-        if lower < total:
-            x[:], sum_sq[:] = trial, left
-            return lower
-    return None
+        return totals[0], totals[1]
 
+    def light_moves(self, enough: float) -> tuple[Array, float]:
+        """δ with (S + damping) δ ≈ −s by preconditioned conjugate gradients, and what it gains.
 
-def _restart_worse(
-    objective: Objective,
-    before: Array,
-    sum_sq_before: Array,
-    x: Array,
-    sum_sq: Array,
-    prior: GaussianPrior | None,
-    stop: Stop,
-) -> None:
-    """Let pixels that a step left worse off start again; x and the sums change.
+        The latter is by how much the sum falls in the quadratic model; if it cannot exceed
+        `enough`, no product is made.
+        """
+        layout = self.objective.layout
+        moves = np.zeros(layout.light_channels * layout.pictures * layout.coefficients)
+        try:
+            preconditioner = self._preconditioner()
+        except np.linalg.LinAlgError:
+            return moves, 0.0
+        product = self._product(moves)
+        if product is None:
+            return moves, 0.0
+        residual = -product[1]
+        direction = preconditioned = preconditioner.solve(residual)
+        first = size_now = float(residual @ preconditioned)
+        if not first >= enough:
+            return moves, 0.0
+        predicted = 0.0
+        for _ in range(CG_ITERATIONS_MAX):
+            product = self._product(direction)
+            if product is None:
+                break
+            along = product[0] + LIGHT_DAMPING * self.damping * preconditioner.diagonal * direction
+            curvature = float(direction @ along)
+            if not curvature > 0:
+                break
+            length = size_now / curvature
+            moves += length * direction
+            residual -= length * along
+            predicted += length * size_now
+            preconditioned = preconditioner.solve(residual)
+            size_before, size_now = size_now, float(residual @ preconditioned)
+            if size_now <= max(CG_ERROR_RATIO**2 * first, CG_GAIN_SHARE * enough):
+                break
+            direction = preconditioned + size_now / size_before * direction
+        return moves, predicted
 
-    From where they were, and from the best node: one that falls into another minimum costs more
-    than many others gain. Those that are left when it is stopped stay worse off.
-    """
-    worse = np.flatnonzero(sum_sq > WORSE_RATIO * sum_sq_before).astype(np.uint64)
-    for piece in slices(len(worse), PIXELS_PER_CALL):
-        if stop():
-            return
-        chunk = worse[piece]
-        own = taken(objective, before, chunk)
-        rows = None if prior is None else prior.rows(chunk)
+    def step(self, moves: Array, total: float) -> float | None:
+        """The sum after the longest step of a few that lowers it, which is taken; None if none."""
+        objective, trial = self.objective, np.empty_like(self.x)
+        steps = DESCENT_STEPS_AFTER_JOINT
+        for share in GLOBAL_STEP_SHARES:
+            moved = share * moves
+            trial[:] = self.x
+            trial[objective.layout.lighting] += as_in_x(moved, objective.layout)
+            for chunk in chunks(objective.pixels):
+                if self.stop():
+                    return None
+                followed = objective.problem.back_substitute(
+                    objective.for_core(self.x), chunk, moved, **self._options(chunk)
+                )
+                place(objective, trial, chunk, followed)
+            left = fit_all(
+                objective, trial, starts=0, steps=steps, prior=self.prior, stop=self.stop
+            )
+            if left is None:
+                return None
+            self._restart_worse(trial, left)
+            lower = self.total(trial, left)
+            if lower < total:
+                self.x[:], self.sum_sq[:] = trial, left
+                return lower
+        return None
+
+    def _restart_worse(self, trial: Array, left: Array) -> None:
+        """Let pixels that a step to `trial` left worse off start again; it and the sums change.
+
+        From where they were, and from the best node: one that falls into another minimum costs more
+        than many others gain. Those that are left when it is stopped stay worse off.
+        """
+        worse = np.flatnonzero(left > WORSE_RATIO * self.sum_sq).astype(np.uint64)
         steps = 2 * DESCENT_STEPS_AFTER_JOINT
-        try_from(objective, x, sum_sq, chunk, own, steps=steps, starts=1, prior=rows)
+        for piece in slices(len(worse), PIXELS_PER_CALL):
+            if self.stop():
+                return
+            chunk, objective = worse[piece], self.objective
+            own, rows = taken(objective, self.x, chunk), self._rows(chunk)
+            try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)
