@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, one_blas_thread
 from pbrfit.fit.gauss_newton.pixels import (
-    PIXELS_PER_CALL,
     Pixels,
     Watch,
     chunks,
     fit_all,
+    pieces,
     place,
     retry_outliers,
     schur_options,
@@ -24,7 +24,7 @@ from pbrfit.fit.gauss_newton.pixels import (
 )
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import evenly_spaced, slices
+from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import (
     CG_ERROR_RATIO,
     CG_GAIN_SHARE,
@@ -259,9 +259,9 @@ class _JointFit:
         """
         worse = np.flatnonzero(left > WORSE_RATIO * self.sum_sq).astype(np.uint64)
         steps = 2 * DESCENT_STEPS_AFTER_JOINT
-        for piece in slices(len(worse), PIXELS_PER_CALL):
+        objective = self.objective
+        for chunk in pieces(worse):
             if self.stop():
                 return
-            chunk, objective = worse[piece], self.objective
             own, rows = taken(objective, self.x, chunk), self._rows(chunk)
             try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)

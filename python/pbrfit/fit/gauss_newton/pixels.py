@@ -133,6 +133,12 @@ def chunks(count: int) -> Iterator[Pixels]:
         yield np.arange(piece.start, piece.stop, dtype=np.uint64)
 
 
+def pieces(pixels: Pixels) -> Iterator[Pixels]:
+    """Some pixels, in such pieces."""
+    for piece in slices(len(pixels), PIXELS_PER_CALL):
+        yield pixels[piece]
+
+
 def fit_all(
     objective: Objective,
     x: Array,
@@ -191,20 +197,20 @@ def retry_outliers(
     pixels that are left stay as they are.
     """
     outlying = np.flatnonzero(sum_sq > RETRY_RATIO * np.median(sum_sq)).astype(np.uint64)
-    for piece in slices(len(outlying), PIXELS_PER_CALL):
+    steps = 2 * DESCENT_STEPS
+    for chunk in pieces(outlying):
         if stop():
             return
-        chunk, steps = outlying[piece], 2 * DESCENT_STEPS
         found, sum_sq[chunk] = descended(
             objective, x, chunk, steps=steps, starts=RETRY_STARTS, nodes=RETRY_NODES
         )
         place(objective, x, chunk, found)
     for pixels, others in _beside(objective, outlying):
-        for piece in slices(len(pixels), PIXELS_PER_CALL):
+        for chunk, neighbours in zip(pieces(pixels), pieces(others), strict=True):
             if stop():
                 return
-            beside = taken(objective, x, others[piece])
-            try_from(objective, x, sum_sq, pixels[piece], beside, steps=DESCENT_STEPS)
+            beside = taken(objective, x, neighbours)
+            try_from(objective, x, sum_sq, chunk, beside, steps=DESCENT_STEPS)
 
 
 def _beside(objective: Objective, pixels: Pixels) -> Iterator[tuple[Pixels, Pixels]]:
