@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.sampling import spread
+from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.model import panorama
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import sh_basis, shade
@@ -48,7 +48,7 @@ STEPS = 500
 def surface_response(result: Result) -> Array:
     """M of each channel: (3, 16, 16)."""
     pixels = np.flatnonzero(result.mask)
-    pixels = pixels[spread(len(pixels), PIXELS).astype(np.int64)]
+    pixels = pixels[evenly_spaced(len(pixels), PIXELS).astype(np.int64)]
     height, width = result.mask.shape
     views = view_directions(height, width, result.fov)
     weights = shade(

@@ -50,11 +50,180 @@ tiles."""
 
 # --- Misfit: whether residuals are noise ------------------------------------------------------
 
+NEIGHBOUR_PAIRS_MAX = 1024
+"""Pairs of neighbouring pixels, evenly spaced, by which a fit is judged; their pixels are the
+validation pixels. More cost time, fewer make the correlation below uncertain."""
+
+NEIGHBOUR_CORRELATION_MAX = 0.25
+"""Mean cosine between the residuals of neighbouring pixels up to which these count as noise; above
+it the model does not fit the pictures. On six synthetic rooms noise of 1 %, or of float32, left at
+most 0.05; wrong normals, field of view or SH order 0.84 and more."""
+
+NOISE_PIXELS_MAX = 20_000
+"""Pixels whose residuals the scale of a robust loss is estimated from: enough for σ to 1 %."""
+
+DEGREES_OF_FREEDOM_SHARE_MIN = 0.1
+"""Smallest share of the samples that the noise's degrees of freedom count as, where the unknowns
+leave fewer."""
+
+NOISE_VARIANCE_MIN = 1e-20
+"""Smallest variance of the noise in units of x squared, far below that of any picture: it keeps
+quotients finite where pictures are explained perfectly. `NOISE_SIGMA_MIN` is larger because a
+robust loss bends there."""
+
 
 # --- Gauss-Newton: lights from a subset of the pixels -----------------------------------------
 
+DAMPING_START = 1e-3
+"""First damping of joint steps, as a share of the diagonal of each pixel's matrix (Marquardt)."""
+
+DAMPING_GROWTH = 10
+DAMPING_DECAY = 5
+"""Factor on the damping after a step that failed, and divisor after one that did not."""
+
+LIGHT_DAMPING = 1e-3
+"""Damping of the lights, as a share of that of pixels: the lights' system is what joint steps are
+for."""
+
+LIGHT_PIXELS = 256
+"""Pixels that find the lights of 16 pictures. On 80 rooms of 128² without noise the first draw of
+256 sufficed for 63; joint steps cost half as much as with 512."""
+
+LIGHT_UNKNOWNS_PER_PIXEL_MAX = 3
+"""Unknowns of the lights for each pixel of the subset; for more lights it has more pixels. A pixel
+of N pictures and three channels knows 3N − 5 numbers about them."""
+
+LIGHT_PIXELS_TRIES = 3
+"""Subsets of `LIGHT_PIXELS` that are tried while none leads to lights that fit."""
+
+LIGHT_PIXELS_MORE = (512, 1024)
+"""Pixels of the subsets that go on where no try fits; the last also where noise is left, because
+lights from few noisy pixels lie too far off for all to follow."""
+
+SAME_MINIMUM_RATIO = 0.4
+"""Ratio of the least to the largest sum of squared residuals of the tries, above which all count as
+having found the same minimum: the model does not fit, and more pixels would not help."""
+
+SUBSET_EXACT_RMSE = 1e-5
+"""Root mean square residual of the validation pixels, at mean radiance 0.4, up to which no larger
+subset is tried. Larger than `EXACT_RMSE`: steps of all pixels are still to come."""
+
+SUBSET_ROUNDS_MAX = 20
+"""Rounds of a subset, each a search of the nodes and joint steps. Rooms need three to seven."""
+
+SUBSET_STARTS = 2
+"""Nodes of roughness and metallic from which each pixel of a subset descends in a round."""
+
+SUBSET_STEPS_MAX = 8
+"""Joint steps of a round."""
+
+SUBSET_FAILED_STEPS_MAX = 5
+"""Failed steps in a row that end a round."""
+
+SUBSET_STEP_SHARES = (1.0, 0.4, 0.1)
+"""Shares of a joint step that are tried in turn before the damping grows."""
+
+SUBSET_DAMPING_MIN = 1e-9
+SUBSET_ROUND_DAMPING_MIN = 1e-6
+"""Smallest damping within a round, and at the start of the next."""
+
+SUBSET_GAIN_MIN = 1e-4
+"""Share of the sum of squared residuals: a step that lowers it by less ends its round, and another
+scale of the lights has to lower it by more."""
+
+SUBSET_ROUND_GAIN_MIN = 0.02
+"""The same share for a round: one that lowers the sum by less is the last, unless another scale of
+the lights is better. Where the way is free a round lowers the sum by a third or more, and what is
+left of noise is found faster by more pixels."""
+
+LIGHT_SCALE_TRIALS = (1.2, 1 / 1.2, 1.05, 1 / 1.05)
+"""Factors on the lights of a channel that are tried, with its albedo divided by them: the loss is
+flat along this scale, and curved."""
+
 
 # --- Gauss-Newton: all pixels -----------------------------------------------------------------
+
+DESCENT_ROUGHNESS_NODES = (0.08, 1.0, 12)
+DESCENT_METALLIC_NODES = (0.0, 1.0, 6)
+"""(Lowest, highest, count) of the nodes from which pixels descend. Below roughness 0.1 pictures
+under SH light hardly change."""
+
+DESCENT_STEPS = 12
+"""Steps of a pixel's descent from a node, on sums over pictures that are made once."""
+
+DESCENT_EXACT_STEPS = 1
+DESCENT_EXACT_STEPS_FREE_NORMALS = 4
+"""Steps on residuals after these, for the last digits; in these alone normals turn where they are
+free."""
+
+DESCENT_STEPS_AFTER_JOINT = 4
+"""Steps of each pixel by itself after a joint step."""
+
+RETRY_RATIO = 5.0
+"""Ratio of a pixel's sum of squared residuals to the median of all from which it is tried again
+from more nodes and from its neighbours' materials. Of pure noise in 16 pictures of three channels
+practically none is."""
+
+RETRY_ROUGHNESS_NODES = (0.02, 1.0, 24)
+RETRY_METALLIC_NODES = (0.0, 1.0, 11)
+RETRY_STARTS = 6
+"""Nodes for these pixels, as above, and from how many of the best they descend."""
+
+RETRY_GAIN_MIN = 1e-3
+"""Share of the sum of squared residuals by which trying pixels again has to lower it to be worth
+more joint steps of all pixels."""
+
+GLOBAL_ROUNDS_MAX = 4
+"""Rounds of joint steps of all pixels and of trying pixels again."""
+
+GLOBAL_STEPS_MAX = 8
+"""Joint steps of all pixels in a round."""
+
+GLOBAL_STEP_SHARES = (1.0, 0.4)
+"""Shares of a joint step that are tried before the damping grows; fewer than of a subset's because
+each costs a pass over all pixels."""
+
+GLOBAL_DAMPING_FACTOR = 30.0
+"""Factor on the damping after a failed step, and divisor after another. There is none at first, and
+then `DAMPING_START`."""
+
+GLOBAL_DAMPING_MAX = 0.5
+"""Damping from which a failed step is the last."""
+
+GLOBAL_PREDICTED_GAIN_MIN = 1e-5
+"""Share of the sum by which the quadratic model has to promise to lower it for a step to be made.
+"""
+
+GLOBAL_GAIN_MIN = 1e-3
+"""Share of the sum: a step that lowers it by less is the last. A tenth is left of what it gained.
+"""
+
+WORSE_RATIO = 1.02
+"""Ratio of a pixel's sum of squared residuals after a joint step to that before, above which it may
+have fallen into another minimum and starts again."""
+
+PRECONDITIONER_PIXELS = 1024
+"""Pixels whose system is the preconditioner. With two and four times as many, fits of 512² with
+noise took longer."""
+
+PRECONDITIONER_DAMPING = 1e-6
+"""Share of the preconditioner's diagonal that is added to it."""
+
+CG_ITERATIONS_MAX = 12
+"""Products with the lights' system in a joint step, each a pass over all pictures."""
+
+CG_ERROR_RATIO = 0.3
+"""Ratio of the remaining error to the first, in the norm of the preconditioner, at which conjugate
+gradients stop. With 0.1 fits of 512² with noise took twice as long and ended the same."""
+
+CG_GAIN_SHARE = 0.1
+"""Share of `GLOBAL_PREDICTED_GAIN_MIN` at which they stop too, because less is left to gain."""
+
+PRIOR_TURNS_MAX = 8
+"""Turns in which a Gaussian prior's offsets, and then all else, are put to their best values."""
+
+PRIOR_TURN_CHANGE_MIN = 1e-4
+"""Relative change of the sum of squared residuals in a turn, below which it is the last."""
 
 
 # --- L-BFGS, and the choice between solvers ---------------------------------------------------
@@ -121,39 +290,70 @@ as many iterations single scenes end up to 12 % above scipy's loss, others as mu
 
 # --- Mixture prior on materials ---------------------------------------------------------------
 
+PRIOR_ROUGHNESS_NODES = (0.03, 1.0, 33)
+PRIOR_METALLIC_NODES = (0.0, 1.0, 7)
+"""(Lowest, highest, count) of the nodes on which segments have their distributions."""
+
+PRIOR_NODE_SPACING = 0.03
+"""Spacing of the roughness nodes to which likelihoods that are sharper are widened."""
+
+PRIOR_SIGMAS_MIN = (0.05, 0.02, 0.01, 0.01)
+"""Smallest standard deviation of a pixel's Gaussian prior in roughness and metallic, by round: wide
+at first, while lights are wrong."""
+
+PRIOR_STEPS = 3
+"""Joint Gauss-Newton steps of lights and materials in a round."""
+
+PRIOR_LIGHT_PIXELS = 1024
+"""Pixels that find lights and prior together. The dense system makes each step cost the square of
+the lights' number for each of them."""
+
+PRIOR_FIT_PIXELS = 16384
+"""Pixels that the final distributions are fitted to."""
+
+EM_ITERATIONS = 100
+"""Iterations of EM for a distribution."""
+
+SEGMENT_PIXELS_MIN = 16
+"""Pixels from which a segment has a distribution of its own; below, it has that of the picture."""
+
+PICTURE_PSEUDO_PIXELS = 10.0
+"""Number of pixels that the distribution of the whole picture counts for in that of a segment."""
+
+NODE_PROBABILITY_MIN = 1e-30
+"""Smallest probability of a node. Pixels that nothing was fitted to may have a likelihood of 0, to
+the last bit, wherever else something was found; their likelihood alone decides then."""
+
+GROUP_PROBABILITY_SHARE = 0.02
+"""Share of the largest probability: neighbouring nodes above it are one group."""
+
+PRIOR_LIGHTS_FAR_BETTER = 0.5
+"""Ratio of the validation pixels' sum of squared residuals with the prior's lights to that before,
+up to which these lights are taken whatever is left. On twelve synthetic rooms noise and slow
+convergence gave 0.004 to 0.92, wrong normals, field of view and SH order 0.8 to 1.02."""
+
+PRIOR_LIGHTS_NOT_WORSE = 1.05
+"""The same ratio, up to which they are taken where all that is left is noise: lights from few
+pixels have more noise of their own than lights from all, which the fit that follows takes out."""
+
+LIKELIHOOD_CURVATURE_MIN = 1e-6
+"""Smallest second difference of a log-likelihood between nodes, which may be flat."""
+
+OFFSET_PRECISION_SHARE = 1e-3
+"""Precision of a cluster's offset around 0, as a share of the summed precision of its pixels: so
+small that clusters move almost freely."""
+
+PRIOR_DAMPING_MIN = 1e-6
+"""Smallest damping of the joint steps with a prior."""
+
+PRIOR_FAILED_STEPS_MAX = 4
+"""Failed steps in a row that end them; fewer than a subset's, which starts farther off."""
+
+PRIOR_GAIN_MIN = 1e-5
+"""Share of the sum of data and prior: a joint step that lowers it by less is the last."""
+
 
 # --- Normals ----------------------------------------------------------------------------------
-# A prefix sets apart what has another value or meaning than in Gauss-Newton with held normals.
-
-DAMPING_START = 1e-3
-"""Share of the diagonal of each pixel's matrix that the first joint step adds to it, as in
-Marquardt's method: more damping makes steps shorter, and safer where the model is not linear."""
-
-DAMPING_MIN = 1e-9
-"""Smallest such share. It is divided by `DAMPING_DECREASE` after each step that is taken."""
-
-DAMPING_DECREASE = 5
-DAMPING_INCREASE = 10
-"""Factors between the damping of one joint step and of the next, after one that lowers the sum and
-after one that fails."""
-
-DAMPING_AFTER_FAILURE_MIN = 1e-6
-"""Smallest damping, as a share of the diagonal, after a joint step that failed."""
-
-LIGHT_DAMPING = 1e-3
-"""Damping of the lights, as a share of that of the pixels."""
-
-STEP_FAILURES_MAX = 4
-"""Dampings that a joint step is tried with before its round ends."""
-
-STEP_SHARES = (1.0, 0.4)
-"""Shares of a joint step that are tried before more damping is."""
-
-STEP_DECREASE_MIN = 1e-4
-"""Share of the sum by which a joint step has to lower it for another to follow in its round."""
-
-LIGHT_SCALE_TRIALS = (1.2, 1 / 1.2, 1.05, 1 / 1.05)
-"""Factors on the lights that are tried after a round, with albedo divided by them."""
 
 STRIDED_SUBSET_EXCESS = 1.25
 """Times as many pixels as wanted that a strided subset may have: rows and columns are chosen, not
@@ -184,6 +384,17 @@ NORMALS_ROUND_DECREASE_MIN = 1e-3
 
 NORMALS_STEPS_PER_ROUND = 4
 """Joint steps of a round, at most."""
+
+NORMALS_STEP_SHARES = (1.0, 0.4)
+"""Shares of a joint step that are tried before the damping grows; after each all
+materials are fitted anew."""
+
+NORMALS_FAILED_STEPS_MAX = 4
+"""Dampings that a joint step is tried with before its round ends."""
+
+NORMALS_FAILED_DAMPING_MIN = 1e-6
+"""Smallest damping after a joint step that failed, as a share of the diagonal of each pixel's
+matrix."""
 
 NORMALS_STARTS = 2
 """Nodes of roughness and metallic from which each pixel starts in every other round."""

@@ -14,7 +14,7 @@ from pbrfit import Materials, Scene, render
 from pbrfit.fit.normals.joint_step import SubsetState, joint_step
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.map_gauss_newton import Pull
+from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.settings import NORMALS_OFFSET_STEP_MAX, NORMALS_ROUGHNESS_STEP_MAX
 
 Array = NDArray[np.float64]
@@ -47,8 +47,8 @@ class Case:
 
     subset: Objective
     state: SubsetState
-    pull: Pull
-    prior: TangentOffsetPrior
+    material_prior: GaussianPrior
+    offset_prior: TangentOffsetPrior
     weights: Array
 
 
@@ -104,20 +104,19 @@ def case(
     x += np.where(on_bound, 0, away * rng.normal(size=len(x)))
     count, f_count = subset.pixels, len(layout.roughness_metallic)
     values = x[layout.materials].reshape(-1, count).T[:, layout.channels :]
-    pull = Pull(
+    material_prior = GaussianPrior(
         values + away * rng.normal(size=(count, f_count)),
         rng.uniform(0.01, 1, size=(count, f_count)),
         rng.integers(CLUSTERS, size=count),
-        CLUSTERS,
     )
     around = Neighbourhood.of(
         pixel_index(layout), np.asarray(scene.normals, dtype=np.float64)[mask], None
     )
-    prior = TangentOffsetPrior(
+    offset_prior = TangentOffsetPrior(
         around, sigma=0.5, robust_weights=rng.uniform(0.3, 1, size=len(around.pairs))
     )
     state = SubsetState(x, away * rng.normal(size=(CLUSTERS, f_count)))
-    return Case(subset, state, pull, prior, rng.uniform(0.1, 1, size=count))
+    return Case(subset, state, material_prior, offset_prior, rng.uniform(0.1, 1, size=count))
 
 
 def light_columns(subset: Objective) -> Array:
@@ -133,7 +132,8 @@ def light_columns(subset: Objective) -> Array:
 
 def dense(case: Case) -> tuple[Array, Array]:
     """Jacobian and residuals of all that is squared; columns are those of x, then offsets."""
-    subset, pull, prior = case.subset, case.pull, case.prior
+    subset, material, prior = case.subset, case.material_prior, case.offset_prior
+    assert material.cluster is not None
     layout, x, count = subset.layout, case.state.x, subset.pixels
     pixels = np.arange(count, dtype=np.uint64)
     by_unknowns, by_light, omega = subset.problem.derivatives(subset.for_core(x), pixels)
@@ -163,14 +163,14 @@ def dense(case: Case) -> tuple[Array, Array]:
             entries[int(columns[n, k, c])] = root * by_light[p, c, k]
         add(float(root * left[n, p, c]), entries)
     for p, f in np.ndindex(count, f_count):
-        root = np.sqrt(pull.precision[p, f] * case.weights[p])
+        root = np.sqrt(material.precision[p, f] * case.weights[p])
         plane = int(planes[layout.channels + f, p])
-        offset = len(x) + int(pull.cluster[p]) * f_count + f
-        off = x[plane] - pull.centre[p, f] - case.state.cluster_offsets[pull.cluster[p], f]
+        offset = len(x) + int(material.cluster[p]) * f_count + f
+        off = x[plane] - material.mean[p, f] - case.state.cluster_offsets[material.cluster[p], f]
         add(root * off, {plane: root, offset: -root})
     for g, f in np.ndindex(CLUSTERS, f_count):
-        of_cluster = pull.cluster == g
-        total = (pull.precision[of_cluster, f] * case.weights[of_cluster]).sum()
+        of_cluster = material.cluster == g
+        total = (material.precision[of_cluster, f] * case.weights[of_cluster]).sum()
         root = np.sqrt(OFFSET_PRECISION[f] * total)
         add(root * case.state.cluster_offsets[g, f], {len(x) + g * f_count + f: root})
     # The prior of the tangent offsets, read off its cost: what a pair adds, and what a pixel adds.
@@ -213,8 +213,8 @@ def taken(case: Case, damping: float = 0.0, share: float = 1.0) -> SubsetState:
     step = joint_step(
         case.subset,
         case.state,
-        case.pull,
-        case.prior,
+        case.material_prior,
+        case.offset_prior,
         VARIANCE,
         case.weights,
         OFFSET_PRECISION[: case.state.cluster_offsets.shape[1]],
@@ -316,5 +316,5 @@ def test_pixels_that_no_picture_shows_stay_where_neighbours_are() -> None:
     np.testing.assert_array_equal(materials[:, 10], 0)
     assert layout.tangent_offsets is not None
     offsets = found.x[layout.tangent_offsets].reshape(2, -1).T
-    centre, _ = made.prior.conditional(offsets, VARIANCE)
+    centre, _ = made.offset_prior.conditional(offsets, VARIANCE)
     np.testing.assert_allclose(offsets[10], centre[10], rtol=0, atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,22 +10,23 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.sampling import slices
 
 Array = NDArray[np.float64]
 
 RIDGE = 1e-12
 """Added to matrices of unit diagonal before they are inverted; far below what data can tell."""
 
-LIGHT_RIDGE = 1e-13
-"""Of the largest diagonal entry of the lights' system: they may have directions that no pixel sees.
-"""
+SCHUR_RIDGE = 1e-13
+"""Share of the largest diagonal entry that is added to the diagonal of the lights' system: they may
+have directions that no pixel sees."""
 
-SINGULAR = 1e8
-"""Where the other unknowns of a pixel raise a variance by more than this, rounding has decided it:
-the matrices are sums of float64 products, and the pictures have 7 digits."""
+VARIANCE_INFLATION_MAX = 1e8
+"""Factor by which the other unknowns of a pixel may raise a variance; above it rounding has decided
+it, because the pictures have 7 digits, and the unknown counts as not known at all."""
 
 WORKING_SET = 1 << 24
-"""Bytes of the largest array that a piece of work may need."""
+"""Bytes of the largest array that a piece of work may need; changes no result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,7 @@ def inverse(matrices: Array, held: NDArray[np.bool_]) -> Inverse:
     scaled, scale = _scaled(matrices, held)
     inverted = np.linalg.inv(scaled)
     inflation = np.einsum("pii->pi", inverted)
-    singular = ~held & ((scale == 0) | (inflation > SINGULAR))
+    singular = ~held & ((scale == 0) | (inflation > VARIANCE_INFLATION_MAX))
     return Inverse(inverted * scale[:, :, None] * scale[:, None, :], singular)
 
 
@@ -188,8 +190,15 @@ def eliminate(
 
 def chunks(count: int, bytes_each: int) -> list[slice]:
     """Ranges of pixels that need no more than the working set; at least one pixel each."""
-    step = max(1, WORKING_SET // bytes_each)
-    return [slice(first, min(first + step, count)) for first in range(0, count, step)]
+    return slices(count, max(1, WORKING_SET // bytes_each))
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Sums split over threads would round differently on a machine with more processors."""
+    from threadpoolctl import threadpool_limits
+
+    limits: AbstractContextManager[object] = threadpool_limits(1, user_api="blas")
+    return limits
 
 
 def _by_unknowns(by_material: Array, layout: ParameterLayout) -> Array:
@@ -236,7 +245,7 @@ class Cholesky:
 
         diagonal = np.einsum("ii->i", matrix)
         self.diagonal = diagonal.copy()
-        diagonal += damping * np.abs(diagonal) + LIGHT_RIDGE * diagonal.max() + np.finfo(float).tiny
+        diagonal += damping * np.abs(diagonal) + SCHUR_RIDGE * diagonal.max() + np.finfo(float).tiny
         self._factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:

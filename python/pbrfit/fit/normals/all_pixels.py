@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.global_gauss_newton import polish
-from pbrfit.fit.gauss_newton.pixels import Towards, chunks, fit_all, taken
+from pbrfit.fit.gauss_newton.global_gauss_newton import minimize
+from pbrfit.fit.gauss_newton.pixels import chunks, fit_all, taken
 from pbrfit.fit.normals.noise import (
     degrees_of_freedom,
     noise_variance,
@@ -25,6 +25,7 @@ from pbrfit.fit.normals.noise import (
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
 from pbrfit.fit.normals.search import SubsetFit
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
 
@@ -121,7 +122,7 @@ def refine_all(
         if roughness_metallic is not None:
             mean = roughness_metallic
             precision = precision + variance / settings.NORMALS_ROUGHNESS_METALLIC_SIGMA**2
-        towards = Towards(
+        pixel_prior = GaussianPrior(
             np.concatenate([mean, offset_mean], axis=1),
             np.concatenate([precision, offset_precision], axis=1),
         )
@@ -131,16 +132,16 @@ def refine_all(
             x,
             starts=starts if first else 0,
             steps=settings.NORMALS_PIXEL_STEPS if first and starts else 0,
-            towards=towards,
+            prior=pixel_prior,
             stop=stop,
         )
         if sums is None:
             return prior, None
         if objective.lighting is not None:
-            polish(objective, x, sums, lambda *_: stop(), stop, towards)
+            minimize(objective, x, sums, lambda *_: stop(), stop, pixel_prior)
         prior = prior.fitted(
             x[layout.tangent_offsets].reshape(2, -1).T,
-            offset_variances(objective, x, towards.precision, variance),
+            offset_variances(objective, x, pixel_prior.precision, variance),
         )
     return prior, sums
 

@@ -33,7 +33,7 @@ from pbrfit.fit import settings
 from pbrfit.fit.gauss_newton.normal_equations import RIDGE, Cholesky, as_in_x
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.map_gauss_newton import Pull
+from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class SubsetState:
 def joint_step(
     subset: Objective,
     state: SubsetState,
-    material_prior: Pull,
+    material_prior: GaussianPrior,
     offset_prior: TangentOffsetPrior,
     variance: float,
     weights: Array,
@@ -82,6 +82,7 @@ def joint_step(
     layout, x, prior = subset.layout, state.x, material_prior
     assert layout.tangent_offsets is not None
     assert layout.lighting is not None
+    assert prior.cluster is not None
     count, channels = subset.pixels, layout.channels
     unknowns = layout.materials.stop // count
     f_count = unknowns - channels
@@ -108,7 +109,7 @@ def joint_step(
     values = x[layout.materials].reshape(unknowns, count).T
     offsets = x[layout.tangent_offsets].reshape(2, count).T
     root_precision = np.sqrt(prior.precision * weights[:, None])
-    deviation = values[:, channels:] - prior.centre - state.cluster_offsets[prior.cluster]
+    deviation = values[:, channels:] - prior.mean - state.cluster_offsets[prior.cluster]
     for f in range(f_count):
         materials[:, samples + f, channels + f] = root_precision[:, f]
         others[:, samples + f, 2 + f] = -root_precision[:, f]

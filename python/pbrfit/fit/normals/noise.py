@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.gauss_newton.pixels import chunks
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.material import LEAST_VARIANCE
+from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN, NOISE_VARIANCE_MIN
 
 Array = NDArray[np.float64]
 
@@ -15,14 +15,15 @@ Array = NDArray[np.float64]
 def degrees_of_freedom(objective: Objective) -> float:
     """Samples of a pixel, less its own unknowns."""
     layout = objective.layout
-    of_pixel = objective.samples / objective.pixels
-    return float(max(of_pixel - layout.maps.stop / objective.pixels, 0.1 * of_pixel))
+    samples = objective.samples / objective.pixels
+    left = samples - layout.maps.stop / objective.pixels
+    return float(max(left, DEGREES_OF_FREEDOM_SHARE_MIN * samples))
 
 
 def noise_variance(objective: Objective, sum_sq_residuals: Array) -> float:
     """s² of samples of weight 1, as the better half of the pixels has it, from their sums (P,)."""
     median = float(np.median(sum_sq_residuals))
-    return max(median / degrees_of_freedom(objective), LEAST_VARIANCE)
+    return max(median / degrees_of_freedom(objective), NOISE_VARIANCE_MIN)
 
 
 def mean_over_median(objective: Objective, sum_sq_residuals: Array) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
+from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
     restore_given,
@@ -137,7 +137,7 @@ def keeps_refined(
     correlation = after.residual_correlation
     if after.loss <= settings.NORMALS_PERFECT * expected or (
         after.loss <= settings.NORMALS_FAR_BETTER * expected
-        and correlation <= NEIGHBOUR_CORRELATION_MAX
+        and correlation <= settings.NEIGHBOUR_CORRELATION_MAX
     ):
         return True, "with other normals the pictures are explained far better"
     noise = min(

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.pixels import METALLIC, ROUGHNESS, place, taken
+from pbrfit.fit.gauss_newton.pixels import place, start_nodes, taken
 from pbrfit.fit.normals.joint_step import SubsetState, joint_step
 from pbrfit.fit.normals.noise import (
     mean_over_median,
@@ -34,8 +34,8 @@ from pbrfit.fit.normals.noise import (
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors import material
-from pbrfit.fit.priors.map_gauss_newton import OFFSET_PULL, Pull
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.material import prior_at
 
 Array = NDArray[np.float64]
 
@@ -175,8 +175,9 @@ class NormalSearch:
         self.subset, self.offset_prior, self._stop = subset, prior, stop
         self._pixels = np.arange(subset.pixels, dtype=np.uint64)
         self._damping = settings.DAMPING_START
-        self._cluster_offset_precision = np.full(len(subset.layout.roughness_metallic), OFFSET_PULL)
-        self.state = SubsetState(x, np.zeros((1, len(subset.layout.roughness_metallic))))
+        f_count = len(subset.layout.roughness_metallic)
+        self._cluster_offset_precision = np.full(f_count, settings.OFFSET_PRECISION_SHARE)
+        self.state = SubsetState(x, np.zeros((1, f_count)))
         self._material_prior = self._prior_of_first_rounds(0.0)
 
     def run(self, rounds: int) -> None:
@@ -228,11 +229,11 @@ class NormalSearch:
     def _offset_cost(self, state: SubsetState, variance: float) -> float:
         return self.offset_prior.cost(self._offsets(state.x), variance)
 
-    def _prior_of_first_rounds(self, variance: float) -> Pull:
+    def _prior_of_first_rounds(self, variance: float) -> GaussianPrior:
         shape = self.subset.pixels, len(self.subset.layout.roughness_metallic)
         precision = np.zeros(shape)
         precision[:, 1:] = variance / settings.NORMALS_DIELECTRIC_SIGMA**2
-        return Pull(np.zeros(shape), precision, np.zeros(self.subset.pixels, np.intp), 1)
+        return GaussianPrior(np.zeros(shape), precision, np.zeros(self.subset.pixels, np.intp))
 
     def _set_material_prior(self, number: int) -> None:
         """The prior on roughness and metallic of this round."""
@@ -241,7 +242,7 @@ class NormalSearch:
             self._material_prior = self._prior_of_first_rounds(self._variance)
         else:
             sigmas = settings.NORMALS_MATERIAL_SIGMAS_MIN
-            self._material_prior = material.pull_at(
+            self._material_prior = prior_at(
                 self.subset,
                 self.state.x,
                 sigmas[min(later, len(sigmas) - 1)],
@@ -256,14 +257,14 @@ class NormalSearch:
         prior = self._material_prior
         layout = self.subset.layout
         values = np.stack([state.x[block] for block in layout.roughness_metallic], axis=-1)
-        deviation = values - prior.centre - state.cluster_offsets[prior.cluster]
+        deviation = values - prior.mean - state.cluster_offsets[prior.cluster]
         return np.asarray(sums + (prior.precision * deviation**2).sum(axis=1))
 
     def _pixel_prior(self, state: SubsetState, x: Array, variance: float) -> tuple[Array, Array]:
         """Means and precisions (P, F + 2) of a pixel's unknowns while all others stay."""
         prior = self._material_prior
         mean, precision = self.offset_prior.conditional(self._offsets(x), variance)
-        material_mean = prior.centre + state.cluster_offsets[prior.cluster]
+        material_mean = prior.mean + state.cluster_offsets[prior.cluster]
         return (
             np.concatenate([material_mean, mean], axis=1),
             np.concatenate([prior.precision, precision], axis=1),
@@ -277,10 +278,7 @@ class NormalSearch:
         mean, precision = self._pixel_prior(state, x, self._variance if free_normals else 0.0)
         if not free_normals:
             mean[:, -2:], precision[:, -2:] = 0.0, 0.0
-        nodes = np.empty(0), np.empty(0)
-        if starts:
-            known = subset.known_metallic
-            nodes = ROUGHNESS, METALLIC if known is None else np.array([known])
+        nodes = start_nodes(subset) if starts else (np.empty(0), np.empty(0))
         found, sums = subset.problem.fit_materials(
             subset.for_core(x),
             self._pixels,
@@ -313,7 +311,7 @@ class NormalSearch:
         costs = self._with_material_prior(state, sums)
         before = self._total(state, costs, bound, variance)
         weights = np.square(bound / (bound + costs))
-        for _ in range(settings.STEP_FAILURES_MAX):
+        for _ in range(settings.NORMALS_FAILED_STEPS_MAX):
             try:
                 step = joint_step(
                     self.subset,
@@ -327,18 +325,18 @@ class NormalSearch:
                 )
             except np.linalg.LinAlgError:
                 step = None
-            for share in settings.STEP_SHARES if step else ():
+            for share in settings.NORMALS_STEP_SHARES if step else ():
                 assert step is not None
                 trial, costs = self._refit_materials(state, step(share))
                 after = self._total(trial, costs, bound, variance)
                 if after < before:
                     self.state = trial
                     self._damping = max(
-                        self._damping / settings.DAMPING_DECREASE, settings.DAMPING_MIN
+                        self._damping / settings.DAMPING_DECAY, settings.SUBSET_DAMPING_MIN
                     )
-                    return after < (1 - settings.STEP_DECREASE_MIN) * before
+                    return after < (1 - settings.SUBSET_GAIN_MIN) * before
             self._damping = max(
-                settings.DAMPING_INCREASE * self._damping, settings.DAMPING_AFTER_FAILURE_MIN
+                settings.DAMPING_GROWTH * self._damping, settings.NORMALS_FAILED_DAMPING_MIN
             )
         return False
 
@@ -393,14 +391,15 @@ class NormalSearch:
         """Make some pixels dielectric, as a cluster of their own, and let all else follow."""
         prior, layout = self._material_prior, self.subset.layout
         assert layout.metallic is not None
-        mean, precision = prior.centre.copy(), prior.precision.copy()
+        assert prior.cluster is not None
+        mean, precision = prior.mean.copy(), prior.precision.copy()
         mean[there, 1], precision[there, 1] = (
             0.0,
             variance / settings.NORMALS_MATERIAL_SIGMAS_MIN[-1] ** 2,
         )
         precision[there, 0] = 0.0
         cluster = np.where(there, prior.clusters, prior.cluster)
-        self._material_prior = Pull(mean, precision, cluster, prior.clusters + 1)
+        self._material_prior = GaussianPrior(mean, precision, cluster)
         x = self.state.x.copy()
         x[layout.metallic][there] = 0.0
         none = np.zeros((1, mean.shape[1]))
