@@ -108,7 +108,7 @@ def test_what_rounding_turns_is_as_given(result: Result) -> None:
     change = np.array([[0.0, 0.9 * CHANGE_DEGREES_MIN, CHANGE_DEGREES_MIN, np.nan, 3.0]])
     assert result.refinement.with_change(change).figures["changed_share"] == 0.5
     assert (turned(change).indices() == WHITE).tolist() == [[True, True, False, False, False]]
-    # A normal that was made anew from a tilt of 0, and stored.
+    # A normal that was made anew from a tangent offset of 0, and stored.
     stored = result.normals[result.mask].astype(np.float32).astype(np.float64)
     again = stored / np.linalg.norm(stored, axis=-1, keepdims=True)
     assert angles_between(again.astype(np.float32), stored).max() < CHANGE_DEGREES_MIN
