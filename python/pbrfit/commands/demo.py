@@ -46,7 +46,7 @@ def _run(options: argparse.Namespace) -> int:
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.report import write_report
-    from pbrfit.result.preview import plot_history
+    from pbrfit.result.drawing import plot_history
     from pbrfit.scene.scene import Scene
 
     parts = ("scene", "result")

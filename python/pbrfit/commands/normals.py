@@ -172,7 +172,7 @@ def _estimated(
 
     size = scene_completion.picture_size(options.scene)
     blank: NDArray[np.uint8] = np.zeros((*size, 3), np.uint8)  # only its size matters
-    settings = scene_folder.read_settings(options.scene / "scene.toml", {})
+    settings = scene_folder.read_settings(options.scene / "scene.toml")
     if kind == "flat":
         return estimate("flat", blank, fov=0.0), "every surface faces the camera"
     if kind == "marigold":

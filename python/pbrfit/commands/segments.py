@@ -72,7 +72,7 @@ def _run(options: argparse.Namespace) -> int:
     kind = "sam2" if options.source == "sam2" else "file"
     given = chosen(options, OPTIONS, kind, f"--from {options.source}")
     if kind == "sam2":
-        settings = scene_folder.read_settings(options.scene / "scene.toml", {})
+        settings = scene_folder.read_settings(options.scene / "scene.toml")
         space = given.pop("color_space", None) or settings.color_space
         picture = shown(options.scene, given.pop("picture", None), space).srgb8
     else:

@@ -19,7 +19,9 @@ from pbrfit import _core
 from pbrfit.fit import uncertainty
 from pbrfit.fit.gauss_newton import light_spectrum, normal_equations
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.settings import SIGMA_MAX
 from pbrfit.io.images import read_channels, write_exr
+from pbrfit.result.uncertainty import PARAMETERS, layer_names
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normal_errors import facing, turned
 
@@ -242,7 +244,7 @@ OPTIONS: tuple[dict[str, Any], ...] = (
 def test_deviations_are_those_of_dense_algebra(
     options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(uncertainty, "OMITTED", 0.0)
+    monkeypatch.setattr(uncertainty, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
     _, objective, x = scene_and_x(**options)
     x[[3, 40]] = 0.0, 1.0
     if objective.lighting is not None:
@@ -252,7 +254,7 @@ def test_deviations_are_those_of_dense_algebra(
     with threadpool_limits(1):
         conditional, marginal = dense_deviations(objective, x, found.noise / objective.scale)
     for kind, expected in (("conditional", conditional), ("marginal", marginal)):
-        expected = np.minimum(expected, uncertainty.LARGEST)
+        expected = np.minimum(expected, SIGMA_MAX)
         np.testing.assert_allclose(
             stacked(getattr(found, kind), objective), expected, rtol=1e-5, err_msg=kind
         )
@@ -266,10 +268,10 @@ def test_deviations_are_those_of_dense_algebra(
 
 
 def test_few_modes_say_what_they_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uncertainty, "LARGEST", np.inf)
+    monkeypatch.setattr(uncertainty, "SIGMA_MAX", np.inf)
     _, objective, x = scene_and_x()
     few = uncertainty.estimate(objective, x)
-    monkeypatch.setattr(uncertainty, "OMITTED", 0.0)
+    monkeypatch.setattr(uncertainty, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
     all_modes = uncertainty.estimate(objective, x)
     assert 0 < few.light_modes < all_modes.light_modes
     a, b = stacked(few.marginal, objective), stacked(all_modes.marginal, objective)
@@ -280,7 +282,7 @@ def test_few_modes_say_what_they_leave_out(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_many_lights_need_few_of_their_modes(monkeypatch: pytest.MonkeyPatch) -> None:
     _, objective, x = scene_and_x()
-    monkeypatch.setattr(uncertainty, "OMITTED", 0.0)
+    monkeypatch.setattr(uncertainty, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
     whole = uncertainty.estimate(objective, x)
     monkeypatch.setattr(light_spectrum, "MOST_WHOLE", 6 * 16 * 3 - 1)
     few = uncertainty.estimate(objective, x)
@@ -387,7 +389,7 @@ def test_what_no_picture_shows_is_not_determined() -> None:
     found = uncertainty.estimate(objective, x)
     assert found.undetermined[8, 5].any()
     deviations = [found.marginal.roughness[8, 5], found.marginal.metallic[8, 5]]
-    assert max(deviations) == uncertainty.LARGEST
+    assert max(deviations) == SIGMA_MAX
     assert np.isfinite(stacked(found.marginal, objective)).all()
     assert not found.undetermined[8, 6, 0]
 
@@ -476,10 +478,10 @@ def test_a_result_folder_keeps_it(tmp_path: Path) -> None:
             assert getattr(loaded, field.name) == value
     assert loaded.priors
     [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
-    assert set(uncertainty.layer_names()) <= set(part.channels)  # names above 31 letters, too
+    assert set(layer_names()) <= set(part.channels)  # names above 31 letters, too
     assert all(np.isfinite(channel.pixels).all() for channel in part.channels.values())
     content = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
-    assert set(content["uncertainty"]["undetermined"]) == set(uncertainty.PARAMETERS)
+    assert set(content["uncertainty"]["undetermined"]) == set(PARAMETERS)
 
 
 def test_a_result_without_it_has_none(tmp_path: Path) -> None:
