@@ -1,8 +1,4 @@
-"""pbrfit: physically based materials and lighting from several pictures of one view.
-
-A public name is imported from its module when it is first used, so that `import pbrfit` and the
-command line's help start at once.
-"""
+"""pbrfit: physically based materials and lighting from several pictures of one view."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -44,28 +40,29 @@ __all__ = [
 ]
 
 _MODULES = {
-    "_core": "InputError",
-    "fit.decompose": "Progress decompose",
-    "fit.objective": "Objective",
-    "model.geometry": "view_directions",
-    "model.materials": "Materials",
-    "model.reflection": "ggx_band_weights render sh_basis shade shade_vjp",
-    "result.data": "Status",
-    "result.options": "FitOptions Priors",
-    "result.relighting": "DirectionalLight relight",
-    "result.result": "Result",
-    "scene.arrays": "Truth",
-    "scene.scene": "Scene",
+    "_core": ("InputError",),
+    "fit.decompose": ("Progress", "decompose"),
+    "fit.objective": ("Objective",),
+    "model.geometry": ("view_directions",),
+    "model.materials": ("Materials",),
+    "model.reflection": ("ggx_band_weights", "render", "sh_basis", "shade", "shade_vjp"),
+    "result.data": ("Status",),
+    "result.options": ("FitOptions", "Priors"),
+    "result.relighting": ("DirectionalLight", "relight"),
+    "result.result": ("Result",),
+    "scene.arrays": ("Truth",),
+    "scene.scene": ("Scene",),
 }
-"""Public names by the module of this package that has them."""
+"""Where the public names are. Each is imported when it is first asked for, so that the command line
+starts without the fit."""
 
 
 def __getattr__(name: str) -> Any:
     for module, names in _MODULES.items():
-        if name in names.split():
-            globals()[name] = value = getattr(import_module(f"{__name__}.{module}"), name)
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"pbrfit.{module}"), name)
             return value
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    raise AttributeError(f"module 'pbrfit' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

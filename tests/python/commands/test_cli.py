@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError, Result, Scene
-from pbrfit.commands.arguments import add_priors, given_priors
+from pbrfit.commands.fit_options import add_priors, given_priors
 from pbrfit.io import images
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.options import Priors

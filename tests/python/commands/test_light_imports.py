@@ -48,10 +48,10 @@ def test_the_command_line_knows_its_options_without_anything_heavy() -> None:
 
 
 def test_the_networks_interfaces_import_nothing_heavy() -> None:
-    modules = "extras, padding, photo, prompts, weights, generators, segments, scene_picture"
+    modules = "padding, photo, prompts, weights, generators, segments, scene_picture"
     run = "from pbrfit.acquire import generation"
     folder = "from pbrfit.acquire.generators import flux2_klein, folder, gpt_image"
-    normals = "from pbrfit.acquire.normals import given, marigold"
+    normals = "from pbrfit.acquire.normals import maps, marigold"
     imports = f"from pbrfit.acquire import {modules}\n{run}\n{folder}\n{normals}"
     assert heavy_after(imports) == []
 
