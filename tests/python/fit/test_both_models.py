@@ -8,10 +8,10 @@ import functools
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pbrfit.fit.gauss_newton.lights import options
 
 from pbrfit import Objective, Priors, Scene, decompose
 from pbrfit.fit import uncertainty
-from pbrfit.fit.gauss_newton.lights import options
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene

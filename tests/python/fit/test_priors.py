@@ -19,7 +19,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import Penalty, penalties, tied_neighbours
 from pbrfit.result.options import Priors, prior_names
-from pbrfit.scene.segments import consecutive_labels
+from pbrfit.scene.arrays import consecutive_labels
 from pbrfit.synthetic import make_scene
 
 Array = NDArray[np.float64]
