@@ -654,7 +654,7 @@ def test_lights_that_panoramas_cannot_hold_are_warned_of(
     assert "(a by 100 %)" in caplog.text
     for least, warned in ((share, 1), (np.nextafter(share, 2), 0)):
         caplog.clear()
-        monkeypatch.setattr("pbrfit.export.DIFFERENT", least)
+        monkeypatch.setattr("pbrfit.export.DIFFERENCE_WARNED", least)
         export_result(dark, tmp_path / f"{warned}")
         assert len(caplog.messages) == warned
 
