@@ -5,6 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
+import pbrfit
+from pbrfit.commands import SUMMARIES
+
 HEAVY = (
     "torch",
     "torchvision",
@@ -18,21 +23,37 @@ HEAVY = (
 )
 
 
-def heavy_after(statements: str) -> list[str]:
-    """Which of `HEAVY` are imported by statements, in a Python of their own."""
-    program = f"{statements}\nimport sys\nprint(*[m for m in {HEAVY} if m in sys.modules])"
+def heavy_after(statements: str, heavy: tuple[str, ...] = HEAVY) -> list[str]:
+    """Which modules are imported by statements, in a Python of their own."""
+    program = f"{statements}\nimport sys\nprint(*[m for m in {heavy} if m in sys.modules])"
     run = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
-    return run.stdout.split()
+    return run.stdout.splitlines()[-1].split()
 
 
-def test_importing_the_package_imports_nothing_heavy() -> None:
-    assert heavy_after("import pbrfit") == []
+def test_the_package_and_the_help_start_without_anything_that_takes_time() -> None:
+    statements = "import pbrfit\nfrom pbrfit.cli import _parser\n_parser().format_help()"
+    assert heavy_after(statements, ("numpy", "pbrfit._core", *HEAVY)) == []
 
 
-def test_the_command_line_knows_its_options_without_anything_heavy() -> None:
-    assert heavy_after("from pbrfit.cli import _parser\n_parser().format_help()") == []
+def test_public_names_are_there_when_they_are_asked_for() -> None:
+    for name in pbrfit.__all__:
+        assert getattr(pbrfit, name) is getattr(pbrfit, name)
+    assert set(pbrfit.__all__) <= set(dir(pbrfit))
+    with pytest.raises(AttributeError, match="has no attribute 'solve'"):
+        pbrfit.solve  # type: ignore[attr-defined]  # noqa: B018
+
+
+@pytest.mark.parametrize("command", SUMMARIES)
+def test_a_command_knows_its_options_without_anything_heavy(command: str) -> None:
+    statements = f"""
+from contextlib import suppress
+from pbrfit.cli import main
+with suppress(SystemExit):
+    main(["{command}", "--help"])
+"""
+    assert heavy_after(statements) == []
 
 
 def test_the_networks_interfaces_import_nothing_heavy() -> None:
