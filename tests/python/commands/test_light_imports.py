@@ -42,7 +42,7 @@ def test_public_names_are_there_when_they_are_asked_for() -> None:
         assert getattr(pbrfit, name) is getattr(pbrfit, name)
     assert set(pbrfit.__all__) <= set(dir(pbrfit))
     with pytest.raises(AttributeError, match="has no attribute 'solve'"):
-        pbrfit.solve  # type: ignore[attr-defined]  # noqa: B018
+        pbrfit.solve  # noqa: B018
 
 
 @pytest.mark.parametrize("command", SUMMARIES)
