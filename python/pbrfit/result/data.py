@@ -75,11 +75,11 @@ class ResultData:
     seconds
         Time of the fit, reading and writing of files apart.
     metrics
-        Final errors; `metrics.PROTOCOL` says how they are taken. Against the truth where known.
+        Final errors; `metrics.PROTOCOL` says how they are taken. Against ground truth where known.
     uncertainty
         Standard deviations of the maps; None where they were not asked for.
     options, assumed, left_out, inputs
-        How the result came about: options, decisions about the input, work that the scene did not
+        Run details: options, decisions about the input, work that the scene did not
         need, sha256 of the files.
     source
         Where the scene was read from and how; None where it was made of arrays.

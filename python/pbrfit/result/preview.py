@@ -22,7 +22,7 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
     The first row shows a picture (with `scene`), its reconstruction and what is between them, the
-    second the maps; with ground truth there is a row of the truth and one of the errors; where the
+    second the maps; with ground truth there is a row of it and one of the errors; where the
     result has an uncertainty, a row of the marginal deviations; where normals were refined, a row
     of the given ones, the refined ones and the angle between them. Residuals, errors and deviations
     share one scale, and angles have the same by radians.
@@ -32,21 +32,21 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
     # Names of the maps stand above the first row of them alone.
     of_normals = "normals" if result.normal_change is None else "normals, refined"
     rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, of_normals)])
-    on_scale = ["residual, as a share of the picture's RMS"] if scene is not None else []
+    on_scale = ["residual, relative to the picture's RMS"] if scene is not None else []
     white = ["not used"] if scene is not None and scene.weights is not None else []
     marks: dict[str, tuple[float, float, float]] = {}
     truth = None if scene is None else scene.truth
     if truth is not None:
         rows.append(_maps(truth.materials))
         rows.append(_differences(differences.errors(result.materials, truth.materials)))
-        labels += ["truth", "error"]
+        labels += ["ground truth", "error"]
         on_scale.append("error")
     if result.uncertainty is not None:
         rows.append(_differences(differences.deviations(result.uncertainty)))
         labels.append("deviation")
-        alone = ", of the data alone" if result.uncertainty.priors else ""
+        alone = ", without priors" if result.uncertainty.priors else ""
         on_scale.append(f"standard deviation{alone}")
-        white.insert(0, "at a bound or known")
+        white.insert(0, "fixed")
         marks["not determined"] = _color(differences.VERMILLION)
     if white:
         marks = {" or ".join(white): _color(differences.WHITE)} | marks
@@ -62,7 +62,7 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
             ]
         )
         labels.append("normals")
-        as_it_was = {"left as given": _color(differences.WHITE)}
+        as_it_was = {"unchanged": _color(differences.WHITE)}
         keys.append(_key("change of the normals", differences.tick_places(degrees=True), as_it_was))
     height, width = result.mask.shape
     # No run time: the same input gives the same bits.
@@ -76,7 +76,7 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
 def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
     """Sheet for checking normals: (H, W, 3) uint8 sRGB.
 
-    The first picture, the normals, n·v, and how far off they may be, where the scene says it.
+    The first picture, the normals, n·v, and their standard deviation, where the scene has it.
     """
     cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
     facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
@@ -94,8 +94,8 @@ def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
     sigma = Difference(np.radians(scene.normal_sigma))
     ticks = differences.tick_places(degrees=True)
     return sheet(
-        [[*row, Panel("may be off by", _painted(sigma))]],
-        keys=[_key("how far off normals may be (standard deviation)", ticks, {})],
+        [[*row, Panel("standard deviation", _painted(sigma))]],
+        keys=[_key("standard deviation of the normals", ticks, {})],
     )
 
 

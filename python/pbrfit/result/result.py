@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
 
@@ -37,10 +36,10 @@ from pbrfit.result.data import GIVEN_NORMALS, ResultData, Stage, Status
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.options import FitOptions
-from pbrfit.result.preview import preview
 from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.scene.arrays import Source
+from pbrfit.scene.folder import is_scene
 from pbrfit.scene.scene import Scene
 
 CONTAINS = ("result.json", "materials.exr")
@@ -63,7 +62,7 @@ class Result(ResultData):
         path
             The folder.
         scene
-            Lets the preview show a picture beside its reconstruction, and the truth.
+            Lets the preview show a picture beside its reconstruction, and ground truth.
         overwrite
             Replace an existing folder.
 
@@ -81,6 +80,11 @@ class Result(ResultData):
         The folder may be moved to `place` afterwards, from where `result.json` says the way to the
         scene; None = it stays, or is renamed where it is.
         """
+        # Here: what only writing needs takes longer to import than all else of this module.
+        from importlib.metadata import version
+
+        from pbrfit.result.preview import preview
+
         uncertainty = self.uncertainty
         write_materials(
             folder / "materials.exr",
@@ -177,8 +181,6 @@ class Result(ResultData):
 
 def _check_is_result(folder: Path) -> None:
     """Raise InputError that says what is there instead."""
-    from pbrfit.scene.folder import is_scene
-
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing"
     else:

@@ -55,7 +55,7 @@ class Scene(SceneArrays):
         )
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write a scene folder that `load` reads back: float32 EXR, truth included.
+        """Write a scene folder that `load` reads back: float32 EXR, ground truth included.
 
         The mask leaves out pixels that have no weight in any picture. Samples of weight 0 that are
         NaN or infinite are stored as 0. Segments with ids below 0 or above 65535 are numbered anew.

@@ -297,7 +297,7 @@ def test_inspect_tells_facts_and_writes_only_the_preview(
         "segments          none",
         "colour            three channels",
         "lights            unknown, will be fitted",
-        "truth             none",
+        "ground truth      none",
         "assumed color     linear Rec.709",
         "assumed normals   normals.exr, opengl axes, camera space",
         "assumed fov       60 degrees, from scene.toml",
