@@ -17,7 +17,7 @@ from pbrfit.fit.normals.joint_step import REACH, ROUGHNESS_REACH, State, moves
 from pbrfit.fit.normals.offset_prior import TiltPrior
 from pbrfit.fit.normals.strided_subset import Neighbourhood, numbered
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.map_gauss_newton import Pull
+from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Case:
 
     few: Objective
     state: State
-    pull: Pull
+    pull: GaussianPrior
     prior: TiltPrior
     weights: Array
 
@@ -106,11 +106,10 @@ def case(
     x += np.where(on_bound, 0, away * rng.normal(size=len(x)))
     count, finish = few.pixels, len(layout.roughness_metallic)
     values = x[layout.materials].reshape(-1, count).T[:, layout.channels :]
-    pull = Pull(
+    pull = GaussianPrior(
         values + away * rng.normal(size=(count, finish)),
         rng.uniform(0.01, 1, size=(count, finish)),
         rng.integers(CLUSTERS, size=count),
-        CLUSTERS,
     )
     around = Neighbourhood.of(
         numbered(layout), np.asarray(scene.normals, dtype=np.float64)[mask], None
@@ -166,7 +165,7 @@ def dense(case: Case) -> tuple[Array, Array]:
         root = np.sqrt(pull.precision[p, f] * case.weights[p])
         plane = int(planes[layout.channels + f, p])
         offset = len(x) + int(pull.cluster[p]) * finish + f
-        off = x[plane] - pull.centre[p, f] - case.state.offsets[pull.cluster[p], f]
+        off = x[plane] - pull.mean[p, f] - case.state.offsets[pull.cluster[p], f]
         add(root * off, {plane: root, offset: -root})
     for g, f in np.ndindex(CLUSTERS, finish):
         of_cluster = pull.cluster == g
@@ -225,7 +224,7 @@ def taken(case: Case, damping: float = 0.0, share: float = 1.0) -> State:
 def no_ridge(monkeypatch: pytest.MonkeyPatch) -> None:
     """What keeps singular systems solvable is 1e-8 of a step here."""
     monkeypatch.setattr(joint_step, "RIDGE", 0.0)
-    monkeypatch.setattr(normal_equations, "LIGHT_RIDGE", 0.0)
+    monkeypatch.setattr(normal_equations, "SCHUR_RIDGE", 0.0)
 
 
 @pytest.mark.usefixtures("no_ridge")

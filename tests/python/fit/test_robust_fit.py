@@ -12,8 +12,8 @@ import pytest
 import pbrfit
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.robust import FEWEST_DEGREES, MEDIAN_TO_SIGMA, SCALES, irls_weights
-from pbrfit.fit.settings import NOISE_SIGMA_MIN
+from pbrfit.fit.robust import MEDIAN_TO_SIGMA, SCALES, irls_weights
+from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN, NOISE_SIGMA_MIN
 from pbrfit.result.options import LOSSES, Solver
 from pbrfit.synthetic import make_scene
 
@@ -137,7 +137,7 @@ def test_more_unknowns_than_samples_have_a_scale() -> None:
     x = np.clip(objective.start(), 0.1, None)
     residuals = objective.problem.residuals(x, np.arange(16, dtype=np.uint64))
     median = np.sort(np.abs(residuals).ravel())[(residuals.size - 1) // 2]
-    expected = SCALES["cauchy"] * MEDIAN_TO_SIGMA * median / np.sqrt(FEWEST_DEGREES)
+    expected = SCALES["cauchy"] * MEDIAN_TO_SIGMA * median / np.sqrt(DEGREES_OF_FREEDOM_SHARE_MIN)
     found = objective.robust_around(x, "cauchy")
     assert found is not None
     assert found[1] == pytest.approx(expected, rel=1e-6)
@@ -173,7 +173,7 @@ def test_reweighted_squares_have_the_gradient_of_the_loss(name: str, weighted: b
 
 
 @pytest.mark.parametrize(("name", "expected"), [("huber", 0.25), ("cauchy", 1 / 17)])
-def test_pull(name: str, expected: float) -> None:
+def test_irls_weights(name: str, expected: float) -> None:
     sizes = np.array([0, 1e-6, -0.02, 1e30, -3e38], dtype=np.float32)
     found = irls_weights((name, 0.005), sizes)
     assert found.dtype == np.float32
@@ -191,7 +191,7 @@ def test_gradient_of_the_objective(name: str, mono_light: bool) -> None:
 
 
 @pytest.mark.parametrize("loss", ROBUST)
-def test_with_the_learnt_prior(loss: Any) -> None:
+def test_with_the_mixture_prior(loss: Any) -> None:
     scene = with_shadows(room(noise=0.004))
     by_squares, robust = (
         pbrfit.decompose(scene, solver="lbfgsb", iterations=120, robust=name, refine_normals="off")
