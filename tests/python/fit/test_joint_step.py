@@ -161,6 +161,7 @@ def dense(case: Case) -> tuple[Array, Array]:
         for k in range(layout.coefficients):
             entries[int(columns[n, k, c])] = root * by_light[p, c, k]
         add(float(root * left[n, p, c]), entries)
+    assert pull.cluster is not None
     for p, f in np.ndindex(count, finish):
         root = np.sqrt(pull.precision[p, f] * case.weights[p])
         plane = int(planes[layout.channels + f, p])

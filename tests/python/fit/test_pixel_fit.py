@@ -413,7 +413,7 @@ TWO = np.full((3, 2), 0.5)
 )
 def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
     example = noisy(KINDS[0])
-    arguments = {"x": example.grey(), "pixels": np.arange(3, dtype=np.uint64)}
+    arguments: dict[str, Any] = {"x": example.grey(), "pixels": np.arange(3, dtype=np.uint64)}
     arguments |= {"roughness": ROUGHNESS, "metallic": METALLIC} | change
     with pytest.raises(InputError, match=message):
         example.problem().fit_materials(**arguments)

@@ -191,7 +191,7 @@ def minimize(few: Objective, x: Array, visit: Visit) -> tuple[Array, float]:
 def _joint(
     few: Objective, x: Array, total: float, damping: float, visit: Visit
 ) -> tuple[Array, float, float, bool]:
-    """Joint steps; x, its squares, the damping, and whether to stop altogether."""
+    """Joint steps; x, its sum of squares, the damping, and whether to stop altogether."""
     pixels = np.arange(few.pixels, dtype=np.uint64)
     done = failed = 0
     while done < SUBSET_STEPS_MAX and failed < SUBSET_FAILED_STEPS_MAX:
@@ -228,7 +228,7 @@ def _joint(
 
 
 def _scaled(few: Objective, x: Array, total: float) -> tuple[Array, float, bool]:
-    """X with the lights of all channels or of one scaled, if that lowers the squares; whether."""
+    """X with the lights of all channels or of one scaled, if that lowers the sum; whether."""
     layout = few.layout
     pixels = np.arange(few.pixels, dtype=np.uint64)
     before = total
