@@ -70,7 +70,8 @@ def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientChec
 
     First of the loss, then of each penalty on its own, which beside the data may be too small to
     show an error. Materials are drawn from [0.25, 0.75], tangent offsets, where there are, from
-    [-0.2, 0.2]; lights are the ones that fit them. Directions follow the signs of the gradient, so that contributions do not cancel.
+    [-0.2, 0.2]; lights are the ones that fit them. Directions follow the signs of the gradient, so
+    that contributions do not cancel.
     """
     rng = np.random.default_rng(seed)
     x = rng.uniform(0.25, 0.75, objective.size)

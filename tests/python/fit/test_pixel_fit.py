@@ -367,7 +367,7 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
     given = np.clip(example.truth + rng.normal(0, 0.2, example.truth.shape), 0, 1)
 
     def fit(threads: int, pixels: Pixels) -> tuple[Array, Array]:
-        prior = {"mean": mean[pixels], "precision": precision[pixels]}
+        prior: dict[str, Any] = {"mean": mean[pixels], "precision": precision[pixels]}
         return example.fit(
             example.x(given), pixels, threads=threads, starts=2, exact_steps=2, **prior
         )
