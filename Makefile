@@ -1,4 +1,5 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
+# make test-slow: the tests that take more than five seconds each, which make test leaves out
 # make bench-needs: what leaving out parts of a fit saves
 # make bench-lbfgs: our bounded L-BFGS beside scipy's
 # make bench-growth: time and memory of a fit from 0.25 to 16 MP, 4 to 64 pictures (an hour, 13 GiB)
@@ -41,17 +42,22 @@ FUZZ_LLVM := -coverage-level=4 -coverage-inline-8bit-counters -coverage-pc-table
 FUZZ_FLAGS := -Cpasses=sancov-module $(patsubst -%,-Cllvm-args=-sanitizer-%,$(FUZZ_LLVM)) --cfg fuzzing
 # of test: Python tests at once, a file each
 TEST_JOBS ?= 2
+# One BLAS thread in each of the processes, which are as many as there are cores.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dist loadfile
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
 
 test: $(VENV)/tools lint
-	cargo test --release
-	$(BIN)/pytest --numprocesses $(TEST_JOBS) --dist loadfile
+	cargo test --profile test-optimized
+	$(PYTEST) -m "not slow"
+
+test-slow: $(VENV)/tools
+	$(PYTEST) -m slow
 
 test-acquire: $(ACQUIRE)/installed
 	$(ACQUIRE)/bin/pytest tests/acquire
@@ -80,7 +86,6 @@ test-reliability: $(VENV)/tools
 
 lint: $(VENV)/tools
 	cargo fmt --check
-	cargo clippy --all-targets -- -D warnings
 	cargo clippy --all-targets --features python -- -D warnings
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import pbrfit
-from pbrfit.batch.driver import Attempt, drive, repeat_log
-from pbrfit.batch.executors import workers
+from pbrfit.batch.driver import Attempt, drive, repeat_log, workers
 from pbrfit.io.json_files import UNFIT, number, table
 
 RECORDS = "records"
@@ -83,7 +82,7 @@ def run(
         Exists. Records that are there already are used again if they are of the same task and
         code, and ended well.
     jobs, cluster
-        How many tasks run at the same time, and where; see `pbrfit.batch.executors.workers`.
+        How many tasks run at the same time, and where; see `pbrfit.batch.driver.workers`.
     progress
         Called with each record, found or made.
 

@@ -1,15 +1,21 @@
 """pbrfit: physically based materials and lighting from several pictures of one view."""
 
-from pbrfit._core import InputError
-from pbrfit.fit.decompose import Progress, decompose
-from pbrfit.fit.objective import Objective
-from pbrfit.model.geometry import view_directions
-from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
-from pbrfit.result.options import FitOptions, Priors
-from pbrfit.result.relighting import DirectionalLight, relight
-from pbrfit.result.result import Result, Status
-from pbrfit.scene.scene import Scene, Truth
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pbrfit._core import InputError
+    from pbrfit.fit.decompose import Progress, decompose
+    from pbrfit.fit.objective import Objective
+    from pbrfit.model.geometry import view_directions
+    from pbrfit.model.materials import Materials
+    from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
+    from pbrfit.result.data import Status
+    from pbrfit.result.options import FitOptions, Priors
+    from pbrfit.result.relighting import DirectionalLight, relight
+    from pbrfit.result.result import Result
+    from pbrfit.scene.arrays import Truth
+    from pbrfit.scene.scene import Scene
 
 __all__ = [
     "DirectionalLight",
@@ -32,3 +38,32 @@ __all__ = [
     "shade_vjp",
     "view_directions",
 ]
+
+_MODULES = {
+    "_core": ("InputError",),
+    "fit.decompose": ("Progress", "decompose"),
+    "fit.objective": ("Objective",),
+    "model.geometry": ("view_directions",),
+    "model.materials": ("Materials",),
+    "model.reflection": ("ggx_band_weights", "render", "sh_basis", "shade", "shade_vjp"),
+    "result.data": ("Status",),
+    "result.options": ("FitOptions", "Priors"),
+    "result.relighting": ("DirectionalLight", "relight"),
+    "result.result": ("Result",),
+    "scene.arrays": ("Truth",),
+    "scene.scene": ("Scene",),
+}
+"""Where the public names are. Each is imported when it is first asked for, so that the command line
+starts without the fit."""
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"pbrfit.{module}"), name)
+            return value
+    raise AttributeError(f"module 'pbrfit' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

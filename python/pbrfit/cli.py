@@ -11,8 +11,6 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Any, NoReturn
 
-from pbrfit import ending
-from pbrfit._core import InputError, last_word
 from pbrfit.commands import add_commands
 from pbrfit.commands.arguments import (
     INTERRUPTED,
@@ -22,11 +20,18 @@ from pbrfit.commands.arguments import (
     with_signed_values,
 )
 
+PRINTED_AT_ONCE = ("-h", "--help", "--version")
+"""What needs neither a command nor the core, whose start takes longer than all the rest."""
+
 
 def run() -> NoReturn:
     """Be the process of a command: it ends within a second of Ctrl-C, whatever it is doing."""
-    ending.watch()
-    sys.exit(main(watched=True))
+    watched = len(sys.argv) > 1 and sys.argv[1] not in PRINTED_AT_ONCE
+    if watched:
+        from pbrfit import ending
+
+        ending.watch()
+    sys.exit(main(watched=watched))
 
 
 def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> int:
@@ -38,26 +43,28 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that lacks a sign: no reason
     given = sys.argv[1:] if arguments is None else arguments
     options = _parser().parse_args(with_signed_values(given))
+    from pbrfit import ending
+    from pbrfit._core import InputError, last_word
+
+    def end_with(message: str) -> None:
+        """Complain, unless the watcher has said why."""
+        if not watched or last_word():
+            complain(message)
+
     unwinding = ending.unwinding_when_told(watched=watched)
     try:
         with _logging_to_stderr(quiet=getattr(options, "quiet", False)), unwinding:
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
     except (InputError, OSError, MemoryError) as error:
-        _end_with(message_of(error), watched=watched)
+        end_with(message_of(error))
         return UNUSABLE
     except KeyboardInterrupt as interrupt:
-        _end_with(str(interrupt) or ending.WORD, watched=watched)
+        end_with(str(interrupt) or ending.WORD)
         return INTERRUPTED
     except ending.Terminated:
-        _end_with(ending.WORD, watched=watched)
+        end_with(ending.WORD)
         raise
-
-
-def _end_with(message: str, *, watched: bool) -> None:
-    """Complain, unless the watcher has said why."""
-    if not watched or last_word():
-        complain(message)
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
@@ -72,7 +79,7 @@ class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
 class _Parser(argparse.ArgumentParser):
     """Parser that complains in one line and takes no shortened flags.
 
-    `complete` adds its options when it is first asked to parse, for commands that are looked up.
+    `complete` adds its options when it is first asked to parse: those of one command of many.
     """
 
     def __init__(

@@ -274,8 +274,8 @@ impl<M: Reflection> ByWeights for ByBasis<'_, M> {
 /// sum = factor · by_weights, or added to it unless this is where to `begin`; for V vectors of pixels
 /// from number `v` on.
 ///
-/// No closure in `take`: whether the compiler inlines one there changes with the order of
-/// the code, and a call costs a third of an evaluation.
+/// A function and no closure: whether the compiler inlines a closure here depends on what else is built,
+/// and without that an evaluation takes a third longer.
 #[inline(always)]
 fn add_products<I: Vectors<f32>, const V: usize>(
     isa: I,

@@ -13,7 +13,8 @@ import pytest
 
 import pbrfit
 from pbrfit.result.options import Priors, prior_names
-from pbrfit.scene.scene import Scene, Truth
+from pbrfit.scene.arrays import Truth
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit_evaluation import ablation

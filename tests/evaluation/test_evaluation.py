@@ -19,7 +19,7 @@ import pytest
 import pbrfit
 from evaluation_tasks import Task, work
 from pbrfit import InputError, Materials, Result, Scene
-from pbrfit.scene.scene import Truth
+from pbrfit.scene.arrays import Truth
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import jobs, recipes, scores, tables, workspace
 from pbrfit_evaluation.jobs import Record

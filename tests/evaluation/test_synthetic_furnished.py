@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 import raycaster
 from pbrfit.model.geometry import view_directions
-from pbrfit.scene.scene import Scene, Truth
+from pbrfit.scene.arrays import Truth
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.geometry import Box, Cylinder, Frustum, Primitive, Sphere, trace
 from pbrfit.synthetic.scenes import ADDED_KINDS

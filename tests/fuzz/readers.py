@@ -22,7 +22,7 @@ from fuzz.seeds import Seed
 from fuzz.task import TASK, work
 from pbrfit.acquire import journal
 from pbrfit.acquire.generators import Request
-from pbrfit.acquire.normals import depth, given
+from pbrfit.acquire.normals import depth, maps
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.io import images
@@ -156,11 +156,11 @@ def _as_photo(file: Path) -> None:
 def _map(_folder: Path, file: Path) -> None:
     """Normals, depth and weights as files."""
     if file.stem == "depth":
-        normals = depth.from_file(file, (16, 16), fov=50.0)
-        assert normals.normals.shape == (16, 16, 3)
-        assert np.isfinite(normals.normals).all()
+        normals, _ = depth.from_file(file, (16, 16), fov=50.0)
+        assert normals.shape == (16, 16, 3)
+        assert np.isfinite(normals).all()
         return
-    found, known = given.from_file(file, (16, 16), Convention())
+    found, known = maps.from_file(file, (16, 16), Convention())
     assert found.shape == (16, 16, 3)
     np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1, atol=1e-6)
     assert known.dtype == bool

@@ -11,12 +11,13 @@ from typing import NoReturn, TypeVar
 from pbrfit.commands.arguments import (
     SOME_FAILED,
     UNUSABLE,
+    add_cluster,
+    add_jobs,
     add_out,
     add_quiet,
     complain,
     progress_bar,
 )
-from pbrfit.commands.worker_options import add_cluster, add_jobs
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit_evaluation.jobs import Record, Task, Values, run
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.model.reflection import Model, chosen_model, render, sh_basis
-from pbrfit.scene.scene import Scene, Truth
+from pbrfit.scene.arrays import Truth
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit.synthetic.lights import SHARP, even_directions, zonal

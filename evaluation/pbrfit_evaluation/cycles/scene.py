@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
-from pbrfit.scene.scene import Scene, Truth
+from pbrfit.scene.arrays import Truth
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.synthetic.world import World

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
-from pbrfit.acquire.extras import need
 from pbrfit.acquire.normals.marigold import seen_size
 from pbrfit.acquire.padding import resized, resized_srgb8
 from pbrfit.io.color import decode_srgb
@@ -38,7 +37,7 @@ class Marigold:
     """
 
     def __init__(self, model: str = MODEL, *, device: str = "auto") -> None:
-        need("diffusion", "torch", "diffusers", "transformers", "accelerate")
+        weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
         from diffusers import MarigoldIntrinsicsPipeline
 
         where = weights.placement(device, what=WHAT, half="float16")

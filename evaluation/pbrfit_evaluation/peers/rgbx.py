@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.acquire import weights
-from pbrfit.acquire.extras import need
 from pbrfit.acquire.padding import resized
 from pbrfit.io.color import decode_srgb
 from pbrfit_evaluation.peers.maps import Maps
@@ -77,7 +76,7 @@ class RgbToX:
         dtype: str = "auto",
         longer_side: int = 1000,
     ) -> None:
-        need("diffusion", "torch", "diffusers", "transformers")
+        weights.need("diffusion", "torch", "diffusers", "transformers")
         where = weights.placement(device, dtype, what=WHAT, half="float16")
         loader = partial(_load, where.torch_dtype)
         self._parts = weights.load(WHAT, model, loader=loader, marker="model_index.json").network

@@ -15,7 +15,8 @@ from pbrfit._core import InputError
 from pbrfit.io.normal_files import read_normals
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, Model
-from pbrfit.scene.scene import Scene, unit_normals
+from pbrfit.scene.arrays import unit_normals
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import cycles

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,8 @@ from pbrfit.acquire.journal import FOLDER, Journal, write_json
 from pbrfit.acquire.normals import DEPTH, Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.acquire.rounds import REGENERATE, Reviewer, Rounds
-from pbrfit.acquire.scene_place import PHOTO, PICTURES, check_place, place
+from pbrfit.acquire.rounds import REGENERATE, Progress, Reviewer, Rounds
+from pbrfit.acquire.scene_output import PHOTO, PICTURES, check_place, place
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.normal_files import write_normals
@@ -37,14 +36,11 @@ from pbrfit.scene.folder import DEFAULT_FOV
 
 log = logging.getLogger("pbrfit")
 
-LEAST = 2
+PICTURES_MIN = 2
 """Pictures that a scene needs."""
 
 COUNT = 16
 """How many pictures are asked for unless somebody says so: what the method was published with."""
-
-Progress = Callable[[str, int, int], None]
-"""Told what is done next, which picture that is, from 1 on, and how many there will be so far."""
 
 
 def generate(
@@ -55,7 +51,7 @@ def generate(
     catalogue: Catalogue,
     count: int | None = None,
     seed: int = 0,
-    regenerate: int | None = None,
+    regenerate: int = REGENERATE,
     review: bool = True,
     reviewer: Reviewer | None = None,
     normals: str = "marigold",
@@ -86,7 +82,7 @@ def generate(
         How many pictures, and the first one's seed. None: `COUNT`, and of pictures that are there
         already, all.
     regenerate
-        How often a picture that the review refused is asked for again; None: `REGENERATE`.
+        How often a picture that the review refused is asked for again.
     review
         Whether pictures are reviewed; by `reviewer`, or a `pbrfit.acquire.review.Reviewer`.
     normals, normal_options
@@ -122,16 +118,12 @@ def generate(
     """
     if count is None:
         count = COUNT if generator.retries else sys.maxsize
-    if regenerate is None:
-        regenerate = REGENERATE
-    if regenerate < 0:
-        raise InputError(f"regenerate: expected 0 or more, found {regenerate}")
     photo = read_photo(photo_path, color_space=color_space, max_size=max_size)
     settings = {"generator": generator.name, **generator.settings()}
     check_place(out, photo, settings, resume=resume, overwrite=overwrite)
     requests = _requests(generator, catalogue, count, seed, with_photo)
     view, assumed = _field_of_view(photo, fov)
-    told = progress or _nobody
+    told = progress or (lambda *_: None)
     with place(out) as made:
         generator.check()
         journal = Journal(out / FOLDER, photo, settings)
@@ -146,8 +138,7 @@ def generate(
         surface = _normals(photo, normals, view, normal_options or {})
         journal.begin()
         with _kept(journal, out):
-            steps = _Steps(told, len(requests))
-            rounds = Rounds(photo, generator, journal, reviewer, regenerate, steps.told)
+            rounds = Rounds(photo, generator, journal, reviewer, regenerate, told)
             pictures = rounds.make(requests)
         report = GenerationReport(
             out=out,
@@ -161,9 +152,9 @@ def generate(
             normals=surface.record,
             segments=None if parts is None else parts[1],
         )
-        told("writing", steps.asked, steps.asked)
+        told("writing", rounds.asked, rounds.asked)
         _write_report(made, report, journal)
-        enough = len(report.accepted) + with_photo >= LEAST
+        enough = len(report.accepted) + with_photo >= PICTURES_MIN
         if enough:
             _write_maps(made, photo, view, surface)
             if parts is not None:
@@ -172,24 +163,6 @@ def generate(
     if not enough:
         raise InputError(_too_few(report))
     return report
-
-
-@dataclass
-class _Steps:
-    """Counts pictures for who is told about the progress."""
-
-    progress: Progress
-    wanted: int
-    asked: int = 0
-
-    def told(self, what: str, more: int) -> None:
-        self.asked += more
-        self.progress(what, self.asked, max(self.asked, self.wanted))
-
-
-def _nobody(what: str, done: int, total: int) -> None:
-    """Is told about the progress where nobody asked."""
-    del what, done, total
 
 
 def _requests(
@@ -285,8 +258,8 @@ def _too_few(report: GenerationReport) -> str:
     reasons = [f"{picture.request.name}: {picture.reason}" for picture in report.left_out]
     told = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if reasons[2:] else "")
     return (
-        f"{report.out}: expected at least {LEAST} pictures for a scene, found {found}{with_photo}; "
-        f"left out were {told or 'none'}"
+        f"{report.out}: expected at least {PICTURES_MIN} pictures for a scene, found "
+        f"{found}{with_photo}; left out were {told or 'none'}"
     )
 
 
@@ -297,9 +270,8 @@ def _write_report(folder: Path, report: GenerationReport, journal: Journal) -> N
 
 def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> None:
     write_normals(folder / "normals.exr", surface.normals, surface.uncertainty)
-    weights = surface.weights
-    if weights is not None:
-        write_weights(folder / WEIGHT_FILE, weights, ())
+    if surface.weights is not None:
+        write_weights(folder / WEIGHT_FILE, surface.weights, ())
     if photo.mask is not None:
         mask = np.where(photo.mask, 255, 0).astype(np.uint8)
         images.write_png(folder / "mask.png", mask, tag=None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,15 +12,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.acquire.contact_sheet import Shown, contact_sheet
 from pbrfit.acquire.journal import FOLDER, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.rounds import Attempt, Picture
+from pbrfit.result.sheet import OUTSIDE, Panel, sheet
 
 if TYPE_CHECKING:
     from pbrfit.acquire.review import Check
 
 FILE, SHEET = "review.json", "review.png"
+
+COLUMNS = 5
+"""Pictures of a sheet side by side, so that two dozen of them are five rows."""
+
+CAPTION_LENGTH_MAX = 32
+"""Letters of a caption, whose middle is left out above it: all captions of a sheet are as small as
+the longest one needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,18 +125,57 @@ class GenerationReport:
                     reason += f" (asked again, seed {picture.attempts[k + 1].entry.request.seed})"
                 elif reason:
                     reason += " (left out)"
-                pixels = None if attempt.entry.refused else journal.pixels(attempt.entry)
-                shown.append(Shown(caption, pixels, reason))
+                pixels = np.full((*self.photo.size, 3), OUTSIDE)
+                if not attempt.entry.refused:
+                    pixels = journal.pixels(attempt.entry) / 255.0
+                shown.append(Panel(caption, pixels, note=reason, crossed=bool(reason)))
         title = (
             f"{self.photo.path.name}: {len(self.accepted)} of {len(self.pictures)} pictures by "
             f"{self.settings.get('generator', 'the generator')}"
         )
         if not self.reviewed:
             title += ", not reviewed"
-        return contact_sheet(self.photo.srgb8(), shown, title=title)
+        return contact_sheet(self.photo.srgb8() / 255.0, shown, title=title)
 
     def _records(self) -> list[dict[str, Any]]:
         return [attempt.entry.record for picture in self.pictures for attempt in picture.attempts]
+
+
+def contact_sheet(
+    photo: NDArray[np.floating[Any]], pictures: Sequence[Panel], *, title: str
+) -> NDArray[np.uint8]:
+    """The photo, then accepted pictures, then a part of its own for those that were refused.
+
+    Parameters
+    ----------
+    photo
+        (H, W, 3) as it goes to the screen, as all pictures are.
+    pictures
+        In any order, which is kept within each part; those that were refused are crossed.
+    title
+        A line above all.
+
+    Returns
+    -------
+    ndarray
+        (H, W, 3) uint8.
+    """
+    pictures = [replace(one, caption=_shortened(one.caption)) for one in pictures]
+    accepted = [Panel("the photo", photo), *(one for one in pictures if not one.crossed)]
+    refused = [one for one in pictures if one.crossed]
+    columns = min(COLUMNS, max(len(accepted), len(refused)))
+    parts = []
+    for panels, above in ((accepted, title), (refused, f"Refused: {len(refused)}")):
+        filled = [*panels, *[None] * (-len(panels) % columns)]  # so that both are equally wide
+        rows = [filled[i : i + columns] for i in range(0, len(filled), columns)]
+        parts += [sheet(rows, title=above)] if panels else []
+    return np.concatenate(parts)
+
+
+def _shortened(caption: str) -> str:
+    """Without its middle: the ends tell pictures apart, and the seed is at one of them."""
+    half = (CAPTION_LENGTH_MAX - 1) // 2
+    return caption if len(caption) <= CAPTION_LENGTH_MAX else f"{caption[:half]}…{caption[-half:]}"
 
 
 def _picture(picture: Picture) -> dict[str, Any]:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pbrfit.acquire.review import Check, Verdict
 
 REGENERATE = 2
-"""How often a picture that the review refused is asked for again."""
+"""How often a picture that the review refused is asked for again, with another seed each time."""
 
 
 class Reviewer(Protocol):
@@ -81,22 +81,22 @@ class Picture:
         return self.attempts[-1].reason if self.attempts else "never asked for"
 
 
-@dataclass(frozen=True, eq=False)
-class Rounds:
-    """What the rounds need.
+Progress = Callable[[str, int, int], None]
+"""Told what is done next, which picture that is, from 1 on, and how many there will be so far."""
 
-    Attributes
-    ----------
-    told
-        Called before each step: what it is, and whether it gets another picture (1 or 0).
-    """
+
+@dataclass(eq=False)
+class Rounds:
+    """What the rounds need, and how many pictures were asked for."""
 
     photo: Photo
     generator: Generator
     journal: Journal
     reviewer: Reviewer | None
     regenerate: int
-    told: Callable[[str, int], None]
+    progress: Progress
+    asked: int = 0
+    wanted: int = 0
 
     def make(self, requests: Iterable[Request]) -> list[Picture]:
         """Ask for all and review them.
@@ -107,6 +107,7 @@ class Rounds:
             If the generator cannot go on. What had come is in the journal.
         """
         pictures = [Picture(request) for request in requests]
+        self.wanted = len(pictures)
         for picture in pictures:
             self._until_accepted(picture)
         if self.reviewer is None:
@@ -115,7 +116,7 @@ class Rounds:
             accepted = [picture for picture in pictures if picture.accepted]
             if not accepted:
                 return pictures
-            self.told("reviewing together", 0)
+            self._tell("reviewing together")
             verdicts = self.reviewer.together([self._linear(picture) for picture in accepted])
             refused = []
             for picture, verdict in zip(accepted, verdicts, strict=True):
@@ -143,10 +144,11 @@ class Rounds:
 
     def _attempt(self, first: Request, k: int) -> Attempt:
         request = dataclasses.replace(first, seed=first.seed + k * RETRY_STEP)
+        self.asked += 1
         entry = self.journal.find(request)
         pixels = None
         if entry is None:
-            self.told(f"{request.name}, seed {request.seed}", 1)
+            self._tell(f"{request.name}, seed {request.seed}")
             try:
                 generated = self.generator.generate(self.photo, request)
             except Refused as refusal:
@@ -155,7 +157,7 @@ class Rounds:
                 entry = self.journal.keep(request, generated)
                 pixels = generated.pixels
         else:
-            self.told(f"{request.name}, in the journal", 1)
+            self._tell(f"{request.name}, in the journal")
         if entry.refused:
             return Attempt(entry, reason=entry.refused)
         if self.reviewer is None:
@@ -164,6 +166,9 @@ class Rounds:
             linear(self.journal.pixels(entry) if pixels is None else pixels)
         )
         return Attempt(entry, verdict.checks, reason="" if verdict.accepted else verdict.reason)
+
+    def _tell(self, what: str) -> None:
+        self.progress(what, self.asked, max(self.asked, self.wanted))
 
     def _linear(self, picture: Picture) -> NDArray[np.float32]:
         return linear(self.journal.pixels(picture.attempts[-1].entry))

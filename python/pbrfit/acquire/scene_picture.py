@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +14,10 @@ from pbrfit.result.metrics import display, white_of
 from pbrfit.scene import folder as scene_folder
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """`srgb8` (H, W, 3); `what` it is, in words; EXIF's `focal_length` in 35 mm terms, or None."""
-
-    srgb8: NDArray[np.uint8]
-    what: str
-    focal_length: float | None
-
-
-def shown(folder: Path, picture: str | None = None, color_space: ColorSpace | None = None) -> Shown:
-    """Make it.
+def shown_to_network(
+    folder: Path, picture: str | None = None, color_space: ColorSpace | None = None
+) -> tuple[NDArray[np.uint8], str]:
+    """Make it: (H, W, 3), sRGB; and what it is, in words.
 
     Without a name it is the mean of all pictures, each brought to the same mean radiance. Light
     adds up, so this is a photograph of the same view with all lamps on: even light, soft shadows,
@@ -38,7 +30,7 @@ def shown(folder: Path, picture: str | None = None, color_space: ColorSpace | No
     picture
         Name of one picture, without suffix, that is shown instead.
     color_space
-        Of all pictures; None = as files say.
+        Of all pictures; None = as `scene.toml` says, else the files.
 
     Raises
     ------
@@ -46,6 +38,8 @@ def shown(folder: Path, picture: str | None = None, color_space: ColorSpace | No
         If there is no such picture, or one cannot be read, or all are black.
     """
     paths = scene_folder.find_pictures(folder)
+    if color_space is None:
+        color_space = scene_folder.read_settings(folder / "scene.toml", {}).color_space
     if picture is not None:
         names = [path.stem for path in paths]
         if picture not in names:
@@ -55,7 +49,6 @@ def shown(folder: Path, picture: str | None = None, color_space: ColorSpace | No
             )
         paths = [paths[names.index(picture)]]
     total: NDArray[np.float64] | None = None
-    focal_length = None
     for path in paths:
         read = images.read_picture(path, color_space)
         pixels = np.where(np.isfinite(read.pixels), read.pixels, 0.0).astype(np.float64)
@@ -69,9 +62,8 @@ def shown(folder: Path, picture: str | None = None, color_space: ColorSpace | No
             )
         if mean > 0:  # a picture without any light tells nothing
             total += pixels / mean
-        focal_length = focal_length or read.focal_length_35mm
     if total is None or not total.any():
         raise InputError(f"{paths[0].parent}: expected radiance above 0, found none")
     seen = np.rint(255 * display(total, white_of(total))).astype(np.uint8)
     what = f"picture {paths[0].stem}" if len(paths) == 1 else f"the mean of {len(paths)} pictures"
-    return Shown(seen, what, focal_length)
+    return seen, what

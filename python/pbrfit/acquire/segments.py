@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
-from pbrfit.acquire.extras import need, versions
 from pbrfit.acquire.normals.maps import check_reducible
 from pbrfit.io import images
 from pbrfit.io.resampling import at_centres
@@ -58,9 +57,6 @@ def segment(
     """
     if source == "sam2":
         return by_sam2(srgb8, **options)
-    given = sorted(name for name, value in options.items() if value is not None)
-    if given:
-        raise InputError(f"{given[0]}: has no meaning for segments from {source}")
     path = Path(source)
     if not path.exists() and path.name == source and not path.suffix:
         raise InputError(f"segments: expected sam2 or a file, found {source!r}")
@@ -111,10 +107,8 @@ def by_sam2(
     InputError
         If a package or the weights are missing, an option cannot be used, or memory runs out.
     """
-    if points < 1:
-        raise InputError(f"points: expected at least 1, found {points}")
     _check_share(smallest)
-    need("segment", "torch", "torchvision", "transformers")
+    weights.need("segment", "torch", "torchvision", "transformers")
     import torch
     from PIL import Image
     from transformers import AutoImageProcessor, Sam2Model, pipeline
@@ -146,7 +140,7 @@ def by_sam2(
         "masks": len(masks),
         "segments": int(ids.max()),
         "device": where.device,
-        "packages": versions("transformers", "torchvision", "torch"),
+        "packages": weights.versions("transformers", "torchvision", "torch"),
     }
     return ids, record
 

@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -65,6 +66,30 @@ class Loaded:
 
     network: Any
     record: dict[str, Any]
+
+
+def need(extra: str, *modules: str) -> None:
+    """Check that modules can be imported, without importing them, which may take seconds.
+
+    `extra` is the set of optional packages that brings them, as `pyproject.toml` names it.
+
+    Raises
+    ------
+    InputError
+        If one is missing: one line with the command that installs it.
+    """
+    missing = [name for name in modules if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"expected the Python package{'s' if len(missing) > 1 else ''} {', '.join(missing)}, "
+            f"found none: pip install 'pbrfit[{extra}]'"
+        )
+
+
+def versions(*packages: str) -> dict[str, str]:
+    """Versions of installed packages, for records of how something was made."""
+    there = [name for name in packages if importlib.util.find_spec(name) is not None]
+    return {name: metadata.version(name) for name in there}
 
 
 def placement(

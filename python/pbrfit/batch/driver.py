@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from pbrfit._core import InputError
-from pbrfit.batch.executors import Workers
+from pbrfit.batch.cluster import Cluster, threads_of_worker
+from pbrfit.batch.executors import Here, Processes, Workers
 
 log = logging.getLogger("pbrfit")
 
@@ -45,6 +46,29 @@ class Attempt(Generic[R]):
     raised: str | None = None
     seconds: float = 0.0
     said: tuple[tuple[int, str], ...] = ()
+
+
+def workers(jobs: int | None, cluster: str | None, *, most: int) -> Workers:
+    """Make the workers for so many tasks at the same time, of whom no more than `most` are of use.
+
+    Parameters
+    ----------
+    jobs
+        1 or None = in this process, with all processors. On a cluster None = one for each worker.
+    cluster
+        None = on this machine; else see `pbrfit.batch.cluster.Cluster`.
+    most
+        How many tasks there are.
+
+    Raises
+    ------
+    InputError
+        If there is no such cluster.
+    """
+    jobs = None if jobs is None else min(jobs, most)
+    if cluster is not None:
+        return Cluster(cluster, jobs)
+    return Here() if jobs in (None, 1) else Processes(jobs)
 
 
 def drive(
@@ -141,8 +165,6 @@ def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bo
     from threadpoolctl import threadpool_limits
 
     if threads is None:
-        from pbrfit.batch.cluster import threads_of_worker
-
         threads = threads_of_worker()
     began = time.perf_counter()
     value, error, raised = None, None, None

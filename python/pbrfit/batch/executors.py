@@ -48,31 +48,6 @@ class Workers(Protocol):
         """Let go of everything; what still runs is ended at once."""
 
 
-def workers(jobs: int | None, cluster: str | None, *, most: int) -> Workers:
-    """Make the workers for so many tasks at the same time, of whom no more than `most` are of use.
-
-    Parameters
-    ----------
-    jobs
-        1 or None = in this process, with all processors. On a cluster None = one for each worker.
-    cluster
-        None = on this machine; else see `pbrfit.batch.cluster.Cluster`.
-    most
-        How many tasks there are.
-
-    Raises
-    ------
-    InputError
-        If there is no such cluster.
-    """
-    jobs = None if jobs is None else min(jobs, most)
-    if cluster is not None:
-        from pbrfit.batch.cluster import Cluster
-
-        return Cluster(cluster, jobs)
-    return Here() if jobs in (None, 1) else Processes(jobs)
-
-
 class Here:
     """In this process, a task at a time."""
 

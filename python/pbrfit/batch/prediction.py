@@ -22,7 +22,7 @@ from pbrfit.result.refinement import LEAST_PICTURES
 from pbrfit.scene import folder as scene_folder
 
 DECODING_BYTES = 48
-"""Of a pixel of a file while it is read: its content, samples, float32 and what is marked."""
+"""Bytes a pixel of a file while it is read: its content, samples, float32 and what is marked."""
 
 _HEAD = 1 << 20
 """Bytes of an EXR or HDR file in which its size is sought."""

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbrfit")
 
 LIBRARIES_BYTES = 200 * 2**20
-"""Of a process with numpy, scipy and the rest: whole processes took 103 to 158 MiB more than was
-predicted for scenes of 16² to 128², and 40 more as dask's workers."""
+"""Bytes a process with numpy, scipy and the rest takes: whole processes took 103 to 158 MiB more
+than was predicted for scenes of 16² to 128², and 40 more as dask's workers."""
 
 LOOK_EVERY = 0.2
 """Seconds after which a worker looks whether its scene is still wanted."""

@@ -1,40 +1,42 @@
-"""The commands of `pbrfit`, a file each; what they work with is imported late."""
+"""The commands of `pbrfit`, a module each with `add_options(parser)` and `run(options)`.
+
+`run` returns the exit code. A module is imported when its command is first asked to parse.
+"""
 
 from __future__ import annotations
 
-from pbrfit.commands import (
-    check_gradients,
-    decompose,
-    demo,
-    evaluate,
-    export,
-    generate,
-    inspect,
-    normals,
-    relight,
-    report,
-    segments,
-    synth,
-)
+import argparse
+from functools import partial
+from importlib import import_module
+
 from pbrfit.commands.arguments import Subcommands
 
-COMMANDS = (
-    decompose,
-    relight,
-    report,
-    export,
-    generate,
-    inspect,
-    normals,
-    segments,
-    synth,
-    check_gradients,
-    evaluate,
-    demo,
-)
+SUMMARIES = {
+    "decompose": "fit materials and lights to scene folders",
+    "relight": "show a result under other light",
+    "report": "write a page about a result, to be looked at in a browser",
+    "export": "write a result for Blender, Unreal, Unity and others",
+    "generate": "make a scene folder of one photograph",
+    "inspect": "show what a scene folder holds and what is assumed",
+    "normals": "give normals to a folder of pictures",
+    "segments": "give segments to a folder of pictures",
+    "synth": "render a synthetic scene folder with ground truth",
+    "check-gradients": "compare the gradient with finite differences",
+    "evaluate": "measure this package and write a report",
+    "demo": "make a synthetic scene, decompose it, relight it, report",
+}
 
 
 def add_commands(commands: Subcommands) -> None:
-    """Add them all."""
-    for command in COMMANDS:
-        command.add(commands)
+    """Add them all, each without its options."""
+    for name, summary in SUMMARIES.items():
+        description = f"{summary[0].upper()}{summary[1:]}."
+        complete = partial(_add_options, name)
+        commands.add_parser(name, help=summary, description=description, complete=complete)
+
+
+def _add_options(name: str, parser: argparse.ArgumentParser) -> None:
+    command = import_module(f"{__name__}.{name.replace('-', '_')}")
+    command.add_options(parser)
+    if hasattr(command, "run"):  # suites of `evaluate` have functions of their own
+        parser.set_defaults(command=command.run)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import math
 import os
 import re
@@ -13,8 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pbrfit.result.options import Priors, prior_names
-
 Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
 
@@ -22,19 +19,9 @@ DONE, SOME_FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 """Exit codes: done; some scenes failed; wrong usage or unusable input; Ctrl-C."""
 
 
-def add_command(
-    commands: Subcommands,
-    name: str,
-    run: Callable[[argparse.Namespace], int],
-    summary: str,
-    description: str | None = None,
-) -> argparse.ArgumentParser:
-    """Add a command; `run` takes its options and returns the exit code."""
-    added: argparse.ArgumentParser = commands.add_parser(
-        name, help=summary, description=description or f"{summary[0].upper()}{summary[1:]}."
-    )
-    added.set_defaults(command=run)
-    return added
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """Add the scene folder that a command reads."""
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
 
 
 def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
@@ -50,10 +37,26 @@ def add_out(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace existing results")
 
 
-def add_quiet(parser: argparse.ArgumentParser) -> None:
+def add_quiet(
+    parser: argparse.ArgumentParser, what: str = "no progress bar, no table, no warnings"
+) -> None:
     """Add `--quiet`."""
+    parser.add_argument("--quiet", action="store_true", help=what)
+
+
+def add_jobs(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add `--jobs`."""
+    parser.add_argument("--jobs", metavar="J", type=positive, help=what)
+
+
+def add_cluster(parser: argparse.ArgumentParser) -> None:
+    """Add `--cluster`."""
     parser.add_argument(
-        "--quiet", action="store_true", help="no progress bar, no table, no warnings"
+        "--cluster",
+        metavar="local|ADDRESS",
+        help="hand scenes to the workers of a dask scheduler, which share storage with this "
+        "machine, or to a cluster on this machine alone; --jobs limits how many at the same time; "
+        "needs pip install 'pbrfit[cluster]'",
     )
 
 
@@ -66,44 +69,6 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
         default=0,
         help="0 = one for each processor; results do not depend on it",
     )
-
-
-def add_priors(parser: argparse.ArgumentParser) -> None:
-    """Add `--prior` and `--no-priors`; `given_priors` reads them."""
-    parser.add_argument(
-        "--prior",
-        dest="prior_weights",
-        metavar="NAME=WEIGHT",
-        type=prior_weight,
-        action="append",
-        help=f"weight of a prior ({', '.join(prior_names())}); 0 leaves it out; can be repeated",
-    )
-    parser.add_argument(
-        "--no-priors", action="store_true", help="only the priors that --prior names"
-    )
-
-
-def given_priors(options: argparse.Namespace) -> Priors:
-    """Priors that `--prior` and `--no-priors` ask for."""
-    priors = Priors.none() if options.no_priors else Priors()
-    return dataclasses.replace(priors, **dict(options.prior_weights or ()))
-
-
-def prior_weight(text: str) -> tuple[str, float]:
-    """Read NAME=WEIGHT for `argparse`."""
-    name, _, weight = text.partition("=")
-    if name not in prior_names():
-        raise argparse.ArgumentTypeError(
-            f"expected NAME=WEIGHT with one of {', '.join(prior_names())}, found {text!r}"
-        )
-    try:
-        value = float(weight)
-        Priors(**{name: value})
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"expected a finite weight of 0 or more for {name}, found {weight!r}"
-        ) from None
-    return name, value
 
 
 def whole_number(text: str) -> int:

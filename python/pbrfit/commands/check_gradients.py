@@ -3,41 +3,29 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from pbrfit.commands.arguments import (
-    DONE,
-    SOME_FAILED,
-    Subcommands,
-    add_command,
-    add_priors,
-    given_priors,
-    whole_number,
-)
-from pbrfit.commands.fit_options import UNKNOWNS, add_option, given
-from pbrfit.commands.scene_options import add_input, load
+from pbrfit.commands.arguments import DONE, SOME_FAILED, add_scene, whole_number
+from pbrfit.commands.fit_options import UNKNOWNS, add_option, add_priors, given, given_priors
+from pbrfit.commands.scene_options import add_input, reading
+from pbrfit.fit.gradient_check import check_gradients
+from pbrfit.fit.objective import Objective
 
 
-def add(commands: Subcommands) -> None:
-    """Add the command to `pbrfit`."""
-    added = add_command(
-        commands, "check-gradients", _run, "compare the gradient with finite differences"
-    )
-    added.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
-    add_input(added)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    add_scene(parser)
+    add_input(parser)
     for name in ("model", *UNKNOWNS):
-        add_option(added, name)
-    add_priors(added)
-    added.add_argument(
+        add_option(parser, name)
+    add_priors(parser)
+    parser.add_argument(
         "--seed", type=whole_number, default=0, help="of the random point and directions"
     )
 
 
-def _run(options: argparse.Namespace) -> int:
-    from pbrfit.fit.gradient_check import check_gradients
-    from pbrfit.fit.objective import Objective
-
-    scene = load(options.scene, options)
+def run(options: argparse.Namespace) -> int:
+    """Print both gradients, function by function."""
+    scene = reading(options).load(options.scene)
     objective = Objective(
         scene,
         sh_order=options.sh_order,

@@ -8,53 +8,57 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pbrfit._core import InputError
+from pbrfit.batch import place
+from pbrfit.batch.cluster import LOCAL
+from pbrfit.batch.driver import Attempt, drive, workers
+from pbrfit.batch.executors import Workers
+from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of
 from pbrfit.commands.arguments import (
     DONE,
     SOME_FAILED,
     UNUSABLE,
-    Subcommands,
-    add_command,
+    add_cluster,
+    add_jobs,
     add_out,
     add_quiet,
     complain,
     message_of,
 )
 from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
+from pbrfit.commands.scene_display import SceneDisplay
 from pbrfit.commands.scene_options import add_input, reading
-from pbrfit.commands.worker_options import add_cluster, add_jobs
+from pbrfit.fit import memory
+from pbrfit.io.output import check_free
+from pbrfit.result.result import CONTAINS
+from pbrfit.scene.folder import is_scene
 
-if TYPE_CHECKING:
-    from pbrfit.batch.executors import Workers
-    from pbrfit.batch.scenes import SceneOutcome, SceneTask
 
-
-def add(commands: Subcommands) -> None:
-    """Add the command to `pbrfit`."""
-    added = add_command(commands, "decompose", _run, "fit materials and lights to scene folders")
-    added.add_argument(
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    parser.add_argument(
         "scenes", metavar="SCENE", nargs="+", type=Path, help="scene folder, or a folder of them"
     )
-    add_out(added, "result folder; with several scenes it holds one result folder a scene")
-    added.add_argument(
+    add_out(parser, "result folder; with several scenes it holds one result folder a scene")
+    parser.add_argument(
         "--resume",
         action="store_true",
         help="keep results that are whole and would come out again: the same files, options and "
         "version of pbrfit; do all others",
     )
-    added.add_argument(
+    parser.add_argument(
         "--json", action="store_true", help="print a line of JSON a scene instead of a table"
     )
-    add_jobs(added, "scenes at the same time, each in a process of its own (default: 1)")
-    add_cluster(added)
-    add_input(added)
-    add_fit_options(added)
-    add_quiet(added)
+    add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
+    add_cluster(parser)
+    add_input(parser)
+    add_fit_options(parser)
+    add_quiet(parser)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Decompose the scenes, here or by workers."""
     if options.resume and options.overwrite:
         raise InputError("expected --resume or --overwrite, found both")
     scenes, one = _find_scenes(options.scenes)
@@ -66,13 +70,10 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing: bool) -> None:
-    from pbrfit.io.output import check_free
-    from pbrfit.result.result import CONTAINS
-
     taken = {output.resolve(): output for output in outputs}
     for path in scenes:
-        place = path.resolve()
-        around = next((taken[above] for above in (place, *place.parents) if above in taken), None)
+        folder = path.resolve()
+        around = next((taken[above] for above in (folder, *folder.parents) if above in taken), None)
         if around is not None:
             raise InputError(f"{around}: expected a folder apart from the scene, found {path}")
     for output in outputs:
@@ -82,8 +83,6 @@ def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing
 def _task(
     scene: Path, output: Path, options: argparse.Namespace, temporaries: Path | None = None
 ) -> SceneTask:
-    from pbrfit.batch.scenes import SceneTask
-
     far = options.cluster is not None  # workers there have other working folders
     return SceneTask(
         scene=scene.absolute() if far else scene,
@@ -98,10 +97,6 @@ def _task(
 
 
 def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
-    from pbrfit.batch.driver import Attempt
-    from pbrfit.batch.scenes import decompose_scene
-    from pbrfit.commands.scene_display import SceneDisplay
-
     began = time.perf_counter()
     with SceneDisplay(1, quiet=options.quiet, as_json=options.json) as display:
         try:
@@ -120,14 +115,6 @@ def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
 def _run_all(
     scenes: Sequence[Path], outputs: Sequence[Path], options: argparse.Namespace, *, one: bool
 ) -> int:
-    from pbrfit.batch import place
-    from pbrfit.batch.cluster import LOCAL
-    from pbrfit.batch.driver import drive
-    from pbrfit.batch.executors import workers
-    from pbrfit.batch.scenes import memory_of
-    from pbrfit.commands.scene_display import SceneDisplay
-    from pbrfit.fit import memory
-
     where = place.of_one(options.out) if one else place.of_batch(options.out)
     display = SceneDisplay(len(scenes), quiet=options.quiet, as_json=options.json)
     with where as temporaries:
@@ -165,8 +152,6 @@ def _run_all(
 
 
 def _decompose_here(task: SceneTask, threads: int, *, quiet: bool) -> SceneOutcome:
-    from pbrfit.batch.scenes import decompose_scene
-
     with fit_bar(task.options.iterations, task.name, quiet=quiet, within=True) as show:
         return decompose_scene(task, threads, show)
 
@@ -174,8 +159,6 @@ def _decompose_here(task: SceneTask, threads: int, *, quiet: bool) -> SceneOutco
 def _work(
     done_by: Workers, options: argparse.Namespace
 ) -> Callable[[SceneTask, int], SceneOutcome]:
-    from pbrfit.batch.scenes import decompose_scene
-
     return decompose_scene if done_by.apart else partial(_decompose_here, quiet=options.quiet)
 
 
@@ -204,9 +187,7 @@ def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
 
 def _may_be_scene(path: Path) -> bool:
     """Whether it is a scene folder; one that nobody may look into will fail and say why."""
-    from pbrfit.scene import folder as scene_folder
-
     try:
-        return scene_folder.is_scene(path)
+        return is_scene(path)
     except PermissionError:
         return True

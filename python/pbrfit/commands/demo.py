@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from pbrfit.commands.arguments import DONE, Subcommands, add_command, add_quiet
+from pbrfit.batch.scenes import table
+from pbrfit.commands.arguments import DONE, add_quiet
 from pbrfit.commands.fit_options import (
     MODEL_OF_PICTURES,
     add_fit_options,
@@ -15,40 +15,36 @@ from pbrfit.commands.fit_options import (
     fit_options,
 )
 from pbrfit.commands.synth import add_synthetic, make_scene
+from pbrfit.fit.decompose import decompose
+from pbrfit.io.output import new_folder
+from pbrfit.io.relit_files import Screen, write_animation, write_png
 from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit.report import write_report
+from pbrfit.result.preview import plot_history
+from pbrfit.result.relighting import DirectionalLight, relight
+from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from pbrfit.result.result import Result
-
-
-def add(commands: Subcommands) -> None:
-    """Add the command to `pbrfit`."""
-    added = add_command(
-        commands, "demo", _run, "make a synthetic scene, decompose it, relight it, report"
-    )
-    added.add_argument("out", metavar="DIR", type=Path, help="folder to write")
-    add_synthetic(added, "of scene, lights and noise, and of what the fit draws at random")
-    add_option(added, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
-    add_option(added, "sh_order", "of the lights, true and fitted")
-    add_fit_options(added, there=("seed", "model", "sh_order"))
-    added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
-    add_quiet(added)
-
-
-LAMP = (-50.0, 35.0)
-"""Azimuth and elevation of the hard light that the result is relit with."""
+LAMP = DirectionalLight(-50.0, 35.0)
+"""Azimuth and elevation, in degrees, of the hard light that the result is relit with."""
 
 FRAMES = 48
+"""Frames of the animation in which the lamp goes once around."""
 
 
-def _run(options: argparse.Namespace) -> int:
-    from pbrfit.batch.scenes import table
-    from pbrfit.fit.decompose import decompose
-    from pbrfit.io.output import new_folder
-    from pbrfit.report import write_report
-    from pbrfit.result.preview import plot_history
-    from pbrfit.scene.scene import Scene
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    parser.add_argument("out", metavar="DIR", type=Path, help="folder to write")
+    add_synthetic(parser, "of scene, lights and noise, and of what the fit draws at random")
+    add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
+    add_option(parser, "sh_order", "of the lights, true and fitted")
+    add_fit_options(parser, there=("seed", "model", "sh_order"))
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+    add_quiet(parser)
 
+
+def run(options: argparse.Namespace) -> int:
+    """Make a scene, fit it, relight it and report."""
     parts = ("scene", "result")
     with new_folder(options.out, overwrite=options.overwrite, contains=parts) as folder:
         make_scene(options).save(folder / "scene")
@@ -70,12 +66,9 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _relight(result: Result, folder: Path, threads: int) -> None:
-    from pbrfit.io.relit_files import Screen, write_animation, write_png
-    from pbrfit.result.relighting import DirectionalLight, relight
-
-    lamp, screen = DirectionalLight(*LAMP), Screen()
+    screen = Screen()
     frames = (
-        screen.shown(relight(result, lamp.turned(360 * k / FRAMES), threads)) for k in range(FRAMES)
+        screen.shown(relight(result, LAMP.turned(360 * k / FRAMES), threads)) for k in range(FRAMES)
     )
-    write_png(folder / "relit.png", screen.shown(relight(result, lamp, threads)))
+    write_png(folder / "relit.png", screen.shown(relight(result, LAMP, threads)))
     write_animation(folder / "relit.webp", ".webp", frames, fps=16)

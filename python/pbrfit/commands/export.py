@@ -4,87 +4,70 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import get_args
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import (
-    DONE,
-    Subcommands,
-    add_command,
-    add_quiet,
-    add_result,
-    unread_is_no_failure,
-)
-
-if TYPE_CHECKING:
-    from pbrfit.export import Exported
+from pbrfit.commands.arguments import DONE, add_quiet, add_result, unread_is_no_failure
+from pbrfit.export import CONTAINS, Exported, export_result
+from pbrfit.export.maps import Bits, NormalConvention
+from pbrfit.export.presets import Format, PresetName
+from pbrfit.export.view_mesh import Geometry
+from pbrfit.io.output import check_free
+from pbrfit.result.result import Result
 
 
-def add(commands: Subcommands) -> None:
-    """Add the command to `pbrfit`."""
-    added = add_command(
-        commands, "export", _run, "write a result for Blender, Unreal, Unity and others"
-    )
-    add_result(added, "DIR", "folder to write")
-    added.add_argument(
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    add_result(parser, "DIR", "folder to write")
+    parser.add_argument(
         "--format",
-        choices=("gltf", "exr", "png"),
+        choices=get_args(Format),
         help="this one alone (default: those of the preset, else all)",
     )
-    added.add_argument(
+    parser.add_argument(
         "--preset",
-        choices=("blender", "unreal", "unity"),
+        choices=get_args(PresetName),
         help="textures with the names, channels and normals that a tool expects (default: a file "
         "a map)",
     )
-    added.add_argument(
+    parser.add_argument(
         "--normals",
-        choices=("opengl", "directx"),
+        choices=get_args(NormalConvention),
         help="green of normal maps upwards or downwards (default: as the preset says, else opengl)",
     )
-    added.add_argument(
+    parser.add_argument(
         "--bits",
         type=int,
-        choices=(8, 16),
+        choices=get_args(Bits),
         help="of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
         "glTF 16 for normals alone)",
     )
-    added.add_argument(
+    parser.add_argument(
         "--geometry",
-        choices=("card", "facets"),
+        choices=get_args(Geometry),
         help="of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
         "for path tracers (default: card)",
     )
-    add_quiet(added)
+    add_quiet(parser)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from pbrfit.export import CONTAINS, export_result
-    from pbrfit.io.output import check_free
-    from pbrfit.result.result import Result
-
+def run(options: argparse.Namespace) -> int:
+    """Write the export, and list its files."""
     if options.result.resolve().is_relative_to(options.out.resolve()):
         raise InputError(
             f"{options.out}: expected a folder apart from the result, found {options.result}"
         )
     check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
-    exported = export_result(
-        Result.load(options.result),
-        options.out,
-        format=options.format,
-        preset=options.preset,
-        normals=options.normals,
-        bits=options.bits,
-        geometry=options.geometry,
-        overwrite=options.overwrite,
-    )
+    names = ("format", "preset", "normals", "bits", "geometry", "overwrite")
+    asked = {name: getattr(options, name) for name in names}
+    exported = export_result(Result.load(options.result), options.out, **asked)
     if not options.quiet:
         with unread_is_no_failure():
-            _tell(exported, options.out)
+            _print_files(exported, options.out)
     return DONE
 
 
-def _tell(exported: Exported, out: Path) -> None:
+def _print_files(exported: Exported, out: Path) -> None:
     """List the files; panoramas, of which there may be many, in one line."""
     total = sum(file.size for file in exported.files)
     print(f"{out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB")

@@ -5,17 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
-from pbrfit.commands.arguments import (
-    add_priors,
-    add_threads,
-    given_priors,
-    progress_bar,
-    whole_number,
-)
-from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions
+from pbrfit.commands.arguments import add_threads, progress_bar, whole_number
+from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions, Priors, prior_names
 
 if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
@@ -76,6 +70,44 @@ def fit_options(options: argparse.Namespace) -> FitOptions:
     """What the flags of `add_fit_options` ask for."""
     asked = {name: given(options, name) for name in FLAGS if hasattr(options, name)}
     return FitOptions(**asked, priors=given_priors(options))
+
+
+def add_priors(parser: argparse.ArgumentParser) -> None:
+    """Add `--prior` and `--no-priors`; `given_priors` reads them."""
+    parser.add_argument(
+        "--prior",
+        dest="prior_weights",
+        metavar="NAME=WEIGHT",
+        type=prior_weight,
+        action="append",
+        help=f"weight of a prior ({', '.join(prior_names())}); 0 leaves it out; can be repeated",
+    )
+    parser.add_argument(
+        "--no-priors", action="store_true", help="only the priors that --prior names"
+    )
+
+
+def given_priors(options: argparse.Namespace) -> Priors:
+    """Priors that `--prior` and `--no-priors` ask for."""
+    priors = Priors.none() if options.no_priors else Priors()
+    return replace(priors, **dict(options.prior_weights or ()))
+
+
+def prior_weight(text: str) -> tuple[str, float]:
+    """Read NAME=WEIGHT for `argparse`."""
+    name, _, weight = text.partition("=")
+    if name not in prior_names():
+        raise argparse.ArgumentTypeError(
+            f"expected NAME=WEIGHT with one of {', '.join(prior_names())}, found {text!r}"
+        )
+    try:
+        value = float(weight)
+        Priors(**{name: value})
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"expected a finite weight of 0 or more for {name}, found {weight!r}"
+        ) from None
+    return name, value
 
 
 @contextmanager

@@ -9,14 +9,18 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import get_args
 
 from pbrfit._core import InputError
+from pbrfit.acquire.generation import generate
+from pbrfit.acquire.generation_report import GenerationReport
+from pbrfit.acquire.generators import Generator, create
+from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
+from pbrfit.acquire.rounds import REGENERATE, Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
 from pbrfit.commands.arguments import (
     DONE,
-    Subcommands,
-    add_command,
+    add_quiet,
     number,
     positive,
     progress_bar,
@@ -25,14 +29,10 @@ from pbrfit.commands.arguments import (
 )
 from pbrfit.commands.network_options import source
 from pbrfit.io.color import ColorSpace
-
-if TYPE_CHECKING:
-    from pbrfit.acquire.generation import Progress
-    from pbrfit.acquire.generation_report import GenerationReport
-    from pbrfit.acquire.generators import Generator
-    from pbrfit.acquire.prompts import Catalogue
+from pbrfit.io.output import new_file
 
 MAX_SIZE = 1024
+"""Longer side in pixels that larger photographs are averaged down to."""
 
 ASKING = ("flux2-klein", "gpt-image-2")
 BELONGS = {
@@ -50,26 +50,22 @@ BELONGS = {
 """Which generators an option is for; those not named here are for all."""
 
 
-def add(commands: Subcommands) -> None:
-    """Add the command to `pbrfit`."""
-    added = add_command(
-        commands,
-        "generate",
-        _run,
-        "make a scene folder of one photograph",
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    parser.description = (
         "Make a scene folder of one photograph: pictures of the same view under other lights, "
         "each checked against the photograph; normals and segments. Needs extra packages for "
         "all but --generator folder:DIR --normals flat --segments none; docs/generate.md says "
-        "which, what they cost, and that gpt-image-2 sends the photograph to OpenAI.",
+        "which, what they cost, and that gpt-image-2 sends the photograph to OpenAI."
     )
-    added.usage = (
+    parser.usage = (
         "%(prog)s PHOTO --out SCENE [OPTION ...]\n"
         "       %(prog)s --list-prompts [--prompts FILE]\n"
         "       %(prog)s --save-prompts FILE"
     )
-    added.add_argument("photo", metavar="PHOTO", nargs="?", type=Path, help="the photograph")
-    added.add_argument("--out", metavar="SCENE", type=Path, help="scene folder to write")
-    again = added.add_mutually_exclusive_group()
+    parser.add_argument("photo", metavar="PHOTO", nargs="?", type=Path, help="the photograph")
+    parser.add_argument("--out", metavar="SCENE", type=Path, help="scene folder to write")
+    again = parser.add_mutually_exclusive_group()
     again.add_argument(
         "--resume",
         action="store_true",
@@ -83,10 +79,10 @@ def add(commands: Subcommands) -> None:
         "received pictures are kept and taken where they are what is asked for (of "
         "--save-prompts: replace the file)",
     )
-    added.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
-    added.add_argument("--json", action="store_true", help="print review.json as the summary")
+    add_quiet(parser, "no progress bar, no summary")
+    parser.add_argument("--json", action="store_true", help="print review.json as the summary")
 
-    photo = added.add_argument_group("the photograph")
+    photo = parser.add_argument_group("the photograph")
     photo.add_argument(
         "--fov",
         metavar="DEG",
@@ -111,7 +107,7 @@ def add(commands: Subcommands) -> None:
         help="leave the photograph itself out of the scene's pictures",
     )
 
-    pictures = added.add_argument_group("pictures under other lights")
+    pictures = parser.add_argument_group("pictures under other lights")
     pictures.add_argument(
         "--generator",
         metavar="flux2-klein|gpt-image-2|folder:DIR",
@@ -156,7 +152,7 @@ def add(commands: Subcommands) -> None:
         help="gpt-image-2: decides most of the price (default: high)",
     )
 
-    prompts = added.add_argument_group("prompts")
+    prompts = parser.add_argument_group("prompts")
     prompts.add_argument(
         "--prompts", metavar="FILE", type=Path, help="catalogue (default: the one that ships)"
     )
@@ -177,7 +173,7 @@ def add(commands: Subcommands) -> None:
         help="write the catalogue that ships to a file to edit, and do nothing else",
     )
 
-    review = added.add_argument_group("review")
+    review = parser.add_argument_group("review")
     review.add_argument(
         "--regenerate",
         metavar="N",
@@ -186,7 +182,7 @@ def add(commands: Subcommands) -> None:
     )
     review.add_argument("--no-review", action="store_true", help="take every picture as it comes")
 
-    maps = added.add_argument_group("normals and segments")
+    maps = parser.add_argument_group("normals and segments")
     maps.add_argument(
         "--normals",
         metavar="marigold|flat|depth:FILE|FILE",
@@ -208,13 +204,9 @@ def add(commands: Subcommands) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> int:
-    from pbrfit.acquire.generation import generate
-    from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
-
+def run(options: argparse.Namespace) -> int:
+    """Make the scene, or tell or save the prompts."""
     if options.save_prompts is not None:
-        from pbrfit.io.output import new_file
-
         with new_file(options.save_prompts, overwrite=options.overwrite) as file:
             file.write_text(shipped_text(), encoding="utf-8")
         print(f"{options.save_prompts}: edit it, and pass it as --prompts")
@@ -227,6 +219,8 @@ def _run(options: argparse.Namespace) -> int:
         missing = "PHOTO" if options.photo is None else "--out SCENE"
         raise InputError(f"generate: expected {missing}, found none; see pbrfit generate --help")
     _check_belonging(options)
+    if options.negative is not None:
+        catalogue = dataclasses.replace(catalogue, negative=options.negative)
     generator = _generator(options)
     networks = {} if options.device is None else {"device": options.device}
     with _progress(options) as told:
@@ -234,10 +228,10 @@ def _run(options: argparse.Namespace) -> int:
             options.photo,
             options.out,
             generator=generator,
-            catalogue=_with_negative(catalogue, options),
+            catalogue=catalogue,
             count=options.count,
             seed=options.seed or 0,
-            regenerate=options.regenerate,
+            regenerate=REGENERATE if options.regenerate is None else options.regenerate,
             review=not options.no_review,
             normals=options.normals,
             normal_options=networks if options.normals == "marigold" else None,
@@ -255,7 +249,7 @@ def _run(options: argparse.Namespace) -> int:
         if options.json:
             print(json.dumps(report.as_json(), indent=1, ensure_ascii=False))
         elif not options.quiet:
-            _tell(report)
+            _print_summary(report)
     return DONE
 
 
@@ -278,21 +272,10 @@ def _check_belonging(options: argparse.Namespace) -> None:
 
 
 def _generator(options: argparse.Namespace) -> Generator:
-    from pbrfit.acquire.generators import create
-
-    given: dict[str, Any] = {
-        name: getattr(options, name)
-        for name in ("model", "guidance", "steps", "dtype", "offload", "quality")
-    }
+    names = ["model", "guidance", "steps", "dtype", "offload", "quality"]
     if options.generator == "flux2-klein":
-        given |= {"device": options.device, "quiet": options.quiet or None}
-    return create(options.generator, **given)
-
-
-def _with_negative(catalogue: Catalogue, options: argparse.Namespace) -> Catalogue:
-    if options.negative is None:
-        return catalogue
-    return dataclasses.replace(catalogue, negative=options.negative)
+        names += ["device", "quiet"]
+    return create(options.generator, **{name: getattr(options, name) for name in names})
 
 
 @contextmanager
@@ -309,7 +292,7 @@ def _progress(options: argparse.Namespace) -> Iterator[Progress]:
         bar.update(bar.total - bar.n)
 
 
-def _tell(report: GenerationReport) -> None:
+def _print_summary(report: GenerationReport) -> None:
     """How it went, and what comes next."""
     accepted = len(report.accepted)
     with_photo = " and the photograph" if report.with_photo else ""

@@ -4,37 +4,28 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import number, numbers
+from pbrfit.model import panorama
+from pbrfit.model.lighting import Lighting, rotated
 from pbrfit.model.panorama import Window
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from pbrfit.result.relighting import DirectionalLight
+from pbrfit.result.relighting import DirectionalLight
 
 NAMES_SHOWN = 32
+"""Names of pictures that a message lists."""
 
 
-@dataclass(frozen=True)
-class ChosenLight:
-    """A light, and what there is to say about it.
+Light = NDArray[np.float64] | DirectionalLight
+"""SH light (16, 3), or a hard one."""
 
-    Attributes
-    ----------
-    light
-        (16, 3), or a `DirectionalLight`.
-    facts
-        Topic and sentence.
-    """
-
-    light: NDArray[np.float64] | DirectionalLight
-    facts: tuple[tuple[str, str], ...]
+Facts = list[tuple[str, str]]
+"""Topics, and a sentence on each."""
 
 
 def add_light(parser: argparse.ArgumentParser) -> None:
@@ -78,25 +69,20 @@ def add_light(parser: argparse.ArgumentParser) -> None:
     lights.add_argument("--picture", metavar="NAME", help="with --sh: whose light of the file")
 
 
-def choose_light(options: argparse.Namespace) -> ChosenLight:
-    """Read what the options name.
+def choose_light(options: argparse.Namespace) -> tuple[Light, Facts]:
+    """Read what the options name, and what there is to say about it.
 
     Raises
     ------
     InputError, OSError
         If a file cannot be used.
     """
-    from pbrfit.model.lighting import Lighting, rotated
-    from pbrfit.result.relighting import DirectionalLight
-
     if options.light is not None:
         azimuth, elevation = options.light
         light = DirectionalLight(azimuth, elevation, options.color or (1.0, 1.0, 1.0))
         color = ", ".join(f"{channel:g}" for channel in light.color)
-        return ChosenLight(
-            light,
-            (("light", f"hard, from azimuth {azimuth:g}, elevation {elevation:g}, color {color}"),),
-        )
+        fact = f"hard, from azimuth {azimuth:g}, elevation {elevation:g}, color {color}"
+        return light, [("light", fact)]
     degrees = options.rotate or 0.0
     turn = f", turned by {degrees:g} degrees" if degrees else ""
     if options.env is not None:
@@ -106,13 +92,11 @@ def choose_light(options: argparse.Namespace) -> ChosenLight:
     coefficients = lighting.of((name,), options.sh)[0]
     if degrees:
         coefficients = rotated(coefficients, degrees)
-    return ChosenLight(coefficients, (("light", f"SH, of {name} in {options.sh}{turn}"),))
+    return coefficients, [("light", f"SH, of {name} in {options.sh}{turn}")]
 
 
-def _projected(options: argparse.Namespace, degrees: float, turn: str) -> ChosenLight:
+def _projected(options: argparse.Namespace, degrees: float, turn: str) -> tuple[Light, Facts]:
     """SH light of a panorama."""
-    from pbrfit.model import panorama
-
     pixels = panorama.read(options.env)
     plain = panorama.project(pixels, degrees)
     lost = panorama.lost_energy(pixels, plain)
@@ -140,7 +124,7 @@ def _projected(options: argparse.Namespace, degrees: float, turn: str) -> Chosen
                 f"may get black spots, which --window {cures}",
             )
         )
-    return ChosenLight(light, tuple(facts))
+    return light, facts
 
 
 def _whose(pictures: tuple[str, ...], options: argparse.Namespace) -> str:

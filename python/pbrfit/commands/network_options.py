@@ -9,11 +9,48 @@ from typing import Any, get_args
 
 from pbrfit._core import InputError
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.commands.arguments import Subcommands
 from pbrfit.io.color import ColorSpace
 
-Group = Subcommands
-"""An `argparse` group, or a parser."""
+Flags = Mapping[str, Mapping[str, Any]]
+"""Arguments of `add_argument` by the names of options."""
+
+SHOWN: Flags = {
+    "picture": {
+        "metavar": "NAME",
+        "help": "show this picture, named without suffix (default: the mean of all, as if all "
+        "lamps were on at once)",
+    },
+    "color_space": {
+        "choices": get_args(ColorSpace),
+        "help": "of all pictures (default: scene.toml, ICC profile, else sRGB for integer files "
+        "and linear Rec.709 for float files)",
+    },
+}
+"""Which picture is shown, and how pictures are read."""
+
+DEVICE: Flags = {
+    "device": {
+        "choices": get_args(Device),
+        "help": "where it computes (default: a GPU, else cpu)",
+    }
+}
+
+PRECISION: Flags = {
+    "dtype": {
+        "choices": get_args(Precision),
+        "help": "of its numbers (default: float16 on a GPU, else float32)",
+    },
+    "offload": {
+        "choices": get_args(Offload),
+        "help": "what waits outside the GPU's memory (default: none)",
+    },
+}
+
+
+def checkpoint(default: str) -> Flags:
+    """Which weights are used."""
+    said = f"another checkpoint, on the Hugging Face Hub or in a folder (default: {default})"
+    return {"model": {"metavar": "ID|FOLDER", "help": said}}
 
 
 def source(names: Sequence[str], prefixes: Sequence[str] = ()) -> Callable[[str], str]:
@@ -31,47 +68,14 @@ def source(names: Sequence[str], prefixes: Sequence[str] = ()) -> Callable[[str]
     return read
 
 
-def add_shown(group: Group) -> None:
-    """Add which picture is shown, and how pictures are read."""
-    group.add_argument(
-        "--picture",
-        metavar="NAME",
-        help="show this picture, named without suffix (default: the mean of all, as if all lamps "
-        "were on at once)",
-    )
-    group.add_argument(
-        "--color-space",
-        choices=get_args(ColorSpace),
-        help="of all pictures (default: scene.toml, ICC profile, else sRGB for integer files and "
-        "linear Rec.709 for float files)",
-    )
+def add_flags(group: Any, flags: Flags) -> None:
+    """Add options to a parser or to a group of one."""
+    for name, arguments in flags.items():
+        group.add_argument(f"--{name.replace('_', '-')}", **arguments)
 
 
-def add_placement(group: Group, model: str, *, precision: bool = True) -> None:
-    """Add which weights are used, and where they compute."""
-    group.add_argument(
-        "--model",
-        metavar="ID|FOLDER",
-        help=f"another checkpoint, on the Hugging Face Hub or in a folder (default: {model})",
-    )
-    group.add_argument(
-        "--device", choices=get_args(Device), help="where it computes (default: a GPU, else cpu)"
-    )
-    if precision:
-        group.add_argument(
-            "--dtype",
-            choices=get_args(Precision),
-            help="of its numbers (default: float16 on a GPU, else float32)",
-        )
-        group.add_argument(
-            "--offload",
-            choices=get_args(Offload),
-            help="what waits outside the GPU's memory (default: none)",
-        )
-
-
-def chosen(
-    options: argparse.Namespace, names: Mapping[str, Sequence[str]], kind: str, flag: str
+def asked_for(
+    options: argparse.Namespace, flags: Mapping[str, Flags], kind: str, flag: str
 ) -> dict[str, Any]:
     """Options that were given, all of them for a source of this kind.
 
@@ -79,8 +83,8 @@ def chosen(
     ----------
     options
         As parsed; what was not given is None.
-    names
-        Of options, by the kinds of source that they are for.
+    flags
+        Options, by the kinds of source that they are for.
     kind
         Of the source that was asked for.
     flag
@@ -91,10 +95,8 @@ def chosen(
     InputError
         If an option of another kind was given: it would be ignored.
     """
-    of_kind = {name: getattr(options, name) for name in names[kind]}
-    for others in names.values():
-        for name in others:
-            if name not in of_kind and getattr(options, name) is not None:
-                option = f"--{name.replace('_', '-')}"
-                raise InputError(f"{option}: has no meaning with {flag}")
-    return {name: value for name, value in of_kind.items() if value is not None}
+    for name in (name for others in flags.values() for name in others):
+        if name not in flags[kind] and getattr(options, name) is not None:
+            raise InputError(f"--{name.replace('_', '-')}: has no meaning with {flag}")
+    values = {name: getattr(options, name) for name in flags[kind]}
+    return {name: value for name, value in values.items() if value is not None}

@@ -1,16 +1,14 @@
-"""`pbrfit relight`: a result under other light, as a picture, frames or an animation."""
+"""`pbrfit relight`."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import (
     DONE,
-    Subcommands,
-    add_command,
     add_quiet,
     add_result,
     add_threads,
@@ -19,49 +17,45 @@ from pbrfit.commands.arguments import (
     progress_bar,
     unread_is_no_failure,
 )
-from pbrfit.commands.light_options import add_light, choose_light
+from pbrfit.commands.light_options import Light, add_light, choose_light
+from pbrfit.io import relit_files
 from pbrfit.io.display import ToneMap
+from pbrfit.io.output import check_free, check_free_file, new_file, new_folder
+from pbrfit.io.relit_files import Radiance, Range, Screen
 from pbrfit.model.reflection import MODELS
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from pbrfit.io.relit_files import Radiance, Range, Screen
-    from pbrfit.result.relighting import DirectionalLight
-    from pbrfit.result.result import Result
+from pbrfit.result.relighting import relight, turned
+from pbrfit.result.result import Result
 
 FPS = 12.0
-MANY = 0.98
-"""Share of pixels that are nearly black or clipped from which on another exposure is suggested."""
+"""Frames of an animation a second."""
 
-MOST_STOPS = 100.0
+UNSEEN_SHARE_MAX = 0.98
+"""Share of pixels that are nearly black or clipped above which another exposure is suggested."""
+
+EXPOSURE_MAX = 100.0
+"""Largest exposure in stops, in both directions."""
 
 
-def add(commands: Subcommands) -> None:
-    """Add the command to `pbrfit`."""
-    added = add_command(
-        commands,
-        "relight",
-        _run,
-        "show a result under other light",
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    parser.description = (
         "Render a result under a panorama, a hard light from one direction, or SH light. "
-        "docs/relight.md says what each of them is good for.",
+        "docs/relight.md says what each of them is good for."
     )
     add_result(
-        added,
+        parser,
         "FILE",
         ".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or .webp",
     )
-    added.add_argument(
+    parser.add_argument(
         "--model",
         choices=MODELS,
         help="the reflection model that the result is expected to be of; with another one it is "
         "refused (default: whichever it is of)",
     )
-    add_light(added)
+    add_light(parser)
 
-    files = added.add_argument_group("output")
+    files = parser.add_argument_group("output")
     files.add_argument(
         "--turntable",
         metavar="N",
@@ -90,14 +84,12 @@ def add(commands: Subcommands) -> None:
         choices=get_args(ToneMap),
         help="of files for a screen: neutral compresses highlights that none clips (default: none)",
     )
-    add_threads(added)
-    add_quiet(added)
+    add_threads(parser)
+    add_quiet(parser)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from pbrfit.io.relit_files import Range, Screen
-    from pbrfit.result.result import Result
-
+def run(options: argparse.Namespace) -> int:
+    """Render, write, and say what was written."""
     kind = _kind(options)
     _check_belonging(options, kind)
     _check_free(options, kind)
@@ -108,20 +100,20 @@ def _run(options: argparse.Namespace) -> int:
             f"one of model {result.model}: materials are relit with the model that they were "
             "fitted with"
         )
-    chosen = choose_light(options)
+    light, said = choose_light(options)
     screen = Screen(options.exposure or 0.0, options.tone_map or "none")
     radiance = Range()
     with progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
 
         def frames() -> Iterator[Radiance]:
-            for frame in radiance.take(_frames(result, chosen.light, options)):
+            for frame in radiance.take(_frames(result, light, options)):
                 bar.update()
                 yield frame
 
         _write(options, kind, frames(), screen)
     if not options.quiet:
         with unread_is_no_failure():
-            facts = [*chosen.facts, *_facts_of_output(options, kind, result, screen, radiance)]
+            facts = [*said, *_facts_of_output(options, kind, result, screen, radiance)]
             for topic, fact in facts:
                 print(f"{topic:<12}{fact}")
     return DONE
@@ -187,9 +179,9 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
                 f"{' (--format png)' if folder else ''}, found EXR: it holds linear radiance, and "
                 "what it is shown with is left to who shows it"
             )
-    if given["exposure"] and not abs(options.exposure) <= MOST_STOPS:
+    if given["exposure"] and not abs(options.exposure) <= EXPOSURE_MAX:
         raise InputError(
-            f"--exposure: expected -{MOST_STOPS:g} to {MOST_STOPS:g} stops, found "
+            f"--exposure: expected -{EXPOSURE_MAX:g} to {EXPOSURE_MAX:g} stops, found "
             f"{options.exposure:g}"
         )
     if given["fps"] and not 1 <= options.fps <= 50:
@@ -198,8 +190,6 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
 
 def _check_free(options: argparse.Namespace, kind: str) -> None:
     """Complain about the output before there is any work."""
-    from pbrfit.io.output import check_free, check_free_file
-
     used = [options.result / name for name in ("materials.exr", "preview.png")]
     used += [path for path in (options.env, options.sh) if path is not None]
     out = options.out.resolve()
@@ -215,12 +205,8 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
         check_free_file(options.out, overwrite=options.overwrite)
 
 
-def _frames(
-    result: Result, light: NDArray[np.float64] | DirectionalLight, options: argparse.Namespace
-) -> Iterator[Radiance]:
+def _frames(result: Result, light: Light, options: argparse.Namespace) -> Iterator[Radiance]:
     """The picture, or those of a turntable, one at a time."""
-    from pbrfit.result.relighting import relight, turned
-
     yield relight(result, light, options.threads)
     count = options.turntable or 1
     for k in range(1, count):
@@ -230,9 +216,6 @@ def _frames(
 def _write(
     options: argparse.Namespace, kind: str, frames: Iterator[Radiance], screen: Screen
 ) -> None:
-    from pbrfit.io import relit_files
-    from pbrfit.io.output import new_file, new_folder
-
     if kind == "folder":
         with new_folder(
             options.out, overwrite=options.overwrite, contains=_contains(options)
@@ -287,10 +270,10 @@ def _facts_of_output(
         f"exposure {screen.exposure:g} EV, tone map {screen.tone_map}; "
         f"{100 * clipped:.1f} % of the pixels are clipped, {100 * black:.1f} % nearly black",
     )
-    if clipped + black > MANY:
+    if clipped + black > UNSEEN_SHARE_MAX:
         exposure = radiance.fitting_exposure()
         if exposure is None:
             yield "hint", "no light reaches the surfaces that the camera sees"
         else:
-            exposure = min(max(exposure, -MOST_STOPS), MOST_STOPS)
+            exposure = min(max(exposure, -EXPOSURE_MAX), EXPOSURE_MAX)
             yield "hint", f"little can be seen; try --exposure {exposure:g}"

@@ -5,28 +5,25 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.commands.arguments import DONE, Subcommands, add_command, add_quiet, add_result
+from pbrfit.commands.arguments import DONE, add_quiet, add_result
+from pbrfit.report import write_report
+from pbrfit.result.result import Result
 
 
-def add(commands: Subcommands) -> None:
-    """Add the command to `pbrfit`."""
-    added = add_command(
-        commands, "report", _run, "write a page about a result, to be looked at in a browser"
-    )
-    add_result(added, "FILE", "page to write, FILE.html")
-    added.add_argument(
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    add_result(parser, "FILE", "page to write, FILE.html")
+    parser.add_argument(
         "--scene",
         metavar="SCENE",
         type=Path,
         help="scene folder that the result was made from (default: where it was then)",
     )
-    add_quiet(added)
+    add_quiet(parser)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from pbrfit.report import write_report
-    from pbrfit.result.result import Result
-
+def run(options: argparse.Namespace) -> int:
+    """Write the page."""
     result = Result.load(options.result)
     write_report(result, options.out, options.scene, options.overwrite)
     if not options.quiet:

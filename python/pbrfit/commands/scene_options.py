@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
+from pbrfit.batch.settings import Reading
 from pbrfit.commands.arguments import code_range
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import CODE_RANGE
 
-if TYPE_CHECKING:
-    from pbrfit.batch.settings import Reading
-    from pbrfit.scene.scene import Scene
-
 
 def add_input(parser: argparse.ArgumentParser) -> None:
-    """Add them; `load` reads them."""
+    """Add them; `reading` reads them."""
     parser.add_argument(
         "--fov",
         metavar="DEG",
@@ -47,16 +43,9 @@ def add_input(parser: argparse.ArgumentParser) -> None:
 
 def reading(options: argparse.Namespace) -> Reading:
     """How a scene folder is to be read."""
-    from pbrfit.batch.settings import Reading
-
     return Reading(
         fov=options.fov,
         color_space=options.color_space,
         max_size=options.max_size,
         code_range=options.code_range,
     )
-
-
-def load(path: Path, options: argparse.Namespace) -> Scene:
-    """Read a scene folder as they say."""
-    return reading(options).load(path)

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from pbrfit.commands.arguments import DONE, Subcommands, add_command, whole_number
+from pbrfit import synthetic
+from pbrfit.commands.arguments import DONE, whole_number
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
+from pbrfit.io.output import check_free
 from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit.scene.folder import CONTAINS
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic.scenes import ADDED_KINDS, KINDS
 
-if TYPE_CHECKING:
-    from pbrfit.scene.scene import Scene
 
-
-def add(commands: Subcommands) -> None:
-    """Add the command to `pbrfit`."""
-    added = add_command(
-        commands, "synth", _run, "render a synthetic scene folder with ground truth"
-    )
-    added.add_argument("out", metavar="DIR", type=Path, help="scene folder to write")
-    add_synthetic(added)
-    add_option(added, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
-    add_option(added, "sh_order", "of the lights")
-    added.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    parser.add_argument("out", metavar="DIR", type=Path, help="scene folder to write")
+    add_synthetic(parser)
+    add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
+    add_option(parser, "sh_order", "of the lights")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing folder")
 
 
 def add_synthetic(
@@ -33,7 +31,7 @@ def add_synthetic(
     parser.add_argument(
         "--scene",
         dest="kind",
-        choices=("room", "spheres", "textured", "furnished", "detailed"),
+        choices=(*KINDS, *ADDED_KINDS),
         default="room",
         help="kind of scene: plain pieces; a grid of spheres; patterned pieces; a room with "
         "furniture; that room with fine textures and relief",
@@ -55,24 +53,12 @@ def add_synthetic(
 
 def make_scene(options: argparse.Namespace) -> Scene:
     """Make the scene."""
-    from pbrfit.synthetic import make_scene
-
-    return make_scene(
-        options.kind,
-        size=options.size,
-        lights=options.lights,
-        sh_order=options.sh_order,
-        noise=options.noise,
-        seed=options.seed,
-        model=options.model,
-        textures=options.textures,
-    )
+    names = ("size", "lights", "sh_order", "noise", "seed", "model", "textures")
+    return synthetic.make_scene(options.kind, **{name: getattr(options, name) for name in names})
 
 
-def _run(options: argparse.Namespace) -> int:
-    from pbrfit.io.output import check_free
-    from pbrfit.scene.folder import CONTAINS
-
+def run(options: argparse.Namespace) -> int:
+    """Write the scene folder."""
     check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
     make_scene(options).save(options.out, overwrite=options.overwrite)
     print(f"{options.out}: {options.kind}, {options.lights} pictures and ground truth")

@@ -25,38 +25,39 @@ Method = Literal["auto", "gauss-newton", "lbfgsb"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 SCIPY_BYTES = 480
-"""An unknown, measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and
+"""Bytes an unknown, measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and
 gradient."""
 
 PROJECTED_BYTES = 8 * LBFGS_PAIRS + 16 * 8
-"""An unknown, of `projected_lbfgs`: pairs in float32; in float64 the start, x, the next x, the way
-there, two gradients and the core's copy of x; the rest, measured on whole fits of 640² with 16
+"""Bytes an unknown of `projected_lbfgs`: pairs in float32; in float64 the start, x, the next x, the
+way there, two gradients and the core's copy of x; the rest, measured on whole fits of 640² with 16
 pictures, is what the stages before it and the history hold."""
 
 BLOCK = 128
-"""Pixels are padded to whole blocks of so many in the Rust core."""
+"""Pixels in a block of the Rust core; pixels are padded to whole blocks."""
 
 DIRECTION_BYTES = 32 + 24
-"""Of a pixel in the Rust core: normal and mirror direction in float32 and what that leaves of them,
-n·v in float64."""
+"""Bytes a pixel in the Rust core: normal and mirror direction in float32 and what that leaves of
+them, n·v in float64."""
 
 GIVEN_DIRECTION_BYTES = 48
 """The same where normals are free: given normal and view direction in float64."""
 
 REFINING_BYTES = 8 * (7 + 3 * 5) + 64 + 3 * 24 + 2 * 32
-"""Of a pixel while its normal is refined, beside cores: its unknowns with tilts, and without them
-in three states; pairs of neighbours and their weights; normals in three states; what two fits were
-drawn to. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 beside the rest."""
+"""Bytes a pixel while its normal is refined, beside cores: its unknowns with tangent offsets, and
+without them in three states; pairs of neighbours and their weights; normals in three states; the
+priors of two fits. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 beside the
+rest."""
 
 VECTOR_BYTES = 5 * 24
-"""Of a pixel while the core is made: view directions, and two copies of those and of normals."""
+"""Bytes a pixel while the core is made: view directions, and two copies of those and of normals."""
 
 WORTH_SAYING = 2**30
-"""A fit that needs more bytes says so."""
+"""Bytes above which a fit says how much memory it needs."""
 
 MAPS_BYTES = 470
-"""Of a pixel: the maps that a fit in tiles finds, and what is made of them when they are written.
-8 MP with 16 pictures took 466 at their peak."""
+"""Bytes a pixel: the maps that a fit in tiles finds, and what is made of them when they are
+written. 8 MP with 16 pictures took 466 at their peak."""
 
 ROOT = Path("/")
 """Where the system's files are; tests have their own."""

@@ -31,8 +31,9 @@ from pbrfit.io.checks import real_array
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
 from pbrfit.result.options import Priors, unit_interval
+from pbrfit.scene.arrays import equal_channels
 from pbrfit.scene.exposure import relative_exposures
-from pbrfit.scene.scene import Scene, equal_channels
+from pbrfit.scene.scene import Scene
 
 SH_ORDERS = (2, 3)
 """Highest bands that the lights may have."""

@@ -12,12 +12,13 @@ from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.solvers.run import Progress, Run, SharedState
-from pbrfit.fit.uncertainty import Uncertainty, estimate
+from pbrfit.fit.uncertainty import estimate
 from pbrfit.model.materials import Materials
+from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.refinement import Refinement
-from pbrfit.result.result import Stage, Status
+from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -18,7 +18,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image
 
 from pbrfit import _core
 from pbrfit._core import InputError
@@ -439,6 +438,8 @@ def _focal_length_35mm(exif: bytes | None) -> float | None:
     """EXIF tag FocalLengthIn35mmFilm; 0 means unknown there."""
     if exif is None:
         return None
+    from PIL import Image  # here: it takes longer to import than most of this package
+
     tags = Image.Exif()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about damaged EXIF, which is then not used

@@ -1,4 +1,4 @@
-"""What a scene holds, what was assumed, and what a fit will need: facts for people."""
+"""What a scene holds, what was assumed, and what a fit will need, for people to read."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ def _needed(scene: Scene, layout: ParameterLayout) -> str:
 def _aligned(scene: Scene) -> list[tuple[str, str]]:
     """Whether the pictures line up, a line for each that does not."""
     if min(scene.height, scene.width) < alignment.LEAST_SIDE:
-        return [("line up", f"not looked at: pictures below {alignment.LEAST_SIDE} pixels")]
+        return [("aligned", f"not checked: pictures below {alignment.LEAST_SIDE} pixels")]
     found = alignment.complaints(scene)
     if not found:
-        return [("line up", "yes, as far as their edges tell")]
-    return [("line up", f"NO: {found[0]}"), *(("", complaint) for complaint in found[1:])]
+        return [("aligned", "yes, by their edges")]
+    return [("aligned", f"NO: {found[0]}"), *(("", complaint) for complaint in found[1:])]
 
 
 def _normal_sigma(scene: Scene) -> str:
-    """How far off the given normals are said to be."""
+    """Standard deviation of the given normals."""
     if scene.normal_sigma is None:
         return "unknown"
     middle, high = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
-    return f"{middle:.1f} degrees (median), {high:.1f} (95 %), as {UNCERTAINTY} says"
+    return f"{middle:.1f} degrees (median), {high:.1f} (95 %), from {UNCERTAINTY}"
 
 
 def _refinable(scene: Scene) -> str:
@@ -78,7 +78,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ),
         ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
         ("facing away", f"{100 * away.mean():.1f} % of the normals"),
-        ("normals off by", _normal_sigma(scene)),
+        ("normal error", _normal_sigma(scene)),
         ("refine normals", _refinable(scene)),
         (
             "segments",
@@ -90,7 +90,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ),
         ("lights", "known" if layout.lighting_known else "unknown, will be fitted"),
         *_aligned(scene),
-        ("truth", "none" if scene.truth is None else "yes, errors will be reported"),
+        ("ground truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]
     found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]
     if "model" not in scene.assumed:

@@ -1,4 +1,4 @@
-"""The maps of a result, what is uncertain about them, and the truth where it is known."""
+"""The maps of a result, their uncertainty, and ground truth where there is one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.uncertainty import PARAMETERS
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import Materials
@@ -19,6 +18,7 @@ from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences
 from pbrfit.result.differences import Difference
 from pbrfit.result.result import Result
+from pbrfit.result.uncertainty import PARAMETERS
 
 BALL_SIDE = 96
 
@@ -113,7 +113,7 @@ def _recovered(result: Result) -> Block:
 
 
 def _truth(truth: Materials) -> Block:
-    return Block("Truth", "", "", tuple(_maps(truth, "true", dict.fromkeys(PARAMETERS, ""))))
+    return Block("Ground truth", "", "", tuple(_maps(truth, "true", dict.fromkeys(PARAMETERS, ""))))
 
 
 def _errors(result: Result, truth: Materials) -> Block:
@@ -121,7 +121,7 @@ def _errors(result: Result, truth: Materials) -> Block:
     remarks = {name: f"RMSE {plain(result.metrics[f'{name}_rmse'])}" for name in PARAMETERS}
     return Block(
         "Error",
-        paragraph("Distance from the truth; of albedo the root mean square over its channels."),
+        paragraph("Difference from ground truth; for albedo the root mean square over channels."),
         figures.difference_key("absolute error", {}),
         tuple(_differences(of_maps, "Absolute error of", remarks)),
     )
@@ -135,19 +135,19 @@ def _deviations(result: Result) -> Block:
         name: (
             f"median {plain(summary['median_marginal'][name])}; "
             f"not determined {percent(summary['undetermined'][name])}, "
-            f"at a bound {percent(summary['on_bound'][name])}"
+            f"at 0 or 1 {percent(summary['on_bound'][name])}"
         )
         for name in PARAMETERS
     }
     text = (
-        "Standard deviation that noise in the pictures gives each number, with the lights as "
-        "uncertain as they are. Errors of the model, the normals or the field of view are not in "
-        "it: look at the residuals for those."
+        "Standard deviation of each value due to noise in the pictures, the uncertainty of the "
+        "lights included. Errors of the model, the normals or the field of view are not in it: "
+        "they show in the residuals. Fixed are values at 0 or 1, and metallic where it was given."
     )
     if uncertainty.priors:
-        text += " It is that of the pictures alone; the priors may have done better."
+        text += " It is for the pictures alone; with the priors it may be smaller."
     marks = {
-        "at a bound or known": differences.WHITE,
+        "fixed": differences.WHITE,
         "not determined by the pictures": differences.VERMILLION,
     }
     return Block(

@@ -17,12 +17,12 @@ LABELS = {
     "noise": "noise of a sample (standard deviation)",
     "residual_before": "residual of the pictures with the given normals (RMSE)",
     "residual_after": "residual of the pictures with the refined normals (RMSE)",
-    "spread_degrees": "how far off the given normals are, from the residual",
+    "spread_degrees": "standard deviation of the given normals, from the residual",
     "mean_change_degrees": "change, mean",
     "largest_change_degrees": "change, largest",
     "changed_share": "pixels whose normal was changed",
 }
-"""Figures of a decision in words; others are shown by their names."""
+"""Labels of a decision's figures; others are shown by their names."""
 
 
 def sentence(result: Result) -> str:
@@ -48,8 +48,8 @@ def blocks(result: Result) -> list[Block]:
     )
     remark = f"mean {mean}°, 95 % below {high}°, at most {largest}°"
     pictures = (
-        normals_shown(given, "given", "as they came, in camera space"),
-        normals_shown(result.normals, "refined", "what the maps belong to"),
+        normals_shown(given, "given", "as given, in camera space"),
+        normals_shown(result.normals, "refined", "used for the maps"),
         Shown(
             difference_shown(differences.turned(change)),
             "change",
@@ -59,7 +59,7 @@ def blocks(result: Result) -> list[Block]:
     )
     key = figures.difference_key(
         "angle between given and refined normal",
-        {"left as given": differences.WHITE},
+        {"unchanged": differences.WHITE},
         degrees=True,
     )
     return [Block("Normals", text, key, pictures)]
@@ -76,7 +76,7 @@ def _table(result: Result) -> str:
 
 def _value(name: str, value: float) -> str:
     if not math.isfinite(value):
-        return "not known"
+        return "unknown"
     if name.endswith("_degrees"):
         return f"{plain(value)}°"
     return percent(value) if name.endswith("_share") else plain(value)

@@ -10,7 +10,8 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.result.result import Result
-from pbrfit.scene.scene import Scene, Source
+from pbrfit.scene.arrays import Source
+from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
 

@@ -34,7 +34,7 @@ TITLES = {
     "pictures": "Pictures",
     "lights": "Lights",
     "history": "Error against run time",
-    "origin": "How it came about",
+    "origin": "Run details",
 }
 """Headings by anchor, in their order."""
 
@@ -148,7 +148,9 @@ def _title(result: Result) -> str:
 def _size_remark(what: str, side: int, result: Result) -> str:
     height, width = reduced_size(result.mask.shape, side)
     if (height, width) == result.mask.shape:
-        return paragraph(f"{what} are as they were fitted, {width} × {height} pixels.", "note")
+        return paragraph(
+            f"{what} have the resolution of the fit, {width} × {height} pixels.", "note"
+        )
     full = f"{result.mask.shape[1]} × {result.mask.shape[0]}"
     return paragraph(f"{what} are averaged down from {full} to {width} × {height} pixels.", "note")
 
@@ -166,7 +168,7 @@ def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen
             if scene.weights is None
             else {"left out: clipped, dark or of weight 0": differences.WHITE}
         )
-        parts.append(figures.difference_key("residual, as a share of the picture's RMS", marks))
+        parts.append(figures.difference_key("residual, relative to the picture's RMS", marks))
     cards = (_card(one, chosen) for one in chosen.pictures)
     parts.append(figures.grid(cards, "pictures" if scene is not None else "maps"))
     if scene is not None:
@@ -189,15 +191,15 @@ def _how_many(pictures: Sequence[Picture], chosen: _Chosen) -> str:
 
 def _how_to_read(pictures: Sequence[Picture]) -> str:
     text = (
-        "The picture, its reconstruction from the maps and its light, and how far they are apart. "
-        "Both have the same exposure: white is the 98th percentile of the picture. The colours of "
-        "the residual mean the same in all pictures, and on all pages."
+        "The picture, its reconstruction from the maps and its light, and the difference. Both "
+        "have the same exposure: white is the 98th percentile of the picture. The colours of the "
+        "residual mean the same in all pictures, and on all pages."
     )
     names = [
         f"{one.name} ({percent(one.fit.share)})" for one in of_pictures.worst(pictures) if one.fit
     ]
     if len(pictures) > len(names):
-        text += f" Explained worst: {', '.join(names)}."
+        text += f" Largest residuals: {', '.join(names)}."
     return text
 
 
@@ -211,7 +213,7 @@ def _card(one: Picture, chosen: _Chosen) -> str:
     content = "".join(
         figures.picture(png, chosen.size, alt) for png, alt in zip(pngs, alts, strict=True)
     )
-    remark = f"RMSE {plain(one.fit.rmse)}, {percent(one.fit.share)} of its RMS"
+    remark = f"RMSE {plain(one.fit.rmse)}, {percent(one.fit.share)} relative to the picture's RMS"
     if one.fit.left_out > 0:
         remark += f"; {percent(one.fit.left_out)} of the samples left out"
     return figures.figure(f'<div class="three">{content}</div>', one.name, remark)
@@ -222,8 +224,8 @@ def _lights(pictures: Sequence[Picture], chosen: _Chosen) -> str:
         "Each light on a matt white ball, on a mirror, and as a panorama of all directions: the "
         "centre is into the picture, away from the viewer, right is right, up is up; light that "
         "comes from the viewer is at the left and right edge. The ring marks the main direction, "
-        "hatching where radiance is negative, which only the sum of spherical harmonics can be; "
-        "the patch is its mean colour. Each light has its own exposure: white is the 98th "
+        "hatching where radiance is negative, as a sum of spherical harmonics can be; "
+        "the patch is the mean colour. Each light has its own exposure: white is the 98th "
         "percentile of its panorama."
     )
     parts = [paragraph(text)]
@@ -278,9 +280,9 @@ def _light_table(pictures: Sequence[Picture]) -> Table:
         )
     caption = (
         "Mean radiance over all directions, in the pictures' unit. Azimuth 0 is the viewer, "
-        "positive to the right; elevation is up. Directed: 0 % from all around, 100 % from one "
-        "direction. Negative: what negative radiance takes away from the positive, of luminance; "
-        "45 % for light from a single direction, cut at l = 3."
+        "positive to the right; elevation is up. Directed: 0 % for uniform light, 100 % for one "
+        "direction. Negative: luminance of negative radiance as a share of that of positive "
+        "radiance; 45 % for light from a single direction, cut at l = 3."
     )
     return Table(columns, rows, caption)
 
@@ -290,7 +292,7 @@ def _history(result: Result) -> str:
     address = f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
     what = "Root mean square errors against run time and against iterations, logarithmic"
     text = "Residual of the pictures" + (
-        " and errors of the maps against the truth"
+        " and errors of the maps against ground truth"
         if "albedo_rmse" in result.history.columns
         else ""
     )
@@ -314,14 +316,14 @@ def _stages(result: Result) -> str:
         ]
         for stage in result.stages
     ]
-    return table(Table(columns, rows, f"What ran, of solver {result.options.solver}:"))
+    return table(Table(columns, rows, f"Stages of solver {result.options.solver}:"))
 
 
 def _origin(result: Result) -> str:
-    parts = [_list("What was assumed", result.assumed)]
+    parts = [_list("Assumptions", result.assumed)]
     if result.left_out:
         items = "".join(f"<li>{escape(line)}</li>" for line in result.left_out)
-        parts.append(f"<h3>What was left out</h3><ul>{items}</ul>")
+        parts.append(f"<h3>Left out</h3><ul>{items}</ul>")
     options = {name: json.dumps(value) for name, value in asdict(result.options).items()}
     parts.append(_folded("Options", _list("", options)))
     if result.inputs:

@@ -1,4 +1,4 @@
-"""The pictures of a scene beside their reconstructions, and what is between them."""
+"""The pictures of a scene beside their reconstructions, and the residuals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 
 HIGH = 95
-"""Percentile of the residuals that is told beside their root mean square."""
+"""Percentile of the residuals that is shown beside their root mean square."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Fit:
         Root mean square of the picture and of (rendered − picture), in the picture's unit, with
         the weights of the samples.
     high
-        So many pixels of 100 (`HIGH`) are off by less, as a share of `rms`.
+        Percentile `HIGH` of the residuals, relative to `rms`.
     left_out
         Share of its samples that took no part in the fit.
     """
@@ -124,13 +124,13 @@ def _one(
 
 
 def table(pictures: Sequence[Picture]) -> Table:
-    """How well each picture is explained, in the scene's order; they all have a `fit`."""
+    """Residuals by picture, in the scene's order; they all have a `fit`."""
     with_left_out = any(one.fit is not None and one.fit.left_out > 0 for one in pictures)
     columns = [
         Cell("picture", "name"),
         Cell("RMS", "number"),
         Cell("RMSE", "number"),
-        Cell("of its RMS", "number"),
+        Cell("relative to RMS", "number"),
         Cell(f"{HIGH} % of pixels below", "number"),
     ]
     if with_left_out:
@@ -153,12 +153,12 @@ def table(pictures: Sequence[Picture]) -> Table:
 
 
 def worst(pictures: Sequence[Picture], count: int = 3) -> list[Picture]:
-    """Those that are explained worst, by the share of their RMS."""
+    """Those with the largest residuals relative to their RMS."""
     with_fit = [one for one in pictures if one.fit is not None]
     return sorted(with_fit, key=lambda one: -one.fit.share if one.fit else 0.0)[:count]
 
 
 def median_share(pictures: Sequence[Picture]) -> float | None:
-    """Share of their RMS that pictures are off by, of the one in the middle."""
+    """Median of the residuals relative to the pictures' RMS; None without pictures."""
     shares = [one.fit.share for one in pictures if one.fit is not None]
     return float(np.median(shares)) if shares else None

@@ -1,4 +1,4 @@
-"""What a result is worth, in a few plain sentences, and its key numbers."""
+"""How good a result is, in a few plain sentences, and its key numbers."""
 
 from __future__ import annotations
 
@@ -6,33 +6,34 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pbrfit.fit.uncertainty import PARAMETERS
 from pbrfit.report import normals
 from pbrfit.report.html import Cell, Table
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
-from pbrfit.result.result import Result, Status
+from pbrfit.result.data import Status
+from pbrfit.result.result import Result
+from pbrfit.result.uncertainty import PARAMETERS
 
 EXPLAINED = (
     (0.01, "explain the pictures almost exactly"),
     (0.05, "explain the pictures closely"),
-    (0.15, "explain the pictures in the main, but not in detail"),
+    (0.15, "explain the pictures roughly, but not in detail"),
     (float("inf"), "do not explain the pictures well"),
 )
-"""Words for a median residual below a share of the pictures' RMS."""
+"""Words by the median residual, relative to the pictures' RMS, that they hold below."""
 
 MODEL_FAILS = 0.05
-"""Median residual, as a share of the pictures' RMS, from which it is hardly noise any more."""
+"""Median residual, relative to the pictures' RMS, above which it is hardly noise alone."""
 
 NOT_TOLD = 0.005
-"""Share of pixels from which it is worth a sentence that a number is not determined."""
+"""Share of pixels with an undetermined value above which a sentence says so."""
 
 SCALE_UNKNOWN = 0.1
-"""Relative deviation of the scale between albedo and light that is worth a sentence."""
+"""Relative deviation of the scale between albedo and light above which a sentence says so."""
 
 NEGATIVE_LIGHT = 0.5
-"""Share of the positive light that is worth a sentence if negative light takes it away. Light from
-a single direction, cut off at l = 3, has 0.445."""
+"""Negative over positive luminance of a light above which a sentence warns. Light from a single
+direction, cut off at l = 3, has 0.445."""
 
 METRICS = {
     "recon_rmse": "residual of the pictures (RMSE)",
@@ -40,7 +41,7 @@ METRICS = {
     "albedo_scaled_rmse": "albedo, error at the best scale (RMSE)",
     "roughness_rmse": "roughness, error (RMSE)",
     "metallic_rmse": "metallic, error (RMSE)",
-    "relight_rmse": "relit under true lights, error (RMSE)",
+    "relight_rmse": "relit under ground-truth lights, error (RMSE)",
 }
 
 
@@ -73,23 +74,24 @@ def _explained(result: Result, pictures: Sequence[Picture]) -> str:
     share = median_share(pictures)
     if share is None:
         return (
-            "Materials and lights were off from the pictures by "
-            f"{plain(result.metrics['recon_rmse'])} (RMSE, in the pictures' unit)."
+            f"The residual of the pictures is {plain(result.metrics['recon_rmse'])} "
+            "(RMSE, in the pictures' unit)."
         )
     words = next(words for limit, words in EXPLAINED if share < limit)
     text = (
-        f"Materials and lights {words}: the typical picture is off by {percent(share)} of its RMS"
+        f"Materials and lights {words}: the median residual is {percent(share)} relative to the "
+        "picture's RMS"
     )
     if len(pictures) > 1:
         [last] = worst(pictures, 1)
         assert last.fit is not None
-        text += f", the worst, {last.name}, by {percent(last.fit.share)}"
+        text += f", the largest, of {last.name}, {percent(last.fit.share)}"
     text += "."
     if share >= MODEL_FAILS:
         text += (
-            " If the pictures are not that noisy, shadows, light from nearby, light between "
-            "surfaces or wrong normals are at work, and the maps are not to be trusted where the "
-            "residuals are large."
+            " If the pictures are not that noisy, the model lacks something: shadows, near lamps, "
+            "light between surfaces, or correct normals. Do not trust the maps where the residuals "
+            "are large."
         )
     return text
 
@@ -97,23 +99,19 @@ def _explained(result: Result, pictures: Sequence[Picture]) -> str:
 def _truth(result: Result) -> str:
     if "albedo_rmse" not in result.metrics:
         return ""
-    of_maps = ", ".join(f"{name} by {plain(result.metrics[f'{name}_rmse'])}" for name in PARAMETERS)
-    return f"Against the truth the maps are off: {of_maps} (RMSE of values between 0 and 1)."
+    of_maps = ", ".join(f"{name} {plain(result.metrics[f'{name}_rmse'])}" for name in PARAMETERS)
+    return f"Errors against ground truth: {of_maps} (RMSE of values between 0 and 1)."
 
 
 def _uncertain(result: Result) -> str:
     uncertainty = result.uncertainty
     if uncertainty is None:
-        return "How uncertain the maps are was not asked for."
+        return "The uncertainty of the maps was not estimated."
     summary = uncertainty.summary()
     if uncertainty.noise is None:
-        return (
-            "There are no more samples than unknowns, so nothing tells how uncertain the maps are."
-        )
-    medians = ", ".join(
-        f"{name} by {plain(summary['median_marginal'][name])}" for name in PARAMETERS
-    )
-    text = f"Noise alone makes a typical pixel uncertain: {medians} (standard deviation)."
+        return "The uncertainty of the maps is unknown: there are no more samples than unknowns."
+    medians = ", ".join(f"{name} {plain(summary['median_marginal'][name])}" for name in PARAMETERS)
+    text = f"Uncertainty from noise alone: {medians} (median standard deviation)."
     lost = [
         f"{name} in {percent(share)}"
         for name, share in summary["undetermined"].items()
@@ -123,14 +121,14 @@ def _uncertain(result: Result) -> str:
         text += f" The pictures do not determine {', '.join(lost)} of the pixels."
     if max(uncertainty.albedo_scale) > SCALE_UNKNOWN:
         text += (
-            " They hardly tell how bright the lights are, so all albedos may be wrong by one "
-            f"common factor (deviation {percent(max(uncertainty.albedo_scale))})."
+            " They hardly determine the brightness of the lights, so all albedos may be wrong by "
+            f"one common factor (standard deviation {percent(max(uncertainty.albedo_scale))})."
         )
     return text
 
 
 def _doubts(result: Result, pictures: Sequence[Picture]) -> str:
-    """What was assumed that may spoil the maps without a trace in the residual."""
+    """Assumptions that may make the maps wrong without a trace in the residual."""
     doubts = []
     fov = result.assumed.get("fov", "")
     if "neither" in fov:
@@ -138,7 +136,7 @@ def _doubts(result: Result, pictures: Sequence[Picture]) -> str:
     given = result.normals if result.given_normals is None else result.given_normals
     if (given[result.mask] == (0.0, 0.0, 1.0)).all():
         doubts.append(
-            "all normals face the camera, so shape is taken for material and light"
+            "all normals face the camera, so shading by shape ends up in material and light"
             if result.given_normals is None
             else "all given normals face the camera, and refined ones may still be far from the "
             "shape"
@@ -146,14 +144,14 @@ def _doubts(result: Result, pictures: Sequence[Picture]) -> str:
     negative = float(np.median([one.light.negative for one in pictures]))
     if negative > NEGATIVE_LIGHT:
         doubts.append(
-            f"in the typical picture negative light takes away {percent(negative)} of the "
-            "positive, which no lamp does, so it explains something else, such as shadows"
+            f"in the median picture negative light is {percent(negative)} of the positive, "
+            "which no lamp can be, so it explains something else, such as shadows"
         )
-    return f"Beware: {'; '.join(doubts)}." if doubts else ""
+    return f"Warning: {'; '.join(doubts)}." if doubts else ""
 
 
 def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
-    """Two compact tables: how it was done, and how well."""
+    """Two compact tables: the fit, and its errors."""
     height, width = result.mask.shape
     valid = int(np.count_nonzero(result.mask))
     done: list[tuple[str, str, float | None]] = [
@@ -174,7 +172,9 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
     ]
     share = median_share(pictures)
     if share is not None:
-        well.insert(1, ("residual of the typical picture", f"{percent(share)} of its RMS", share))
+        well.insert(
+            1, ("median residual", f"{percent(share)} relative to the picture's RMS", share)
+        )
     if result.uncertainty is not None and result.uncertainty.noise is not None:
         well += _of_uncertainty(result.uncertainty.summary())
     return [_two_columns(done), _two_columns(well)]

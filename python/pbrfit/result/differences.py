@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.uncertainty import PARAMETERS, Uncertainty
 from pbrfit.model.materials import Materials
 from pbrfit.result.colormap import blue_to_yellow
 from pbrfit.result.refinement import LEAST_CHANGE
+from pbrfit.result.uncertainty import PARAMETERS, Uncertainty
 
 Map = NDArray[np.floating[Any]]
 
@@ -90,7 +90,7 @@ def tick_places(*, degrees: bool = False) -> dict[float, str]:
 def residual(
     rendered: Map, picture: Map, weights: NDArray[np.floating[Any]] | None = None
 ) -> Difference:
-    """Root mean square over channels of (rendered − picture), as a share of the picture's own RMS.
+    """Root mean square over channels of (rendered − picture), relative to the picture's RMS.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def errors(found: Materials, true: Materials) -> dict[str, Difference]:
 
 
 def deviations(uncertainty: Uncertainty) -> dict[str, Difference]:
-    """Marginal standard deviations; white = held (at a bound or known), vermillion = not told.
+    """Marginal standard deviations; white = fixed, vermillion = not determined.
 
     Of albedo the root mean square over channels.
     """

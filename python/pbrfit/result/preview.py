@@ -4,28 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.uncertainty import PARAMETERS
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render
 from pbrfit.result import differences, metrics
+from pbrfit.result.data import ResultData
 from pbrfit.result.differences import PALETTE, Difference
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
-
-if TYPE_CHECKING:
-    from pbrfit.result.result import Result
-    from pbrfit.scene.scene import Scene
+from pbrfit.result.uncertainty import PARAMETERS
+from pbrfit.scene.arrays import SceneArrays
 
 
-def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
+def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.uint8]:
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
     The first row shows a picture (with `scene`), its reconstruction and what is between them, the
-    second the maps; with ground truth there is a row of the truth and one of the errors; where the
+    second the maps; with ground truth there is a row of it and one of the errors; where the
     result has an uncertainty, a row of the marginal deviations; where normals were refined, a row
     of the given ones, the refined ones and the angle between them. Residuals, errors and deviations
     share one scale, and angles have the same by radians.
@@ -35,21 +32,21 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     # Names of the maps stand above the first row of them alone.
     of_normals = "normals" if result.normal_change is None else "normals, refined"
     rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, of_normals)])
-    on_scale = ["residual, as a share of the picture's RMS"] if scene is not None else []
+    on_scale = ["residual, relative to the picture's RMS"] if scene is not None else []
     white = ["not used"] if scene is not None and scene.weights is not None else []
     marks: dict[str, tuple[float, float, float]] = {}
     truth = None if scene is None else scene.truth
     if truth is not None:
         rows.append(_maps(truth.materials))
         rows.append(_differences(differences.errors(result.materials, truth.materials)))
-        labels += ["truth", "error"]
+        labels += ["ground truth", "error"]
         on_scale.append("error")
     if result.uncertainty is not None:
         rows.append(_differences(differences.deviations(result.uncertainty)))
         labels.append("deviation")
-        alone = ", of the data alone" if result.uncertainty.priors else ""
+        alone = ", without priors" if result.uncertainty.priors else ""
         on_scale.append(f"standard deviation{alone}")
-        white.insert(0, "at a bound or known")
+        white.insert(0, "fixed")
         marks["not determined"] = _color(differences.VERMILLION)
     if white:
         marks = {" or ".join(white): _color(differences.WHITE)} | marks
@@ -65,7 +62,7 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
             ]
         )
         labels.append("normals")
-        as_it_was = {"left as given": _color(differences.WHITE)}
+        as_it_was = {"unchanged": _color(differences.WHITE)}
         keys.append(_key("change of the normals", differences.tick_places(degrees=True), as_it_was))
     height, width = result.mask.shape
     # No run time: the same input gives the same bits.
@@ -76,10 +73,10 @@ def preview(result: Result, scene: Scene | None = None) -> NDArray[np.uint8]:
     return sheet(rows, title=title, labels=labels, keys=keys)
 
 
-def normals_preview(scene: Scene) -> NDArray[np.uint8]:
+def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
     """Sheet for checking normals: (H, W, 3) uint8 sRGB.
 
-    The first picture, the normals, n·v, and how far off they may be, where the scene says it.
+    The first picture, the normals, n·v, and their standard deviation, where the scene has it.
     """
     cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
     facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
@@ -97,12 +94,12 @@ def normals_preview(scene: Scene) -> NDArray[np.uint8]:
     sigma = Difference(np.radians(scene.normal_sigma))
     ticks = differences.tick_places(degrees=True)
     return sheet(
-        [[*row, Panel("may be off by", _painted(sigma))]],
-        keys=[_key("how far off normals may be (standard deviation)", ticks, {})],
+        [[*row, Panel("standard deviation", _painted(sigma))]],
+        keys=[_key("standard deviation of the normals", ticks, {})],
     )
 
 
-def plot_history(result: Result, path: Path) -> None:
+def plot_history(result: ResultData, path: Path) -> None:
     """Errors against run time and iterations, logarithmic, as PNG."""
     from pbrfit.result import drawing
     from pbrfit.result.history_plot import draw_history
@@ -115,7 +112,7 @@ def plot_history(result: Result, path: Path) -> None:
     path.write_bytes(drawing.as_png(draw_history(result.history, title), 120))
 
 
-def _pictures(result: Result, scene: Scene | None) -> Row:
+def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
     """The first picture, its reconstruction, and the residual, as far as there are pictures."""
     reconstruction = render(
         result.materials, result.normals, result.lighting[0], result.fov, model=result.model

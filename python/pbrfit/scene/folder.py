@@ -7,7 +7,7 @@ import re
 import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +32,12 @@ from pbrfit.model import geometry
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials, write_materials
 from pbrfit.model.reflection import MODELS, Model
-from pbrfit.scene.scene import MIN_NORMAL_LENGTH, Scene, Source, Truth, unit_normals
+from pbrfit.scene.arrays import MIN_NORMAL_LENGTH, SceneArrays, Source, Truth, unit_normals
 from pbrfit.scene.segments import consecutive_labels
 
 log = logging.getLogger("pbrfit")
+
+AnyScene = TypeVar("AnyScene", bound=SceneArrays)
 
 DEFAULT_FOV = 60.0
 
@@ -96,13 +98,14 @@ class Settings:
 
 def load(
     folder: Path,
+    kind: type[AnyScene],
     *,
     fov: float | None = None,
     color_space: ColorSpace | None = None,
     max_size: int | None = None,
     code_range: tuple[int, int] = images.CODE_RANGE,
-) -> Scene:
-    """Read a scene folder; see `Scene.load`."""
+) -> AnyScene:
+    """Read a scene folder as a scene of some class; see `Scene.load`."""
     source = Source(folder.resolve(), color_space, max_size, code_range, fov)
     if max_size is not None and max_size < 1:
         raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
@@ -166,7 +169,7 @@ def load(
     for path in _truth_files(folder):
         inputs[path.relative_to(folder).as_posix()] = digest(path)
     try:
-        return Scene(
+        return kind(
             images=read.pixels,
             normals=normals,
             fov=fov,
@@ -186,7 +189,7 @@ def load(
         raise InputError(f"{folder}: {error}") from None
 
 
-def save(scene: Scene, path: Path, *, overwrite: bool = False) -> None:
+def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
     """Write a scene folder; see `Scene.save`."""
     with new_folder(path, overwrite=overwrite, contains=CONTAINS) as folder:
         (folder / "images").mkdir()
@@ -688,7 +691,7 @@ def _truth_files(folder: Path) -> list[Path]:
     return [path for path in found if path.exists()] + sorted((truth / "relight").glob("*.exr"))
 
 
-def _write_truth(truth: Truth, scene: Scene, folder: Path) -> None:
+def _write_truth(truth: Truth, scene: SceneArrays, folder: Path) -> None:
     folder.mkdir()
     write_materials(folder / "materials.exr", truth.materials, scene.normals, scene.valid)
     if truth.lighting is not None:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, checked_model, render
-from pbrfit.scene.scene import Scene, Truth
+from pbrfit.scene.arrays import Truth
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.synthetic.scenes import build, draw

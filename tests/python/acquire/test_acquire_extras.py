@@ -7,7 +7,7 @@ import importlib.util
 import pytest
 
 from pbrfit._core import InputError
-from pbrfit.acquire import extras
+from pbrfit.acquire import weights
 from pbrfit.acquire.generators import create
 
 
@@ -19,23 +19,15 @@ def without(missing: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-@pytest.mark.parametrize("extra", ["diffusion", "openai", "segment"])
-def test_a_missing_extra_is_named_with_its_command(
-    extra: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_extra_is_named_with_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
     without(("torch",), monkeypatch)
-    expected = f"expected the Python package torch, found none: pip install 'pbrfit\\[{extra}\\]'$"
+    expected = r"expected the Python package torch, found none: pip install 'pbrfit\[segment\]'$"
     with pytest.raises(InputError, match=expected):
-        extras.need(extra, "numpy", "torch")
+        weights.need("segment", "numpy", "torch")
 
 
 def test_what_is_there_is_not_asked_for() -> None:
-    extras.need("diffusion", "numpy", "PIL")
-
-
-def test_an_extra_that_there_is_none_of_is_a_mistake_of_ours() -> None:
-    with pytest.raises(ValueError, match="extra: expected one of diffusion, openai, segment"):
-        extras.need("difusion", "numpy")
+    weights.need("diffusion", "numpy", "PIL")
 
 
 def test_flux_without_diffusers_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,4 +37,4 @@ def test_flux_without_diffusers_says_what_to_install(monkeypatch: pytest.MonkeyP
 
 
 def test_versions_of_what_is_not_installed_are_left_out() -> None:
-    assert set(extras.versions("numpy", "no-such-package")) == {"numpy"}
+    assert set(weights.versions("numpy", "no-such-package")) == {"numpy"}

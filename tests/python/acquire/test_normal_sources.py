@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, depth, estimate, weights_of
 from pbrfit.acquire.normals.marigold import mean_and_spread
-from pbrfit.acquire.scene_picture import shown
+from pbrfit.acquire.scene_picture import shown_to_network
 from pbrfit.io import images
 from pbrfit.io.normal_files import UNCERTAINTY, Convention, read_normals
 from pbrfit.model.geometry import angles_between, facing_away, view_directions
@@ -54,11 +54,11 @@ def test_planes_are_exact_at_any_tilt(fov: float, size: tuple[int, int], kind: A
         along = z * np.linalg.norm(r, axis=-1)
         with np.errstate(divide="ignore"):
             given = {"z": z, "ray": along, "disparity": np.where(seen, 1 / z, 0.0)}[kind]
-        found = depth.from_depth(7.0 * given, fov=fov, kind=kind)  # up to scale
-        np.testing.assert_array_equal(found.known, seen)
-        wrong = angles_between(found.normals, np.broadcast_to(normal, found.normals.shape))
+        normals_found, known = depth.from_depth(7.0 * given, fov=fov, kind=kind)  # up to scale
+        np.testing.assert_array_equal(known, seen)
+        wrong = angles_between(normals_found, np.broadcast_to(normal, normals_found.shape))
         assert wrong[seen].max() < 1e-5
-        assert (found.normals[~seen] == [0, 0, 1]).all()
+        assert (normals_found[~seen] == [0, 0, 1]).all()
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -69,8 +69,8 @@ def test_orthographic_planes_are_exact(size: tuple[int, int]) -> None:
     y = (height - 1 - 2 * np.arange(height))[:, None] / width * 2.5
     z = 10 + (normal[0] * x + normal[1] * y) / normal[2]
     for kind in ("z", "ray"):  # the same where rays are parallel
-        found = depth.from_depth(z, fov=0.0, kind=kind, view_width=5.0)
-        assert angles_between(found.normals, np.broadcast_to(normal, (*size, 3))).max() < 1e-6
+        normals_found, _ = depth.from_depth(z, fov=0.0, kind=kind, view_width=5.0)
+        assert angles_between(normals_found, np.broadcast_to(normal, (*size, 3))).max() < 1e-6
     with pytest.raises(InputError, match="expected the width of the view"):
         depth.from_depth(z, fov=0.0)
     with pytest.raises(InputError, match="disparity: expected a field of view above 0"):
@@ -88,9 +88,9 @@ def test_a_sphere_is_right_to_second_order(size: int, bound: float) -> None:
     distance = middle - np.sqrt(np.where(off > 0, off, np.nan))
     points = r / length[..., None] * distance[..., None]
     normals = points - np.array([0, 0, -3.0])
-    found = depth.from_depth(distance / length, fov=30.0)
-    wrong = angles_between(found.normals, normals)[found.known]
-    assert np.mean(found.known) > 0.9
+    normals_found, known = depth.from_depth(distance / length, fov=30.0)
+    wrong = angles_between(normals_found, normals)[known]
+    assert np.mean(known) > 0.9
     assert np.median(wrong) < bound
 
 
@@ -107,13 +107,13 @@ def world(kind: Any, seed: int, height: int, width: int, fov: float) -> tuple[Ar
 @pytest.mark.parametrize("size", [(194, 262), (256, 256)])
 def test_rooms_are_right_but_for_what_is_a_pixel_wide(kind: Any, size: tuple[int, int]) -> None:
     z, true, there = world(kind, 5, *size, 60.0)
-    found = depth.from_depth(z, fov=60.0)
-    wrong = angles_between(found.normals, true)[there & found.known]
+    normals_found, known = depth.from_depth(z, fov=60.0)
+    wrong = angles_between(normals_found, true)[there & known]
     assert np.median(wrong) < 1e-4
     assert wrong.mean() < 1.0
     assert np.mean(wrong > 5) < 0.03
     views = view_directions(*size, 60.0)
-    assert not facing_away(found.normals, views)[found.known].any()
+    assert not facing_away(normals_found, views)[known].any()
 
 
 def test_noise_does_not_choose_the_noisier_side() -> None:
@@ -121,7 +121,7 @@ def test_noise_does_not_choose_the_noisier_side() -> None:
     # a noisy plane must be as good as central differences make them.
     z = np.full((128, 128), 2.0)
     noisy = z * (1 + 1e-3 * np.random.default_rng(0).normal(size=z.shape))
-    found = depth.from_depth(noisy, fov=60.0).normals[48:80, 48:80]  # near the axis
+    found = depth.from_depth(noisy, fov=60.0)[0][48:80, 48:80]  # near the axis
     wrong = angles_between(found, np.array([0, 0, 1.0]))
     # tan θ of each component has the deviation 1e-3 sqrt(1/2) W / (2 tan 30°).
     expected = np.degrees(np.arctan(1e-3 * np.sqrt(0.5) * 128 / (2 * np.tan(np.pi / 6))))
@@ -131,12 +131,12 @@ def test_noise_does_not_choose_the_noisier_side() -> None:
 def test_holes_in_the_depth_are_no_surface() -> None:
     z = np.full((20, 30), 4.0)
     z[2, 3], z[5, 6], z[8, 9], z[11, 12], z[14, 15] = 0, np.nan, np.inf, 1e10, -1
-    found = depth.from_depth(z, fov=50.0)
-    assert np.count_nonzero(~found.known) == 5
-    assert angles_between(found.normals, np.array([0, 0, 1.0])).max() < 1e-6
+    normals_found, known = depth.from_depth(z, fov=50.0)
+    assert np.count_nonzero(~known) == 5
+    assert angles_between(normals_found, np.array([0, 0, 1.0])).max() < 1e-6
     alone = np.full((9, 9), np.nan)
     alone[4, 4] = 1.0  # no neighbour: no slope
-    assert not depth.from_depth(alone, fov=50.0).known.any()
+    assert not depth.from_depth(alone, fov=50.0)[1].any()
 
 
 def depth_file(path: Path, z: Array) -> Path:
@@ -286,8 +286,6 @@ def test_sources_and_options_that_do_not_exist() -> None:
     shown = np.zeros((4, 4, 3), np.uint8)
     with pytest.raises(InputError, match="normals: expected marigold, flat, depth:FILE or FILE"):
         estimate("guess", shown, fov=60)
-    with pytest.raises(InputError, match="kind: has no meaning for normals from flat"):
-        estimate("flat", shown, fov=60, kind="z")
     with pytest.raises(FileNotFoundError, match=r"there\.exr"):
         estimate("there.exr", shown, fov=60)
 
@@ -446,35 +444,35 @@ def test_normals_that_cannot_be_written_cost_none_that_are_there(
 
 
 def test_the_mean_of_all_pictures_is_shown(folder: Path) -> None:
-    found = shown(folder)
-    assert found.what == f"the mean of {LIGHTS} pictures"
+    found, what = shown_to_network(folder)
+    assert what == f"the mean of {LIGHTS} pictures"
     mean = sum(image / image.mean() for image in room().images)
     expected = np.rint(255 * display(mean, white_of(mean)))
-    assert np.abs(found.srgb8.astype(int) - expected).max() <= 1
+    assert np.abs(found.astype(int) - expected).max() <= 1
     # However bright a picture is: each has the same part in it.
     path = next((folder / "images").iterdir())
     channels = images.read_channels(path)
     images.write_exr(path, {name: 100 * plane for name, plane in channels.items()})
-    assert np.abs(shown(folder).srgb8.astype(int) - expected).max() <= 1
+    assert np.abs(shown_to_network(folder)[0].astype(int) - expected).max() <= 1
 
 
 def test_a_picture_is_shown_by_name(folder: Path) -> None:
     name = room().names[1]
-    found = shown(folder, name)
-    assert found.what == f"picture {name}"
+    found, what = shown_to_network(folder, name)
+    assert what == f"picture {name}"
     own = room().images[1]
     expected = np.rint(255 * display(own, white_of(own)))
-    assert np.abs(found.srgb8.astype(int) - expected).max() <= 1
+    assert np.abs(found.astype(int) - expected).max() <= 1
     with pytest.raises(InputError, match=f"picture: expected one of {room().names[0]}"):
-        shown(folder, "other")
+        shown_to_network(folder, "other")
 
 
 def test_black_pictures_tell_nothing(folder: Path) -> None:
-    expected = shown(folder, room().names[0])
+    expected, _ = shown_to_network(folder, room().names[0])
     paths = sorted((folder / "images").iterdir())
     for path in paths[1:]:
         images.write_exr(path, {name: np.zeros((SIZE, SIZE)) for name in "RGB"})
-    np.testing.assert_array_equal(shown(folder).srgb8, expected.srgb8)
+    np.testing.assert_array_equal(shown_to_network(folder)[0], expected)
     images.write_exr(paths[0], {name: np.zeros((SIZE, SIZE)) for name in "RGB"})
     with pytest.raises(InputError, match="images: expected radiance above 0, found none"):
-        shown(folder)
+        shown_to_network(folder)

@@ -91,8 +91,6 @@ def test_ids_of_a_file_are_taken_at_centres(tmp_path: Path) -> None:
         segment(str(path), np.zeros((5, 10, 3), np.uint8))
     with pytest.raises(InputError, match="segments: expected sam2 or a file, found 'sam'"):
         segment("sam", np.zeros((5, 10, 3), np.uint8))
-    with pytest.raises(InputError, match="points: has no meaning"):
-        segment(str(path), np.zeros((SIZE, SIZE, 3), np.uint8), points=4)
 
 
 def test_the_command_puts_them_beside_the_pictures(

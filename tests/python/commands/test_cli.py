@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError, Result, Scene
-from pbrfit.commands.arguments import add_priors, given_priors
+from pbrfit.commands.fit_options import add_priors, given_priors
 from pbrfit.io import images
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.options import Priors
@@ -300,7 +300,7 @@ def test_inspect_tells_facts_and_writes_only_the_preview(
         "segments          none",
         "colour            three channels",
         "lights            unknown, will be fitted",
-        "truth             none",
+        "ground truth      none",
         "assumed color     linear Rec.709",
         "assumed normals   normals.exr, opengl axes, camera space",
         "assumed fov       60 degrees, from scene.toml",

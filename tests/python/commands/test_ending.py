@@ -197,7 +197,7 @@ def test_the_command_says_so_once(here: Path, number: signal.Signals) -> None:
         "def fit(*_):\n"
         " with new_folder(here / 'a' / 'out'):\n"
         "  ready(); time.sleep(60)\n"
-        "decompose._run = fit\n"
+        "decompose.run = fit\n"
         "import sys; sys.argv = ['pbrfit', 'decompose', 'x', '--out', 'y']\n"
         "cli.run()\n"
     )

@@ -5,6 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
+import pbrfit
+
 HEAVY = (
     "torch",
     "torchvision",
@@ -18,9 +22,9 @@ HEAVY = (
 )
 
 
-def heavy_after(statements: str) -> list[str]:
-    """Which of `HEAVY` are imported by statements, in a Python of their own."""
-    program = f"{statements}\nimport sys\nprint(*[m for m in {HEAVY} if m in sys.modules])"
+def heavy_after(statements: str, heavy: tuple[str, ...] = HEAVY) -> list[str]:
+    """Which of `heavy` are imported by statements, in a Python of their own."""
+    program = f"{statements}\nimport sys\nprint(*[m for m in {heavy} if m in sys.modules])"
     run = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
@@ -29,6 +33,14 @@ def heavy_after(statements: str) -> list[str]:
 
 def test_importing_the_package_imports_nothing_heavy() -> None:
     assert heavy_after("import pbrfit") == []
+    assert heavy_after("from pbrfit import *", (*HEAVY, "PIL", "importlib.metadata")) == []
+
+
+def test_every_public_name_is_found_and_no_other() -> None:
+    assert set(pbrfit.__all__) <= set(dir(pbrfit))
+    assert all(getattr(pbrfit, name).__name__ == name for name in pbrfit.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'another'"):
+        pbrfit.another  # noqa: B018 - what is asked for is what is tested
 
 
 def test_the_command_line_knows_its_options_without_anything_heavy() -> None:
@@ -36,10 +48,10 @@ def test_the_command_line_knows_its_options_without_anything_heavy() -> None:
 
 
 def test_the_networks_interfaces_import_nothing_heavy() -> None:
-    modules = "extras, padding, photo, prompts, weights, generators, segments, scene_picture"
+    modules = "padding, photo, prompts, weights, generators, segments, scene_picture"
     run = "from pbrfit.acquire import generation"
     folder = "from pbrfit.acquire.generators import flux2_klein, folder, gpt_image"
-    normals = "from pbrfit.acquire.normals import given, marigold"
+    normals = "from pbrfit.acquire.normals import maps, marigold"
     imports = f"from pbrfit.acquire import {modules}\n{run}\n{folder}\n{normals}"
     assert heavy_after(imports) == []
 

@@ -341,12 +341,12 @@ def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(
     two = folder_of(tmp_path / "two", 2)
     assert run("inspect", two) == 0
     said = capsys.readouterr().out
-    assert "normals off by    unknown\n" in said
+    assert "normal error      unknown\n" in said
     assert f"refine normals    not possible: {hindrance(scene(2))}\n" in said
     three = folder_of(tmp_path / "three", 3, normal_sigma=np.full((SIZE, SIZE), 7.25))
     assert run("inspect", three) == 0
     said = capsys.readouterr().out
-    assert "normals off by    7.2 degrees (median), 7.2 (95 %), as uncertainty.Y says\n" in said
+    assert "normal error      7.2 degrees (median), 7.2 (95 %), from uncertainty.Y\n" in said
     assert "refine normals    possible\n" in said
 
 

@@ -457,18 +457,9 @@ NAN = np.full(PICTURES * 16 * 3, np.nan)
         ({"deviation": np.ones((150, 2))}, r"^precision: expected"),
         ({"precision": np.ones((150, 1)), "deviation": np.ones((150, 2))}, r"^precision: expected"),
         ({"precision": np.ones((150, 2)), "deviation": np.ones((149, 2))}, r"^deviation: expected"),
-        (
-            {"precision": np.full((150, 2), np.nan), "deviation": np.ones((150, 2))},
-            r"^precision: expe",
-        ),
-        (
-            {"precision": np.full((150, 2), -1.0), "deviation": np.ones((150, 2))},
-            r"^precision: expe",
-        ),
-        (
-            {"precision": np.ones((150, 2)), "deviation": np.full((150, 2), np.inf)},
-            r"^deviation: expected",
-        ),
+        ({"precision": np.full((150, 2), np.nan), "deviation": np.ones((150, 2))}, r"^precision:"),
+        ({"precision": np.full((150, 2), -1.0), "deviation": np.ones((150, 2))}, r"^precision:"),
+        ({"precision": np.ones((150, 2)), "deviation": np.full((150, 2), np.inf)}, r"^deviation:"),
         ({"v": np.zeros(7)}, r"^v: expected"),
         ({"v": NAN}, r"^v: expected"),
         ({"mono": True, "v": np.zeros(PICTURES * 48)}, r"^v: expected"),

@@ -26,7 +26,7 @@ from pbrfit.fit.tiles.nearest import Nearest
 from pbrfit.fit.tiles.part import Parts, Window
 from pbrfit.fit.tiles.tiling import FEWEST, Tile, lattice, tiles
 from pbrfit.fit.tiles.total import Total
-from pbrfit.result.result import Status
+from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
 
 Array = NDArray[np.float64]

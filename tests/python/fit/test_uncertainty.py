@@ -20,6 +20,7 @@ from pbrfit.fit import uncertainty
 from pbrfit.fit.gauss_newton import light_spectrum, normal_equations
 from pbrfit.fit.objective import Objective
 from pbrfit.io.images import read_channels, write_exr
+from pbrfit.result.uncertainty import PARAMETERS, layer_names
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normal_errors import facing, turned
 
@@ -476,10 +477,10 @@ def test_a_result_folder_keeps_it(tmp_path: Path) -> None:
             assert getattr(loaded, field.name) == value
     assert loaded.priors
     [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
-    assert set(uncertainty.layer_names()) <= set(part.channels)  # names above 31 letters, too
+    assert set(layer_names()) <= set(part.channels)  # names above 31 letters, too
     assert all(np.isfinite(channel.pixels).all() for channel in part.channels.values())
     content = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
-    assert set(content["uncertainty"]["undetermined"]) == set(uncertainty.PARAMETERS)
+    assert set(content["uncertainty"]["undetermined"]) == set(PARAMETERS)
 
 
 def test_a_result_without_it_has_none(tmp_path: Path) -> None:

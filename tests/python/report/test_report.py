@@ -26,10 +26,10 @@ from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import Model, render
 from pbrfit.report import budget, lights, originals, write_report
 from pbrfit.report.page import REFLECTION
+from pbrfit.result.data import Status
 from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.history import History, HistoryRow
 from pbrfit.result.options import FitOptions
-from pbrfit.result.result import Status
 from pbrfit.synthetic import make_scene
 
 if TYPE_CHECKING:
@@ -312,9 +312,9 @@ def test_without_truth_and_uncertainty_there_is_neither(tmp_path: Path) -> None:
     scene, result = in_memory()
     found = written(dataclasses.replace(result, uncertainty=None), tmp_path / "page.html", scene)
     assert [h.text for h in found.all("h3")][:1] == ["Recovered"]
-    for word in ("Truth", "Error", "Uncertainty"):
+    for word in ("Ground truth", "Error", "Uncertainty"):
         assert word not in [h.text for h in found.all("h3")]
-    assert "How uncertain the maps are was not asked for." in found.text
+    assert "The uncertainty of the maps was not estimated." in found.text
 
 
 def test_names_are_text_whatever_they_hold(tmp_path: Path) -> None:
@@ -376,7 +376,7 @@ def test_there_are_no_deviations_where_nothing_tells_the_noise(tmp_path: Path) -
     assert result.uncertainty is not None
     assert result.uncertainty.noise is None
     page = written(result, tmp_path / "page.html")
-    assert "nothing tells how uncertain the maps are" in page.text
+    assert "The uncertainty of the maps is unknown" in page.text
     assert "median deviation" not in page.text
 
 
@@ -401,9 +401,9 @@ def test_doubts_about_the_field_of_view_and_flat_normals_are_said(tmp_path: Path
     )
     text = written(result, tmp_path / "page.html", scene).text
     whose = "all normals" if result.given_normals is None else "all given normals"
-    doubts = f"Beware: the field of view is a guess (60 degrees); {whose} face the camera"
+    doubts = f"Warning: the field of view is a guess (60 degrees); {whose} face the camera"
     assert doubts in text
-    assert "Beware" not in written(in_memory()[1], tmp_path / "other.html").text
+    assert "Warning" not in written(in_memory()[1], tmp_path / "other.html").text
 
 
 def test_lights_that_are_mostly_negative_are_doubted(tmp_path: Path) -> None:
@@ -415,7 +415,7 @@ def test_lights_that_are_mostly_negative_are_doubted(tmp_path: Path) -> None:
     # ∫ max(±(1 + a z), 0) dz over [-1, 1] is (a ± 1)²/2a.
     a = 6 * np.sqrt(3)
     share = ((a - 1) / (a + 1)) ** 2
-    assert f"negative light takes away {100 * share:.0f} % of the positive" in text
+    assert f"negative light is {100 * share:.0f} % of the positive" in text
 
 
 def test_an_existing_page_needs_overwrite(

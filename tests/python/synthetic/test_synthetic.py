@@ -12,7 +12,8 @@ import reference
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render, sh_basis
-from pbrfit.scene.scene import Scene, Truth
+from pbrfit.scene.arrays import Truth
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import build, make_scene, random_lights
 from pbrfit.synthetic.geometry import (
     Box,

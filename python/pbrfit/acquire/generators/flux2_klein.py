@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit._core import InputError
-from pbrfit.acquire import extras, padding, weights
+from pbrfit.acquire import padding, weights
 from pbrfit.acquire.generators import Generated, Request, requests_from
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
@@ -71,7 +71,7 @@ class Flux2Klein:
         offload: str = "none",
         quiet: bool = False,
     ) -> None:
-        extras.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
+        weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
         if not (math.isfinite(guidance) and guidance >= 0):
             raise InputError(f"guidance: expected a number of 0 or more, found {guidance}")
         if steps < 1:
@@ -202,7 +202,7 @@ class Flux2Klein:
             "device": where.device,
             "dtype": where.dtype,
             "offload": where.offload,
-            "versions": extras.versions("torch", "diffusers", "transformers"),
+            "versions": weights.versions("torch", "diffusers", "transformers"),
         }
         self._pipeline = pipeline
         return pipeline

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit._core import InputError
-from pbrfit.acquire.extras import need
 from pbrfit.acquire.generators import Generated, Refused, Request, requests_from
 from pbrfit.acquire.padding import GPT_IMAGE_2, Frame, frame, resized_srgb8
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
+from pbrfit.acquire.weights import need
 
 if TYPE_CHECKING:
     import openai

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.acquire.normals import depth, maps, marigold
+from pbrfit.io.normal_files import Convention
 
 SOURCES = "marigold, flat, depth:FILE or FILE"
 
@@ -69,8 +71,9 @@ def estimate(
     mask
         (H, W), the pixels that matter; None = all. For messages alone.
     options
-        Of the source: those of `marigold.from_picture`; ``kind`` and ``view_width`` of
-        `depth.from_file`; ``convention``, a `pbrfit.io.normal_files.Convention`, of a file.
+        Of the source: those of `marigold.from_picture`; ``depth_kind`` and ``view_width`` of a
+        depth map, see `depth.from_depth`; ``convention``, a `pbrfit.io.normal_files.Convention`, of
+        a file.
 
     Raises
     ------
@@ -79,33 +82,36 @@ def estimate(
     """
     height, width = srgb8.shape[:2]
     size = (height, width)
-    if source == "flat":
-        _take(options, source)
-        facing = np.broadcast_to([0.0, 0.0, 1.0], (*size, 3)).copy()
-        return Normals(facing, record={"source": "flat"})
-    if source == "marigold":
-        from pbrfit.acquire.normals import marigold
-
+    kind = kind_of(source)
+    if kind == "flat":
+        return Normals(np.broadcast_to(maps.FACING, (*size, 3)).copy(), record={"source": kind})
+    if kind == "marigold":
         normals, uncertainty, record = marigold.from_picture(srgb8, **options)
-        return Normals(normals, uncertainty, {"source": "marigold", **record})
-    if source.startswith(DEPTH):
-        from pbrfit.acquire.normals import depth
-
-        path = Path(source.removeprefix(DEPTH))
-        given = _take(options, source, "kind", "view_width")
-        found = depth.from_file(path, size, fov=fov, **given)
-        record = {"source": "depth", "file": path.name, "fov": fov, "kind": "z", **given}
-        return _checked(path, Normals(found.normals, record=record, known=found.known), mask)
-    from pbrfit.acquire.normals.given import from_file
-    from pbrfit.io.normal_files import Convention
-
-    path = Path(source)
-    if not path.exists() and path.name == source and not path.suffix:
+        return Normals(normals, uncertainty, {"source": kind, **record})
+    path = Path(source.removeprefix(DEPTH))
+    record = {"source": kind, "file": path.name}
+    if kind == "depth":
+        given = {"kind": options.get("depth_kind", "z")}
+        if "view_width" in options:
+            given["view_width"] = options["view_width"]
+        normals, known = depth.from_file(path, size, fov=fov, **given)
+        record |= {"fov": fov, **given}
+    elif not path.exists() and path.name == source and not path.suffix:
         raise InputError(f"normals: expected {SOURCES}, found {source!r}")
-    convention = _take(options, source, "convention").get("convention") or Convention()
-    normals, known = from_file(path, size, convention)
-    record = {"source": "file", "file": path.name, "convention": str(convention)}
-    return _checked(path, Normals(normals, record=record, known=known), mask)
+    else:
+        convention = options.get("convention", Convention())
+        normals, known = maps.from_file(path, size, convention)
+        record["convention"] = str(convention)
+    if not (known if mask is None else known & mask).any():  # the fit would have no pixel
+        raise InputError(f"{path}: expected normals of some pixel of the mask, found none")
+    return Normals(normals, record=record, known=known)
+
+
+def kind_of(source: str) -> str:
+    """Which kind of source a text names: "marigold", "flat", "depth" or "file"."""
+    if source in ("marigold", "flat"):
+        return source
+    return "depth" if source.startswith(DEPTH) else "file"
 
 
 def weights_of(
@@ -146,20 +152,3 @@ def weights_of(
     if known is not None:
         weights[~known] = 0
     return weights.astype(np.float32)
-
-
-def _take(options: dict[str, Any], source: str, *names: str) -> dict[str, Any]:
-    """Those options that were given; refuses others than `names`."""
-    given = {name: value for name, value in options.items() if value is not None}
-    strange = sorted(set(given) - set(names))
-    if strange:
-        raise InputError(f"{strange[0]}: has no meaning for normals from {source}")
-    return given
-
-
-def _checked(path: Path, found: Normals, mask: NDArray[np.bool_] | None) -> Normals:
-    """Refuse normals of which nothing lies in the mask: the fit would have no pixel."""
-    assert found.known is not None
-    if not (found.known if mask is None else found.known & mask).any():
-        raise InputError(f"{path}: expected normals of some pixel of the mask, found none")
-    return found

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.acquire.normals.maps import check_reducible, fit_to_size, read_npy
+from pbrfit.acquire.normals.maps import FACING, check_reducible, fit_to_size, read_npy
 from pbrfit.io import images
 from pbrfit.io.quoting import listed
 from pbrfit.model import geometry
@@ -29,36 +28,22 @@ DepthKind = Literal["z", "ray", "disparity"]
 """What a number says: the distance along the optical axis; that along the pixel's own ray; or the
 inverse of the former."""
 
-IN_WORDS: dict[DepthKind, str] = {
-    "z": "distance along the optical axis",
-    "ray": "distance along each pixel's ray",
-    "disparity": "inverse of the distance along the optical axis",
-}
+DEPTH_MAX = 1e9
+"""Depth, in any unit, from which on nothing was hit: Blender writes 1e10 there."""
 
-NOTHING = 1e9
-"""From here on a depth says that nothing was hit: Blender writes 1e10 there."""
+FINITE_MAX = 1e100
+"""Depth or disparity from which on, and below the inverse of which, nothing is said either: squares
+overflow."""
 
-FARTHEST = 1e100
-"""Depths, and disparities, from here on or below its inverse say nothing either: they are lengths
-of nothing, and squares of them overflow."""
+DIFFERENT_DEPTHS_MIN = 1024
+"""Different depths in a map below which normals show steps, which is warned of."""
 
-FEW = 1024
-"""Fewer different depths than this show as steps in the normals."""
-
-SUSPECT = 6.0
-"""A second difference of so many medians is suspected of lying across an edge. Of Gaussian noise
-that is 4 standard deviations."""
+EDGE_BEND_RATIO = 6.0
+"""Second difference, in medians of the map, above which it is taken to lie across an edge. Of
+Gaussian noise 6 medians are 4 standard deviations."""
 
 CHANNELS = ("Z", "depth.Z", "Depth.Z", "depth.V", "Depth.V", "depth.Y", "Y", "R")
 """Of an EXR file, in the order in which they are looked for."""
-
-
-@dataclass(frozen=True, eq=False)
-class DepthNormals:
-    """`normals` (H, W, 3) in camera space; `known` (H, W), where the depth told them."""
-
-    normals: Array
-    known: NDArray[np.bool_]
 
 
 def from_file(
@@ -68,7 +53,7 @@ def from_file(
     fov: float,
     kind: DepthKind = "z",
     view_width: float | None = None,
-) -> DepthNormals:
+) -> tuple[Array, NDArray[np.bool_]]:
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
     Parameters
@@ -81,6 +66,11 @@ def from_file(
     fov, kind, view_width
         As for `from_depth`.
 
+    Returns
+    -------
+    normals, known
+        As of `from_depth`.
+
     Raises
     ------
     InputError, OSError
@@ -90,24 +80,23 @@ def from_file(
     if depth.shape != size:
         check_reducible(path, depth.shape, size)  # before any work is done on it
     try:
-        found = from_depth(depth, fov=fov, kind=kind, view_width=view_width)
+        normals, known = from_depth(depth, fov=fov, kind=kind, view_width=view_width)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    if not found.known.any():
+    if not known.any():
         raise InputError(
             f"{path}: expected depths above 0, found none beside another; 0, infinite and NaN "
             "say that nothing was hit"
         )
-    different = len(np.unique(depth[found.known]))
-    if 1 < different < min(FEW, depth.size // 8):
+    different = len(np.unique(depth[known]))
+    if 1 < different < min(DIFFERENT_DEPTHS_MIN, depth.size // 8):
         log.warning(
             "%s: only %d different depths: normals will show steps; a float or 16-bit map that "
             "uses its range is better",
             path,
             different,
         )
-    normals, known = fit_to_size(found.normals, found.known, size, path)
-    return DepthNormals(normals, known)
+    return fit_to_size(normals, known, size, path)
 
 
 def read_depth(path: Path) -> Array:
@@ -142,7 +131,7 @@ def read_depth(path: Path) -> Array:
 
 def from_depth(
     depth: Array, *, fov: float, kind: DepthKind = "z", view_width: float | None = None
-) -> DepthNormals:
+) -> tuple[Array, NDArray[np.bool_]]:
     """Unit normals of the surface that a depth map describes; they all face the camera.
 
     Pixel (i, j) looks along r = (x, y, -1) with x = (2i + 1 - W)/W t, y = (H - 1 - 2j)/W t and
@@ -176,6 +165,11 @@ def from_depth(
         What an orthographic camera sees from left to right, in units of the depth; without a
         meaning for others.
 
+    Returns
+    -------
+    normals, known
+        (H, W, 3) in camera space, and (H, W): where the depth told them.
+
     Raises
     ------
     InputError
@@ -186,9 +180,9 @@ def from_depth(
         raise InputError(f"depth kind: expected {', '.join(get_args(DepthKind))}, found {kind!r}")
     height, width = depth.shape
     # Squares of inverses have to be finite too.
-    hit = (depth > 1 / FARTHEST) & (depth < FARTHEST)
+    hit = (depth > 1 / FINITE_MAX) & (depth < FINITE_MAX)
     if kind != "disparity":
-        hit &= depth < NOTHING
+        hit &= depth < DEPTH_MAX
     values = np.where(hit, depth, np.nan).astype(np.float64)
     if fov == 0:
         if kind == "disparity":
@@ -213,9 +207,8 @@ def from_depth(
     normals = np.stack(components, axis=-1)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     known = np.isfinite(length[..., 0])
-    facing = np.array([0.0, 0.0, 1.0])
     with np.errstate(invalid="ignore"):
-        return DepthNormals(np.where(known[..., None], normals / length, facing), known)
+        return np.where(known[..., None], normals / length, FACING), known
 
 
 def _slopes(values: Array, axis: int) -> Array:
@@ -224,10 +217,10 @@ def _slopes(values: Array, axis: int) -> Array:
     A parabola through three neighbours has the slope of a smooth surface but for the third
     derivative, wherever in the three the pixel is: in the middle, (r - l)/2, or at an end,
     ±(3 v - 4 v₁ + v₂)/2. The middle is the quietest, variance 1/2 of that of a value against 13/2
-    at the ends, so it is taken unless its second difference is suspicious: more than `SUSPECT`
-    medians. Then the one of the three with the smallest second difference is taken. A parabola
-    that bends more than the smaller step to a neighbour is none of this surface: then that step
-    is the slope. NaN where no neighbour is known.
+    at the ends, so it is taken unless its second difference is suspicious: more than
+    `EDGE_BEND_RATIO` medians. Then the one of the three with the smallest second difference is
+    taken. A parabola that bends more than the smaller step to a neighbour is none of this surface:
+    then that step is the slope. NaN where no neighbour is known.
     """
     v = np.moveaxis(values, axis, -1)
     padded = np.pad(v, [(0, 0)] * (v.ndim - 1) + [(2, 2)], constant_values=np.nan)
@@ -240,7 +233,7 @@ def _slopes(values: Array, axis: int) -> Array:
     steps = np.stack([v - left, right - v])
     size = np.where(np.isnan(bends), np.inf, np.abs(bends))
     finite = size[1][np.isfinite(size[1])]
-    allowed = SUSPECT * float(np.median(finite)) if finite.size else 0.0
+    allowed = EDGE_BEND_RATIO * float(np.median(finite)) if finite.size else 0.0
     best = np.where(size[1] <= allowed, 1, np.argmin(size, axis=0))[None]
     bend = np.take_along_axis(size, best, axis=0)[0]
     slope = np.take_along_axis(slopes, best, axis=0)[0]

@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.acquire import weights
-from pbrfit.acquire.extras import need, versions
+from pbrfit.acquire.normals.maps import FACING
 from pbrfit.acquire.padding import resized, resized_srgb8
 
 MODEL = "prs-eth/marigold-normals-v1-1"
@@ -83,8 +82,7 @@ def from_picture(
     InputError
         If a package or the weights are missing, an option cannot be used, or memory runs out.
     """
-    _check(ensemble, steps, resolution, seed)
-    need("diffusion", "torch", "diffusers", "transformers", "accelerate")
+    weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
     import torch
     from diffusers import MarigoldNormalsPipeline
     from PIL import Image
@@ -121,7 +119,7 @@ def from_picture(
         "seed": seed,
         "device": where.device,
         "dtype": where.dtype,
-        "packages": versions("diffusers", "transformers", "torch"),
+        "packages": weights.versions("diffusers", "transformers", "torch"),
     }
     return normals, spread if ensemble >= LEAST_FOR_UNCERTAINTY else None, record
 
@@ -155,8 +153,7 @@ def mean_and_spread(members: Sequence[Array]) -> tuple[Array, Array]:
     for member in members:
         total += member
     length = np.linalg.norm(total, axis=-1, keepdims=True)
-    facing = np.array([0.0, 0.0, 1.0])
-    mean = np.where(length > 1e-6 * len(members), total / np.maximum(length, 1e-12), facing)
+    mean = np.where(length > 1e-6 * len(members), total / np.maximum(length, 1e-12), FACING)
     squares = np.zeros(mean.shape[:2])
     for member in members:
         # arccos of n·m would lose half of the digits.
@@ -179,14 +176,5 @@ def at_size(normals: Array, spread: Array, size: tuple[int, int]) -> tuple[Array
         return normals, spread
     scaled = resized(normals, size).astype(np.float64)
     length = np.linalg.norm(scaled, axis=-1, keepdims=True)
-    facing = np.array([0.0, 0.0, 1.0])
-    unit = np.where(length > 1e-6, scaled / np.maximum(length, 1e-6), facing)
+    unit = np.where(length > 1e-6, scaled / np.maximum(length, 1e-6), FACING)
     return unit, resized(spread[..., None], size)[..., 0].astype(np.float64)
-
-
-def _check(ensemble: int, steps: int | None, resolution: int | None, seed: int) -> None:
-    for name, value, least in (("ensemble", ensemble, 1), ("steps", steps, 1), ("seed", seed, 0)):
-        if value is not None and value < least:
-            raise InputError(f"{name}: expected at least {least}, found {value}")
-    if resolution is not None and resolution < 0:
-        raise InputError(f"resolution: expected 0 or more pixels, found {resolution}")

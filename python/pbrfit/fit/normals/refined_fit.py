@@ -28,8 +28,8 @@ from pbrfit.fit.settings import MEAN_RADIANCE, NEIGHBOUR_CORRELATION_MAX
 from pbrfit.fit.solvers.run import Run
 from pbrfit.fit.solvers.strategies import solve
 from pbrfit.model.geometry import angles_between
+from pbrfit.result.data import Status
 from pbrfit.result.refinement import LEAST_CHANGE, Refinement
-from pbrfit.result.result import Status
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -18,9 +18,9 @@ from pbrfit.fit.priors.material import FittedPrior
 from pbrfit.fit.priors.penalties import Penalty
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
+from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
-from pbrfit.result.result import Stage, Status
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -26,7 +26,7 @@ from pbrfit.fit.settings import (
 )
 from pbrfit.fit.solvers.descent import SCIPYS, Descent, lowered, robust_around, staged
 from pbrfit.fit.solvers.run import Run
-from pbrfit.result.result import Status
+from pbrfit.result.data import Status
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ from pbrfit.fit.tiles.tiling import FEW, MARGIN, THIN_MARGIN, TILE, Tile, lattic
 from pbrfit.fit.tiles.total import Total
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, Start
 from pbrfit.model.materials import Materials
+from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import Priors
-from pbrfit.result.result import Stage, Status
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
-from pbrfit.scene.scene import Scene, Truth, equal_channels
+from pbrfit.scene.arrays import Truth, equal_channels
+from pbrfit.scene.scene import Scene
 
 
 @dataclass(frozen=True)

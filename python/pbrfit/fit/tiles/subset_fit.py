@@ -15,9 +15,9 @@ from pbrfit.fit.tiles.nearest import Nearest
 from pbrfit.fit.tiles.part import Parts, Window, cut
 from pbrfit.fit.whole_picture import FitSetup, Start, fit_pixels
 from pbrfit.model.materials import Materials
+from pbrfit.result.data import Status
 from pbrfit.result.options import Priors
 from pbrfit.result.refinement import Refinement
-from pbrfit.result.result import Status
 
 Array = NDArray[np.float64]
 

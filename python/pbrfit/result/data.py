@@ -1,0 +1,157 @@
+"""What a fit hands over, as data: maps, lights, how it went."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.model.geometry import angles_between
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import Model
+from pbrfit.result.history import History
+from pbrfit.result.options import FitOptions
+from pbrfit.result.refinement import NOT_ASKED, Refinement
+from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.scene.arrays import Source
+
+GIVEN_NORMALS = tuple(f"normal_given.{name}" for name in "XYZ")
+NORMAL_CHANGE = "normal_change.Y"
+"""Layers of `materials.exr` where normals were refined."""
+
+
+class Status(StrEnum):
+    """Why a fit ended."""
+
+    CONVERGED = "converged"
+    ITERATION_LIMIT = "iteration_limit"
+    TIME_LIMIT = "time_limit"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of a fit: which method ran, how long, and what is to be said about it."""
+
+    name: str
+    seconds: float
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ResultData:
+    """What `decompose` found.
+
+    Attributes
+    ----------
+    materials
+        Maps; `albedo`, `roughness` and `metallic` are shorthands. NaN outside the mask.
+    lighting
+        (N, 16, 3) float64 SH lights of the pictures, in picture units, linear Rec.709.
+    normals
+        (H, W, 3) unit vectors, camera space, that belong to the materials: the refined ones where
+        normals were refined, else the given ones. NaN outside the mask.
+    mask
+        (H, W) bool: pixels that were fitted.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    model
+        "paper" or "principled": the reflection model that was fitted. Materials and lights belong
+        to it; with another one they show something else.
+    pictures
+        Names, in the order of `lighting`.
+    status, stop_reason
+        Why the fit ended: for programs, and in words.
+    history
+        Loss and errors by iteration.
+    stages
+        Which methods ran, one after the other.
+    evaluations
+        Passes over all pictures by L-BFGS: evaluations of loss and gradient.
+    seconds
+        Time of the fit, reading and writing of files apart.
+    metrics
+        Final errors; `metrics.PROTOCOL` says how they are taken. Against ground truth where known.
+    uncertainty
+        Standard deviations of the maps; None where they were not asked for.
+    options, assumed, left_out, inputs
+        Run details: options, decisions about the input, work that the scene did not
+        need, sha256 of the files.
+    source
+        Where the scene was read from and how; None where it was made of arrays.
+    refinement
+        Whether normals were refined, why, and the figures of that decision.
+    given_normals
+        (H, W, 3), the scene's normals where they were refined; else None. NaN outside the mask.
+
+    Raises
+    ------
+    InputError
+        If `refinement` tells of refined normals and there are no given ones, or the reverse.
+    """
+
+    materials: Materials
+    lighting: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    mask: NDArray[np.bool_]
+    fov: float
+    model: Model
+    pictures: tuple[str, ...]
+    status: Status
+    stop_reason: str
+    history: History
+    evaluations: int
+    seconds: float
+    metrics: Mapping[str, float]
+    options: FitOptions
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    uncertainty: Uncertainty | None = None
+    source: Source | None = None
+    stages: tuple[Stage, ...] = ()
+    refinement: Refinement = NOT_ASKED
+    given_normals: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.refinement.refined != (self.given_normals is not None):
+            expected = "the normals before" if self.refinement.refined else "none without"
+            raise InputError(f"given_normals: expected {expected} their refinement")
+
+    @property
+    def normal_change(self) -> NDArray[np.float64] | None:
+        """(H, W): degrees between given and refined normals; None where none were refined."""
+        if self.given_normals is None:
+            return None
+        return angles_between(self.normals, self.given_normals)
+
+    @property
+    def albedo(self) -> NDArray[np.floating[Any]]:
+        """(H, W, 3), linear Rec.709."""
+        return self.materials.albedo
+
+    @property
+    def roughness(self) -> NDArray[np.floating[Any]]:
+        """(H, W), perceptual."""
+        return self.materials.roughness
+
+    @property
+    def metallic(self) -> NDArray[np.floating[Any]]:
+        """(H, W)."""
+        return self.materials.metallic
+
+    def further_layers(self) -> dict[str, NDArray[Any]]:
+        """Layers (H, W) of `materials.exr` beside materials, normals and mask, by channel."""
+        layers: dict[str, NDArray[Any]] = {}
+        if self.given_normals is not None:
+            layers |= {name: self.given_normals[..., i] for i, name in enumerate(GIVEN_NORMALS)}
+            # Of the normals as they are stored: what is read back and saved again is the same.
+            stored = (one.astype(np.float32) for one in (self.normals, self.given_normals))
+            layers[NORMAL_CHANGE] = angles_between(*(one.astype(np.float64) for one in stored))
+        if self.uncertainty is not None:
+            layers |= self.uncertainty.layers()
+        return layers

@@ -1,0 +1,447 @@
+"""Scene: pictures of one view under different lights, with normals and what else is known."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals
+from pbrfit.io.images import CODE_RANGE
+from pbrfit.lazy import lazy
+from pbrfit.model import geometry
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import Model, checked_model
+from pbrfit.scene.segments import consecutive_labels
+
+if TYPE_CHECKING:
+    from pbrfit.io.color import ColorSpace
+
+log = logging.getLogger("pbrfit")
+
+MIN_NORMAL_LENGTH = 0.1
+"""Normals shorter than this have no direction worth normalising."""
+
+MAX_FACING_AWAY = 0.05
+"""Share of normals that may face away from the camera before a warning is due."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Ground truth of a scene, where there is one.
+
+    Attributes
+    ----------
+    materials
+        True maps.
+    lighting
+        (N, 16, 3), true lights of the scene's pictures, in the pictures' units; None where they are
+        not spherical harmonics, such as point lights.
+    relight_images, relight_lighting
+        (M, H, W, 3) and (M, 16, 3): held-out pictures and their true lights; None without any.
+    """
+
+    materials: Materials
+    lighting: NDArray[np.float64] | None = None
+    relight_images: NDArray[np.floating[Any]] | None = None
+    relight_lighting: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a scene was read from, and how its pictures were to be read.
+
+    Attributes
+    ----------
+    path
+        The scene folder, absolute.
+    color_space, max_size, code_range, fov
+        As given to `Scene.load`.
+    """
+
+    path: Path
+    color_space: ColorSpace | None = None
+    max_size: int | None = None
+    code_range: tuple[int, int] = CODE_RANGE
+    fov: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SceneArrays:
+    """Pictures of one view under different lights, checked when made.
+
+    Attributes
+    ----------
+    images
+        (N, H, W, 3) float32 or float64, linear Rec.709 radiance in any one unit.
+    normals
+        (H, W, 3), camera space (X right, Y up, Z towards the viewer); normalised here, NaN outside
+        the mask.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+    mask
+        (H, W) bool, True = use; None = all pixels.
+    segments
+        (H, W) integer ids, 0 = unclassified; None = unknown.
+    lighting
+        (N, 16, 3): known lights, then only the materials are fitted; None = unknown.
+    weights
+        (N, H, W), or (H, W) for all pictures alike: how much each sample counts, 0 or more; None =
+        all the same. Kept as float32. Only their ratios matter. Samples of weight 0 are no data:
+        they may be NaN or infinite.
+    normal_sigma
+        (H, W), degrees, 0 or more: how far off the given normals may be, the root mean square
+        angle to the true ones; each of the two directions that a normal can tilt in has 1/√2 of
+        it. None = nobody said. Kept as float32, NaN outside the mask.
+    names
+        One a picture; `picture_00`, ... when left out.
+    truth
+        Ground truth to report errors against.
+    assumed
+        What was decided about the input, by topic, in words.
+    inputs
+        sha256 of every file that was read, by path relative to the scene folder.
+    source
+        The scene folder and how it was read; None for scenes made of arrays.
+    model
+        The reflection model that the pictures were rendered with, "paper" or "principled": a fit
+        takes it too, unless told otherwise. None = neither of them, or unknown.
+
+    Raises
+    ------
+    InputError
+        If an array has the wrong shape or values that cannot be used; one line that names it.
+    """
+
+    images: NDArray[np.floating[Any]]
+    normals: NDArray[np.floating[Any]]
+    fov: float = 60.0
+    mask: NDArray[np.bool_] | None = None
+    segments: NDArray[np.integer[Any]] | None = None
+    lighting: NDArray[np.float64] | None = None
+    weights: NDArray[np.floating[Any]] | None = None
+    normal_sigma: NDArray[np.floating[Any]] | None = None
+    names: tuple[str, ...] = ()
+    truth: Truth | None = None
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    source: Source | None = None
+    model: Model | None = None
+
+    def __post_init__(self) -> None:
+        images = any_array("images", self.images)
+        if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
+            raise InputError(f"images: expected shape (N, H, W, 3), found {images.shape}")
+        if images.dtype not in (np.float32, np.float64):
+            raise InputError(
+                f"images: expected linear float32 or float64, found {images.dtype}; "
+                "pbrfit.Scene.load decodes files"
+            )
+        n, height, width = images.shape[:3]
+        digits = max(2, len(str(n - 1)))
+        names = _names(self.names) or tuple(f"picture_{i:0{digits}d}" for i in range(n))
+        _check_names(names, n)
+        fov = real_number("fov", self.fov)
+        geometry.check_fov(fov)
+        mask = _mask(self.mask, (height, width))
+        weights = _weights(self.weights, names, (height, width), mask)
+        _check_finite(images, names, mask, weights)
+        if n == 1 and self.lighting is None:
+            raise InputError(
+                "images: expected at least two pictures under different lights, found one "
+                f"({names[0]}); a single picture needs its light (lighting.json)"
+            )
+        segments = None if self.segments is None else np.asarray(self.segments)
+        if segments is not None and (
+            segments.shape != (height, width) or not np.issubdtype(segments.dtype, np.integer)
+        ):
+            raise InputError(
+                f"segments: expected integer ids of shape {(height, width)}, "
+                f"found {segments.dtype} of shape {segments.shape}"
+            )
+        lighting = None if self.lighting is None else _floats("lighting", self.lighting)
+        if lighting is not None and (
+            lighting.shape != (n, 16, 3) or not np.isfinite(lighting).all()
+        ):
+            raise InputError(
+                f"lighting: expected finite coefficients of shape {(n, 16, 3)}, "
+                f"found shape {lighting.shape}"
+            )
+        valid = _valid(mask, weights, (height, width))
+        if self.truth is not None:
+            _check_truth(self.truth, n, height, width)
+            if not np.isfinite(self.truth.materials.albedo[valid]).any():
+                raise InputError("truth: expected materials of some valid pixels, found only NaN")
+        normals = unit_normals(self.normals, valid)
+        normal_sigma = _sigma(self.normal_sigma, valid)
+        _warn_if_facing_away(normals[valid], fov, valid)
+        _warn_if_flat(normals[valid])
+        values = {
+            "images": images,
+            "normals": normals,
+            "fov": fov,
+            "mask": mask,
+            "segments": segments,
+            "lighting": lighting,
+            "weights": weights,
+            "normal_sigma": normal_sigma,
+            "names": names,
+            "model": None if self.model is None else checked_model(self.model),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def height(self) -> int:
+        """Rows of a picture."""
+        return int(self.images.shape[1])
+
+    @property
+    def width(self) -> int:
+        """Columns of a picture."""
+        return int(self.images.shape[2])
+
+    @lazy
+    def valid(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the pixels that are fitted, in the mask and of some weight."""
+        return _valid(self.mask, self.weights, (self.height, self.width))
+
+    @lazy
+    def grey(self) -> bool:
+        """Whether the pictures, and the lights if they are known, have three equal channels."""
+        if self.lighting is not None and not equal_channels(self.lighting):
+            return False
+        # The first picture in colour ends it.
+        return all(equal_channels(self.samples(i)) for i in range(len(self.images)))
+
+    @lazy
+    def weighted(self) -> bool:
+        """Whether samples of valid pixels have different weights."""
+        if self.weights is None:
+            return False
+        first = self.weights[0][self.valid][0]
+        return any((of_picture[self.valid] != first).any() for of_picture in self.weights)
+
+    @lazy
+    def labels(self) -> tuple[NDArray[np.intp], int] | None:
+        """(P,) labels of the valid pixels' segments, 1 … S in the order of their ids, and S.
+
+        0 is unclassified. None without segments.
+        """
+        return None if self.segments is None else consecutive_labels(self.segments[self.valid])
+
+    def samples(self, picture: int) -> NDArray[np.floating[Any]]:
+        """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight."""
+        samples: NDArray[np.floating[Any]] = self.images[picture][self.valid]
+        if self.weights is not None:
+            samples[self.weights[picture][self.valid] == 0] = 0
+        return samples
+
+    @property
+    def views(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit vectors from the surface to the camera."""
+        return geometry.view_directions(self.height, self.width, self.fov)
+
+
+def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+    if mask is None:
+        return None
+    mask = any_array("mask", mask)
+    if mask.shape != shape:
+        raise InputError(f"mask: expected shape {shape}, found {mask.shape}")
+    if mask.dtype.kind not in REAL:
+        raise InputError(f"mask: expected True or False for each pixel, found {mask.dtype}")
+    if np.issubdtype(mask.dtype, np.floating) and np.isnan(mask).any():
+        raise InputError("mask: expected True or False for each pixel, found NaN")
+    mask = mask.astype(bool)
+    if not mask.any():
+        raise InputError("mask: expected at least one pixel to use, found none")
+    return None if mask.all() else mask
+
+
+def _weights(
+    weights: Any,
+    names: tuple[str, ...],
+    shape: tuple[int, int],
+    mask: NDArray[np.bool_] | None,
+) -> NDArray[np.float32] | None:
+    """As (N, H, W) float32; what the mask leaves out need not be sound and gets weight 0."""
+    if weights is None:
+        return None
+    given = any_array("weights", weights)
+    expected = (len(names), *shape)
+    if given.shape not in (shape, expected):
+        raise InputError(f"weights: expected shape {expected} or {shape}, found {given.shape}")
+    if given.dtype.kind not in "buif":
+        raise InputError(f"weights: expected real numbers, found {given.dtype}")
+    with np.errstate(over="ignore"):  # what float32 cannot hold is infinite then, and refused
+        found: NDArray[np.float32] = given.astype(np.float32)
+    if mask is not None:
+        found = np.where(mask, found, np.float32(0))
+    bad = ~(np.isfinite(found) & (found >= 0))
+    if bad.any():
+        index = tuple(map(int, np.argwhere(bad)[0]))
+        raise InputError(
+            f"weights: expected finite numbers, 0 or more, found {given[index]:g} at {index}"
+        )
+    found = np.broadcast_to(found, expected)
+    for name, of_picture in zip(names, found, strict=True):
+        if not of_picture.any():
+            raise InputError(
+                f"weights: expected some weight above 0 in every picture, found none in {name}"
+            )
+    return found
+
+
+def _valid(
+    mask: NDArray[np.bool_] | None,
+    weights: NDArray[np.floating[Any]] | None,
+    shape: tuple[int, int],
+) -> NDArray[np.bool_]:
+    if weights is not None:
+        return np.asarray((weights > 0).any(axis=0))  # they are 0 outside the mask
+    return np.ones(shape, bool) if mask is None else mask
+
+
+def equal_channels(values: NDArray[Any]) -> bool:
+    """Whether the three on the last axis are exactly equal, (..., 3)."""
+    first = values[..., 0]
+    return all(np.array_equal(first, values[..., c]) for c in (1, 2))
+
+
+def _floats(name: str, values: Any) -> NDArray[np.float64]:
+    with np.errstate(over="ignore"):  # of long doubles; they are infinite then, and refused
+        return reals(name, values).astype(np.float64)
+
+
+def _names(names: Any) -> tuple[Any, ...]:
+    try:
+        found = tuple(names)
+    except TypeError:
+        found = (names,)
+    if not all(isinstance(name, str) for name in found):
+        raise InputError(f"names: expected file names, found {of_what(names)}")
+    return found
+
+
+def _check_names(names: tuple[Any, ...], pictures: int) -> None:
+    """Names become file names: they must be different, and safe as such."""
+    if len(set(names)) != pictures or len(names) != pictures:
+        raise InputError(f"names: expected {pictures} different names, found {names}")
+    for name in names:
+        if not isinstance(name, str) or not name or name[0] == "." or set(name) & set("/\\\0"):
+            raise InputError(
+                f"names: expected file names without slash or leading dot, found {name!r}"
+            )
+        try:
+            name.encode()
+        except UnicodeEncodeError:  # a file name of bytes that are no text
+            raise InputError(f"names: expected names in UTF-8, found {name!a}") from None
+
+
+def _check_finite(
+    images: NDArray[Any],
+    names: tuple[str, ...],
+    mask: NDArray[np.bool_] | None,
+    weights: NDArray[np.float32] | None,
+) -> None:
+    for i, (name, image) in enumerate(zip(names, images, strict=True)):
+        bad = ~np.isfinite(image).all(-1)
+        if mask is not None:
+            bad &= mask
+        if weights is not None:
+            bad &= weights[i] > 0
+        if bad.any():
+            row, column = np.argwhere(bad)[0]
+            raise InputError(
+                f"{name}: expected finite pixels, found {np.count_nonzero(bad)} that are NaN or "
+                f"infinite, the first at row {row}, column {column}; a mask can leave them out"
+            )
+
+
+def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(H, W, 3) normals of unit length where `valid`, NaN elsewhere; InputError if one has none."""
+    normals = _floats("normals", normals)
+    if normals.shape != (*valid.shape, 3):
+        raise InputError(f"normals: expected shape {(*valid.shape, 3)}, found {normals.shape}")
+    with np.errstate(over="ignore"):  # an infinite length is refused
+        length = np.linalg.norm(normals, axis=-1)
+    bad = valid & ~((length >= MIN_NORMAL_LENGTH) & np.isfinite(length))
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"normals: expected unit vectors, found {np.count_nonzero(bad)} that are zero or NaN, "
+            f"the first at row {row}, column {column}; a mask can leave them out"
+        )
+    # Vectors of unit length stay as they are, to the bit: a scene made from another's normals must
+    # be the same scene.
+    length[~valid | (np.abs(length - 1.0) < 1e-12)] = 1.0
+    return np.where(valid[..., None], normals / length[..., None], np.nan)
+
+
+def _sigma(given: Any, valid: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    """Standard deviations of normals as float32, NaN where not `valid`."""
+    if given is None:
+        return None
+    degrees = _floats("normal_sigma", given)
+    if degrees.shape != valid.shape:
+        raise InputError(f"normal_sigma: expected shape {valid.shape}, found {degrees.shape}")
+    with np.errstate(over="ignore"):  # what float32 cannot hold is infinite then, and refused
+        sigma: NDArray[np.float32] = np.where(valid, degrees, np.nan).astype(np.float32)
+    bad = valid & ~(np.isfinite(sigma) & (sigma >= 0))
+    if bad.any():
+        row, column = map(int, np.argwhere(bad)[0])
+        raise InputError(
+            "normal_sigma: expected finite degrees, 0 or more, found "
+            f"{degrees[row, column]:g} at row {row}, column {column}"
+        )
+    return sigma
+
+
+def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:
+    found: dict[str, tuple[Any, tuple[int, ...]]] = {
+        "albedo": (truth.materials.albedo, (height, width, 3)),
+        "roughness": (truth.materials.roughness, (height, width)),
+        "metallic": (truth.materials.metallic, (height, width)),
+    }
+    if truth.lighting is not None:
+        found["lighting"] = (truth.lighting, (pictures, 16, 3))
+    if truth.relight_images is not None or truth.relight_lighting is not None:
+        held_out = len(truth.relight_images) if truth.relight_images is not None else 0
+        found["relight_images"] = (truth.relight_images, (held_out, height, width, 3))
+        found["relight_lighting"] = (truth.relight_lighting, (held_out, 16, 3))
+    for name, (array, shape) in found.items():
+        if np.shape(array) != shape:
+            raise InputError(f"truth: expected {name} of shape {shape}, found {np.shape(array)}")
+
+
+def _warn_if_facing_away(
+    normals: NDArray[np.float64], fov: float, valid: NDArray[np.bool_]
+) -> None:
+    height, width = valid.shape
+    views = geometry.view_directions(height, width, fov)[valid]
+    share = float(np.mean(geometry.facing_away(normals, views)))
+    if share > MAX_FACING_AWAY:
+        cause = geometry.likely_convention_error(normals, views)
+        log.warning(
+            "normals: %.0f %% face away from the camera; %s",
+            100 * share,
+            f"likely {cause}" if cause else "check their frame, the mask and the field of view",
+        )
+
+
+def _warn_if_flat(normals: NDArray[np.float64]) -> None:
+    """Normals (M, 3) that are all the same may be right, but mostly nobody knew any."""
+    if len(normals) > 1 and (normals == normals[0]).all():
+        x, y, z = normals[0].tolist()
+        log.warning(
+            "normals: all equal, (%.3g, %.3g, %.3g); on anything but a flat surface shape is taken "
+            "for material and light",
+            *(x, y, z),
+        )

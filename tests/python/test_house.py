@@ -1,0 +1,164 @@
+"""The house: rooms import downwards only, no circles, few loose files, sizes, words."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "python" / "pbrfit"
+EVALUATION = ROOT / "evaluation" / "pbrfit_evaluation"
+
+FLOORS = (
+    ("lazy", "ending"),
+    ("io",),
+    ("model",),
+    ("scene",),
+    ("result",),
+    ("fit",),
+    ("report", "export", "acquire", "synthetic", "batch"),
+    ("commands",),
+    ("cli",),
+)
+"""Rooms and loose modules, from the lowest: each imports only from its own floor and below."""
+
+FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+
+PRIVATE_WORDS = re.compile(
+    r"\b(Asked|Taught|Lesson|Lit|Towards|HeldPull|MaterialPull|Pull|Needs|Units|Tame|judges|taught"
+    r"|lesson|learns|learnt_by|pulled_steps|follow_lights)\b"
+)
+"""Names that the field has other words for."""
+
+
+def modules(package: Path) -> dict[str, Path]:
+    """Files of a package by dotted name."""
+    found = {}
+    for path in sorted(package.rglob("*.py")):
+        parts = path.relative_to(package.parent).with_suffix("").parts
+        found[".".join(parts).removesuffix(".__init__")] = path
+    return found
+
+
+def imports(path: Path, known: dict[str, Path]) -> Iterator[tuple[int, str]]:
+    """Line and module of each import of a known module, in functions and for types too."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for one in node.names:
+                full = f"{node.module}.{one.name}"
+                found = full if full in known else node.module
+                if found in known and found != "pbrfit":
+                    yield node.lineno, found
+        elif isinstance(node, ast.Import):
+            yield from ((node.lineno, one.name) for one in node.names if one.name in known)
+
+
+def room(module: str) -> str:
+    """The room of a module of pbrfit, or its own name where it is loose."""
+    return module.split(".")[1] if "." in module else ""
+
+
+@pytest.mark.parametrize("package", [PACKAGE, EVALUATION], ids=["pbrfit", "evaluation"])
+def test_no_circle_of_imports(package: Path) -> None:
+    known = modules(package)
+    graph = {
+        module: {found for _, found in imports(path, known) if found != module}
+        for module, path in known.items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        raise AssertionError(" <- ".join(error.args[1])) from None
+
+
+def test_rooms_import_from_their_own_floor_and_below() -> None:
+    known = modules(PACKAGE)
+    upwards = [
+        f"{path.relative_to(ROOT)}:{line}: {room(module)} imports {found}"
+        for module, path in known.items()
+        if room(module) in FLOOR
+        for line, found in imports(path, known)
+        if FLOOR[room(found)] > FLOOR[room(module)]
+    ]
+    assert not upwards, "\n".join(upwards)
+
+
+def test_every_room_has_a_floor() -> None:
+    rooms = {room(module) for module in modules(PACKAGE)} - {"", "__main__"}
+    assert rooms == set(FLOOR)
+
+
+def test_few_files_lie_loose() -> None:
+    loose = [path.name for path in PACKAGE.glob("*.py") if not path.name.startswith("__")]
+    assert len(loose) <= 8, loose
+
+
+def lines(folder: Path, *suffixes: str) -> int:
+    """Lines of all files with these suffixes."""
+    return sum(
+        len(path.read_text("utf-8", "replace").splitlines())
+        for path in folder.rglob("*")
+        if path.suffix in suffixes
+    )
+
+
+@pytest.mark.parametrize(
+    ("folder", "most"), [("python/pbrfit", 26_000), ("evaluation", 12_000), ("tests", 33_000)]
+)
+def test_code_stays_small_enough_to_read(folder: str, most: int) -> None:
+    assert lines(ROOT / folder, ".py", ".rs") <= most
+
+
+def test_pages_stay_short_enough_to_read() -> None:
+    def words(path: Path) -> int:
+        return len(path.read_text("utf-8").split())
+
+    assert words(ROOT / "ARCHITECTURE.md") <= 1_500
+    assert sum(words(path) for path in (ROOT / "docs").rglob("*.md")) <= 40_000
+
+
+def names(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Line and name of whatever a file defines or uses by name."""
+    for node in ast.walk(tree):
+        for attribute in ("name", "id", "attr", "arg"):
+            value = getattr(node, attribute, None)
+            if isinstance(value, str):
+                yield getattr(node, "lineno", 0), value
+
+
+def test_names_are_the_fields_words() -> None:
+    private = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path in modules(PACKAGE).values()
+        for line, name in names(ast.parse(path.read_text("utf-8")))
+        if PRIVATE_WORDS.fullmatch(name)
+    ]
+    assert not private, "\n".join(private)
+
+
+def test_constants_state_their_quantity() -> None:
+    vague = [
+        f"{path.relative_to(ROOT)}:{line}: {text}"
+        for path in modules(PACKAGE).values()
+        for line, text in constants(ast.parse(path.read_text("utf-8")).body)
+        if re.match(r"Of (a|an|the|all)\b", text)
+    ]
+    assert not vague, "\n".join(vague)
+
+
+def constants(body: list[ast.stmt]) -> Iterator[tuple[int, str]]:
+    """Line and text of the docstrings that follow assignments."""
+    for statement, text in pairwise(body):
+        if (
+            isinstance(statement, (ast.Assign, ast.AnnAssign))
+            and isinstance(text, ast.Expr)
+            and isinstance(text.value, ast.Constant)
+            and isinstance(text.value.value, str)
+        ):
+            yield text.lineno, text.value.value
