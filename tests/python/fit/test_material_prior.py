@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene, shade
+from pbrfit.fit import settings
 from pbrfit.fit.priors import map_gauss_newton, material
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
@@ -198,7 +199,7 @@ def total_of(objective: Objective, x: Array, pixels: Pixels, prior: GaussianPrio
 def test_gauss_newton_ends_in_a_minimum(
     room: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(map_gauss_newton, "PRIOR_GAIN_MIN", 0.0)
+    monkeypatch.setattr(settings, "PRIOR_GAIN_MIN", 0.0)
     scene, options = of_kind(room, kind)
     objective = Objective(scene, **options)
     rng = np.random.default_rng(3)
