@@ -67,6 +67,7 @@ def test_no_mask_leaves_everything_unclassified() -> None:
         ids_of([], ALL, smallest=2)
 
 
+@pytest.mark.slow
 def test_more_masks_than_ids_lose_the_smallest(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pbrfit.acquire.segments.MAX_ID", 5)  # of 65535 masks are gigabytes
     ids = ids_of([box(0, 3 * k, 1 + k, 2) for k in range(8)], ALL, smallest=0)

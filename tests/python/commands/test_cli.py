@@ -97,6 +97,7 @@ def test_decompose_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFi
     assert outcome(out)["fov"] == 40
 
 
+@pytest.mark.slow
 def test_robust_loss_and_exposures(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run("decompose", folder, "--out", out, *FEW) == 0
@@ -378,6 +379,7 @@ def test_normals_from_flat(
     assert run("normals", tmp_path / "none") == 2
 
 
+@pytest.mark.slow
 def test_real_photographs_of_the_multi_illumination_layout(
     shared_data: Path, tmp_path: Path
 ) -> None:
@@ -513,6 +515,7 @@ def test_what_was_left_out_is_printed(
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["decompose", "demo"])
 def test_priors_change_a_fit(command: str, folder: Path, tmp_path: Path) -> None:
     found = []

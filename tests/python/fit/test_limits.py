@@ -104,6 +104,7 @@ def assert_whole(result: Result) -> None:
     assert len(result.history.rows) >= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONFIGURATIONS)
 def test_whenever_time_is_up_little_is_done_from_there_on(
     name: str, monkeypatch: pytest.MonkeyPatch

@@ -187,6 +187,7 @@ def best_of_scipy(
     return min(2 * float(result.cost) for result in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_no_start_of_scipys_ends_lower(kind: Kind) -> None:
     example = noisy(kind)

@@ -151,6 +151,7 @@ def objective_at(scene: Scene, result: Result, **options: Any) -> float:
 SMOOTH = Priors(material=0, monochrome=0, smoothness=1, cohesion=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("priors", [None, SMOOTH], ids=["alone", "penalties"])
 @pytest.mark.parametrize("case", [*GAPS, "noise", "few pictures"])
 def test_auto_does_not_end_above_lbfgsb(case: str, priors: Priors | None) -> None:

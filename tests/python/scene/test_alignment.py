@@ -154,6 +154,7 @@ def test_small_pictures_are_not_judged() -> None:
     assert alignment.complaints(dataclasses.replace(scene, images=images)) == []
 
 
+@pytest.mark.slow
 def test_inspect_and_decompose_say_what_does_not_line_up(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:

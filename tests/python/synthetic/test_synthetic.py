@@ -273,6 +273,7 @@ def test_every_pixel_is_valid_and_faces_the_camera(kind: str, seed: int) -> None
     assert metallic.max() == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_metal_is_visible_in_every_scene(kind: str) -> None:
     for seed in range(40):
@@ -314,6 +315,7 @@ def gauge(solid: Primitive, p: Array) -> Array:
     raise AssertionError(type(solid))
 
 
+@pytest.mark.slow
 def test_pieces_do_not_run_into_each_other_or_the_walls() -> None:
     # The corners of the cube are the corners of any box.
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
