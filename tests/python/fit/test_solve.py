@@ -57,7 +57,6 @@ def fitted() -> tuple[pbrfit.Scene, pbrfit.Result]:
     return scene, pbrfit.decompose(scene, solver="lbfgsb", priors=None, refine_normals="off")
 
 
-@pytest.mark.slow
 def test_a_noise_free_room_is_recovered(fitted: tuple[pbrfit.Scene, pbrfit.Result]) -> None:
     scene, result = fitted
     assert scene.images.mean() == pytest.approx(0.4)
