@@ -141,8 +141,9 @@ def _panel(
             handle = axes.barh(y, x, height=0.8 * step, color=color)
         else:
             [handle] = axes.plot(x, y, **look, **shown)
-        _interval(axes, series, x, y, named, BLACK if panel.kind == "bars" else color)
-        for note, to, up in zip(series.notes, x, y, strict=False):
+        _interval(axes, series, x, y, panel.kind, BLACK if panel.kind == "bars" else color)
+        ends = series.high if named and len(series.high) else x
+        for note, to, up in zip(series.notes, ends, y, strict=False):
             axes.annotate(
                 note,
                 (to, up),
@@ -171,12 +172,12 @@ def _panel(
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _interval(axes: Axes, series: Series, x: Any, y: Any, named: bool, color: str) -> None:
+def _interval(axes: Axes, series: Series, x: Any, y: Any, kind: str, color: str) -> None:
     if not len(series.low):
         return
-    if named:
+    if kind in ("dots", "bars"):
         axes.hlines(y, series.low, series.high, color=color, linewidth=1.3)
-    elif len(x) > 1:
+    elif kind != "points" and len(x) > 1:
         axes.fill_between(x, series.low, series.high, color=color, alpha=0.12, linewidth=0)
     else:
         axes.vlines(x, series.low, series.high, color=color, linewidth=1.3)
