@@ -28,7 +28,6 @@ from pbrfit.commands.worker_options import add_cluster, add_jobs
 from pbrfit_evaluation.commands import (
     ablation,
     convergence,
-    gap,
     normals,
     peers,
     real,
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     from pbrfit_evaluation.suite import Part, Row, Section, Suite, Verdict
 
 SUITES = {
+    "gap": "the reflection models against full reflection integrals and Cycles",
     "table1": "errors of materials and relighting on scenes whose ground truth is known",
 }
 """Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""
@@ -51,7 +51,6 @@ SUITES = {
 NOT_PORTED = (
     ablation,
     convergence,
-    gap,
     normals,
     peers,
     real,
