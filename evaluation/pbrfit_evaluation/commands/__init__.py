@@ -34,7 +34,6 @@ from pbrfit_evaluation.commands import (
     review,
     solvers,
     stability,
-    uncertainty,
 )
 
 if TYPE_CHECKING:
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
 SUITES = {
     "gap": "the reflection models against full reflection integrals and Cycles",
     "table1": "errors of materials and relighting on scenes whose ground truth is known",
+    "uncertainty": "predicted deviations against many refits under noise",
 }
 """Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""
 
@@ -57,7 +57,6 @@ NOT_PORTED = (
     review,
     solvers,
     stability,
-    uncertainty,
 )
 
 
