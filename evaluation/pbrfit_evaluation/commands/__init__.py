@@ -31,7 +31,6 @@ from pbrfit_evaluation.commands import (
     normals,
     peers,
     real,
-    review,
     solvers,
     stability,
 )
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
 
 SUITES = {
     "gap": "the reflection models against full reflection integrals and Cycles",
+    "review": "what the review of generated pictures catches and refuses",
     "table1": "errors of materials and relighting on scenes whose ground truth is known",
     "uncertainty": "predicted deviations against many refits under noise",
 }
@@ -54,7 +54,6 @@ NOT_PORTED = (
     normals,
     peers,
     real,
-    review,
     solvers,
     stability,
 )
