@@ -278,8 +278,8 @@ def test_rings_of_the_sphere_are_enough(own: measure.Reference) -> None:
     few, many = (
         measure.measure(Case(1.0, (1.0,), rings=rings, lights=8), own) for rings in (20, 40)
     )
-    errors = [one["models"]["paper"]["error"] for one in (few, many)]
-    np.testing.assert_allclose(*errors, rtol=0.002)
+    of_few, of_many = (one["models"]["paper"]["error"] for one in (few, many))
+    np.testing.assert_allclose(of_few, of_many, rtol=0.002)
 
 
 @pytest.mark.parametrize(("r", "n_dot_v"), [(0.0, 0.5), (0.5, 0.0), (1.1, 0.5), (math.nan, 0.5)])

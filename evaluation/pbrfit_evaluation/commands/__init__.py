@@ -26,7 +26,6 @@ from pbrfit.commands.arguments import (
 )
 from pbrfit.commands.worker_options import add_cluster, add_jobs
 from pbrfit_evaluation.commands import (
-    ablation,
     convergence,
     normals,
     peers,
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from pbrfit_evaluation.suite import Part, Row, Section, Suite, Verdict
 
 SUITES = {
+    "ablation": "what each prior is worth, where it holds and where it does not",
     "gap": "the reflection models against full reflection integrals and Cycles",
     "review": "what the review of generated pictures catches and refuses",
     "table1": "errors of materials and relighting on scenes whose ground truth is known",
@@ -49,7 +49,6 @@ SUITES = {
 """Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""
 
 NOT_PORTED = (
-    ablation,
     convergence,
     normals,
     peers,
