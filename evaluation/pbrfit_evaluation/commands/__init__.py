@@ -28,7 +28,6 @@ from pbrfit.commands.worker_options import add_cluster, add_jobs
 from pbrfit_evaluation.commands import (
     convergence,
     normals,
-    peers,
     real,
     solvers,
     stability,
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from pbrfit_evaluation.suite import Part, Row, Section, Suite, Verdict
 
 SUITES = {
+    "peers": "networks that see one picture, beside our fit of all",
     "ablation": "what each prior is worth, where it holds and where it does not",
     "gap": "the reflection models against full reflection integrals and Cycles",
     "review": "what the review of generated pictures catches and refuses",
@@ -51,7 +51,6 @@ SUITES = {
 NOT_PORTED = (
     convergence,
     normals,
-    peers,
     real,
     solvers,
     stability,
@@ -145,7 +144,7 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
             measure([part], alone=True)
         if part.then is not None:
             cases[part.name] = list(part.then(_results(options, done[part.name])))
-            measure([part], alone=part.alone)
+            measure([part], alone=part.alone or part.then_alone)
 
     found = _outcome(suite, parts, options, done)
     with jobs.publish(options.out) as folder:
