@@ -26,11 +26,8 @@ from pbrfit.commands.arguments import (
 )
 from pbrfit.commands.worker_options import add_cluster, add_jobs
 from pbrfit_evaluation.commands import (
-    convergence,
     normals,
     real,
-    solvers,
-    stability,
 )
 
 if TYPE_CHECKING:
@@ -39,21 +36,21 @@ if TYPE_CHECKING:
     from pbrfit_evaluation.suite import Part, Row, Section, Suite, Verdict
 
 SUITES = {
-    "peers": "networks that see one picture, beside our fit of all",
+    "convergence": "error against run time, for every solver, start and peer",
     "ablation": "what each prior is worth, where it holds and where it does not",
     "gap": "the reflection models against full reflection integrals and Cycles",
+    "peers": "networks that see one picture, beside our fit of all",
     "review": "what the review of generated pictures catches and refuses",
+    "solvers": "whether gauss-newton and auto reach what they must",
+    "stability": "numerical stability of the core",
     "table1": "errors of materials and relighting on scenes whose ground truth is known",
     "uncertainty": "predicted deviations against many refits under noise",
 }
 """Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""
 
 NOT_PORTED = (
-    convergence,
     normals,
     real,
-    solvers,
-    stability,
 )
 
 

@@ -1,8 +1,9 @@
-"""What the parts share: the solvers by name, scenes, and the objective of a result in float64."""
+"""What the parts share: cases, solvers by name, and the objective of a result in float64."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -25,9 +26,41 @@ GAUSS_NEWTON: Name = "gauss-newton"
 LBFGSB: Name = "lbfgsb"
 
 FIRST_SEED = 1000
-"""Of the rooms: those of `pbrfit evaluate table1`, on which nothing was tuned."""
+"""Rooms from here on are those of `pbrfit evaluate table1`, on which nothing was tuned."""
 
 PICTURES = 16
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene of a part.
+
+    Attributes
+    ----------
+    part
+        Its name.
+    seed, size, iterations
+        Of the scene, of a picture's side, and of each fit by L-BFGS-B; "auto" and "gauss-newton"
+        get the same limit.
+    variant
+        Kind of the scene, its row of table1 or its case of the ablation; empty for a room.
+    noise
+        Standard deviation in radiance; None where the part has one level alone.
+    """
+
+    part: str
+    seed: int
+    size: int
+    iterations: int
+    variant: str = ""
+    noise: float | None = None
+    cycles_cache: Path | None = field(default=None, repr=False)
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        level = "" if self.noise is None else f"{1e3 * self.noise:g}"
+        return "_".join(filter(None, (self.part, self.variant, level, str(self.seed))))
 
 
 def fit(scene: Scene, solver: Name, **options: Any) -> Result:
@@ -63,7 +96,8 @@ def in_float32(scene: Scene) -> Scene:
 
 def rms(scene: Scene) -> float:
     """Root mean square radiance of the pictures over the valid pixels."""
-    squares = [np.mean(np.square(scene.samples(i), dtype=np.float64)) for i in _pictures(scene)]
+    pictures = range(len(scene.images))
+    squares = [np.mean(np.square(scene.samples(i), dtype=np.float64)) for i in pictures]
     return float(np.sqrt(np.mean(squares)))
 
 
@@ -128,7 +162,3 @@ def objective_value(
         return (residual(scene, result, threads) / objective.scale) ** 2 + penalties
     objective.robust = robust
     return objective.data_value_and_grad(x)[0] + penalties
-
-
-def _pictures(scene: Scene) -> range:
-    return range(len(scene.images))
