@@ -70,11 +70,12 @@ def draw(plot: Plot) -> bytes:
     if plot.title:
         figure.suptitle(plot.title)
     if len(handles) > 1:
+        each = max(2.2, 0.7 + 0.08 * max(map(len, handles)))  # inches of the longest label
         figure.legend(
             list(handles.values()),
             list(handles),
             loc="outside lower center",
-            ncols=min(len(handles), max(2, int(columns * width / 2.2))),
+            ncols=min(len(handles), max(2, int(columns * width / each))),
             frameon=False,
         )
     return as_png(figure, DPI)
@@ -209,7 +210,7 @@ def _plain_ticks(axis: Axis) -> None:
     """Where a logarithmic axis spans little: ticks at 1, 2 and 5, as plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    low, high = axis.get_view_interval()
+    low, high = sorted(axis.get_view_interval())
     if not low > 0 or high > 1e4 * low:
         return
     axis.set_major_locator(
