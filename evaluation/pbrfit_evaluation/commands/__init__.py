@@ -25,10 +25,6 @@ from pbrfit.commands.arguments import (
     unread_is_no_failure,
 )
 from pbrfit.commands.worker_options import add_cluster, add_jobs
-from pbrfit_evaluation.commands import (
-    normals,
-    real,
-)
 
 if TYPE_CHECKING:
     from pbrfit_evaluation.jobs import Record
@@ -36,10 +32,12 @@ if TYPE_CHECKING:
     from pbrfit_evaluation.suite import Part, Row, Section, Suite, Verdict
 
 SUITES = {
-    "convergence": "error against run time, for every solver, start and peer",
     "ablation": "what each prior is worth, where it holds and where it does not",
+    "convergence": "error against run time, for every solver, start and peer",
     "gap": "the reflection models against full reflection integrals and Cycles",
+    "normals": "what wrong normals cost, and how much of it refining wins back",
     "peers": "networks that see one picture, beside our fit of all",
+    "real": "held-out pictures of real scenes",
     "review": "what the review of generated pictures catches and refuses",
     "solvers": "whether gauss-newton and auto reach what they must",
     "stability": "numerical stability of the core",
@@ -48,18 +46,10 @@ SUITES = {
 }
 """Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""
 
-NOT_PORTED = (
-    normals,
-    real,
-)
-
-
 def add_suites(suites: Subcommands) -> None:
     """Add them all to `pbrfit evaluate`."""
     for name, summary in SUITES.items():
         suites.add_parser(name, help=summary, complete=partial(_complete, name))
-    for module in NOT_PORTED:
-        module.add(suites)
 
 
 def _complete(name: str, parser: argparse.ArgumentParser) -> None:
