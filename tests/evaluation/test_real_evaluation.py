@@ -71,34 +71,27 @@ def design(scene: Scene, channel: int) -> Array:
     return weights.reshape(-1, 3, 16)[:, channel]
 
 
-def test_light_is_that_of_plain_least_squares(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("weighted", [False, True])
+def test_light_is_that_of_least_squares(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, weighted: bool
 ) -> None:
     monkeypatch.setattr(lights, "BLOCK", 37)
     rng = np.random.default_rng(0)
     noisy = scene.images + rng.normal(0, 0.1, scene.images.shape)
-    found = lights.fit_lights(noisy, None, materials_of(scene), scene.normals, scene.fov, MODEL)
-    for i in range(PICTURES):
-        for c in range(3):
-            expected = np.linalg.lstsq(design(scene, c), noisy[i, ..., c].ravel())[0]
-            np.testing.assert_allclose(found[i, :, c], expected, rtol=1e-8, atol=1e-9)
-
-
-def test_light_counts_samples_by_weight(scene: Scene) -> None:
-    rng = np.random.default_rng(1)
-    noisy = scene.images + rng.normal(0, 0.1, scene.images.shape)
     weights = np.ones(scene.images.shape[:3])
-    weights[1] = rng.random(weights.shape[1:])
-    weights[2, :4] = 0
-    noisy[2, :4] = np.nan
-    found = lights.fit_lights(noisy, weights, materials_of(scene), scene.normals, scene.fov, MODEL)
-    for i in range(PICTURES):
-        root = np.sqrt(weights[i].ravel())
+    if weighted:
+        weights[1] = rng.random(weights.shape[1:])
+        weights[2, :4] = 0
+        noisy[2, :4] = np.nan
+    given = weights if weighted else None
+    found = lights.fit_lights(noisy, given, materials_of(scene), scene.normals, scene.fov, MODEL)
+    for i, of in enumerate(weights):
+        root = np.sqrt(of.ravel())
         used = root > 0
-        expected = np.linalg.lstsq(
-            (root[:, None] * design(scene, 0))[used], (root * noisy[i, ..., 0].ravel())[used]
-        )[0]
-        np.testing.assert_allclose(found[i, :, 0], expected, rtol=1e-8, atol=1e-9)
+        for c in range(3):
+            rows, samples = root[:, None] * design(scene, c), root * noisy[i, ..., c].ravel()
+            expected = np.linalg.lstsq(rows[used], samples[used])[0]
+            np.testing.assert_allclose(found[i, :, c], expected, rtol=1e-8, atol=1e-9)
 
 
 def test_light_that_no_pixel_shows_is_zero(scene: Scene) -> None:

@@ -62,16 +62,16 @@ def test_another_solver_gets_no_lower_than_refits(lights: Lights) -> None:
         refit = refits.with_known_lights(objective, x, pixels, sigma)
         assert refit.converged.all()
         found[maps] = refit.values.T.ravel()
-        squares = float(refit.squares.sum())
+        sum_sq_residuals = float(refit.sum_sq_residuals.sum())
     else:
         with threadpool_limits(1):  # as suites run
-            found, converged, squares = refits.with_free_lights(objective, x, sigma)
+            found, converged, sum_sq_residuals = refits.with_free_lights(objective, x, sigma)
         assert converged
     loss, _ = objective.value_and_grad(found)
-    assert squares == pytest.approx(loss * objective.total_weight, rel=1e-5)
+    assert sum_sq_residuals == pytest.approx(loss * objective.total_weight, rel=1e-5)
     tolerance = 0.1 * sigma**2
-    assert lowered(objective, x) > squares - tolerance
-    assert lowered(objective, found) > squares - tolerance
+    assert lowered(objective, x) > sum_sq_residuals - tolerance
+    assert lowered(objective, found) > sum_sq_residuals - tolerance
     # A little away from the minimum it does get lower.
     away = np.clip(found[maps] + np.where(found[maps] < 0.5, sigma, -sigma), 0, 1)
     start = np.concatenate([away, found[maps.stop :]])

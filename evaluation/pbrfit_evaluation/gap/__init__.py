@@ -70,7 +70,7 @@ SUITE = Suite(
         ),
     ],
     options=(
-        option("--seed", type=whole_number, default=0, help="of the random lights (default: 0)"),
+        option("--seed", type=whole_number, default=0, help="of the random lights"),
         cycles_cache,
     ),
     effort=EFFORT,

@@ -107,16 +107,16 @@ def work(task: Task, threads: int) -> Values:
         if task.lights == "known":
             refit = with_known_lights(objective, x, chosen, sigma)
             found, done = refit.values, float(refit.converged.mean())
-            squares, unknowns = float(refit.squares.sum()), refit.values.size
+            sum_sq_residuals, unknowns = float(refit.sum_sq_residuals.sum()), refit.values.size
             samples = _samples(layout, len(chosen))
         else:
-            x, whole, squares = with_free_lights(objective, x, sigma)
+            x, whole, sum_sq_residuals = with_free_lights(objective, x, sigma)
             found = x[layout.maps].reshape(-1, layout.pixels).T[chosen]
             done = float(whole)
             samples, unknowns = _samples(layout, layout.pixels), layout.size
         off.append(found - values)
         converged.append(done)
-        variances.append(squares / (samples - unknowns) / sigma**2)
+        variances.append(sum_sq_residuals / (samples - unknowns) / sigma**2)
     errors = np.array(off)
     refitted = errors + values
     return {
