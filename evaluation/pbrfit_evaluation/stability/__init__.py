@@ -5,14 +5,14 @@ from __future__ import annotations
 from pbrfit.commands.arguments import add_threads, whole_number
 from pbrfit_evaluation.options import option
 from pbrfit_evaluation.stability import figures
-from pbrfit_evaluation.stability.bounds import BOUNDS
+from pbrfit_evaluation.stability.bounds import SECTIONS
 from pbrfit_evaluation.stability.measure import EFFORTS, Task, run
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 
 def cases(options: Options) -> list[Task]:
     """All sections."""
-    return [Task(section, EFFORTS[options.effort], options.seed) for section in BOUNDS]
+    return [Task(section, EFFORTS[options.effort], options.seed) for section in SECTIONS]
 
 
 SUITE = Suite(
@@ -34,9 +34,7 @@ SUITE = Suite(
         )
     ],
     options=(
-        option(
-            "--seed", type=whole_number, default=0, help="of pixels, lights, pictures (default: 0)"
-        ),
+        option("--seed", type=whole_number, default=0, help="of pixels, lights, pictures"),
         add_threads,
     ),
     quick="seconds instead of minutes: fewer pixels",

@@ -150,10 +150,7 @@ def _shading_jumps(sweeps: list[_Sweep], rng: Generator) -> dict[str, Array]:
 
 
 def _slope(pixels: Pixels, cotangent: Array) -> Array:
-    p = pixels
-    return shade_vjp(
-        *(p.normals, p.views, p.albedo, p.roughness, p.metallic, cotangent), model=MODEL
-    )[1]
+    return shade_vjp(*pixels.arrays, cotangent, model=MODEL)[1]
 
 
 def _differences(sweeps: list[_Sweep], threads: int) -> tuple[dict[str, float], dict[str, float]]:

@@ -11,10 +11,10 @@ from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.stability.bounds import (
     BAND_BOUND,
     BLOCK_BOUND,
-    BOUNDS,
     ENTRY_BOUND,
     EQUAL_TERMS_BOUND,
     LOSS_BOUND,
+    SECTIONS,
     SLOPE_BOUND,
 )
 from pbrfit_evaluation.stability.branches import STEPS
@@ -37,43 +37,15 @@ from pbrfit_evaluation.suite import (
 NOTHING = 1e-18
 """Where an error of 0 is drawn on a logarithmic axis."""
 
-TEXTS = {
-    "band weights": "The GGX band weights h_l(r), l = 0 to 3, and their slopes dh_l/dr, in "
-    "float64, against the closed form with 150 digits over all of [0, 1]. Beside them the rule of "
-    "the paper whose model this is (closed form, and a Taylor series where 1 − r⁴ < 10⁻³), in "
-    "float64 and float32.",
-    "fast objective": "Loss and gradient of random and extreme pixels, against the same objective "
-    "in float64 throughout; residuals are as large as the signal. Errors are relative to the loss "
-    "or the norm of a block, and entry by entry to the natural scale: the same sum with every term "
-    "replaced by its size, which is what rounding errors are proportional to.",
-    "branch points": "Formulas change at r = 0.4, at the ends r = 0 and 1, and where n·v is "
-    "clamped, at 10⁻⁴. Here all pixels cross such a point together. A jump in value or slope there "
-    "would stop a line search.",
-    "cancellation": "Pictures equal what the point renders, but for residuals of 10⁻¹ to 10⁻⁹ of "
-    "the signal. Pictures are float32 too: the comparison is with the true residual of the rounded "
-    "pictures.",
-    "accumulated error": "Sums over samples (pixels times pictures; times three channels) against "
-    "float64 sums over short pieces, themselves added without rounding. The hard case is residuals "
-    "of one sign, hardest when all pixels are alike, so that every addition rounds the same way.",
-    "tiny numbers": "Radiance, lights, roughness, albedo and metallic in the subnormal ranges of "
-    "float32 (below 1.2·10⁻³⁸) and float64 (below 2.2·10⁻³⁰⁸), and the range of exposures over "
-    "which the loss is right. The solver scales pictures to a mean of 0.4 first.",
-    "determinism": "Loss and gradient bit for bit, of problems large and small.",
-    "stiff fits": "Whole fits of small rooms without noise, without priors where none are named: "
-    "lights that hardly differ, too few pictures, materials at the ends of their ranges, samples "
-    "that the model cannot explain. The answer may be poor where the pictures do not tell it, but "
-    "it has to be finite and say so.",
-}
-
 
 def verdicts(results: Results[Task], _: Sequence[Row] = ()) -> list[Verdict]:
     """Every figure and its bound."""
     return [
-        Verdict(bound.what, value, bound.most, where, part=task.section)
+        Verdict(what, value, most, where, part=task.section)
         for task, values in results.finished
-        for bound in BOUNDS[task.section]
-        if bound.key in values["figures"]
-        for value, where in [values["figures"][bound.key]]
+        for key, (what, most) in SECTIONS[task.section].bounds.items()
+        if key in values["figures"]
+        for value, where in [values["figures"][key]]
     ]
 
 
@@ -85,11 +57,11 @@ def figures(results: Results[Task]) -> list[Row]:
         failed = sum(not verdict.holds for verdict in verdicts(of))
         metrics: dict[str, float | None] = {}
         found = (record.values or {}).get("figures", {})
-        for bound in BOUNDS[task.section]:
-            if bound.key in found:
-                metrics[bound.key] = found[bound.key][0]
-                if bound.most is not None:
-                    metrics[f"{bound.key}_bound"] = bound.most
+        for key, (_, most) in SECTIONS[task.section].bounds.items():
+            if key in found:
+                metrics[key] = found[key][0]
+                if most is not None:
+                    metrics[f"{key}_bound"] = most
         status = record.error or ("not held" if failed else "ok")
         rows.append(Row(task.section, 0, None, metrics | {"failed": failed}, status=status))
     return rows
@@ -98,13 +70,12 @@ def figures(results: Results[Task]) -> list[Row]:
 def sections(results: Results[Task], _: Sequence[Row]) -> Iterator[Section]:
     """What was measured, why the bounds are what they are, and plots."""
     for task, values in results.finished:
-        why = [[bound.what, bound.why] for bound in BOUNDS[task.section]]
-        tables = [Table(["figure", "why this bound"], why)]
-        if "fits" in values:
-            tables.append(_fits(values))
+        of = SECTIONS[task.section]
+        tables = [_fits(values)] if "fits" in values else []
         draw = PLOTS.get(task.section)
         plots = draw(values) if draw else []
-        yield Section(task.section.capitalize(), TEXTS[task.section], tables, plots)
+        text = f"{of.text}\n\nWhy these bounds: {of.why}"
+        yield Section(task.section.capitalize(), text, tables, plots)
 
 
 def _fits(values: Values) -> Table:
