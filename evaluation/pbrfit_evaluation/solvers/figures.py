@@ -381,7 +381,7 @@ def memory_rows(results: Results[memory.Task]) -> list[Row]:
     """A row a fit."""
     names = ("pictures_mib", "peak_mib", "peak_over_pictures", "seconds")
     return [
-        Row(f"{task.size}²", 1, task.solver, {name: values[name] for name in names})
+        Row(f"memory, {task.size}²", 1, task.solver, {name: values[name] for name in names})
         for task, values in results.finished
     ]
 
