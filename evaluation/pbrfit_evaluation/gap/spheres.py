@@ -26,7 +26,7 @@ from pbrfit_evaluation.gap.measure import MODELS, Array, Model
 from pbrfit_evaluation.gap.principled import Choices, respond
 
 ALBEDOS = (0.05, 0.5, 0.9)
-"""Of red, green and blue."""
+"""Albedo of red, green and blue."""
 
 LEAST_COSINE = 0.15
 """Pixels with a smaller n·v are left out: there one pixel's normals differ by many degrees."""
