@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -52,41 +53,30 @@ class Effort:
     fit_iterations: int
 
 
+_EFFORT: dict[str, tuple[Any, Any]] = {
+    "band_points": (12_000, 2_000),
+    "pixels_of_a_kind": (393_216, 8_192),
+    "pictures": (8, 8),
+    "branch_pixels": (64, 32),
+    "scan_points": (201, 41),
+    "residual_pixels": (65_536, 4_096),
+    "summed_pixels": (tuple(4**k for k in range(3, 11)), tuple(4**k for k in range(3, 9))),
+    "summed_pictures": (16, 16),
+    "summed_many": ((65_536, 256), (4_096, 256)),
+    "draws": (32, 8),
+    "subnormal_pixels": (65_536, 8_192),
+    "repeated": (
+        ((1, 1), (17, 3), (1000, 5), (70_001, 4), (300_000, 2)),
+        ((1, 1), (17, 3), (1000, 5), (20_001, 4)),
+    ),
+    "fit_size": (48, 10),
+    "fit_pictures": (16, 5),
+    "fit_iterations": (300, 20),
+}
+
 EFFORTS = {
-    "full": Effort(
-        band_points=12_000,
-        pixels_of_a_kind=393_216,
-        pictures=8,
-        branch_pixels=64,
-        scan_points=201,
-        residual_pixels=65_536,
-        summed_pixels=tuple(4**k for k in range(3, 11)),
-        summed_pictures=16,
-        summed_many=(65_536, 256),
-        draws=32,
-        subnormal_pixels=65_536,
-        repeated=((1, 1), (17, 3), (1000, 5), (70_001, 4), (300_000, 2)),
-        fit_size=48,
-        fit_pictures=16,
-        fit_iterations=300,
-    ),
-    "quick": Effort(
-        band_points=2_000,
-        pixels_of_a_kind=8_192,
-        pictures=8,
-        branch_pixels=32,
-        scan_points=41,
-        residual_pixels=4_096,
-        summed_pixels=tuple(4**k for k in range(3, 9)),
-        summed_pictures=16,
-        summed_many=(4096, 256),
-        draws=8,
-        subnormal_pixels=8_192,
-        repeated=((1, 1), (17, 3), (1000, 5), (20_001, 4)),
-        fit_size=10,
-        fit_pictures=5,
-        fit_iterations=20,
-    ),
+    effort: Effort(**{name: of[quick] for name, of in _EFFORT.items()})
+    for quick, effort in enumerate(("full", "quick"))
 }
 
 Figure = tuple[float, str]
