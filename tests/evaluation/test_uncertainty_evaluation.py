@@ -28,7 +28,7 @@ NOISE = 0.002
 
 
 def noisy(lights: Lights, size: int) -> tuple[Objective, Array, float]:
-    """An objective with noise, the truth as x, and the noise in units of x."""
+    """An objective with noise, the ground truth as x, and the noise in units of x."""
     scene = inside(Task(lights, "room", size, 6, NOISE, 2, 2005))
     assert scene.truth is not None
     rng = np.random.default_rng(7)

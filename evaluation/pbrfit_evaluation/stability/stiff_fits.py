@@ -33,7 +33,7 @@ FLOOR = 3e-7
 
 LIMITS = (0, 1, 3)
 SHORT_SHARE = 0.2
-"""Of the seconds of a whole fit: a time limit that ends it on the way."""
+"""A time limit that ends a fit on the way, as a share of the seconds of a whole fit."""
 
 MAPS = ("albedo", "roughness", "metallic")
 

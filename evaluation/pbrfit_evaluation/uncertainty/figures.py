@@ -30,7 +30,7 @@ BARS: dict[Lights, tuple[float, float, float]] = {"known": (0.9, 1.1, 0.9), "fre
 PARAMETERS = {"albedo": slice(0, 3), "roughness": slice(3, 4), "metallic": slice(4, 5)}
 
 EDGES = np.linspace(0.5, 1.6, 111)
-"""Of the histograms; ratios beyond are in the outermost bins."""
+"""Edges of the bins of the histograms; ratios beyond are in the outermost bins."""
 
 COLUMNS: tuple[Column | str, ...] = (
     *(Column("draws", "refits"), Column("compared", "share of\npixels"), "converged", "median"),

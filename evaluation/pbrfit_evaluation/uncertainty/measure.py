@@ -75,7 +75,7 @@ def work(task: Task, threads: int) -> Values:
     rng = np.random.default_rng(task.seed)
 
     def noisy() -> tuple[Objective, Array]:
-        """An objective and the truth as its x."""
+        """An objective and the ground truth as its x."""
         images = scene.images + rng.normal(scale=task.noise, size=scene.images.shape)
         objective = Objective(replace(scene, images=images), threads=threads)
         x = objective.pack(true.albedo, true.roughness, true.metallic, lighting)

@@ -1,4 +1,4 @@
-"""Refits of noisy pictures, from the truth to convergence, with the lights known or free.
+"""Refits of noisy pictures, from the ground truth to convergence, lights known or free.
 
 Gauss-Newton in float64, damped as by Marquardt, within the bounds. With g̃ half of the slope of the
 sum of squares and H the Gauss-Newton matrix, a fit is converged when g̃ᵀ H⁻¹ g̃ is below
