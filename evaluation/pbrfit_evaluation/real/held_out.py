@@ -126,8 +126,8 @@ class Explained:
     scores
         One for each held-out picture.
     kept_error
-        RMSE relative to the RMS of the kept pictures, their lights fitted in the same way; None where it
-        would be 0 by construction.
+        RMSE relative to the RMS of the kept pictures, their lights fitted in the same way; None
+        where it would be 0 by construction.
     seconds
         Of the fit of materials, 0 without one.
     materials
