@@ -35,6 +35,7 @@ LEVELS = (0.004, 0.01)
 convergence suite, and 1 % of a radiance of 1, as in the ablation."""
 
 FROM_TRUTH = "gauss-newton from the ground truth"
+NOISE_FITS = (FROM_TRUTH, "gauss-newton", "auto", "lbfgsb", "auto, priors", "lbfgsb, priors")
 
 
 def run_noise(case: Case, threads: int) -> dict[str, Any]:

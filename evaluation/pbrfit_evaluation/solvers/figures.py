@@ -43,9 +43,7 @@ PRIORS_METRICS = ("clean", "albedo", "metallic", "relight")
 """What must be no worse with priors; roughness has a limit of its own."""
 
 NOISE_METRICS = ("albedo", "albedo_scaled", "roughness", "metallic", "relight")
-EXACT_METRICS = ("exact", "recon", "worst_map", "seconds")
 
-PAPER = "lbfgsb, paper's recipe"
 RESIDUAL = "residual relative to the pictures' RMS"
 
 GROUPS: dict[str, dict[str, dict[str, object]]] = {
@@ -58,6 +56,24 @@ GROUPS: dict[str, dict[str, dict[str, object]]] = {
 }
 """Cases that are looked at together, by part: what they are called, and their attributes."""
 
+SHOWN: dict[str, tuple[dict[str, str], Sequence[str]]] = {
+    "exact": (
+        {name: name for name in exact.FITS},
+        ("exact", "recon", "worst_map", "seconds"),
+    ),
+    "noise": (
+        {name: name for name in comparisons.NOISE_FITS},
+        ("above_mark", "recon", *NOISE_METRICS, "seconds"),
+    ),
+    "gap": ({"auto": "auto", "paper": "lbfgsb, paper's recipe"}, COLUMNS),
+    "priors": (
+        {"default": "auto, default priors", "none": "auto, no priors"},
+        ("recon", "roughness", *PRIORS_METRICS),
+    ),
+}
+"""Fits with what they are called, and metrics, by part. The mean of "exact" is the share of rooms;
+"above_mark" is the objective over the mark, less 1."""
+
 Of = Results[Case]
 
 
@@ -66,16 +82,16 @@ def part(
     title: str,
     cases: Callable[[Any], Sequence[Any]],
     run: Callable[[Any, int], Mapping[str, Any]],
-    figures: Callable[[Results[Any]], Sequence[Row]],
     verdicts: Callable[[Results[Any]], Iterator[Verdict]],
+    figures: Callable[[Results[Any]], Sequence[Row]] | None = None,
     shown: Callable[[Results[Any]], Section] = lambda _: Section(""),
     **more: Any,
 ) -> Part[Any]:
-    """A part; its functions see results of which some are finished."""
+    """A part; its functions see results of which some are finished. Rows are means by default."""
 
     def rows(results: Results[Any]) -> Sequence[Row]:
         if results.finished:
-            return figures(results)
+            return figures(results) if figures else means(name, results)
         return [Row(name, 0, None, {}, status=results.status())] if results.pairs else []
 
     def sections(results: Results[Any], found: Sequence[Row]) -> Sequence[Section]:
@@ -100,8 +116,9 @@ def _groups(part: str, results: Of) -> Iterator[tuple[str, Of]]:
             yield name, of
 
 
-def _means(part: str, results: Of, fits: Mapping[str, str], metrics: Sequence[str]) -> list[Row]:
-    """Means over the cases of a group; `fits` has the fits' names by key."""
+def means(part: str, results: Of) -> list[Row]:
+    """Means over the cases of a group, a row a fit."""
+    fits, metrics = SHOWN[part]
     return [
         Row(group, len(of.finished), name, of.metrics(metrics, fit))
         for group, of in _groups(part, results)
@@ -133,11 +150,6 @@ def _highest(what: str, above: Mapping[str, float], bar: float) -> Verdict:
 
 
 # ----------------------------------------------------------------------------------------- exact
-
-
-def exact_rows(results: Of) -> list[Row]:
-    """A row a fit; the mean of `exact` is the share of the rooms."""
-    return _means("exact", results, {name: name for name in exact.FITS}, EXACT_METRICS)
 
 
 def exact_verdicts(results: Of) -> Iterator[Verdict]:
@@ -189,12 +201,6 @@ def exact_shown(results: Of) -> Section:
 # --------------------------------------------------------------------- noise, start, gap, priors
 
 
-def noise_rows(results: Of) -> list[Row]:
-    """A row a level of noise and fit; `above_mark` is the objective over the mark, less 1."""
-    names = {name: name for name in results.finished[0][1]}
-    return _means("noise", results, names, ("above_mark", "recon", *NOISE_METRICS, "seconds"))
-
-
 def noise_verdicts(results: Of) -> Iterator[Verdict]:
     """Objectives are near the mark, and maps no worse than L-BFGS-B's."""
     for group, of in _groups("noise", results):
@@ -239,7 +245,7 @@ def start_verdicts(results: Of) -> Iterator[Verdict]:
 
 def gap_rows(results: Of) -> list[Row]:
     """A row a setup and fit; setups that were not run say why."""
-    rows = _means("gap", results, {"auto": "auto", "paper": PAPER}, COLUMNS)
+    rows = means("gap", results)
     if results.options.cycles_scenes > 0 and (why := cycles.why_not()):
         names = [BY_KEY[row].name for row in comparisons.CYCLES_ROWS]
         rows += [Row(name, 0, None, {}, status=f"not run: {why}") for name in names]
@@ -267,12 +273,6 @@ def gap_shown(results: Of) -> Section:
     panel = Panel("dots", series, label, log="x", marks=[Mark(WORST_COLUMN, axis="x")])
     caption = "Ratio of mean errors: left of 1 “auto” is better; dotted the bar of a column."
     return Section("", figures=[Plot("gap", caption, [panel], size=(8.5, 1 + 0.5 * len(of)))])
-
-
-def priors_rows(results: Of) -> list[Row]:
-    """A row a case and fit."""
-    fits = {"default": "auto, default priors", "none": "auto, no priors"}
-    return _means("priors", results, fits, ("recon", "roughness", *PRIORS_METRICS))
 
 
 def priors_verdicts(results: Of) -> Iterator[Verdict]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.penalties import Priors
+from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, chosen_model, render
 from pbrfit.result import metrics
 from pbrfit.result.result import Result
@@ -103,14 +104,18 @@ def rms(scene: Scene) -> float:
 
 def residual(scene: Scene, result: Result, threads: int = 0) -> float:
     """RMS difference of pictures and reconstruction, rendered and compared in float64."""
+    return residual_of(scene, result.materials, result.lighting, result.model, threads)
+
+
+def residual_of(
+    scene: Scene, materials: Materials, lighting: Array, model: Model, threads: int
+) -> float:
+    """Compare picture by picture: all at once would be held in float64."""
     found = [
         metrics.rmse(
-            render(
-                *(result.materials, scene.normals, light, scene.fov, threads), model=result.model
-            ),
-            scene.images[i],
+            render(*(materials, scene.normals, light, scene.fov, threads), model=model), image
         )
-        for i, light in enumerate(result.lighting)
+        for light, image in zip(lighting, scene.images, strict=True)
     ]
     return float(np.sqrt(np.mean(np.square(found))))
 
@@ -121,13 +126,9 @@ def clean_residual(scene: Scene, result: Result, threads: int = 0) -> float:
     assert truth is not None
     assert truth.lighting is not None
 
-    def pictures(materials: Any, lighting: Array, model: Model) -> Array:
-        return render(materials, scene.normals, lighting, scene.fov, threads, model=model)
-
-    return metrics.rmse(
-        pictures(result.materials, result.lighting, result.model),
-        pictures(truth.materials, truth.lighting, chosen_model(None, scene.model)),
-    )
+    view = scene.normals, truth.lighting, scene.fov, threads
+    clean = render(truth.materials, *view, model=chosen_model(None, scene.model))
+    return residual(replace(scene, images=clean), result, threads)
 
 
 def objective_value(
@@ -140,17 +141,9 @@ def objective_value(
 ) -> float:
     """What the solvers minimise, at a result: data term and penalties of fixed weight.
 
-    Parameters
-    ----------
-    scene
-        With pictures of about the same exposure and without weights.
-    result
-        Of a fit of all unknowns.
-    priors
-        With `material` 0, because that one is learnt as a fit runs. None = no penalties.
-    robust
-        A loss and its scale in units of the scaled pictures; None = squares, which are computed in
-        float64. A robust loss comes from the fast objective in float32.
+    The scene has pictures of about the same exposure, no weights, and all unknowns are fitted. The
+    material prior is 0, because it is learnt as a fit runs. A robust loss with its scale, in units
+    of the scaled pictures, comes from the fast objective in float32; all else is float64.
     """
     objective = Objective(scene, threads=threads, priors=priors, model=result.model)
     materials = result.materials

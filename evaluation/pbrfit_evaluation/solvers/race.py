@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.decompose import Progress
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import Model, chosen_model, render
-from pbrfit.result import metrics
+from pbrfit.model.reflection import Model, chosen_model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
 from pbrfit_evaluation.recipes import paper_start
@@ -32,6 +31,8 @@ from pbrfit_evaluation.solvers.fits import (
     Name,
     fit,
     in_float32,
+    residual_of,
+    rms,
     room,
 )
 from pbrfit_evaluation.solvers.own_process import call
@@ -141,7 +142,7 @@ def run(task: Task, threads: int) -> dict[str, Any]:
         "reached": tracker.reached,
         "stop_reason": reason,
         "threads": threads,
-        "pictures_rms": float(np.sqrt(np.mean(np.square(scene.images, dtype=np.float64)))),
+        "pictures_rms": rms(scene),
     }
 
 
@@ -222,23 +223,13 @@ class Tracker:
         self._measure(seconds, evaluations, state)
 
     def _measure(self, seconds: float, evaluations: int, state: State) -> None:
-        residual = self._residual(*state())
+        materials, lighting = state()
+        # Maps of float32 runners may leave [0, 1] by a rounding.
+        maps = (materials.albedo, materials.roughness, materials.metallic)
+        inside = Materials(*(np.clip(values, 0, 1) for values in maps))
+        model = chosen_model(None, self._scene.model)
+        residual = residual_of(self._scene, inside, lighting, model, self._threads)
         self.points.append((seconds, evaluations, residual))
         self._next = max(evaluations + 1, CHECKPOINT_RATIO * evaluations)
         if self.reached is None and residual <= self._mark:
             self.reached = seconds
-
-    def _residual(self, materials: Materials, lighting: Array) -> float:
-        scene = self._scene
-        squares = []
-        # Picture by picture: all at once would be held in float64. Maps of float32 runners may
-        # leave [0, 1] by a rounding.
-        maps = (materials.albedo, materials.roughness, materials.metallic)
-        inside = Materials(*(np.clip(values, 0, 1) for values in maps))
-        for light, image in zip(lighting, scene.images, strict=True):
-            rendered = render(
-                *(inside, scene.normals, light, scene.fov, self._threads),
-                model=chosen_model(None, scene.model),
-            )
-            squares.append(metrics.rmse(rendered, image) ** 2)
-        return float(np.sqrt(np.mean(squares)))
