@@ -25,7 +25,7 @@ import numpy as np
 
 import pbrfit
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.summary import machine
+from pbrfit_evaluation.report.summary import machine
 
 BASE = 512
 NOISE = 0.01

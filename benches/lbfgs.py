@@ -27,7 +27,7 @@ from pbrfit.fit.solvers import projected_lbfgs
 from pbrfit.fit.solvers.projected_lbfgs import Bounds
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.convergence.cases import Case, make
-from pbrfit_evaluation.summary import machine
+from pbrfit_evaluation.report.summary import machine
 
 Array = NDArray[np.float64]
 

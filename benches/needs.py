@@ -20,7 +20,7 @@ import pbrfit
 from pbrfit.fit.objective import Objective
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.summary import machine
+from pbrfit_evaluation.report.summary import machine
 
 ROUNDS = 41
 """Turns of each case; a median is taken."""

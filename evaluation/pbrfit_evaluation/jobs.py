@@ -2,7 +2,9 @@
 
 Every task ends in a record, `records/KEY.json` in the folder of the suite, which is there whole or
 not at all. A later run uses a record again if task and code are the same: the record holds a
-digest of both.
+digest of both. While a suite runs, its folder holds records, and perhaps a report of an earlier
+run. Report and summary come last, one rename each, `summary.json` at the very end: a folder with a
+summary is complete.
 """
 
 from __future__ import annotations
@@ -10,19 +12,26 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+import secrets
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import pbrfit
+import pbrfit_evaluation
 from pbrfit.batch.driver import Attempt, drive, repeat_log, workers
 from pbrfit.io.json_files import UNFIT, number, table
+from pbrfit.io.output import check_free
 
 RECORDS = "records"
 """Folder of the records, in that of the suite."""
+
+SUMMARY = "summary.json"
+"""File that makes the folder complete."""
 
 PART = ".part"
 """Ending of a record that is being written."""
@@ -31,7 +40,10 @@ _HEAD = b'{\n "digest": "'
 """What every record begins with."""
 
 WRITERS = frozenset(
-    {"drawing.py", "history_plot.py", "html.py", "page.py", "plot.py", "plots.py", "report.py"}
+    {
+        *("drawing.py", "history_plot.py", "html.py", "page.py", "plot.py", "plots.py"),
+        *("report.py", "figures.py", "options.py", "suite.py"),
+    }
 )
 WRITING_FOLDERS = frozenset({"commands", "report", "viewer"})
 """Files, and folders of files, that take no part in the results of a suite."""
@@ -185,15 +197,76 @@ def _digest(task: Task) -> str:
 
 @cache
 def _code() -> str:
-    """Digest of the package: results of other code are other results.
+    """Digest of both packages: results of other code are other results.
 
     What only writes about results does not count.
     """
     digest = hashlib.sha256()
-    package = Path(pbrfit.__file__).parent
-    for path in sorted(package.rglob("*")):
-        writes = path.name in WRITERS or path.parent.name in WRITING_FOLDERS
-        if path.suffix in (".py", ".so", ".pyd") and not writes:
-            digest.update(path.relative_to(package).as_posix().encode() + b"\0")
-            digest.update(path.read_bytes())
+    for package in (pbrfit, pbrfit_evaluation):
+        folder = Path(str(package.__file__)).parent
+        for path in _measuring(folder):
+            name = path.relative_to(folder.parent).as_posix()
+            digest.update(name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
+
+
+def _measuring(folder: Path) -> list[Path]:
+    """Files of a package that results depend on."""
+    return [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in (".py", ".so", ".pyd")
+        and path.name not in WRITERS
+        and not WRITING_FOLDERS.intersection(path.relative_to(folder).parts[:-1])
+    ]
+
+
+def prepare(folder: Path, *, resume: bool, overwrite: bool) -> None:
+    """Make the folder, or clear it, or leave it as it is to go on with its records.
+
+    Raises
+    ------
+    FileExistsError
+        If something is there that may not be replaced (see `pbrfit.io.output.check_free`), or its
+        records are not those of a suite.
+    """
+    there = folder / RECORDS
+    if there.is_dir() and (resume or overwrite):
+        _check_ours(folder)
+    if resume and there.is_dir():
+        (folder / SUMMARY).unlink(missing_ok=True)
+        return
+    check_free(folder, overwrite=overwrite, contains=(RECORDS,))
+    if folder.is_dir():
+        shutil.rmtree(folder.resolve())  # of a link to a folder, the link stays
+    (folder.resolve() / RECORDS).mkdir(parents=True)
+
+
+def _check_ours(folder: Path) -> None:
+    """Others call folders `records` too: what is in it must be records, or nothing anywhere."""
+    found = sorted((folder / RECORDS).iterdir())
+    strange = [path.name for path in found if not is_record(path)]
+    if not found:
+        strange = [path.name for path in folder.iterdir() if path.name != RECORDS]
+    if strange:
+        raise FileExistsError(
+            f"{folder}: expected an earlier output of a suite, found {strange[0]}; remove it "
+            "yourself if it is not needed"
+        )
+
+
+@contextmanager
+def publish(folder: Path) -> Iterator[Path]:
+    """Give a temporary folder whose files go to `folder` when the block ends well."""
+    (folder / SUMMARY).unlink(missing_ok=True)  # until the new one is there, it is not whole
+    temporary = folder / f".pbrfit-{secrets.token_hex(6)}"
+    temporary.mkdir()
+    try:
+        yield temporary
+        for made in sorted(temporary.iterdir(), key=lambda path: path.name == SUMMARY):
+            target = folder / made.name
+            if target.is_dir():
+                shutil.rmtree(target)
+            made.replace(target)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

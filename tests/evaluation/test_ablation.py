@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,13 +18,15 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit_evaluation import ablation
-from pbrfit_evaluation.ablation import cases, configurations, report
-from pbrfit_evaluation.ablation.cases import CASES, case, constant, merged, shifted, varied
-from pbrfit_evaluation.ablation.configurations import CONFIGURATIONS, DEFAULT, curves
+from pbrfit_evaluation.ablation import cases, figures
+from pbrfit_evaluation.ablation.cases import CASES, case, merged, shifted, varied
+from pbrfit_evaluation.ablation.configurations import CONFIGURATIONS, FEW, curves
 from pbrfit_evaluation.ablation.demands import DEMANDS, Demand, judge
+from pbrfit_evaluation.ablation.measure import RoomTask
 from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.recipes import PAPER_PRIORS
 from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.suite import Results
 from scene_files import run
 
 SIZE, SEED = 24, 2000
@@ -134,18 +136,6 @@ def test_patterns_are_the_same_at_any_size() -> None:
     assert np.corrcoef(sampled.ravel(), found[1].ravel())[0, 1] > 0.999999
 
 
-def test_a_segment_of_one_pixel_stays_as_it_is() -> None:
-    found = varied(np.full((1, 1), 0.7), np.ones((1, 1), np.uint16), np.random.default_rng(0))
-    assert found == 0.7
-
-
-def test_the_median_is_a_value_that_occurs() -> None:
-    values = np.array([[0.0, 0.0, 1.0, 1.0]])
-    materials = pbrfit.Materials(albedo=np.ones((1, 4, 3)), roughness=values, metallic=values)
-    found = constant(materials, np.ones((1, 4), np.uint16))
-    assert set(np.unique(found.metallic)) == {0.0}
-
-
 def test_shifted_by_one_pixel_right_and_down() -> None:
     ids = np.arange(1, 13).reshape(3, 4)
     np.testing.assert_array_equal(shifted(ids), [[1, 1, 2, 3], [1, 1, 2, 3], [5, 5, 6, 7]])
@@ -171,34 +161,21 @@ def test_a_third_takes_the_ids_of_others() -> None:
     assert 36 <= near <= 60
 
 
-def test_a_single_segment_stays() -> None:
-    ids = np.full((2, 2), 7)
-    np.testing.assert_array_equal(merged(ids, np.random.default_rng(0)), ids)
-
-
-@pytest.mark.parametrize(
-    ("name", "noise", "message"),
-    [
-        ("wrong", 0.01, "case: expected one of constant, varying, shifted, merged, none"),
-        ("constant", -1.0, "noise: expected a finite standard deviation >= 0, found -1.0"),
-        ("constant", np.nan, "noise: expected"),
-    ],
-)
-def test_what_makes_no_scene_is_refused(name: str, noise: float, message: str) -> None:
-    with pytest.raises(pbrfit.InputError, match=message):
-        case(name, SEED, noise=noise)  # type: ignore[arg-type]
+def test_what_makes_no_scene_is_refused() -> None:
+    with pytest.raises(pbrfit.InputError, match="case: expected one of constant, varying, shifted"):
+        case("wrong", SEED)  # type: ignore[arg-type]
+    for noise in (-1.0, np.nan):
+        with pytest.raises(pbrfit.InputError, match="noise: expected a finite standard deviation"):
+            case("constant", SEED, noise=noise)
 
 
 # Configurations
 
 
-def test_configurations_have_names_of_their_own() -> None:
-    everything = {*CONFIGURATIONS, *curves(ablation.FULL.weights)}
+def test_each_prior_is_off_and_alone_once() -> None:
+    everything = {*CONFIGURATIONS, *curves(ablation.SUITE.effort["weights"][0])}
     assert len({one.key for one in everything}) == len(everything)
     assert len({one.title for one in everything}) == len(everything)
-
-
-def test_each_prior_is_off_and_alone_once() -> None:
     by_key = {one.key: one.priors for one in CONFIGURATIONS}
     for name in ("cohesion", "smoothness", "sparsity", "monochrome"):
         expected = dataclasses.replace(PAPER_PRIORS, **{name: 0.0})
@@ -208,18 +185,6 @@ def test_each_prior_is_off_and_alone_once() -> None:
     assert [name for name in prior_names() if getattr(alone, name) != 0] == ["material"]
     assert by_key["default"] == Priors()
     assert by_key["none"] is None
-
-
-def test_a_configuration_hands_its_options_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[dict[str, Any]] = []
-    monkeypatch.setattr(configurations, "decompose", lambda _, **options: asked.append(options))
-    configurations.HUBER.fit(case("none", SEED, size=8), iterations=7, threads=1)
-    configurations.NONE.fit(case("none", SEED, size=8), iterations=7, threads=1)
-    common = {"iterations": 7, "refine_normals": "off", "model": None, "threads": 1}
-    assert asked == [
-        {**common, "priors": Priors(), "robust": "huber"},
-        {**common, "priors": None, "robust": "none"},
-    ]
 
 
 # Verdicts
@@ -237,91 +202,49 @@ def test_verdicts_by_hand() -> None:
     assert verdict.value == pytest.approx(0.035)
     assert verdict.rooms == pytest.approx((0.02, 0.05))
     assert not verdict.holds
+    exact = Demand("a", "constant", "albedo", 1.0)
+    assert judge(exact, [0.2], [0.2]).holds
+    assert not judge(exact, [0.2], [np.nextafter(0.2, 1)]).holds
 
 
-def test_a_limit_that_is_just_reached_holds() -> None:
-    assert judge(Demand("a", "constant", "albedo", 1.0), [0.2], [0.2]).holds
-    assert not judge(Demand("a", "constant", "albedo", 1.0), [0.2], [np.nextafter(0.2, 1)]).holds
+# The report and the command
 
 
-def test_demands_are_those_that_were_set() -> None:
-    assert {d.case for d in DEMANDS if d.part == "c"} == {"shifted", "merged"}
-    assert all(d.limit == 1.25 and d.relative for d in DEMANDS if d.part != "a")
-    assert {(d.metric, d.limit) for d in DEMANDS if d.part == "a"} == {
-        ("roughness", 0.5),
-        ("metallic", 0.03),
-        ("albedo", 1.0),
+def rooms_with(errors: dict[str, float]) -> Results[RoomTask]:
+    """Two rooms a case, with one error for all metrics of a configuration; one room failed."""
+    options = argparse.Namespace(
+        quick=True, scenes=2, size=8, iterations=1, first_seed=SEED, model="paper", weights=(0.1, 1)
+    )
+    names = Scores.__dataclass_fields__
+    pairs = []
+    for task in ablation.rooms(options):
+        scores = {
+            one.key: dict.fromkeys(names, errors.get(one.key, 0.2)) for one in task.configurations
+        }
+        pairs.append((task, Record(task.key, {"scores": scores}, None, 1.0)))
+    pairs[-1] = (pairs[-1][0], Record(pairs[-1][0].key, None, "MemoryError: too large", 1.0))
+    return Results(options, pairs)
+
+
+def test_the_default_is_judged_and_failures_are_named() -> None:
+    results = rooms_with({"default": 0.12})
+    rows = {row.name: row for row in figures.rooms(results)}
+    demands = [row for name, row in rows.items() if name.startswith("must hold")]
+    assert len(demands) == len(DEMANDS) == len(figures.verdicts(results, []))
+    missed = {row.name for row in demands if row.status == "not held"}
+    assert missed == {f"must hold (a): constant, {name}" for name in ("roughness", "metallic")}
+    assert rows["must hold (a): constant, roughness"].metrics["value"] == pytest.approx(0.6)
+    assert rows["merged, default"].metrics["albedo_ratio"] == pytest.approx(0.6)
+    assert rows["shadowed, default"].status == "1 of 2 rooms failed"
+    sections = list(figures.room_sections(results, list(rows.values())))
+    assert {figure.name for section in sections for figure in section.figures} == {
+        "ratios",
+        "weights",
     }
-
-
-# Report
-
-
-def effort(**changes: Any) -> ablation.Effort:
-    tiny = dataclasses.replace(ablation.QUICK, rooms=2, size=8, iterations=1, cost_size=8)
-    return dataclasses.replace(tiny, **changes)
-
-
-def record(task: ablation.RoomTask, errors: dict[str, float]) -> Record:
-    """With one error for all metrics of a configuration."""
-    scores = {
-        one.key: dict.fromkeys(Scores.__dataclass_fields__, errors.get(one.key, 0.2))
-        for one in task.configurations
-    }
-    return Record(task.key, {"scores": scores, "sheet": None}, None, 1.0)
-
-
-def measured_with(errors: dict[str, float], of: ablation.Effort) -> report.Measured:
-    rooms = [(task, record(task, errors)) for task in ablation.plan_rooms(of, SEED)]
-    broken, _ = rooms[-1]
-    rooms[-1] = broken, Record(broken.key, None, "MemoryError: too large", 1.0)
-    return report.Measured(of, rooms, [], Record("cost_8", None, "OSError: no clock", 1.0))
-
-
-def test_report_judges_the_default_and_names_what_failed(tmp_path: Path) -> None:
-    of = effort(weights=(0.1, 1.0))
-    measured = measured_with({"default": 0.12}, of)
-    report.write(tmp_path, measured)
-    [shadowed] = {task.case for task, one in measured.rooms if one.error}
-    assert len(measured.errors(shadowed, configurations.NONE, "recon")) == 1
-    held = {f"{v.demand.case}, {v.demand.metric}": v.holds for v in measured.verdicts(DEFAULT)}
-    assert len(held) == len(DEMANDS)
-    assert [name for name, holds in held.items() if not holds] == [
-        "constant, roughness",
-        "constant, metallic",
-    ]
-    assert sum("NOT HELD" in line for line in report.lines(measured)) == 2
-    page = (tmp_path / "report.html").read_text("utf-8")
-    assert "MemoryError: too large" in page
-    assert "OSError: no clock" in page
-    rows = json.loads((tmp_path / "summary.json").read_text("utf-8"))["rows"]
-    by_name = {row["name"]: row for row in rows}
-    assert by_name["must hold (a): constant, roughness"]["status"] == "not held"
-    assert by_name["must hold (a): constant, roughness"]["metrics"]["value"] == pytest.approx(0.6)
-    assert by_name["must hold (b): varying, relight"]["status"] == "ok"
-    assert by_name["merged, default"]["metrics"]["albedo_ratio"] == pytest.approx(0.6)
-    assert by_name[f"{shadowed}, default"]["status"] == "1 of 2 rooms failed"
-    assert (tmp_path / "weights.png").exists()
-    assert "| default |" in (tmp_path / "ablation.md").read_text("utf-8")
-
-
-def test_report_without_a_finished_room(tmp_path: Path) -> None:
-    of = effort()
-    failed = [
-        (task, Record(task.key, None, "OSError: full", 0.0)) for task in ablation.plan_rooms(of)
-    ]
-    measured = report.Measured(of, failed, [], Record("cost_8", None, "OSError: full", 0.0))
-    report.write(tmp_path, measured)
-    rows = json.loads((tmp_path / "summary.json").read_text("utf-8"))["rows"]
-    assert [row["status"] for row in rows] == ["2 of 2 rooms failed"] * len(CASES)
-    assert report.lines(measured) == []
-
-
-def test_reported_seeds_are_apart_from_those_of_other_suites() -> None:
-    assert {task.seed for task in ablation.plan_rooms(ablation.FULL)} == set(range(3000, 3005))
-
-
-# The command
+    failed = [(task, Record(task.key, None, "OSError: full", 0.0)) for task, _ in results.pairs]
+    nothing = Results(results.options, failed)
+    assert [row.status for row in figures.rooms(nothing)] == ["2 of 2 rooms failed"] * len(CASES)
+    assert not list(figures.room_sections(nothing, []))
 
 
 def test_command(
@@ -338,14 +261,13 @@ def test_command(
     assert printed.err == ""
     assert printed.out.count("of 1 rooms") == len(DEMANDS)
     names = {path.name for path in out.iterdir()}
-    sheets = {f"room-{name}.png" for name in CASES}
-    assert names == sheets | {
+    assert names == {f"room-{name}.png" for name in CASES} | {
         "records", "report.html", "ratios.png", "ablation.md", "rooms.csv", "real.csv",
         "summary.json", "real-mine.png",
     }  # fmt: skip
     with (out / "rooms.csv").open(newline="", encoding="utf-8") as file:
         rooms = list(csv.DictReader(file))
-    assert len(rooms) == len(CASES) * len(configurations.FEW)
+    assert len(rooms) == len(CASES) * len(FEW)
     rows = json.loads((out / "summary.json").read_text("utf-8"))["rows"]
     by_name = {row["name"]: row for row in rows}
     of = {(r["case"], r["configuration"]): float(r["albedo"]) for r in rooms}
@@ -359,19 +281,12 @@ def test_command(
     assert {path: path.stat().st_mtime_ns for path in (out / "records").iterdir()} == kept
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_bad_arguments_make_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, message in (
         (("nowhere",), "nowhere: expected a folder of pictures, found nothing of that name"),
         (("--first-seed", "-1"), "argument --first-seed: "),
         (("--scenes", "0"), "expected 1 or more, found 0"),
-    ],
-)
-def test_command_with_bad_arguments(
-    arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("evaluate", "ablation", "--out", tmp_path / "out", *arguments) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    ):
+        assert run("evaluate", "ablation", "--out", tmp_path / "out", *arguments) == 2
+        assert message in capsys.readouterr().err
+        assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,8 @@
-"""The convergence suite: its scenes, its measures, its peers, its report and its command."""
+"""The convergence suite: its scenes, its measures, its peers, its figures and its command."""
 
 from __future__ import annotations
 
+import argparse
 import csv
 import itertools
 import json
@@ -15,71 +16,40 @@ import pytest
 
 import pbrfit
 from pbrfit import Materials
-from pbrfit.cli import main
 from pbrfit.fit.objective import Objective
 from pbrfit.result import metrics
-from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.lights import condition
-from pbrfit_evaluation import convergence, summary
-from pbrfit_evaluation.convergence import (
-    FULL,
-    QUICK,
-    SOLVERS,
-    Case,
-    Curve,
-    Effort,
-    Task,
-    measure,
-    plots,
-    report,
-    solvers,
-)
-from pbrfit_evaluation.convergence.cases import LIGHTS, make, true_lighting
+from pbrfit_evaluation import convergence
+from pbrfit_evaluation.convergence import Task, figures
+from pbrfit_evaluation.convergence.cases import CASES, LIGHTS, Case, make, true_lighting
 from pbrfit_evaluation.convergence.measure import (
     QUANTITIES,
-    Errors,
+    TARGETS,
     Point,
     Tracker,
     first_reached,
+    measure,
     median_reached,
     on_grid,
 )
-from pbrfit_evaluation.convergence.solvers import Budget, Solver
+from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Budget, fit_with_ours
+from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation.suite import Results
+from scene_files import run
 
 SMALL = Case("small", 12, 0.0, "typical")
-TINY = Effort("tiny", (SMALL,), seeds=1, iterations=12, evaluations=12, seconds=60.0)
 
 
-def errors(value: float) -> Errors:
-    return Errors(*[value] * len(QUANTITIES))
+def point(seconds: float, iteration: int, evaluations: int, error: float) -> Point:
+    cost = {"seconds": seconds, "iteration": iteration, "evaluations": evaluations}
+    return {**cost, **dict.fromkeys(QUANTITIES, error)}
 
 
-CURVE = (
-    Point(0.0, 0, 1, errors(0.5)),
-    Point(1.0, 3, 4, errors(0.09)),
-    Point(2.0, 6, 8, errors(0.02)),
-    Point(4.0, 9, 16, errors(0.06)),
-)
+CURVE = (point(0, 0, 1, 0.5), point(1, 3, 4, 0.09), point(2, 6, 8, 0.02), point(4, 9, 16, 0.06))
 """Falls below 0.05 and rises again."""
 
 
-def curve(
-    points: tuple[Point, ...] = CURVE,
-    case: Case = SMALL,
-    solver: str = "lbfgsb",
-    seed: int = 100,
-) -> Curve:
-    return Curve(Task(case, solver, seed, Budget(9, 9, 9.0)), points, "done", 1000.0, 1, 0.5)
-
-
 # Scenes
-
-
-def test_condition_of_a_diagonal_light_matrix() -> None:
-    lighting = np.zeros((16, 16, 3))
-    lighting[range(16), range(16)] = 2.0
-    lighting[0, 0, 1] = 50.0
-    assert condition(lighting) == pytest.approx(25.0)
 
 
 def test_conditioning_goes_from_near_the_best_to_nearly_singular() -> None:
@@ -102,15 +72,9 @@ def test_pictures_are_those_of_the_lights(lights: Any) -> None:
     np.testing.assert_allclose(scene.images, rendered, rtol=1e-12, atol=1e-14)
     assert scene.images.mean() == pytest.approx(0.4)
     assert scene.images.min() > 0
-
-
-def test_lights_are_positive_in_every_direction() -> None:
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     basis = pbrfit.sh_basis(directions / np.linalg.norm(directions, axis=1, keepdims=True))
-    for lights in LIGHTS:
-        scene = make(replace(SMALL, lights=lights), seed=102)
-        radiance = np.einsum("dk,nkc->dnc", basis, true_lighting(scene))
-        assert radiance.min() >= -1e-12
+    assert np.einsum("dk,nkc->dnc", basis, true_lighting(scene)).min() >= -1e-12
 
 
 def test_noise_is_a_share_of_the_mean_radiance() -> None:
@@ -120,11 +84,6 @@ def test_noise_is_a_share_of_the_mean_radiance() -> None:
     np.testing.assert_array_equal(noisy.images, make(Case("c", 24, 0.02, "alike"), 100).images)
 
 
-def test_unknown_lights_are_refused() -> None:
-    with pytest.raises(pbrfit.InputError, match="lights: expected one of spread"):
-        make(replace(SMALL, lights="dark"), 0)  # type: ignore[arg-type]
-
-
 # Measures
 
 
@@ -132,21 +91,20 @@ def test_truth_has_no_errors_and_known_changes_have_known_ones() -> None:
     scene = make(SMALL, 100)
     assert scene.truth is not None
     true, lighting = scene.truth.materials, true_lighting(scene)
-    assert max(measure.measure(scene, true, lighting).__dict__.values()) < 1e-12
-    found = measure.measure(scene, replace(true, albedo=0.5 * true.albedo), lighting)
-    assert found.albedo_scaled == pytest.approx(0.0, abs=1e-12)
-    assert found.albedo == pytest.approx(0.5 * math.sqrt(np.mean(true.albedo**2)))
-    assert found.roughness == found.metallic == 0.0
-    halved = measure.measure(scene, true, 0.5 * lighting)
-    assert halved.recon == pytest.approx(0.5 * math.sqrt(np.mean(scene.images**2)))
-    assert halved.relight == pytest.approx(0.0, abs=1e-12)  # not under the lights that were found
-
-
-def test_measuring_needs_a_truth() -> None:
-    scene = make(SMALL, 100)
-    assert scene.truth is not None
+    assert max(measure(scene, true, lighting).values()) < 1e-12
+    found = measure(scene, replace(true, albedo=0.5 * true.albedo), lighting)
+    assert found["albedo_scaled"] == pytest.approx(0.0, abs=1e-12)
+    assert found["albedo"] == pytest.approx(0.5 * math.sqrt(np.mean(true.albedo**2)))
+    assert found["roughness"] == found["metallic"] == 0.0
+    halved = measure(scene, true, 0.5 * lighting)
+    assert halved["recon"] == pytest.approx(0.5 * math.sqrt(np.mean(scene.images**2)))
+    assert halved["relight"] == pytest.approx(0.0, abs=1e-12)  # not under lights that were found
+    beyond = Materials(true.albedo, true.roughness, np.full_like(true.metallic, 1.0 + 1e-7))
+    assert math.isfinite(measure(scene, beyond, lighting)["recon"])
     with pytest.raises(pbrfit.InputError, match="ground truth"):
-        measure.measure(replace(scene, truth=None), scene.truth.materials, true_lighting(scene))
+        measure(replace(scene, truth=None), true, lighting)
+    with pytest.raises(pbrfit.InputError, match="lights: expected one of spread"):
+        make(replace(SMALL, lights="dark"), 0)  # type: ignore[arg-type]
 
 
 def test_checkpoints_are_spread_evenly_over_the_logarithm() -> None:
@@ -157,36 +115,23 @@ def test_checkpoints_are_spread_evenly_over_the_logarithm() -> None:
     for evaluations in range(1, 101):
         tracker.visit(0.5 * evaluations, evaluations - 1, evaluations, lambda: state)
     tracker.end(60.0, 99, 100, lambda: state)
-    seen = [point.evaluations for point in tracker.points]
+    seen = [at["evaluations"] for at in tracker.points]
     assert seen[:9] == [1, 2, 3, 4, 5, 6, 7, 8, 9]
     assert seen[-1] == 100
     assert len(seen) == len(set(seen))
     assert max(b / a for a, b in itertools.pairwise(seen[8:])) < 1.25
-    assert tracker.points[-1].seconds == 60.0
-
-
-def test_time_to_an_error_by_hand() -> None:
-    at = first_reached(CURVE, "albedo", 0.1)
-    assert (at.seconds, at.evaluations, at.kept) == (1.0, 4, True)
-    at = first_reached(CURVE, "albedo", 0.05)
-    assert (at.seconds, at.evaluations, at.kept) == (2.0, 8, False)
-    at = first_reached(CURVE, "albedo", 0.02)
-    assert at.seconds == 2.0  # at the threshold is reached
-    at = first_reached(CURVE, "albedo", 0.019)
-    assert (at.seconds, at.evaluations, at.kept) == (None, None, False)
-
-
-def test_an_error_that_is_no_number_reaches_nothing() -> None:
-    assert first_reached([Point(0, 0, 1, errors(math.nan))], "recon", 1.0).seconds is None
+    assert tracker.points[-1]["seconds"] == 60.0
 
 
 def test_median_counts_never_as_late() -> None:
-    assert median_reached([]) is None
-    assert median_reached([3.0]) == 3.0
-    assert median_reached([3.0, None, 1.0]) == 3.0
-    assert median_reached([None, None, 1.0]) is None
-    assert median_reached([1.0, 2.0]) == 2.0
-    assert median_reached([1.0, None]) is None
+    for times, expected in (
+        ([], None),
+        ([3.0, None, 1.0], 3.0),
+        ([None, None, 1.0], None),
+        ([1.0, 2.0], 2.0),
+        ([1.0, None], None),
+    ):
+        assert median_reached(times) == expected
 
 
 def test_curves_on_a_grid_by_hand() -> None:
@@ -195,119 +140,87 @@ def test_curves_on_a_grid_by_hand() -> None:
     np.testing.assert_allclose(found, [np.nan, 1.0, 0.1, 1e-2, 1e-2])
 
 
-def test_points_survive_a_record() -> None:
-    assert [Point.from_row(json.loads(json.dumps(p.as_row()))) for p in CURVE] == list(CURVE)
-
-
 # Solvers
 
 
 def test_the_solver_tells_its_state_with_the_clock_stopped() -> None:
     scene = make(SMALL, 100)
     tracker = Tracker(scene, threads=1)
-    solvers.fit_with_ours(scene, Budget(8, 0, 60.0), tracker, 1)
+    fit_with_ours(scene, Budget(8, 0, 60.0), tracker, 1)
     result = pbrfit.decompose(
         scene, solver="lbfgsb", iterations=8, threads=1, priors=None, refine_normals="off"
     )
-    for point in tracker.points:
-        row = list(result.history["iteration"]).index(point.iteration)
-        assert point.evaluations == result.history["evaluations"][row]
-        assert point.errors.albedo == pytest.approx(result.history["albedo_rmse"][row])
-        assert point.errors.recon == pytest.approx(result.history["recon_rmse"][row], rel=1e-3)
-    last = tracker.points[-1].errors
-    assert last.relight == pytest.approx(result.metrics["relight_rmse"])
-    assert last.albedo_scaled == pytest.approx(result.metrics["albedo_scaled_rmse"])
-    seconds = [point.seconds for point in tracker.points]
+    for at in tracker.points:
+        row = list(result.history["iteration"]).index(at["iteration"])
+        assert at["evaluations"] == result.history["evaluations"][row]
+        assert at["albedo"] == pytest.approx(result.history["albedo_rmse"][row])
+        assert at["recon"] == pytest.approx(result.history["recon_rmse"][row], rel=1e-3)
+    last = tracker.points[-1]
+    assert last["relight"] == pytest.approx(result.metrics["relight_rmse"])
+    assert last["albedo_scaled"] == pytest.approx(result.metrics["albedo_scaled_rmse"])
+    seconds = [at["seconds"] for at in tracker.points]
     assert seconds == sorted(seconds)
 
 
-def test_given_start_is_the_default_one() -> None:
+def test_starts_and_lights_are_those_that_names_say() -> None:
     scene = make(SMALL, 100)
-    one_stage = Tracker(scene, threads=1)
-    solvers.by_name("lbfgsb-one-stage").run(scene, Budget(1, 0, 60.0), one_stage, 1)
-    staged = Tracker(scene, threads=1)
-    solvers.by_name("lbfgsb").run(scene, Budget(1, 0, 60.0), staged, 1)
-    assert one_stage.points[0].errors.recon == pytest.approx(staged.points[0].errors.recon)
-
-
-def test_known_lights_are_the_true_ones() -> None:
-    scene = make(SMALL, 100)
-    tracker = Tracker(scene, threads=1)
-    solvers.by_name("lbfgsb-known-lights").run(scene, Budget(0, 0, 60.0), tracker, 1)
+    first = {}
+    for name in ("lbfgsb", "lbfgsb-one-stage", "lbfgsb-known-lights"):
+        tracker = Tracker(scene, threads=1)
+        BY_NAME[name].run(scene, Budget(1, 0, 60.0), tracker, 1)
+        first[name] = tracker.points[0]["recon"]
+    assert first["lbfgsb-one-stage"] == pytest.approx(first["lbfgsb"])
     start, _ = Objective(scene).unpack(Objective(scene).start())
     rendered = pbrfit.render(start, scene.normals, true_lighting(scene), scene.fov)
-    assert tracker.points[0].errors.recon == pytest.approx(metrics.rmse(rendered, scene.images))
+    assert first["lbfgsb-known-lights"] == pytest.approx(metrics.rmse(rendered, scene.images))
 
 
-def test_unknown_solver_is_refused() -> None:
-    with pytest.raises(pbrfit.InputError, match="solver: expected one of lbfgsb, "):
-        solvers.by_name("magic")
+def test_a_solver_says_why_it_cannot_run() -> None:
+    absent = replace(SOLVERS[0], needs=("no_such_package",))
+    assert absent.why_not("paper") == "not run: no_such_package is not installed"
+    assert BY_NAME["torch-adam"].why_not("principled") == ("not run: it knows no model principled")
 
 
-def test_a_solver_that_needs_what_is_absent_is_not_planned(monkeypatch: Any) -> None:
-    absent = Solver("other", "other", "needs much", SOLVERS[0].run, needs=("no_such_package",))
-    assert absent.missing == "not run: no_such_package is not installed"
-    monkeypatch.setattr(convergence, "SOLVERS", (SOLVERS[0], absent))
-    assert {task.solver for task in convergence.plan(TINY)} == {"lbfgsb"}
-    monkeypatch.setattr(report, "SOLVERS", (SOLVERS[0], absent))
-    ours, other = report.groups(TINY, [curve()], seeds=1)
-    assert ours.status == "ok"
-    assert (other.status, other.metrics()) == (absent.missing, {})
+def options(*cases: str, seeds: int = 1, iterations: int = 12) -> argparse.Namespace:
+    budget = {"iterations": iterations, "evaluations": 12, "seconds": 60.0}
+    return argparse.Namespace(model="paper", cases=cases, seeds=seeds, **budget)
 
 
 def test_plans_have_unique_names_and_reported_seeds() -> None:
-    for effort in (QUICK, FULL):
-        tasks = convergence.plan(effort, 10)
-        assert len({task.key for task in tasks}) == len(tasks)
-        assert {task.seed for task in tasks} == set(range(100, 110))
-    budgets = {task.case.size: task.budget.seconds for task in convergence.plan(FULL)}
+    tasks = convergence.tasks(options(*CASES, seeds=10))
+    assert len({task.key for task in tasks}) == len(tasks)
+    assert {task.seed for task in tasks} == set(range(100, 110))
+    budgets = {task.case.size: task.budget.seconds for task in tasks}
     assert budgets[128] == 4 * budgets[64] == 4 * budgets[32]
 
 
 # Peers
 
 
-def view_of(scene: Scene) -> Any:
+def test_torch_loss_and_gradient_are_ours() -> None:
+    pytest.importorskip("torch")
     from pbrfit_evaluation.convergence.torch_peer import Problem, Settings
 
-    def problem(settings: Settings) -> Problem:
-        objective = Objective(scene, threads=1)
-        return Problem(scene, objective, inside(objective), settings)
-
-    return problem
-
-
-def inside(objective: Objective) -> Any:
-    """A point clear of the bounds, so that a sigmoid can say it."""
-    x = objective.start()
-    maps = slice(0, 5 * objective.pixels)
-    x[maps] = np.clip(x[maps] + np.random.default_rng(0).normal(0, 0.1, maps.stop), 0.1, 0.9)
-    return x
-
-
-@pytest.mark.parametrize("bounds", ["sigmoid", "clamp"])
-def test_torch_loss_and_gradient_are_ours(bounds: Any) -> None:
-    pytest.importorskip("torch")
-    from pbrfit_evaluation.convergence.torch_peer import Settings
-
     scene = make(Case("c", 16, 0.01, "typical"), 100)
-    problem = view_of(scene)(Settings("adam", bounds, rate=0.1, light_unit=2.0))
     objective = Objective(scene, threads=1)
-    x = inside(objective)
+    x = objective.start()
+    of_maps = slice(0, 5 * objective.pixels)
+    noise = np.random.default_rng(0).normal(0, 0.1, of_maps.stop)
+    x[of_maps] = np.clip(x[of_maps] + noise, 0.1, 0.9)  # clear of the bounds, for the sigmoid
+    problem = Problem(scene, objective, x, Settings("adam", rate=0.1, light_unit=2.0))
     loss, gradient = objective.value_and_grad(x)
     assert float(problem.evaluate().detach()) == pytest.approx(loss, rel=1e-5)
     maps, lights = (unknown.grad.numpy().ravel() for unknown in problem.unknowns)
-    m = x[: maps.size]
-    slope = m * (1 - m) if bounds == "sigmoid" else 1.0
+    m = x[of_maps]
     for found, expected in (
-        (maps, gradient[: maps.size] * slope),
+        (maps, gradient[of_maps] * m * (1 - m)),
         (lights, 2.0 * gradient[maps.size :]),
     ):
         assert np.linalg.norm(found - expected) <= 1e-4 * np.linalg.norm(expected)
-    found, lighting = problem.state()
-    true, true_lighting = objective.unpack(x)
-    np.testing.assert_allclose(found.albedo, true.albedo, atol=1e-6)
-    np.testing.assert_allclose(lighting, true_lighting, rtol=1e-5, atol=1e-6)
+    materials, lighting = problem.state()
+    true, true_lights = objective.unpack(x)
+    np.testing.assert_allclose(materials.albedo, true.albedo, atol=1e-6)
+    np.testing.assert_allclose(lighting, true_lights, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["torch-lbfgs", "torch-adam"])
@@ -315,121 +228,101 @@ def test_torch_optimisers_descend_and_count(name: str) -> None:
     pytest.importorskip("torch")
     scene = make(SMALL, 100)
     tracker = Tracker(scene, threads=1)
-    reason = solvers.by_name(name).run(scene, Budget(0, 60, 60.0), tracker, 1)
+    reason = BY_NAME[name].run(scene, Budget(0, 60, 60.0), tracker, 1)
     first, last = tracker.points[0], tracker.points[-1]
-    assert first.evaluations == 1
-    assert 60 <= last.evaluations <= 90
-    assert reason.startswith(str(last.evaluations))
-    assert last.errors.recon < 0.5 * first.errors.recon
-    assert all(np.isfinite(point.as_row()).all() for point in tracker.points)
-
-
-def test_torch_adam_may_clamp() -> None:
-    pytest.importorskip("torch")
-    from pbrfit_evaluation.convergence import torch_peer
-
-    scene = make(SMALL, 100)
-    tracker = Tracker(scene, threads=1)
-    settings = torch_peer.Settings("adam", "clamp", rate=0.3)
-    torch_peer.fit(scene, settings, torch_peer.Limits(5, 60.0), tracker, 1)
-    assert [point.evaluations for point in tracker.points] == [1, 2, 3, 4, 5]
+    assert first["evaluations"] == 1
+    assert 60 <= last["evaluations"] <= 90
+    assert reason.startswith(str(last["evaluations"]))
+    assert last["recon"] < 0.5 * first["recon"]
+    assert all(np.isfinite(list(at.values())).all() for at in tracker.points)
 
 
 def test_time_limit_ends_a_peer() -> None:
     pytest.importorskip("torch")
     scene = make(SMALL, 100)
     for name in ("torch-lbfgs", "torch-adam"):
-        reason = solvers.by_name(name).run(scene, Budget(0, 10**6, 0.0), Tracker(scene, 1), 1)
+        reason = BY_NAME[name].run(scene, Budget(0, 10**6, 0.0), Tracker(scene, 1), 1)
         assert "time limit" in reason
 
 
-# Report
+# Figures and the command
+
+
+def results(noise: float, *curves: tuple[Point, ...] | None) -> Results[Task]:
+    """Runs of "lbfgsb" on scenes of a case; None for one that failed."""
+    name = "noise-64" if noise else "typical-64"
+    found = {"stop_reason": "done", "condition": 1000.0, "threads": 1, "load": 0.5}
+    pairs = [
+        (
+            Task(CASES[name], "lbfgsb", 100 + i, Budget(9, 9, 9.0)),
+            Record(str(i), found | {"points": points}, None, 1.0)
+            if points
+            else Record(str(i), None, "OSError: full", 1.0),
+        )
+        for i, points in enumerate(curves)
+    ]
+    return Results(options(name, seeds=len(curves)), pairs)
 
 
 def test_times_say_what_was_not_reached_and_what_is_below_the_noise() -> None:
-    noisy = replace(SMALL, noise=0.01)  # 0.004
-    rows = [dict(zip(report.TIME_COLUMNS, row, strict=True)) for row in report.time_rows(
-        [curve(case=noisy)]
-    )]  # fmt: skip
-    status = {(row["quantity"], row["target"]): row["status"] for row in rows}
-    assert status["albedo", 0.1] == status["albedo", 0.02] == "reached"
-    assert status["albedo", 0.01] == status["recon", 1e-2] == "not reached"
-    assert status["recon", 3e-3] == "below the noise"
-    assert {row["kept"] for row in rows if row["target"] == 0.02} == {"no"}
+    lines = figures.csvs(results(0.01, CURVE), [])["times.csv"]
+    of = {(line["quantity"], line["target"]): line for line in lines}
+    for target, seconds, kept in ((0.1, 1, "yes"), (0.05, 2, "no"), (0.02, 2, "no")):
+        line = of["albedo", target]
+        assert (line["status"], line["seconds"], line["kept"]) == ("reached", seconds, kept)
+    assert of["albedo", 0.01]["status"] == of["recon", 1e-2]["status"] == "not reached"
+    assert of["recon", 3e-3]["status"] == "below the noise"  # of 0.004
+    assert first_reached([point(0, 0, 1, math.nan)], "recon", 1.0) is None
 
 
-def test_groups_take_medians_and_count_failures() -> None:
-    low, high = (
-        curve(tuple(Point(f * p.seconds, p.iteration, p.evaluations, errors(f * p.errors.albedo))
-                    for p in CURVE), seed=seed)
-        for f, seed in ((1.0, 100), (3.0, 101))
-    )  # fmt: skip
-    group = report.groups(TINY, [low, high], seeds=3)[0]
-    assert group.status == "1 of 3 runs failed"
-    found = group.metrics()
-    assert found["albedo"] == pytest.approx(0.12)
-    assert found["seconds"] == pytest.approx(8.0)
-    assert group.time_to("albedo", 0.1) == (6.0, 2)
-    assert group.time_to("albedo", 0.05) == (None, 1)
+def test_rows_take_medians_and_count_failures() -> None:
+    slow = tuple({name: 3 * value for name, value in at.items()} for at in CURVE)
+    found = results(0.0, CURVE, slow, None)
+    row = figures.rows(found)[0]
+    assert row.status == "1 of 3 runs failed"
+    assert row.metrics["albedo"] == pytest.approx(0.12)
+    assert row.metrics["seconds"] == pytest.approx(8.0)
+    assert row.metrics["seconds_to_recon_0.01"] is None
+    assert row.metrics["seconds_to_albedo_0.05"] is None  # one of two reached it
+    assert figures.rows(found)[-1].scenes == 0
 
 
-def test_plots_are_drawn_for_several_seeds_and_for_one() -> None:
-    for curves in ([curve()], [curve(), curve(CURVE[:3], seed=101)]):
-        assert plots.draw(curves, "recon").startswith(b"\x89PNG")
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in ("evaluate", "convergence", *arguments)])
-
-
-def test_command_writes_curves_times_summary_and_page(
+def test_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(convergence, "QUICK", TINY)
-    monkeypatch.setattr(plots, "draw", lambda _curves, quantity: quantity.encode())
+    tiny = {"cases": ("small",), "iterations": 12, "evaluations": 12}
+    monkeypatch.setitem(CASES, "small", SMALL)
+    for name, value in tiny.items():
+        monkeypatch.setitem(convergence.SUITE.effort, name, (value, value))
     out = tmp_path / "out"
-    assert run("--out", out, "--quick", "--quiet") == 0
+    command = ("evaluate", "convergence", "--out", out, "--quick")
+    assert run(*command, "--quiet") == 0
     assert capsys.readouterr().out == ""
-    with (out / report.CURVES).open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == report.CURVE_COLUMNS
-    able = [solver for solver in SOLVERS if not solver.missing]
-    assert {row["solver"] for row in rows} == {solver.name for solver in able}
-    assert all(float(row["recon"]) > 0 for row in rows)
-    with (out / report.TIMES).open(newline="", encoding="utf-8") as file:
-        times = list(csv.DictReader(file))
-    assert tuple(times[0]) == report.TIME_COLUMNS
-    assert len(times) == len(able) * sum(map(len, measure.TARGETS.values()))
+    curves, times = (
+        list(csv.DictReader((out / name).read_text(encoding="utf-8").splitlines()))
+        for name in ("curves.csv", "times.csv")
+    )
+    able = [solver for solver in SOLVERS if not solver.why_not("paper")]
+    assert {row["solver"] for row in curves} == {solver.name for solver in able}
+    assert all(float(row["recon"]) > 0 for row in curves)
+    assert len(times) == len(able) * sum(map(len, TARGETS.values()))
     for row in times:
         assert (row["status"] == "reached") == bool(row["seconds"]) == bool(row["evaluations"])
-    content = json.loads((out / summary.FILE).read_text(encoding="utf-8"))
-    assert content["protocol"] == f"{report.PROTOCOL}, tiny"
+    content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert content["protocol"] == "pbrfit-convergence-1, quick"
     status = {row["solver"]: row["status"] for row in content["rows"]}
-    assert status == {solver.name: solver.missing or "ok" for solver in SOLVERS}
-    last = [row for row in rows if row["solver"] == "lbfgsb"][-1]
+    assert status == {solver.name: solver.why_not("paper") or "ok" for solver in SOLVERS}
+    last = [row for row in curves if row["solver"] == "lbfgsb"][-1]
     assert content["rows"][0]["metrics"]["albedo"] == pytest.approx(float(last["albedo"]))
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert "lbfgsb-paper" in page
-    for quantity in QUANTITIES:
-        assert (out / f"{quantity}.png").read_bytes() == quantity.encode()
-
-    assert run("--out", out, "--quick", "--quiet") == 2  # it is there
-    assert "expected a folder that does not exist yet" in capsys.readouterr().err
-    before = (out / report.CURVES).read_bytes()
-    assert run("--out", out, "--quick", "--resume") == 0
-    assert (out / report.CURVES).read_bytes() == before  # times and all: nothing was run again
-    assert "12², no noise, lights typical" in capsys.readouterr().out
+    assert "lbfgsb-paper" in (out / "report.html").read_text(encoding="utf-8")
+    assert all((out / f"{quantity}.png").exists() for quantity in QUANTITIES)
+    before = (out / "curves.csv").read_bytes()
+    assert run(*command, "--resume") == 0
+    assert (out / "curves.csv").read_bytes() == before  # times and all: nothing was run again
+    assert "lbfgsb-known-lights" in capsys.readouterr().out
 
 
 def test_too_many_seeds_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("--out", tmp_path / "out", "--seeds", 101) == 2
+    assert run("evaluate", "convergence", "--out", tmp_path / "out", "--seeds", 101) == 2
     assert "--seeds: expected at most 100, found 101" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_materials_beyond_their_range_by_a_rounding_are_measured() -> None:
-    scene = make(SMALL, 100)
-    assert scene.truth is not None
-    true = scene.truth.materials
-    beyond = Materials(true.albedo, true.roughness, np.full_like(true.metallic, 1.0 + 1e-7))
-    assert math.isfinite(measure.measure(scene, beyond, true_lighting(scene)).recon)

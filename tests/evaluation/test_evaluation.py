@@ -1,4 +1,4 @@
-"""What suites share: tasks that survive failures and interruptions, tables, folders, scores."""
+"""What suites share: records, folders, means, the command, the report, recipes and scores."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ import numpy as np
 import pytest
 
 import pbrfit
+import pbrfit_evaluation
 from evaluation_tasks import Task, work
 from pbrfit import InputError, Materials, Result, Scene
 from pbrfit.scene.arrays import Truth
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation import jobs, recipes, scores, tables, workspace
+from pbrfit_evaluation import jobs, recipes, scores, tables
 from pbrfit_evaluation.jobs import Record
 from processes import alive, until
 
@@ -120,6 +121,24 @@ def test_another_task_or_other_code_of_that_name_is_done_again(
     assert attempts(tmp_path) == {"a": 4}  # a broken record is none
 
 
+def test_records_depend_on_the_code_of_both_packages_that_measures() -> None:
+    found = {
+        path.relative_to(Path(package.__file__ or "").parent).as_posix()
+        for package in (pbrfit, pbrfit_evaluation)
+        for path in jobs._measuring(Path(package.__file__ or "").parent)
+    }
+    assert found >= {"fit/decompose.py", "scores.py", "table1/measure.py", "table1/rows.py"}
+    assert any(name.startswith("_core.") for name in found)
+    for name in (
+        "report/html.py",
+        "report/viewer",
+        "report/plots.py",
+        "suite.py",
+        "table1/figures",
+    ):
+        assert not any(path.startswith(name) for path in found), name
+
+
 def test_an_interrupted_run_keeps_what_is_done(tmp_path: Path) -> None:
     tasks = [Task("a", tmp_path), Task("b", tmp_path, "interrupt"), Task("c", tmp_path)]
     with pytest.raises(KeyboardInterrupt):
@@ -166,20 +185,20 @@ def test_csv_keeps_all_digits_and_leaves_gaps_empty(tmp_path: Path) -> None:
         ]
 
 
-# ------------------------------------------------------------------------------------- workspace
+# ---------------------------------------------------------------------------------------- folders
 
 
 def test_folder_of_a_suite(tmp_path: Path) -> None:
     out = tmp_path / "a" / "out"
-    workspace.prepare(out, resume=False, overwrite=False)
+    jobs.prepare(out, resume=False, overwrite=False)
     jobs.run([Task("x", tmp_path)], work, out)
     (out / "summary.json").write_text("{}", "utf-8")
     with pytest.raises(FileExistsError, match="expected a folder that does not exist yet"):
-        workspace.prepare(out, resume=False, overwrite=False)
-    workspace.prepare(out, resume=True, overwrite=False)
+        jobs.prepare(out, resume=False, overwrite=False)
+    jobs.prepare(out, resume=True, overwrite=False)
     assert [path.name for path in out.iterdir()] == ["records"]  # it is not whole any more
     assert (out / "records" / "x.json").exists()
-    workspace.prepare(out, resume=False, overwrite=True)
+    jobs.prepare(out, resume=False, overwrite=True)
     assert list((out / "records").iterdir()) == []
 
 
@@ -187,7 +206,7 @@ def test_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "holiday.jpg").write_bytes(b"")
     for resume in (False, True):
         with pytest.raises(FileExistsError, match="found a folder without records"):
-            workspace.prepare(tmp_path, resume=resume, overwrite=True)
+            jobs.prepare(tmp_path, resume=resume, overwrite=True)
 
 
 @pytest.mark.parametrize(("resume", "overwrite"), [(True, False), (False, True), (True, True)])
@@ -198,28 +217,28 @@ def test_records_of_somebody_else_are_left_alone(
     (tmp_path / "records").mkdir()
     (tmp_path / name).write_text('{"title": "x"}', "utf-8")
     with pytest.raises(FileExistsError, match="expected an earlier output of a suite, found"):
-        workspace.prepare(tmp_path, resume=resume, overwrite=overwrite)
+        jobs.prepare(tmp_path, resume=resume, overwrite=overwrite)
     assert (tmp_path / name).exists()
 
 
 def test_a_link_to_a_folder_stays(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    workspace.prepare(out, resume=False, overwrite=False)
+    jobs.prepare(out, resume=False, overwrite=False)
     (out / "report.html").write_text("old", "utf-8")
     jobs.run([Task("x", tmp_path)], work, out)
     link = tmp_path / "link"
     link.symlink_to(out, target_is_directory=True)
-    workspace.prepare(link, resume=False, overwrite=True)
+    jobs.prepare(link, resume=False, overwrite=True)
     assert link.is_symlink()
     assert [path.name for path in out.iterdir()] == ["records"]
 
 
 def test_report_is_whole_or_marked_by_the_lack_of_a_summary(tmp_path: Path) -> None:
-    workspace.prepare(tmp_path / "out", resume=False, overwrite=False)
-    with workspace.publish(tmp_path / "out") as folder:
+    jobs.prepare(tmp_path / "out", resume=False, overwrite=False)
+    with jobs.publish(tmp_path / "out") as folder:
         (folder / "summary.json").write_text("1", "utf-8")
         (folder / "pictures").mkdir()
-    with workspace.publish(tmp_path / "out") as folder:
+    with jobs.publish(tmp_path / "out") as folder:
         (folder / "summary.json").write_text("2", "utf-8")
         (folder / "pictures").mkdir()
         (folder / "pictures" / "new.png").write_bytes(b"")
@@ -227,7 +246,7 @@ def test_report_is_whole_or_marked_by_the_lack_of_a_summary(tmp_path: Path) -> N
     assert names == ["pictures", "records", "summary.json"]
     assert (tmp_path / "out" / "summary.json").read_text("utf-8") == "2"
     assert (tmp_path / "out" / "pictures" / "new.png").exists()
-    with pytest.raises(RuntimeError), workspace.publish(tmp_path / "out"):
+    with pytest.raises(RuntimeError), jobs.publish(tmp_path / "out"):
         raise RuntimeError
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["pictures", "records"]
 

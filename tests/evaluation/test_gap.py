@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,31 +16,13 @@ import pbrfit
 import reference
 from pbrfit.io import images
 from pbrfit.model.geometry import view_directions
-from pbrfit_evaluation import gap
-from pbrfit_evaluation.gap import (
-    INTEGRATED,
-    PAPER,
-    PRINCIPLED,
-    TABULATED,
-    Effort,
-    Gap,
-    integrated,
-    principled,
-    response,
-    spheres,
-)
+from pbrfit_evaluation.gap import measure, principled, spheres
 from pbrfit_evaluation.gap.brute_force import respond, view
+from pbrfit_evaluation.gap.measure import Case, Model, integrated, paper, principled_brdf, response
 from pbrfit_evaluation.gap.principled import BRDF, Choices, fresnel, mean_albedo
 from scene_files import run
 
 Array = NDArray[np.float64]
-
-SMALL = Effort("small", r=(0.2, 0.8, 1.0), n_dot_v=(0.2, 1.0), rings=4, lights=4)
-
-
-@pytest.fixture(scope="module")
-def measured() -> Gap:
-    return gap.measure(SMALL, reference=PAPER)
 
 
 def hemisphere() -> tuple[Array, Array]:
@@ -138,18 +121,6 @@ def test_the_principled_integral_agrees_with_a_plain_rule(
     np.testing.assert_allclose(found, expected, atol=5e-6)
 
 
-@pytest.mark.parametrize("r", [0.02, 0.1, 0.4, 1.0])
-@pytest.mark.parametrize("n_dot_v", [0.02, 0.2, 1.0])
-def test_stated_error_of_the_principled_integral_covers_a_finer_rule(
-    r: float, n_dot_v: float
-) -> None:
-    found, finer = principled.respond(r, n_dot_v), principled.respond(r, n_dot_v, 120)
-    for name in ("base", "grazing", "glass"):
-        change = np.abs(getattr(found, name) - getattr(finer, name)).max()
-        assert change <= found.error + 1e-12
-    assert found.error < 2e-6
-
-
 @pytest.mark.parametrize("r", [0.02, 0.2, 0.5, 1.0])
 @pytest.mark.parametrize("n_dot_v", [0.02, 0.3, 1.0])
 def test_white_furnace_of_the_principled_integral(r: float, n_dot_v: float) -> None:
@@ -218,36 +189,13 @@ def test_the_integral_on_any_normals_is_that_of_the_pixels_own_frame() -> None:
 
 @pytest.mark.parametrize("r", [0.02, 0.1, 0.3, 0.5, 0.8, 1.0])
 @pytest.mark.parametrize("n_dot_v", [0.02, 0.2, 0.7, 1.0])
-def test_stated_error_covers_a_much_finer_rule(r: float, n_dot_v: float) -> None:
-    found, finer = respond(r, n_dot_v, 48), respond(r, n_dot_v, 160)
-    for name in ("base", "grazing", "diffuse"):
+@pytest.mark.parametrize("of", [respond, principled.respond])
+def test_stated_error_covers_a_much_finer_rule(of: Any, r: float, n_dot_v: float) -> None:
+    found, finer = of(r, n_dot_v, 48), of(r, n_dot_v, 120)
+    for name in ("base", "grazing", "diffuse" if of is respond else "glass"):
         change = np.abs(getattr(found, name) - getattr(finer, name)).max()
         assert change <= found.error + 1e-9
     assert found.error < 2e-5
-    assert finer.error < 1e-9
-
-
-def test_rough_lobe_seen_straight_on_returns_one_minus_log_two() -> None:
-    # α = 1: D = 1/π, G1(1) = 1, G1(n·l) = 2x/(1+x) with x = n·l = 2c² − 1, so that
-    # ∫ D G1/4 dl = ½ ∫₀¹ x/(1+x) dx · 2 = 1 − ln 2.
-    exact = respond(1.0, 1.0)
-    albedo = 2 * math.sqrt(math.pi) * (exact.base + exact.grazing)[0]
-    assert albedo == pytest.approx(1 - math.log(2), abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("r", "n_dot_v", "closed", "true"), [(1.0, 1.0, 0.50, 0.31), (0.8, 0.2, 0.39, 0.83)]
-)
-def test_known_directional_albedos(r: float, n_dot_v: float, closed: float, true: float) -> None:
-    measured = gap.measure(Effort("one", (r,), (n_dot_v,), rings=2, lights=2), reference=PAPER)
-    assert measured.model_response("paper")[0, 0, 0, 0] == pytest.approx(closed, abs=0.005)
-    assert measured.true_response[0, 0, 0, 0] == pytest.approx(true, abs=0.005)
-
-
-def test_closed_form_is_within_three_per_cent_for_smooth_lobes_seen_straight() -> None:
-    few = Effort("few", (0.1, 0.3, 0.5), (0.5, 0.7, 1.0), rings=2, lights=2)
-    measured = gap.measure(few, reference=PAPER)
-    np.testing.assert_allclose(measured.ratio("paper")[0, ..., 0], 1.0, atol=0.03)
 
 
 @pytest.mark.parametrize("n_dot_v", [0.1, 0.6, 1.0])
@@ -264,60 +212,46 @@ def test_mirror_has_a_response_of_one_in_every_band() -> None:
     np.testing.assert_allclose(response(weights), 1.0, rtol=1e-14)
 
 
-@pytest.mark.parametrize("own", [PAPER, PRINCIPLED], ids=["paper", "principled"])
-def test_a_perfect_model_has_no_gap(own: gap.Reference) -> None:
+@pytest.mark.parametrize("own", [paper, principled_brdf])
+def test_a_perfect_model_has_no_gap_and_a_brighter_one_its_own(own: measure.Reference) -> None:
     exact = integrated(own)
 
     def brighter(normal: Array, view: Array, albedo: Array, r: Array, m: Array) -> Array:
         return 1.5 * exact(normal, view, albedo, r, m)
 
-    measured = gap.measure(
-        Effort("one", (0.5,), (0.5,), rings=2, lights=2),
-        reference=own,
-        models={"exact": exact, "brighter": brighter},
-    )
-    assert measured.relative_rmse("exact").max() < 1e-14
-    np.testing.assert_allclose(measured.distance("exact"), 0, atol=1e-14)
-    np.testing.assert_allclose(measured.ratio("brighter"), 1.5)
-    np.testing.assert_allclose(measured.overall_rmse("brighter"), 0.5)
+    models: dict[str, Model] = {"exact": exact, "brighter": brighter}
+    found = measure.measure(Case(0.5, (0.5,), rings=2, lights=2), own, models)
+    signal, true = np.array(found["signal"]), np.array(found["true"])
+    of = {name: {k: np.array(v) for k, v in one.items()} for name, one in found["models"].items()}
+    assert (of["exact"]["error"] / signal).max() < 1e-14
+    np.testing.assert_allclose(of["exact"]["distance"], 0, atol=1e-14)
+    np.testing.assert_allclose(of["brighter"]["found"], 1.5 * true)
+    np.testing.assert_allclose(of["brighter"]["error"], 0.5 * signal)
 
 
-def test_the_principled_model_is_its_integral_and_the_papers_is_not() -> None:
-    measured = gap.measure(SMALL)
-    assert measured.overall_rmse("principled").max() < 0.02
-    assert measured.overall_rmse("paper").min() > 0.03
-    table = gap.measure(SMALL, reference=TABULATED)
-    assert table.distance("principled").max() < 2e-4
-    assert table.overall_rmse("principled").max() < 1e-4
-
-
-def test_sphere_error_is_that_of_many_turned_lights(measured: Gap) -> None:
+def test_sphere_error_is_that_of_many_turned_lights() -> None:
     """The formula against drawn lights: rendered errors of one ring, the light turned around."""
     rng = np.random.default_rng(0)
     difference = rng.normal(size=(1, 1, 3, 16))
     light = rng.normal(size=(1, 16, 3))
-    power = gap._band_power(light)
-    found = gap._rms_radiance(difference, np.ones(1), power)[0]
+    found = measure.rms_radiance(difference, np.ones(1), measure.band_power(light))[0]
     directions = reference.unit(rng.normal(size=(64, 3)))
     basis = reference.sh_basis(directions)
-    squares = []
+    squared = []
     for _ in range(300):
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         turned = np.linalg.lstsq(basis, reference.sh_basis(directions @ turn) @ light[0])[0]
-        squares.append(np.einsum("ck,kc->c", difference[0, 0], turned) ** 2)
-    assert found == pytest.approx(math.sqrt(np.mean(squares)), rel=0.12)
-    assert measured.sphere_signal.shape == (4, 3)
+        squared.append(np.einsum("ck,kc->c", difference[0, 0], turned) ** 2)
+    assert found == pytest.approx(math.sqrt(np.mean(squared)), rel=0.12)
 
 
-def test_rings_of_the_sphere_are_enough() -> None:
-    for own in (PAPER, PRINCIPLED):
-        few, many = (
-            gap.measure(Effort("", (0.3, 1.0), (1.0,), rings=rings, lights=8), reference=own)
-            for rings in (gap.FULL.rings, 40)
-        )
-        np.testing.assert_allclose(
-            few.overall_rmse("paper"), many.overall_rmse("paper"), rtol=0.002
-        )
+@pytest.mark.parametrize("own", [paper, principled_brdf])
+def test_rings_of_the_sphere_are_enough(own: measure.Reference) -> None:
+    few, many = (
+        measure.measure(Case(1.0, (1.0,), rings=rings, lights=8), own) for rings in (20, 40)
+    )
+    of_few, of_many = (one["models"]["paper"]["error"] for one in (few, many))
+    np.testing.assert_allclose(of_few, of_many, rtol=0.002)
 
 
 @pytest.mark.parametrize(("r", "n_dot_v"), [(0.0, 0.5), (0.5, 0.0), (1.1, 0.5), (math.nan, 0.5)])
@@ -331,31 +265,50 @@ def test_points_outside_the_range_are_named(r: float, n_dot_v: float) -> None:
 
 def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "gap"
-    assert run("evaluate", "gap", "--out", out, "--quick") == 0
-    printed = capsys.readouterr().out
-    assert "paper model / principled integral, lobe alone" in printed
-    assert "Cycles: not run: --quick leaves Cycles out" in printed
+    command = ("evaluate", "gap", "--out", out, "--quick", "--jobs", 1)
+    assert run(*command) == 0
+    assert "paper model / principled integral, lobe" in capsys.readouterr().out
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert summary["protocol"].startswith("pbrfit-gap-2")
-    assert len(summary["rows"]) == 5 * len(gap.MATERIALS)
-    assert summary["rows"][0]["metrics"]["quadrature_error"] < 1e-6
+    rows = {row["name"]: row for row in summary["rows"]}
+    assert len(rows) == 5 * len(measure.MATERIALS) + 1
+    assert rows["spheres by Cycles"]["status"] == "not run: --quick leaves Cycles out"
+    of_paper, of_own, table = (
+        {
+            material.key: rows[f"{name} integral, {material.key}"]["metrics"]
+            for material in measure.MATERIALS
+        }
+        for name in ("paper model / principled", "principled model / principled",
+                     "principled model / tabulated")
+    )  # fmt: skip
+    assert max(row["quadrature_error"] for row in of_own.values()) < 1e-6
+    assert max(row["relative_rmse"] for row in of_own.values()) < 0.02
+    assert min(row["relative_rmse"] for row in of_paper.values()) > 0.03
+    assert max(row["relative_rmse"] for row in table.values()) < 1e-4
+    assert max(row[f"largest_distance_{i}"] for row in table.values() for i in range(4)) < 2e-4
     with (out / "gap.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 5 * len(gap.MATERIALS) * len(gap.QUICK.r) * len(gap.QUICK.n_dot_v) * 4
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 5 * len(measure.MATERIALS) * 5 * 5 * 4
     straight = {
         (row["reference"], row["model"]): (float(row["found"]), float(row["true"]))
-        for row in rows
+        for row in lines
         if (row["material"], row["r"], row["n_dot_v"], row["band"]) == ("lobe", "1.0", "1.0", "0")
     }
     masked = 1 - math.log(2)
     for key, expected in {
         ("paper", "paper"): (0.5, masked),
         ("principled", "paper"): (0.5, 1.0),
-        ("principled", INTEGRATED): (masked, 1.0),
+        ("principled", measure.INTEGRATED): (masked, 1.0),
         ("principled", "principled"): (1.0, 1.0),
     }.items():
         assert straight[key] == pytest.approx(expected, abs=1e-4)
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert page.count("<img") == 7
-    assert "0.50 / 0.31" in page
+    smooth = [
+        float(line["ratio"])
+        for line in lines
+        if line["reference"] == "paper" and line["band"] == "0" and line["material"] == "lobe"
+        and float(line["r"]) <= 0.5 <= float(line["n_dot_v"])
+    ]  # fmt: skip
+    np.testing.assert_allclose(np.array(smooth), 1.0, atol=0.03)
+    assert (out / "report.html").read_text(encoding="utf-8").count("<img") == 7
     assert images.read_data(out / "ratio-paper.png").shape[-1] >= 3
+    assert run(*command, "--resume", "--quiet") == 0

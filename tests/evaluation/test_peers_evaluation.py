@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pbrfit_evaluation import peers
+from pbrfit_evaluation.peers import measure
+from pbrfit_evaluation.peers.figures import IN_WORDS
 from pbrfit_evaluation.peers.maps import Maps
 from scene_files import room, run
 
@@ -21,7 +22,7 @@ def test_what_cannot_run_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[
     weights = ("--marigold", nowhere, "--rgbx", nowhere)
     assert run("evaluate", "peers", "--out", out, *arguments, *weights) == 0
     rows = json.loads((out / "summary.json").read_text())["rows"]
-    assert [row["name"] for row in rows] == list(peers.IN_WORDS.values())
+    assert [row["name"] for row in rows] == list(IN_WORDS.values())
     fit, guess, *others = rows
     assert fit["status"] == guess["status"] == "ok"
     assert 0 < fit["metrics"]["albedo"] < guess["metrics"]["albedo"]
@@ -31,8 +32,8 @@ def test_what_cannot_run_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[
         # Packages are missing, or else the weights.
         assert "pip install 'pbrfit[diffusion]'" in row["status"] or str(nowhere) in row["status"]
     told = capsys.readouterr()
-    assert told.out.count("not run: expected") + told.out.count(f"not run: {nowhere}") == 2
-    assert told.err.count("pbrfit: ") == 2
+    assert told.out.count("not run: ") == 2
+    assert told.err.startswith("pbrfit: ")
     assert "not run" in (out / "report.html").read_text()
     assert len((out / "scenes.csv").read_text().splitlines()) == 3
 
@@ -41,14 +42,14 @@ def test_peers_are_shown_the_most_evenly_lit_picture() -> None:
     images = np.array(room().images, dtype=np.float64)
     images[0, : len(images[0]) // 2] *= 0.01  # half in the dark
     images[2] = 0.3 + 0.1 * images[2]
-    assert peers.evenly_lit(dataclasses.replace(room(), images=images)) == 2
+    assert measure.evenly_lit(dataclasses.replace(room(), images=images)) == 2
 
 
 def test_the_picture_is_exposed_for_a_screen() -> None:
     dark = dataclasses.replace(room(), images=np.float32(1e-3) * room().images)
     for picture in range(3):
-        shown = peers.shown_picture(dark, picture)
-        np.testing.assert_array_equal(shown, peers.shown_picture(room(), picture))
+        shown = measure.shown_picture(dark, picture)
+        np.testing.assert_array_equal(shown, measure.shown_picture(room(), picture))
         image = room().images[picture]
         white = np.percentile(image, 98)
         assert (shown[image >= white] == 255).all()
@@ -56,11 +57,10 @@ def test_the_picture_is_exposed_for_a_screen() -> None:
 
 
 def test_every_method_is_given_the_same_noisy_scene() -> None:
-    effort = dataclasses.replace(peers.QUICK, size=24)
-    one, two = peers.given(effort, 6000), peers.given(effort, 6000)
+    one, two, other = (measure.given(seed, 24, 8) for seed in (6000, 6000, 6001))
     np.testing.assert_array_equal(one.images, two.images)
     np.testing.assert_array_equal(one.normals, two.normals)
-    assert np.abs(one.normals - peers.given(effort, 6001).normals).max() > 0.1
+    assert np.abs(one.normals - other.normals).max() > 0.1
 
 
 def test_maps_of_a_peer_become_materials_of_the_scene() -> None:

@@ -20,7 +20,6 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation import real
 from pbrfit_evaluation.real import held_out, lights, sources
 from pbrfit_evaluation.real.held_out import (
     EXPLANATIONS,
@@ -40,7 +39,7 @@ Array = NDArray[np.floating[Any]]
 PICTURES = 6
 MODEL: Model = "paper"
 OTHER: Model = "principled"
-TINY = real.Effort("tiny", max_size=16, iterations=2, folds=1)
+FEW = ("--quick", "--max-size", 16, "--iterations", 2, "--jobs", 1)
 
 
 @pytest.fixture(scope="module")
@@ -72,34 +71,27 @@ def design(scene: Scene, channel: int) -> Array:
     return weights.reshape(-1, 3, 16)[:, channel]
 
 
-def test_light_is_that_of_plain_least_squares(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("weighted", [False, True])
+def test_light_is_that_of_least_squares(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, weighted: bool
 ) -> None:
     monkeypatch.setattr(lights, "BLOCK", 37)
     rng = np.random.default_rng(0)
     noisy = scene.images + rng.normal(0, 0.1, scene.images.shape)
-    found = lights.fit_lights(noisy, None, materials_of(scene), scene.normals, scene.fov, MODEL)
-    for i in range(PICTURES):
-        for c in range(3):
-            expected = np.linalg.lstsq(design(scene, c), noisy[i, ..., c].ravel())[0]
-            np.testing.assert_allclose(found[i, :, c], expected, rtol=1e-8, atol=1e-9)
-
-
-def test_light_counts_samples_by_weight(scene: Scene) -> None:
-    rng = np.random.default_rng(1)
-    noisy = scene.images + rng.normal(0, 0.1, scene.images.shape)
     weights = np.ones(scene.images.shape[:3])
-    weights[1] = rng.random(weights.shape[1:])
-    weights[2, :4] = 0
-    noisy[2, :4] = np.nan
-    found = lights.fit_lights(noisy, weights, materials_of(scene), scene.normals, scene.fov, MODEL)
-    for i in range(PICTURES):
-        root = np.sqrt(weights[i].ravel())
+    if weighted:
+        weights[1] = rng.random(weights.shape[1:])
+        weights[2, :4] = 0
+        noisy[2, :4] = np.nan
+    given = weights if weighted else None
+    found = lights.fit_lights(noisy, given, materials_of(scene), scene.normals, scene.fov, MODEL)
+    for i, of in enumerate(weights):
+        root = np.sqrt(of.ravel())
         used = root > 0
-        expected = np.linalg.lstsq(
-            (root[:, None] * design(scene, 0))[used], (root * noisy[i, ..., 0].ravel())[used]
-        )[0]
-        np.testing.assert_allclose(found[i, :, 0], expected, rtol=1e-8, atol=1e-9)
+        for c in range(3):
+            rows, samples = root[:, None] * design(scene, c), root * noisy[i, ..., c].ravel()
+            expected = np.linalg.lstsq(rows[used], samples[used])[0]
+            np.testing.assert_allclose(found[i, :, c], expected, rtol=1e-8, atol=1e-9)
 
 
 def test_light_that_no_pixel_shows_is_zero(scene: Scene) -> None:
@@ -240,18 +232,13 @@ def test_folders_that_cannot_be_used_are_named(tmp_path: Path, folder: Path) -> 
     (tmp_path / "empty").mkdir()
     with pytest.raises(pbrfit.InputError, match="empty: expected a scene folder or one of bunny"):
         sources.find_sources(tmp_path / "empty")
-    found = sources.find_sources(folder)
-    few = [replace(found[0], pictures=5, name="few"), found[0]]
-    failing, *others = real.plan(few, replace(TINY, held_out=4), (MODEL,))
-    assert {task.source.name for task in others} == {"room"}
-    with pytest.raises(pbrfit.InputError, match=r"expected at least 6 pictures, .* found 5"):
-        real.work(failing, 1)
+    twice = sources.find_sources(folder) * 2
     with pytest.raises(pbrfit.InputError, match="expected different names, found room twice"):
-        real.plan(found * 2, TINY)
+        sources.check_names(twice)
     with pytest.raises(pbrfit.InputError, match=r"FOLDER: expected .* PBRFIT_DATA is not set"):
-        real.find_data([], {})
-    assert real.find_data([], {"PBRFIT_DATA": "data"}) == [Path("data")]
-    assert real.find_data([folder], {"PBRFIT_DATA": "data"}) == [folder]
+        sources.find_data([], {})
+    assert sources.find_data([], {"PBRFIT_DATA": "data"}) == [Path("data")]
+    assert sources.find_data([folder], {"PBRFIT_DATA": "data"}) == [folder]
 
 
 def test_rooms_without_normals_get_flat_ones(scene: Scene, tmp_path: Path) -> None:
@@ -316,60 +303,64 @@ def test_bricks_are_bright_where_their_lamp_is(shared_data: Path) -> None:
 # Report and command
 
 
+def rows_of(out: Path) -> list[dict[str, Any]]:
+    content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert content["protocol"].endswith("16 pixels, 2 iterations")
+    rows: list[dict[str, Any]] = content["rows"]
+    return rows
+
+
 def test_command_reports_and_resumes(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    arguments = ("evaluate", "real", folder, "--out", out, "--jobs", 1, "--quick")
-    few = ("--max-size", 16, "--iterations", 2)
-    assert run(*arguments, *few) == 0
+    arguments = ("evaluate", "real", folder, "--out", out, *FEW)
+    assert run(*arguments) == 0
     assert "room" in capsys.readouterr().out
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert [row["name"] for row in summary["rows"]] == [
+    summary = rows_of(out)
+    assert [row["name"] for row in summary] == [
         f"room, {model}, {name}" for model in MODELS for name in EXPLANATIONS
     ]
-    assert summary["protocol"].endswith("16 pixels, 2 iterations")
     with (out / "pictures.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == len(MODELS) * len(EXPLANATIONS)  # one picture of six is held out
-    assert {row["model"] for row in rows} == set(MODELS)
-    assert rows[0]["picture"] == "picture_00"
-    for row, line in zip(summary["rows"], rows, strict=True):
+        lines = list(csv.DictReader(file))
+    assert len(lines) == len(MODELS) * len(EXPLANATIONS)  # one picture of six is held out
+    assert {line["model"] for line in lines} == set(MODELS)
+    assert lines[0]["picture"] == "picture_00"
+    for row, line in zip(summary, lines, strict=True):
         expected = float(line["rmse"]) / float(line["rms"])
         assert row["metrics"]["relative_rmse"] == pytest.approx(expected)
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert page.count("<img") == 3
-    assert "The two models" in page
+    assert (out / "report.html").read_text(encoding="utf-8").count("<img") == 3
     assert all((out / f"sheet-room-{model}.png").exists() for model in MODELS)
-
     record = out / "records" / "room-paper-0.json"
     written = record.stat().st_mtime_ns
-    assert run(*arguments, *few, "--resume") == 0
+    assert run(*arguments, "--resume") == 0
     assert record.stat().st_mtime_ns == written
 
 
 def test_a_failed_scene_does_not_stop_the_others(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     broken = tmp_path / "broken"
     (broken / "images").mkdir(parents=True)
-    for name in "abc":
+    for name in "abcdef":
         (broken / "images" / f"{name}.png").write_bytes(b"nothing")
+    few = Scene(images=scene.images[:5], normals=scene.normals, fov=scene.fov)
+    few.save(tmp_path / "few")
     out = tmp_path / "out"
-    few = ("--quick", "--iterations", 1, "--max-size", 8, "--jobs", 1, "--model", MODEL)
-    assert run("evaluate", "real", folder, broken, "--out", out, *few) == 1
+    options = (*FEW, "--model", MODEL, "--held-out", 4)
+    assert run("evaluate", "real", folder, broken, tmp_path / "few", "--out", out, *options) == 1
     assert f"broken-{MODEL}-0: InputError" in capsys.readouterr().err
-    rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
-    status = {row["name"]: row["status"] for row in rows}
+    status = {row["name"]: row["status"] for row in rows_of(out)}
     assert status[f"room, {MODEL}, default"] == "ok"
     assert "broken" in status[f"broken, {MODEL}"]
-    assert "Failed: InputError" in (out / "report.html").read_text(encoding="utf-8")
+    assert "expected at least 6 pictures" in status[f"few, {MODEL}"]
+    assert "InputError" in (out / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("flag", ["--held-out", "--folds", "--max-size", "--iterations"])
 def test_numbers_below_one_are_refused(
-    folder: Path, tmp_path: Path, flag: str, capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("evaluate", "real", folder, "--out", tmp_path / "out", flag, 0) == 2
-    assert f"argument {flag}: expected 1 or more, found 0" in capsys.readouterr().err
+    for flag in ("--held-out", "--folds", "--max-size", "--iterations"):
+        assert run("evaluate", "real", folder, "--out", tmp_path / "out", flag, 0) == 2
+        assert f"argument {flag}: expected 1 or more, found 0" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -6,7 +6,6 @@ import csv
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,12 +19,14 @@ from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import recipes
 from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE
-from pbrfit_evaluation.page import Cell, Table, markdown
-from pbrfit_evaluation.scores import Scores
-from pbrfit_evaluation.table1 import measure, report
+from pbrfit_evaluation.options import models
+from pbrfit_evaluation.report import markdown
+from pbrfit_evaluation.suite import Options, Results
+from pbrfit_evaluation.table1 import measure
+from pbrfit_evaluation.table1.figures import METRICS, figures, sections
 from pbrfit_evaluation.table1.measure import Task
 from pbrfit_evaluation.table1.normals import disturbed
-from pbrfit_evaluation.table1.rows import BY_KEY, COLUMNS, PLAIN, ROWS
+from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
 
 PAPER = ("--model", "paper")
 TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
@@ -107,62 +108,43 @@ def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> 
     assert scenes[0][1] == scenes[1][1]
 
 
-def test_recipes_hold_normals_unless_told_and_the_papers_always(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_recipes_hold_normals_unless_told_and_the_papers_always() -> None:
     scene = make_scene("room", size=8, lights=4, held_out=1, seed=3)
-    asked: list[str] = []
-
-    def watch(_: Any, **options: Any) -> None:
-        asked.append(options["refine_normals"])
-
-    monkeypatch.setattr(recipes, "decompose", watch)
-    for recipe in recipes.RECIPES:
-        recipes.explain(scene, recipe)
-    assert set(asked) == {"off"}
-    asked.clear()
-    for recipe in recipes.RECIPES:
-        recipes.explain(scene, recipe, refine_normals="auto")
-    by_recipe = dict(zip(recipes.RECIPES, asked, strict=True))
-    assert [name for name, refine in by_recipe.items() if refine == "auto"] == ["plain", "default"]
+    asked = {
+        (refine, recipe): recipes.explain(
+            scene, recipe, iterations=1, refine_normals=refine
+        ).refinement.asked
+        for refine in ("off", "on")
+        for recipe in recipes.RECIPES
+    }
+    assert {key for key, refine in asked.items() if refine != "off"} == {
+        ("on", "plain"), ("on", "default"),
+    }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "key", ["base", "sh2", "fov90", "normals", "normals-refined", "detailed", "regularized"]
-)
-def test_work_changes_what_the_row_says_and_nothing_else(
-    key: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("key", ["base", "fov90", "normals", "normals-refined", "detailed"])
+def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
     row, task = BY_KEY[key], Task(key, 1001, 16, 4, 2)
-    asked: list[Any] = []
-    explain = recipes.explain
-
-    def watch(scene: Any, recipe: Any, **options: Any) -> Any:
-        asked.append((scene, recipe, options))
-        return explain(scene, recipe, **options)
-
-    monkeypatch.setattr(measure, "explain", watch)
-    found = measure.work(task, 1)
-    assert [recipe for _, recipe, _ in asked] == list(row.recipes)
+    scene, _ = measure.given(task, 1)
     truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=1001)
-    for scene, _, options in asked:
-        np.testing.assert_array_equal(scene.images, truth.images)
-        assert scene.fov == row.fov
-        assert scene.model == DEFAULT_MODEL
-        assert options == {
-            "model": DEFAULT_MODEL,
-            "iterations": 2,
-            "sh_order": row.sh_order,
-            "refine_normals": row.refine_normals,
-            "threads": 1,
-        }
-        same = np.array_equal(scene.normals, truth.normals)
-        assert same == (row.normals == "true")
-    assert ("normals_mean" in found["facts"]) == (row.normals == "predicted")
-    assert ("refined_mean" in found["facts"]) == (key == "normals-refined")
-    assert found["facts"]["metal_share"] > 0
-    assert set(found["recipes"]["default"]) == set(report.METRICS)
-    json.dumps(found)
+    np.testing.assert_array_equal(scene.images, truth.images)
+    assert scene.fov == row.fov
+    assert scene.model == DEFAULT_MODEL
+    assert np.array_equal(scene.normals, truth.normals) == (row.normals == "true")
+
+
+def test_work_scores_every_recipe_of_its_row() -> None:
+    found = {key: measure.work(Task(key, 1001, 16, 4, 2), 1) for key in
+             ("base", "sh2", "normals-refined", "regularized")}  # fmt: skip
+    for key, of in found.items():
+        assert list(of["recipes"]) == list(BY_KEY[key].recipes)
+        assert set(of["recipes"]["default"]) == set(METRICS)
+        assert of["facts"]["metal_share"] > 0
+        assert ("normals_mean" in of["facts"]) == (BY_KEY[key].normals == "predicted")
+        assert ("refined_mean" in of["facts"]) == (BY_KEY[key].refine_normals != "off")
+        json.dumps(of)
+    recon = [found[key]["recipes"]["start"]["recon"] for key in ("base", "sh2")]
+    assert recon[0] < recon[1]  # lights of order 2 explain less
 
 
 def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
@@ -176,29 +158,6 @@ def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
         assert apart.model != model
         assert apart.model in MODELS
         np.testing.assert_array_equal(own.normals, apart.normals)
-
-
-def by_model(key: str, model: Model, *, albedo: float) -> report.Outcome:
-    recipes_found = dict.fromkeys(BY_KEY[key].recipes, scored(albedo=albedo))
-    record = Record(f"{key}_{model}_1000", {"facts": {}, "recipes": recipes_found}, None, 1.0)
-    return report.Outcome(BY_KEY[key], model, [record])
-
-
-def test_models_are_compared_on_pictures_that_both_have(tmp_path: Path) -> None:
-    found = [
-        by_model(key, model, albedo=albedo)
-        for key in ("base", "cycles-brdf")
-        for model, albedo in zip(MODELS, (0.2, 0.05), strict=True)
-    ]
-    report.write(tmp_path, found, ["One scene."])
-    page = (tmp_path / "report.html").read_text("utf-8")
-    _, _, section = page.partition("The two models on the same pictures")
-    section, _, _ = section.partition("</table>")
-    assert "Cycles, panorama: BRDF alone" in section
-    assert "Base" not in section  # whose pictures are others for each model
-    assert ">0.25<" in section
-    report.write(tmp_path, found[:3], ["One scene."])
-    assert "The two models" not in (tmp_path / "report.html").read_text("utf-8")
 
 
 def test_given_normals_are_used(tmp_path: Path) -> None:
@@ -236,43 +195,48 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------------------- report
 
 
-def scored(**errors: float) -> dict[str, float | None]:
-    values: dict[str, float | None] = dict.fromkeys(report.METRICS, 0.25)
-    return values | errors
+def found(options: Options, albedo: dict[Model, float]) -> Results[Task]:
+    """What would have been found if albedo alone depended on anything."""
+    pairs = []
+    for key in options.rows:
+        for model in models(options):
+            for seed in range(1000, 1002):
+                task = Task(key, seed, 16, 4, 3, model=model)
+                scores = dict.fromkeys(METRICS, 0.25) | {"albedo": albedo[model] * (seed - 999)}
+                values = {"facts": {}, "recipes": dict.fromkeys(BY_KEY[key].recipes, scores)}
+                pairs.append((task, Record(task.key, values, None, 1.0)))
+    return Results(options, pairs)
+
+
+def asked(*rows: str, model: str = "both", quick: bool = False) -> Options:
+    return Options(rows=list(rows), model=model, quick=quick)
 
 
 def test_means_are_over_finished_scenes() -> None:
-    def found(recon: float) -> dict[str, Any]:
-        return {"facts": {}, "recipes": dict.fromkeys(PLAIN, scored(recon=recon))}
-
-    scenes = [
-        Record("base_1000", found(0.1), None, 1.0),
-        Record("base_1001", found(0.3), None, 1.0),
-        Record("base_1002", None, "ValueError: no", 1.0),
+    options = asked("base", "cycles-brdf", model="paper", quick=True)
+    of_base = found(asked("base", model="paper"), {"paper": 0.1}).pairs
+    failed = (Task("base", 1002, 16, 4, 3), Record("base_paper_1002", None, "ValueError: no", 1.0))
+    rows = figures(Results(options, [*of_base, failed]))
+    assert [row.name for row in rows] == ["Base, paper"] * 5 + [
+        "Cycles, panorama: BRDF alone, paper"
     ]
-    tasks = [Task("base", seed, 16, 4, 3) for seed in (1000, 1001, 1002)]
-    [outcome, other] = report.outcomes(
-        [BY_KEY["base"], BY_KEY["cycles-brdf"]],
-        (DEFAULT_MODEL,),
-        tasks,
-        scenes,
-        {"cycles-brdf": "none yet"},
-    )
-    assert outcome.mean("paper", "recon").mean == pytest.approx(0.2)
-    assert outcome.status == "1 of 3 scenes failed"
-    assert other.status == "not run: none yet"
-    assert other.mean("paper", "recon").count == 0
+    assert rows[0].metrics["albedo"] == pytest.approx(0.15)
+    assert {row.status for row in rows[:5]} == {"1 of 3 scenes failed"}
+    assert [row.guess for row in rows] == [False, False, False, True, True, False]
+    assert rows[-1].status == "not run: --quick leaves Cycles out"
+    assert (rows[-1].scenes, rows[-1].metrics) == (0, {})
 
 
-def test_markdown_table() -> None:
-    columns = [Cell("a"), Cell("b\nc", "number")]
-    table = Table(columns, [[Cell("x | y"), Cell("1\n[0, 2]", "best")]])
-    assert markdown(table) == "| a | b c |\n| --- | ---: |\n| x \\| y | **1 [0, 2]** |\n"
-
-
-def test_columns_of_scores_have_names() -> None:
-    assert set(report.NAMES) == set(Scores.__dataclass_fields__)
-    assert set(COLUMNS) <= set(report.METRICS)
+def test_models_are_compared_on_pictures_that_both_have() -> None:
+    results = found(asked("base", "cycles-brdf"), {"paper": 0.2, "principled": 0.05})
+    shown = {section.title: section for section in sections(results, figures(results))}
+    text = markdown(shown["The two models on the same pictures"].tables[0])
+    assert "Cycles, panorama: BRDF alone" in text
+    assert "Base" not in text  # whose pictures are others for each model
+    assert "| 0.250 |" in text
+    alone = found(asked("cycles-brdf", model="paper"), {"paper": 0.2})
+    titles = [section.title for section in sections(alone, figures(alone))]
+    assert "The two models on the same pictures" not in titles
 
 
 # --------------------------------------------------------------------------------------- command
@@ -314,33 +278,26 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_command_goes_on_and_reports_failures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, work = tmp_path / "out", measure.work
-    done: list[str] = []
-
-    def some_fail(task: Task, threads: int) -> dict[str, Any]:
-        done.append(task.key)
-        if task.seed == 1001:
-            raise MemoryError("too large")
-        return work(task, threads)
-
-    monkeypatch.setattr(measure, "work", some_fail)
-    command = ("evaluate", "table1", "--out", out, "--rows", "base", "--scenes", 2, *TINY, *PAPER)
+    out, normals = tmp_path / "out", tmp_path / "normals"
+    normals.mkdir()
+    scene = make_scene("furnished", size=16, lights=4, held_out=4, seed=1000)
+    given = {name: scene.normals[..., i] for i, name in enumerate("XYZ")}
+    images.write_exr(normals / "1000.exr", given)
+    command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 2, *TINY,
+               *PAPER, "--predicted-normals", normals)  # fmt: skip
     assert run(*command) == 1
     error = capsys.readouterr().err
-    assert "base_paper_1001: MemoryError: too large" in error
-    assert "1 of 2 failed: base_paper_1001" in error
-    assert "MemoryError: too large" in (out / "report.html").read_text("utf-8")
+    assert "normals_paper_1001: InputError" in error
+    assert "1 of 2 failed: normals_paper_1001" in error
+    assert "found neither" in (out / "report.html").read_text("utf-8")
     assert run(*command) == 2  # there is something already
-
-    def none_fails(task: Task, threads: int) -> dict[str, Any]:
-        done.append(task.key)
-        return work(task, threads)
-
-    monkeypatch.setattr(measure, "work", none_fails)
+    images.write_exr(normals / "1001.exr", given)
+    whole = out / "records" / "normals_paper_1000.json"
+    before = whole.stat().st_mtime_ns
     assert run(*command, "--resume", "--quiet") == 0
-    assert done == ["base_paper_1000", "base_paper_1001", "base_paper_1001"]
+    assert whole.stat().st_mtime_ns == before
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,11 @@ from threadpoolctl import threadpool_limits
 
 from pbrfit.fit.objective import Objective
 from pbrfit_evaluation import uncertainty as suite
-from pbrfit_evaluation.uncertainty import Bar, Calibration, Setup, Task, refits, report
+from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation.suite import Results
+from pbrfit_evaluation.uncertainty import refits
+from pbrfit_evaluation.uncertainty.figures import figures, verdicts
+from pbrfit_evaluation.uncertainty.measure import LIGHTS, Lights, Task, inside
 from scene_files import run
 
 Array = NDArray[np.float64]
@@ -22,9 +27,9 @@ Array = NDArray[np.float64]
 NOISE = 0.002
 
 
-def noisy(lights: suite.Lights, size: int) -> tuple[Objective, Array, float]:
-    """An objective with noise, the truth as x, and the noise in units of x."""
-    scene = suite.inside(Task(lights, "room", size, 6, NOISE, 2, 2005))
+def noisy(lights: Lights, size: int) -> tuple[Objective, Array, float]:
+    """An objective with noise, the ground truth as x, and the noise in units of x."""
+    scene = inside(Task(lights, "room", size, 6, NOISE, 2, 2005))
     assert scene.truth is not None
     rng = np.random.default_rng(7)
     images = scene.images + rng.normal(scale=NOISE, size=scene.images.shape)
@@ -47,8 +52,8 @@ def lowered(objective: Objective, x: Array) -> float:
     return float(answer.fun) * objective.total_weight
 
 
-@pytest.mark.parametrize("lights", suite.LIGHTS)
-def test_another_solver_gets_no_lower_than_refits(lights: suite.Lights) -> None:
+@pytest.mark.parametrize("lights", LIGHTS)
+def test_another_solver_gets_no_lower_than_refits(lights: Lights) -> None:
     objective, x, sigma = noisy(lights, 10)
     maps = objective.layout.maps
     pixels = np.arange(objective.pixels, dtype=np.uint64)
@@ -57,16 +62,16 @@ def test_another_solver_gets_no_lower_than_refits(lights: suite.Lights) -> None:
         refit = refits.with_known_lights(objective, x, pixels, sigma)
         assert refit.converged.all()
         found[maps] = refit.values.T.ravel()
-        squares = float(refit.squares.sum())
+        sum_sq_residuals = float(refit.sum_sq_residuals.sum())
     else:
         with threadpool_limits(1):  # as suites run
-            found, converged, squares = refits.with_free_lights(objective, x, sigma)
+            found, converged, sum_sq_residuals = refits.with_free_lights(objective, x, sigma)
         assert converged
     loss, _ = objective.value_and_grad(found)
-    assert squares == pytest.approx(loss * objective.total_weight, rel=1e-5)
+    assert sum_sq_residuals == pytest.approx(loss * objective.total_weight, rel=1e-5)
     tolerance = 0.1 * sigma**2
-    assert lowered(objective, x) > squares - tolerance
-    assert lowered(objective, found) > squares - tolerance
+    assert lowered(objective, x) > sum_sq_residuals - tolerance
+    assert lowered(objective, found) > sum_sq_residuals - tolerance
     # A little away from the minimum it does get lower.
     away = np.clip(found[maps] + np.where(found[maps] < 0.5, sigma, -sigma), 0, 1)
     start = np.concatenate([away, found[maps.stop :]])
@@ -80,57 +85,54 @@ def test_pixels_that_have_not_converged_are_said() -> None:
     assert not refits.with_known_lights(objective, x, pixels, sigma, steps=1).converged.any()
 
 
-def calibration(ratio: float, lights: suite.Lights = "known") -> Calibration:
-    """One whose deviations are all so many times the predicted."""
-    predicted = np.full((7, 5), 0.01)
+def results(ratios: Array, lights: Lights = "known") -> Results[Task]:
+    """Those of a scene with deviations of so many times the predicted, (Q,)."""
+    predicted = np.full((len(ratios), 5), 0.01)
+    arrays = {
+        "predicted": predicted,
+        "predicted_by_fit": predicted,
+        "found": ratios[:, None] * predicted,
+        "bias": 0 * predicted,
+    }
+    numbers = dict.fromkeys(("compared", "converged", "variance", "albedo_scale"), 1.0)
+    values = {name: array.tolist() for name, array in arrays.items()} | numbers
     task = Task(lights, "room", 8, 8, 0.01, 9, 2000)
-    none = np.zeros((7, 5))
-    return Calibration(
-        task, predicted, predicted, ratio * predicted, none, 1.0, 1.0, 0.0, 1.0, 0.01
-    )
+    return Results(Namespace(), [(task, Record(task.key, values, None, 1.0))])
 
 
 @pytest.mark.parametrize(
-    ("lights", "ratio", "holds"),
+    ("lights", "ratios", "holds"),
     [
-        ("known", 1.0, True),
-        ("known", 0.89, False),
-        ("known", 1.11, False),
-        ("free", 0.81, True),
-        ("free", 0.79, False),
-        ("free", 1.24, True),
-        ("free", 1.26, False),
+        ("known", [1.0], True),
+        ("known", [0.89], False),
+        ("known", [1.11], False),
+        ("known", [1.0] * 9 + [1.3], True),
+        ("known", [1.0] * 8 + [1.3] * 2, False),
+        ("known", [], False),
+        ("free", [0.81], True),
+        ("free", [0.79], False),
+        ("free", [1.24], True),
+        ("free", [1.26], False),
     ],
 )
-def test_bars(lights: suite.Lights, ratio: float, holds: bool) -> None:
-    [group] = report.groups([calibration(ratio, lights)])
-    assert group.holds == holds
-    assert group.metrics()["median"] == pytest.approx(ratio)
-
-
-def test_a_bar_asks_for_a_share_too_and_for_something_to_judge() -> None:
-    bar = Bar(0.9, 1.1, 0.9)
-    assert bar.holds(np.repeat([1.0, 1.3], [9, 1]))
-    assert not bar.holds(np.repeat([1.0, 1.3], [8, 2]))
-    assert not bar.holds(np.array([]))
+def test_bars(lights: Lights, ratios: list[float], holds: bool) -> None:
+    found = results(np.array(ratios), lights)
+    [row] = figures(found)
+    assert (row.status == "ok") == holds
+    assert all(verdict.holds for verdict in verdicts(found, [row])) == holds
+    if ratios:
+        assert row.metrics["median"] == pytest.approx(np.median(ratios))
 
 
 def test_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small = replace(
-        suite.QUICK,
-        setups={
-            "known": Setup(8, 16, noise=(0.002,), draws=60),
-            "free": Setup(8, 8, noise=(1e-4,), draws=4),
-        },
-    )
-    monkeypatch.setattr(suite, "QUICK", small)
+    monkeypatch.setitem(suite.SETUPS, "quick", {"known": (8, 16, 60), "free": (8, 8, 4)})
+    monkeypatch.setitem(suite.NOISE, "quick", {"known": (0.002,), "free": (1e-4,)})
     out = tmp_path / "uncertainty"
     options = ("--quick", "--jobs", 1, "--first-seed", 2005)
     code = run("evaluate", "uncertainty", "--out", out, *options)
-    printed = capsys.readouterr().out
-    assert "lights known, noise 0.002" in printed
+    assert "lights known, noise 0.002" in capsys.readouterr().out
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
     assert code == (0 if all(row["status"] == "ok" for row in rows) else 1)
     known, free = (row["metrics"] for row in rows)
@@ -141,5 +143,5 @@ def test_command(
     assert free["values"] > 0
     assert 0.2 < free["median"] < 2
     assert (out / "ratios.png").is_file()
-    assert "lights free, noise 0.0001" in (out / "report.html").read_text(encoding="utf-8")
-    assert (out / "uncertainty.md").read_text(encoding="utf-8").count("\n") == 4
+    for name in ("report.html", "uncertainty.md"):
+        assert "lights free, noise 0.0001" in (out / name).read_text(encoding="utf-8")

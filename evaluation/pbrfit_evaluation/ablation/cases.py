@@ -52,8 +52,8 @@ PATTERNS = (clouds, checker, stripes, patches)
 """Every second segment varies smoothly, the others by one of the three with outlines in turn."""
 
 PERIOD = (0.1, 0.3)
-"""Of the patterns, in widths of the picture; at most the side of a square as large as the segment,
-or a tile could hold all of it."""
+"""Period of the patterns, in widths of the picture; at most the side of a square as large as the
+segment, or a tile could hold all of it."""
 
 MERGED = 1 / 3
 """Share of the segments that take another's id."""
@@ -72,7 +72,7 @@ def case(
     kind: str = "room",
     model: Model = DEFAULT_MODEL,
 ) -> Scene:
-    """Make a scene of a case, with its truth and held-out lights.
+    """Make a scene of a case, with its ground truth and held-out lights.
 
     All but the last two and "varying" have the same pictures for the same seed: those of
     `make_scene`, with roughness and metallic the median of their segment wherever the kind lets

@@ -1,4 +1,4 @@
-"""What is compared: sets of priors, and losses at which outliers pull less."""
+"""What is compared: sets of priors, and losses at which outliers count less."""
 
 from __future__ import annotations
 
@@ -95,6 +95,9 @@ CONFIGURATIONS: tuple[Configuration, ...] = (
 
 FEW: tuple[Configuration, ...] = (NONE, DEFAULT, alone("cohesion", WEIGHTS.cohesion))
 """For a quick look; and what pictures show."""
+
+MAIN: tuple[Configuration, ...] = (NONE, DEFAULT, PAPER, HUBER, CAUCHY)
+"""For real pictures and for timing; with --quick the first two."""
 
 VARIED: tuple[str, ...] = ("material", "cohesion")
 """Priors whose weight is varied, each alone."""

@@ -16,21 +16,10 @@ METRICS: tuple[Metric, ...] = ("recon", "albedo", "roughness", "metallic", "reli
 
 @dataclass(frozen=True)
 class Demand:
-    """An upper limit.
+    """At most `limit` of the RMSE of `metric`; of its ratio to that without priors, if `relative`.
 
-    Attributes
-    ----------
-    part
-        (a): segments and prior are right. (b): materials vary inside segments. (c): segments are
-        wrong.
-    case
-        Of the scenes.
-    metric
-        RMSE of this.
-    limit
-        What it may be at most.
-    relative
-        Whether the limit is on the ratio to the fit without priors.
+    `part`: (a) segments and prior are right, (b) materials vary inside segments, (c) segments are
+    wrong.
     """
 
     part: Literal["a", "b", "c"]
@@ -51,19 +40,10 @@ DEMANDS: tuple[Demand, ...] = (
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Whether a demand is met.
+class Judged:
+    """A demand, mean RMSE without priors and with them, and the value held against the limit.
 
-    Attributes
-    ----------
-    demand
-        Which one.
-    without, found
-        Mean RMSE over the rooms, without priors and with them.
-    value
-        What is held against the limit: `found`, or its ratio to `without`.
-    rooms
-        The same of each room.
+    `rooms` has that value room by room.
     """
 
     demand: Demand
@@ -83,7 +63,7 @@ class Verdict:
         return sum(room <= self.demand.limit for room in self.rooms)
 
 
-def judge(demand: Demand, without: Sequence[float], found: Sequence[float]) -> Verdict:
+def judge(demand: Demand, without: Sequence[float], found: Sequence[float]) -> Judged:
     """Judge by the RMSE of each room, without priors and with them; at least one room.
 
     The ratio in the mean is that of the mean errors. A mean of ratios would be ruled by rooms whose
@@ -92,6 +72,4 @@ def judge(demand: Demand, without: Sequence[float], found: Sequence[float]) -> V
     before, after = np.asarray(without, np.float64), np.asarray(found, np.float64)
     rooms = after / before if demand.relative else after
     mean = float(after.mean() / before.mean()) if demand.relative else float(after.mean())
-    return Verdict(
-        demand, float(before.mean()), float(after.mean()), mean, tuple(map(float, rooms))
-    )
+    return Judged(demand, float(before.mean()), float(after.mean()), mean, tuple(map(float, rooms)))

@@ -19,7 +19,7 @@ from pbrfit_evaluation.real.pictures import masked, used_part
 
 
 def room_sheet(scene: Scene, fitted: Mapping[str, Result]) -> bytes:
-    """PNG: a picture of a scene with truth; the true maps and those of each result, relit.
+    """PNG: a picture of a scene with ground truth; its maps and those of each result, relit.
 
     Relit pictures have the first held-out light.
     """

@@ -1,38 +1,239 @@
-"""The suites as sub-commands of `pbrfit evaluate`, one file each; measuring is imported late."""
+"""`pbrfit evaluate SUITE`: each suite as a sub-command, made from its `Suite`, and run.
+
+A suite is imported when it is asked for; `pbrfit evaluate --help` knows names and summaries alone.
+"""
 
 from __future__ import annotations
 
-from pbrfit.commands.arguments import Subcommands
-from pbrfit_evaluation.commands import (
-    ablation,
-    convergence,
-    gap,
-    normals,
-    peers,
-    real,
-    review,
-    solvers,
-    stability,
-    table1,
-    uncertainty,
+import argparse
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from pbrfit.commands.arguments import (
+    DONE,
+    SOME_FAILED,
+    UNUSABLE,
+    Subcommands,
+    add_cluster,
+    add_jobs,
+    add_out,
+    add_quiet,
+    complain,
+    progress_bar,
+    unread_is_no_failure,
 )
 
-SUITES = (
-    table1,
-    ablation,
-    convergence,
-    gap,
-    normals,
-    peers,
-    real,
-    review,
-    solvers,
-    stability,
-    uncertainty,
-)
+if TYPE_CHECKING:
+    from pbrfit_evaluation.jobs import Record
+    from pbrfit_evaluation.report import Outcome
+    from pbrfit_evaluation.suite import Part, Row, Section, Suite, Verdict
+
+SUITES = {
+    "ablation": "what each prior is worth, where it holds and where it does not",
+    "convergence": "error against run time, for every solver, start and peer",
+    "gap": "the reflection models against full reflection integrals and Cycles",
+    "normals": "what wrong normals cost, and how much of it refining wins back",
+    "peers": "networks that see one picture, beside our fit of all",
+    "real": "held-out pictures of real scenes",
+    "review": "what the review of generated pictures catches and refuses",
+    "solvers": "whether gauss-newton and auto reach what they must",
+    "stability": "numerical stability of the core",
+    "table1": "errors of materials and relighting on scenes whose ground truth is known",
+    "uncertainty": "predicted deviations against many refits under noise",
+}
+"""Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""
 
 
 def add_suites(suites: Subcommands) -> None:
-    """Add them all."""
-    for suite in SUITES:
-        suite.add(suites)
+    """Add them all to `pbrfit evaluate`."""
+    for name, summary in SUITES.items():
+        suites.add_parser(name, help=summary, complete=partial(_complete, name))
+
+
+def _complete(name: str, parser: argparse.ArgumentParser) -> None:
+    """Import a suite and add its options."""
+    suite: Suite = import_module(f"pbrfit_evaluation.{name}").SUITE
+    parser.description = suite.description
+    add_out(parser, "folder to write")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with an earlier run: what it finished with the same options and code is kept",
+    )
+    default = suite.jobs or os.cpu_count() or 1
+    on_cluster = "" if suite.timed else "; on a cluster one for each worker"
+    add_jobs(
+        parser,
+        f"cases at the same time, each in a process of its own (default: {default}{on_cluster})",
+    )
+    if suite.timed:
+        parser.add_argument("--cluster", type=_refused, help=argparse.SUPPRESS)
+    else:
+        add_cluster(parser)
+    add_quiet(parser)
+    if len(suite.parts) > 1:
+        names = [part.name for part in suite.parts]
+        parser.add_argument(
+            "--part",
+            metavar="NAME",
+            nargs="+",
+            choices=names,
+            help=f"only these parts (default: all): {', '.join(names)}",
+        )
+    for add in suite.options:
+        add(parser)
+    parser.add_argument("--quick", action="store_true", help=suite.quick)
+    for action in parser._actions:
+        full, quick = suite.effort.get(action.dest, (None, None))
+        if isinstance(full, (int, float)) and action.default is None and action.help:
+            less = f", with --quick {quick}" if quick != full else ""
+            action.help += f" (default: {full}{less})"
+    parser.set_defaults(command=partial(run, suite))
+
+
+def _refused(_: str) -> NoReturn:
+    raise argparse.ArgumentTypeError("not for this suite, whose seconds are those of one machine")
+
+
+def run(suite: Suite, options: argparse.Namespace) -> int:
+    """Run a suite and write its report; returns the exit code.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        With a message that says how to go on.
+    """
+    from pbrfit_evaluation import jobs, report
+
+    options.effort = "quick" if options.quick else "full"
+    for name, of_effort in suite.effort.items():
+        if getattr(options, name, None) is None:
+            setattr(options, name, of_effort[options.quick])
+    chosen = getattr(options, "part", None)
+    parts = [part for part in suite.parts if not chosen or part.name in chosen]
+    cases = {part.name: list(part.cases(options)) for part in parts}
+    if options.jobs is None and options.cluster is None:
+        options.jobs = suite.jobs or os.cpu_count() or 1
+    jobs.prepare(options.out, resume=options.resume, overwrite=options.overwrite)
+    done: dict[str, list[tuple[Any, Record]]] = {part.name: [] for part in parts}
+
+    def measure(of: Sequence[Part[Any]], *, alone: bool) -> None:
+        planned = [(part.name, _Job(part.run, case)) for part in of for case in cases[part.name]]
+        records = _measure([job for _, job in planned], options, alone=alone)
+        for (name, job), record in zip(planned, records, strict=True):
+            done[name].append((job.case, record))
+
+    measure([part for part in parts if not part.alone], alone=False)
+    for part in parts:
+        if part.alone:
+            measure([part], alone=True)
+        if part.then is not None:
+            cases[part.name] = list(part.then(_results(options, done[part.name])))
+            measure([part], alone=part.alone or part.then_alone)
+
+    found = _outcome(suite, parts, options, done)
+    with jobs.publish(options.out) as folder:
+        report.write(folder, suite, options, found)
+    if not options.quiet:
+        with unread_is_no_failure():
+            print("\n".join(report.lines(found)))
+            print(f"\nLook at {options.out / report.PAGE}")
+    counted = [
+        record
+        for part in parts
+        for _, record in done[part.name]
+        if record.error is None or not part.excused(record)
+    ]
+    failed = [record.key for record in counted if record.error is not None]
+    if failed:
+        complain(f"{len(failed)} of {len(counted)} failed: {', '.join(failed)}")
+        return SOME_FAILED if len(failed) < len(counted) else UNUSABLE
+    held = all(verdict.holds for verdict in found.verdicts)
+    return DONE if held or not suite.binding else SOME_FAILED
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A case and what runs it, together for another process; the case alone says what it is."""
+
+    run: Callable[[Any, int], Any] = field(repr=False)
+    case: Any
+
+    @property
+    def key(self) -> str:
+        """Of the case."""
+        return str(self.case.key)
+
+
+def _do(job: _Job, threads: int, *, asked: int) -> Any:
+    return job.run(job.case, asked or threads)
+
+
+def _measure(todo: Sequence[_Job], options: argparse.Namespace, *, alone: bool) -> list[Record]:
+    """Run cases with a progress bar; tell failures as they come, those of one reason once."""
+    from pbrfit_evaluation import jobs
+
+    with progress_bar(len(todo), quiet=options.quiet, unit="case") as bar:
+        done = 0  # bar.n stays 0 where no bar is shown
+        told: set[str] = set()
+
+        def show(record: Record) -> None:
+            nonlocal done
+            done += 1
+            bar.set_postfix_str(record.key, refresh=False)
+            bar.update()
+            if record.error is not None and record.error not in told:
+                told.add(record.error)
+                with bar.external_write_mode():
+                    complain(f"{record.key}: {record.error}")
+
+        try:
+            return jobs.run(
+                todo,
+                partial(_do, asked=getattr(options, "threads", 0)),
+                options.out,
+                jobs=1 if alone else options.jobs,
+                cluster=None if alone else options.cluster,
+                progress=show,
+            )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted after {done} of {len(todo)}; --resume goes on from there"
+            ) from None
+
+
+def _results(options: argparse.Namespace, pairs: Sequence[tuple[Any, Record]]) -> Any:
+    from pbrfit_evaluation.suite import Results
+
+    return Results(options, pairs)
+
+
+def _outcome(
+    suite: Suite,
+    parts: Sequence[Part[Any]],
+    options: argparse.Namespace,
+    done: dict[str, list[tuple[Any, Record]]],
+) -> Outcome:
+    """What the suite makes of the records, all parts together."""
+    from pbrfit_evaluation.report import Outcome
+
+    rows: list[Row] = []
+    verdicts: list[Verdict] = []
+    sections: list[Section] = []
+    failed: list[Record] = []
+    csvs: dict[str, list[Any]] = {}
+    for part in parts:
+        results = _results(options, done[part.name])
+        of_part = part.figures(results)
+        rows += of_part
+        name = part.name if len(suite.parts) > 1 else ""
+        verdicts += [replace(one, part=one.part or name) for one in part.verdicts(results, of_part)]
+        sections += part.sections(results, of_part)
+        for file, lines in part.csvs(results, of_part).items():
+            csvs.setdefault(file, []).extend(lines)
+        failed += results.failed
+    return Outcome(rows, verdicts, sections, csvs, failed)

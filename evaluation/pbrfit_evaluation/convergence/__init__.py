@@ -1,24 +1,21 @@
-"""Error against run time: solvers, starts and peers on scenes of several sizes and difficulties.
-
-`plan` says what is to be done, `work` does one run, `Curve` is what it found. Nothing here draws or
-writes.
-"""
+"""Error against run time: solvers, starts and peers on scenes of several sizes and difficulties."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pbrfit.model.reflection import Model
+from pbrfit._core import InputError
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.synthetic.lights import condition
-from pbrfit_evaluation.convergence.cases import Case, make, true_lighting
-from pbrfit_evaluation.convergence.measure import Point, Tracker
-from pbrfit_evaluation.convergence.solvers import SOLVERS, Budget, Solver, by_name
-
-__all__ = ["FULL", "QUICK", "SOLVERS", "Case", "Curve", "Effort", "Solver", "Task", "plan", "work"]
+from pbrfit_evaluation.convergence import figures
+from pbrfit_evaluation.convergence.cases import CASES, Case, make, true_lighting
+from pbrfit_evaluation.convergence.measure import Tracker
+from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Budget
+from pbrfit_evaluation.options import count
+from pbrfit_evaluation.suite import Options, Part, Suite
 
 FIRST_SEED = 100
 """Seeds below 100 and from 200 on were used to choose constants, of this package and of peers."""
@@ -27,68 +24,6 @@ MOST_SEEDS = 100
 
 REHEARSAL = Case("rehearsal", 8, 0.0, "typical")
 REHEARSAL_BUDGET = Budget(iterations=3, evaluations=3, seconds=60.0)
-
-
-@dataclass(frozen=True)
-class Effort:
-    """What is run: cases, and how long.
-
-    `seconds` is where any run is cut off, for a picture of 64²; larger pictures have as much more
-    as they have pixels. On a quiet machine of two cores none is: iterations and evaluations are the
-    limits, so that only a busy one makes results depend on its speed.
-    """
-
-    name: str
-    cases: tuple[Case, ...]
-    seeds: int
-    iterations: int
-    evaluations: int
-    seconds: float
-
-    @property
-    def model(self) -> Model:
-        """That all cases have."""
-        [model] = {case.model for case in self.cases}
-        return model
-
-    def of_model(self, model: Model) -> Effort:
-        """The same with scenes and fits of a model."""
-        return replace(self, cases=tuple(replace(case, model=model) for case in self.cases))
-
-    def budget(self, case: Case) -> Budget:
-        """What a run of the case may take."""
-        share = max(1.0, (case.size / 64) ** 2)
-        return Budget(self.iterations, self.evaluations, self.seconds * share)
-
-
-FULL = Effort(
-    name="full",
-    cases=(
-        Case("typical-32", 32, 0.0, "typical"),
-        Case("typical-64", 64, 0.0, "typical"),
-        Case("typical-128", 128, 0.0, "typical"),
-        Case("noise-64", 64, 0.01, "typical"),
-        Case("spread-64", 64, 0.0, "spread"),
-        Case("nearly-one-64", 64, 0.0, "nearly one"),
-        Case("alike-noise-64", 64, 0.01, "alike"),
-    ),
-    seeds=3,
-    iterations=500,
-    evaluations=2000,
-    seconds=60.0,
-)
-
-QUICK = Effort(
-    name="quick",
-    cases=(
-        Case("typical-24", 24, 0.0, "typical"),
-        Case("alike-noise-24", 24, 0.01, "alike"),
-    ),
-    seeds=1,
-    iterations=200,
-    evaluations=200,
-    seconds=20.0,
-)
 
 
 @dataclass(frozen=True)
@@ -106,70 +41,47 @@ class Task:
         return f"{self.case.name}.{self.solver}.{self.seed}"
 
 
-@dataclass(frozen=True)
-class Curve:
-    """What a run found.
-
-    Attributes
-    ----------
-    points
-        Checkpoints, the first at the start, the last of what the solver handed back.
-    stop_reason
-        In words.
-    condition
-        Of the matrix of the training lights.
-    threads
-        It had.
-    load
-        The machine's load average of the last minute before it began, NaN where there is none.
-    """
-
-    task: Task
-    points: tuple[Point, ...]
-    stop_reason: str
-    condition: float
-    threads: int
-    load: float
-
-    @classmethod
-    def from_values(cls, task: Task, values: Mapping[str, Any]) -> Curve:
-        """From what `work` returned."""
-        return cls(
-            task,
-            tuple(Point.from_row(row) for row in values["points"]),
-            str(values["stop_reason"]),
-            float(values["condition"]),
-            int(values["threads"]),
-            float(values["load"]),
-        )
-
-
-def plan(effort: Effort, seeds: int | None = None) -> list[Task]:
+def tasks(options: Options) -> list[Task]:
     """All runs that are possible here, those of a seed one after the other.
 
-    So a run that is broken off and resumed with fewer seeds is complete in those.
+    So a run that is broken off and resumed with fewer seeds is complete in those. `options.seconds`
+    is where any run is cut off, for a picture of 64²; larger pictures have as much more as they
+    have pixels. On a quiet machine of two cores none is: iterations and evaluations are the limits,
+    so that only a busy one makes results depend on its speed.
+
+    Raises
+    ------
+    InputError
+        If there are too many seeds.
     """
-    count = effort.seeds if seeds is None else seeds
+    if options.seeds > MOST_SEEDS:
+        raise InputError(f"--seeds: expected at most {MOST_SEEDS}, found {options.seeds}")
+    cases = [replace(CASES[name], model=options.model) for name in options.cases]
     return [
-        Task(case, solver.name, FIRST_SEED + i, effort.budget(case))
-        for i in range(count)
-        for case in effort.cases
+        Task(case, solver.name, FIRST_SEED + i, _budget(case, options))
+        for i in range(options.seeds)
+        for case in cases
         for solver in SOLVERS
         if not solver.why_not(case.model)
     ]
 
 
-def work(task: Task, threads: int) -> dict[str, Any]:
+def _budget(case: Case, options: Options) -> Budget:
+    share = max(1.0, (case.size / 64) ** 2)
+    return Budget(options.iterations, options.evaluations, options.seconds * share)
+
+
+def run(task: Task, threads: int) -> dict[str, Any]:
     """Do one run, after a rehearsal off the clock that loads libraries and wakes threads."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    solver = by_name(task.solver)
+    solver = BY_NAME[task.solver]
     rehearsal = make(replace(REHEARSAL, model=task.case.model), seed=0)
     solver.run(rehearsal, REHEARSAL_BUDGET, Tracker(rehearsal, threads), threads)
     scene = make(task.case, task.seed)
     tracker = Tracker(scene, threads)
     reason = solver.run(scene, task.budget, tracker, threads)
     return {
-        "points": [point.as_row() for point in tracker.points],
+        "points": tracker.points,
         "stop_reason": reason,
         "condition": condition(true_lighting(scene)),
         "threads": threads,
@@ -177,10 +89,37 @@ def work(task: Task, threads: int) -> dict[str, Any]:
     }
 
 
-def curves(tasks: Sequence[Task], values: Sequence[Mapping[str, Any] | None]) -> list[Curve]:
-    """Those of the runs that ended well."""
-    return [
-        Curve.from_values(task, found)
-        for task, found in zip(tasks, values, strict=True)
-        if found is not None
-    ]
+SUITE = Suite(
+    name="convergence",
+    title="Error against run time",
+    description="Run every solver on scenes of several sizes, noise levels and light matrices, and "
+    "measure the errors of reconstruction, maps and relit pictures on the way. Writes report.html, "
+    "a plot a quantity, curves.csv, times.csv and summary.json. Peers need PyTorch: pip install "
+    "pbrfit-evaluation[peers]; they know the paper's model alone.",
+    protocol="pbrfit-convergence-1, {effort}",
+    parts=[
+        Part("runs", tasks, run, figures.rows, sections=figures.sections, csvs=figures.csvs),
+    ],
+    options=(
+        lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, "paper"),
+        count("--seeds", "K", "scenes of a case"),
+    ),
+    effort={
+        "cases": (tuple(CASES)[:-2], tuple(CASES)[-2:]),
+        "seeds": (3, 1),
+        "iterations": (500, 200),
+        "evaluations": (2000, 200),
+        "seconds": (60.0, 20.0),
+    },
+    quick="half a minute: two cases of 24 × 24 pixels, few steps",
+    about=(
+        "Errors are RMSE in float64, measured from the maps and lights of a run at numbers of "
+        "evaluations that grow by 12 %, for all solvers by the same function; “recon” against the "
+        "pictures that were fitted, noise included, “relight” under the true held-out lights. The "
+        "clock does not run meanwhile, nor while libraries and a start that is handed in are made.",
+        "A run of ours ends after so many iterations, one of a peer after so many evaluations, and "
+        "any after so many seconds (more above 64², in proportion to the pixels).",
+    ),
+    jobs=1,  # times mean something only if nothing else runs
+    timed=True,
+)

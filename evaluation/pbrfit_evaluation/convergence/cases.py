@@ -54,7 +54,7 @@ class Case:
 
     @property
     def title(self) -> str:
-        """What tables and plots say."""
+        """For tables and plots."""
         noise = f"noise {100 * self.noise:g} %" if self.noise else "no noise"
         return f"{self.size}², {noise}, lights {self.lights}"
 
@@ -116,3 +116,20 @@ def _lit_evenly(scene: Scene, truth: Truth) -> tuple[Truth, Array]:
     )
     exposure = MEAN_RADIANCE / images.mean()
     return replace(truth, lighting=exposure * lighting), exposure * images
+
+
+CASES = {
+    case.name: case
+    for case in (
+        Case("typical-32", 32, 0.0, "typical"),
+        Case("typical-64", 64, 0.0, "typical"),
+        Case("typical-128", 128, 0.0, "typical"),
+        Case("noise-64", 64, 0.01, "typical"),
+        Case("spread-64", 64, 0.0, "spread"),
+        Case("nearly-one-64", 64, 0.0, "nearly one"),
+        Case("alike-noise-64", 64, 0.01, "alike"),
+        Case("typical-24", 24, 0.0, "typical"),
+        Case("alike-noise-24", 24, 0.01, "alike"),
+    )
+}
+"""By name; the last two are those of `--quick`."""

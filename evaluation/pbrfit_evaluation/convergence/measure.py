@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, astuple, dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -39,51 +38,24 @@ State = Callable[[], tuple[Materials, Array]]
 """Gives the maps and lights (N, 16, 3) as they are now."""
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Of maps and lights against the truth of a scene. All RMSE, computed in float64.
+Point = Mapping[str, float]
+"""A checkpoint: what it had cost by then, as seconds of wall time without measuring, iteration and
+evaluations; and each of `QUANTITIES`."""
+
+
+def measure(
+    scene: Scene, materials: Materials, lighting: Array, threads: int = 0
+) -> dict[str, float]:
+    """RMSE of maps and lights against a scene's ground truth in float64, by name of `QUANTITIES`.
 
     `recon` is against the pictures that were fitted, noise included; `albedo_scaled` after the best
-    factor a channel; `relight` of the maps under the true held-out lights.
-    """
+    factor a channel; `relight` of the maps under the true held-out lights. Maps of float32 solvers
+    may leave [0, 1] by a rounding: they are clipped first.
 
-    recon: float
-    albedo: float
-    albedo_scaled: float
-    roughness: float
-    metallic: float
-    relight: float
-
-
-@dataclass(frozen=True)
-class Point:
-    """A checkpoint: what it had cost by then, and the errors.
-
-    `seconds` is wall time without measuring.
-    """
-
-    seconds: float
-    iteration: int
-    evaluations: int
-    errors: Errors
-
-    def as_row(self) -> list[float]:
-        """Numbers in the order of `POINT_COLUMNS`."""
-        return [self.seconds, self.iteration, self.evaluations, *astuple(self.errors)]
-
-    @classmethod
-    def from_row(cls, row: Sequence[float]) -> Point:
-        """Undo `as_row`."""
-        return cls(float(row[0]), int(row[1]), int(row[2]), Errors(*map(float, row[3:])))
-
-
-POINT_COLUMNS = ("seconds", "iteration", "evaluations", *(f.name for f in fields(Errors)))
-
-
-def measure(scene: Scene, materials: Materials, lighting: Array, threads: int = 0) -> Errors:
-    """Errors of maps and lights in the scene's units, which needs ground truth and held-out lights.
-
-    Maps of float32 solvers may leave [0, 1] by a rounding: they are clipped first.
+    Raises
+    ------
+    InputError
+        If the scene has no ground truth or no held-out pictures.
     """
     truth = scene.truth
     if truth is None or truth.relight_images is None or truth.relight_lighting is None:
@@ -98,14 +70,14 @@ def measure(scene: Scene, materials: Materials, lighting: Array, threads: int = 
         return render(found, scene.normals, lights, scene.fov, threads, model=model)
 
     scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
-    return Errors(
-        recon=metrics.rmse(rendered(lighting), scene.images),
-        albedo=metrics.rmse(found.albedo, true.albedo),
-        albedo_scaled=metrics.rmse(scaled, true.albedo),
-        roughness=metrics.rmse(found.roughness, true.roughness),
-        metallic=metrics.rmse(found.metallic, true.metallic),
-        relight=metrics.rmse(rendered(truth.relight_lighting), truth.relight_images),
-    )
+    return {
+        "recon": metrics.rmse(rendered(lighting), scene.images),
+        "albedo": metrics.rmse(found.albedo, true.albedo),
+        "albedo_scaled": metrics.rmse(scaled, true.albedo),
+        "roughness": metrics.rmse(found.roughness, true.roughness),
+        "metallic": metrics.rmse(found.metallic, true.metallic),
+        "relight": metrics.rmse(rendered(truth.relight_lighting), truth.relight_images),
+    }
 
 
 class Tracker:
@@ -127,43 +99,19 @@ class Tracker:
 
     def end(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
         """Measure what the solver hands back; it takes the place of a checkpoint just before."""
-        if self.points and self.points[-1].evaluations == evaluations:
+        if self.points and self.points[-1]["evaluations"] == evaluations:
             self.points.pop()
         self._measure(seconds, iteration, evaluations, state)
 
     def _measure(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
-        errors = measure(self._scene, *state(), threads=self._threads)
-        self.points.append(Point(seconds, iteration, evaluations, errors))
+        cost = {"seconds": seconds, "iteration": iteration, "evaluations": evaluations}
+        self.points.append({**cost, **measure(self._scene, *state(), threads=self._threads)})
         self._next = max(evaluations + 1, CHECKPOINT_RATIO * evaluations)
 
 
-@dataclass(frozen=True)
-class Reached:
-    """When a run first had an error of at most `target`.
-
-    Attributes
-    ----------
-    seconds, evaluations
-        None if it never had.
-    kept
-        Whether its last state still had it. Errors of maps go up and down, and restarts throw a
-        fit back: no user can see the moment at which the maps were best.
-    """
-
-    quantity: Quantity
-    target: float
-    seconds: float | None
-    evaluations: int | None
-    kept: bool
-
-
-def first_reached(points: Sequence[Point], quantity: Quantity, target: float) -> Reached:
+def first_reached(points: Sequence[Point], quantity: Quantity, target: float) -> Point | None:
     """First checkpoint with an error of at most `target`; one that is not a number reaches none."""
-    for point in points:
-        if getattr(point.errors, quantity) <= target:
-            kept = getattr(points[-1].errors, quantity) <= target
-            return Reached(quantity, target, point.seconds, point.evaluations, kept)
-    return Reached(quantity, target, None, None, kept=False)
+    return next((point for point in points if point[quantity] <= target), None)
 
 
 def median_reached(times: Sequence[float | None]) -> float | None:
@@ -177,12 +125,6 @@ def median_reached(times: Sequence[float | None]) -> float | None:
     ordered = sorted(math.inf if time is None else time for time in times)
     middle = ordered[len(ordered) // 2]
     return None if math.isinf(middle) else middle
-
-
-def final(points: Sequence[Point]) -> dict[str, float]:
-    """Errors of the last state and what it cost, by name."""
-    last = points[-1]
-    return asdict(last.errors) | {"seconds": last.seconds, "evaluations": last.evaluations}
 
 
 def on_grid(grid: Array, cost: Sequence[float], error: Sequence[float]) -> Array:

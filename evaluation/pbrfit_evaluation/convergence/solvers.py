@@ -13,7 +13,6 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.fit.decompose import Progress, decompose
 from pbrfit.fit.objective import Objective
 from pbrfit.model.materials import Materials
@@ -59,8 +58,6 @@ class Solver:
     ----------
     name
         Fit for files and tables.
-    title
-        What plots say.
     what
         A sentence on it.
     run
@@ -72,22 +69,17 @@ class Solver:
     """
 
     name: str
-    title: str
     what: str
     run: Run
     needs: tuple[str, ...] = ()
     models: tuple[Model, ...] = MODELS
 
-    @property
-    def missing(self) -> str:
-        """Why it cannot run here; empty if it can."""
-        absent = [package for package in self.needs if find_spec(package) is None]
-        return f"not run: {', '.join(absent)} is not installed" if absent else ""
-
     def why_not(self, model: Model) -> str:
         """Why it cannot fit a model here; empty if it can."""
-        unknown = "" if model in self.models else f"not run: it knows no model {model}"
-        return unknown or self.missing
+        if model not in self.models:
+            return f"not run: it knows no model {model}"
+        absent = [package for package in self.needs if find_spec(package) is None]
+        return f"not run: {', '.join(absent)} is not installed" if absent else ""
 
 
 def fit_with_ours(
@@ -143,45 +135,38 @@ def default_start(scene: Scene) -> Start:
 SOLVERS: tuple[Solver, ...] = (
     Solver(
         "lbfgsb",
-        "L-BFGS-B, staged",
         "pbrfit.decompose without priors: scipy's L-BFGS-B in three stages that keep off "
         "roughness 0.",
         fit_with_ours,
     ),
     Solver(
         "lbfgsb-long",
-        "L-BFGS-B, staged, 4 × iterations",
         "The same with four times as many iterations. Its stages are as much longer.",
         partial(fit_with_ours, times_iterations=4),
     ),
     Solver(
         "lbfgsb-one-stage",
-        "L-BFGS-B, one stage",
         "From the default start, without stages and restarts.",
         partial(fit_with_ours, start=default_start),
     ),
     Solver(
         "lbfgsb-paper",
-        "L-BFGS-B, paper's recipe",
         "The paper's recipe as we read it: one stage from the mean picture exposed to a mean of "
         "0.4, roughness 0.5, metallic 0.1.",
         partial(fit_with_ours, start=paper_start),
     ),
     Solver(
         "gauss-newton",
-        "Gauss–Newton",
         "Lights and some pixels' materials together, restarts pixel by pixel, then all pixels.",
         partial(fit_with_ours, solver="gauss-newton"),
     ),
     Solver(
-        "auto",
         "auto",
         "Gauss–Newton first, then bounded L-BFGS on the whole objective.",
         partial(fit_with_ours, solver="auto"),
     ),
     Solver(
         "torch-lbfgs",
-        "PyTorch L-BFGS",
         "torch.optim.LBFGS with the strong Wolfe line search, maps through a sigmoid, from the "
         "default start; float32, automatic differentiation.",
         partial(fit_with_torch, settings=torch_peer.LBFGS),
@@ -190,7 +175,6 @@ SOLVERS: tuple[Solver, ...] = (
     ),
     Solver(
         "torch-adam",
-        "PyTorch Adam",
         "torch.optim.Adam with a cosine of learning rates, maps through a sigmoid, from the "
         "default start; float32, automatic differentiation.",
         partial(fit_with_torch, settings=torch_peer.ADAM),
@@ -199,7 +183,6 @@ SOLVERS: tuple[Solver, ...] = (
     ),
     Solver(
         "lbfgsb-known-lights",
-        "L-BFGS-B, lights known",
         "L-BFGS-B, staged, given the true lights, so that only materials are fitted: what is slow "
         "or caught here is so for each pixel by itself. No solver of the whole problem, and no "
         "bound on those: they can end lower.",
@@ -208,10 +191,4 @@ SOLVERS: tuple[Solver, ...] = (
 )
 
 
-def by_name(name: str) -> Solver:
-    """Look a solver up; InputError if there is none of this name."""
-    for solver in SOLVERS:
-        if solver.name == name:
-            return solver
-    names = ", ".join(solver.name for solver in SOLVERS)
-    raise InputError(f"solver: expected one of {names}, found {name!r}")
+BY_NAME = {solver.name: solver for solver in SOLVERS}

@@ -2,8 +2,8 @@
 
 PyTorch is optional (`pip install pbrfit-evaluation[peers]`) and imported by `fit` alone.
 
-**Bounds.** torch.optim knows none. L-BFGS has to run on unknowns without bounds: a map is the
-sigmoid of its unknown. Adam may do the same, or clamp maps to [0, 1] after each step.
+**Bounds.** torch.optim knows none, so optimisers run on unknowns without bounds: a map is the
+sigmoid of its unknown.
 
 **Scale of the loss.** torch.optim.LBFGS drops a pair of step and gradient change whose product is
 at most 1e-10, a fixed number, so on a mean over many samples it would forget all curvature: it gets
@@ -37,9 +37,11 @@ Array = NDArray[np.float64]
 SIGMOID_RANGE = (0.01, 0.99)
 """Start values are brought in here: at 0 and 1 a sigmoid's unknown is infinite."""
 
+HISTORY = 10
+"""Pairs that L-BFGS remembers."""
+
 VISIT_EVERY = 5
 """L-BFGS iterations between two looks at the state; a look after each of the first few."""
-
 
 TRIED = 5
 """Evaluations by which a number of threads is judged."""
@@ -53,14 +55,10 @@ class Settings:
     ----------
     optimiser
         `torch.optim.LBFGS` with the strong Wolfe line search, or `torch.optim.Adam`.
-    bounds
-        How maps stay in [0, 1].
     rate
         Learning rate; of Adam the first of a cosine that ends at 0 with the last step.
     light_unit
         Lights are this times their unknowns, in the scaled pictures' units (mean radiance 0.4).
-    history
-        Pairs that L-BFGS remembers.
     beta2
         Adam's second decay.
     compiled
@@ -68,16 +66,14 @@ class Settings:
     """
 
     optimiser: Literal["lbfgs", "adam"]
-    bounds: Literal["sigmoid", "clamp"]
     rate: float
     light_unit: float = 1.0
-    history: int = 10
     beta2: float = 0.999
     compiled: bool = False
 
 
-LBFGS = Settings("lbfgs", "sigmoid", rate=1.0, light_unit=0.3)
-ADAM = Settings("adam", "sigmoid", rate=0.1, beta2=0.99)
+LBFGS = Settings("lbfgs", rate=1.0, light_unit=0.3)
+ADAM = Settings("adam", rate=0.1, beta2=0.99)
 
 
 @dataclass(frozen=True)
@@ -131,7 +127,7 @@ def fit(
 
 
 class Problem:
-    """The objective as a function of float32 tensors without bounds, or with clamped ones."""
+    """The objective as a function of float32 tensors without bounds."""
 
     def __init__(
         self, scene: Scene, objective: Objective, start: Array, settings: Settings
@@ -149,13 +145,10 @@ class Problem:
         self._loss = torch.compile(loss, dynamic=False) if settings.compiled else loss
         self._samples = view.images.size
         self._objective = objective
-        self._sigmoid = settings.bounds == "sigmoid"
         self._light_unit = settings.light_unit
         p = view.pixels
-        materials = start[: 5 * p]
-        if self._sigmoid:
-            materials = np.clip(materials, *SIGMOID_RANGE)
-            materials = np.log(materials / (1 - materials))
+        materials = np.clip(start[: 5 * p], *SIGMOID_RANGE)
+        materials = np.log(materials / (1 - materials))
         self.maps = torch.tensor(materials.reshape(5, p), dtype=torch.float32, requires_grad=True)
         self.lights = torch.tensor(
             start[5 * p :].reshape(-1, 16, 3) / self._light_unit,
@@ -172,7 +165,7 @@ class Problem:
         """Loss times a factor; the gradient is kept in the unknowns."""
         for unknown in self.unknowns:
             unknown.grad = None
-        maps = self.maps.sigmoid() if self._sigmoid else self.maps
+        maps = self.maps.sigmoid()
         loss = factor * self._loss(maps[:3], maps[3], maps[4], self._light_unit * self.lights)
         loss.backward()  # type: ignore[no-untyped-call, unused-ignore]
         return loss
@@ -182,13 +175,9 @@ class Problem:
         """Terms in the mean that the loss is."""
         return self._samples
 
-    def clamp(self) -> None:
-        """Bring maps back to [0, 1], where they are their own unknowns."""
-        self.maps.data.clamp_(0, 1)
-
     def state(self) -> tuple[Materials, Array]:
         """Maps and lights in the scene's units."""
-        maps = (self.maps.sigmoid() if self._sigmoid else self.maps).detach()
+        maps = self.maps.sigmoid().detach()
         lights = self._light_unit * self.lights.detach()
         x = np.concatenate([maps.numpy().ravel(), lights.numpy().ravel()]).astype(np.float64)
         return self._objective.unpack(x)
@@ -250,8 +239,6 @@ def _adam(
             return step, step, "the loss is not finite"
         optimiser.step()
         schedule.step()
-        if settings.bounds == "clamp":
-            problem.clamp()
         _visit(problem, tracker, clock, step + 1, step + 1)
     return limits.evaluations, limits.evaluations, f"{limits.evaluations} steps done"
 
@@ -268,7 +255,7 @@ def _lbfgs(
         max_eval=10**9,
         tolerance_grad=0.0,
         tolerance_change=0.0,
-        history_size=settings.history,
+        history_size=HISTORY,
         line_search_fn="strong_wolfe",
     )
     evaluations = 0

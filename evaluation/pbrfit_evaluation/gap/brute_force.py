@@ -55,10 +55,10 @@ Masking = Callable[[float, Array, float], Array]
 """G of n·v, n·l and roughness, the joint masking of both directions."""
 
 Fresnel = Callable[[Array], Array]
-"""Of v·h: one factor of the integrand, or a stack of them (F, ...)."""
+"""v·h -> one factor of the integrand, or a stack of them (F, ...)."""
 
 NODES = 64
-"""Of the coarser rule, in each direction and panel; the other has twice as many."""
+"""Number of the coarser rule's nodes, in each direction and panel; the other has twice as many."""
 
 REACH = 3.3
 """Where tanh-sinh is cut off, in its own variable: the nodes there are 10⁻¹⁸ of the interval from

@@ -162,25 +162,6 @@ def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> PrincipledR
     return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), change)
 
 
-@dataclass(frozen=True, eq=False)
-class _AsTabulated:
-    """A response whose weights are those of `TABULATED`."""
-
-    of: PrincipledResponse
-
-    @property
-    def error(self) -> float:
-        return self.of.error
-
-    def weights(self, albedo: Array, metallic: Array) -> Array:
-        return self.of.weights(albedo, metallic, TABULATED)
-
-
-def respond_as_tabulated(roughness: float, n_dot_v: float) -> _AsTabulated:
-    """Integrate likewise, with κ for the dielectric's Fresnel term."""
-    return _AsTabulated(respond(roughness, n_dot_v))
-
-
 @lru_cache(maxsize=1024)
 def mean_albedo(roughness: float) -> float:
     """Ē above: 2 ∫ E x dx, x = t³, Gauss-Legendre in t."""

@@ -9,13 +9,11 @@ difference is the noise that is left.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import sh_basis
@@ -24,203 +22,111 @@ from pbrfit.synthetic.surfaces import Paint
 from pbrfit_evaluation.cycles.job import Distribution
 from pbrfit_evaluation.cycles.scene import inner_pixels
 from pbrfit_evaluation.cycles.spheres import FOV, relative_rmse, render_sphere, under, where_met
-from pbrfit_evaluation.gap import MODELS, Model
+from pbrfit_evaluation.gap.measure import MODELS, Array, Model
 from pbrfit_evaluation.gap.principled import Choices, respond
 
-Array = NDArray[np.float64]
-
 ALBEDOS = (0.05, 0.5, 0.9)
-"""Of red, green and blue."""
+"""Albedo of red, green and blue."""
 
 LEAST_COSINE = 0.15
 """Pixels with a smaller n·v are left out: there one pixel's normals differ by many degrees."""
 
 NOISE = "noise of the renders"
-SINGLE = "integral without light between facets"
+
+INTEGRALS: Mapping[Distribution, Mapping[str, Choices]] = {
+    "GGX": {
+        "integral without light between facets": Choices(multiple=False),
+        "and E_d/E held back": Choices(multiple=False, held_back="full"),
+    },
+    "MULTI_GGX": {
+        "integral": Choices(),
+        "integral, Schlick's Fresnel": Choices(fresnel="fit"),
+        "and E_d held back, not M E_d": Choices(fresnel="fit", held_back="lobe"),
+    },
+}
+"""What the model might be instead, to tell what each choice is worth."""
+
+SUBSTANCES = {"metal": 1.0, "dielectric": 0.0, "half": 0.5}
+"""Metallic by name; the last is metallic 0.5."""
+
+ROUGHNESSES = (0.35, 0.5, 0.7, 1.0)
 
 
 @dataclass(frozen=True)
-class Substance:
-    """What a sphere is made of, but for roughness and albedo."""
+class Sphere:
+    """A sphere, rendered with `samples` paths a pixel in both renders together."""
 
-    key: str
-    name: str
-    metallic: float
-
-
-SUBSTANCES = (
-    Substance("metal", "metal", 1.0),
-    Substance("dielectric", "dielectric", 0.0),
-    Substance("half", "metallic 0.5", 0.5),
-)
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How it is measured.
-
-    Attributes
-    ----------
-    size, samples
-        Pixels a side; paths a pixel of both renders together.
-    r
-        Roughnesses.
-    lights
-        Number of random lights.
-    distributions, substances
-        What is rendered.
-    """
-
+    distribution: Distribution
+    substance: str
+    r: float
     size: int = 64
     samples: int = 1600
-    r: tuple[float, ...] = (0.35, 0.5, 0.7, 1.0)
     lights: int = 4
-    distributions: tuple[Distribution, ...] = get_args(Distribution)
-    substances: tuple[Substance, ...] = SUBSTANCES
+    cache: Path | None = field(default=None, repr=False)
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        return f"{self.distribution}_{self.substance}_r_{self.r:g}"
 
 
-@dataclass(frozen=True, eq=False)
-class Spheres:
-    """Errors of models on Cycles' spheres.
+def run(case: Sphere, threads: int = 2) -> dict[str, list[float]]:
+    """Render a sphere, or take it from the cache, and compare models and integrals with it.
 
-    Attributes
-    ----------
-    effort
-        What was asked for.
-    errors
-        By distribution, substance and model: (R, 3) RMSE over the mean of Cycles' pictures, by
-        roughness and albedo. Under the name `NOISE` stands that of the pictures.
-    """
-
-    effort: Effort
-    errors: Mapping[tuple[Distribution, str, str], Array]
-
-    def models(self, distribution: Distribution) -> list[str]:
-        """Names of what is compared, in order, the noise last."""
-        return list(dict.fromkeys(name for d, _, name in self.errors if d == distribution))
-
-
-def measure(
-    effort: Effort | None = None,
-    *,
-    models: Mapping[str, Model] = MODELS,
-    cache: Path | None = None,
-    threads: int = 2,
-    progress: Callable[[float], None] = lambda _: None,
-) -> Spheres:
-    """Render the spheres, or take them from the cache, and compare.
-
-    Beside the models stand the integrals of `principled.py` with other `Choices`, to tell what
-    each is worth.
-
-    Parameters
-    ----------
-    effort
-        Default: as in the documentation.
-    models
-        By name.
-    cache, threads
-        As in `pbrfit_evaluation.cycles.render_scene`.
-    progress
-        Called with the roughness before it is worked on.
+    Returns
+    -------
+    dict
+        RMSE over the mean of Cycles' pictures, by model and albedo. Under the name `NOISE` stands
+        that of the pictures.
 
     Raises
     ------
     CyclesError
-        As `render_scene`.
+        As `pbrfit_evaluation.cycles.render_scene`.
     """
-    effort = effort or Effort()
-    lights = random_lights(effort.lights, np.random.default_rng(0))
-    errors: dict[tuple[Distribution, str, str], Array] = {}
-    for i, r in enumerate(effort.r):
-        progress(r)
-        for distribution in effort.distributions:
-            compared = {**models, **_integrals(distribution)}
-            for substance in effort.substances:
-                pictures, noise, normals, views = _pictures(
-                    substance, r, distribution, effort, lights, cache, threads
-                )
-                found = {
-                    name: _error(model, normals, views, r, substance.metallic, lights, pictures)
-                    for name, model in compared.items()
-                }
-                for name, values in {**found, NOISE: noise}.items():
-                    key = (distribution, substance.key, name)
-                    errors.setdefault(key, np.empty((len(effort.r), 3)))[i] = values
-    return Spheres(effort, errors)
+    metallic = SUBSTANCES[case.substance]
+    lights = random_lights(case.lights, np.random.default_rng(0))
+    pictures, noise, normals, views = _pictures(case, metallic, lights, threads)
+    models: dict[str, Model] = dict(MODELS)
+    for name, choices in INTEGRALS[case.distribution].items():
+        models[name] = partial(integral, choices=choices)
+    count = len(normals)
+    albedo = np.broadcast_to(np.array(ALBEDOS), (count, 3))
+    found = {}
+    for name, model in models.items():
+        weights = model(normals, views, albedo, np.full(count, case.r), np.full(count, metallic))
+        found[name] = _by_channel(np.einsum("pck,nkc->npc", weights, lights), pictures)
+    return {**found, NOISE: noise}
 
 
-def _integrals(distribution: Distribution) -> dict[str, Model]:
-    """What the model might be instead, by name."""
-    chosen: dict[Distribution, dict[str, Choices]] = {
-        "GGX": {
-            SINGLE: Choices(multiple=False),
-            "and E_d/E held back": Choices(multiple=False, held_back="full"),
-        },
-        "MULTI_GGX": {
-            "integral": Choices(),
-            "integral, Schlick's Fresnel": Choices(fresnel="fit"),
-            "and E_d held back, not M E_d": Choices(fresnel="fit", held_back="lobe"),
-        },
-    }
-    return {
-        name: partial(integral, choices=choices) for name, choices in chosen[distribution].items()
-    }
+def _by_channel(found: Array, expected: Array) -> list[float]:
+    return [relative_rmse(found[..., c], expected[..., c]) for c in range(3)]
 
 
 def _pictures(
-    substance: Substance,
-    r: float,
-    distribution: Distribution,
-    effort: Effort,
-    lights: Array,
-    cache: Path | None,
-    threads: int,
-) -> tuple[Array, Array, Array, Array]:
-    """Radiance (N, P, 3), its noise (3,), normals (P, 3) and views (P, 3) of a sphere."""
+    case: Sphere, metallic: float, lights: Array, threads: int
+) -> tuple[Array, list[float], Array, Array]:
+    """Radiance (N, P, 3), its noise by channel, normals (P, 3) and views (P, 3) of a sphere."""
     two = [
         render_sphere(
-            Paint(albedo=np.array(ALBEDOS), roughness=r, metallic=substance.metallic),
-            effort.size,
-            max(effort.samples // 2, 1),
-            distribution=distribution,
+            Paint(albedo=np.array(ALBEDOS), roughness=case.r, metallic=metallic),
+            case.size,
+            max(case.samples // 2, 1),
+            distribution=case.distribution,
             seed=seed,
-            cache=cache,
+            cache=case.cache,
             threads=threads,
         )
         for seed in (0, 1)
     ]
     inner = inner_pixels(two[0].segments, two[0].normals, FOV)
-    views = view_directions(effort.size, effort.size, FOV)[inner]
+    views = view_directions(case.size, case.size, FOV)[inner]
     normals, _ = where_met(views)
     seen = np.einsum("pi,pi->p", normals, views) > LEAST_COSINE
     a, b = (under(one, lights)[:, inner][:, seen] for one in two)
-    mean = (a + b) / 2
     # Of the mean of both: half of their difference.
-    noise = np.array([relative_rmse(a[..., c], b[..., c]) / 2 for c in range(3)])
-    return mean, noise, normals[seen], views[seen]
-
-
-def _error(
-    model: Model,
-    normals: Array,
-    views: Array,
-    r: float,
-    metallic: float,
-    lights: Array,
-    pictures: Array,
-) -> Array:
-    """(3,): of each channel."""
-    count = len(normals)
-    weights = model(
-        normals,
-        views,
-        np.broadcast_to(np.array(ALBEDOS), (count, 3)),
-        np.full(count, r),
-        np.full(count, metallic),
-    )
-    found = np.einsum("pck,nkc->npc", weights, lights)
-    return np.array([relative_rmse(found[..., c], pictures[..., c]) for c in range(3)])
+    noise = [error / 2 for error in _by_channel(a, b)]
+    return (a + b) / 2, noise, normals[seen], views[seen]
 
 
 # --------------------------------------------------------------------- the integral, on any normals

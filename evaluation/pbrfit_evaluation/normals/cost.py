@@ -18,11 +18,9 @@ from pbrfit_evaluation.normals.disturbances import disturbed
 from pbrfit_evaluation.normals.fits import NOISE, fit, room
 
 DEGREES = 10.0
-TIMES = 4.0
-"""At most so many times the seconds without refinement."""
-
-EXPONENT = 1.1
-"""Of seconds over pixels, at most: more would not be linear."""
+TIMES, EXPONENT = 4.0, 1.1
+"""Seconds over those without refinement, and the exponent with which they grow with the pixels, at
+most; one much above 1 would not be linear."""
 
 REHEARSAL_SIZE = 12
 
@@ -49,16 +47,7 @@ class Task:
         return f"cost_{self.case}_{self.size}_{self.seed}"
 
 
-def plan(repeats: Mapping[int, int], iterations: int, first_seed: int) -> list[Task]:
-    """Both cases at every size; `repeats` by size."""
-    return [
-        Task(case, first_seed, size, count, iterations)
-        for size, count in repeats.items()
-        for case in CASES
-    ]
-
-
-def work(task: Task, threads: int) -> dict[str, Any]:
+def run(task: Task, threads: int) -> dict[str, Any]:
     """Seconds of every fit, after small ones that load libraries and wake threads."""
     refines: tuple[RefineNormals, RefineNormals] = ("off", COMPARED[task.case])
     rehearsal = replace(task, size=REHEARSAL_SIZE)
@@ -73,7 +62,7 @@ def work(task: Task, threads: int) -> dict[str, Any]:
             seconds[refine].append(result.seconds)
             refined |= result.refinement.refined
     return {
-        "off": seconds["off"],
+        "without": seconds["off"],
         "with": seconds[COMPARED[task.case]],
         "refined": refined,
         "pixels": int(np.count_nonzero(scene.valid)),
@@ -90,7 +79,7 @@ def _given(task: Task) -> Scene:
 
 def medians(values: Mapping[str, Any]) -> tuple[float, float]:
     """Seconds without and with refinement."""
-    return float(np.median(values["off"])), float(np.median(values["with"]))
+    return float(np.median(values["without"])), float(np.median(values["with"]))
 
 
 def exponent(pixels: Sequence[float], seconds: Sequence[float]) -> float:

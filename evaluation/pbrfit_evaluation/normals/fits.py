@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normal_errors import Array, Floats
 
 REFINE = CHOICES
-"""Fits of a scene, the one that the others are compared with first."""
+"""Fits of a scene: "off", with which the others are compared, "auto" and "on"."""
 
 FIRST_SEED = 7000
 """Nothing was tuned on seeds from there on."""
@@ -46,33 +45,19 @@ def fit(scene: Scene, refine: RefineNormals, *, iterations: int, threads: int) -
     return decompose(scene, iterations=iterations, threads=threads, refine_normals=refine)
 
 
-@dataclass(frozen=True)
-class Off:
-    """Angles between normals and the true ones over valid pixels, in degrees.
+def off(found: Floats, true: Floats, valid: NDArray[np.bool_]) -> dict[str, float]:
+    """Angles between normals (H, W, 3) and the true ones over valid pixels, in degrees.
 
-    Attributes
-    ----------
-    mean, median
-        Of the angles.
-    aligned
-        Mean after the turn of all normals together that brings them nearest to the true ones. Such
-        a turn is hard to see, because lights can turn along.
+    "aligned" is the mean after the turn of all normals together that brings them nearest to the
+    true ones. Such a turn is hard to see, because lights can turn along.
     """
-
-    mean: float
-    median: float
-    aligned: float
-
-    @classmethod
-    def of(cls, found: Floats, true: Floats, valid: NDArray[np.bool_]) -> Off:
-        """Measure normals (H, W, 3)."""
-        off = angles_between(found, true)[valid]
-        aligned = aligned_angles(found[valid], true[valid])
-        return cls(float(off.mean()), float(np.median(off)), float(aligned.mean()))
-
-    def as_json(self) -> dict[str, float]:
-        """For a record."""
-        return asdict(self)
+    angles = angles_between(found, true)[valid]
+    aligned = aligned_angles(found[valid], true[valid])
+    return {
+        "mean": float(angles.mean()),
+        "median": float(np.median(angles)),
+        "aligned": float(aligned.mean()),
+    }
 
 
 def aligned_angles(found: Floats, true: Floats) -> Array:

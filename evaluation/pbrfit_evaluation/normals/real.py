@@ -8,7 +8,7 @@ order 3, so the glossy bunny shows what refinement does where the model is wrong
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -16,10 +16,9 @@ from typing import Any, Literal
 import numpy as np
 
 from pbrfit.result.refinement import RefineNormals
-from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.normal_errors import Array
 from pbrfit_evaluation.normals.disturbances import Disturbance, disturbed
-from pbrfit_evaluation.normals.fits import REFINE, Off, decision, fit
+from pbrfit_evaluation.normals.fits import REFINE, decision, fit, off
 from pbrfit_evaluation.normals.pictures import draw_panels
 from pbrfit_evaluation.real.sources import Source, check_names, find_sources, load
 
@@ -52,7 +51,7 @@ class Task:
 
     @property
     def in_words(self) -> str:
-        """Where it starts."""
+        """Normals that it starts from."""
         return f"{self.start} {self.degrees:g}°" if self.degrees else self.start
 
 
@@ -70,40 +69,26 @@ def find(folders: Sequence[Path]) -> list[Source]:
     return found
 
 
-def plan(
-    sources: Sequence[Source],
-    max_size: int,
-    iterations: int,
-    disturbances: Sequence[Disturbance],
-    degrees: Sequence[float],
-) -> list[Task]:
-    """Every source from its true normals, from all wrong ones, and from flat ones."""
-    starts: list[tuple[Start, float]] = [("true", 0.0)]
-    starts += [(kind, theta) for kind in disturbances for theta in degrees]
-    starts.append(("flat", 0.0))
-    return [
-        Task(source, start, theta, max_size, iterations, digest)
-        for source in sources
-        for digest in [source.digest()]
-        for start, theta in starts
-    ]
-
-
-def work(task: Task, threads: int) -> Mapping[str, Any]:
+def run(task: Task, threads: int) -> dict[str, Any]:
     """Angles, residual and decision of each fit; pictures."""
     scene = load(task.source, task.max_size)
     valid = scene.valid
-    normals = _given(scene, task)
+    normals: Array = np.asarray(scene.normals, dtype=np.float64)
+    if task.start == "flat":
+        normals = np.where(valid[..., None], [0.0, 0.0, 1.0], np.nan)
+    elif task.start != "true":
+        # One seed for all sets: they have other shapes and masks.
+        normals = disturbed(scene, task.start, task.degrees, 0)
     given = replace(scene, normals=normals)
     found: dict[str, Any] = {
         "pixels": int(np.count_nonzero(valid)),
         "pictures": len(scene.images),
-        "given": Off.of(normals, scene.normals, valid).as_json(),
+        "given": off(normals, scene.normals, valid),
     }
     for refine in REFINE:
         result = fit(given, refine, iterations=task.iterations, threads=threads)
         found[refine] = {
-            "angle": Off.of(result.normals, scene.normals, valid).as_json(),
+            "angle": off(result.normals, scene.normals, valid),
             "recon": result.metrics["recon_rmse"],
             "seconds": result.seconds,
             "decision": decision(result),
@@ -114,14 +99,3 @@ def work(task: Task, threads: int) -> Mapping[str, Any]:
                 name: base64.b64encode(png).decode("ascii") for name, png in panels.items()
             }
     return found
-
-
-def _given(scene: Scene, task: Task) -> Array:
-    match task.start:
-        case "true":
-            return np.asarray(scene.normals, dtype=np.float64)
-        case "flat":
-            return np.where(scene.valid[..., None], [0.0, 0.0, 1.0], np.nan)
-        case kind:
-            # One seed for all sets: they have other shapes and masks.
-            return disturbed(scene, kind, task.degrees, 0)

@@ -25,7 +25,7 @@ MAPS = {
 
 
 def draw_panels(scene: Scene, result: Result, picture: int, threads: int = 0) -> dict[str, bytes]:
-    """PNGs of a method's maps by name, those of the truth under ``true ...``, and the picture."""
+    """PNGs of a method's maps by name, of the ground truth (``true ...``), and the picture."""
     truth = scene.truth
     assert truth is not None
     assert truth.relight_images is not None
@@ -51,7 +51,7 @@ def draw_panels(scene: Scene, result: Result, picture: int, threads: int = 0) ->
 
 
 def draw_sheet(panels: Mapping[str, Mapping[str, bytes]]) -> bytes:
-    """PNG: a row each for the truth and every method, and the picture that peers were shown.
+    """PNG: a row each for the ground truth and every method, and the picture that peers were shown.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def draw_sheet(panels: Mapping[str, Mapping[str, bytes]]) -> bytes:
     ]
     for of_method in panels.values():
         rows.append([None, *(Panel("", _pixels(of_method[name])) for name in MAPS)])
-    labels = ["truth", *panels]
+    labels = ["ground truth", *panels]
     return as_png(sheet([list(row) for row in rows], labels=labels))
 
 

@@ -41,7 +41,7 @@ WHAT = "RGB-X"
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Of the checkpoint, each as its library loads it."""
+    """Parts of the checkpoint, each as its library loads it."""
 
     tokenizer: Any
     text_encoder: Any

@@ -2,7 +2,7 @@
 
 The pictures of a scene are split. Materials come from the kept ones. For each held-out picture only
 its light is fitted, 48 numbers for all pixels together, and what is left is the error of the
-materials (and of the model). Real pictures have no other truth to compare with.
+materials (and of the model). Real pictures have no other ground truth to compare with.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ class Explained:
     scores
         One for each held-out picture.
     kept_error
-        RMSE over RMS of the kept pictures, their lights fitted in the same way; None where it
-        would be 0 by construction.
+        RMSE relative to the RMS of the kept pictures, their lights fitted in the same way; None
+        where it would be 0 by construction.
     seconds
         Of the fit of materials, 0 without one.
     materials
@@ -145,7 +145,7 @@ class Explained:
 
 
 def relative_error(scores: tuple[PictureScore, ...]) -> float:
-    """RMSE over RMS of several pictures together; NaN if they are black."""
+    """RMSE relative to the RMS of several pictures together; NaN if they are black."""
     error, signal = (
         math.fsum(getattr(score, name) ** 2 for score in scores) for name in ("rmse", "rms")
     )

@@ -7,7 +7,7 @@ into a scene folder (docs/formats.md).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,10 +24,29 @@ __all__ = [
     "Source",
     "absent",
     "check_names",
+    "find_data",
     "find_sources",
     "load",
     "write_scene",
 ]
+
+
+def find_data(folders: Sequence[Path], environment: Mapping[str, str]) -> list[Path]:
+    """Folders as given, else that of PBRFIT_DATA.
+
+    Raises
+    ------
+    InputError
+        If there is neither.
+    """
+    if folders:
+        return list(folders)
+    if environment.get("PBRFIT_DATA"):
+        return [Path(environment["PBRFIT_DATA"])]
+    raise InputError(
+        "FOLDER: expected scene folders or a folder of public sets, found none, and PBRFIT_DATA is "
+        "not set"
+    )
 
 
 def find_sources(path: Path) -> list[Source]:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 
 PART = 0.98
-"""Of the radius: pixels further out are part sphere, part background, and their normals turn by ten
-degrees and more within a pixel."""
+"""Share of the radius that is used: pixels further out are part sphere, part background, and their
+normals turn by ten degrees and more within a pixel."""
 
 
 def sphere_normals(

@@ -1,26 +1,24 @@
-"""Part "exact": pictures without noise, whose truth is a perfect fit, to the last digits.
+"""Part "exact": pictures without noise, whose ground truth is a perfect fit, to the last digits.
 
 Pictures are rendered in float64. Rounded once to float32, they leave a residual of about 1e-8 of
-the picture at the truth itself; as they are, none but that of float64 arithmetic.
+the picture at the ground truth itself; as they are, none but that of float64 arithmetic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.result import metrics
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.solvers.fits import (
     AUTO,
-    FIRST_SEED,
     GAUSS_NEWTON,
     LBFGSB,
+    Case,
     Name,
     fit,
     in_float32,
@@ -29,74 +27,58 @@ from pbrfit_evaluation.solvers.fits import (
     room,
 )
 
-RECON_FLOAT32 = 3e-8
-"""Residual over RMS radiance that counts as exact where pictures are float32."""
+RECON_FLOAT32, RECON_FLOAT64 = 3e-8, 1e-12
+"""Residual relative to the pictures' RMS that counts as exact, by the precision of the pictures."""
 
-RECON_FLOAT64 = 1e-12
 MATERIAL = 1e-6
 """RMSE of a map that counts as exact."""
 
 MAPS = ("albedo", "roughness", "metallic")
 
+FITS: dict[str, tuple[Name, float]] = {
+    "gauss-newton": (GAUSS_NEWTON, RECON_FLOAT32),
+    "auto": (AUTO, RECON_FLOAT32),
+    "lbfgsb": (LBFGSB, RECON_FLOAT32),
+    "gauss-newton, float64": (GAUSS_NEWTON, RECON_FLOAT64),
+}
+"""Solver and largest residual by name; pictures of all but the last are rounded to float32."""
+
 WRONG = 1e-4
 """A pixel is wrong if one of its numbers is off by more."""
 
-LISTED = 20
-"""Wrong pixels of a fit that are described one by one, the worst."""
+DARK, GRAZING, SMOOTH, ROUGH = 0.02, 0.1, 0.1, 0.95
+"""Kinds of wrong pixels: mean radiance below, n·v below, roughness below and above."""
 
-DARK = 0.02
-GRAZING = 0.1
-SMOOTH, ROUGH = 0.1, 0.95
 FLAT = 1e2
-"""Conditional deviation of roughness, a unit of noise at mean radiance 0.4: noise of 1e-8 moves
-such a pixel by 1e-6."""
-
-FITS: tuple[tuple[str, Name, bool], ...] = (
-    ("gauss-newton", GAUSS_NEWTON, True),
-    ("auto", AUTO, True),
-    ("lbfgsb", LBFGSB, True),
-    ("gauss-newton, float64", GAUSS_NEWTON, False),
-)
-"""(Name, solver, whether the pictures are rounded to float32)."""
+"""Deviation of roughness, lights known, for each unit of noise at mean radiance 0.4, from which a
+pixel counts as flat: noise of 1e-8 moves it by 1e-6."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """A room that every solver fits."""
-
-    seed: int
-    size: int
-    iterations: int
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        return f"exact_{self.seed}"
-
-
-def plan(scenes: int, size: int, iterations: int) -> list[Task]:
-    """Rooms of table1's seeds."""
-    return [Task(FIRST_SEED + i, size, iterations) for i in range(scenes)]
-
-
-def work(task: Task, threads: int) -> dict[str, Any]:
+def run(case: Case, threads: int) -> dict[str, Any]:
     """Errors of each fit, and what is wrong where some pixels are."""
-    scene = room(task.seed, task.size, held_out=1)
+    scene = room(case.seed, case.size, held_out=1)
     rounded = in_float32(scene)
     return {
-        name: _outcome(rounded if in32 else scene, solver, task.iterations, threads)
-        for name, solver, in32 in FITS
+        name: _outcome(
+            rounded if bound == RECON_FLOAT32 else scene, solver, bound, case.iterations, threads
+        )
+        for name, (solver, bound) in FITS.items()
     }
 
 
-def _outcome(scene: Scene, solver: Name, iterations: int, threads: int) -> dict[str, Any]:
+def _outcome(
+    scene: Scene, solver: Name, bound: float, iterations: int, threads: int
+) -> dict[str, Any]:
     assert scene.truth is not None
     result = fit(scene, solver, priors=None, iterations=iterations, threads=threads)
     found, true = result.materials, scene.truth.materials
     errors = {name: metrics.rmse(getattr(found, name), getattr(true, name)) for name in MAPS}
+    recon = residual(scene, result, threads) / rms(scene)
     return {
-        "recon": residual(scene, result, threads) / rms(scene),
+        "exact": is_exact(recon, errors.values(), bound),
+        "recon": recon,
         **errors,
+        "worst_map": max(errors.values()),
         "seconds": result.seconds,
         "evaluations": result.evaluations,
         "stop_reason": result.stop_reason,
@@ -105,61 +87,41 @@ def _outcome(scene: Scene, solver: Name, iterations: int, threads: int) -> dict[
 
 
 def describe_wrong(scene: Scene, result: Result) -> dict[str, Any]:
-    """How many pixels are wrong, how many of them are of which kind, and the worst one by one.
+    """How many pixels are wrong, how many of them are of which kind, and the worst.
 
     A pixel can be of several kinds, or of none.
     """
     assert scene.truth is not None
     true, found = scene.truth.materials, result.materials
-    off = np.stack(
-        [
-            np.abs(found.albedo - true.albedo).max(axis=-1),
-            np.abs(found.roughness - true.roughness),
-            np.abs(found.metallic - true.metallic),
-        ],
-        axis=-1,
+    off = np.maximum(
+        np.abs(found.albedo - true.albedo).max(axis=-1),
+        np.abs(found.roughness - true.roughness),
     )
-    worst = np.where(scene.valid, off.max(axis=-1), 0.0)
-    wrong = worst > WRONG
+    off = np.where(scene.valid, np.maximum(off, np.abs(found.metallic - true.metallic)), 0.0)
+    wrong = off > WRONG
     radiance = scene.images.mean(axis=(0, -1), dtype=np.float64)
     cosine = np.einsum("hwi,hwi->hw", scene.normals, scene.views)
-    flat = _conditional_roughness(scene, result)
-    kinds: dict[str, NDArray[np.bool_]] = {
+    known = result.uncertainty
+    deviation = known.conditional.roughness / known.noise if known and known.noise else 0 * off
+    kinds = {
         "dark": radiance < DARK,
         "grazing": cosine < GRAZING,
         "smooth": true.roughness < SMOOTH,
         "rough": true.roughness > ROUGH,
         "metal": true.metallic >= 0.5,
-        "flat": flat > FLAT,
+        "flat": deviation > FLAT,
     }
-    places = np.argwhere(wrong)
-    order = np.argsort(-worst[wrong], kind="stable")[:LISTED]
+    y, x = np.unravel_index(np.argmax(off), off.shape)
+    facts = {"off": off, "radiance": radiance, "n·v": cosine, "deviation": deviation}
+    facts |= {"roughness": true.roughness, "roughness found": found.roughness}
+    facts |= {"metallic": true.metallic, "metallic found": found.metallic}
     return {
         "count": int(wrong.sum()),
-        "kinds": {name: int((kind & wrong).sum()) for name, kind in kinds.items()},
-        "worst": [
-            {
-                "pixel": [int(y), int(x)],
-                "off": off[y, x].tolist(),
-                "roughness": [float(true.roughness[y, x]), float(found.roughness[y, x])],
-                "metallic": [float(true.metallic[y, x]), float(found.metallic[y, x])],
-                "radiance": float(radiance[y, x]),
-                "cosine": float(cosine[y, x]),
-                "deviation": float(flat[y, x]),
-            }
-            for y, x in places[order]
-        ],
+        **{name: int((kind & wrong).sum()) for name, kind in kinds.items()},
+        "worst": {"y": int(y), "x": int(x)} | {name: float(of[y, x]) for name, of in facts.items()},
     }
 
 
-def _conditional_roughness(scene: Scene, result: Result) -> NDArray[np.float64]:
-    """(H, W): deviation of roughness given the lights, a unit of noise; 0 where nothing is told."""
-    known = result.uncertainty
-    if known is None or not known.noise:
-        return np.zeros(scene.valid.shape)
-    return np.asarray(known.conditional.roughness / known.noise)
-
-
-def is_exact(outcome: Mapping[str, Any], recon: float = RECON_FLOAT32) -> bool:
+def is_exact(recon: float, errors: Iterable[float], bound: float = RECON_FLOAT32) -> bool:
     """Whether residual and maps are within their bounds."""
-    return bool(outcome["recon"] <= recon and all(outcome[name] <= MATERIAL for name in MAPS))
+    return recon <= bound and all(error <= MATERIAL for error in errors)

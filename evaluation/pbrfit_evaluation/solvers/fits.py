@@ -1,8 +1,9 @@
-"""What the parts share: the solvers by name, scenes, and the objective of a result in float64."""
+"""What the parts share: cases, solvers by name, and the objective of a result in float64."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.objective import Objective
+from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, chosen_model, render
 from pbrfit.result import metrics
 from pbrfit.result.options import Priors
@@ -25,9 +27,41 @@ GAUSS_NEWTON: Name = "gauss-newton"
 LBFGSB: Name = "lbfgsb"
 
 FIRST_SEED = 1000
-"""Of the rooms: those of `pbrfit evaluate table1`, on which nothing was tuned."""
+"""Rooms from here on are those of `pbrfit evaluate table1`, on which nothing was tuned."""
 
 PICTURES = 16
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene of a part.
+
+    Attributes
+    ----------
+    part
+        Its name.
+    seed, size, iterations
+        Of the scene, of a picture's side, and of each fit by L-BFGS-B; "auto" and "gauss-newton"
+        get the same limit.
+    variant
+        Kind of the scene, its row of table1 or its case of the ablation; empty for a room.
+    noise
+        Standard deviation in radiance; None where the part has one level alone.
+    """
+
+    part: str
+    seed: int
+    size: int
+    iterations: int
+    variant: str = ""
+    noise: float | None = None
+    cycles_cache: Path | None = field(default=None, repr=False)
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        level = "" if self.noise is None else f"{1e3 * self.noise:g}"
+        return "_".join(filter(None, (self.part, self.variant, level, str(self.seed))))
 
 
 def fit(scene: Scene, solver: Name, **options: Any) -> Result:
@@ -63,20 +97,25 @@ def in_float32(scene: Scene) -> Scene:
 
 def rms(scene: Scene) -> float:
     """Root mean square radiance of the pictures over the valid pixels."""
-    squares = [np.mean(np.square(scene.samples(i), dtype=np.float64)) for i in _pictures(scene)]
+    pictures = range(len(scene.images))
+    squares = [np.mean(np.square(scene.samples(i), dtype=np.float64)) for i in pictures]
     return float(np.sqrt(np.mean(squares)))
 
 
 def residual(scene: Scene, result: Result, threads: int = 0) -> float:
     """RMS difference of pictures and reconstruction, rendered and compared in float64."""
+    return residual_of(scene, result.materials, result.lighting, result.model, threads)
+
+
+def residual_of(
+    scene: Scene, materials: Materials, lighting: Array, model: Model, threads: int
+) -> float:
+    """Compare picture by picture: all at once would be held in float64."""
     found = [
         metrics.rmse(
-            render(
-                *(result.materials, scene.normals, light, scene.fov, threads), model=result.model
-            ),
-            scene.images[i],
+            render(*(materials, scene.normals, light, scene.fov, threads), model=model), image
         )
-        for i, light in enumerate(result.lighting)
+        for light, image in zip(lighting, scene.images, strict=True)
     ]
     return float(np.sqrt(np.mean(np.square(found))))
 
@@ -87,13 +126,9 @@ def clean_residual(scene: Scene, result: Result, threads: int = 0) -> float:
     assert truth is not None
     assert truth.lighting is not None
 
-    def pictures(materials: Any, lighting: Array, model: Model) -> Array:
-        return render(materials, scene.normals, lighting, scene.fov, threads, model=model)
-
-    return metrics.rmse(
-        pictures(result.materials, result.lighting, result.model),
-        pictures(truth.materials, truth.lighting, chosen_model(None, scene.model)),
-    )
+    view = scene.normals, truth.lighting, scene.fov, threads
+    clean = render(truth.materials, *view, model=chosen_model(None, scene.model))
+    return residual(replace(scene, images=clean), result, threads)
 
 
 def objective_value(
@@ -106,17 +141,9 @@ def objective_value(
 ) -> float:
     """What the solvers minimise, at a result: data term and penalties of fixed weight.
 
-    Parameters
-    ----------
-    scene
-        With pictures of about the same exposure and without weights.
-    result
-        Of a fit of all unknowns.
-    priors
-        With `material` 0, because that one is learnt as a fit runs. None = no penalties.
-    robust
-        A loss and its scale in units of the scaled pictures; None = squares, which are computed in
-        float64. A robust loss comes from the fast objective in float32.
+    The scene has pictures of about the same exposure, no weights, and all unknowns are fitted. The
+    material prior is 0, because it is learnt as a fit runs. A robust loss with its scale, in units
+    of the scaled pictures, comes from the fast objective in float32; all else is float64.
     """
     objective = Objective(scene, threads=threads, priors=priors, model=result.model)
     materials = result.materials
@@ -128,7 +155,3 @@ def objective_value(
         return (residual(scene, result, threads) / objective.scale) ** 2 + penalties
     objective.robust = robust
     return objective.data_value_and_grad(x)[0] + penalties
-
-
-def _pictures(scene: Scene) -> range:
-    return range(len(scene.images))

@@ -24,7 +24,6 @@ from pbrfit_evaluation.solvers.fits import (
     AUTO,
     FIRST_SEED,
     GAUSS_NEWTON,
-    LBFGSB,
     PICTURES,
     Name,
     fit,
@@ -32,11 +31,10 @@ from pbrfit_evaluation.solvers.fits import (
 )
 from pbrfit_evaluation.solvers.own_process import call
 
-SOLVERS: tuple[Name, ...] = (GAUSS_NEWTON, AUTO, LBFGSB)
 BARS: dict[Name, float] = {GAUSS_NEWTON: 4.0, AUTO: 8.0}
 """Largest peak over the pictures' bytes."""
 
-LARGE_BYTES = 8 * 2**30
+LARGE_GIB = 8.0
 """What 4 million pixels may take."""
 
 REHEARSAL_SIZE = 32
@@ -56,24 +54,20 @@ class Task:
         """Name of the record."""
         return f"memory_{self.solver}_{self.size}"
 
-    @property
-    def picture_bytes(self) -> int:
-        """Of the pictures in float32."""
-        return PICTURES * self.size**2 * 12
-
-
-def plan(sizes: tuple[int, ...]) -> list[Task]:
-    """Every solver at every size."""
-    return [Task(solver, size) for size in sizes for solver in SOLVERS]
-
 
 def work(task: Task, threads: int) -> dict[str, Any]:
-    """Bytes at the peak over those before the pictures are there; None where nothing tells."""
+    """Bytes at the peak over those before the pictures are there; None where no system tells."""
     with scratch_folder() as folder:
         path = folder / "scene.npz"
         call(write_scene, path, task.size, threads)
         peak, seconds = call(peak_of_fit, path, task.solver, threads)
-    return {"peak": peak, "seconds": seconds, "pictures": task.picture_bytes}
+    pictures = PICTURES * task.size**2 * 12  # in float32
+    return {
+        "seconds": seconds,
+        "pictures_mib": pictures / 2**20,
+        "peak_mib": None if peak is None else peak / 2**20,
+        "peak_over_pictures": None if peak is None else peak / pictures,
+    }
 
 
 def write_scene(path: Path, size: int, threads: int) -> None:

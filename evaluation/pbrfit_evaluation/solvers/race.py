@@ -10,7 +10,7 @@ making the start, are not on it; scaling the pictures and copying them is, for e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
@@ -20,22 +20,23 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.decompose import Progress
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import Model, chosen_model, render
-from pbrfit.result import metrics
+from pbrfit.model.reflection import Model, chosen_model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
 from pbrfit_evaluation.recipes import paper_start
 from pbrfit_evaluation.solvers.fits import (
     AUTO,
-    FIRST_SEED,
     GAUSS_NEWTON,
     LBFGSB,
     Name,
     fit,
     in_float32,
+    residual_of,
+    rms,
     room,
 )
 from pbrfit_evaluation.solvers.own_process import call
+from pbrfit_evaluation.suite import Results
 
 Array = NDArray[np.float64]
 State = Callable[[], tuple[Materials, Array]]
@@ -57,69 +58,43 @@ OVER_LBFGSB, OVER_TORCH = 20.0, 10.0
 
 REHEARSAL_SIZE = 32
 
-PAPER = "lbfgsb, paper's recipe"
 MODEL: Model = "paper"
 """The one that PyTorch's runner has."""
 
-TORCH = "torch.compile, L-BFGS"
+NAMES = {
+    "paper": "lbfgsb, paper's recipe",
+    "gauss-newton": "gauss-newton",
+    "auto": "auto",
+    "lbfgsb": "lbfgsb",
+    "torch": "torch.compile, L-BFGS",
+}
+"""Runners by key. All start where the paper's recipe does, but for "lbfgsb": without the product's
+own start and stages it would be that recipe."""
 
-
-@dataclass(frozen=True)
-class Runner:
-    """One of those that race.
-
-    Attributes
-    ----------
-    name
-        What tables and plots say.
-    key
-        Fit for files.
-    solver
-        Of `pbrfit.decompose`; None = PyTorch.
-    from_paper_start
-        Whether it starts where the paper's recipe does. "lbfgsb" as it is has its own start and
-        stages, without which it is the paper's recipe.
-    """
-
-    name: str
-    key: str
-    solver: Name | None
-    from_paper_start: bool = True
-
-    @property
-    def missing(self) -> str:
-        """Why it cannot run here; empty if it can."""
-        absent = self.solver is None and find_spec("torch") is None
-        return "not run: torch is not installed" if absent else ""
-
-
-RUNNERS: tuple[Runner, ...] = (
-    Runner(PAPER, "paper", LBFGSB),
-    Runner("gauss-newton", "gauss-newton", GAUSS_NEWTON),
-    Runner("auto", "auto", AUTO),
-    Runner("lbfgsb", "lbfgsb", LBFGSB, from_paper_start=False),
-    Runner(TORCH, "torch", None),
-)
-BY_KEY = {runner.key: runner for runner in RUNNERS}
-
-
-@dataclass(frozen=True)
-class Mark:
-    """What the paper's recipe ended at: RMS residual in picture units; and its seconds."""
-
-    residual: float
-    seconds: float
+SOLVERS: dict[str, Name] = {
+    "paper": LBFGSB,
+    "gauss-newton": GAUSS_NEWTON,
+    "auto": AUTO,
+    "lbfgsb": LBFGSB,
+}
+"""Of `pbrfit.decompose`."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A runner on a scene; `mark` is None for the paper's recipe, which makes it."""
+    """A runner on a scene; the mark is None for the paper's recipe, which makes it.
+
+    Attributes
+    ----------
+    mark
+        RMS residual in picture units, and seconds, of the paper's recipe at its end.
+    """
 
     runner: str
     seed: int
     size: int
     iterations: int
-    mark: Mark | None = None
+    mark: tuple[float, float] | None = None
 
     @property
     def key(self) -> str:
@@ -127,20 +102,20 @@ class Task:
         return f"race_{self.runner}_{self.seed}"
 
 
-def plan_marks(scenes: int, size: int, iterations: int) -> list[Task]:
-    """The paper's recipe on each scene, which has to be first."""
-    return [Task("paper", FIRST_SEED + i, size, iterations) for i in range(scenes)]
-
-
-def plan_rest(marks: Sequence[tuple[Task, Mapping[str, Any] | None]]) -> list[Task]:
-    """All others on the scenes whose mark is known."""
+def rest(results: Results[Task]) -> list[Task]:
+    """All other runners on the scenes whose mark is known."""
     return [
-        replace(task, runner=runner.key, mark=Mark(values["residual"], values["seconds"]))
-        for task, values in marks
-        if values is not None
-        for runner in RUNNERS[1:]
-        if not runner.missing
+        replace(task, runner=runner, mark=(values["residual"], values["seconds"]))
+        for task, values in results.finished
+        for runner in NAMES
+        if runner != "paper" and not missing(runner)
     ]
+
+
+def missing(runner: str) -> str:
+    """Why it cannot run here; empty if it can."""
+    absent = runner not in SOLVERS and find_spec("torch") is None
+    return "torch is not installed" if absent else ""
 
 
 def work(task: Task, threads: int) -> dict[str, Any]:
@@ -151,13 +126,12 @@ def work(task: Task, threads: int) -> dict[str, Any]:
 
 def run(task: Task, threads: int) -> dict[str, Any]:
     """One run, after a small one that loads libraries and wakes threads."""
-    runner = BY_KEY[task.runner]
     small = in_float32(room(0, REHEARSAL_SIZE, held_out=1, model=MODEL))
-    rehearsal = replace(task, iterations=5, mark=Mark(0.0, 0.1))
-    _start_run(runner, small, rehearsal, Tracker(small, 0.0, threads), threads)
+    rehearsal = replace(task, iterations=5, mark=(0.0, 0.1))
+    _race(small, rehearsal, Tracker(small, 0.0, threads), threads)
     scene = in_float32(room(task.seed, task.size, held_out=1, model=MODEL))
-    tracker = Tracker(scene, task.mark.residual if task.mark else 0.0, threads)
-    reason = _start_run(runner, scene, task, tracker, threads)
+    tracker = Tracker(scene, task.mark[0] if task.mark else 0.0, threads)
+    reason = _race(scene, task, tracker, threads)
     points = tracker.points
     return {
         "points": points,
@@ -168,15 +142,15 @@ def run(task: Task, threads: int) -> dict[str, Any]:
         "reached": tracker.reached,
         "stop_reason": reason,
         "threads": threads,
-        "pictures_rms": float(np.sqrt(np.mean(np.square(scene.images, dtype=np.float64)))),
+        "pictures_rms": rms(scene),
     }
 
 
-def _start_run(runner: Runner, scene: Scene, task: Task, tracker: Tracker, threads: int) -> str:
-    start = paper_start(scene) if runner.from_paper_start else None
-    if runner.solver is None:
+def _race(scene: Scene, task: Task, tracker: Tracker, threads: int) -> str:
+    start = None if task.runner == "lbfgsb" else paper_start(scene)
+    if task.runner not in SOLVERS:
         assert task.mark is not None
-        limits = torch_peer.Limits(PEER_EVALUATIONS, PEER_PATIENCE * task.mark.seconds)
+        limits = torch_peer.Limits(PEER_EVALUATIONS, PEER_PATIENCE * task.mark[1])
         settings = replace(torch_peer.LBFGS, compiled=True)
         try:
             return torch_peer.fit(scene, settings, limits, tracker, threads, start=start)
@@ -194,7 +168,7 @@ def _start_run(runner: Runner, scene: Scene, task: Task, tracker: Tracker, threa
 
     result = fit(
         scene,
-        runner.solver,
+        SOLVERS[task.runner],
         start=start,
         iterations=task.iterations,
         threads=threads,
@@ -249,23 +223,13 @@ class Tracker:
         self._measure(seconds, evaluations, state)
 
     def _measure(self, seconds: float, evaluations: int, state: State) -> None:
-        residual = self._residual(*state())
+        materials, lighting = state()
+        # Maps of float32 runners may leave [0, 1] by a rounding.
+        maps = (materials.albedo, materials.roughness, materials.metallic)
+        inside = Materials(*(np.clip(values, 0, 1) for values in maps))
+        model = chosen_model(None, self._scene.model)
+        residual = residual_of(self._scene, inside, lighting, model, self._threads)
         self.points.append((seconds, evaluations, residual))
         self._next = max(evaluations + 1, CHECKPOINT_RATIO * evaluations)
         if self.reached is None and residual <= self._mark:
             self.reached = seconds
-
-    def _residual(self, materials: Materials, lighting: Array) -> float:
-        scene = self._scene
-        squares = []
-        # Picture by picture: all at once would be held in float64. Maps of float32 runners may
-        # leave [0, 1] by a rounding.
-        maps = (materials.albedo, materials.roughness, materials.metallic)
-        inside = Materials(*(np.clip(values, 0, 1) for values in maps))
-        for light, image in zip(lighting, scene.images, strict=True):
-            rendered = render(
-                *(inside, scene.normals, light, scene.fov, self._threads),
-                model=chosen_model(None, scene.model),
-            )
-            squares.append(metrics.rmse(rendered, image) ** 2)
-        return float(np.sqrt(np.mean(squares)))

@@ -2,87 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import Generator
 
 from pbrfit.model.reflection import ggx_band_weights
 from pbrfit.report import notation
 from pbrfit.report.notation import scientific
-from pbrfit_evaluation.stability.checks import BAND_BOUND, BRANCH, SLOPE_BOUND, Array, Check
-from pbrfit_evaluation.stability.effort import Effort
-from pbrfit_evaluation.stability.exact_bands import ExactBands, exact_bands, paper_rule
+from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.stability.exact_bands import exact_bands, paper_rule
+from pbrfit_evaluation.stability.measure import BRANCH, Array, Effort, Figure
 
-SLOPE_RELATIVE_BOUND = 1e-14
+RULES = {
+    "pbrfit": "",
+    "paper's rule, float64": "paper_float64_",
+    "paper's rule, float32": "paper_float32_",
+}
+"""Rules that are compared, and how keys of their figures begin."""
 
-
-@dataclass(frozen=True, eq=False)
-class BandErrors:
-    """Largest error over the four bands at every r, (M,), by three rules; NaN where one fails."""
-
-    checks: tuple[Check, ...]
-    r: Array
-    value: dict[str, Array]
-    slope: dict[str, Array]
+BINS = 120
+"""Of each curve, which has the largest error in each."""
 
 
-RULES = ("pbrfit", "paper's rule, float64", "paper's rule, float32")
-
-
-def measure_bands(effort: Effort) -> BandErrors:
-    """h_l(r) and dh_l/dr over [0, 1] against 150-digit arithmetic."""
+def measure(effort: Effort, _: Generator, __: int) -> Values:
+    """h_l(r) and dh_l/dr over [0, 1] against 150-digit arithmetic, by three rules."""
     exact = exact_bands(_roughness_grid(effort.band_points))
     r = exact.r
-    found = {
-        RULES[0]: ggx_band_weights(r),
-        RULES[1]: paper_rule(r, np.float64),
-        RULES[2]: paper_rule(r, np.float32),
-    }
-    value, slope = {}, {}
-    checks = []
-    for rule, (h, dh) in found.items():
-        value[rule] = np.abs(exact.weight_errors(h))
-        slope[rule] = np.abs(exact.slope_errors(dh))
-    for key, errors, bound, why in (
-        (
-            "value",
-            value,
-            BAND_BOUND,
-            "Weights are at most 4, whose float64 spacing is 9·10⁻¹⁶: a dozen roundings.",
-        ),
-        (
-            "slope",
-            slope,
-            SLOPE_BOUND,
-            "Slopes reach 10, and 25 terms of a series with its roundings make a few 10⁻¹⁴.",
-        ),
-    ):
-        name = "h" if key == "value" else "dh/dr"
-        ours = errors[RULES[0]]
-        worst, where = _worst_band(r, np.where(np.isnan(ours), np.inf, ours))
-        checks.append(Check(f"{key}_error", f"{name}, absolute error", worst, bound, why, where))
-    checks.append(_relative_slope(exact, found[RULES[0]][1]))
-    for key, name, errors in (("value", "h", value), ("slope", "dh/dr", slope)):
-        for rule, short in zip(RULES[1:], ("paper_float64", "paper_float32"), strict=True):
-            worst, where = _worst_band(r, errors[rule])
-            checks.append(
-                Check(
-                    f"{short}_{key}_error",
-                    f"for comparison, {rule}: {name}",
-                    worst,
-                    None,
-                    "What the package would do if it took that rule.",
-                    where + _failures(r, errors[rule]),
-                )
-            )
-    return BandErrors(
-        tuple(checks),
-        r,
-        {rule: errors.max(axis=-1) for rule, errors in value.items()},
-        {rule: errors.max(axis=-1) for rule, errors in slope.items()},
-    )
+    found = (ggx_band_weights(r), paper_rule(r, np.float64), paper_rule(r, np.float32))
+    figures: dict[str, Figure] = {}
+    curves: dict[str, Any] = {"value": {}, "slope": {}}
+    for (rule, short), (h, dh) in zip(RULES.items(), found, strict=True):
+        errors = {
+            "value": np.abs(exact.weight_errors(h)),
+            "slope": np.abs(exact.slope_errors(dh)),
+        }
+        for key, of in errors.items():
+            nan = np.inf if rule == "pbrfit" else -1.0  # of the others only what is a number
+            worst, where = _worst_band(r, np.where(np.isnan(of), nan, of))
+            failed = r[np.isnan(of).any(axis=-1)]
+            if failed.size:
+                where += f"; no number up to r = {scientific(failed.max())}"
+            figures[f"{short}{key}_error"] = worst, where
+            curves[key][rule] = _curves(r, of.max(axis=-1))
+    # Near r = 0 slopes fall like r³, so that an absolute bound says nothing.
+    below = (r < BRANCH) & (np.abs(exact.slope).min(axis=-1) > 1e-300)
+    relative = np.abs(exact.slope_errors(found[0][1])[below] / exact.slope[below])
+    figures["slope_relative_error"] = _worst_band(r[below], relative)
+    return {"figures": figures, "curves": curves}
 
 
 def _roughness_grid(count: int) -> Array:
@@ -91,53 +58,50 @@ def _roughness_grid(count: int) -> Array:
     steps = np.arange(-16, 17)
     near = 10.0 ** np.linspace(-17, -2, part // 2)
     switch = (1 - 1e-3) ** 0.25
-    return np.unique(
-        np.clip(
-            np.concatenate(
-                [
-                    np.linspace(0, 1, 2 * part),
-                    10.0 ** np.linspace(-12, -1, part),
-                    10.0 ** np.linspace(-90, -12, part // 2),
-                    10.0 ** np.linspace(-323, -90, part // 8),
-                    [0, 5e-324, 2.2250738585072014e-308, 1e-300, 1e-81, 1e-80, 1.0],
-                    BRANCH + near,
-                    BRANCH - near,
-                    BRANCH + np.spacing(BRANCH) * steps,
-                    1 - 10.0 ** np.linspace(-17, -1, part),
-                    1 - np.spacing(0.5) * np.abs(steps),
-                    switch + 0.1 * near,
-                    switch - 0.1 * near,
-                ]
-            ),
-            0,
-            1,
-        )
-    )
+    parts = [
+        np.linspace(0, 1, 2 * part),
+        10.0 ** np.linspace(-12, -1, part),
+        10.0 ** np.linspace(-90, -12, part // 2),
+        10.0 ** np.linspace(-323, -90, part // 8),
+        [0, 5e-324, 2.2250738585072014e-308, 1e-300, 1e-81, 1e-80, 1.0],
+        BRANCH + near,
+        BRANCH - near,
+        BRANCH + np.spacing(BRANCH) * steps,
+        1 - 10.0 ** np.linspace(-17, -1, part),
+        1 - np.spacing(0.5) * np.abs(steps),
+        switch + 0.1 * near,
+        switch - 0.1 * near,
+    ]
+    return np.unique(np.clip(np.concatenate(parts), 0, 1))
 
 
-def _worst_band(r: Array, errors: Array) -> tuple[float, str]:
-    """Largest error, of those that are numbers, and where."""
-    numbers = np.where(np.isnan(errors), -1.0, errors)
-    point, band = np.unravel_index(np.argmax(numbers), errors.shape)
+def _worst_band(r: Array, errors: Array) -> Figure:
+    point, band = np.unravel_index(np.argmax(errors), errors.shape)
     return float(errors[point, band]), f"{notation.band(int(band))} at r = {r[point]:.6g}"
 
 
-def _failures(r: Array, errors: Array) -> str:
-    failed = r[np.isnan(errors).any(axis=-1)]
-    return f"; no number up to r = {scientific(failed.max())}" if failed.size else ""
+def _curves(r: Array, errors: Array) -> dict[str, Any]:
+    """Towards r = 0, over all of [0, 1], and by 1 − r."""
+    zero, one = (r >= 1e-90) & (r <= 0.1), (r < 1) & (r > 0.9)
+    return {
+        "zero": _envelope(r[zero], errors[zero], log=True),
+        "all": _envelope(r, errors, log=False),
+        "one": _envelope(1 - r[one], errors[one], log=True),
+    }
 
 
-def _relative_slope(exact: ExactBands, dh: NDArray[np.floating[Any]]) -> Check:
-    """Near r = 0 slopes fall like r³, so that an absolute bound says nothing."""
-    below = (exact.r < BRANCH) & (np.abs(exact.slope).min(axis=-1) > 1e-300)
-    relative = np.abs(exact.slope_errors(dh)[below] / exact.slope[below])
-    point, band = np.unravel_index(np.argmax(relative), relative.shape)
-    return Check(
-        "slope_relative_error",
-        "dh/dr for r < 0.4, relative error",
-        float(relative[point, band]),
-        SLOPE_RELATIVE_BOUND,
-        "Terms hardly cancel here: some dozens of roundings of 10⁻¹⁶ each, though slopes fall "
-        "like r³.",
-        f"{notation.band(int(band))} at r = {exact.r[below][point]:.6g}",
-    )
+def _envelope(x: Array, errors: Array, *, log: bool) -> dict[str, list[Any]]:
+    """Bins of x, the largest error in each, and whether a value there is no number."""
+    position = np.log10(x) if log else x
+    edges = np.linspace(position.min(), position.max(), BINS + 1)
+    bins = np.clip(np.searchsorted(edges, position, side="right") - 1, 0, BINS - 1)
+    worst, failed = np.full(BINS, np.nan), np.zeros(BINS, dtype=bool)
+    for i in np.unique(bins):
+        inside = errors[bins == i]
+        finite = inside[np.isfinite(inside)]
+        failed[i] = finite.size < inside.size
+        if finite.size:
+            worst[i] = finite.max()
+    middle = (edges[1:] + edges[:-1]) / 2
+    at = 10.0**middle if log else middle
+    return {"x": at.tolist(), "error": worst.tolist(), "failed": failed.tolist()}

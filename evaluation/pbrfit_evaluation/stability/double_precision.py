@@ -49,33 +49,21 @@ class Pixels:
     def __len__(self) -> int:
         return len(self.roughness)
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
+        """All of them, in the order of `shade`."""
+        return self.normals, self.views, self.albedo, self.roughness, self.metallic
+
     def __getitem__(self, rows: slice | NDArray[np.intp]) -> Pixels:
-        return Pixels(
-            self.normals[rows],
-            self.views[rows],
-            self.albedo[rows],
-            self.roughness[rows],
-            self.metallic[rows],
-        )
+        return Pixels(*(array[rows] for array in self.arrays))
 
     def shade(self) -> Array:
         """Weights, (P, 3, 16)."""
-        return shade(
-            *(self.normals, self.views, self.albedo, self.roughness, self.metallic), model=MODEL
-        )
+        return shade(*self.arrays, model=MODEL)
 
     def render(self, lighting: Array, threads: int = 0) -> Array:
         """Radiance (N, P, 3) in float64."""
-        return _core.render(
-            self.normals,
-            self.views,
-            self.albedo,
-            self.roughness,
-            self.metallic,
-            lighting,
-            threads,
-            MODEL,
-        )
+        return _core.render(*self.arrays, lighting, threads, MODEL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +144,7 @@ def evaluate(case: Case) -> Evaluation:
         loss_scales.append(float(np.sum(np.abs(residual) * size)))
         by_weights = factor * (residual @ lights)
         d_albedo, d_roughness, d_metallic, _ = shade_vjp(
-            piece.normals,
-            piece.views,
-            piece.albedo,
-            piece.roughness,
-            piece.metallic,
-            by_weights.transpose(1, 0, 2),
-            model=MODEL,
+            *piece.arrays, by_weights.transpose(1, 0, 2), model=MODEL
         )
         materials[0, :3, rows] = d_albedo.T
         materials[0, 3, rows] = d_roughness

@@ -43,9 +43,10 @@ def random_lights(rng: Generator, count: int, variation: float = 0.5) -> Array:
     return np.asarray(lights)
 
 
-def random_targets(rng: Generator, pictures: int, pixels: int) -> NDArray[np.float32]:
-    """Radiance (N, P, 3) that has nothing to do with the pixels: residuals like the signal."""
-    return rng.uniform(0, 2, (pictures, pixels, 3)).astype(np.float32)
+def random_case(rng: Generator, pixels: int, pictures: int) -> Case:
+    """Pixels and lights, and pictures that have nothing to do with them: residuals like them."""
+    drawn, lighting = random_pixels(rng, pixels), random_lights(rng, pictures)
+    return Case(drawn, lighting, rng.uniform(0, 2, (pictures, pixels, 3)).astype(np.float32))
 
 
 def _unit(vectors: Array) -> Array:
@@ -62,12 +63,7 @@ class Kind:
 
 def make_case(rng: Generator, kind: Kind, pixels: int, pictures: int) -> Case:
     """Draw a case of one kind."""
-    plain = Case(
-        random_pixels(rng, pixels),
-        random_lights(rng, pictures),
-        random_targets(rng, pictures, pixels),
-    )
-    return kind.make(rng, plain)
+    return kind.make(rng, random_case(rng, pixels, pictures))
 
 
 def _with_roughness(center: float, low: float, high: float) -> Callable[[Generator, Case], Case]:

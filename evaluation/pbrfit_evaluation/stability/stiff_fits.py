@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
 from pbrfit.fit.decompose import decompose
 from pbrfit.model.reflection import render
@@ -15,8 +16,8 @@ from pbrfit.result import metrics
 from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.stability.checks import Array, Check, worst_of
-from pbrfit_evaluation.stability.effort import Effort
+from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.stability.measure import Array, Effort, Figure, count, worst
 from pbrfit_evaluation.stability.stiff_scenes import StiffScene, stiff_scenes
 
 SOLVERS: tuple[str, ...] = ("auto", "gauss-newton", "lbfgsb")
@@ -30,11 +31,9 @@ WITH_PRIORS = ", priors"
 FLOOR = 3e-7
 """Residuals below this share of the pictures' RMS are rounding of the float32 objective."""
 
-LEVEL = 1e-6
-
 LIMITS = (0, 1, 3)
 SHORT_SHARE = 0.2
-"""Of the seconds of a whole fit: a time limit that ends it on the way."""
+"""A time limit that ends a fit on the way, as a share of the seconds of a whole fit."""
 
 MAPS = ("albedo", "roughness", "metallic")
 
@@ -53,6 +52,9 @@ class Fit:
         Share of these pixels in which the map is flagged, or held on a bound.
     overlooked
         Unknown maps of pixels that the pictures cannot tell, without a flag.
+    not_finite, beyond, over_limit
+        Numbers that are infinite or not a number, numbers of maps beyond [0, 1], and iterations
+        beyond the limit.
     """
 
     scene: str
@@ -70,25 +72,14 @@ class Fit:
     status: str
 
 
-@dataclass(frozen=True, eq=False)
-class StiffFits:
-    """All fits."""
-
-    checks: tuple[Check, ...]
-    fits: tuple[Fit, ...]
-
-
-def measure_stiff_fits(effort: Effort, threads: int) -> StiffFits:
+def measure(effort: Effort, _: Generator, threads: int) -> Values:
     """Fit every scene by every solver; then limits and threads on some."""
     cases = stiff_scenes(effort.fit_size, effort.fit_pictures)
-    options: dict[str, Any] = {
-        "iterations": effort.fit_iterations,
-        "threads": threads,
-        "priors": None,
-    }
-    fits = tuple(fit for case in cases for fit in _fits_of(case, options))
-    checks = [*of_fits(fits), *_limits(cases[0].scene, options), _threads(cases, options)]
-    return StiffFits(tuple(checks), fits)
+    options = {"iterations": effort.fit_iterations, "threads": threads, "priors": None}
+    fits = [fit for case in cases for fit in _fits_of(case, options)]
+    short = {**options, "uncertainty": False}
+    figures = of_fits(fits) | _limits(cases[0].scene, short) | _threads(cases, short)
+    return {"figures": figures, "fits": [asdict(fit) for fit in fits]}
 
 
 def _fits_of(case: StiffScene, options: Mapping[str, Any]) -> list[Fit]:
@@ -104,25 +95,21 @@ def _fit(case: StiffScene, name: str, solver: str, options: Mapping[str, Any]) -
     found, truth, known = result.materials, case.scene.truth, result.uncertainty
     assert truth is not None
     assert known is not None
-    silent = ~(known.undetermined | known.on_bound)[case.counted]
-    iterations = int(result.history["iteration"][-1])
+    unflagged = ~(known.undetermined | known.on_bound)[case.counted]
+    pairs = {name: (getattr(found, name), getattr(truth.materials, name)) for name in MAPS}
+    iterations = _iterations(result)
     return Fit(
         scene=case.name,
         solver=name,
         recon=_recon(case, result),
         errors={
-            name: metrics.rmse(
-                getattr(found, name)[case.counted], getattr(truth.materials, name)[case.counted]
-            )
-            for name in MAPS
+            name: metrics.rmse(one[case.counted], true[case.counted])
+            for name, (one, true) in pairs.items()
         },
-        undetermined=dict(zip(MAPS, (1 - silent.mean(axis=0)).tolist(), strict=True)),
-        overlooked=0 if case.determined else int(silent.sum()),
+        undetermined=dict(zip(MAPS, (1 - unflagged.mean(axis=0)).tolist(), strict=True)),
+        overlooked=0 if case.determined else int(unflagged.sum()),
         not_finite=sum(int(np.count_nonzero(~np.isfinite(a))) for a in _numbers(result)),
-        beyond=sum(
-            int(np.count_nonzero((a < 0) | (a > 1)))
-            for a in (found.albedo, found.roughness, found.metallic)
-        ),
+        beyond=sum(int(np.count_nonzero((a < 0) | (a > 1))) for a, _ in pairs.values()),
         over_limit=max(0, iterations - int(options["iterations"])),
         iterations=iterations,
         evaluations=result.evaluations,
@@ -134,6 +121,10 @@ def _fit(case: StiffScene, name: str, solver: str, options: Mapping[str, Any]) -
 def _decompose(scene: Scene, solver: str, **options: Any) -> Result:
     chosen: Any = solver
     return decompose(scene, solver=chosen, refine_normals="off", **options)
+
+
+def _iterations(result: Result) -> int:
+    return int(result.history["iteration"][-1])
 
 
 def _numbers(result: Result) -> list[Array]:
@@ -156,66 +147,28 @@ def _recon(case: StiffScene, result: Result) -> float:
     return metrics.rmse(rendered[:, case.counted], images) / math.sqrt(np.mean(images**2))
 
 
-def of_fits(fits: Sequence[Fit]) -> list[Check]:
-    """What has to hold of each fit."""
+def of_fits(fits: Sequence[Fit]) -> dict[str, Figure]:
+    """Figures of what has to hold of each fit."""
     by_name = {(fit.scene, fit.solver): fit for fit in fits}
-    names = {f"{fit.scene}, {fit.solver}": fit for fit in fits}
     above = {
         scene: max(by_name[scene, ABOVE_NONE].recon, FLOOR) / max(reference.recon, FLOOR) - 1
         for (scene, solver), reference in by_name.items()
         if solver == REFERENCE and (scene, ABOVE_NONE) in by_name
     }
-    checks = [
-        _count(
-            "fits_not_finite",
-            "numbers of fits that are infinite or not a number",
-            {name: fit.not_finite for name, fit in names.items()},
-            "Maps, lights, deviations, history: whatever the pictures leave open has to be some "
-            "number.",
-        ),
-        _count(
-            "fits_beyond",
-            "numbers of maps beyond [0, 1]",
-            {name: fit.beyond for name, fit in names.items()},
-            "Bounds hold at every step.",
-        ),
-        _count(
-            "fits_iterations_over",
-            "iterations beyond the limit",
-            {name: fit.over_limit for name, fit in names.items()},
-            "No loop without an end, however singular the equations are.",
-        ),
-        _count(
-            "fits_overlooked",
-            "unknowns that pictures cannot tell, neither flagged nor on a bound",
-            {name: fit.overlooked for name, fit in names.items()},
-            "With equal lights, or with one picture, a pixel has three numbers for five unknowns.",
-        ),
-    ]
-    if above:
-        where, worst = worst_of(above)
-        checks.append(
-            Check(
-                "fits_above_lbfgsb",
-                f"residual of {ABOVE_NONE} over that of {REFERENCE}, less 1",
-                worst,
-                LEVEL,
-                "It ends no higher, but for what float32 sums can differ by; residuals below "
-                "3·10⁻⁷ of the pictures count as that.",
-                where,
-            )
-        )
-    return checks
+    counted = {
+        "fits_not_finite": "not_finite",
+        "fits_beyond": "beyond",
+        "fits_iterations_over": "over_limit",
+        "fits_overlooked": "overlooked",
+    }
+    return {
+        key: count({f"{fit.scene}, {fit.solver}": getattr(fit, of) for fit in fits}, "fits")
+        for key, of in counted.items()
+    } | ({"fits_above_lbfgsb": worst(above)} if above else {})
 
 
-def _count(key: str, what: str, counts: Mapping[str, int], why: str) -> Check:
-    where, worst = worst_of(dict(counts))
-    return Check(key, what, sum(counts.values()), 0, why, where if worst else f"{len(counts)} fits")
-
-
-def _limits(scene: Scene, options: Mapping[str, Any]) -> list[Check]:
+def _limits(scene: Scene, options: Mapping[str, Any]) -> dict[str, Figure]:
     """What a fit does beyond its limits, by every solver."""
-    options = {**options, "uncertainty": False}
     over, more, late = {}, {}, {}
     for solver in SOLVERS:
         whole = _decompose(scene, solver, **options)
@@ -223,44 +176,22 @@ def _limits(scene: Scene, options: Mapping[str, Any]) -> list[Check]:
         for limit in LIMITS:
             result = _decompose(scene, solver, **{**options, "iterations": limit})
             start = start or result
-            iterations = int(result.history["iteration"][-1])
-            over[f"{solver}, {limit} iterations"] = max(0, iterations - limit)
+            over[f"{solver}, {limit} iterations"] = max(0, _iterations(result) - limit)
         assert start is not None
         none = _decompose(scene, solver, **options, time_limit=0.0)
         more[f"{solver}, 0 s"] = max(0, none.evaluations - start.evaluations)
         limit_s = SHORT_SHARE * whole.seconds
         short = _decompose(scene, solver, **options, time_limit=limit_s)
         late[f"{solver}, {limit_s:.2g} s"] = (short.seconds - limit_s) / whole.seconds
-    where, latest = worst_of(late)
-    return [
-        _count(
-            "fits_limit_over",
-            f"iterations beyond a limit of {', '.join(map(str, LIMITS))}",
-            over,
-            "A limit is a limit in every stage.",
-        ),
-        Check(
-            "fits_time_evaluations",
-            "evaluations after the start with a time limit of 0",
-            max(more.values()),
-            1,
-            "At most the one that was under way.",
-            worst_of(dict(more))[0],
-        ),
-        Check(
-            "fits_late",
-            "time beyond a limit of a fifth of a fit, over the whole fit's",
-            latest,
-            None,
-            "At most a step; a clock decides no verdict.",
-            where,
-        ),
-    ]
+    return {
+        "fits_limit_over": count(over, "fits"),
+        "fits_time_evaluations": worst(dict(more)),
+        "fits_late": worst(late),
+    }
 
 
-def _threads(cases: list[StiffScene], options: Mapping[str, Any]) -> Check:
+def _threads(cases: list[StiffScene], options: Mapping[str, Any]) -> dict[str, Figure]:
     """Bits that differ between one thread and three, where rounding is blown up most."""
-    options = {**options, "uncertainty": False}
     differing = {}
     for case in (cases[0], cases[len(cases) // 4]):
         for solver in SOLVERS:
@@ -269,12 +200,7 @@ def _threads(cases: list[StiffScene], options: Mapping[str, Any]) -> Check:
                 for threads in (1, 3)
             )
             differing[f"{case.name}, {solver}"] = int(np.count_nonzero(first != second))
-    return _count(
-        "fits_threads",
-        "numbers of a fit that differ between 1 and 3 threads",
-        differing,
-        "To the last bit, through every stage.",
-    )
+    return {"fits_threads": count(differing, "fits")}
 
 
 def _bits(result: Result) -> Any:

@@ -1,1 +1,136 @@
-"""Table 1 of the paper on scenes whose truth is known, and what the paper leaves out of it."""
+"""Table 1 of the paper on scenes whose ground truth is known, and what the paper leaves out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pbrfit._core import InputError
+from pbrfit_evaluation.jobs import digest_of_files
+from pbrfit_evaluation.options import (
+    absolute,
+    count,
+    cycles_cache,
+    model_option,
+    models,
+    option,
+)
+from pbrfit_evaluation.rooms.textures import load_textures
+from pbrfit_evaluation.scores import PROTOCOL
+from pbrfit_evaluation.suite import Options, Part, Suite
+from pbrfit_evaluation.table1.figures import asked_rows, csvs, figures, sections
+from pbrfit_evaluation.table1.measure import FIRST_SEED, Task, predicted_files, why_not, work
+from pbrfit_evaluation.table1.rows import ROWS, Row
+
+MOST_SCENES = 100
+
+
+def cases(options: Options) -> list[Task]:
+    """The scenes of every row that can be run, for every model.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range or a folder is not there.
+    """
+    if options.scenes > MOST_SCENES:
+        raise InputError(f"--scenes: expected at most {MOST_SCENES}, found {options.scenes}")
+    if options.lights < 2:
+        raise InputError(f"--lights: expected at least 2, found {options.lights}")
+    for folder in (options.textures, options.predicted_normals):
+        if folder is not None and not folder.is_dir():
+            raise InputError(f"{folder}: expected a folder, found none")
+    if options.textures is not None:
+        load_textures(options.textures)  # what is wrong with them should show before the work
+    return [
+        case
+        for row in asked_rows(options)
+        if not why_not(row, options)
+        for case in _of_row(row, options)
+    ]
+
+
+def _of_row(row: Row, options: Options) -> list[Task]:
+    scenes = options.scenes
+    if row.renderer == "cycles":
+        scenes = min(scenes, options.cycles_scenes)
+    textures = absolute(options.textures) if row.scene == "detailed" else None
+    normals = absolute(options.predicted_normals) if row.normals == "predicted" else None
+    of_textures = digest_of_files(textures) if textures else ""
+
+    def inputs(seed: int) -> str:
+        return digest_of_files(normals, predicted_files(normals, seed)) if normals else of_textures
+
+    return [
+        Task(
+            row.key,
+            seed,
+            options.size,
+            options.lights,
+            options.iterations,
+            textures=textures,
+            predicted_normals=normals,
+            model=model,
+            inputs=inputs(seed),
+            preview=seed == FIRST_SEED,
+            cycles_cache=absolute(options.cycles_cache),
+        )
+        for model in models(options)
+        for seed in range(FIRST_SEED, FIRST_SEED + scenes)
+    ]
+
+
+KEYS = [row.key for row in ROWS]
+
+SUITE = Suite(
+    name="table1",
+    title="Table 1 on scenes whose ground truth is known",
+    description="Render scenes, decompose them with and without priors and by the paper's recipe, "
+    "and compare with the ground truth, in the setups of the paper's Table 1. Writes report.html, "
+    "table1.csv, table1.md, scenes.csv and summary.json.",
+    protocol=PROTOCOL,
+    parts=[Part("table1", cases, work, figures, sections=sections, csvs=csvs)],
+    options=(
+        model_option("is fitted, and what our renderer renders with"),
+        count("--scenes", "K", f"at most {MOST_SCENES}"),
+        count("--size", "PIXELS", "of a picture"),
+        count("--lights", "N", "pictures a scene; as many are held out", default=16),
+        count("--iterations", "K", "of a fit", default=500),
+        option(
+            "--rows",
+            metavar="KEY",
+            nargs="+",
+            choices=KEYS,
+            help=f"only these setups (default: all): {', '.join(KEYS)}",
+        ),
+        option(
+            "--textures",
+            metavar="DIR",
+            type=Path,
+            help="PBR maps for the detailed scenes (default: procedural textures)",
+        ),
+        option(
+            "--predicted-normals",
+            metavar="DIR",
+            type=Path,
+            help="normal maps of an estimator, SEED.exr or SEED.png (default: simulated)",
+        ),
+        count(
+            "--cycles-scenes",
+            "K",
+            "how many of the scenes are rendered by Blender Cycles",
+            default=10,
+        ),
+        cycles_cache,
+    ),
+    effort={"scenes": (67, 4), "size": (128, 32)},
+    quick="under two minutes: few and small scenes, without Cycles",
+    about=(
+        "Figures are means over scenes, with 95 % intervals by bootstrap over scenes in brackets; "
+        "the best of the fits of a setup is bold. The paper's numbers are of other scenes: "
+        "context, no comparison.",
+        "The paper's recipe, as we read it, is one run of scipy's L-BFGS-B from the mean picture, "
+        "roughness 0.5 and metallic 0.1. The constant guess has roughness 0.5, metallic 0 and the "
+        "mean of the true albedo, with the lights that then fit best; our start is where our "
+        "default begins.",
+    ),
+)

@@ -1,4 +1,4 @@
-"""One scene of one row: rendered, explained by every recipe, compared with the truth."""
+"""One scene of one row: rendered, explained by every recipe, compared with the ground truth."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from pbrfit_evaluation import cycles
 from pbrfit_evaluation.recipes import explain
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.scores import METAL, score
+from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1.normals import disturbed
 from pbrfit_evaluation.table1.rows import BY_KEY, OTHER, Row
 
@@ -135,6 +136,13 @@ def _scene(task: Task, row: Row, threads: int) -> Scene:
         cache=task.cycles_cache,
         threads=threads,
     )
+
+
+def why_not(row: Row, options: Options) -> str:
+    """Why a row cannot be run; empty if it can."""
+    if row.renderer == "own":
+        return ""
+    return "--quick leaves Cycles out" if options.quick else cycles.why_not() or ""
 
 
 @cache

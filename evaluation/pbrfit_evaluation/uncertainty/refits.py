@@ -1,4 +1,4 @@
-"""Refits of noisy pictures, from the truth to convergence, with the lights known or free.
+"""Refits of noisy pictures, from the ground truth to convergence, lights known or free.
 
 Gauss-Newton in float64, damped as by Marquardt, within the bounds. With g̃ half of the slope of the
 sum of squares and H the Gauss-Newton matrix, a fit is converged when g̃ᵀ H⁻¹ g̃ is below
@@ -44,7 +44,7 @@ class Refit:
 
     values: Array
     converged: Flags
-    squares: Array
+    sum_sq_residuals: Array
 
 
 def with_known_lights(
@@ -55,7 +55,7 @@ def with_known_lights(
     planes = x[objective.layout.maps].reshape(-1, objective.pixels)
     values = planes[:, pixels].T.copy()
     equations = objective.problem.normal_equations
-    matrices, gradient, squares = equations(x, pixels)
+    matrices, gradient, sum_sq_residuals = equations(x, pixels)
     damping = np.full(len(values), DAMPING)
     converged = np.zeros(len(values), dtype=bool)
     for _ in range(steps):
@@ -67,17 +67,17 @@ def with_known_lights(
         moved = np.clip(values + moves, 0, 1)
         planes[:, pixels] = moved.T
         found = equations(x, pixels)
-        better = (found[2] < squares) & ~converged
+        better = (found[2] < sum_sq_residuals) & ~converged
         values[better] = moved[better]
-        matrices[better], gradient[better], squares[better] = (of[better] for of in found)
+        matrices[better], gradient[better], sum_sq_residuals[better] = (of[better] for of in found)
         damping = _next(damping, better)
-    return Refit(values, converged, squares)
+    return Refit(values, converged, sum_sq_residuals)
 
 
 def with_free_lights(objective: Objective, x: Array, noise: float) -> tuple[Array, bool, float]:
     """Fit all pixels and the lights; x, whether it has converged, and the sum of squares."""
     pixels, maps = np.arange(objective.pixels, dtype=np.uint64), objective.layout.maps
-    squares = np.inf
+    sum_sq_residuals = np.inf
     damping = np.full(1, DAMPING)
     converged = False
     for _ in range(STEPS):
@@ -89,12 +89,12 @@ def with_free_lights(objective: Objective, x: Array, noise: float) -> tuple[Arra
         np.clip(moved[maps], 0, 1, out=moved[maps])
         polished = with_known_lights(objective, moved, pixels, noise, POLISH)
         moved[maps] = polished.values.T.ravel()
-        found = float(polished.squares.sum())
-        better = found < squares
+        found = float(polished.sum_sq_residuals.sum())
+        better = found < sum_sq_residuals
         if better:
-            x, squares = moved, found
+            x, sum_sq_residuals = moved, found
         damping = _next(damping, np.array([better]))
-    return x, converged, squares
+    return x, converged, sum_sq_residuals
 
 
 def _next(damping: Array, better: Flags) -> Array:

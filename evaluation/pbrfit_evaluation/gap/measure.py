@@ -1,0 +1,235 @@
+"""Models beside integrals of BRDFs at points of a table, and on spheres under random lights.
+
+A model is a function with the signature of `pbrfit.shade`: material, normal and view in, weights of
+the 16 SH light coefficients out.
+
+**Responses.** The weights of band l at one (r, n·v) are reduced to one number,
+
+    R_l = √(mean over channels of Σ_m w_lm²) · √(4π/(2l+1)).
+
+A perfect mirror has R_l = 1 in every band, because Σ_m Y_lm² = (2l+1)/4π in any direction. R_0 is
+the directional albedo: the share of light that comes back under light of one radiance from all
+around. A ratio of responses says how much too bright a model is; the distance, the same norm of the
+difference of two sets of weights, counts errors of direction too.
+
+**Random lights.** Let a light be turned in every way. Cross terms between coefficients vanish then,
+and the mean square of Σ_k d_k L_k is Σ_l Σ_m d_lm² · P_l with P_l = Σ_m L_lm²/(2l+1). Together with
+a mean over the pixels of a sphere seen from far away, on which (n·v)² is uniform in [0, 1], that is
+the error of pictures of spheres under random lights, without any sampling noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.model.reflection import MODELS as MODEL_NAMES
+from pbrfit.model.reflection import shade
+from pbrfit.synthetic.lights import random_lights
+from pbrfit_evaluation.gap import brute_force, principled
+from pbrfit_evaluation.gap.brute_force import view
+
+Array = NDArray[np.float64]
+
+Model = Callable[[Array, Array, Array, Array, Array], Array]
+"""normal (..., 3), view (..., 3), albedo (..., 3), r (...,), m (...,) -> weights (..., 3, 16)."""
+
+Reference = Callable[[float, float, Array, Array], tuple[Array, float]]
+"""r, n·v, albedo (..., 3), m (...,) -> weights (..., 3, 16) in the pixel's own frame, by brute
+force; and the largest change of any integral when the number of nodes is doubled."""
+
+MODELS: Mapping[str, Model] = {name: partial(shade, model=name) for name in MODEL_NAMES}
+"""What the package fits, by the names it has everywhere."""
+
+
+def paper(r: float, n_dot_v: float, albedo: Array, m: Array) -> tuple[Array, float]:
+    """The BRDF of the paper, a `Reference`."""
+    exact = brute_force.respond(r, n_dot_v)
+    return exact.weights(albedo, m), exact.error
+
+
+def principled_brdf(
+    r: float,
+    n_dot_v: float,
+    albedo: Array,
+    m: Array,
+    choices: principled.Choices = principled.BRDF,
+) -> tuple[Array, float]:
+    """The BRDF that renderers share, a `Reference`."""
+    exact = principled.respond(r, n_dot_v)
+    return exact.weights(albedo, m, choices), exact.error
+
+
+def integrated(reference: Reference) -> Model:
+    """Return a BRDF's integral as a model, for pixels in their own frame alone."""
+
+    def model(normal: Array, view: Array, albedo: Array, r: Array, m: Array) -> Array:
+        found = np.empty((*r.shape, 3, 16))
+        n_dot_v = np.einsum("...i,...i->...", normal, view)
+        for i in np.ndindex(*r.shape):
+            found[i], _ = reference(float(r[i]), float(n_dot_v[i]), albedo[i], m[i])
+        return found
+
+    return model
+
+
+INTEGRATED = "paper, integrated"
+"""Name of the paper's BRDF itself, where it is compared as a model."""
+
+COMPARED: Mapping[str, tuple[Reference, Mapping[str, Model]]] = {
+    "principled": (
+        principled_brdf,
+        {"paper": MODELS["paper"], INTEGRATED: integrated(paper), **MODELS},
+    ),
+    "paper": (paper, {"paper": MODELS["paper"]}),
+    "tabulated": (
+        partial(principled_brdf, choices=principled.TABULATED),
+        {"principled": MODELS["principled"]},
+    ),
+}
+"""All models against the principled BRDF, and each against what it stands for: of the principled
+model that is no BRDF but its table, whose Fresnel term is simpler."""
+
+BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
+"""(16,): l of each coefficient."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material without its roughness; albedo in linear Rec.709, metallic in [0, 1]."""
+
+    key: str
+    name: str
+    albedo: tuple[float, float, float]
+    metallic: float
+
+
+MATERIALS = (
+    Material("lobe", "lobe alone (F = 1)", (1.0, 1.0, 1.0), 1.0),
+    Material("gold", "gold (metal)", (1.0, 0.77, 0.34), 1.0),
+    Material("dark", "dielectric, albedo 0.05", (0.05, 0.05, 0.05), 0.0),
+    Material("light", "dielectric, albedo 0.5", (0.5, 0.5, 0.5), 0.0),
+)
+"""A metal of albedo 1 has F = 1 at every angle and no diffuse term: its response is the lobe's."""
+
+ALBEDO = np.array([material.albedo for material in MATERIALS])
+METALLIC = np.array([material.metallic for material in MATERIALS])
+
+
+@dataclass(frozen=True)
+class Case:
+    """A roughness r, compared at values of n·v and on spheres of `rings` values of n·v.
+
+    The spheres are under `lights` random lights of a seed.
+    """
+
+    r: float
+    n_dot_v: tuple[float, ...]
+    rings: int
+    lights: int
+    seed: int = 0
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        return f"r_{self.r:g}"
+
+
+def run(case: Case, _: int = 1) -> dict[str, Any]:
+    """`measure` for each of `COMPARED`."""
+    return {name: measure(case, *compared) for name, compared in COMPARED.items()}
+
+
+def measure(
+    case: Case, reference: Reference = principled_brdf, models: Mapping[str, Model] = MODELS
+) -> dict[str, Any]:
+    """Compare models with brute-force integration of one BRDF. M materials, V values of n·v.
+
+    Returns
+    -------
+    dict
+        "true": (M, V, 4) responses by brute force. "signal": (M,) root mean square radiance of a
+        sphere. "models": by name "found" and "distance", (M, V, 4), and "error", (M,) root mean
+        square error of a sphere's radiance. "quadrature_error": largest change of any integral of
+        the table when the number of nodes is doubled, or of the root mean square over a sphere,
+        whichever is larger.
+
+    Raises
+    ------
+    InputError
+        If roughness or n·v is outside (0, 1].
+    """
+    rings, shares = _rings(case.rings)
+    power = band_power(random_lights(case.lights, np.random.default_rng(case.seed)))
+    true, changes = _true_weights(reference, case.r, case.n_dot_v)
+    on_sphere, on_rings = _true_weights(reference, case.r, rings)
+    found = {}
+    for name, model in models.items():
+        weights = _weights(model, case.r, case.n_dot_v)
+        off = _weights(model, case.r, rings) - on_sphere
+        found[name] = {
+            "found": response(weights).tolist(),
+            "distance": response(weights - true).tolist(),
+            "error": rms_radiance(off, shares, power).tolist(),
+        }
+    return {
+        "true": response(true).tolist(),
+        "signal": rms_radiance(on_sphere, shares, power).tolist(),
+        "models": found,
+        "quadrature_error": max(changes.max(), math.sqrt(np.square(on_rings) @ shares)),
+    }
+
+
+def response(weights: Array) -> Array:
+    """R_l above: (..., 3, 16) weights to (..., 4)."""
+    power = np.mean(np.square(weights), axis=-2)
+    bands = np.stack([power[..., band == BAND_OF].sum(axis=-1) for band in range(4)], axis=-1)
+    return np.sqrt(bands * 4 * np.pi / (2 * np.arange(4) + 1))
+
+
+def band_power(lights: Array) -> Array:
+    """(3, 16): mean over lights of P_l by channel, repeated for each coefficient of its band."""
+    power = np.mean(np.square(lights), axis=0).T
+    of_band = [power[:, band == BAND_OF].mean(axis=-1) for band in range(4)]
+    return np.stack(of_band, axis=-1)[:, BAND_OF]
+
+
+def rms_radiance(weights: Array, shares: Array, power: Array) -> Array:
+    """Root mean square radiance of a sphere: weights (M, V, 3, 16), shares (V,) of its pixels."""
+    mean_square = np.einsum("mvck,ck->mvc", np.square(weights), power).mean(axis=-1)
+    return np.asarray(np.sqrt(mean_square @ shares))
+
+
+def _rings(count: int) -> tuple[tuple[float, ...], Array]:
+    """Values of n·v, and their shares of a sphere's picture.
+
+    A pixel's share is 2 (n·v) d(n·v). The error's square rises like 1/(n·v)² towards the rim, and
+    only levels out where n·v falls below r⁴/2, so the nodes crowd there: n·v = t³, Gauss-Legendre
+    in t.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    t = (1 + nodes) / 2
+    return tuple(t**3), 3 * weights * t**5
+
+
+def _true_weights(reference: Reference, r: float, n_dot_v: Sequence[float]) -> tuple[Array, Array]:
+    """(M, V, 3, 16) by brute force, and (V,) how much they change with the number of nodes."""
+    exact = [reference(r, x, ALBEDO, METALLIC) for x in n_dot_v]
+    return np.stack([weights for weights, _ in exact], axis=1), np.array([e for _, e in exact])
+
+
+def _weights(model: Model, r: float, n_dot_v: Sequence[float]) -> Array:
+    """(M, V, 3, 16) of a model, in the pixel's own frame."""
+    shape = (len(MATERIALS), len(n_dot_v))
+    views = np.broadcast_to(np.stack([view(x) for x in n_dot_v]), (*shape, 3))
+    normals = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (*shape, 3))
+    albedo = np.broadcast_to(ALBEDO[:, None], (*shape, 3))
+    metallic = np.broadcast_to(METALLIC[:, None], shape)
+    found: Array = model(normals, views, albedo, np.full(shape, r), metallic)
+    return found

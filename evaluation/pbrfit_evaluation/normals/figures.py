@@ -1,0 +1,359 @@
+"""Rows, verdicts and plots of the parts; what each must reach is in docs/benchmarks/normals.md."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from pbrfit.result.refinement import RefineNormals
+from pbrfit_evaluation.normals import cost, real, rooms
+from pbrfit_evaluation.normals.fits import REFINE
+from pbrfit_evaluation.normals.pictures import draw_sheet
+from pbrfit_evaluation.suite import (
+    Column,
+    Line,
+    Mark,
+    Panel,
+    Picture,
+    Plot,
+    Results,
+    Row,
+    Section,
+    Series,
+    Table,
+    Verdict,
+    digits,
+    numbers_csv,
+)
+
+MAPS_AND_RELIGHT = (*rooms.MAPS, "relight")
+METRICS = ("recon", *MAPS_AND_RELIGHT)
+ANGLES = ("mean", "median", "aligned")
+
+LABELS: dict[RefineNormals, str] = {
+    "off": "not refined",
+    "auto": "refined where it is decided to (auto)",
+    "on": "refined (on)",
+}
+"""What fits are called."""
+
+JUDGED: RefineNormals = "auto"
+"""What people get who say nothing."""
+
+WON_BACK: dict[float, dict[str, float]] = {
+    5.0: {"albedo": 0.85, "roughness": 0.85, "metallic": 0.60, "relight": 0.85},
+    10.0: {"albedo": 0.85, "roughness": 0.85, "metallic": 0.60, "relight": 0.85},
+    20.0: dict.fromkeys(MAPS_AND_RELIGHT, 0.5),
+}
+"""Least share of the loss that is won back, by θ."""
+
+ANGLE_LEFT = {5.0: 0.25, 10.0: 0.25, 20.0: 0.5}
+"""Mean angle after refining over that before, at most, by θ."""
+
+SPOILT = 1.03
+"""Errors with true normals over those without refinement, at most."""
+
+INTRODUCED = 0.3
+"""Mean angle in degrees between refined and true normals where the true ones are given, at most."""
+
+MOST = 0.5
+"""More than this share of the scenes without noise must come back."""
+
+Rooms = Results[rooms.Case]
+
+
+def csvs(part: str, results: Results[Any]) -> dict[str, list[Line]]:
+    """Every number of every case, and why it was decided so."""
+    why: list[Line] = [
+        {"part": part, "task": case.key, "figure": f"{refine}/decision/why", "value": text}
+        for case, values in results.finished
+        for refine in REFINE
+        if (text := values.get(refine, {}).get("decision", {}).get("why"))
+    ]
+    return {"scenes.csv": [*numbers_csv(part, results), *why]}
+
+
+# ----------------------------------------------------------------------------------------- rooms
+
+
+def _of(results: Rooms) -> Iterator[tuple[str, float, Rooms]]:
+    """Scenes under each disturbance, those with true normals first."""
+    cases = dict.fromkeys((case.disturbance, case.degrees) for case, _ in results.finished)
+    kinds = list(dict.fromkeys(kind for kind, _ in cases))
+    for kind, degrees in sorted(cases, key=lambda case: (kinds.index(case[0]), case[1])):
+        yield kind, degrees, results.of(disturbance=kind, degrees=degrees)
+
+
+def _errors(results: Rooms, refine: RefineNormals, metric: str) -> dict[tuple[str, int], float]:
+    """By kind and seed of the scene."""
+    return {(c.scene, c.seed): float(v[refine]["scores"][metric]) for c, v in results.finished}
+
+
+def won_back(
+    results: Rooms, disturbance: str, degrees: float, metric: str, refine: RefineNormals
+) -> tuple[float, float]:
+    """Share of what wrong normals cost that refining wins back: of means, and median of scenes.
+
+    (off - refined) / (off - floor), where the floor is the fit without refinement at true normals.
+    Scenes without a floor do not count. NaN where wrong normals cost nothing.
+    """
+    of_case = results.of(disturbance=disturbance, degrees=degrees)
+    floors = _errors(results.of(disturbance="true"), "off", metric)
+    held, refined = (_errors(of_case, fit, metric) for fit in ("off", refine))
+    scenes = [scene for scene in held if scene in floors]
+    if not scenes:
+        return math.nan, math.nan
+    off, found, floor = (np.array([of[s] for s in scenes]) for of in (held, refined, floors))
+    lost = off > floor
+    median = np.median((off - found)[lost] / (off - floor)[lost]) if lost.any() else math.nan
+    if off.mean() <= floor.mean():
+        return math.nan, float(median)
+    share = (off.mean() - found.mean()) / (off.mean() - floor.mean())
+    return float(share), float(median)
+
+
+def _mean_angle(results: Rooms, *path: str) -> float:
+    return float(np.mean(results.numbers(*path, "mean")))
+
+
+def room_rows(results: Rooms) -> list[Row]:
+    """A row a disturbance, θ and fit."""
+    rows = []
+    for kind, degrees, of in _of(results):
+        name = of.finished[0][0].in_words
+        for refine in REFINE:
+            metrics = of.metrics((*METRICS, "seconds"), refine, "scores")
+            angles = of.metrics(ANGLES, refine, "angle")
+            metrics |= {f"angle_{angle}": value for angle, value in angles.items()}
+            if refine != "off" and degrees:
+                for metric in MAPS_AND_RELIGHT:
+                    share, _ = won_back(results, kind, degrees, metric, refine)
+                    metrics[f"{metric}_won_back"] = share
+                metrics["angle_left"] = _mean_angle(of, refine, "angle") / _mean_angle(of, "given")
+            metrics["share_refined"] = float(np.mean(of.numbers(refine, "decision", "refined")))
+            rows.append(Row(name, len(of.finished), LABELS[refine], metrics))
+    return rows
+
+
+def room_verdicts(results: Rooms, _: object) -> Iterator[Verdict]:
+    """Enough is won back, and nothing spoilt."""
+    for kind, degrees, of in _of(results):
+        case = f"{kind} {degrees:g}°"
+        count = len(of.finished)
+        for metric, bar in WON_BACK.get(degrees, {}).items():
+            share, median = won_back(results, kind, degrees, metric, JUDGED)
+            where = f"median of scenes {digits(median)}"
+            if math.isnan(share):
+                where = "wrong normals cost nothing here, or the floor is missing"
+            what = f"{case}: share of the {metric} loss won back"
+            yield Verdict(what, share, bar, where, at_least=True)
+        if degrees in ANGLE_LEFT:
+            before, after = _mean_angle(of, "given"), _mean_angle(of, JUDGED, "angle")
+            refined = sum(of.numbers(JUDGED, "decision", "refined"))
+            where = f"{before:.1f}° before, {after:.2f}° after, refined in {refined:g} of {count}"
+            what = f"{case}: mean angle, after over before"
+            yield Verdict(what, after / before, ANGLE_LEFT[degrees], where)
+    of_true = results.of(disturbance="true")
+    if not of_true.finished:
+        return
+    for metric in METRICS:
+        held, refined_to = (_errors(of_true, fit, metric) for fit in ("off", JUDGED))
+        ratios = {scene: refined_to[scene] / held[scene] for scene in held}
+        kind, seed = max(ratios, key=lambda scene: ratios[scene])
+        mean = float(np.mean(list(refined_to.values())) / np.mean(list(held.values())))
+        where = f"worst scene {kind} {seed}: {digits(ratios[kind, seed])}"
+        what = f"true normals: {metric} with {JUDGED} over that without refinement"
+        yield Verdict(what, mean, SPOILT, where)
+    seeds = [str(case.seed) for case, v in of_true.finished if v[JUDGED]["decision"]["refined"]]
+    where = f"refined: {', '.join(seeds)}" if seeds else "refined none"
+    what = "true normals: mean angle that is introduced, degrees"
+    yield Verdict(what, _mean_angle(of_true, JUDGED, "angle"), INTRODUCED, where)
+
+
+def room_sections(results: Rooms, rows: Sequence[Row]) -> Iterator[Section]:
+    """Errors; what is won back; error against θ."""
+    shares = [f"{metric}_won_back" for metric in MAPS_AND_RELIGHT]
+    angles = [Column(f"angle_{angle}", f"angle, {angle},\ndegrees") for angle in ANGLES]
+    fitted = [row for row in rows if "angle_left" in row.metrics]
+    plots = [_room_plot(results)] if results.finished else []
+    yield Section(
+        "Errors against the disturbance",
+        "“Aligned” is the mean angle after the best turn of all normals together. Won back is "
+        "(not refined - refined) / (not refined - floor), of means over scenes; the floor is the "
+        "fit without refinement at true normals. scenes.csv says why auto decided as it did.",
+        [
+            Table.of(rows, [*METRICS, *angles, "seconds"]),
+            Table.of(fitted, [*shares, "angle_left", "share_refined"]),
+        ],
+        plots,
+    )
+
+
+def _room_plot(results: Rooms) -> Plot:
+    """A row of panels a disturbance, a panel an error, a line a fit."""
+    cases = list(_of(results))
+    paths = {f"{m}, RMSE": ("scores", m) for m in MAPS_AND_RELIGHT}
+    paths["mean angle, degrees"] = ("angle", "mean")
+    panels = []
+    for kind in dict.fromkeys(kind for kind, _, _ in cases if kind != "true"):
+        # Turns of 0 degrees are the same whatever they are called.
+        shown = [(theta, of) for name, theta, of in cases if name in (kind, "true")]
+        thetas = [theta for theta, _ in shown]
+        for title, path in paths.items():
+            series = []
+            for look, refine in enumerate(REFINE):
+                values = [of.numbers(refine, *path) for _, of in shown]
+                low, high = ([float(np.percentile(v, p)) for v in values] for p in (10, 90))
+                means = [float(np.mean(v)) for v in values]
+                series.append(Series(LABELS[refine], thetas, means, low=low, high=high, look=look))
+            floors = [float(np.mean(of.numbers("off", *path))) for theta, of in shown if not theta]
+            x, y = "θ of the disturbance, degrees", f"{kind}: error"
+            marks = [Mark(floor, "floor") for floor in floors]
+            panels.append(Panel("lines", series, x, y, title=title, marks=marks))
+    caption = "Means over scenes; bands from the 10th to the 90th percentile of scenes."
+    return Plot(
+        "normals",
+        caption,
+        panels,
+        columns=len(paths),
+        share_x="all",
+        share_y="col",
+        size=(2.9, 2.7),
+    )
+
+
+# ----------------------------------------------------------------------------------------- exact
+
+
+def exact_rows(results: Rooms) -> list[Row]:
+    """A row a scene."""
+    rows = []
+    for case, values in results.finished:
+        wrong, on = values["wrong"], values["on"]
+        metrics = {name: on["scores"][name] for name in rooms.MAPS}
+        metrics |= {f"angle_{name}": on["angle"][name] for name in ("mean", "aligned")}
+        metrics |= {f"{name}_best_95_%": value for name, value in wrong["best"].items()}
+        metrics |= {"wrong": wrong["share"]}
+        metrics |= {f"{name}_of_wrong": share for name, share in wrong["kinds"].items()}
+        status = "ok" if values["came_back"] else "did not come back"
+        name = f"no noise, {case.in_words}, {case.scene} {case.seed}"
+        rows.append(Row(name, 1, LABELS["on"], metrics, status=status))
+    return rows
+
+
+def exact_verdicts(results: Rooms, _: object) -> Iterator[Verdict]:
+    """Most scenes come back."""
+    for _kind, _degrees, of in _of(results):
+        found = of.finished
+        missed = [f"{case.scene} {case.seed}" for case, v in found if not v["came_back"]]
+        yield Verdict(
+            f"{found[0][0].in_words}, no noise: scenes of {len(found)} that came back",
+            len(found) - len(missed),
+            math.floor(MOST * len(found)) + 1,
+            f"not: {', '.join(missed)}" if missed else "",
+            at_least=True,
+        )
+
+
+# ------------------------------------------------------------------------------------ real, cost
+
+
+def real_rows(results: Results[real.Task]) -> list[Row]:
+    """A row a set, start and fit; nothing has to hold."""
+    if not results.pairs:
+        kinds = " or ".join(real.KINDS)
+        status = f"not run: no {kinds} in the folders given, or none given"
+        return [Row("real", 0, None, {}, status=status)]
+    return [
+        Row(
+            f"{task.source.name}, {task.in_words}",
+            1,
+            LABELS[refine],
+            {f"angle_{angle}": values[refine]["angle"][angle] for angle in ANGLES}
+            | {name: values[refine][name] for name in ("recon", "seconds")},
+        )
+        for task, values in results.finished
+        for refine in REFINE
+    ]
+
+
+def real_sections(results: Results[real.Task], rows: Sequence[Row]) -> Iterator[Section]:
+    """The table, a plot, and normals before and after as pictures."""
+    panels, sheets = [], []
+    for name in dict.fromkeys(task.source.name for task, _ in results.finished):
+        of = [(task, v) for task, v in results.finished if task.source.name == name]
+        starts = [task.in_words for task, _ in of]
+        series = [
+            Series(LABELS[refine], [v[refine]["angle"]["mean"] for _, v in of], starts)
+            for refine in REFINE
+        ]
+        panels.append(Panel("dots", series, "mean angle, degrees", title=name))
+        shown = {}
+        for task, values in of:
+            given, refined = values["given"]["mean"], values["on"]["angle"]["mean"]
+            errors = f"error: {given:.1f}° in the mean", f"error: {refined:.1f}° in the mean"
+            pngs = {key: base64.b64decode(png) for key, png in values["panels"].items()}
+            shown[task.in_words] = pngs, errors
+        caption = f"{name}: normals given, refined (on), and their angles to the true ones."
+        sheets.append(Picture(f"real-{name}", caption, draw_sheet(name, shown)))
+    caption = "Mean angle to the true normals, by start."
+    plot = Plot("real", caption, panels, columns=len(panels), share_y="all")
+    title = "Pictures of others whose normals are known"
+    yield Section(title, "", [Table.of(rows)], [plot, *sheets] if panels else [])
+
+
+def cost_rows(results: Results[cost.Task]) -> list[Row]:
+    """A row a case and size; seconds are medians."""
+    rows = []
+    for task, values in results.finished:
+        off, refined = cost.medians(values)
+        metrics = {"seconds_off": off, "seconds": refined, "times": refined / off}
+        metrics |= {"fits_each": float(len(values["without"])), "refined": float(values["refined"])}
+        rows.append(Row(f"cost, {task.case}, {task.size}²", 1, None, metrics))
+    return rows
+
+
+def _refined_seconds(results: Results[cost.Task]) -> tuple[list[float], list[float]]:
+    """Pixels and median seconds of fits that refined, by size."""
+    of = sorted((v["pixels"], cost.medians(v)[1]) for _, v in results.of(case="refined").finished)
+    return [pixels for pixels, _ in of], [seconds for _, seconds in of]
+
+
+def cost_verdicts(results: Results[cost.Task], _: object) -> Iterator[Verdict]:
+    """Refining is not too slow, and linear in the pixels."""
+    for task, values in results.finished:
+        off, refined = cost.medians(values)
+        where = f"{off:.1f} s and {refined:.1f} s, medians of {len(values['without'])}"
+        times = refined / off
+        if values["refined"] != (task.case == "refined"):
+            where += "; was refined" if values["refined"] else "; nothing was refined"
+            times = times if values["refined"] else math.nan  # what was not done costs nothing
+        what = f"{task.case}, {task.size}²: seconds over those without refinement"
+        yield Verdict(what, times, cost.TIMES, where)
+    exponent = cost.exponent(*_refined_seconds(results))
+    if math.isfinite(exponent):
+        yield Verdict("refined: exponent of seconds over pixels", exponent, cost.EXPONENT)
+
+
+def cost_sections(results: Results[cost.Task], rows: Sequence[Row]) -> Iterator[Section]:
+    """The table, and seconds against pixels."""
+    series = []
+    for look, (case, normals) in enumerate((("refined", "wrong"), ("declined", "true"))):
+        of = sorted((v["pixels"], *cost.medians(v)) for _, v in results.of(case=case).finished)
+        x, off, refined = ([one[i] for one in of] for i in range(3))
+        notes = [f"{after / before:.1f} ×" for _, before, after in of]
+        fitted = cost.COMPARED["refined" if look == 0 else "declined"]
+        label = f"{normals} normals"
+        series.append(Series(f"{label}, {LABELS[fitted]}", x, refined, notes=notes, look=look))
+        series.append(Series(f"{label}, {LABELS['off']}", x, off, look=look, empty=True))
+    panel = Panel("lines", series, "pixels", "seconds of a fit", log="xy")
+    plot = Plot("cost", "Medians of fits that took turns.", [panel], size=(7.5, 4.2))
+    text = (
+        "Seconds of a fit of a furnished room, one at a time. Refined: normals off by "
+        f"{cost.DEGREES:g}° (correlated), on against off. Declined: true normals, auto against off."
+    )
+    yield Section("Cost", text, [Table.of(rows)], [plot] if results.finished else [])

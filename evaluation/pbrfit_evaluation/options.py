@@ -1,0 +1,60 @@
+"""Options that suites declare, and those that several share."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pbrfit.commands.arguments import positive
+from pbrfit.model.reflection import MODELS, Model
+
+Add = Callable[[argparse.ArgumentParser], object]
+"""Adds an option to a parser."""
+
+BOTH = "both"
+"""Value of `--model` for every model, one after the other."""
+
+
+def option(*flags: str, **settings: Any) -> Add:
+    """One option as data; settings as of `argparse.ArgumentParser.add_argument`."""
+    return lambda parser: parser.add_argument(*flags, **settings)
+
+
+def count(flag: str, metavar: str, what: str, **settings: Any) -> Add:
+    """A whole number above 0; without a default it is that of the suite's `effort`."""
+    return option(flag, metavar=metavar, type=positive, help=what, **settings)
+
+
+def model_option(what: str) -> Add:
+    """`--model` of a suite that can do both; `models` reads it."""
+    return option(
+        "--model",
+        choices=(*MODELS, BOTH),
+        default=BOTH,
+        help=f"what {what}, of `pbrfit decompose --model` (default: %(default)s)",
+    )
+
+
+def models(options: argparse.Namespace) -> tuple[Model, ...]:
+    """Those that `--model` asks for."""
+    return MODELS if options.model == BOTH else (options.model,)
+
+
+cycles_cache = option(
+    "--cycles-cache",
+    metavar="DIR",
+    type=Path,
+    help="where renders by Blender Cycles are kept (default: the user's cache folder)",
+)
+
+
+def folders(what: str) -> Add:
+    """`FOLDER ...`, for pictures that are on this machine."""
+    return option("folders", metavar="FOLDER", nargs="*", type=Path, help=what)
+
+
+def absolute(path: Path | None) -> Path | None:
+    """A path that means the same to every process."""
+    return None if path is None else path.resolve()

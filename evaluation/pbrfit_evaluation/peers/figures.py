@@ -1,0 +1,76 @@
+"""Peers beside our fit as rows, a table, sheets of maps and a CSV file."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+
+from pbrfit_evaluation.peers.measure import METHODS, Method, Task
+from pbrfit_evaluation.peers.pictures import draw_sheet
+from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.suite import Column, Line, Picture, Results, Row, Section, Table
+
+IN_WORDS: dict[Method, str] = {
+    "pbrfit": "pbrfit, all pictures",
+    "constant": "constant guess",
+    "marigold": "Marigold-IID, one picture",
+    "rgbx": "RGB-X, one picture",
+}
+
+ABSENT = "InputError: "
+"""What the error of a task begins with whose peer lacks packages or weights."""
+
+SHOWN = (
+    *("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled"),
+    *("albedo_psnr", "albedo_ssim", "relight_psnr"),
+)
+"""Columns of the table."""
+
+
+def figures(results: Results[Task]) -> list[Row]:
+    """A row for each method, with the reason where a scene has no figures."""
+    rows = []
+    for method in METHODS:
+        of = results.of(method=method)
+        names = [field.name for field in fields(Scores)] if of.finished else []
+        errors = [(record.error or "").removeprefix(ABSENT) for record in of.failed]
+        status = f"not run: {errors[0]}" if errors else "ok"
+        solver = "auto" if method == "pbrfit" else None
+        metrics = of.metrics(names, "scores")
+        rows.append(Row(IN_WORDS[method], len(of.finished), solver, metrics, status=status))
+    return rows
+
+
+def csvs(results: Results[Task], _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
+    """Every scene by every method."""
+    lines = [
+        {"method": task.method, "seed": task.seed, "picture": found["picture"], **found["scores"]}
+        for task, found in results.finished
+    ]
+    return {"scenes.csv": lines}
+
+
+def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
+    """Errors, and the maps of the first scenes."""
+    columns = [
+        Column(name, best="high" if name.endswith(("psnr", "ssim")) else "low") for name in SHOWN
+    ]
+    shown = [replace(row, name="mean over scenes", solver=row.name, scenes=0) for row in rows]
+    yield Section(
+        "Errors",
+        "RMSE unless a column says otherwise, linear values; PSNR in dB and SSIM in sRGB. "
+        "Intervals of 95 % over scenes.",
+        [Table.of(shown, columns)],
+    )
+    by_seed: dict[int, dict[str, Mapping[str, bytes]]] = {}
+    for task, found in results.finished:
+        if "panels" in found:
+            panels = {name: base64.b64decode(png) for name, png in found["panels"].items()}
+            by_seed.setdefault(task.seed, {})[IN_WORDS[task.method]] = panels
+    pictures = [
+        Picture(f"scene-{seed}", f"Scene of seed {seed}.", draw_sheet(panels))
+        for seed, panels in sorted(by_seed.items())
+    ]
+    if pictures:
+        yield Section("Maps", figures=pictures)

@@ -1,0 +1,178 @@
+"""A scene by a method: our fit, a guess, or a network that sees one picture."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.fit.decompose import decompose
+from pbrfit.result import metrics
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.peers.pictures import draw_panels
+from pbrfit_evaluation.recipes import explain
+from pbrfit_evaluation.scores import score
+from pbrfit_evaluation.table1.normals import disturbed
+
+Method = Literal["pbrfit", "constant", "marigold", "rgbx"]
+METHODS: tuple[Method, ...] = get_args(Method)
+PEERS: tuple[Method, ...] = ("marigold", "rgbx")
+
+NOISE = 0.01
+"""Standard deviation, in radiance; the pictures' mean is 0.4."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A furnished room by a method.
+
+    Attributes
+    ----------
+    method, seed
+        Which, and of which scene.
+    size, lights
+        Side of the pictures in pixels; their number, and as many held out.
+    iterations
+        Of our fit.
+    samples
+        Predictions of Marigold-IID that are combined.
+    steps
+        Of the peers' samplers; None = as their authors recommend.
+    longer_side
+        Of what RGB-X is shown, in pixels.
+    shown
+        Whether to keep pictures.
+    model, device
+        Of a peer: its checkpoint, and where it computes.
+    """
+
+    method: Method
+    seed: int
+    size: int
+    lights: int
+    iterations: int
+    samples: int
+    steps: int | None
+    longer_side: int
+    shown: bool = False
+    model: str | None = None
+    device: str = field(default="auto", repr=False)
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        return f"{self.method}_{self.seed}"
+
+
+def work(task: Task, threads: int) -> dict[str, Any]:
+    """Errors of a method on a scene, and pictures of the first few.
+
+    Raises
+    ------
+    InputError
+        If a peer cannot run; it says why.
+    """
+    peer = _opened(task, threads)  # first: it may not be there
+    scene = given(task.seed, task.size, task.lights)
+    at = evenly_lit(scene)
+    if task.method == "pbrfit":
+        # As people run it: the normals are those of an estimator, and may be refined.
+        result = explain(
+            scene, "default", iterations=task.iterations, refine_normals="auto", threads=threads
+        )
+    elif task.method == "constant":
+        result = explain(scene, "constant", threads=threads)
+    else:
+        maps = peer(shown_picture(scene, at), task)
+        # Lights that fit the maps best, for the error of the pictures; materials stay.
+        result = decompose(
+            scene,
+            iterations=0,
+            start=maps.materials(scene.valid),
+            priors=None,
+            refine_normals="off",
+            threads=threads,
+        )
+    found: dict[str, Any] = {"scores": score(result, scene, threads).as_json(), "picture": at}
+    if task.shown:
+        panels = draw_panels(scene, result, at, threads)
+        found["panels"] = {
+            name: base64.b64encode(png).decode("ascii") for name, png in panels.items()
+        }
+    return found
+
+
+def given(seed: int, size: int, lights: int) -> Scene:
+    """A scene as every method has it: noisy pictures, and normals of an estimator's quality."""
+    exact = make_scene(
+        "furnished", size=size, lights=lights, held_out=lights, noise=NOISE, seed=seed
+    )
+    assert exact.segments is not None
+    # A stream of its own, apart from those of the scene.
+    rng = np.random.default_rng([seed, 1])
+    return replace(exact, normals=disturbed(exact.normals, exact.views, exact.segments, rng))
+
+
+def evenly_lit(scene: Scene) -> int:
+    """The picture that a peer is shown: the one whose darkest tenth is brightest beside its white.
+
+    Hard to read pictures, with much in the dark, would make peers worse than they are.
+    """
+
+    def evenness(image: NDArray[np.floating[Any]]) -> float:
+        grey = image.mean(axis=-1)[scene.valid]
+        return float(np.percentile(grey, 10) / max(np.percentile(grey, 98), 1e-12))
+
+    return int(np.argmax([evenness(image) for image in scene.images]))
+
+
+def shown_picture(scene: Scene, picture: int) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB of 8 bits, exposed so that the 98th percentile is white."""
+    image = np.where(np.isfinite(scene.images[picture]), scene.images[picture], 0.0)
+    white = metrics.white_of(image[scene.valid])
+    return np.rint(255 * metrics.display(image, white)).astype(np.uint8)
+
+
+def _opened(task: Task, threads: int) -> Any:
+    """A peer as a function of picture and task; None for what is none."""
+    if task.method not in PEERS:
+        return None
+    assert task.model is not None
+    peer = _loaded(task.method, task.model, task.device, task.longer_side, threads)
+    if isinstance(peer, str):
+        raise InputError(peer)
+    return peer
+
+
+@cache
+def _loaded(method: Method, model: str, device: str, longer_side: int, threads: int) -> Any:
+    """Load a peer once a process; the message, where that fails: it would fail again."""
+    try:
+        if method == "marigold":
+            from pbrfit_evaluation.peers.marigold import Marigold
+
+            marigold = Marigold(model, device=device)
+            _use_threads(threads)
+            return lambda picture, task: marigold.maps(
+                picture, seed=task.seed, samples=task.samples, steps=task.steps
+            )
+        from pbrfit_evaluation.peers.rgbx import RgbToX
+
+        rgbx = RgbToX(model, device=device, longer_side=longer_side)
+        _use_threads(threads)
+        return lambda picture, task: rgbx.maps(picture, seed=task.seed, steps=task.steps)
+    except InputError as error:
+        return str(error)
+
+
+def _use_threads(threads: int) -> None:
+    """PyTorch would take the one thread that tasks leave to BLAS."""
+    import torch
+
+    torch.set_num_threads(threads)

@@ -1,0 +1,185 @@
+"""Held-out pictures as rows, tables, a plot, sheets and a CSV file."""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from pbrfit.model.reflection import Model
+from pbrfit.report.html import Cell
+from pbrfit_evaluation.real.held_out import (
+    EXPLANATIONS,
+    IN_WORDS,
+    Explanation,
+    PictureScore,
+    relative_error,
+)
+from pbrfit_evaluation.real.measure import Task
+from pbrfit_evaluation.real.public_sets import PublicSet
+from pbrfit_evaluation.real.sources import Source, absent, find_data
+from pbrfit_evaluation.suite import (
+    Line,
+    Panel,
+    Picture,
+    Plot,
+    Results,
+    Row,
+    Section,
+    Series,
+    Table,
+    digits,
+)
+
+SOLVERS = {"default": "auto", "plain": "auto", "paper": "lbfgsb"}
+
+
+def _groups(results: Results[Task]) -> Iterator[tuple[Source, Model, Results[Task]]]:
+    """Folds of a source and model together."""
+    for source, model in dict.fromkeys((task.source, task.model) for task, _ in results.pairs):
+        yield source, model, results.of(source=source, model=model)
+
+
+def _metrics(of: Results[Task], name: Explanation) -> dict[str, float | None]:
+    """Over all folds: errors over the RMS of the pictures, of all held-out pictures together."""
+    found = [values["explanations"][name] for _, values in of.finished]
+    scores = tuple(PictureScore(**score) for one in found for score in one["scores"])
+    mean = {
+        key: float(np.mean([getattr(score, key) for score in scores])) for key in ("psnr", "ssim")
+    }
+    return {
+        "relative_rmse": relative_error(scores),
+        "kept_relative_rmse": of.mean("explanations", name, "kept_error").mean,
+        **mean,
+        "seconds": of.mean("explanations", name, "seconds").mean,
+        "folds": float(len(found)),
+    }
+
+
+def _not_there(results: Results[Task]) -> list[PublicSet]:
+    """Public sets that a folder of such does not hold."""
+    found = list(dict.fromkeys(task.source for task, _ in results.pairs))
+    paths = find_data(results.options.folders, os.environ)
+    return [one for path in paths for one in absent(path.absolute(), found)]
+
+
+def figures(results: Results[Task]) -> list[Row]:
+    """A row a source, model and explanation; one that says why where there is nothing."""
+    rows = []
+    for source, model, of in _groups(results):
+        error = next((record.error for record in of.failed), None)
+        name = f"{source.name}, {model}"
+        if not of.finished:
+            rows.append(Row(name, 0, None, {}, status=error or "not run"))
+            continue
+        for how in EXPLANATIONS:
+            metrics, status = _metrics(of, how), error or "ok"
+            rows.append(Row(f"{name}, {how}", 1, SOLVERS.get(how), metrics, status=status))
+    for missing in _not_there(results):
+        rows.append(Row(missing.kind, 0, None, {}, status=f"not there: {missing.origin}"))
+    return rows
+
+
+def csvs(results: Results[Task], _: Sequence[Row]) -> dict[str, list[Line]]:
+    """Every held-out picture as every explanation has it."""
+    lines: list[Line] = [
+        {
+            "source": task.source.name,
+            "model": task.model,
+            "fold": task.fold,
+            "explanation": name,
+            "picture": score["name"],
+            "rms": score["rms"],
+            "rmse": score["rmse"],
+            "relative_rmse": score["rmse"] / score["rms"] if score["rms"] > 0 else None,
+            "psnr": score["psnr"],
+            "ssim": score["ssim"],
+        }
+        for task, values in results.finished
+        for name, outcome in values["explanations"].items()
+        for score in outcome["scores"]
+    ]
+    return {"pictures.csv": lines}
+
+
+def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
+    """All sources together, and each with its figures and a sheet of pictures."""
+    by_name = {row.name: row for row in rows}
+    errors = {
+        (source.name, model): {
+            name: by_name[f"{source.name}, {model}, {name}"].metrics["relative_rmse"] or 0.0
+            for name in EXPLANATIONS
+        }
+        for source, model, of in _groups(results)
+        if of.finished
+    }
+    if errors:
+        yield Section(
+            "All sets",
+            "Error of held-out pictures relative to their RMS; 1 is that of black. The best of the "
+            "materials is bold. The models explain the same pictures by the same solver.",
+            [_overview(errors)],
+            [_plot(errors)],
+        )
+    columns = ("relative_rmse", "psnr", "ssim", "kept_relative_rmse", "seconds")
+    for source, model, of in _groups(results):
+        name = f"{source.name}, {model}"
+        own = [row for row in rows if row.name == name or row.name.startswith(f"{name}, ")]
+        tables = [Table.of(own, columns)] if of.finished else []
+        yield Section(name, _about(source, of), tables, list(_sheets(of)))
+    if missing := _not_there(results):
+        text = "Public sets that the folder does not hold, and where they come from."
+        table = Table(["set", "origin"], [[one.kind, one.origin] for one in missing])
+        yield Section("Not there", text, [table])
+
+
+def _overview(errors: dict[tuple[str, Model], dict[Explanation, float]]) -> Table:
+    lines: list[list[str | float | Cell | None]] = []
+    for (source, model), of in errors.items():
+        least = min(error for name, error in of.items() if name != "combination")
+        cells = [
+            Cell(digits(error), "best" if error == least else "number", error)
+            for error in of.values()
+        ]
+        lines.append([source, model, *cells])
+    return Table(["set", "model", *IN_WORDS.values()], lines)
+
+
+def _plot(errors: dict[tuple[str, Model], dict[Explanation, float]]) -> Plot:
+    names = [f"{source}, {model}" for source, model in errors]
+    series = [
+        Series(words, [of[name] for of in errors.values()], names)
+        for name, words in IN_WORDS.items()
+    ]
+    caption = "Error of held-out pictures; 1 is that of black."
+    label = "held-out pictures: RMSE / RMS radiance"
+    panel = Panel("dots", series, label, log="x")
+    return Plot("held_out", caption, [panel], size=(8, 1 + 0.9 * len(names)))
+
+
+def _about(source: Source, of: Results[Task]) -> str:
+    about = f"{source.about[0].upper()}{source.about[1:]}."
+    if not of.finished:
+        return about
+    found = [values for _, values in of.finished]
+    first = found[0]
+    width, height = first["size"]
+    held_out = sum(len(one["explanations"]["default"]["scores"]) for one in found)
+    return (
+        f"{about} {source.pictures} pictures of {width} × {height}, {first['pixels']} pixels used, "
+        f"{100 * first['clipped']:.2g} % of the samples clipped; {len(found)} folds, {held_out} "
+        f"held-out pictures in all, {first['kept']} kept each time."
+    )
+
+
+def _sheets(of: Results[Task]) -> Iterator[Picture]:
+    caption = (
+        "First row: a kept picture and the maps of our default. Second: a held-out picture and how "
+        "it is explained. Third: errors."
+    )
+    for task, values in of.finished:
+        if values["sheet"] is not None:
+            name = f"sheet-{task.source.name}-{task.model}"
+            yield Picture(name, caption, base64.b64decode(values["sheet"]))

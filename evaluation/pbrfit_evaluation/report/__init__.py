@@ -1,0 +1,218 @@
+"""The report of a suite: page, plots, Markdown, CSV files and summary, from data alone."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.metadata import version
+from pathlib import Path
+
+from pbrfit.report import html
+from pbrfit.report.html import Cell, paragraph, png_address
+from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation.report.plots import draw
+from pbrfit_evaluation.report.summary import machine, write_summary
+from pbrfit_evaluation.suite import (
+    Line,
+    Picture,
+    Plot,
+    Row,
+    Section,
+    Suite,
+    Table,
+    Value,
+    Verdict,
+    digits,
+)
+from pbrfit_evaluation.tables import write_csv
+
+PAGE = "report.html"
+
+UNTOLD = frozenset(
+    {"command", "out", "overwrite", "resume", "quiet", "default_jobs", "part", "effort", "quick"}
+)
+"""Options that a reader of a report does not ask for, or finds elsewhere in it."""
+
+LONG = 40
+"""Letters; longer text in a table is folded."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All that a run of a suite found, for its report."""
+
+    rows: Sequence[Row]
+    verdicts: Sequence[Verdict]
+    sections: Sequence[Section]
+    csvs: Mapping[str, Sequence[Line]]
+    failed: Sequence[Record]
+
+
+def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcome) -> None:
+    """Write `report.html`, its plots and pictures, `NAME.md`, CSV files and `summary.json`."""
+    sections = [*_judged(found.verdicts), *found.sections, *_failures(found.failed)]
+    (folder / PAGE).write_text(
+        _page(folder, suite.title, _opening(suite, options, found), sections), encoding="utf-8"
+    )
+    tables = (_titled(section, one) for section in sections for one in section.tables)
+    (folder / f"{suite.name}.md").write_text("\n".join(tables), encoding="utf-8")
+    for name, lines in found.csvs.items():
+        columns = list(dict.fromkeys(column for line in lines for column in line))
+        write_csv(folder / name, columns, ([line.get(c) for c in columns] for line in lines))
+    judged = [verdict.row for verdict in found.verdicts] if suite.verdict_rows else []
+    write_summary(folder, suite.protocol_of(options), [*judged, *found.rows])
+
+
+def lines(found: Outcome) -> list[str]:
+    """For a terminal: the verdicts, or else the first table."""
+    if found.verdicts:
+        return [
+            f"{'holds' if v.holds else 'FAILS':<7}{digits(v.value):>12} {_bar(v):>10}  {v.what}"
+            + (f"  ({v.where})" if v.where else "")
+            for v in found.verdicts
+        ]
+    tables = [table for section in found.sections for table in section.tables]
+    return _as_text(tables[0]) if tables else []
+
+
+def _as_text(table: Table) -> list[str]:
+    cells = [list(map(str, table.columns))]
+    cells += [[_cell(value).text.partition("\n")[0] for value in row] for row in table.rows]
+    numbers = _numeric(table)
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return [
+        "  ".join(
+            text.rjust(width) if number else text.ljust(width)
+            for text, width, number in zip(row, widths, numbers, strict=True)
+        ).rstrip()
+        for row in ([text.replace("\n", " ") for text in row] for row in cells)
+    ]
+
+
+def _opening(suite: Suite, options: argparse.Namespace, found: Outcome) -> list[str]:
+    on = machine()
+    asked = {
+        name: value
+        for name, value in vars(options).items()
+        if name not in UNTOLD and value not in (None, False, [], ())
+    }
+    told = ", ".join(f"{name.replace('_', ' ')} {_told(value)}" for name, value in asked.items())
+    bars = [verdict for verdict in found.verdicts if verdict.bar is not None]
+    held = sum(verdict.holds for verdict in bars)
+    return [
+        *([f"{held} of {len(bars)} demands hold."] if bars else []),
+        *suite.about,
+        f"Protocol: {suite.protocol_of(options)}.",
+        f"pbrfit {version('pbrfit')}, effort “{options.effort}”{', ' if told else ''}{told}. "
+        f"{on['processor']}, {on['cores']} cores, {on['system']}, Python {on['python']}, numpy "
+        f"{on['numpy']}.",
+    ]
+
+
+def _told(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        return " ".join(map(_told, value))
+    return value.name if isinstance(value, Path) else str(value)
+
+
+def _bar(verdict: Verdict) -> str:
+    """What the figure has to be."""
+    if verdict.bar is None:
+        return ""
+    return f"{'≥' if verdict.at_least else '≤'} {digits(verdict.bar)}"
+
+
+_FAILS = "does\N{NO-BREAK SPACE}not\N{NO-BREAK SPACE}hold"
+
+
+def _judged(verdicts: Sequence[Verdict]) -> Iterable[Section]:
+    if not verdicts:
+        return
+    parts = len({verdict.part for verdict in verdicts}) > 1
+    rows: list[list[Value]] = []
+    part = None
+    for verdict in verdicts:
+        holds = Cell("holds", "pass") if verdict.holds else Cell(_FAILS, "fail")
+        row: list[Value] = [verdict.what, Cell(digits(verdict.value), "number", verdict.value)]
+        row += [Cell(_bar(verdict), "number"), "" if verdict.bar is None else holds, verdict.where]
+        rows.append([Cell("" if verdict.part == part else verdict.part, "name"), *row][not parts :])
+        part = verdict.part
+    columns = ["part", "what", "found", "must be", "verdict", "where"][not parts :]
+    yield Section("What must hold", tables=[Table(columns, rows)])
+
+
+def _failures(failed: Sequence[Record]) -> Iterable[Section]:
+    if failed:
+        table = Table(
+            ["case", "error"], [[record.key, Cell(record.error or "", "why")] for record in failed]
+        )
+        yield Section("What failed", "Failed cases are in no figure.", [table])
+
+
+# ------------------------------------------------------------------------------------- the page
+
+
+def _page(folder: Path, title: str, opening: Sequence[str], sections: Sequence[Section]) -> str:
+    body = [f"<h1>{escape(title)}</h1>", *map(paragraph, opening)]
+    for section in sections:
+        body.append(f"<h2>{escape(section.title)}</h2>")
+        body += [paragraph(text) for text in section.text.split("\n\n") if text]
+        body += [html.table(_dressed(table)) for table in section.tables]
+        body += [_figure(folder, figure) for figure in section.figures]
+    return html.document(title, "\n".join(body))
+
+
+def _figure(folder: Path, figure: Plot | Picture) -> str:
+    png = figure.png if isinstance(figure, Picture) else draw(figure)
+    (folder / f"{figure.name}.png").write_bytes(png)
+    caption = escape(figure.caption)
+    return (
+        f'<figure><img src="{png_address(png)}" alt="{caption}">'
+        f"<figcaption>{caption}</figcaption></figure>"
+    )
+
+
+def _dressed(table: Table) -> html.Table:
+    """The table with a look for each cell: numbers right, long text folded."""
+    columns = [
+        Cell(text, "number" if number else "name" if len(text) <= LONG else "")
+        for text, number in zip(table.columns, _numeric(table), strict=True)
+    ]
+    return html.Table(columns, [list(map(_cell, row)) for row in table.rows], table.caption)
+
+
+def _numeric(table: Table) -> list[bool]:
+    """By column, whether it holds numbers."""
+    columns = zip(*(map(_cell, row) for row in table.rows), strict=True) if table.rows else ()
+    found = [any(cell.look in ("number", "best") for cell in column) for column in columns]
+    return found or [False] * len(table.columns)
+
+
+def _cell(value: Value) -> Cell:
+    if isinstance(value, Cell):
+        return value
+    if isinstance(value, str):
+        return Cell(value, "why" if len(value) > LONG else "name")
+    if value is None or value != value:
+        return Cell("–", "number")
+    return Cell(digits(value), "number", float(value))
+
+
+def _titled(section: Section, table: Table) -> str:
+    caption = f"{table.caption}\n\n" if table.caption else ""
+    return f"### {section.title}\n\n{caption}{markdown(table)}"
+
+
+def markdown(table: Table) -> str:
+    """Write a table as GitHub's Markdown, a line of text with each row."""
+    rule = ["---:" if number else "---" for number in _numeric(table)]
+    rows = [[text.replace("|", "\\|") for text in table.columns], rule]
+    rows += [[_marked(_cell(value)) for value in row] for row in table.rows]
+    return "".join(f"| {' | '.join(' '.join(text.split()) for text in row)} |\n" for row in rows)
+
+
+def _marked(cell: Cell) -> str:
+    text = cell.text.replace("|", "\\|")
+    return f"**{text}**" if cell.look == "best" and text else text

@@ -1,0 +1,517 @@
+"""What a suite is: cases, how one is run, figures, verdicts; and what its report shows.
+
+How to add a suite `speed`:
+
+1. A package `pbrfit_evaluation/speed` whose `__init__.py` has `SUITE = Suite("speed", ...)`, and a
+   line in `commands.SUITES` with its name and summary. That gives `pbrfit evaluate speed` with
+   `--out`, `--overwrite`, `--resume`, `--jobs`, `--cluster`, `--quiet` and `--quick`.
+2. `cases(options)` returns frozen dataclasses that can be pickled, with a `key` that is unique and
+   fit for a file; their `repr` says all that the result depends on. It checks the options, too.
+3. `run(case, threads)` measures one, in any process, and returns values that JSON can hold. They
+   are kept in `records/KEY.json`; `--resume` uses them again if case and code are the same.
+4. `figures(results)` makes the rows of summary.json from what was finished, which may be nothing.
+5. `verdicts(results, rows)` says what the figures must be; `sections(results, rows)` is what the
+   page shows beside them: tables, plots and pictures as data; `csvs(results, rows)` the CSV files.
+6. Sizes and counts stand in `effort`: name -> (full, with `--quick`); an option of the same name
+   takes precedence. Files named `figures.py` do not count as code that records depend on.
+
+Nothing here draws, writes or measures: `commands` builds the command and runs it, `jobs` keeps
+records, `report` writes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, Generic, Literal, Protocol, TypeVar
+
+from pbrfit.report.html import Cell
+from pbrfit.report.notation import scientific
+from pbrfit_evaluation.jobs import Record, Values
+from pbrfit_evaluation.tables import Mean, mean_with_interval
+
+Options = argparse.Namespace
+"""As given on the command line, with `effort` filled in; `options.effort` is "full" or "quick"."""
+
+
+class Case(Protocol):
+    """What is measured at a time: a frozen dataclass that can be pickled."""
+
+    @property
+    def key(self) -> str:
+        """Unique name, fit for a file."""
+
+
+C = TypeVar("C", bound=Case)
+
+
+# ------------------------------------------------------------------------------ what is measured
+
+
+@dataclass(frozen=True)
+class Results(Generic[C]):
+    """Cases of a part with their records, in the order of the cases."""
+
+    options: Options
+    pairs: Sequence[tuple[C, Record]]
+
+    def of(self, **facts: object) -> Results[C]:
+        """Those of the cases whose attributes have these values."""
+        same = [
+            (case, record)
+            for case, record in self.pairs
+            if all(getattr(case, name, None) == value for name, value in facts.items())
+        ]
+        return Results(self.options, same)
+
+    @property
+    def finished(self) -> list[tuple[C, Values]]:
+        """Cases that ended well, with what they found."""
+        return [(case, record.values) for case, record in self.pairs if record.values is not None]
+
+    @property
+    def failed(self) -> list[Record]:
+        """Records of the others."""
+        return [record for _, record in self.pairs if record.error is not None]
+
+    def status(self, what: str = "cases") -> str:
+        """For a row: "ok", or how many failed."""
+        failed = len(self.failed)
+        return f"{failed} of {len(self.pairs)} {what} failed" if failed else "ok"
+
+    def numbers(self, *path: str) -> list[float]:
+        """The number at a path of names in what each case found; cases without one left out."""
+        found = []
+        for _, value in self.finished:
+            at: Any = value
+            for name in path:
+                at = at.get(name) if at is not None else None
+            if at is not None:
+                found.append(float(at))
+        return found
+
+    def mean(self, *path: str) -> Mean:
+        """Mean of `numbers`, with its interval."""
+        return mean_with_interval(self.numbers(*path))
+
+    def metrics(self, names: Iterable[str], *path: str) -> dict[str, float | None]:
+        """For a row: means of names below a path, and NAME_low and NAME_high of their intervals.
+
+        NaN where no case has the number.
+        """
+        found: dict[str, float | None] = {}
+        for name in names:
+            of = self.mean(*path, name)
+            found |= {name: of.mean, f"{name}_low": of.low, f"{name}_high": of.high}
+        return found
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a suite's results, as in summary.json.
+
+    Attributes
+    ----------
+    name
+        What the line is about.
+    scenes
+        How many scenes were measured, 0 where it is not about scenes.
+    solver
+        The one that was run, None where there is none.
+    metrics
+        Figures by name. What is not a finite number is written as null.
+    paper
+        The paper's figures under the same names, where it has any.
+    status
+        "ok", "not held", or why the line was not run.
+    guess
+        Whether nothing was fitted, so that no figure is marked as the best; not in summary.json.
+    """
+
+    name: str
+    scenes: int
+    solver: str | None
+    metrics: Mapping[str, float | None]
+    paper: Mapping[str, float] | None = None
+    status: str = "ok"
+    guess: bool = False
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A figure and what it has to be.
+
+    Attributes
+    ----------
+    what
+        In words.
+    value
+        The figure; one that is not a number holds nothing.
+    bar
+        At most this; at least, where `at_least`. None = reported only.
+    where
+        What else belongs to the figure: where the worst was found, why the bar is what it is.
+    part
+        Of the suite; by default that whose verdict it is.
+    """
+
+    what: str
+    value: float
+    bar: float | None
+    where: str = ""
+    at_least: bool = False
+    part: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the figure is what it has to be."""
+        if self.bar is None:
+            return True
+        return self.value >= self.bar if self.at_least else self.value <= self.bar
+
+    @property
+    def row(self) -> Row:
+        """The verdict as a row of summary.json."""
+        bar = {} if self.bar is None else {"bar": self.bar, "at_least": float(self.at_least)}
+        name = f"{self.part}: {self.what}" if self.part else self.what
+        status = "ok" if self.holds else "not held"
+        return Row(name, 0, None, {"value": self.value, **bar}, status=status)
+
+
+# ------------------------------------------------------------------------------ what is shown
+
+
+@dataclass(frozen=True)
+class Column:
+    """A metric as a column: its heading, and which of its values is the best (none if None)."""
+
+    metric: str
+    heading: str = ""
+    best: Literal["low", "high"] | None = None
+
+
+Value = str | float | Cell | None
+"""In a table: text, a number, None where there is none, or a cell as it is."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Headings, and rows with a value for each."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Value]]
+    caption: str = ""
+
+    @classmethod
+    def of(
+        cls, rows: Sequence[Row], columns: Sequence[Column | str] = (), caption: str = ""
+    ) -> Table:
+        """Rows of summary.json as a table, with intervals, the paper's figures and what went wrong.
+
+        `columns` are metrics, all of them by default. Among rows of one name the best of a column
+        is bold.
+        """
+        if not columns:
+            names = dict.fromkeys(name for row in rows for name in row.metrics)
+            bounds = {f"{name}{end}" for name in names for end in ("_low", "_high")}
+            columns = [name for name in names if name not in bounds]
+        shown = [Column(one) if isinstance(one, str) else one for one in columns]
+        solvers = any(row.solver for row in rows)
+        scenes = any(row.scenes for row in rows)
+        status = any(row.status != "ok" for row in rows)
+        head = ["", *(["scenes"] if scenes else []), *(["solver"] if solvers else [])]
+        head += [one.heading or one.metric.replace("_", " ") for one in shown]
+        made: list[Sequence[Value]] = []
+        for before, row, after in zip([None, *rows], rows, [*rows[1:], None], strict=False):
+            first = before is None or before.name != row.name
+            alike = [other for other in rows if other.name == row.name and not other.guess]
+            line: list[Value] = [row.name if first else ""]
+            line += [float(row.scenes) if first else ""] if scenes else []
+            line += [row.solver or ""] if solvers else []
+            line += [_figure(row, one, alike) for one in shown]
+            line += [Cell("" if row.status == "ok" else row.status, "note")] if status else []
+            made.append(line)
+            if row.paper and (after is None or after.name != row.name):
+                paper = Cell("paper, other scenes", "note")
+                gap = len(head) - len(shown) - (2 if solvers else 1)
+                line = ["", *[""] * gap, paper] if solvers else [paper, *[""] * gap]
+                line += [row.paper.get(one.metric) for one in shown]
+                made.append([*line, ""] if status else line)
+        return cls([*head, "status"] if status else head, made, caption)
+
+
+def _figure(row: Row, column: Column, alike: Sequence[Row]) -> Cell | None:
+    value = row.metrics.get(column.metric)
+    if value is None or value != value:
+        return None
+    low, high = (row.metrics.get(f"{column.metric}_{end}") for end in ("low", "high"))
+    text = digits(value)
+    if low is not None and high is not None and low == low:
+        text += f"\n[{digits(low)}, {digits(high)}]"
+    best = False
+    if column.best and not row.guess and len(alike) > 1:
+        others = [v for other in alike if (v := other.metrics.get(column.metric)) is not None]
+        others = [v for v in others if v == v]
+        best = value == (min(others) if column.best == "low" else max(others))
+    return Cell(text, "best" if best else "number", value)
+
+
+def digits(value: float) -> str:
+    """Three digits, so that 1.02 is told from 1; powers of ten for what is small or large."""
+    if abs(value) < 1e4 and value == int(value):
+        return f"{value:.0f}"
+    return f"{value:#.3g}".rstrip(".") if 0.001 <= abs(value) < 999.5 else scientific(value)
+
+
+@dataclass(frozen=True)
+class Series:
+    """What a plot shows in one colour and marker.
+
+    Attributes
+    ----------
+    label
+        In the legend; a label has one look in the whole plot.
+    x, y
+        Coordinates. Of dots and bars `y` are names, and those of a panel share an axis.
+    low, high
+        Interval of each: of y in lines, points and steps, of x in dots and bars.
+    notes
+        Text beside each.
+    look
+        Place in the palette (default: in order of appearance), to keep looks alike between plots.
+    empty
+        Whether markers are hollow and lines dotted, as of a second kind of the same thing.
+    """
+
+    label: str
+    x: Sequence[float]
+    y: Sequence[float] | Sequence[str]
+    _: KW_ONLY
+    low: Sequence[float] = ()
+    high: Sequence[float] = ()
+    notes: Sequence[str] = ()
+    look: int | None = None
+    empty: bool = False
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A line across a panel at a value of an axis, or the strip from there to another value."""
+
+    value: float
+    text: str = ""
+    axis: Literal["x", "y"] = "y"
+    to: float | None = None
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes; labels have units.
+
+    `kind`: "lines" with markers, "steps" without (histograms, dense curves), "points" alone;
+    "dots" and "bars" against names.
+    """
+
+    kind: Literal["lines", "steps", "points", "dots", "bars"]
+    series: Sequence[Series]
+    x: str = ""
+    y: str = ""
+    _: KW_ONLY
+    title: str = ""
+    log: Literal["", "x", "y", "xy"] = ""
+    marks: Sequence[Mark] = ()
+    x_range: tuple[float | None, float | None] = (None, None)
+    y_range: tuple[float | None, float | None] = (None, None)
+
+
+@dataclass(frozen=True)
+class HeatMap:
+    """Numbers (rows, columns) as colours with the number in each cell; the first row is on top.
+
+    Ratios have a scale from 1/4 to 4 with 1 in its middle, all else one from `span[0]` to
+    `span[1]`.
+    """
+
+    values: Sequence[Sequence[float]]
+    columns: Sequence[str]
+    rows: Sequence[str]
+    x: str = ""
+    y: str = ""
+    _: KW_ONLY
+    title: str = ""
+    ratio: bool = False
+    span: tuple[float, float] = (0.0, 1.0)
+    scale: str = ""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Panels in a grid, written as NAME.png and into the page.
+
+    `share_x`, `share_y`: which panels have one axis, as matplotlib names it. `size`: of a panel in
+    inches, by default as it needs.
+    """
+
+    name: str
+    caption: str
+    panels: Sequence[Panel | HeatMap]
+    _: KW_ONLY
+    columns: int = 1
+    share_x: Literal["none", "all", "row", "col"] = "none"
+    share_y: Literal["none", "all", "row", "col"] = "none"
+    size: tuple[float, float] | None = None
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG that is there already, such as a sheet of maps (`pbrfit.result.sheet`)."""
+
+    name: str
+    caption: str
+    png: bytes
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading of the page, what has to be said, tables, plots and pictures."""
+
+    title: str
+    text: str = ""
+    tables: Sequence[Table] = ()
+    figures: Sequence[Plot | Picture] = ()
+
+
+Line = Mapping[str, object]
+"""A line of a CSV file, values by column."""
+
+
+def numbers_csv(part: str, results: Results[Any]) -> list[Line]:
+    """Every number that was found, a line each; lists, such as curves, are in the records alone."""
+    return [
+        {"part": part, "task": case.key, "figure": name, "value": value}
+        for case, values in results.finished
+        for name, value in _flat(values)
+    ]
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, float]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{name}/")
+        elif isinstance(value, (int, float)):
+            yield f"{before}{name}", float(value)
+
+
+# ------------------------------------------------------------------------------ the suite
+
+
+def _nothing(*_: Any) -> tuple[()]:
+    return ()
+
+
+def _no_files(*_: Any) -> dict[str, list[Line]]:
+    return {}
+
+
+def _never(_: Record) -> bool:
+    return False
+
+
+def _all_rows(_: Any, rows: Sequence[Row]) -> Sequence[Section]:
+    return [Section("Figures", tables=[Table.of(rows)])]
+
+
+@dataclass(frozen=True)
+class Part(Generic[C]):
+    """A kind of cases of a suite, with what is made of them.
+
+    Attributes
+    ----------
+    name
+        As `--part` names it, where the suite has several.
+    cases, run, figures, verdicts, sections
+        See the top of this file.
+    csvs
+        Lines of CSV files by file name; those of one name in several parts come together.
+    alone
+        Whether its cases run one at a time in this process, after those of other parts: for times,
+        and for networks that fill a GPU.
+    then
+        More cases, which depend on what the first found; None if there are none.
+    then_alone
+        Whether those run as with `alone`, and the first do not.
+    excused
+        Whether a failed record is no failure of the run, such as where an optional network is not
+        there.
+    """
+
+    name: str
+    cases: Callable[[Options], Sequence[C]]
+    run: Callable[[C, int], Values]
+    figures: Callable[[Results[C]], Sequence[Row]]
+    _: KW_ONLY
+    verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
+    sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
+    csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line]]] = _no_files
+    alone: bool = False
+    then: Callable[[Results[C]], Sequence[C]] | None = None
+    then_alone: bool = False
+    excused: Callable[[Record], bool] = _never
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A sub-command of `pbrfit evaluate`.
+
+    Attributes
+    ----------
+    name, title
+        Of the command, and of its report.
+    description
+        In its help: what is measured and what is written.
+    protocol
+        Name and version of how things are measured: results under one name compare. `{size}` and
+        the like are replaced by the options.
+    parts
+        With several, `--part` chooses.
+    options
+        Functions that add an option to the parser: those of `options`, or such as
+        `pbrfit.commands.arguments.add_threads`. With the latter, `run` gets as many threads as are
+        asked for.
+    effort
+        Sizes and counts: name -> (full, with `--quick`). An option of the name that is None is set
+        from here, and its help tells both.
+    quick
+        Help of `--quick`.
+    about
+        Paragraphs at the top of the page, that a reader needs to read the figures.
+    jobs
+        Default of `--jobs`; None = one for each processor.
+    timed
+        Whether figures are times on this machine, so that no cluster can be used.
+    verdict_rows
+        Whether summary.json has a row for each verdict.
+    binding
+        Whether the exit code is 1 where a verdict does not hold.
+    """
+
+    name: str
+    title: str
+    description: str
+    protocol: str
+    parts: Sequence[Part[Any]]
+    _: KW_ONLY
+    options: Sequence[Callable[[argparse.ArgumentParser], object]] = ()
+    effort: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
+    quick: str = "minutes: few and small scenes"
+    about: Sequence[str] = ()
+    jobs: int | None = None
+    timed: bool = False
+    verdict_rows: bool = False
+    binding: bool = True
+
+    def protocol_of(self, options: Options) -> str:
+        """The protocol with the options' values in it."""
+        return self.protocol.format_map(vars(options))

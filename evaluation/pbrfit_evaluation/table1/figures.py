@@ -1,0 +1,201 @@
+"""Table 1 as rows, tables, a plot and CSV files."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from typing import Literal
+
+from pbrfit.model.reflection import MODELS, Model
+from pbrfit_evaluation.options import models
+from pbrfit_evaluation.recipes import IN_WORDS, Recipe
+from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.suite import (
+    Column,
+    Line,
+    Options,
+    Panel,
+    Picture,
+    Plot,
+    Results,
+    Section,
+    Series,
+    Table,
+    Value,
+)
+from pbrfit_evaluation.suite import Row as Figures
+from pbrfit_evaluation.table1.measure import Task, why_not
+from pbrfit_evaluation.table1.rows import COLUMNS, ROWS, Row
+
+METRICS = tuple(f.name for f in fields(Scores))
+
+SOLVERS: dict[Recipe, str] = {
+    "plain": "auto, no priors",
+    "default": "auto, default",
+    "paper": "lbfgsb, paper's recipe",
+    "paper-priors": "lbfgsb, paper's recipe and priors",
+    "constant": "constant guess",
+    "start": "start, not optimised",
+}
+
+GUESSES: tuple[Recipe, ...] = ("constant", "start")
+"""What is not fitted."""
+
+FACTS = {
+    "metal_share": "share of\nmetal pixels",
+    "condition": "condition\nof the lights",
+    "normals_mean": "normals off by,\nmean, degrees",
+    "refined_mean": "refined to,\ndegrees",
+    "refined_scenes": "share of\nscenes refined",
+}
+"""About the scenes of a setup."""
+
+
+def asked_rows(options: Options) -> list[Row]:
+    """Setups that `--rows` asks for."""
+    return [row for row in ROWS if not options.rows or row.key in options.rows]
+
+
+def _lines(results: Results[Task]) -> Iterator[tuple[Row, Model, Recipe | None, Results[Task]]]:
+    """Setup, model and recipe of every row, and its cases; no recipe where nothing was finished."""
+    for row in asked_rows(results.options):
+        for model in models(results.options):
+            of = results.of(row=row.key, model=model)
+            for recipe in row.recipes if of.finished else (None,):
+                yield row, model, recipe, of
+
+
+def figures(results: Results[Task]) -> list[Figures]:
+    """A row for each setup, model and recipe."""
+    rows = []
+    for row, model, recipe, of in _lines(results):
+        name, paper, status = f"{row.name}, {model}", row.paper or None, of.status("scenes")
+        if recipe is None:
+            if why := why_not(row, results.options):
+                status = f"not run: {why}"
+            rows.append(Figures(name, 0, None, {}, paper, status))
+        else:
+            metrics = of.metrics(METRICS, "recipes", recipe)
+            guess = recipe in GUESSES
+            scenes = len(of.finished)
+            rows.append(Figures(name, scenes, SOLVERS[recipe], metrics, paper, status, guess))
+    return rows
+
+
+def csvs(results: Results[Task], rows: Sequence[Figures]) -> Mapping[str, Sequence[Line]]:
+    """Means with intervals, and every scene."""
+    means = [
+        {"row": row.key, "model": model, "recipe": recipe, "metric": metric}
+        | {"mean": of.metrics[metric], "low": of.metrics[f"{metric}_low"]}
+        | {"high": of.metrics[f"{metric}_high"], "scenes": of.scenes}
+        for (row, model, recipe, _), of in zip(_lines(results), rows, strict=True)
+        for metric in METRICS
+        if recipe is not None and not math.isnan(of.metrics[metric] or 0.0)
+    ]
+    scenes = [
+        {"scene": task.key, "model": task.model, "recipe": recipe, **values}
+        for task, found in results.finished
+        for recipe, values in found["recipes"].items()
+    ]
+    return {"table1.csv": means, "scenes.csv": scenes}
+
+
+def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Section]:
+    """Tables, the plot, the setups and the first scene of each."""
+    rest = [
+        Column(name, best=None if name in ("seconds", "evaluations") else _better(name))
+        for name in METRICS
+        if name not in COLUMNS
+    ]
+    plots = [_plot(results, rows)] if results.finished else []
+    yield Section(
+        "The paper's columns",
+        "RMSE, linear values.",
+        [Table.of(rows, [Column(name, best="low") for name in COLUMNS])],
+        plots,
+    )
+    yield Section(
+        "More of the same results",
+        "Errors on metal pixels alone; albedo and relit pictures after the best factor a channel, "
+        "which pictures barely fix; PSNR in dB and SSIM; and the effort.",
+        [Table.of([row for row in rows if row.scenes], rest)],
+    )
+    if ratios := _ratios(results, rows):
+        yield Section(
+            "The two models on the same pictures",
+            f"Ratio of the mean errors, {MODELS[1]} over {MODELS[0]}, on pictures by Cycles.",
+            [Table.of(ratios)],
+        )
+    yield Section("The setups", tables=[_setups(results)])
+    examples = [
+        Picture(
+            f"example-{task.row}-{task.model}",
+            f"{task.row}, {task.model}, seed {task.seed}, our default: picture, reconstruction, "
+            "maps and normals; below the ground truth and the errors.",
+            base64.b64decode(found["preview"]),
+        )
+        for task, found in results.finished
+        if "preview" in found
+    ]
+    if examples:
+        yield Section("Examples", "The first scene of each setup.", figures=examples)
+
+
+def _better(metric: str) -> Literal["low", "high"]:
+    return "high" if metric.endswith(("psnr", "ssim")) else "low"
+
+
+def _ratios(results: Results[Task], rows: Sequence[Figures]) -> list[Figures]:
+    """A row a setup and recipe whose pictures are the same for both models."""
+    shown = (*COLUMNS, "albedo_scaled")
+    of: dict[tuple[str, Recipe], dict[Model, Figures]] = {}
+    for (row, model, recipe, _), figure in zip(_lines(results), rows, strict=True):
+        if row.renderer == "cycles" and recipe in ("plain", "default"):
+            of.setdefault((row.name, recipe), {})[model] = figure
+    return [
+        Figures(name, both[MODELS[0]].scenes, SOLVERS[recipe], ratios)
+        for (name, recipe), both in of.items()
+        if len(both) == len(MODELS)
+        for one, other in [(both[model].metrics for model in MODELS)]
+        for ratios in [{m: (other[m] or math.nan) / (one[m] or math.nan) for m in shown}]
+    ]
+
+
+def _setups(results: Results[Task]) -> Table:
+    lines: list[list[Value]] = []
+    for row in asked_rows(results.options):
+        of = results.of(row=row.key, model=models(results.options)[0])  # the same worlds for all
+        lines.append([row.name, row.what, *(of.mean("facts", name).mean for name in FACTS)])
+    return Table(["setup", "what it is", *FACTS.values()], lines)
+
+
+def _plot(results: Results[Task], rows: Sequence[Figures]) -> Plot:
+    """A panel a column of the paper, a line a setup, with intervals."""
+    lines = [line for line in zip(_lines(results), rows, strict=True) if line[1].scenes]
+    return Plot(
+        "table1",
+        "The same as a plot, with intervals.",
+        [Panel("dots", _series(lines, m), f"{m} RMSE", log="x") for m in COLUMNS],
+        columns=len(COLUMNS),
+        share_y="all",
+        size=(2.8, 0.8 + 0.6 * len({figure.name for _, figure in lines})),
+    )
+
+
+def _series(
+    lines: Sequence[tuple[tuple[Row, Model, Recipe | None, object], Figures]], metric: str
+) -> list[Series]:
+    series = []
+    for look, recipe in enumerate(SOLVERS):
+        of = [figure for (_, _, used, _), figure in lines if used == recipe]
+        mean, low, high = (
+            [figure.metrics[f"{metric}{end}"] or math.nan for figure in of]
+            for end in ("", "_low", "_high")
+        )
+        names = [figure.name for figure in of]
+        series.append(Series(IN_WORDS[recipe], mean, names, low=low, high=high, look=look))
+    papers = {f.name: f.paper[metric] for _, f in lines if f.paper and metric in f.paper}
+    label = "the paper's number (other scenes)"
+    return [*series, Series(label, list(papers.values()), list(papers), look=7)]

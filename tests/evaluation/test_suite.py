@@ -1,0 +1,334 @@
+"""The machinery that every suite is: a command made from data, its parts, its report."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from evaluation_tasks import Task, work
+from page_reader import Page
+from pbrfit.commands.arguments import add_threads
+from pbrfit.report.html import Cell
+from pbrfit_evaluation import commands, options, report
+from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation.report.plots import draw
+from pbrfit_evaluation.suite import (
+    Column,
+    HeatMap,
+    Mark,
+    Options,
+    Panel,
+    Part,
+    Plot,
+    Results,
+    Row,
+    Section,
+    Series,
+    Suite,
+    Table,
+    Verdict,
+    digits,
+    numbers_csv,
+)
+
+# ---------------------------------------------------------------------------- a suite of nothing
+
+
+def cases(name: str, asked: Options) -> list[Task]:
+    acts = asked.acts or ["well"] * asked.scenes
+    return [Task(f"{name}{i}", asked.data, act) for i, act in enumerate(acts)]
+
+
+def figures(name: str, results: Results[Task]) -> list[Row]:
+    threads = results.mean("threads")
+    return [Row(name, threads.count, None, {"threads": threads.mean}, status=results.status())]
+
+
+def verdicts(_: Results[Task], rows: Sequence[Row]) -> list[Verdict]:
+    return [Verdict("threads", rows[0].metrics["threads"] or math.nan, 1, at_least=True)]
+
+
+def part(name: str, **more: Any) -> Part[Task]:
+    return Part(
+        name,
+        partial(cases, name),
+        work,
+        partial(figures, name),
+        verdicts=verdicts,
+        csvs=lambda results, _: {"scenes.csv": numbers_csv(name, results)},
+        **more,
+    )
+
+
+SUITE = Suite(
+    name="nothing",
+    title="A suite of nothing",
+    description="It measures nothing.",
+    protocol="nothing-1, {scenes} scenes, {effort}",
+    parts=[
+        part("quiet"),
+        part(
+            "loud",
+            alone=True,
+            then=lambda results: [Task(f"{results.pairs[0][0].key}-then", results.options.data)],
+            excused=lambda record: "two" in (record.error or ""),
+        ),
+    ],
+    options=(
+        options.count("--scenes", "K", "how many"),
+        options.option("--acts", nargs="+"),
+        options.option("--data", type=Path, default=Path("x")),
+        add_threads,
+    ),
+    effort={"scenes": (3, 1), "hidden": ((1, 2), (1,))},
+    verdict_rows=True,
+)
+
+
+def run(suite: Suite, monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    module = type("Module", (), {"SUITE": suite})
+    monkeypatch.setattr(commands, "import_module", lambda _: module)
+    parser = argparse.ArgumentParser(prog="pbrfit evaluate nothing")
+    commands._complete("nothing", parser)
+    try:
+        asked = parser.parse_args([str(argument) for argument in arguments])
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    return int(asked.command(asked))
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text("utf-8"))
+    return found
+
+
+def test_parts_options_and_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    command = ("--out", out, "--data", tmp_path, "--threads", 2, "--jobs", 1)
+    assert run(SUITE, monkeypatch, *command, "--quick") == 0
+    printed = capsys.readouterr()
+    assert printed.out.count("holds") == 2
+    assert f"Look at {out / 'report.html'}" in printed.out
+    assert {path.name for path in out.iterdir()} == {
+        "records", "report.html", "nothing.md", "scenes.csv", "summary.json",
+    }  # fmt: skip
+    content = summary(out)
+    assert content["protocol"] == "nothing-1, 1 scenes, quick"
+    assert set(content) == {"protocol", "version", "machine", "rows"}
+    assert [row["name"] for row in content["rows"]] == [
+        "quiet: threads", "loud: threads", "quiet", "loud",
+    ]  # fmt: skip
+    assert content["rows"][0]["metrics"] == {"value": 2, "bar": 1, "at_least": 1}
+    assert [row["scenes"] for row in content["rows"][2:]] == [1, 2]
+    assert set(content["rows"][0]) == {"name", "scenes", "solver", "metrics", "paper", "status"}
+    with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["task"] for line in lines] == ["quiet0", "loud0", "loud0-then"]
+    assert lines[0] == {"part": "quiet", "task": "quiet0", "figure": "threads", "value": "2.0"}
+    page = Page((out / "report.html").read_text("utf-8"))
+    assert [element.text for element in page.all("h2")] == [
+        "What must hold", "Figures", "Figures",
+    ]  # fmt: skip
+    assert "2 of 2 demands hold." in page.all("p")[0].text
+
+    assert run(SUITE, monkeypatch, *command, "--resume", "--part", "loud", "--quiet") == 0
+    assert [row["scenes"] for row in summary(out)["rows"]] == [0, 4]  # 3 and one that follows
+    assert len((tmp_path / "loud0.trace").read_text("utf-8").splitlines()) == 1
+
+
+def test_help_tells_defaults_of_both_efforts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(SUITE, monkeypatch, "--help") == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "--scenes K how many (default: 3, with --quick 1)" in told
+    assert "only these parts (default: all): quiet, loud" in told
+    assert "--cluster" in told
+    timed = replace(SUITE, timed=True)
+    assert run(timed, monkeypatch, "--out", "x", "--cluster", "local") == 2
+    assert "whose seconds are those of one machine" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("acts", "part", "code", "said"),
+    [
+        (("well", "raise"), "quiet", 1, "1 of 2 failed: quiet1"),
+        (("raise", "raise"), "quiet", 2, "2 of 2 failed: quiet0, quiet1"),
+        (("well", "raise"), "loud", 0, "loud1: ValueError: two lines"),  # excused
+    ],
+)
+def test_failures(
+    acts: tuple[str, ...],
+    part: str,
+    code: int,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    command = ("--out", out, "--data", tmp_path, "--part", part, "--jobs", 1, "--acts", *acts)
+    assert run(SUITE, monkeypatch, *command) == code
+    errors = capsys.readouterr().err
+    assert said in errors
+    assert errors.count("two lines") == 1  # one reason is told once
+    assert "two lines" in (out / "report.html").read_text("utf-8")
+    failed = acts.count("raise")
+    assert summary(out)["rows"][-1]["status"] == f"{failed} of {2 + (part == 'loud')} cases failed"
+
+
+def test_what_does_not_hold_is_a_failure_where_it_binds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    strict = replace(
+        part("quiet"),
+        verdicts=lambda *_: [Verdict("a", 2.0, 1.0, "there"), Verdict("b", 3.0, None)],
+    )
+    suite = replace(SUITE, parts=[strict])
+    command = ("--data", tmp_path, "--quick", "--jobs", 1)
+    assert run(suite, monkeypatch, "--out", tmp_path / "a", *command) == 1
+    assert "FAILS" in capsys.readouterr().out
+    assert "0 of 1 demands hold." in (tmp_path / "a" / "report.html").read_text("utf-8")
+    assert [row["status"] for row in summary(tmp_path / "a")["rows"]] == ["not held", "ok", "ok"]
+    loose = replace(suite, binding=False)
+    assert run(loose, monkeypatch, "--out", tmp_path / "b", *command, "--quiet") == 0
+
+
+def test_help_of_all_suites_imports_none() -> None:
+    program = (
+        "import sys; sys.argv[1:] = ['evaluate', '--help']\n"
+        "import pbrfit.cli, atexit\n"
+        "atexit.register(lambda: print(sorted(n for n in sys.modules if 'evaluation' in n)))\n"
+        "pbrfit.cli.main()"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout
+    for name, said in commands.SUITES.items():
+        assert f"pbrfit_evaluation.{name}'" not in told
+        assert " ".join(said.split()[:3]) in " ".join(told.split())
+    for name in ("suite", "report"):
+        assert f"'pbrfit_evaluation.{name}'" not in told
+
+
+# -------------------------------------------------------------------------------- rows and tables
+
+
+def test_verdicts() -> None:
+    assert Verdict("a", 1.0, 1.0).holds
+    assert not Verdict("a", 0.5, 1.0, at_least=True).holds
+    assert not Verdict("a", math.nan, 1.0).holds
+    assert not Verdict("a", math.nan, 1.0, at_least=True).holds
+    assert Verdict("a", math.nan, None).holds
+
+
+def test_results() -> None:
+    pairs = [
+        (Task("a", Path("x"), "raise"), Record("a", None, "why", 1.0)),
+        (Task("b", Path("x")), Record("b", {"of": {"it": 1.0}}, None, 1.0)),
+        (Task("c", Path("x")), Record("c", {"of": {"it": 3}}, None, 1.0)),
+        (Task("d", Path("x")), Record("d", {"of": {"it": None}}, None, 1.0)),
+    ]
+    results = Results(argparse.Namespace(), pairs)
+    assert results.numbers("of", "it") == [1.0, 3.0]
+    assert results.mean("of", "it").mean == 2.0
+    assert set(results.metrics(["it"], "of")) == {"it", "it_low", "it_high"}
+    assert results.status("rooms") == "1 of 4 rooms failed"
+    assert results.of(act="well").status() == "ok"
+    assert [case.key for case, _ in results.of(act="well", key="c").pairs] == ["c"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (2.0, "2"), (0.0076, "0.00760"), (123.4, "123"), (0.12, "0.120"), (1e-5, "10⁻⁵"),
+     (1234.5, "1.2·10³"), (math.nan, "not a number"), (math.inf, "infinite")],
+)  # fmt: skip
+def test_digits(value: float, text: str) -> None:
+    assert digits(value) == text
+
+
+def test_rows_as_a_table() -> None:
+    paper = {"albedo": 0.5}
+    rows = [
+        Row("one", 2, "a", {"albedo": 0.25, "albedo_low": 0.125, "albedo_high": 0.5}, paper),
+        Row("one", 2, "b", {"albedo": 0.75, "ssim": 0.5}, paper),
+        Row("one", 2, "guess", {"albedo": 0.0}, paper, guess=True),
+        Row("two", 0, None, {}, status="not run: why"),
+    ]
+    table = Table.of(rows, [Column("albedo", best="low"), Column("ssim", "SSIM", "high")])
+    assert report.markdown(table) == (
+        "|  | scenes | solver | albedo | SSIM | status |\n"
+        "| --- | ---: | --- | ---: | ---: | --- |\n"
+        "| one | 2 | a | **0.250 [0.125, 0.500]** | – |  |\n"
+        "|  |  | b | 0.750 | **0.500** |  |\n"
+        "|  |  | guess | 0 | – |  |\n"
+        "|  |  | paper, other scenes | 0.500 | – |  |\n"
+        "| two | 0 |  | – | – | not run: why |\n"
+    )
+    assert list(Table.of(rows[:1]).columns) == ["", "scenes", "solver", "albedo"]
+
+
+def test_markdown_of_cells() -> None:
+    table = Table(["a", "b\nc"], [["x | y", Cell("1\n[0, 2]", "best")]])
+    assert report.markdown(table) == "| a | b c |\n| --- | ---: |\n| x \\| y | **1 [0, 2]** |\n"
+
+
+# ------------------------------------------------------------------------------------------ plots
+
+SERIES = [
+    Series("a", [1, 10, 100], [1, 2, 4], low=[0.5, 1, 2], high=[2, 4, 8], notes=["", "n", ""]),
+    Series("b", [1, 10, 100], [4, 2, 1], empty=True, look=5),
+]
+MARKS = [Mark(1, "bar"), Mark(2, axis="x", to=3)]
+NAMED = [
+    Series("a", [1, 2], ["x", "y"], low=[0.5, 1], high=[2, 4]),
+    Series("b", [1], ["y"], notes=["1 of 2"]),
+]
+
+
+@pytest.mark.parametrize(
+    "panel",
+    [
+        *(
+            Panel(kind, SERIES, "x / s", "y", log=log, marks=MARKS)
+            for kind in ("lines", "steps", "points")
+            for log in ("", "xy")
+        ),
+        Panel("dots", NAMED, "RMSE", log="x", marks=[Mark(1, "bar", "x")]),
+        Panel("bars", NAMED, "%", x_range=(0, 10)),
+        HeatMap([[0.0, 1.0], [4.0, 9.0]], ["a", "a long name"], ["c", "d"], ratio=True, scale="r"),
+        HeatMap([[0.0, 0.5]], ["a", "b"], ["c"], span=(0.0, 0.5)),
+    ],
+)  # fmt: skip
+def test_plots_show_something(panel: Panel | HeatMap) -> None:
+    for count, columns in ((1, 1), (3, 2)):
+        plot = Plot("p", "c", [replace(panel, title=str(i)) for i in range(count)], columns=columns)
+        picture = Image.open(io.BytesIO(draw(plot)))
+        assert len(picture.convert("RGB").getcolors(10**6) or ()) > 10
+
+
+def test_a_page_holds_its_plots(tmp_path: Path) -> None:
+    plot = Plot("curve", "Error & time.", [Panel("lines", SERIES)])
+    section = Section("A & B", "Said.\n\nTwice.", [Table(["n"], [[1.0], [None]])], [plot])
+    found = report.Outcome([], [], [section], {}, [])
+    report.write(tmp_path, SUITE, argparse.Namespace(scenes=1, effort="full"), found)
+    assert (tmp_path / "curve.png").exists()
+    page = Page((tmp_path / "report.html").read_text("utf-8"))
+    assert [image.attributes["alt"] for image in page.all("img")] == ["Error & time."]
+    assert [cell.text for cell in page.all("td")] == ["1", "–"]
+    assert (tmp_path / "nothing.md").read_text("utf-8").startswith("### A & B\n")
