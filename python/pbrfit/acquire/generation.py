@@ -153,7 +153,8 @@ def generate(
             segments=None if parts is None else parts[1],
         )
         told("writing", rounds.asked, rounds.asked)
-        _write_report(made, report, journal)
+        write_json(made / FILE, report.as_json())
+        (made / SHEET).write_bytes(as_png(report.sheet(journal)))
         enough = len(report.accepted) + with_photo >= PICTURES_MIN
         if enough:
             _write_maps(made, photo, view, surface)
@@ -261,11 +262,6 @@ def _too_few(report: GenerationReport) -> str:
         f"{report.out}: expected at least {PICTURES_MIN} pictures for a scene, found "
         f"{found}{with_photo}; left out were {told or 'none'}"
     )
-
-
-def _write_report(folder: Path, report: GenerationReport, journal: Journal) -> None:
-    write_json(folder / FILE, report.as_json())
-    (folder / SHEET).write_bytes(as_png(report.sheet(journal)))
 
 
 def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> None:

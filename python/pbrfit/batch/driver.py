@@ -149,7 +149,7 @@ def _one_pool(
             continue
         meanwhile(len(running))
         done, _ = wait(running, timeout=workers.patience, return_when=FIRST_COMPLETED)
-        for future in sorted(done, key=_has_failed):
+        for future in sorted(done, key=lambda one: _failure(one) is not None):
             task = running.pop(future)
             room.give_back(task)
             found, died = _outcome(future, workers.deaths)
@@ -194,10 +194,6 @@ def repeat_log(said: Sequence[tuple[int, str]]) -> None:
     """Log here what was logged in another process."""
     for level, message in said:
         log.log(level, "%s", message)
-
-
-def _has_failed(future: Future[Any]) -> bool:
-    return _failure(future) is not None
 
 
 def _failure(future: Future[Any]) -> BaseException | None:

@@ -14,7 +14,7 @@ from typing import get_args
 from pbrfit._core import InputError
 from pbrfit.acquire.generation import generate
 from pbrfit.acquire.generation_report import GenerationReport
-from pbrfit.acquire.generators import Generator, create
+from pbrfit.acquire.generators import create
 from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
 from pbrfit.acquire.rounds import REGENERATE, Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
@@ -221,7 +221,10 @@ def run(options: argparse.Namespace) -> int:
     _check_belonging(options)
     if options.negative is not None:
         catalogue = dataclasses.replace(catalogue, negative=options.negative)
-    generator = _generator(options)
+    names = ["model", "guidance", "steps", "dtype", "offload", "quality"]
+    if options.generator == "flux2-klein":
+        names += ["device", "quiet"]
+    generator = create(options.generator, **{name: getattr(options, name) for name in names})
     networks = {} if options.device is None else {"device": options.device}
     with _progress(options) as told:
         report = generate(
@@ -269,13 +272,6 @@ def _check_belonging(options: argparse.Namespace) -> None:
         raise InputError(
             "--device: goes with flux2-klein, marigold or sam2, found no network to be used"
         )
-
-
-def _generator(options: argparse.Namespace) -> Generator:
-    names = ["model", "guidance", "steps", "dtype", "offload", "quality"]
-    if options.generator == "flux2-klein":
-        names += ["device", "quiet"]
-    return create(options.generator, **{name: getattr(options, name) for name in names})
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, marigold
 from pbrfit.acquire.normals.depth import DepthKind
-from pbrfit.acquire.scene_picture import shown_to_network
+from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands.arguments import (
     DONE,
     add_quiet,

@@ -7,7 +7,7 @@ import argparse
 import numpy as np
 
 from pbrfit.acquire import segments
-from pbrfit.acquire.scene_picture import shown_to_network
+from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands.arguments import (
     DONE,
     add_quiet,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, depth, estimate, weights_of
 from pbrfit.acquire.normals.marigold import mean_and_spread
-from pbrfit.acquire.scene_picture import shown_to_network
+from pbrfit.acquire.photo import shown_to_network
 from pbrfit.io import images
 from pbrfit.io.normal_files import UNCERTAINTY, Convention, read_normals
 from pbrfit.model.geometry import angles_between, facing_away, view_directions

@@ -148,7 +148,7 @@ def test_quiet_prints_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert run("decompose", folder, "--out", tmp_path / "out", *FEW, "--quiet") == 0
     assert run("demo", tmp_path / "demo", "--size", 8, "--lights", 2, *FEW, "--quiet") == 0
     assert capsys.readouterr() == ("", "")
-    assert run("decompose", tmp_path / "none", "--out", tmp_path / "out", "--quiet") == 2
+    assert run("decompose", tmp_path / "none", "--out", tmp_path / "new", "--quiet") == 2
     assert "none: expected a scene folder" in one_line(capsys)  # errors are shown
 
 
@@ -255,9 +255,13 @@ def test_when_all_scenes_fail_nothing_is_left(
     tmp_path: Path, scenes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("decompose", scenes, "--out", tmp_path / "out", "--iterations", -1) == 2
-    lines = capsys.readouterr().err.splitlines()
     expected = "iterations: expected a whole number, 0 or more, found -1"
-    assert lines[0] == f"pbrfit: {scenes / 'one'}: {expected}"
+    assert one_line(capsys) == f"pbrfit: {expected}\n"  # before any scene is read
+    for name in ("one", "two"):
+        (scenes / name / "normals.exr").unlink()
+    assert run("decompose", scenes, "--out", tmp_path / "out", *FEW) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith(f"pbrfit: {scenes / 'one'}: expected normals.exr")
     assert lines[2].startswith("pbrfit: 2 of 2 scenes failed")
     assert not (tmp_path / "out").exists()
 

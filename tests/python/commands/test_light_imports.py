@@ -60,7 +60,7 @@ with suppress(SystemExit):
 
 
 def test_the_networks_interfaces_import_nothing_heavy() -> None:
-    modules = "padding, photo, prompts, weights, generators, segments, scene_picture"
+    modules = "padding, photo, prompts, weights, generators, segments"
     run = "from pbrfit.acquire import generation"
     folder = "from pbrfit.acquire.generators import flux2_klein, folder, gpt_image"
     normals = "from pbrfit.acquire.normals import maps, marigold"
