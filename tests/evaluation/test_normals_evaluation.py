@@ -48,12 +48,16 @@ def scene() -> Scene:
 # ---------------------------------------------------------------------------------- disturbances
 
 
-@pytest.mark.parametrize("degrees", [2.0, 10.0])
-def test_correlated_turns_have_the_mean_angle_of_two_components(
-    scene: Scene, degrees: float
+@pytest.mark.parametrize(
+    ("kind", "degrees", "within"),
+    [("correlated", 2.0, 0.1), ("correlated", 10.0, 0.1), ("estimator", 5.0, 0.01)],
+)
+def test_turns_have_the_mean_angle_of_two_components(
+    scene: Scene, kind: Any, degrees: float, within: float
 ) -> None:
-    off = angles_between(disturbed(scene, "correlated", degrees, 5), scene.normals)[scene.valid]
-    assert off.mean() == pytest.approx(MEAN_OF_THETA * degrees, rel=0.1)
+    off = angles_between(disturbed(scene, kind, degrees, 5), scene.normals)[scene.valid]
+    assert off.mean() == pytest.approx(MEAN_OF_THETA * degrees, rel=within)
+    assert np.median(off) < off.mean()  # a few are large
 
 
 def test_correlated_turns_are_alike_nearby_and_grow_with_theta(scene: Scene) -> None:
@@ -74,13 +78,6 @@ def test_a_bias_turns_all_normals_together(scene: Scene) -> None:
     off = angles_between(found, scene.normals)[kept]
     assert off.mean() > 2
     assert off.max() <= 10 + 1e-9
-
-
-@pytest.mark.parametrize("degrees", [5.0, 20.0])
-def test_errors_of_an_estimator_are_scaled_to_the_mean_angle(scene: Scene, degrees: float) -> None:
-    off = angles_between(disturbed(scene, "estimator", degrees, 5), scene.normals)[scene.valid]
-    assert off.mean() == pytest.approx(MEAN_OF_THETA * degrees, rel=0.01)
-    assert np.median(off) < off.mean()  # a few are large
 
 
 @pytest.mark.parametrize("kind", DISTURBANCES)
@@ -119,49 +116,34 @@ def test_turns_and_bending_by_hand() -> None:
 # ------------------------------------------------------------------------------------- the tasks
 
 
-def partly(share: float) -> Callable[..., Result]:
-    """Stand in for `decompose`: "on" and "auto" turn normals `share` of the way to the true ones.
-
-    Normals that are true already are left as they are.
-    """
-    truths: dict[bytes, Array] = {}
-
-    def learn(true: Scene) -> None:
-        truths[true.images.tobytes()] = np.asarray(true.normals, np.float64)
-
-    def fit(given: Scene, *, refine_normals: Any, **options: Any) -> Result:
-        before = np.asarray(given.normals, np.float64)
-        true = truths[given.images.tobytes()]
-        wrong = bool(np.nanmax(np.abs(before - true)) > 1e-9)
-        if refine_normals == "off" or not wrong:
-            held = decompose(given, refine_normals="off", **options)
-            return replace(held, refinement=Refinement(refine_normals, False, "nothing to do"))
-        after = unit(before + share / (1 - share) * true)
-        held = decompose(replace(given, normals=after), refine_normals="off", **options)
-        why = Refinement(refine_normals, True, "more than noise is left", {"noise": 0.01})
-        return replace(held, given_normals=before, refinement=why)
-
-    fit.learn = learn  # type: ignore[attr-defined]
-    return fit
-
-
 @pytest.fixture
 def half_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every fit of the suite turns normals half of the way."""
-    fit: Any = partly(0.5)
+    """Stand in for `decompose`: "on" and "auto" turn wrong normals half of the way back."""
+    truths: dict[bytes, Array] = {}
 
-    def told(make: Callable[..., Scene]) -> Callable[..., Scene]:
+    def known(make: Callable[..., Scene]) -> Callable[..., Scene]:
         def made(*arguments: Any, **options: Any) -> Scene:
             found = make(*arguments, **options)
-            fit.learn(found)
+            truths[found.images.tobytes()] = np.asarray(found.normals, np.float64)
             return found
 
         return made
 
+    def fit(given: Scene, *, refine_normals: Any, **options: Any) -> Result:
+        before = np.asarray(given.normals, np.float64)
+        true = truths[given.images.tobytes()]
+        if refine_normals == "off" or np.nanmax(np.abs(before - true)) < 1e-9:
+            held = decompose(given, refine_normals="off", **options)
+            return replace(held, refinement=Refinement(refine_normals, False, "nothing to do"))
+        after = replace(given, normals=unit(before + true))
+        held = decompose(after, refine_normals="off", **options)
+        why = Refinement(refine_normals, True, "more than noise is left", {"noise": 0.01})
+        return replace(held, given_normals=before, refinement=why)
+
     monkeypatch.setattr(fits, "decompose", fit)
     for module in (rooms, cost):
-        monkeypatch.setattr(module, "room", told(fits.room))
-    monkeypatch.setattr(real, "load", told(sources.load))
+        monkeypatch.setattr(module, "room", known(fits.room))
+    monkeypatch.setattr(real, "load", known(sources.load))
 
 
 def asked(*, quick: bool = False, **changes: Any) -> Namespace:
@@ -292,17 +274,6 @@ def test_public_sets_start_from_wrong_normals_and_are_shown(tmp_path: Path) -> N
     }  # fmt: skip
 
 
-def test_folders_without_true_normals_hold_no_sets(tmp_path: Path) -> None:
-    scene = tmp_path / "scene"
-    (scene / "images").mkdir(parents=True)
-    for i in range(3):
-        images.write_png(scene / "images" / f"{i}.png", np.full((4, 4, 3), 9, np.uint8), tag=None)
-    images.write_exr(
-        scene / "normals.exr", {n: np.full((4, 4), float(n == "Z"), np.float32) for n in "XYZ"}
-    )
-    assert real.find([tmp_path]) == []
-
-
 def test_the_bunnies_are_found(shared_data: Path) -> None:
     names = {source.name for source in real.find([shared_data])}
     expected = {"bunny_specular_25", "bunny_lambert_noshadow_12", "maxcrous_sphere_color"}
@@ -375,24 +346,21 @@ def test_won_back_is_of_the_loss_of_means() -> None:
 
 
 @pytest.mark.parametrize(
-    ("theta", "auto", "angle", "metallic", "others", "angles"),
+    ("theta", "auto", "angle", "failing"),
     [
-        (5.0, 0.119, 1.5, True, True, True),
-        (5.0, 0.131, 1.5, True, False, True),  # 84.5 %
-        (10.0, 0.181, 3.2, False, False, False),  # 59.5 %, angle 0.255
-        (20.0, 0.199, 12.4, True, True, True),
-        (20.0, 0.201, 12.6, False, False, False),
+        (5.0, 0.119, 1.5, 0),
+        (5.0, 0.131, 1.5, 3),  # 84.5 %: metallic alone holds
+        (10.0, 0.181, 3.2, 5),  # 59.5 %, angle 0.255
+        (20.0, 0.199, 12.4, 0),
+        (20.0, 0.201, 12.6, 5),
     ],
 )
-def test_bars_of_rooms(
-    theta: float, auto: float, angle: float, metallic: bool, others: bool, angles: bool
-) -> None:
+def test_bars_of_rooms(theta: float, auto: float, angle: float, failing: int) -> None:
     pairs = [room_of("true", 0, 1, 0.1, 0.1), room_of("correlated", theta, 1, 0.3, auto, angle)]
-    found = judged("rooms", pairs)
-    assert by_what(found, "metallic loss").holds == metallic
-    for name in ("albedo", "roughness", "relight"):
-        assert by_what(found, f"{name} loss").holds == others
-    assert by_what(found, "after over before").holds == angles
+    found = [v for v in judged("rooms", pairs) if v.what.startswith("correlated")]
+    assert len(found) == 5
+    assert sum(not verdict.holds for verdict in found) == failing
+    assert by_what(found, "metallic loss").holds == (failing < 5)
 
 
 @pytest.mark.parametrize(("auto", "angle"), [(0.103, 0.29), (0.1031, 0.31)])

@@ -34,8 +34,10 @@ def figures(results: Results[Task]) -> list[Row]:
     for method in METHODS:
         of = results.of(method=method)
         names = [field.name for field in fields(Scores)] if of.finished else []
-        errors = [(record.error or "").removeprefix(ABSENT) for record in of.failed]
-        status = f"not run: {errors[0]}" if errors else "ok"
+        errors = [record.error or "" for record in of.failed]
+        status = errors[0] if errors else "ok"
+        if status.startswith(ABSENT):
+            status = f"not run: {status.removeprefix(ABSENT)}"
         solver = "auto" if method == "pbrfit" else None
         metrics = of.metrics(names, "scores")
         rows.append(Row(IN_WORDS[method], len(of.finished), solver, metrics, status=status))
