@@ -33,7 +33,7 @@ from pbrfit.export import export_result  # noqa: E402
 from pbrfit.export.view_mesh import Geometry  # noqa: E402
 from pbrfit.io import images  # noqa: E402
 from pbrfit.model import panorama  # noqa: E402
-from pbrfit.result.colormap import blue_to_yellow  # noqa: E402
+from pbrfit.result.differences import blue_to_yellow  # noqa: E402
 from pbrfit.result.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
 from pbrfit.synthetic import make_scene  # noqa: E402
 

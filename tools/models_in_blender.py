@@ -30,7 +30,7 @@ from blender_card import Rendering, in_blender  # noqa: E402
 from pbrfit import Result, decompose, relight  # noqa: E402
 from pbrfit.export import export_result  # noqa: E402
 from pbrfit.io import images  # noqa: E402
-from pbrfit.result.colormap import blue_to_yellow  # noqa: E402
+from pbrfit.result.differences import blue_to_yellow  # noqa: E402
 from pbrfit.result.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
 from pbrfit.synthetic import make_scene  # noqa: E402
 

@@ -173,7 +173,7 @@ def _map(_folder: Path, file: Path) -> None:
 
 def _scene(folder: Path, file: Path) -> None:
     if file.name == "scene.toml":
-        settings = scene_folder.read_settings(file, {})
+        settings = scene_folder.read_settings(file)
         assert settings.fov is None or 0 <= settings.fov < 180
     scene = Scene.load(folder)
     assert scene.images.shape == (len(scene.names), 16, 16, 3)

@@ -108,6 +108,7 @@ def lines(folder: Path, *suffixes: str) -> int:
     )
 
 
+@pytest.mark.xfail(reason="not reached yet; remove this mark where it is", strict=True)
 @pytest.mark.parametrize(
     ("folder", "most"), [("python/pbrfit", 26_000), ("evaluation", 12_000), ("tests", 33_000)]
 )

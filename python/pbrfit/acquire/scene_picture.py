@@ -39,7 +39,7 @@ def shown_to_network(
     """
     paths = scene_folder.find_pictures(folder)
     if color_space is None:
-        color_space = scene_folder.read_settings(folder / "scene.toml", {}).color_space
+        color_space = scene_folder.read_settings(folder / "scene.toml").color_space
     if picture is not None:
         names = [path.stem for path in paths]
         if picture not in names:

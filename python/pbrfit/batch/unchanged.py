@@ -59,7 +59,7 @@ def check_model(output: Path, scene: Path, options: FitOptions) -> None:
         content = table(json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, RecursionError):
         return
-    of_pictures = scene_folder.read_settings(scene / "scene.toml", {}).model
+    of_pictures = scene_folder.read_settings(scene / "scene.toml").model
     found, wanted = model_of(content, file), chosen_model(options.model, of_pictures)
     if found != wanted:
         raise InputError(

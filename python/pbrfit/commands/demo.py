@@ -20,7 +20,7 @@ from pbrfit.io.output import new_folder
 from pbrfit.io.relit_files import Screen, write_animation, write_png
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.report import write_report
-from pbrfit.result.preview import plot_history
+from pbrfit.result.drawing import plot_history
 from pbrfit.result.relighting import DirectionalLight, relight
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene

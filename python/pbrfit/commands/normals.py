@@ -173,7 +173,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
         fov = scene_folder.field_of_view(options.scene, given.pop("fov", None))
         found = estimate(options.source, blank, fov=fov, **given)
         return found, f"from the depth in {path}, field of view {fov:g} degrees"
-    convention = scene_folder.read_settings(options.scene / "scene.toml", {}).convention
+    convention = scene_folder.read_settings(options.scene / "scene.toml").convention
     if "convention" in given:
         given["axes"] = given.pop("convention")
     convention = dataclasses.replace(convention, **given)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 PIXELS = 4096
-"""That stand for all in M; its 136 numbers need no more."""
+"""Number of pixels that stand for all in M, whose 136 numbers need no more."""
 
 RIDGE = 1e-3
 """ε, in units of the mean eigenvalue of M. With 1e-2, 1e-3, 1e-4 panoramas of a single lamp light a

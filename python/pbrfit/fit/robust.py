@@ -1,7 +1,7 @@
 """Robust losses: their scale from residuals, and the pixels that it is estimated at.
 
 A robust loss φ(e) is e² for residuals e that noise explains and grows slower beyond, so that
-shadows, interreflections and highlights outside the model pull less (the formulas are in
+shadows, interreflections and highlights outside the model weigh less (the formulas are in
 `rust/problem/robust.rs`). Where it bends is its scale δ, a multiple of the noise's standard
 deviation σ, which is not known and is taken from the residuals themselves.
 
@@ -63,7 +63,7 @@ def loss_scale(loss: str, sigma: float) -> float:
 
 
 def irls_weights(loss: tuple[str, float], residuals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """φ'(e)/2e: how much a residual pulls beside its square, 1 for small ones.
+    """φ'(e)/2e: the weight of a residual beside its square, 1 for small ones.
 
     Squares with these weights have the slopes that the loss has.
 

@@ -547,3 +547,30 @@ almost the same pixels."""
 
 
 # --- Uncertainty ------------------------------------------------------------------------------
+
+SIGMA_UNDETERMINED = 1 / math.sqrt(12)
+"""Marginal standard deviation of a material value above which it counts as not determined: that of
+a number about which nothing is known but that it lies in [0, 1]."""
+
+SIGMA_MAX = 1.0
+"""Standard deviation of a material value at which larger ones are cut off, the width of its
+range."""
+
+LIGHT_PIXELS_MAX = 4096
+"""Pixels, evenly spread, up to which all and above which so many give the covariance of the lights.
+Time and memory grow with them, the deviations hardly change."""
+
+OMITTED_VARIANCE_SHARE_MAX = 1e-3
+"""Share of the pixels' variances, in the mean, that the modes of the lights which are left out may
+add together; smaller keeps more modes."""
+
+LIGHT_INFORMATION_MIN = 1e-10
+"""Share of its information that a direction of the light keeps when materials are fitted too, below
+which it is rounding: materials can make up for that direction completely."""
+
+FREE_MOVE_MAX = 0.01
+"""Change of a material value, when the light changes by its own size in a direction that materials
+can make up for, above which the value is not determined."""
+
+OMITTED_CHECK_PIXELS = 512
+"""Pixels in which the deviations by the modes in use are compared with those by all."""

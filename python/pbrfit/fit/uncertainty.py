@@ -17,43 +17,31 @@ from pbrfit.fit.gauss_newton.normal_equations import WORKING_SET, chunks, held_a
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.settings import (
+    FREE_MOVE_MAX,
+    LIGHT_INFORMATION_MIN,
+    LIGHT_PIXELS_MAX,
+    OMITTED_CHECK_PIXELS,
+    OMITTED_VARIANCE_SHARE_MAX,
+    SIGMA_MAX,
+    SIGMA_UNDETERMINED,
+)
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 
-UNDETERMINED = 1 / math.sqrt(12)
-"""Deviation of a number about which nothing is known but that it lies in [0, 1]. From here on the
-pictures say nothing about it."""
-
-LARGEST = 1.0
-"""Deviations are cut off here, the width of the range."""
-
-LIGHT_PIXELS = 4096
-"""At most so many pixels, evenly spread, tell how uncertain the lights are."""
-
-OMITTED = 1e-3
-"""Modes of the lights are left out while all of them together raise the pixels' variances by less
-than this share in the mean."""
-
-FREE = 1e-10
-"""Share of its information that a direction of the light keeps when materials are fitted too. Below
-this it is rounding: materials can make up for it completely."""
-
-FREE_MOVE = 0.01
-"""An unknown that moves by more than this when the light changes by as much as it is itself, in a
-direction that materials can make up for, is not determined."""
-
-PIECES = 16
-"""At least so many pieces are the pixels taken in, so that their matrices take little memory beside
+PIECES_MIN = 16
+"""Pieces that the pixels are taken in, at least, so that their matrices take little memory beside
 the pictures."""
-
-CHECKED = 512
-"""Pixels in which the modes that were used are compared with all."""
 
 
 def estimate(
-    objective: Objective, x: Array, *, priors: bool = False, light_pixels: int = LIGHT_PIXELS
+    objective: Objective,
+    x: Array,
+    *,
+    priors: bool = False,
+    light_pixels: int = LIGHT_PIXELS_MAX,
 ) -> Uncertainty:
     """Uncertainty of a fit.
 
@@ -64,9 +52,9 @@ def estimate(
     x
         Where its minimum was found.
     priors
-        Whether priors took part in the fit; only told on.
+        Whether priors took part in the fit; passed on to `Uncertainty`.
     light_pixels
-        The lights' covariance is taken from at most so many pixels.
+        Most pixels that the lights' covariance is taken from.
 
     Returns
     -------
@@ -102,15 +90,15 @@ class Variances:
         Which are not determined.
     held
         Which are held at a bound.
-    squares
-        (P,): what is left of the pixels.
+    sum_sq_residuals
+        (P,): each pixel's sum of squared residuals.
     """
 
     conditional: NDArray[np.floating[Any]]
     marginal: NDArray[np.floating[Any]]
     singular: NDArray[np.bool_]
     held: NDArray[np.bool_]
-    squares: Array
+    sum_sq_residuals: Array
 
     @classmethod
     def empty(cls, pixels: int, unknowns: int) -> Variances:
@@ -129,7 +117,7 @@ class Variances:
         largest = np.finfo(np.float32).max
         for name in ("conditional", "marginal"):
             getattr(self, name)[pixels] = np.minimum(getattr(other, name)[of_other], largest)
-        for name in ("singular", "held", "squares"):
+        for name in ("singular", "held", "sum_sq_residuals"):
             getattr(self, name)[pixels] = getattr(other, name)[of_other]
 
 
@@ -141,11 +129,11 @@ def variances(objective: Objective, x: Array, lights: LightModes | None) -> Vari
     conditional = np.empty(held.shape)
     marginal = np.empty(held.shape)
     singular = np.empty(held.shape, dtype=bool)
-    squares = np.empty(layout.pixels)
-    bytes_each = max(8 * 4 * held.shape[1] ** 2, PIECES * WORKING_SET // layout.pixels)
+    sum_sq_residuals = np.empty(layout.pixels)
+    bytes_each = max(8 * 4 * held.shape[1] ** 2, PIECES_MIN * WORKING_SET // layout.pixels)
     for chunk in chunks(layout.pixels, bytes_each):
         pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
-        matrices, _, squares[chunk] = problem.normal_equations(for_core, pixels)
+        matrices, _, sum_sq_residuals[chunk] = problem.normal_equations(for_core, pixels)
         found = inverse(matrices, held[chunk])
         conditional[chunk] = np.einsum("pii->pi", found.matrices)
         marginal[chunk] = conditional[chunk]
@@ -155,8 +143,8 @@ def variances(objective: Objective, x: Array, lights: LightModes | None) -> Vari
             marginal[chunk] += problem.moves_with_lights(*args, lights.modes)
             if len(lights.free):
                 moves = problem.moves_with_lights(*args, lights.free)
-                singular[chunk] |= moves > FREE_MOVE**2
-    return Variances(conditional, marginal, singular, held, squares)
+                singular[chunk] |= moves > FREE_MOVE_MAX**2
+    return Variances(conditional, marginal, singular, held, sum_sq_residuals)
 
 
 def of_variances(
@@ -182,20 +170,20 @@ def of_variances(
     held = found.held
     unknowns = np.count_nonzero(~held) + layout.size - layout.maps.stop
     degrees = samples - unknowns
-    noise = math.sqrt(float(found.squares.sum()) / degrees) if degrees > 0 else None
+    noise = math.sqrt(float(found.sum_sq_residuals.sum()) / degrees) if degrees > 0 else None
 
     def deviations(variances: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """In their place."""
         np.sqrt(variances, out=variances)
         variances *= noise or 0.0
-        variances[found.singular | (not degrees > 0) & ~held] = LARGEST
-        np.minimum(variances, LARGEST, out=variances)
+        variances[found.singular | (not degrees > 0) & ~held] = SIGMA_MAX
+        np.minimum(variances, SIGMA_MAX, out=variances)
         return variances
 
     albedo_scale = np.zeros(3)
     if lights is not None:
         albedo_scale[:] = (
-            np.minimum(lights.scale * noise, LARGEST) if noise is not None else LARGEST
+            np.minimum(lights.scale * noise, SIGMA_MAX) if noise is not None else SIGMA_MAX
         )
     red, green, blue = albedo_scale.tolist()
     of_conditional = _materials(deviations(found.conditional), layout)
@@ -203,7 +191,7 @@ def of_variances(
     return Uncertainty(
         conditional=of_conditional,
         marginal=_materials(marginal, layout),
-        undetermined=_flags(marginal > UNDETERMINED, layout),
+        undetermined=_flags(marginal > SIGMA_UNDETERMINED, layout),
         on_bound=_flags(held, layout),
         noise=None if noise is None else noise * scale,
         albedo_scale=(red, green, blue),
@@ -242,7 +230,7 @@ class LightModes:
 def light_modes(
     objective: Objective,
     x: Array,
-    light_pixels: int = LIGHT_PIXELS,
+    light_pixels: int = LIGHT_PIXELS_MAX,
     of_pixels: int | None = None,
 ) -> LightModes | None:
     """How the lights of a fit may move, from their spectrum over some of its pixels.
@@ -261,31 +249,33 @@ def light_modes(
     own_held = held[pixels]
     known = spectrum(objective.problem, for_core, layout, pixels, own_held)
     left, vectors = known.left, known.vectors
-    lit, k = layout.light_channels, layout.coefficients
-    blocks = layout.pictures * lit
+    light_channels, k = layout.light_channels, layout.coefficients
+    blocks = layout.pictures * light_channels
 
     def in_x(of_units: Array) -> Array:
         """(modes, N, K, C) from modes in the columns."""
         modes = np.einsum("aki,aim->mak", known.from_units, of_units.reshape(blocks, k, -1))
-        modes = modes.reshape(-1, layout.pictures, lit, k).transpose(0, 1, 3, 2)
-        return np.ascontiguousarray(np.repeat(modes, layout.channels // lit, axis=-1))
+        modes = modes.reshape(-1, layout.pictures, light_channels, k).transpose(0, 1, 3, 2)
+        return np.ascontiguousarray(np.repeat(modes, layout.channels // light_channels, axis=-1))
 
     # What the other pixels know of the lights is taken to be like what these know.
     more = (of_pixels or layout.pixels) / len(pixels)
-    is_free = left < FREE
-    left = np.maximum(left, FREE)
+    is_free = left < LIGHT_INFORMATION_MIN
+    left = np.maximum(left, LIGHT_INFORMATION_MIN)
     deviation = 1 / np.sqrt(more * left)
     adds = (1 - left) / left
     remaining = np.cumsum(adds[::-1])[::-1] + known.rest / left[-1]  # λ rises
     remaining /= more * max(1, int(np.count_nonzero(~own_held)))
-    used = int(np.count_nonzero(~is_free & (remaining > OMITTED)))
+    used = int(np.count_nonzero(~is_free & (remaining > OMITTED_VARIANCE_SHARE_MAX)))
     modes = in_x((vectors * deviation)[:, ~is_free])
-    lights = for_core[layout.maps.stop :].reshape(layout.pictures, k, -1)[..., :lit]
+    lights = for_core[layout.maps.stop :].reshape(layout.pictures, k, -1)[..., :light_channels]
     in_units = np.einsum("aik,ak->ai", known.to_units, lights.transpose(0, 2, 1).reshape(blocks, k))
     return LightModes(
         modes=modes[:used],
         free=in_x(vectors[:, is_free] * np.linalg.norm(in_units)),
-        scale=_scale_deviation(in_units.reshape(layout.pictures, lit, k), vectors, deviation, more),
+        scale=_scale_deviation(
+            in_units.reshape(layout.pictures, light_channels, k), vectors, deviation, more
+        ),
         pixels=len(pixels),
         omitted=_omitted(objective, for_core, pixels, own_held, modes, used),
     )
@@ -317,7 +307,7 @@ def _omitted(
     used: int,
 ) -> float:
     """Largest share of a deviation that the modes from `used` on would add, over some pixels."""
-    some = evenly_spaced(len(pixels), CHECKED)
+    some = evenly_spaced(len(pixels), OMITTED_CHECK_PIXELS)
     matrices, _, _ = objective.problem.normal_equations(for_core, pixels[some])
     found = inverse(matrices, held[some])
     args = for_core, pixels[some], found.matrices

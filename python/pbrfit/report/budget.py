@@ -16,8 +16,8 @@ LIMIT = 20_000_000
 
 VIEW_SHARE = 0.4
 MAPS_SHARE = 0.6
-"""Of the limit for the relight view, and of what that leaves for the maps. Pictures have the rest;
-what one part does not need goes to the next."""
+"""Shares of the limit: for the relight view, and for the maps of what that leaves. Pictures have
+the rest; what one part does not need goes to the next."""
 
 LARGEST = 1024
 """Longer side of a map or the relight view in pixels."""

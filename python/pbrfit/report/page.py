@@ -20,8 +20,7 @@ from pbrfit.report.notation import percent, plain
 from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
 from pbrfit.result import differences
-from pbrfit.result.drawing import as_svg
-from pbrfit.result.history_plot import draw_history
+from pbrfit.result.drawing import as_svg, draw_history
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.result import Result
 

@@ -13,6 +13,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_number
 from pbrfit.io.json_files import table
+from pbrfit.io.quoting import listed
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model, checked_model, whole_number
 from pbrfit.result.refinement import CHOICES, RefineNormals
 
@@ -219,6 +220,9 @@ class FitOptions:
         values = {"refine_normals": "off", **table(content)}
         if "priors" in values:
             values["priors"] = Priors(**table(values["priors"]))
+        unknown = set(values) - {one.name for one in fields(cls)}
+        if unknown:
+            raise ValueError(f"options {listed(unknown)}")
         return cls(**values)
 
 

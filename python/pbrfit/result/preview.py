@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,19 +96,6 @@ def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
         [[*row, Panel("standard deviation", _painted(sigma))]],
         keys=[_key("standard deviation of the normals", ticks, {})],
     )
-
-
-def plot_history(result: ResultData, path: Path) -> None:
-    """Errors against run time and iterations, logarithmic, as PNG."""
-    from pbrfit.result import drawing
-    from pbrfit.result.history_plot import draw_history
-
-    height, width = result.mask.shape
-    title = (
-        f"Error against run time: {len(result.pictures)} pictures, {width} × {height} pixels, "
-        f"{result.options.solver}"
-    )
-    path.write_bytes(drawing.as_png(draw_history(result.history, title), 120))
 
 
 def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:

@@ -18,7 +18,6 @@ from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
-from pbrfit.scene.segments import consecutive_labels
 
 if TYPE_CHECKING:
     from pbrfit.io.color import ColorSpace
@@ -445,3 +444,14 @@ def _warn_if_flat(normals: NDArray[np.float64]) -> None:
             "for material and light",
             *(x, y, z),
         )
+
+
+def consecutive_labels(ids: NDArray[np.integer[Any]]) -> tuple[NDArray[np.intp], int]:
+    """Labels 1 … S in the order of the ids, of the shape of `ids`, and S; id 0 stays 0.
+
+    0 means unclassified, whether or not it occurs. Ids may be negative, large and sparse.
+    """
+    found, index = np.unique(ids, return_inverse=True)
+    classified = found != 0
+    labels = np.where(classified, np.cumsum(classified), 0)
+    return labels[index.reshape(ids.shape)], int(np.count_nonzero(classified))

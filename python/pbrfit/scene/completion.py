@@ -14,8 +14,6 @@ from pbrfit.io.normal_files import find_normals, write_normals
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.scene import folder as scene_folder
 
-SEGMENT_FILE = "segments.png"
-
 
 def picture_size(folder: Path) -> tuple[int, int]:
     """(height, width) of a scene folder's pictures, as its maps must have it.
@@ -102,7 +100,7 @@ def add_normals(
 
 def _to_convention(folder: Path, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     """Normals (..., 3) of camera space as the folder's `scene.toml` says they are written."""
-    settings = scene_folder.read_settings(folder / "scene.toml", {})
+    settings = scene_folder.read_settings(folder / "scene.toml")
     try:
         return settings.convention.from_camera(normals)
     except InputError as error:
@@ -134,13 +132,13 @@ def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = Fal
     check_no_segments(folder, overwrite=overwrite)
     if ids.shape != picture_size(folder):
         raise InputError(f"segments: expected shape {picture_size(folder)}, found {ids.shape}")
-    path = folder / SEGMENT_FILE
+    path = folder / scene_folder.SEGMENT_FILE
     images.write_png(path, ids, tag=None)
     return path
 
 
 def check_no_segments(folder: Path, *, overwrite: bool) -> None:
     """Raise FileExistsError if the folder has segments and `overwrite` is False."""
-    path = folder / SEGMENT_FILE
+    path = folder / scene_folder.SEGMENT_FILE
     if path.exists() and not overwrite:
         raise FileExistsError(f"{path}: expected no segments yet, found some; --overwrite replaces")

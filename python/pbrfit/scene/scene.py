@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import CODE_RANGE
-from pbrfit.scene import folder
+from pbrfit.scene import reading, writing
 from pbrfit.scene.arrays import SceneArrays
 
 
@@ -45,7 +45,7 @@ class Scene(SceneArrays):
         InputError, OSError
             One line that names the file, what was expected and what was found.
         """
-        return folder.load(
+        return reading.load(
             Path(path),
             cls,
             fov=fov,
@@ -65,4 +65,4 @@ class Scene(SceneArrays):
         FileExistsError
             If the folder exists and `overwrite` is False.
         """
-        folder.save(self, Path(path), overwrite=overwrite)
+        writing.save(self, Path(path), overwrite=overwrite)

@@ -38,6 +38,7 @@ def test_a_network_is_shown_the_bytes_of_an_8_bit_file(
     assert photo.exposure == 0
 
 
+@pytest.mark.slow
 def test_a_large_photograph_is_averaged_in_linear_light(tmp_path: Path) -> None:
     codes = noise(300, 400, 3).repeat(10, axis=0).repeat(10, axis=1)  # 4000 × 3000
     Image.fromarray(codes).save(tmp_path / "photo.png", compress_level=1)

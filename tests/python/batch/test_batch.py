@@ -153,6 +153,7 @@ def test_what_is_not_there_can_be_read_nor_written_is_one_line_a_scene(
     assert last == f"pbrfit: 1 of 3 scenes failed: {folder / 'one'}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_batch_leaves_whole_results_and_no_process(
     folder: Path, tmp_path: Path, signal_number: int

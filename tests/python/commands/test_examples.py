@@ -22,6 +22,7 @@ def run(
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "result", "pictures"),
     [
@@ -89,6 +90,7 @@ def test_existing_output_is_refused_in_one_line(shared_data: Path, tmp_path: Pat
     assert (tmp_path / "bunny_specular_25" / "scene" / "mine.txt").exists()
 
 
+@pytest.mark.slow
 def test_one_photograph_becomes_materials(tmp_path: Path) -> None:
     out = tmp_path / "out"
     ran = run("--out", out, "--size", "160", "--iterations", "3", example="one_photograph.py")

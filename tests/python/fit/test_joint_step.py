@@ -223,6 +223,7 @@ def taken(case: Case, damping: float = 0.0, share: float = 1.0) -> SubsetState:
     return step(share)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_joint_step_solves_the_whole_system(kind: str) -> None:
     made = case(**KINDS[kind])

@@ -223,6 +223,7 @@ class TestPrediction:
         if method == "auto":
             assert refined.peak * 2e6 / size**2 < 8 * GIB
 
+    @pytest.mark.slow
     @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
     @pytest.mark.parametrize("method", ["lbfgsb", "auto"])
     def test_is_what_a_process_takes(self, method: Method) -> None:

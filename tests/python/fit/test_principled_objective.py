@@ -119,6 +119,7 @@ def test_extreme_pixels_agree_and_are_finite(normals: str) -> None:
     assert_agrees(found, case)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("normals", ["known", "free"])
 def test_the_number_of_threads_changes_no_bit(normals: str) -> None:
     case = planted(5000, 5, normals=normals)

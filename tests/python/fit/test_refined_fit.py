@@ -97,6 +97,7 @@ def room() -> Scene:
     return right(20, 8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", ["on", "auto"])
 def test_wrong_normals_are_put_right_and_materials_with_them(
     room: Scene, asked: RefineNormals
@@ -145,6 +146,7 @@ def test_true_normals_are_kept_and_change_nothing(noise: float, seed: int) -> No
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"noise": 0.01}, {"mono_light": True}], ids=str)
 def test_the_number_of_threads_changes_no_bit(options: dict[str, Any]) -> None:
     options = dict(options)
@@ -200,6 +202,7 @@ def test_auto_does_not_refine_what_is_not_fitted_yet(iterations: int) -> None:
     assert result.refinement.why == why
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("iterations", [1, 3, 12])
 def test_each_fit_has_its_iterations_and_no_more(solver: Solver, iterations: int) -> None:
@@ -218,6 +221,7 @@ def test_each_fit_has_its_iterations_and_no_more(solver: Solver, iterations: int
     assert all(progress.iteration <= progress.iterations for progress in seen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["auto", "lbfgsb"])
 def test_the_history_ends_with_the_fit_that_is_kept(solver: Solver) -> None:
     """Six pictures of 12² do not tell enough of normals 5 degrees off for `auto` to keep others."""
@@ -334,6 +338,7 @@ def test_lights_are_those_of_the_joint_steps_unless_more_is_asked_of_them(
     assert recon == pytest.approx(result.metrics["recon_rmse"], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", ["on", "auto"])
 @pytest.mark.parametrize("size", [16, 24])
 def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
@@ -462,6 +467,7 @@ def test_normals_of_all_kinds_have_a_finite_answer(asked: RefineNormals, kind: s
     assert result.refinement.refined or asked == "auto"
 
 
+@pytest.mark.slow
 def test_normals_of_which_all_are_equally_sure_are_as_good_as_any() -> None:
     scene = small()
     plain, zero, five = (

@@ -367,7 +367,7 @@ def test_the_page_says_why_normals_are_as_given(result: Result, tmp_path: Path) 
     words = "The normals were left as given: the pictures are explained to their noise."
     assert page.text.count(words) == 2
     assert "something new" in page.text
-    assert "not known" in page.text
+    assert "unknown" in page.text
     assert "Angle between" not in page.content
     off = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
     page = page_of(off, tmp_path / "page.html")

@@ -64,6 +64,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_results_do_not_depend_on_threads_or_processors(
     scene: Path, tmp_path: Path, solver: str

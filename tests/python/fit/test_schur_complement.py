@@ -264,6 +264,7 @@ def accuracy(kind: Kind) -> float:
     return 1e-10 if kind.damping > 0 or kind.pull else 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) -> None:
     example, expected = expected_of(kind)

@@ -84,6 +84,7 @@ def test_the_last_row_of_the_history_is_the_result(solver: Solver, noise: float)
     assert result.history["recon_rmse"][-1] == pytest.approx(recon, rel=1e-3, abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
 def test_exposure_does_not_change_the_errors(
     fitted: tuple[pbrfit.Scene, pbrfit.Result], factor: float

@@ -139,6 +139,7 @@ class TestFit:
         for error in ERRORS:
             assert result.metrics[error] < 2e-5, error
 
+    @pytest.mark.slow
     def test_borders_of_tiles_do_not_show(self, noisy: pbrfit.Scene) -> None:
         """The same maps to what a few pixels that are tried again can make of them."""
         result = held(noisy, uncertainty=False)
@@ -151,6 +152,7 @@ class TestFit:
         assert np.mean(difference > 1e-3) < 0.01
         assert np.median(difference) < 1e-5
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("prior", ["smoothness", "cohesion"])
     def test_borders_do_not_show_with_penalties_either(
         self, noisy: pbrfit.Scene, prior: str
@@ -170,6 +172,7 @@ class TestFit:
             borders[border - 1 : border + 1] = borders[:, border - 1 : border + 1] = True
         assert off[borders].mean() < 1.5 * off[~borders].mean() + 1e-4
 
+    @pytest.mark.slow
     def test_it_is_as_good_as_a_fit_of_all_pixels(
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -189,6 +192,7 @@ class TestFit:
                 assert np.median(here) == pytest.approx(np.median(there), rel=0.05)
             np.testing.assert_allclose(one.albedo_scale, other.albedo_scale, rtol=0.1)
 
+    @pytest.mark.slow
     def test_wrong_normals_are_refined_in_tiles_too(self, noisy: pbrfit.Scene) -> None:
         rows, columns = np.indices(noisy.valid.shape) / 72
         wrong = noisy.normals + 0.12 * np.stack(

@@ -19,6 +19,7 @@ from pbrfit import _core
 from pbrfit.fit import uncertainty
 from pbrfit.fit.gauss_newton import light_spectrum, normal_equations
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.settings import SIGMA_MAX
 from pbrfit.io.images import read_channels, write_exr
 from pbrfit.result.uncertainty import PARAMETERS, layer_names
 from pbrfit.synthetic import make_scene
@@ -243,7 +244,7 @@ OPTIONS: tuple[dict[str, Any], ...] = (
 def test_deviations_are_those_of_dense_algebra(
     options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(uncertainty, "OMITTED", 0.0)
+    monkeypatch.setattr(uncertainty, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
     _, objective, x = scene_and_x(**options)
     x[[3, 40]] = 0.0, 1.0
     if objective.lighting is not None:
@@ -253,7 +254,7 @@ def test_deviations_are_those_of_dense_algebra(
     with threadpool_limits(1):
         conditional, marginal = dense_deviations(objective, x, found.noise / objective.scale)
     for kind, expected in (("conditional", conditional), ("marginal", marginal)):
-        expected = np.minimum(expected, uncertainty.LARGEST)
+        expected = np.minimum(expected, SIGMA_MAX)
         np.testing.assert_allclose(
             stacked(getattr(found, kind), objective), expected, rtol=1e-5, err_msg=kind
         )
@@ -267,10 +268,10 @@ def test_deviations_are_those_of_dense_algebra(
 
 
 def test_few_modes_say_what_they_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uncertainty, "LARGEST", np.inf)
+    monkeypatch.setattr(uncertainty, "SIGMA_MAX", np.inf)
     _, objective, x = scene_and_x()
     few = uncertainty.estimate(objective, x)
-    monkeypatch.setattr(uncertainty, "OMITTED", 0.0)
+    monkeypatch.setattr(uncertainty, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
     all_modes = uncertainty.estimate(objective, x)
     assert 0 < few.light_modes < all_modes.light_modes
     a, b = stacked(few.marginal, objective), stacked(all_modes.marginal, objective)
@@ -281,11 +282,11 @@ def test_few_modes_say_what_they_leave_out(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_many_lights_need_few_of_their_modes(monkeypatch: pytest.MonkeyPatch) -> None:
     _, objective, x = scene_and_x()
-    monkeypatch.setattr(uncertainty, "OMITTED", 0.0)
+    monkeypatch.setattr(uncertainty, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
     whole = uncertainty.estimate(objective, x)
-    monkeypatch.setattr(light_spectrum, "MOST_WHOLE", 6 * 16 * 3 - 1)
+    monkeypatch.setattr(light_spectrum, "DENSE_UNKNOWNS_MAX", 6 * 16 * 3 - 1)
     few = uncertainty.estimate(objective, x)
-    assert few.light_modes == light_spectrum.LEADING < whole.light_modes
+    assert few.light_modes == light_spectrum.LEADING_EIGENVALUES < whole.light_modes
     np.testing.assert_allclose(
         stacked(few.marginal, objective), stacked(whole.marginal, objective), rtol=0.01
     )
@@ -388,7 +389,7 @@ def test_what_no_picture_shows_is_not_determined() -> None:
     found = uncertainty.estimate(objective, x)
     assert found.undetermined[8, 5].any()
     deviations = [found.marginal.roughness[8, 5], found.marginal.metallic[8, 5]]
-    assert max(deviations) == uncertainty.LARGEST
+    assert max(deviations) == SIGMA_MAX
     assert np.isfinite(stacked(found.marginal, objective)).all()
     assert not found.undetermined[8, 6, 0]
 

@@ -291,7 +291,7 @@ def test_the_command_renders_fits_and_relights_with_a_model(
 ) -> None:
     scene, out = tmp_path / "scene", tmp_path / "out"
     assert run("synth", scene, "--size", 12, "--lights", 4, "--model", "principled") == 0
-    assert scene_folder.read_settings(scene / "scene.toml", {}).model == "principled"
+    assert scene_folder.read_settings(scene / "scene.toml").model == "principled"
     capsys.readouterr()
     assert run("inspect", scene) == 0
     assert "assumed model     principled, with which the pictures" in capsys.readouterr().out

@@ -501,6 +501,7 @@ def noise(size: int, pictures: int) -> tuple[Scene, Result]:
     return scene, result
 
 
+@pytest.mark.slow
 def test_a_page_of_large_noisy_pictures_stays_below_the_limit(tmp_path: Path) -> None:
     scene, result = noise(1024, 16)
     out = tmp_path / "page.html"

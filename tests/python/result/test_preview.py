@@ -13,7 +13,8 @@ from PIL import Image
 
 from pbrfit import Scene, decompose
 from pbrfit.result import differences
-from pbrfit.result.preview import normals_preview, plot_history, preview
+from pbrfit.result.drawing import plot_history
+from pbrfit.result.preview import normals_preview, preview
 from pbrfit.result.sheet import MARGIN, PANEL_SIDE, Key, Panel, Row, caption_height, sheet
 from pbrfit.synthetic import make_scene
 from refined import degrees_of, refined

@@ -109,6 +109,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "seed": 0,
         "refine_normals": "auto",
         "model": None,
+        "uncertainty": True,
     }
     assert content["model"] == DEFAULT_MODEL
     assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]

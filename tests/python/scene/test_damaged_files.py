@@ -189,7 +189,7 @@ def test_nested_files_are_refused(tmp_path: Path) -> None:
     refused(Lighting.load, path, "RecursionError")
     path = tmp_path / "scene.toml"
     path.write_text(f"fov = {DEEP}")
-    refused(lambda path: scene_folder.read_settings(path, {}), path, "expected TOML")
+    refused(lambda path: scene_folder.read_settings(path), path, "expected TOML")
     refused(read_prompts, path, "expected TOML")
 
 
@@ -207,7 +207,7 @@ def test_nested_files_are_refused(tmp_path: Path) -> None:
 def test_settings_that_are_none(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(text)
-    refused(lambda path: scene_folder.read_settings(path, {}), path, message)
+    refused(lambda path: scene_folder.read_settings(path), path, message)
 
 
 @pytest.mark.parametrize("entry", ["inf", "nan", "-inf", "1e301"])

@@ -14,11 +14,10 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render, sh_basis
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import build, make_scene, random_lights
+from pbrfit.synthetic import RayCast, draw, make_scene, random_lights
 from pbrfit.synthetic.geometry import (
     Box,
     Cylinder,
-    Frustum,
     Plane,
     Primitive,
     Sphere,
@@ -26,10 +25,15 @@ from pbrfit.synthetic.geometry import (
     trace,
 )
 from pbrfit.synthetic.stages import case_stage, room_stage
+from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
 KINDS: tuple[str, ...] = ("room", "spheres", "textured")
 ORIGIN = np.zeros(3)
+
+
+def build(kind: str, size: int, rng: np.random.Generator, fov: float = 60.0) -> RayCast:
+    return draw(kind, rng).cast(size, fov)
 
 
 def camera_rays(height: int, width: int, fov: float) -> Array:
@@ -269,6 +273,7 @@ def test_every_pixel_is_valid_and_faces_the_camera(kind: str, seed: int) -> None
     assert metallic.max() == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_metal_is_visible_in_every_scene(kind: str) -> None:
     for seed in range(40):
@@ -310,6 +315,7 @@ def gauge(solid: Primitive, p: Array) -> Array:
     raise AssertionError(type(solid))
 
 
+@pytest.mark.slow
 def test_pieces_do_not_run_into_each_other_or_the_walls() -> None:
     # The corners of the cube are the corners of any box.
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T

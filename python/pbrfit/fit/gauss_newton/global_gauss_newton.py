@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, one_blas_thread
 from pbrfit.fit.gauss_newton.pixels import (
     Pixels,
@@ -25,27 +26,6 @@ from pbrfit.fit.gauss_newton.pixels import (
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced
-from pbrfit.fit.settings import (
-    CG_ERROR_RATIO,
-    CG_GAIN_SHARE,
-    CG_ITERATIONS_MAX,
-    DAMPING_START,
-    DESCENT_STEPS_AFTER_JOINT,
-    GLOBAL_DAMPING_FACTOR,
-    GLOBAL_DAMPING_MAX,
-    GLOBAL_GAIN_MIN,
-    GLOBAL_PREDICTED_GAIN_MIN,
-    GLOBAL_ROUNDS_MAX,
-    GLOBAL_STEP_SHARES,
-    GLOBAL_STEPS_MAX,
-    LIGHT_DAMPING,
-    PRECONDITIONER_DAMPING,
-    PRECONDITIONER_PIXELS,
-    PRIOR_TURN_CHANGE_MIN,
-    PRIOR_TURNS_MAX,
-    RETRY_GAIN_MIN,
-    WORSE_RATIO,
-)
 
 Array = NDArray[np.float64]
 Stop = Callable[[], bool]
@@ -68,7 +48,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Array | None:
         stop = watch.visit(x, sum_sq)
         if objective.lighting is None:
             return sum_sq
-        for _ in range(GLOBAL_ROUNDS_MAX):
+        for _ in range(settings.GLOBAL_ROUNDS_MAX):
             if stop:
                 break
             minimize(objective, x, sum_sq, watch.visit, watch.stop)
@@ -77,7 +57,7 @@ def fit_materials(objective: Objective, x: Array, watch: Watch) -> Array | None:
             left = float(sum_sq.sum())
             if left < before:
                 stop = watch.visit(x, sum_sq)
-            if left >= (1 - RETRY_GAIN_MIN) * before:
+            if left >= (1 - settings.RETRY_GAIN_MIN) * before:
                 break
     return sum_sq
 
@@ -90,7 +70,7 @@ def fit_with_prior(objective: Objective, x: Array, prior: GaussianPrior, watch: 
     """
     data = np.inf
     with one_blas_thread():
-        for turn in range(PRIOR_TURNS_MAX):
+        for turn in range(settings.PRIOR_TURNS_MAX):
             fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
             starts = 1 if turn == 0 else 0
             before_turn = x.copy()
@@ -103,7 +83,7 @@ def fit_with_prior(objective: Objective, x: Array, prior: GaussianPrior, watch: 
                 minimize(objective, x, sum_sq, lambda *_: watch.stop(), watch.stop, fixed)
             stop = watch.visit(x, sum_sq)
             before, data = data, float(sum_sq.sum())
-            if stop or abs(before - data) < PRIOR_TURN_CHANGE_MIN * data:
+            if stop or abs(before - data) < settings.PRIOR_TURN_CHANGE_MIN * data:
                 break
 
 
@@ -118,22 +98,26 @@ def minimize(
     """Joint steps that lower the sum of squares and prior; x and the sums of pixels (P,) change."""
     fit = _JointFit(objective, x, sum_sq, prior, stop)
     total = fit.total(x, sum_sq)
-    for _ in range(GLOBAL_STEPS_MAX):
+    for _ in range(settings.GLOBAL_STEPS_MAX):
         if total == 0:
             break
-        worth = GLOBAL_PREDICTED_GAIN_MIN * total
+        worth = settings.GLOBAL_PREDICTED_GAIN_MIN * total
         moves, predicted = fit.light_moves(worth)
         if predicted < worth or stop():
             break
         lower = fit.step(moves, total)
         if lower is None:
-            if fit.damping >= GLOBAL_DAMPING_MAX or stop():
+            if fit.damping >= settings.GLOBAL_DAMPING_MAX or stop():
                 break
-            fit.damping = max(GLOBAL_DAMPING_FACTOR * fit.damping, DAMPING_START)
+            fit.damping = max(settings.GLOBAL_DAMPING_FACTOR * fit.damping, settings.DAMPING_START)
             continue
-        fit.damping = 0.0 if fit.damping <= DAMPING_START else fit.damping / GLOBAL_DAMPING_FACTOR
+        fit.damping = (
+            0.0
+            if fit.damping <= settings.DAMPING_START
+            else fit.damping / settings.GLOBAL_DAMPING_FACTOR
+        )
         gain, total = 1 - lower / total, lower
-        if visit(x, sum_sq) or gain < GLOBAL_GAIN_MIN:
+        if visit(x, sum_sq) or gain < settings.GLOBAL_GAIN_MIN:
             break
 
 
@@ -165,13 +149,13 @@ class _JointFit:
     def _preconditioner(self) -> Cholesky:
         """The system of some pixels, scaled up to all."""
         objective = self.objective
-        chosen = evenly_spaced(objective.pixels, PRECONDITIONER_PIXELS)
+        chosen = evenly_spaced(objective.pixels, settings.PRECONDITIONER_PIXELS)
         few = objective.restricted(chosen)
         part, pixels = objective.part_of(self.x, chosen), np.arange(len(chosen), dtype=np.uint64)
         options = schur_options(few, part, pixels, self._rows(chosen), self.damping)
         matrix, _ = few.problem.schur_complement(few.for_core(part), pixels, **options)
         matrix *= objective.pixels / len(chosen)
-        return Cholesky(matrix, PRECONDITIONER_DAMPING)
+        return Cholesky(matrix, settings.PRECONDITIONER_DAMPING)
 
     def _product(self, v: Array) -> tuple[Array, Array] | None:
         """S v and s of all pixels, in order, so that sums are always the same; None if stopped."""
@@ -205,11 +189,14 @@ class _JointFit:
         if not first >= enough:
             return moves, 0.0
         predicted = 0.0
-        for _ in range(CG_ITERATIONS_MAX):
+        for _ in range(settings.CG_ITERATIONS_MAX):
             product = self._product(direction)
             if product is None:
                 break
-            along = product[0] + LIGHT_DAMPING * self.damping * preconditioner.diagonal * direction
+            along = (
+                product[0]
+                + settings.LIGHT_DAMPING * self.damping * preconditioner.diagonal * direction
+            )
             curvature = float(direction @ along)
             if not curvature > 0:
                 break
@@ -219,7 +206,7 @@ class _JointFit:
             predicted += length * size_now
             preconditioned = preconditioner.solve(residual)
             size_before, size_now = size_now, float(residual @ preconditioned)
-            if size_now <= max(CG_ERROR_RATIO**2 * first, CG_GAIN_SHARE * enough):
+            if size_now <= max(settings.CG_ERROR_RATIO**2 * first, settings.CG_GAIN_SHARE * enough):
                 break
             direction = preconditioned + size_now / size_before * direction
         return moves, predicted
@@ -227,8 +214,8 @@ class _JointFit:
     def step(self, moves: Array, total: float) -> float | None:
         """The sum after the longest step of a few that lowers it, which is taken; None if none."""
         objective, trial = self.objective, np.empty_like(self.x)
-        steps = DESCENT_STEPS_AFTER_JOINT
-        for share in GLOBAL_STEP_SHARES:
+        steps = settings.DESCENT_STEPS_AFTER_JOINT
+        for share in settings.GLOBAL_STEP_SHARES:
             moved = share * moves
             trial[:] = self.x
             trial[objective.layout.lighting] += as_in_x(moved, objective.layout)
@@ -257,8 +244,8 @@ class _JointFit:
         From where they were, and from the best node: one that falls into another minimum costs more
         than many others gain. Those that are left when it is stopped stay worse off.
         """
-        worse = np.flatnonzero(left > WORSE_RATIO * self.sum_sq).astype(np.uint64)
-        steps = 2 * DESCENT_STEPS_AFTER_JOINT
+        worse = np.flatnonzero(left > settings.WORSE_RATIO * self.sum_sq).astype(np.uint64)
+        steps = 2 * settings.DESCENT_STEPS_AFTER_JOINT
         objective = self.objective
         for chunk in pieces(worse):
             if self.stop():

@@ -115,39 +115,40 @@ class Eliminated:
     def information(self, layout: ParameterLayout) -> Array:
         """(M, M): what is left of it when materials are solved for, G − Σ_p Bᵀ A⁻¹ B."""
         channels, unknowns = layout.channels, self.rows.shape[1]
-        n, lit, k = layout.pictures, layout.light_channels, layout.coefficients
-        blocks = np.zeros((n, lit, k, n, lit, k))
-        found = blocks.reshape(n * lit * k, -1)
+        n, light_channels, k = layout.pictures, layout.light_channels, layout.coefficients
+        blocks = np.zeros((n, light_channels, k, n, light_channels, k))
+        found = blocks.reshape(n * light_channels * k, -1)
         for chunk in chunks(len(self.rows), 8 * unknowns * len(found)):
             # Row c is that of the albedo of channel c: A is diagonal in these, U triangular.
             for c in range(channels):
                 rows = self.rows[chunk, c, :, c, None] * self.by_light[chunk, None, c]
                 rows = rows.reshape(len(rows), -1)
-                blocks[:, c % lit, :, :, c % lit] -= (rows.T @ rows).reshape(n, k, n, k)
+                of_channel = blocks[:, c % light_channels, :, :, c % light_channels]
+                of_channel -= (rows.T @ rows).reshape(n, k, n, k)
             rest = self.light_rows(chunk, layout)
             found -= rest.T @ rest
-        lights = np.arange(n * lit)
-        by_light = found.reshape(n * lit, k, n * lit, k)
+        lights = np.arange(n * light_channels)
+        by_light = found.reshape(n * light_channels, k, n * light_channels, k)
         by_light[lights, :, lights, :] += self.information_alone(layout).reshape(-1, k, k)
         return found
 
     def imitated(self, lights: Array, layout: ParameterLayout) -> Array:
         """Σ_p Bᵀ A⁻¹ B v, the part of v that materials imitate, for `lights` (N, ·, K, R) = v."""
-        n, lit, k, count = lights.shape
+        n, light_channels, k, count = lights.shape
         channels = layout.channels
         found = np.zeros_like(lights)
-        by_coefficient = lights.transpose(1, 2, 0, 3).reshape(lit, k, n * count)
+        by_coefficient = lights.transpose(1, 2, 0, 3).reshape(light_channels, k, n * count)
         for chunk in chunks(len(self.rows), 8 * n * channels * count):
             w = self.by_light[chunk]
             rows = self.rows[chunk].transpose(0, 1, 3, 2).reshape(len(w), -1, channels * n)
             radiance = np.empty((len(w), channels, n * count))
             for c in range(channels):
-                np.matmul(w[:, c], by_coefficient[c % lit], out=radiance[:, c])
+                np.matmul(w[:, c], by_coefficient[c % light_channels], out=radiance[:, c])
             moved = rows.transpose(0, 2, 1) @ (rows @ radiance.reshape(len(w), -1, count))
             moved = moved.reshape(len(w), channels, n * count)
             for c in range(channels):
                 by_light = (w[:, c].T @ moved[:, c]).reshape(k, n, count)
-                found[:, c % lit] += by_light.transpose(1, 0, 2)
+                found[:, c % light_channels] += by_light.transpose(1, 0, 2)
         return found
 
     def light_rows(self, chunk: slice, layout: ParameterLayout) -> Array:

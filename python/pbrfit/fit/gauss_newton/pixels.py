@@ -8,27 +8,23 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import slices
-from pbrfit.fit.settings import (
-    DESCENT_EXACT_STEPS,
-    DESCENT_EXACT_STEPS_FREE_NORMALS,
-    DESCENT_METALLIC_NODES,
-    DESCENT_ROUGHNESS_NODES,
-    DESCENT_STEPS,
-    RETRY_METALLIC_NODES,
-    RETRY_RATIO,
-    RETRY_ROUGHNESS_NODES,
-    RETRY_STARTS,
-)
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
 Nodes = tuple[Array, Array]
 
-NODES = np.linspace(*DESCENT_ROUGHNESS_NODES), np.linspace(*DESCENT_METALLIC_NODES)
-RETRY_NODES = np.linspace(*RETRY_ROUGHNESS_NODES), np.linspace(*RETRY_METALLIC_NODES)
+NODES = (
+    np.linspace(*settings.DESCENT_ROUGHNESS_NODES),
+    np.linspace(*settings.DESCENT_METALLIC_NODES),
+)
+RETRY_NODES = (
+    np.linspace(*settings.RETRY_ROUGHNESS_NODES),
+    np.linspace(*settings.RETRY_METALLIC_NODES),
+)
 """Roughness and metallic from which pixels descend, and those that stand out."""
 
 NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
@@ -121,7 +117,9 @@ def descended(
         *nodes,
         starts=starts,
         steps=steps,
-        exact_steps=DESCENT_EXACT_STEPS_FREE_NORMALS if free_normals else DESCENT_EXACT_STEPS,
+        exact_steps=settings.DESCENT_EXACT_STEPS_FREE_NORMALS
+        if free_normals
+        else settings.DESCENT_EXACT_STEPS,
         mean=None if prior is None else prior.mean,
         precision=None if prior is None else prior.precision,
     )
@@ -144,7 +142,7 @@ def fit_all(
     x: Array,
     *,
     starts: int,
-    steps: int = DESCENT_STEPS,
+    steps: int = settings.DESCENT_STEPS,
     prior: GaussianPrior | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Array | None:
@@ -196,13 +194,13 @@ def retry_outliers(
     single pixel, and where its neighbours have found their way, so can it. Where it is stopped, the
     pixels that are left stay as they are.
     """
-    outlying = np.flatnonzero(sum_sq > RETRY_RATIO * np.median(sum_sq)).astype(np.uint64)
-    steps = 2 * DESCENT_STEPS
+    outlying = np.flatnonzero(sum_sq > settings.RETRY_RATIO * np.median(sum_sq)).astype(np.uint64)
+    steps = 2 * settings.DESCENT_STEPS
     for chunk in pieces(outlying):
         if stop():
             return
         found, sum_sq[chunk] = descended(
-            objective, x, chunk, steps=steps, starts=RETRY_STARTS, nodes=RETRY_NODES
+            objective, x, chunk, steps=steps, starts=settings.RETRY_STARTS, nodes=RETRY_NODES
         )
         place(objective, x, chunk, found)
     for pixels, others in _beside(objective, outlying):
@@ -210,7 +208,7 @@ def retry_outliers(
             if stop():
                 return
             beside = taken(objective, x, neighbours)
-            try_from(objective, x, sum_sq, chunk, beside, steps=DESCENT_STEPS)
+            try_from(objective, x, sum_sq, chunk, beside, steps=settings.DESCENT_STEPS)
 
 
 def _beside(objective: Objective, pixels: Pixels) -> Iterator[tuple[Pixels, Pixels]]:

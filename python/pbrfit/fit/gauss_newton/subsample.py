@@ -8,34 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, one_blas_thread
 from pbrfit.fit.gauss_newton.pixels import Watch, descended, place, put, schur_options, taken
 from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.settings import (
-    DAMPING_DECAY,
-    DAMPING_GROWTH,
-    DAMPING_START,
-    DESCENT_STEPS,
-    DESCENT_STEPS_AFTER_JOINT,
-    LIGHT_DAMPING,
-    LIGHT_PIXELS,
-    LIGHT_PIXELS_MORE,
-    LIGHT_PIXELS_TRIES,
-    LIGHT_SCALE_TRIALS,
-    LIGHT_UNKNOWNS_PER_PIXEL_MAX,
-    SAME_MINIMUM_RATIO,
-    SUBSET_DAMPING_MIN,
-    SUBSET_EXACT_RMSE,
-    SUBSET_FAILED_STEPS_MAX,
-    SUBSET_GAIN_MIN,
-    SUBSET_ROUND_DAMPING_MIN,
-    SUBSET_ROUND_GAIN_MIN,
-    SUBSET_ROUNDS_MAX,
-    SUBSET_STARTS,
-    SUBSET_STEP_SHARES,
-    SUBSET_STEPS_MAX,
-)
 
 Array = NDArray[np.float64]
 
@@ -78,17 +55,19 @@ def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> Ligh
         return LightEstimate(x.copy(), True, validation.pixels, 0.0, "lights known")
     subsets = _Subsets(objective, validation, watch, np.random.default_rng(seed))
     with one_blas_thread():
-        best = subsets.lights(LIGHT_PIXELS, x)
+        best = subsets.lights(settings.LIGHT_PIXELS, x)
         most = best.sum_sq_residuals
-        for _ in range(LIGHT_PIXELS_TRIES - 1):
+        for _ in range(settings.LIGHT_PIXELS_TRIES - 1):
             if subsets.stopped or best.fits:
                 break
-            found = subsets.lights(LIGHT_PIXELS, x)
+            found = subsets.lights(settings.LIGHT_PIXELS, x)
             most = max(most, found.sum_sq_residuals)
             best = _better(best, found)
-        if best.fits or best.sum_sq_residuals <= SAME_MINIMUM_RATIO * most:
-            for size in LIGHT_PIXELS_MORE:
-                done = best.fits and (size < LIGHT_PIXELS_MORE[-1] or subsets.is_exact(best))
+        if best.fits or best.sum_sq_residuals <= settings.SAME_MINIMUM_RATIO * most:
+            for size in settings.LIGHT_PIXELS_MORE:
+                done = best.fits and (
+                    size < settings.LIGHT_PIXELS_MORE[-1] or subsets.is_exact(best)
+                )
                 if not (subsets.stopped or done):
                     best = _better(best, subsets.lights(size, best.x))
     counts = ", ".join(map(str, subsets.used))
@@ -127,7 +106,7 @@ class _Subsets:
         objective, validation = self._objective, self._validation.pixels
         layout = objective.layout
         lights = layout.light_channels * layout.pictures * layout.coefficients
-        count = min(objective.pixels, max(size, lights // LIGHT_UNKNOWNS_PER_PIXEL_MAX))
+        count = min(objective.pixels, max(size, lights // settings.LIGHT_UNKNOWNS_PER_PIXEL_MAX))
         self.used.append(count)
         drawn = np.sort(self._rng.choice(objective.pixels, count, replace=False))
         chosen = drawn.astype(np.uint64)
@@ -144,7 +123,7 @@ class _Subsets:
         x = x.copy()
         objective.put_part(x, chosen, of_few)
         found, sum_sq = descended(
-            objective, x, validation, steps=DESCENT_STEPS, starts=SUBSET_STARTS
+            objective, x, validation, steps=settings.DESCENT_STEPS, starts=settings.SUBSET_STARTS
         )
         place(objective, x, validation, found)
         fits = self._validation.are_noise(x)
@@ -153,7 +132,7 @@ class _Subsets:
     def is_exact(self, lights: LightEstimate) -> bool:
         """Whether nothing is left of the validation pixels."""
         share = len(lights.validation_pixels) / self._objective.pixels
-        bound = SUBSET_EXACT_RMSE**2 * self._objective.total_weight * share
+        bound = settings.SUBSET_EXACT_RMSE**2 * self._objective.total_weight * share
         return lights.sum_sq_residuals <= bound
 
 
@@ -170,15 +149,19 @@ def minimize(few: Objective, x: Array, visit: Visit) -> tuple[Array, float]:
         Watches.
     """
     pixels = np.arange(few.pixels, dtype=np.uint64)
-    damping, last = DAMPING_START, np.inf
+    damping, last = settings.DAMPING_START, np.inf
     total = np.inf
-    for _ in range(SUBSET_ROUNDS_MAX):
+    for _ in range(settings.SUBSET_ROUNDS_MAX):
         found, sum_sq = descended(
-            few, x, pixels, steps=2 * DESCENT_STEPS_AFTER_JOINT, starts=SUBSET_STARTS
+            few,
+            x,
+            pixels,
+            steps=2 * settings.DESCENT_STEPS_AFTER_JOINT,
+            starts=settings.SUBSET_STARTS,
         )
         x = put(few, x, pixels, found)
         x, total, damping, stop = _joint(few, x, float(sum_sq.sum()), damping, visit)
-        if not stop and total > (1 - SUBSET_ROUND_GAIN_MIN) * last:
+        if not stop and total > (1 - settings.SUBSET_ROUND_GAIN_MIN) * last:
             # The loss is flat along the scale between albedo and light, and curved: look further.
             x, total, scaled = _scaled(few, x, total)
             stop = not scaled
@@ -191,44 +174,49 @@ def minimize(few: Objective, x: Array, visit: Visit) -> tuple[Array, float]:
 def _joint(
     few: Objective, x: Array, total: float, damping: float, visit: Visit
 ) -> tuple[Array, float, float, bool]:
-    """Joint steps; x, its squares, the damping, and whether to stop altogether."""
+    """Joint steps; x, its sum of squares, the damping, and whether to stop altogether."""
     pixels = np.arange(few.pixels, dtype=np.uint64)
     done = failed = 0
-    while done < SUBSET_STEPS_MAX and failed < SUBSET_FAILED_STEPS_MAX:
+    while done < settings.SUBSET_STEPS_MAX and failed < settings.SUBSET_FAILED_STEPS_MAX:
         options = schur_options(few, x, pixels, None, damping)
         matrix, gradient = few.problem.schur_complement(few.for_core(x), pixels, **options)
         try:
-            moves = -Cholesky(matrix, LIGHT_DAMPING * damping).solve(gradient)
+            moves = -Cholesky(matrix, settings.LIGHT_DAMPING * damping).solve(gradient)
         except np.linalg.LinAlgError:
-            damping, failed = DAMPING_GROWTH * damping, failed + 1
+            damping, failed = settings.DAMPING_GROWTH * damping, failed + 1
             continue
-        if -float(gradient @ moves) < SUBSET_GAIN_MIN * total:
+        if -float(gradient @ moves) < settings.SUBSET_GAIN_MIN * total:
             break
         before = total
-        for share in SUBSET_STEP_SHARES:
+        for share in settings.SUBSET_STEP_SHARES:
             followed = few.problem.back_substitute(
                 few.for_core(x), pixels, share * moves, **options
             )
             trial = put(few, x, pixels, followed)
             trial[few.layout.lighting] += share * as_in_x(moves, few.layout)
-            found, sum_sq = descended(few, trial, pixels, steps=DESCENT_STEPS_AFTER_JOINT)
+            found, sum_sq = descended(few, trial, pixels, steps=settings.DESCENT_STEPS_AFTER_JOINT)
             if sum_sq.sum() < total:
                 x, total = put(few, trial, pixels, found), float(sum_sq.sum())
                 break
         done += 1
         if total < before:
-            damping, failed = max(damping / DAMPING_DECAY, SUBSET_DAMPING_MIN), 0
+            damping, failed = max(damping / settings.DAMPING_DECAY, settings.SUBSET_DAMPING_MIN), 0
         else:
-            damping, failed = DAMPING_GROWTH * damping, failed + 1
+            damping, failed = settings.DAMPING_GROWTH * damping, failed + 1
         if visit(x, total):
             return x, total, damping, True
-        if 0 < before - total < SUBSET_GAIN_MIN * before:
+        if 0 < before - total < settings.SUBSET_GAIN_MIN * before:
             break
-    return x, total, min(max(damping, SUBSET_ROUND_DAMPING_MIN), DAMPING_START), False
+    return (
+        x,
+        total,
+        min(max(damping, settings.SUBSET_ROUND_DAMPING_MIN), settings.DAMPING_START),
+        False,
+    )
 
 
 def _scaled(few: Objective, x: Array, total: float) -> tuple[Array, float, bool]:
-    """X with the lights of all channels or of one scaled, if that lowers the squares; whether."""
+    """X with the lights of all channels or of one scaled, if that lowers the sum; whether."""
     layout = few.layout
     pixels = np.arange(few.pixels, dtype=np.uint64)
     before = total
@@ -236,14 +224,18 @@ def _scaled(few: Objective, x: Array, total: float) -> tuple[Array, float, bool]
     if layout.light_channels > 1:
         channels += [slice(c, c + 1) for c in range(layout.light_channels)]
     for channel in channels:
-        for factor in LIGHT_SCALE_TRIALS:
+        for factor in settings.LIGHT_SCALE_TRIALS:
             trial = x.copy()
             trial[layout.lighting].reshape(-1, layout.light_channels)[:, channel] *= factor
             albedo = trial[layout.albedo].reshape(layout.channels, -1)
             albedo[channel] = np.clip(albedo[channel] / factor, 0, 1)
             found, sum_sq = descended(
-                few, trial, pixels, steps=2 * DESCENT_STEPS_AFTER_JOINT, starts=SUBSET_STARTS
+                few,
+                trial,
+                pixels,
+                steps=2 * settings.DESCENT_STEPS_AFTER_JOINT,
+                starts=settings.SUBSET_STARTS,
             )
-            if sum_sq.sum() < (1 - SUBSET_GAIN_MIN) * total:
+            if sum_sq.sum() < (1 - settings.SUBSET_GAIN_MIN) * total:
                 x, total = put(few, trial, pixels, found), float(sum_sq.sum())
     return x, total, total < before

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.gauss_newton.normal_equations import (
     Cholesky,
     Eliminated,
@@ -34,16 +35,6 @@ from pbrfit.fit.gauss_newton.normal_equations import (
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.settings import (
-    DAMPING_DECAY,
-    DAMPING_GROWTH,
-    DAMPING_START,
-    LIGHT_DAMPING,
-    OFFSET_PRECISION_SHARE,
-    PRIOR_DAMPING_MIN,
-    PRIOR_FAILED_STEPS_MAX,
-    PRIOR_GAIN_MIN,
-)
 
 Array = NDArray[np.float64]
 
@@ -78,20 +69,20 @@ def minimize(
     x = x.copy()
     offsets = np.zeros_like(prior.cluster_precision)
     state = _with_best_albedo(objective, x, pixels, prior, offsets)
-    damping, done, failed = DAMPING_START, 0, 0
-    while done < steps and failed < PRIOR_FAILED_STEPS_MAX:
+    damping, done, failed = settings.DAMPING_START, 0, 0
+    while done < steps and failed < settings.PRIOR_FAILED_STEPS_MAX:
         try:
             moved = _step(objective, x, state, pixels, prior, damping)
         except np.linalg.LinAlgError:
             moved = None
         if moved is None or not moved.total < state.total:
             objective.put_part(x, pixels, state.part)
-            damping, failed = DAMPING_GROWTH * damping, failed + 1
+            damping, failed = settings.DAMPING_GROWTH * damping, failed + 1
             continue
         gain = state.total - moved.total
         state, done, failed = moved, done + 1, 0
-        damping = max(damping / DAMPING_DECAY, PRIOR_DAMPING_MIN)
-        if gain < PRIOR_GAIN_MIN * state.total:
+        damping = max(damping / settings.DAMPING_DECAY, settings.PRIOR_DAMPING_MIN)
+        if gain < settings.PRIOR_GAIN_MIN * state.total:
             break
     return x, done
 
@@ -104,7 +95,9 @@ def _with_best_albedo(
     values = np.stack([x[block][pixels] for block in objective.layout.roughness_metallic], axis=-1)
     deviation = prior.deviation(values, offsets)
     of_pixels = float((prior.precision * deviation**2).sum())
-    of_offsets = OFFSET_PRECISION_SHARE * float((prior.cluster_precision * offsets**2).sum())
+    of_offsets = settings.OFFSET_PRECISION_SHARE * float(
+        (prior.cluster_precision * offsets**2).sum()
+    )
     total = float(sum_sq.sum()) + of_pixels + of_offsets
     return _State(objective.part_of(x, pixels), offsets, total)
 
@@ -146,11 +139,11 @@ def _step(
     )
     system = _System.of(part, of_lights, prior, layout)
     tied = np.einsum("pfg,pf->pg", system.by_offsets, whitened[:, roughness_metallic])
-    by_offsets = OFFSET_PRECISION_SHARE * prior.cluster_precision * state.offsets
+    by_offsets = settings.OFFSET_PRECISION_SHARE * prior.cluster_precision * state.offsets
     by_offsets -= prior.sums(prior.precision * deviation + tied)
     gradient = np.concatenate([by_lights, by_offsets.ravel()])
 
-    moves = -Cholesky(system.matrix, LIGHT_DAMPING * damping).solve(gradient)
+    moves = -Cholesky(system.matrix, settings.LIGHT_DAMPING * damping).solve(gradient)
     lights = moves[: by_lights.size].reshape(
         layout.light_channels, layout.pictures, layout.coefficients
     )
@@ -203,7 +196,7 @@ class _System:
         size, count = len(of_lights), prior.clusters * f
         matrix = np.zeros((size + count, size + count))
         matrix[:size, :size] = of_lights
-        total = (1 + OFFSET_PRECISION_SHARE) * prior.cluster_precision.ravel()
+        total = (1 + settings.OFFSET_PRECISION_SHARE) * prior.cluster_precision.ravel()
         matrix[size:, size:] = np.diag(total)
         for chunk in chunks(len(by_offsets), 8 * f * (size + count)):
             of_chunk = by_offsets[chunk]

@@ -32,31 +32,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors import map_gauss_newton
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over, slices
-from pbrfit.fit.settings import (
-    DEGREES_OF_FREEDOM_SHARE_MIN,
-    EM_ITERATIONS,
-    GROUP_PROBABILITY_SHARE,
-    LIKELIHOOD_CURVATURE_MIN,
-    NODE_PROBABILITY_MIN,
-    NOISE_VARIANCE_MIN,
-    PICTURE_PSEUDO_PIXELS,
-    PRIOR_FIT_PIXELS,
-    PRIOR_LIGHT_PIXELS,
-    PRIOR_LIGHTS_FAR_BETTER,
-    PRIOR_LIGHTS_NOT_WORSE,
-    PRIOR_METALLIC_NODES,
-    PRIOR_NODE_SPACING,
-    PRIOR_ROUGHNESS_NODES,
-    PRIOR_SIGMAS_MIN,
-    PRIOR_STEPS,
-    SEGMENT_PIXELS_MIN,
-)
 from pbrfit.lazy import lazy
 
 Array = NDArray[np.float64]
@@ -64,8 +46,8 @@ Pixels = NDArray[np.uint64]
 Labels = NDArray[np.intp]
 Stop = Callable[[], bool]
 
-ROUGHNESS_NODES = np.linspace(*PRIOR_ROUGHNESS_NODES)
-METALLIC_NODES = np.linspace(*PRIOR_METALLIC_NODES)
+ROUGHNESS_NODES = np.linspace(*settings.PRIOR_ROUGHNESS_NODES)
+METALLIC_NODES = np.linspace(*settings.PRIOR_METALLIC_NODES)
 NODE_DISTANCE = float(ROUGHNESS_NODES[1] - ROUGHNESS_NODES[0])
 
 PIXELS_AT_ONCE = 8192
@@ -105,13 +87,12 @@ class FittedPrior:
 
         None if stopped before all pixels had theirs.
         """
-        layout = objective.layout
         grid = _Grid(objective, x, np.empty(0, np.uint64), self.variance)
-        posterior = self.distributions.of_all(grid, _labels(objective), stop)
+        posterior = self.distributions.of_all(grid, stop)
         if posterior is None:
             return None
         mean, precision = posterior.gaussian(
-            PRIOR_SIGMAS_MIN[-1], self.strength * self.variance, objective
+            settings.PRIOR_SIGMAS_MIN[-1], self.strength * self.variance, objective
         )
         # Clusters that nobody has met stay where they are.
         found = np.searchsorted(self.clusters, posterior.cluster)
@@ -121,7 +102,7 @@ class FittedPrior:
         np.clip(mean, 0.0, 1.0, out=mean)
         x = x.copy()
         _put_all(objective, x, mean)
-        blocks, factor = layout.roughness_metallic, 1 / objective.total_weight
+        blocks, factor = objective.layout.roughness_metallic, 1 / objective.total_weight
         return x, GaussianPrior(mean, precision, None, blocks, factor)
 
 
@@ -146,7 +127,7 @@ def fit_prior(
         Asked between rounds, and then between pieces of the pixels.
     """
     labels = _labels(objective)
-    few = evenly_spaced_over(labels, PRIOR_LIGHT_PIXELS)
+    few = evenly_spaced_over(labels, settings.PRIOR_LIGHT_PIXELS)
     with one_blas_thread():
         if objective.layout.lighting is not None:
             moved = _with_lights(objective, x, few, labels[few], strength, stop)
@@ -156,11 +137,13 @@ def fit_prior(
             x = x.copy()
 
         grid = _Grid(objective, x, few)
-        distributions = _fit_distributions(grid, labels)
-        posterior = distributions.of_all(grid, labels, stop)
+        distributions = _fit_distributions(grid)
+        posterior = distributions.of_all(grid, stop)
         if posterior is None:
             return None
-        prior, clusters = posterior.prior(PRIOR_SIGMAS_MIN[-1], strength * grid.variance, objective)
+        prior, clusters = posterior.prior(
+            settings.PRIOR_SIGMAS_MIN[-1], strength * grid.variance, objective
+        )
         _put_all(objective, x, prior.mean)
     none = np.zeros_like(prior.mean[:0])
     return x, prior, FittedPrior(distributions, grid.variance, strength, clusters, none)
@@ -180,9 +163,8 @@ def prior_at(
     metallic
         Of the nodes; not read where it is known.
     """
-    labels = _labels(objective)
     grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
-    posterior = _fit_distributions(grid, labels).of_all(grid, labels)
+    posterior = _fit_distributions(grid).of_all(grid)
     assert posterior is not None
     return posterior.prior(sigma_min, variance, objective)[0]
 
@@ -193,9 +175,10 @@ def _labels(objective: Objective) -> Labels:
     return np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
 
 
-def _fit_distributions(grid: _Grid, labels: Labels) -> _Distributions:
-    """To an even share of the pixels, `labels` (P,)."""
-    many = evenly_spaced_over(labels, PRIOR_FIT_PIXELS)
+def _fit_distributions(grid: _Grid) -> _Distributions:
+    """To an even share of the grid's pixels."""
+    labels = _labels(grid.objective)
+    many = evenly_spaced_over(labels, settings.PRIOR_FIT_PIXELS)
     return _Distributions.of(grid.likelihood(many), labels[many], grid)
 
 
@@ -209,14 +192,14 @@ def _with_lights(
 ) -> Array:
     """X with the lights, and materials of some pixels, that were found with their prior."""
     x = x.copy()
-    for sigma_min in PRIOR_SIGMAS_MIN:
+    for sigma_min in settings.PRIOR_SIGMAS_MIN:
         grid = _Grid(objective, x, pixels)
         likelihood = grid.likelihood(pixels)
         posterior = _Distributions.of(likelihood, labels, grid).posterior(likelihood, labels)
         prior, _ = posterior.prior(sigma_min, strength * grid.variance, objective)
         _put(objective, x, pixels, prior.mean)
         del grid  # which holds x
-        x, _ = map_gauss_newton.minimize(objective, x, pixels, prior, PRIOR_STEPS)
+        x, _ = map_gauss_newton.minimize(objective, x, pixels, prior, settings.PRIOR_STEPS)
         if stop():
             break
     return x
@@ -239,9 +222,9 @@ def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
         best[:] = x
         _put(objective, best, pixels, _Grid(objective, x, pixels).best(pixels))
         sum_sq.append(float(objective.put_best_albedo(best, pixels).sum()))
-    if sum_sq[1] <= PRIOR_LIGHTS_FAR_BETTER * sum_sq[0]:
+    if sum_sq[1] <= settings.PRIOR_LIGHTS_FAR_BETTER * sum_sq[0]:
         return True
-    return sum_sq[1] <= PRIOR_LIGHTS_NOT_WORSE * sum_sq[0] and neighbours.are_noise(best)
+    return sum_sq[1] <= settings.PRIOR_LIGHTS_NOT_WORSE * sum_sq[0] and neighbours.are_noise(best)
 
 
 def _put_all(objective: Objective, x: Array, values: Array) -> None:
@@ -283,7 +266,7 @@ class _Grid:
         self._metallic = metallic if known is None else np.array([known])
         roughness, metallic = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
         self.roughness, self.metallic = roughness.ravel(), metallic.ravel()
-        self._objective, self._noise_pixels = objective, pixels
+        self.objective, self._noise_pixels = objective, pixels
 
     @lazy
     def variance(self) -> float:
@@ -293,13 +276,13 @@ class _Grid:
         """
         if self._known_variance is not None:
             return self._known_variance
-        objective, layout, pixels = self._objective, self._objective.layout, self._noise_pixels
+        objective, layout, pixels = self.objective, self.objective.layout, self._noise_pixels
         _, sum_sq = objective.with_best_albedo(self._given, pixels)
         samples = objective.samples * len(pixels) / layout.pixels
         lights = 0 if layout.lighting is None else layout.lighting.stop - layout.lighting.start
         unknowns = len(pixels) * layout.maps.stop / layout.pixels + lights
-        degrees = max(samples - unknowns, DEGREES_OF_FREEDOM_SHARE_MIN * samples)
-        variance: float = max(float(sum_sq.sum()) / degrees, NOISE_VARIANCE_MIN)
+        degrees = max(samples - unknowns, settings.DEGREES_OF_FREEDOM_SHARE_MIN * samples)
+        variance: float = max(float(sum_sq.sum()) / degrees, settings.NOISE_VARIANCE_MIN)
         return variance
 
     def likelihood(self, pixels: Pixels) -> NDArray[np.float32]:
@@ -326,8 +309,10 @@ class _Grid:
         profile = excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1).min(axis=2)
         best = np.clip(profile.argmin(axis=1), 1, len(ROUGHNESS_NODES) - 2)[:, None]
         below, at, above = (np.take_along_axis(profile, best + i, axis=1) for i in (-1, 0, 1))
-        curvature = np.maximum(below - 2 * at + above, LIKELIHOOD_CURVATURE_MIN) / NODE_DISTANCE**2
-        share = 1 / (1 + PRIOR_NODE_SPACING**2 * curvature)  # η
+        curvature = (
+            np.maximum(below - 2 * at + above, settings.LIKELIHOOD_CURVATURE_MIN) / NODE_DISTANCE**2
+        )
+        share = 1 / (1 + settings.PRIOR_NODE_SPACING**2 * curvature)  # η
         likelihood: NDArray[np.float32] = np.exp(-share * excess)
         return likelihood
 
@@ -402,21 +387,21 @@ class _Distributions:
         order = np.argsort(labels, kind="stable")
         found, starts = np.unique(labels[order], return_index=True)
         for segment, of_segment in zip(found, np.split(order, starts[1:]), strict=True):
-            if segment and len(of_segment) >= SEGMENT_PIXELS_MIN:
+            if segment and len(of_segment) >= settings.SEGMENT_PIXELS_MIN:
                 row[segment] = len(rows)
                 rows.append(_mixture(likelihood[of_segment], whole))
-        probabilities = np.maximum(np.stack(rows), np.float32(NODE_PROBABILITY_MIN))
+        probabilities = np.maximum(np.stack(rows), np.float32(settings.NODE_PROBABILITY_MIN))
         shape = (len(ROUGHNESS_NODES), -1)
-        high = probabilities > GROUP_PROBABILITY_SHARE * probabilities.max(axis=1, keepdims=True)
+        high = probabilities > settings.GROUP_PROBABILITY_SHARE * probabilities.max(
+            axis=1, keepdims=True
+        )
         groups = np.stack([label(of_row.reshape(shape))[0].ravel() for of_row in high])
         nodes = np.stack([grid.roughness, grid.metallic], axis=-1).astype(np.float32)
         return cls(probabilities, groups.astype(np.intp), row, nodes)
 
-    def of_all(self, grid: _Grid, labels: Labels, stop: Stop = lambda: False) -> _Posterior | None:
-        """Of all pixels of the grid's objective, `labels` (P,).
-
-        None if stopped before all pixels had theirs.
-        """
+    def of_all(self, grid: _Grid, stop: Stop = lambda: False) -> _Posterior | None:
+        """The posterior of all pixels of the grid's objective; None if stopped before."""
+        labels = _labels(grid.objective)
         everything = np.arange(len(labels), dtype=np.uint64)
         parts = []
         for chunk in slices(len(labels), PIXELS_AT_ONCE):
@@ -450,10 +435,10 @@ def _mixture(
     """Probabilities of the nodes by EM; `whole` counts as some pixels more."""
     nodes = likelihood.shape[1]
     probabilities = np.full(nodes, 1 / nodes, np.float32) if whole is None else whole
-    for _ in range(EM_ITERATIONS):
+    for _ in range(settings.EM_ITERATIONS):
         of_pixels = likelihood @ probabilities
         probabilities = probabilities * (np.reciprocal(of_pixels) @ likelihood)
         if whole is not None:
-            probabilities += np.float32(PICTURE_PSEUDO_PIXELS) * whole
+            probabilities += np.float32(settings.PICTURE_PSEUDO_PIXELS) * whole
         probabilities /= probabilities.sum()
     return probabilities

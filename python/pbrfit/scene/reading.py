@@ -1,0 +1,411 @@
+"""A scene folder as arrays: all its files read, checked, and brought to one size."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io import images
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.normal_files import UNCERTAINTY, find_normals, read_normals, read_uncertainty
+from pbrfit.io.output import digest
+from pbrfit.io.quoting import quoted
+from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
+from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
+from pbrfit.model import geometry
+from pbrfit.model.lighting import Lighting
+from pbrfit.model.materials import read_materials
+from pbrfit.scene.arrays import MIN_NORMAL_LENGTH, SceneArrays, Source, Truth, unit_normals
+from pbrfit.scene.folder import (
+    SEGMENT_FILE,
+    Settings,
+    decided_fov,
+    find_pictures,
+    read_settings,
+    truth_files,
+    warn_of_near_misses,
+)
+
+log = logging.getLogger("pbrfit")
+
+AnyScene = TypeVar("AnyScene", bound=SceneArrays)
+
+HOW_TO_GET_NORMALS = (
+    "normals.exr or normals.png (camera space, X right, Y up, Z to the viewer) from a renderer or "
+    "a normal estimator such as Marigold (`pbrfit normals SCENE --from marigold`), or flat ones "
+    "(`--from flat`)"
+)
+
+LONGEST_NAME = 250
+"""Bytes of a picture's name without its suffix; file systems take 255 with it."""
+
+
+@dataclass(frozen=True)
+class _Notes:
+    """What reading a folder tells beside arrays: `Scene.inputs` and `Scene.assumed`."""
+
+    folder: Path
+    inputs: dict[str, str] = field(default_factory=dict)
+    assumed: dict[str, str] = field(default_factory=dict)
+
+    def has(self, name: str) -> bool:
+        """Whether there is a file of that name; if so, it is an input."""
+        path = self.folder / name
+        if path.exists():
+            self.inputs[name] = digest(path)
+        return name in self.inputs
+
+
+def load(
+    folder: Path,
+    kind: type[AnyScene],
+    *,
+    fov: float | None = None,
+    color_space: ColorSpace | None = None,
+    max_size: int | None = None,
+    code_range: tuple[int, int] = images.CODE_RANGE,
+) -> AnyScene:
+    """Read a scene folder as a scene of some class; see `Scene.load`."""
+    source = Source(folder.resolve(), color_space, max_size, code_range, fov)
+    if max_size is not None and max_size < 1:
+        raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
+    paths = find_pictures(folder)
+    warn_of_near_misses(folder)
+    notes = _Notes(folder)
+    assumed = notes.assumed
+    settings = read_settings(folder / "scene.toml")
+    notes.has("scene.toml")
+    if fov is not None:
+        geometry.check_fov(fov)
+    names = tuple(path.stem for path in paths)
+    for path in paths:
+        try:
+            path.name.encode()
+        except UnicodeEncodeError:
+            raise InputError(
+                f"{path.parent}: expected file names in UTF-8, found {path.name!r}"
+            ) from None
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"{paths[0].parent}: expected one picture a name, found {twice} twice")
+
+    read = _read_pictures(paths, notes, color_space or settings.color_space, max_size, code_range)
+    # From here on every map must have the size that the pictures have on disk.
+    mask = read.mask
+    full_size, size = mask.shape, read.pixels.shape[1:3]
+    if full_size != size:
+        assumed["size"] = (
+            f"averaged down from {full_size[1]} × {full_size[0]} to {size[1]} × {size[0]} pixels"
+        )
+    mask &= _read_mask(notes, full_size)
+    if not mask.any():
+        raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
+    normals, sigma = _read_normals(notes, settings, mask)
+    segments = _read_segments(notes, full_size)
+    if full_size != size:
+        if sigma is not None:
+            # Errors of neighbouring normals are much alike, so their mean is no more certain.
+            sigma = averaged(np.where(mask, sigma, 0.0), size).astype(np.float32)
+        normals, mask, segments = _averaged(normals, mask, segments, size)
+    weights = _exposure_weights(read, mask, paths, code_range, assumed)
+    given = _read_weights(notes, names, mask, full_size)
+    if given is not None:
+        weights = given if weights is None else weights * given
+
+    lighting = None
+    if notes.has("lighting.json"):
+        lighting_path = folder / "lighting.json"
+        lighting = Lighting.load(lighting_path).of(names, lighting_path)
+        assumed["lighting"] = "known, from lighting.json"
+
+    fov, assumed["fov"] = decided_fov(folder, fov, settings, read.focal_length, full_size)
+
+    if settings.model is not None:
+        assumed["model"] = f"{settings.model}, with which the pictures were rendered (scene.toml)"
+
+    truth = _read_truth(folder / "truth", names, size)
+    for path in truth_files(folder):
+        notes.has(path.relative_to(folder).as_posix())
+    try:
+        return kind(
+            images=read.pixels,
+            normals=normals,
+            fov=fov,
+            mask=mask,
+            segments=segments,
+            lighting=lighting,
+            weights=weights,
+            normal_sigma=sigma,
+            names=names,
+            truth=truth,
+            assumed=assumed,
+            inputs=dict(sorted(notes.inputs.items())),
+            source=source,
+            model=settings.model,
+        )
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from None
+
+
+@dataclass
+class _Pictures:
+    """All pictures of a scene folder.
+
+    Attributes
+    ----------
+    pixels
+        (N, H, W, 3) at the working size.
+    clipped, dark
+        (N, H, W), bool: samples with a part in what is too bright or too dark for its file.
+    mask
+        What alpha leaves, at the files' size.
+    focal_length
+        Of the first picture that has one, 35 mm equivalent, millimetres.
+    """
+
+    pixels: NDArray[np.float32]
+    clipped: NDArray[np.bool_]
+    dark: NDArray[np.bool_]
+    mask: NDArray[np.bool_]
+    focal_length: float | None = None
+
+
+def _read_pictures(
+    paths: list[Path],
+    notes: _Notes,
+    color_space: ColorSpace | None,
+    max_size: int | None,
+    code_range: tuple[int, int],
+) -> _Pictures:
+    read: _Pictures | None = None
+    colors: dict[str, list[str]] = {}
+    for i, path in enumerate(paths):
+        picture = images.read_picture(path, color_space, code_range=code_range)
+        full_size = picture.pixels.shape[:2]
+        if read is None:
+            size = full_size if max_size is None else reduced_size(full_size, max_size)
+            samples = (len(paths), *size)
+            read = _Pictures(
+                pixels=np.empty((*samples, 3), dtype=np.float32),
+                clipped=np.empty(samples, dtype=bool),
+                dark=np.empty(samples, dtype=bool),
+                mask=np.ones(full_size, dtype=bool),
+            )
+        if full_size != read.mask.shape:
+            height, width = read.mask.shape
+            raise InputError(
+                f"{path}: expected the size of {paths[0].name}, "
+                f"{width} × {height} pixels, found {full_size[1]} × {full_size[0]}"
+            )
+        whole = size == full_size
+        read.pixels[i] = picture.pixels if whole else averaged_channels(picture.pixels, size)
+        read.clipped[i] = _touched(picture.clipped, size)
+        read.dark[i] = _touched(picture.dark, size)
+        if picture.alpha is not None:
+            read.mask &= picture.alpha >= 0.5
+        read.focal_length = read.focal_length or picture.focal_length_35mm
+        colors.setdefault(picture.color, []).append(path.name)
+        notes.inputs[path.relative_to(notes.folder).as_posix()] = picture.sha256
+    assert read is not None
+    for color, names in colors.items():
+        notes.assumed["color" if len(colors) == 1 else f"color of {', '.join(names)}"] = color
+    if not read.mask.any():
+        raise InputError(f"{paths[0].parent}: expected opaque pixels, found alpha below 0.5 in all")
+    if not read.mask.all():
+        notes.assumed["alpha"] = f"{np.count_nonzero(~read.mask)} transparent pixels left out"
+    return read
+
+
+def _exposure_weights(
+    read: _Pictures,
+    mask: NDArray[np.bool_],
+    paths: list[Path],
+    code_range: tuple[int, int],
+    assumed: dict[str, str],
+) -> NDArray[np.float32] | None:
+    """(N, H, W), 0 where a sample of the mask is clipped or dark; None if none is."""
+    clipped, dark = read.clipped & mask, read.dark & mask
+    left_out = clipped | dark
+    if not left_out.any():
+        return None
+    low, high = code_range
+    for path, of_picture in zip(paths, left_out, strict=True):
+        if np.array_equal(of_picture, mask):
+            raise InputError(
+                f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
+                "found all clipped or dark; --code-range 0,255 keeps them"
+            )
+    samples = np.count_nonzero(mask) * len(paths)
+    causes = [
+        f"{100 * np.count_nonzero(samples_of) / samples:.2g} % {cause}"
+        for samples_of, cause in (
+            (clipped, f"with a channel above code {high} of 255"),
+            (dark, f"with all channels below {low}"),
+        )
+        if samples_of.any()
+    ]
+    assumed["exposure"] = f"samples left out: {', '.join(causes)}"
+    pixels = np.count_nonzero(left_out.all(axis=0))
+    if pixels:
+        assumed["exposure"] += f"; pixels left with none: {pixels}"
+    return np.where(left_out, np.float32(0), np.float32(1))
+
+
+def _read_weights(
+    notes: _Notes, names: tuple[str, ...], mask: NDArray[np.bool_], full_size: tuple[int, ...]
+) -> NDArray[np.float32] | None:
+    """`weights.exr` at the working size, that of `mask`; (H, W) or (N, H, W), 0 outside `mask`."""
+    if not notes.has(WEIGHT_FILE):
+        return None
+    path = notes.folder / WEIGHT_FILE
+    stored = read_weights(path, names)
+    _expect_size(path, stored.shape[-2:], full_size)
+    weights = stored if mask.shape == full_size else reduced(stored, mask.shape)
+    inside = weights[..., mask]
+    _check_not_negative(path, "finite weights", inside)
+    if not inside.any():
+        raise InputError(f"{path}: expected some weight above 0 in the mask, found none")
+    alike = "for all pictures alike" if weights.ndim == 2 else "for each picture"
+    notes.assumed["weights"] = (
+        f"{path.name}, {alike}: {inside.min():.2g} to {inside.max():.2g}, "
+        f"median {np.median(inside):.2g}"
+    )
+    return np.where(mask, weights, 0.0).astype(np.float32)
+
+
+def _check_not_negative(path: Path, what: str, values: NDArray[np.floating[Any]]) -> None:
+    bad = ~(np.isfinite(values) & (values >= 0))
+    if bad.any():
+        raise InputError(f"{path}: expected {what}, 0 or more, found {values[bad][0]:g}")
+
+
+def _touched(marked: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which pixels of a picture averaged down to `size` have a part in any that is marked."""
+    if marked.shape == size:
+        return marked
+    touched = np.zeros(size, dtype=bool)
+    rows, columns = np.nonzero(marked)
+    lows, highs = [], []
+    for at, full, small in zip((rows, columns), marked.shape, size, strict=True):
+        lows.append(at * small // full)
+        highs.append(np.minimum(((at + 1) * small - 1) // full, small - 1))
+    for row in (lows[0], highs[0]):
+        for column in (lows[1], highs[1]):
+            touched[row, column] = True
+    return touched
+
+
+def _read_mask(notes: _Notes, size: tuple[int, int]) -> NDArray[np.bool_]:
+    if not notes.has("mask.png"):
+        return np.ones(size, dtype=bool)
+    path = notes.folder / "mask.png"
+    drawn = images.read_data(path)
+    _expect_size(path, drawn.shape[:2], size)
+    mask: NDArray[np.bool_] = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1].mean(axis=-1) >= 0.5
+    if not mask.any():
+        raise InputError(f"{path}: expected at least one white pixel, found none")
+    return mask
+
+
+def _read_segments(notes: _Notes, size: tuple[int, int]) -> NDArray[np.uint16] | None:
+    if not notes.has(SEGMENT_FILE):
+        return None
+    segments = images.read_ids(notes.folder / SEGMENT_FILE)
+    _expect_size(notes.folder / SEGMENT_FILE, segments.shape, size)
+    return segments
+
+
+def _averaged(
+    normals: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    segments: NDArray[np.uint16] | None,
+    size: tuple[int, int],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint16] | None]:
+    """Reduce maps to a smaller size.
+
+    A pixel is used when all pixels that it averages are, so that nothing from outside the mask
+    gets in; ids are not averaged but taken from the middle.
+    """
+    small_mask = averaged(mask, size) > 1 - 1e-4
+    planes = [averaged(np.where(mask, normals[..., i], 0.0), size) for i in range(3)]
+    small_normals = np.stack(planes, axis=-1).astype(np.float64)
+    # Opposite normals cancel.
+    small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH
+    if segments is not None:
+        segments = at_centres(segments, size)
+    return small_normals, small_mask, segments
+
+
+def _read_normals(
+    notes: _Notes, settings: Settings, mask: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
+    """Unit normals in camera space, and their standard deviation in degrees, where it is given."""
+    folder = notes.folder
+    found = find_normals(folder)
+    if not found:
+        raise InputError(f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals")
+    if len(found) == 2:
+        raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
+    [path] = found
+    notes.has(path.name)
+    normals = read_normals(path)
+    _expect_size(path, normals.shape[:2], mask.shape)
+    try:
+        normals = settings.convention.to_camera(normals)
+    except InputError as error:
+        raise InputError(f"{folder / 'scene.toml'}: {error}") from None
+    said = f"{path.name}, {settings.convention}"
+    sigma = read_uncertainty(path)
+    if sigma is not None:
+        _check_not_negative(path, f"{UNCERTAINTY} of finite degrees", sigma[mask])
+        low, middle, high = np.percentile(sigma[mask], [0, 50, 100])
+        said += f", uncertain by {low:.2g} to {high:.2g} degrees, median {middle:.2g}"
+    notes.assumed["normals"] = said
+    try:
+        return unit_normals(normals, mask), sigma
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> Truth | None:
+    if not folder.is_dir():
+        return None
+    path = folder / "materials.exr"
+    materials, _, _ = read_materials(path)
+    if materials.albedo.shape[:2] != size:
+        # Materials must not be averaged across objects, so a scaled scene has no truth.
+        log.warning("%s: another size than the pictures in use, left out", path)
+        return None
+    lighting_path = folder / "lighting.json"
+    lighting = None  # of pictures whose lights are not spherical harmonics
+    if lighting_path.exists():
+        lighting = Lighting.load(lighting_path).of(names, lighting_path)
+    relight = folder / "relight"
+    if not relight.is_dir():
+        return Truth(materials, lighting)
+    held_out = Lighting.load(relight / "lighting.json")
+    pictures = []
+    for name in held_out.pictures:
+        if not name or set(name) & set("/\\\0") or len(name.encode()) > LONGEST_NAME:
+            raise InputError(
+                f"{relight / 'lighting.json'}: expected names of pictures beside it, "
+                f"found {quoted(name)}"
+            )
+        path = relight / f"{name}.exr"
+        pictures.append(images.read_picture(path).pixels)
+        _expect_size(path, pictures[-1].shape[:2], size)
+    return Truth(materials, lighting, np.stack(pictures), held_out.coefficients)
+
+
+def _expect_size(path: Path, found: tuple[int, ...], expected: tuple[int, ...]) -> None:
+    if tuple(found) != tuple(expected):
+        raise InputError(
+            f"{path}: expected the pictures' size, {expected[1]} × {expected[0]} pixels, "
+            f"found {found[1]} × {found[0]}"
+        )

@@ -1,0 +1,73 @@
+"""A scene as a folder that is read back as it is: float32 EXR, ground truth included."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io import images
+from pbrfit.io.normal_files import write_normals
+from pbrfit.io.output import new_folder
+from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
+from pbrfit.model.lighting import Lighting
+from pbrfit.model.materials import write_materials
+from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
+from pbrfit.scene.folder import CONTAINS, MAX_ID, SEGMENT_FILE
+
+
+def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
+    """Write a scene folder; see `Scene.save`."""
+    with new_folder(path, overwrite=overwrite, contains=CONTAINS) as folder:
+        (folder / "images").mkdir()
+        for name, image in zip(scene.names, scene.images, strict=True):
+            _write_picture(folder / "images" / f"{name}.exr", image)
+        normals = np.where(scene.valid[..., None], scene.normals, 0.0).astype(np.float32)
+        sigma = scene.normal_sigma
+        uncertainty = None if sigma is None else np.where(scene.valid, sigma, np.float32(0))
+        write_normals(folder / "normals.exr", normals, uncertainty)
+        model = "" if scene.model is None else f'model = "{scene.model}"\n'
+        (folder / "scene.toml").write_text(f"fov = {float(scene.fov)!r}\n{model}", encoding="utf-8")
+        if not scene.valid.all():
+            images.write_png(
+                folder / "mask.png", np.where(scene.valid, 255, 0).astype(np.uint8), tag=None
+            )
+        if scene.weights is not None:
+            write_weights(folder / WEIGHT_FILE, scene.weights, scene.names)
+        if scene.segments is not None:
+            images.write_png(folder / SEGMENT_FILE, _ids(scene.segments), tag=None)
+        if scene.lighting is not None:
+            Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
+        if scene.truth is not None:
+            _write_truth(scene.truth, scene, folder / "truth")
+
+
+def _write_truth(truth: Truth, scene: SceneArrays, folder: Path) -> None:
+    folder.mkdir()
+    write_materials(folder / "materials.exr", truth.materials, scene.normals, scene.valid)
+    if truth.lighting is not None:
+        Lighting(scene.names, truth.lighting).save(folder / "lighting.json")
+    if truth.relight_images is None or truth.relight_lighting is None:
+        return
+    (folder / "relight").mkdir()
+    names = tuple(f"relight_{i:02d}" for i in range(len(truth.relight_images)))
+    for name, image in zip(names, truth.relight_images, strict=True):
+        _write_picture(folder / "relight" / f"{name}.exr", image)
+    Lighting(names, truth.relight_lighting).save(folder / "relight" / "lighting.json")
+
+
+def _write_picture(path: Path, image: NDArray[Any]) -> None:
+    finite = np.where(np.isfinite(image), image, 0.0).astype(np.float32)
+    images.write_exr(path, {name: finite[..., c] for c, name in enumerate("RGB")})
+
+
+def _ids(segments: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
+    """As a picture of 16 bits holds them: other ids are numbered anew from 1, in their order."""
+    if segments.min() < 0 or segments.max() > MAX_ID:
+        segments, count = consecutive_labels(segments)
+        if count > MAX_ID:
+            raise InputError(f"segments: expected at most {MAX_ID} to save, found {count}")
+    return segments.astype(np.uint16)
