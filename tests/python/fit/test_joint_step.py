@@ -287,10 +287,10 @@ def test_a_step_from_far_away_stays_within_reach(damping: float) -> None:
     assert materials.min() >= 0
     assert materials.max() <= 1
     assert layout.tangent_offsets is not None
-    turned = np.linalg.norm((found.x - x)[layout.tangent_offsets].reshape(2, -1), axis=0)
-    assert turned.max() <= NORMALS_OFFSET_STEP_MAX * (1 + 1e-12)
+    lengths = np.linalg.norm((found.x - x)[layout.tangent_offsets].reshape(2, -1), axis=0)
+    assert lengths.max() <= NORMALS_OFFSET_STEP_MAX * (1 + 1e-12)
     if damping == 0:
-        assert turned.max() == pytest.approx(NORMALS_OFFSET_STEP_MAX)
+        assert lengths.max() == pytest.approx(NORMALS_OFFSET_STEP_MAX)
     assert np.abs((found.x - x)[layout.roughness]).max() <= NORMALS_ROUGHNESS_STEP_MAX + 1e-12
 
 

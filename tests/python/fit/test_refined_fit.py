@@ -203,19 +203,6 @@ def test_auto_does_not_refine_what_is_not_fitted_yet(iterations: int) -> None:
 
 
 @pytest.mark.slow
-def test_history_and_stages_go_on_over_all_fits() -> None:
-    scene = wrong(right())
-    result = decompose(scene, refine_normals="auto", iterations=60, uncertainty=False)
-    names = [stage.name for stage in result.stages]
-    assert "normals and lights from a subset" in names
-    assert "normals of all pixels" in names
-    iterations, seconds = result.history["iteration"], result.history["elapsed_s"]
-    assert (np.diff(iterations) >= 0).all()
-    assert (np.diff(seconds) >= 0).all()
-    assert sum(stage.seconds for stage in result.stages) <= result.seconds
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("iterations", [1, 3, 12])
 def test_each_fit_has_its_iterations_and_no_more(solver: Solver, iterations: int) -> None:
@@ -252,6 +239,11 @@ def test_the_history_ends_with_the_fit_that_is_kept(solver: Solver) -> None:
     assert kept.evaluations > plain.evaluations
     assert kept.stages[: len(plain.stages)] != kept.stages
     for result in (refined, kept):
+        names = {stage.name for stage in result.stages}
+        assert names >= {"normals and lights from a subset", "normals of all pixels"}
+        for column in ("iteration", "elapsed_s"):
+            assert (np.diff(result.history[column]) >= 0).all()
+        assert sum(stage.seconds for stage in result.stages) <= result.seconds
         for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
             assert result.history[name][-1] == pytest.approx(result.metrics[name], rel=1e-9)
         recon = result.metrics["recon_rmse"]

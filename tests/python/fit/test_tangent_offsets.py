@@ -355,12 +355,12 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
     example = Example(kind, pixels=700, pictures=5, noise=0.02)
     rng = np.random.default_rng(4)
     shape = 700, kind.of_material + 2 - kind.channels
-    pull = {"mean": rng.uniform(0, 1, shape), "precision": rng.uniform(0, 0.1, shape)}
+    prior = {"mean": rng.uniform(0, 1, shape), "precision": rng.uniform(0, 0.1, shape)}
     x = example.x(np.clip(example.truth + rng.normal(0, 0.1, example.truth.shape), 0, 1))
 
     def answers(threads: int, pixels: Pixels) -> list[Array]:
         problem = example.problem(threads)
-        of_pixels = {name: values[pixels] for name, values in pull.items()}
+        of_pixels = {name: values[pixels] for name, values in prior.items()}
         return [
             *fit(example, x, threads, pixels=pixels, exact_steps=6, **of_pixels),
             *problem.normal_equations(x, pixels),

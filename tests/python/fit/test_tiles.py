@@ -258,16 +258,6 @@ class TestFit:
         assert set(losses) == {losses[0]}
         assert np.isfinite(result.albedo).all()
 
-    def test_what_was_found_can_be_saved_and_read(
-        self, noisy: pbrfit.Scene, tmp_path: Path
-    ) -> None:
-        result = held(noisy, iterations=3)
-        result.save(tmp_path / "result")
-        again = pbrfit.Result.load(tmp_path / "result")
-        assert again.history.rows == result.history.rows
-        assert again.stages == result.stages
-        np.testing.assert_allclose(again.roughness, result.roughness, atol=1e-6)
-
     @pytest.mark.parametrize(
         ("fault", "message"),
         [

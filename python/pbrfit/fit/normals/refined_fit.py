@@ -295,7 +295,7 @@ def _fit_held(
 
     That x changes. Lights are held because a fit to held normals that are a degree off takes
     blurred highlights for weak ones, and makes lights 2 to 12 % too bright and albedo too dark.
-    Those of the joint steps, whose normals move along, are not drawn so. But joint steps know
+    Those of the joint steps, whose normals move along, are not bent so. But joint steps know
     squares only: where more was asked of lights, they are fitted once more.
     """
     options = run.options

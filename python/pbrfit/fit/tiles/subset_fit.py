@@ -83,8 +83,8 @@ def fit_subset(
         run.unmeasured += time.perf_counter() - began
     material, priors = None, setup.options.priors
     if run.fitted_prior is not None:
-        fitted, pull = run.fitted_prior
-        material = fitted.moved(pull, x)
+        fitted, prior = run.fitted_prior
+        material = fitted.moved(prior, x)
     else:  # the subset had no time or no use for the fitted prior: tiles have none either
         priors = replace(priors, material=0.0)
     return SubsetResult(
