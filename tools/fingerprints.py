@@ -183,9 +183,10 @@ def in_tiles() -> AbstractContextManager[object]:
 
     stack = ExitStack()
     stack.enter_context(mock.patch.object(memory, "WHOLE_PIXELS_MAX", 0))
-    stack.enter_context(mock.patch("pbrfit.fit.tiles.tiling.FEWEST", 16))
     stack.enter_context(
-        mock.patch.object(decompose_module, "fit_tiles", partial(fit_tiles, few=1296, side=30))
+        mock.patch.object(
+            decompose_module, "fit_tiles", partial(fit_tiles, subset_pixels=(16, 1296), side=30)
+        )
     )
     return stack
 

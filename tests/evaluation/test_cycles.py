@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pbrfit import InputError, Scene, sh_basis
 from pbrfit.model.reflection import MODELS
 from pbrfit.synthetic import World, draw, random_lights
-from pbrfit.synthetic.geometry import Frustum, trace
+from pbrfit.synthetic.geometry import trace
 from pbrfit_evaluation.cycles import (
     CyclesError,
     CyclesNotFoundError,
@@ -38,6 +38,7 @@ from pbrfit_evaluation.cycles.job import Job, basis_polynomials, rendered
 from pbrfit_evaluation.cycles.point_lights import random_point_lights
 from pbrfit_evaluation.cycles.scene import inner_pixels
 from pbrfit_evaluation.gap import spheres
+from pbrfit_evaluation.rooms.frustum import Frustum
 
 SIZE = 24
 REPOSITORY = Path(__file__).resolve().parents[2]

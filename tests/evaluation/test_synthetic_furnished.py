@@ -11,10 +11,11 @@ from pbrfit.model.geometry import view_directions
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
-from pbrfit.synthetic.geometry import Box, Cylinder, Frustum, Primitive, Sphere, trace
+from pbrfit.synthetic.geometry import Box, Cylinder, Primitive, Sphere, trace
 from pbrfit.synthetic.scenes import ADDED_KINDS
 from pbrfit.synthetic.scenes import KINDS as ALWAYS
 from pbrfit_evaluation.rooms.arrangement import draw_room
+from pbrfit_evaluation.rooms.frustum import Frustum
 from pbrfit_evaluation.rooms.palette import DARKEST, LIGHTEST, LIGHTEST_METAL
 
 Array = NDArray[np.float64]

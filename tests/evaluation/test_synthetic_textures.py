@@ -15,7 +15,6 @@ from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.geometry import (
     Box,
     Cylinder,
-    Frustum,
     Plane,
     Primitive,
     Sphere,
@@ -25,6 +24,7 @@ from pbrfit.synthetic.geometry import (
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit_evaluation.rooms import MaterialSet, load_textures
 from pbrfit_evaluation.rooms.detailed import LEAST_ROUGHNESS, Textured
+from pbrfit_evaluation.rooms.frustum import Frustum
 from pbrfit_evaluation.rooms.mapping import chart
 
 Array = NDArray[np.float64]

@@ -28,6 +28,7 @@ from fuzz.cases import Plan, place
 from fuzz.readers import READERS
 from fuzz.seeds import Seed
 from pbrfit._core import InputError
+from pbrfit.batch import process_memory
 
 SECONDS = 5.0
 """Of processor time that a case may take."""
@@ -120,13 +121,13 @@ class Room:
         self._placed = {k: v for k, v in case.files.items() if k != case.target}
         file = folder / case.target
         self._log.records.clear()
-        before = _reset_peak()
+        before = (process_memory.resident_kib() or 0) if process_memory.forget_peak() else None
         began = time.process_time()
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
         kind, problem = outcome(lambda: self._readers[reader].read(folder, file), folder, file)
         signal.setitimer(signal.ITIMER_PROF, 0)
         seconds = time.process_time() - began
-        growth = _peak() - before
+        growth = 0 if before is None else ((process_memory.peak_kib() or 0) - before) << 10
         tally.outcomes[kind] += 1
         tally.slowest = max(tally.slowest, seconds)
         tally.growth = max(tally.growth, growth)
@@ -209,22 +210,3 @@ def _limit_address_space() -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         limit = pages * resource.getpagesize() + ADDRESS_SPACE
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-
-
-def _reset_peak() -> int:
-    """Begin to measure the peak of resident memory anew; returns what is resident now."""
-    if sys.platform != "linux":
-        return 0
-    Path("/proc/self/clear_refs").write_text("5")
-    return _status("VmRSS")
-
-
-def _peak() -> int:
-    return _status("VmHWM") if sys.platform == "linux" else 0
-
-
-def _status(name: str) -> int:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(name):
-            return int(line.split()[1]) << 10
-    return 0

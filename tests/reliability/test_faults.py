@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import resource
 import shutil
@@ -172,22 +171,6 @@ def test_a_disk_without_any_room_costs_a_line_a_scene(scenes: Path, tmp_path: Pa
         assert sorted(each) == [f"pbrfit: {out / name}: No space left on device" for name in NAMES]
         assert last.startswith("pbrfit: 6 of 6 scenes failed: ")
         assert names(tmp_path / "disk") == ["full"]
-
-
-def test_a_limit_on_the_size_of_files_costs_no_old_result(scenes: Path, tmp_path: Path) -> None:
-    """It needs no rights to be set, and fails like a full disk."""
-    out = tmp_path / "out"
-    assert ended(arguments(scenes, out))[0] == 0
-    before = contents(out)
-    code, told, errors = ended(
-        arguments(scenes, out, "--overwrite"),
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)),
-    )
-    assert (code, told) == (2, "")
-    assert sorted(errors.splitlines()[:-1]) == [
-        f"pbrfit: {out / name}: File too large" for name in NAMES
-    ]
-    assert contents(out) == before
 
 
 # No right
@@ -360,47 +343,3 @@ def test_what_changed_while_a_batch_was_stopped_is_done_again(
         assert after[name][0] == content(undisturbed / name)
         if name in set(before) - again:
             assert after[name] == before[name]
-
-
-def test_a_folder_that_is_no_result_is_refused_before_any_work(
-    scenes: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    (out / "s4").mkdir(parents=True)
-    (out / "s4" / "thesis.txt").write_text("three years")
-    for how in ("--resume", "--overwrite"):
-        assert ended(arguments(scenes, out, how)) == (
-            2,
-            "",
-            f"pbrfit: {out / 's4'}: expected an earlier output to replace, found a folder without "
-            "result.json; remove it yourself if it is not needed\n",
-        )
-    assert [path.name for path in out.iterdir()] == ["s4"]
-    assert (out / "s4" / "thesis.txt").read_text() == "three years"
-
-
-# Two batches
-
-
-def test_the_second_batch_on_an_output_is_refused_and_the_first_goes_on(
-    scenes: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    first = started(
-        arguments(scenes, out, "--json", "--iterations", 300),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    lock = out / ".pbrfit" / "lock"
-    seconds_until(lock.exists)
-    for _ in range(2):
-        assert ended(arguments(scenes, out, "--resume")) == (
-            2,
-            "",
-            f"pbrfit: {out}: expected no other batch that writes there, found one at work\n",
-        )
-        assert first.poll() is None
-    told, errors = first.communicate(timeout=300)
-    assert (first.returncode, errors) == (0, "")
-    assert [json.loads(line)["status"] for line in told.splitlines()] == ["done"] * COUNT
-    assert names(out) == NAMES

@@ -15,6 +15,7 @@ from PIL import Image
 from pbrfit.acquire.generators import Generated, Refused, Request, requests_from
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue, Prompt
+from pbrfit.acquire.review import Check, Verdict
 from pbrfit.io.color import encode_srgb
 from pbrfit.synthetic import make_scene
 
@@ -75,28 +76,6 @@ class Counting:
         gain = 0.3 + 0.6 * np.random.default_rng(request.seed).random(3)
         pixels = np.rint(photo.srgb8() * gain).astype(np.uint8)
         return Generated(pixels, {"seed": request.seed, "cost_usd": 0.25, "usage": {"tokens": 10}})
-
-
-@dataclass(frozen=True)
-class Check:
-    name: str
-    value: float
-    bound: float
-    passed: bool
-    note: str
-
-
-@dataclass(frozen=True)
-class Verdict:
-    checks: tuple[Check, ...]
-
-    @property
-    def accepted(self) -> bool:
-        return all(check.passed for check in self.checks)
-
-    @property
-    def reason(self) -> str:
-        return "; ".join(check.note for check in self.checks if not check.passed)
 
 
 def verdict(name: str, passed: bool) -> Verdict:

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 import reference
 from pbrfit.synthetic import World
-from pbrfit.synthetic.geometry import Box, Cylinder, Frustum, Plane, Primitive, Sphere
+from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere
 from pbrfit.synthetic.surfaces import Layers, Spots
+from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -113,3 +114,13 @@ def run(*arguments: str | Path | int | float) -> int:
         return main([str(argument) for argument in arguments])
     except SystemExit as end:  # --help, --version and wrong usage
         return int(end.code or 0)
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """What a refusal says: nothing on stdout, and one line on stderr."""
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("pbrfit")
+    assert captured.err.count("\n") == 1
+    assert "Traceback" not in captured.err
+    return captured.err

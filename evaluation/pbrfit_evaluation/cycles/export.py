@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.model.geometry import view_directions
-from pbrfit.synthetic.geometry import Box, Cylinder, Frustum, Plane, Primitive, Sphere, trace
+from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, trace
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit.synthetic.world import World
+from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
 Shell = Literal["stage", "open"]

@@ -10,6 +10,7 @@ import numpy as np
 from pbrfit.synthetic import patterns
 from pbrfit.synthetic.geometry import Box, Cylinder, Primitive
 from pbrfit.synthetic.surfaces import METALS, Layers, Paint, Surface
+from pbrfit_evaluation.rooms import patterns as room_patterns
 from pbrfit_evaluation.rooms.palette import (
     DYES,
     FRUIT,
@@ -39,7 +40,7 @@ def metal(rng: Rng, primitive: Primitive) -> Surface:
     if finish == "brushed":
         streaks = replace(bare, roughness=bare.roughness + 0.2, albedo=0.92 * color)
         axis = 1 if isinstance(primitive, Box) else 0
-        return Layers(bare, ((streaks, patterns.brushed(rng, axis)),))
+        return Layers(bare, ((streaks, room_patterns.brushed(rng, axis)),))
     worn = replace(bare, roughness=min(bare.roughness + 0.25, 0.8), albedo=0.88 * color)
     smudges = (worn, patterns.patches(rng, 0.22))
     if finish == "worn":
@@ -100,10 +101,10 @@ def _textile(rng: Rng, _: Primitive) -> Surface:
     base, over = (paint(DYES[i], rng.uniform(0.75, 0.9), rng) for i in (first, second))
     cloth = rng.choice(["plain", "stripes", "checked", "leather"])
     if cloth == "stripes":
-        thin = (paint(DYES[third], 0.85, rng), patterns.bands(rng, 0.05, 0.12, 0.25))
+        thin = (paint(DYES[third], 0.85, rng), room_patterns.bands(rng, 0.05, 0.12, 0.25))
         return Layers(base, ((over, patterns.stripes(rng, rng.uniform(0.12, 0.2), axis=0)), thin))
     if cloth == "checked":
-        return Layers(base, ((over, patterns.weave(rng, rng.uniform(0.14, 0.24))),))
+        return Layers(base, ((over, room_patterns.weave(rng, rng.uniform(0.14, 0.24))),))
     if cloth == "leather":
         base = paint(WOODS[rng.choice([0, 3, 4, 6])], rng.uniform(0.35, 0.55), rng)
         return Layers(base, ((darker(base, 0.6, 0.2), patterns.patches(rng, 0.2)),))
@@ -132,7 +133,7 @@ def _stone(rng: Rng, _: Primitive) -> Surface:
 def _books(rng: Rng, _: Primitive) -> Surface:
     """Spines side by side, in four colours."""
     paints = [paint(DYES[i], rng.uniform(0.4, 0.8), rng) for i in rng.permutation(len(DYES))[:4]]
-    layers = [(cover, patterns.bands(rng, 0.035, 0.075, 0.4)) for cover in paints[1:]]
+    layers = [(cover, room_patterns.bands(rng, 0.035, 0.075, 0.4)) for cover in paints[1:]]
     return Layers(paints[0], tuple(layers))
 
 
@@ -180,8 +181,8 @@ def _rug(rng: Rng, primitive: Primitive) -> Surface:
         paints[0],
         (
             (paints[1], field),
-            (paints[2], patterns.frame(x, z, -0.02, 0.17, disc=disc)),
-            (paints[3], patterns.frame(x, z, 0.05, 0.05, disc=disc)),
+            (paints[2], room_patterns.frame(x, z, -0.02, 0.17, disc=disc)),
+            (paints[3], room_patterns.frame(x, z, 0.05, 0.05, disc=disc)),
         ),
     )
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.synthetic.geometry import Cylinder, Frustum, Primitive, Sphere
+from pbrfit.synthetic.geometry import Cylinder, Primitive, Sphere
+from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
 

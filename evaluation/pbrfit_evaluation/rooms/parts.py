@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.synthetic.geometry import Box, Cylinder, Frustum, Primitive, Sphere, rotation
+from pbrfit.synthetic.geometry import Box, Cylinder, Primitive, Sphere, rotation
+from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
 

@@ -7,6 +7,7 @@ import numpy as np
 from pbrfit.synthetic import patterns
 from pbrfit.synthetic.geometry import Primitive
 from pbrfit.synthetic.surfaces import Layers, Paint, Surface
+from pbrfit_evaluation.rooms import patterns as room_patterns
 from pbrfit_evaluation.rooms.palette import DYES, STONES, WALL_PAINTS, WOODS, darker, paint
 
 Rng = np.random.Generator
@@ -33,22 +34,22 @@ def shell_coverings(walls: tuple[Primitive, ...], rng: Rng) -> list[Surface]:
         elif kind == "brick":
             clay = paint(DYES[rng.choice([0, 2, 12])], 0.85, rng)
             base = darker(clay, 0.65, 0.0)
-            joint = patterns.joints(rng, 0.34, 0.16, running=True, joint=0.028)
+            joint = room_patterns.joints(rng, 0.34, 0.16, running=True, joint=0.028)
             layers = [
-                (clay, patterns.tile_tones(rng, 0.34, 0.16)),
+                (clay, room_patterns.tile_tones(rng, 0.34, 0.16)),
                 (paint(STONES[1], 0.9, rng), joint),
             ]
         elif kind == "tiles":
             glaze = paint(DYES[rng.integers(len(DYES))], rng.uniform(0.15, 0.35), rng)
             base, side = darker(glaze, 0.8, 0.0), rng.uniform(0.22, 0.34)
-            joint = patterns.joints(rng, side, side, running=False, joint=0.026)
+            joint = room_patterns.joints(rng, side, side, running=False, joint=0.026)
             grout = paint(STONES[rng.choice([0, 2])], 0.85, rng)
             layers = [(glaze, patterns.clouds(rng, 0.3)), (grout, joint)]
         if dado is not None and kind in ("paint", "accent", "wallpaper"):
             panel = darker(accent, 0.7, -0.2) if kind != "accent" else darker(plain, 0.7, -0.2)
-            layers.append((panel, patterns.above(-up, -(foot + dado))))
+            layers.append((panel, room_patterns.above(-up, -(foot + dado))))
         skirting = paint(DYES[rng.choice([0, 1])], 0.4, rng, 0.05)
-        layers.append((skirting, patterns.above(-up, -(foot + 0.1))))
+        layers.append((skirting, room_patterns.above(-up, -(foot + 0.1))))
         covers.append(Layers(base, tuple(layers)))
     return covers
 
@@ -81,9 +82,11 @@ def _floor(rng: Rng) -> Surface:
     first, second = rng.permutation(len(STONES))[:2]
     base = paint(STONES[first], rng.uniform(0.15, 0.5), rng)
     grout = paint(STONES[2], 0.85, rng)
-    joint = (grout, patterns.joints(rng, side, side, running=False))
+    joint = (grout, room_patterns.joints(rng, side, side, running=False))
     if kind == "tiles":
-        return Layers(base, ((darker(base, 0.6, 0.1), patterns.tile_tones(rng, side, side)), joint))
+        return Layers(
+            base, ((darker(base, 0.6, 0.1), room_patterns.tile_tones(rng, side, side)), joint)
+        )
     if kind == "checker":
         over = paint(STONES[second], rng.uniform(0.15, 0.4), rng)
         return Layers(base, ((over, patterns.checker(rng, 2 * side)),))

@@ -17,7 +17,7 @@ from pbrfit.batch import process_memory
 from pbrfit.io.output import scratch_folder
 from pbrfit.model.reflection import DEFAULT_MODEL, render
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import build
+from pbrfit.synthetic import draw
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit.synthetic.lights import random_lights
 from pbrfit_evaluation.solvers.fits import (
@@ -79,7 +79,7 @@ def work(task: Task, threads: int) -> dict[str, Any]:
 def write_scene(path: Path, size: int, threads: int) -> None:
     """Keep a room's pictures and normals in float32, rendered one by one."""
     seed = np.random.default_rng(FIRST_SEED)
-    view = build("furnished", size, seed)
+    view = draw("furnished", seed).cast(size)
     lights = random_lights(PICTURES, seed)
     images = np.empty((PICTURES, size, size, 3), dtype=np.float32)
     for image, light in zip(images, lights, strict=True):

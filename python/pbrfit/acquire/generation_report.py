@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,6 +87,7 @@ class GenerationReport:
     def as_json(self) -> dict[str, Any]:
         """Content of `review.json`; docs/generate.md describes it."""
         height, width = self.photo.size
+        seconds = sum(record.get("seconds") or 0.0 for record in self._records())
         return {
             "version": version("pbrfit"),
             "photo": {
@@ -107,7 +108,7 @@ class GenerationReport:
                 "accepted": len(self.accepted),
                 "left_out": len(self.left_out),
                 "attempts": sum(len(picture.attempts) for picture in self.pictures),
-                "seconds": round(sum(_number(record, "seconds") for record in self._records()), 3),
+                "seconds": round(seconds, 3),
                 "cost_usd": self.cost_usd,
                 "usage": _summed(record.get("usage") for record in self._records()),
             },
@@ -204,23 +205,12 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
 
 
 def _check(check: Check) -> dict[str, Any]:
-    return {
-        "name": check.name,
-        "value": _finite(check.value),
-        "bound": _finite(check.bound),
-        "passed": check.passed,
-        "note": check.note,
-    }
+    return {**asdict(check), "value": _finite(check.value), "bound": _finite(check.bound)}
 
 
 def _finite(value: float) -> float | None:
     """JSON has no infinity."""
     return float(value) if math.isfinite(value) else None
-
-
-def _number(record: dict[str, Any], key: str) -> float:
-    value = record.get(key)
-    return float(value) if isinstance(value, (int, float)) else 0.0
 
 
 def _summed(usages: Iterable[Any]) -> dict[str, Any] | None:

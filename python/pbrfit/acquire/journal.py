@@ -91,7 +91,8 @@ class Journal:
     def begin(self) -> None:
         """Make the folder, and note what this run is about."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        _write(self.folder / RUN, self._about, overwrite=True)
+        with new_file(self.folder / RUN, overwrite=True) as path:
+            write_json(path, self._about)
 
     def find(self, request: Request) -> Entry | None:
         """What came of an equal request, if it was made."""
@@ -138,7 +139,8 @@ class Journal:
     def _add(self, entry: Entry) -> Entry:
         content = {"about": self._about, **dataclasses.asdict(entry)}
         del content["stem"]
-        _write(self.folder / f"{entry.stem}.json", content)
+        with new_file(self.folder / f"{entry.stem}.json") as path:
+            write_json(path, content)
         self._entries[_key(entry.request)] = entry
         return entry
 
@@ -174,13 +176,14 @@ def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[st
     path = folder / RUN
     if not path.is_file():
         raise InputError(f"{path}: expected what an earlier run was about, found no such file")
-    before, now = _json(path), about(photo, settings)
+    before, now = read_json(path, ENTRY), about(photo, settings)
     try:
         was, is_now = before["photo"], now["photo"]
         if was["sha256"] != is_now["sha256"]:
             return ["another photo"]
         if was["size"] != is_now["size"]:
-            return [f"photo of {_size(was)} pixels (now {_size(is_now)})"]
+            sizes = [" × ".join(str(whole(side)) for side in one["size"]) for one in (was, is_now)]
+            return [f"photo of {sizes[0]} pixels (now {sizes[1]})"]
         if was["pixels_sha256"] != is_now["pixels_sha256"]:
             return ["photo read in another colour space"]
         old, new = before["settings"], now["settings"]
@@ -191,10 +194,6 @@ def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[st
         ]
     except UNFIT:
         raise _strange(path) from None
-
-
-def _size(photo: dict[str, Any]) -> str:
-    return " × ".join(str(whole(side)) for side in photo["size"])
 
 
 def holds_nothing(folder: Path) -> bool:
@@ -222,7 +221,7 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
     for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
         if path.name == RUN or path.name.startswith("."):
             continue
-        content = _json(path)
+        content = read_json(path, ENTRY)
         try:
             request, run, sha256 = _request(content["request"]), content["about"], content["sha256"]
             refused, record = _words(content["refused"]), table(content["record"])
@@ -267,10 +266,6 @@ def _words(value: Any) -> str:
     return value
 
 
-def _json(path: Path) -> Any:
-    return read_json(path, ENTRY)
-
-
 def _strange(path: Path) -> InputError:
     return InputError(f"{path}: expected {ENTRY}, found something else")
 
@@ -287,8 +282,3 @@ def _text(content: object) -> str:
     """JSON in UTF-8."""
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
-
-
-def _write(path: Path, content: object, *, overwrite: bool = False) -> None:
-    with new_file(path, overwrite=overwrite) as temporary:
-        write_json(temporary, content)

@@ -20,7 +20,7 @@ LEAST_SIDE = 64
 """Fewest pixels of a side: below, FLUX.2 refuses, and a picture shows nothing to imagine from."""
 
 WHITE_QUANTILE = 0.99
-"""Of a float file, this share of the pixels is shown below white: lamps and windows are not."""
+"""Share of the pixels of a float file that is shown below white: lamps and windows are not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +83,7 @@ def read_photo(
     """Read a photograph: EXR, HDR, PNG, JPEG or TIFF, of any depth, colour or grey.
 
     The colour is decided as by `pbrfit.io.images.read_picture`, the EXIF orientation is applied,
-    and
-    alpha below a half leaves pixels out.
+    and alpha below a half leaves pixels out.
 
     Parameters
     ----------

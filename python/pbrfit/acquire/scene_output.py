@@ -177,22 +177,16 @@ def _alone(folder: Path, out: Path) -> Iterator[None]:
 
 
 def _put(made: Path, out: Path) -> None:
+    """Put a new scene in place; of a run that made none its review, where there is no scene yet."""
     before = out / PICTURES
-    if not (made / PICTURES).is_dir():
-        return _put_review(made, out)
-    if before.is_dir():
-        before.rename(made / "before")
-    for name in PARTS:
-        if (made / name).exists():
-            (made / name).replace(out / name)
-        else:
-            (out / name).unlink(missing_ok=True)
-    return None
-
-
-def _put_review(made: Path, out: Path) -> None:
-    """Of a run that made no scene, for people to read; not beside a scene that it is not about."""
-    if (out / PICTURES).is_dir():
-        return
-    for path in made.iterdir():
-        path.replace(out / path.name)
+    if (made / PICTURES).is_dir():
+        if before.is_dir():
+            before.rename(made / "before")
+        for name in PARTS:
+            if (made / name).exists():
+                (made / name).replace(out / name)
+            else:
+                (out / name).unlink(missing_ok=True)
+    elif not before.is_dir():
+        for path in made.iterdir():
+            path.replace(out / path.name)

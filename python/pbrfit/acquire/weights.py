@@ -129,9 +129,7 @@ def placement(
             log.warning("no GPU found: %s runs on the processor, which is slow", what)
     if not there[device]:
         kind = "NVIDIA GPU that PyTorch can use" if device == "cuda" else "Apple GPU"
-        raise InputError(
-            f"device: expected {_article(kind)}, found none; cpu works without one, slowly"
-        )
+        raise InputError(f"device: expected an {kind}, found none; cpu works without one, slowly")
     if device == "cpu" and offload != "none":
         raise InputError(
             f"offload: expected a GPU to take parts off with {offload!r}, found none; leave it out"
@@ -369,7 +367,3 @@ def _cache() -> str:
     from huggingface_hub import constants
 
     return str(constants.HF_HUB_CACHE)
-
-
-def _article(noun: str) -> str:
-    return f"{'an' if noun[0] in 'AEIONaeio' else 'a'} {noun}"

@@ -18,7 +18,7 @@ from pbrfit.io import images
 from pbrfit.io.resampling import reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.result.options import FitOptions
-from pbrfit.result.refinement import LEAST_PICTURES
+from pbrfit.result.refinement import PICTURES_MIN
 from pbrfit.scene import folder as scene_folder
 
 DECODING_BYTES = 48
@@ -59,7 +59,7 @@ def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitM
     )
     # Pictures and weights in float32, normals in float64, how far off they may be.
     held = pixels * (4 * pictures * (3 + weighted) + 24 + 4 * (folder / "normals.exr").exists())
-    refining = options.refine_normals != "off" and pictures >= LEAST_PICTURES
+    refining = options.refine_normals != "off" and pictures >= PICTURES_MIN
     optional = options.refine_normals == "auto"
     found = memory.plan(
         layout, options.solver, held=held, refine_normals=refining, optional=optional

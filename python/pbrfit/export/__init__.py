@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -35,8 +35,9 @@ __all__ = ["Exported", "ExportedFile", "LightPanorama", "export_result"]
 
 MANIFEST = "export.json"
 
-DIFFERENT = 0.1
-"""Difference of what a panorama lights from which on it is warned of."""
+DIFFERENCE_WARNED = 0.1
+"""Relative RMS difference from which on it is warned of: of surfaces under a panorama from those
+under the SH light that it stands for."""
 
 log = logging.getLogger("pbrfit")
 
@@ -127,9 +128,15 @@ def export_result(
         geometry=geometry,
         masked=not result.mask.all(),
     )
-    job = _Job(result, planned, Maps.of(result))
+    maps = Maps.of(result)
+    files: list[ExportedFile] = []
     with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
-        files = [file for name in planned.formats for file in _WRITERS[name](folder, job)]
+        if "gltf" in planned.formats:
+            files.append(_write_gltf(folder, maps, planned, result.fov))
+        if "exr" in planned.formats:
+            files += _write_exr(folder, maps, planned, result)
+        if "png" in planned.formats:
+            files += _write_png(folder, maps, planned)
         (folder / "lights").mkdir()
         panoramas = write_lights(folder / "lights", result)
         files += _light_files(folder, panoramas)
@@ -138,30 +145,23 @@ def export_result(
     return Exported(tuple(files), panoramas)
 
 
-@dataclass(frozen=True)
-class _Job:
-    result: Result
-    plan: Plan
-    maps: Maps
-
-
-def _write_gltf(folder: Path, job: _Job) -> Iterator[ExportedFile]:
+def _write_gltf(folder: Path, maps: Maps, planned: Plan, fov: float) -> ExportedFile:
     path = "material.glb"
-    content = glb(job.maps, job.result.fov, job.plan.bits, job.plan.geometry)
+    content = glb(maps, fov, planned.bits, planned.geometry)
     (folder / path).write_bytes(content)
-    holds = f"{job.plan.geometry} with textures, and the camera of the pictures"
-    yield _file(folder, path, holds, "base color sRGB, all else linear")
+    holds = f"{planned.geometry} with textures, and the camera of the pictures"
+    return _file(folder, path, holds, "base color sRGB, all else linear")
 
 
-def _write_exr(folder: Path, job: _Job) -> Iterator[ExportedFile]:
+def _write_exr(folder: Path, maps: Maps, planned: Plan, result: Result) -> Iterator[ExportedFile]:
     (folder / "exr").mkdir()
-    result, path = job.result, "exr/materials.exr"
+    path = "exr/materials.exr"
     more = result.further_layers()
     write_materials(folder / path, result.materials, result.normals, result.mask, more)
     yield _file(folder, path, "all maps as layers; normals as vectors, Y up", _LINEAR)
-    for texture in job.plan.textures:
+    for texture in planned.textures:
         path = f"exr/{texture.name}.exr"
-        values = job.maps.floats(texture)
+        values = maps.floats(texture)
         letters = "Y" if values.shape[-1] == 1 else "RGBA"
         images.write_exr(
             folder / path, {letters[c]: values[..., c] for c in range(values.shape[-1])}
@@ -170,22 +170,16 @@ def _write_exr(folder: Path, job: _Job) -> Iterator[ExportedFile]:
         yield _file(folder, path, "; ".join(texture.channels), encoding)
 
 
-def _write_png(folder: Path, job: _Job) -> Iterator[ExportedFile]:
+def _write_png(folder: Path, maps: Maps, planned: Plan) -> Iterator[ExportedFile]:
     (folder / "png").mkdir()
-    for texture in job.plan.textures:
-        bits = job.plan.bits_of(texture)
+    for texture in planned.textures:
+        bits = planned.bits_of(texture)
         path = f"png/{texture.name}.png"
-        values = job.maps.integers(texture, bits)
+        values = maps.integers(texture, bits)
         images.write_png(folder / path, values, "srgb" if texture.color else "linear")
         holds = "; ".join(texture.channels)
         yield _file(folder, path, holds, f"{texture.color_space}; {bits} bits")
 
-
-_WRITERS: dict[Format, Callable[[Path, _Job], Iterator[ExportedFile]]] = {
-    "gltf": _write_gltf,
-    "exr": _write_exr,
-    "png": _write_png,
-}
 
 _LINEAR = "linear, Rec.709 primaries, D65; float32"
 
@@ -204,7 +198,7 @@ def _light_files(folder: Path, panoramas: tuple[LightPanorama, ...]) -> Iterator
 
 
 def _warn_of_negative(path: Path, panoramas: tuple[LightPanorama, ...]) -> None:
-    much = [light for light in panoramas if light.difference >= DIFFERENT]
+    much = [light for light in panoramas if light.difference >= DIFFERENCE_WARNED]
     if much:
         worst = max(much, key=lambda light: light.difference)
         log.warning(
@@ -213,7 +207,7 @@ def _warn_of_negative(path: Path, panoramas: tuple[LightPanorama, ...]) -> None:
             path / "lights",
             len(much),
             len(panoramas),
-            100 * DIFFERENT,
+            100 * DIFFERENCE_WARNED,
             worst.picture,
             100 * worst.difference,
         )

@@ -108,10 +108,6 @@ class Maps:
         return np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
 
 
-def _constant(value: float) -> Callable[[Maps], NDArray[np.float64]]:
-    return lambda maps: np.full(maps.mask.shape, value)
-
-
 CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
     "base color R": lambda maps: maps.albedo[..., 0],
     "base color G": lambda maps: maps.albedo[..., 1],
@@ -124,9 +120,9 @@ CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
     "0.5 − 0.5 normal Y": lambda maps: 0.5 - 0.5 * maps.normals[..., 1],
     "0.5 + 0.5 normal Z": lambda maps: 0.5 + 0.5 * maps.normals[..., 2],
     "mask": lambda maps: maps.mask.astype(np.float64),
-    "occlusion, none": _constant(1.0),
-    "detail mask, none": _constant(0.0),
-    "unused": _constant(0.0),
+    "occlusion, none": lambda maps: np.ones(maps.mask.shape),
+    "detail mask, none": lambda maps: np.zeros(maps.mask.shape),
+    "unused": lambda maps: np.zeros(maps.mask.shape),
 }
 """What a channel of a texture may hold: (H, W) in [0, 1]."""
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.sampling import spread
+from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.model import panorama
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import sh_basis, shade
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 PIXELS = 4096
-"""That stand for all in M; its 136 numbers need no more."""
+"""Number of pixels that stand for all in M, whose 136 numbers need no more."""
 
 RIDGE = 1e-3
 """ε, in units of the mean eigenvalue of M. With 1e-2, 1e-3, 1e-4 panoramas of a single lamp light a
@@ -48,7 +48,7 @@ STEPS = 500
 def surface_response(result: Result) -> Array:
     """M of each channel: (3, 16, 16)."""
     pixels = np.flatnonzero(result.mask)
-    pixels = pixels[spread(len(pixels), PIXELS).astype(np.int64)]
+    pixels = pixels[evenly_spaced(len(pixels), PIXELS).astype(np.int64)]
     height, width = result.mask.shape
     views = view_directions(height, width, result.fov)
     weights = shade(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from pbrfit._core import InputError
@@ -122,11 +122,17 @@ def plan(
     InputError
         If an option is unknown, or would have no effect beside the others.
     """
-    _check("format", format, get_args(Format))
-    _check("preset", preset, get_args(PresetName))
-    _check("normals", normals, get_args(NormalConvention))
-    _check("bits", bits, get_args(Bits))
-    _check("geometry", geometry, get_args(Geometry))
+    for name, value, kind in (
+        ("format", format, Format),
+        ("preset", preset, PresetName),
+        ("normals", normals, NormalConvention),
+        ("bits", bits, Bits),
+        ("geometry", geometry, Geometry),
+    ):
+        known = get_args(kind)
+        if value is not None and value not in known:
+            expected = ", ".join(map(str, known))
+            raise InputError(f"{name}: expected one of {expected}, found {value!r}")
     if format == "gltf" and preset is not None:
         raise InputError(
             f"preset: expected none with format gltf, which packs textures in one way, "
@@ -145,22 +151,15 @@ def plan(
         )
     convention = normals or chosen.normals
     textures = [
-        Texture(
-            t.name.format(normals=convention),
-            tuple(GREEN[convention] if c == GREEN["opengl"] else c for c in t.channels),
-            t.color,
-            t.bits,
+        replace(
+            t,
+            name=t.name.format(normals=convention),
+            channels=tuple(GREEN[convention] if c == GREEN["opengl"] else c for c in t.channels),
         )
         for t in chosen.textures
     ]
     if masked and chosen.opacity == "alpha":
-        first = textures[0]
-        textures[0] = Texture(first.name, (*first.channels, "mask"), first.color, first.bits)
+        textures[0] = replace(textures[0], channels=(*textures[0].channels, "mask"))
     elif masked and isinstance(chosen.opacity, Texture):
         textures.append(chosen.opacity)
     return Plan(formats, convention, tuple(textures), bits, geometry or "card")
-
-
-def _check(name: str, value: object, known: tuple[object, ...]) -> None:
-    if value is not None and value not in known:
-        raise InputError(f"{name}: expected one of {', '.join(map(str, known))}, found {value!r}")

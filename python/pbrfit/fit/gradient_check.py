@@ -14,16 +14,21 @@ from pbrfit.fit.priors.penalties import Penalty
 ValueAndGrad = Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]
 
 TOLERANCE = 1e-4
-"""Relative. The objective is evaluated in float32 inside, so differences carry noise of 1e-5."""
+"""Relative error up to which a derivative passes. The objective is evaluated in float32 inside, so
+differences carry noise of 1e-5."""
 
 HUBER_TOLERANCE = 1e-3
-"""With Huber's loss, whose slope has corners: differences across them are less exact, the more so
-the fewer samples there are."""
+"""The same with Huber's loss, whose slope has corners: differences across them are less exact, the
+more so the fewer samples there are."""
 
 DIRECTIONS = 3
+"""Random directions for each kind of unknown."""
+
 FIRST_STEP = 0.1
 SHRINK = 1.4
 STEPS = 8
+"""Steps of Ridders' differences, in units of the unknowns' size: the first, the quotient of one and
+the next, and how many."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +69,9 @@ def check_gradients(objective: Objective, *, seed: int = 0) -> list[GradientChec
     """Derivatives along random directions, for each kind of unknown apart.
 
     First of the loss, then of each penalty on its own, which beside the data may be too small to
-    show an error. Materials are drawn from [0.25, 0.75], tilts, where there are, from [-0.2, 0.2];
-    lights are the ones that fit them.
-    Directions follow the signs of the gradient, so that contributions do not cancel.
+    show an error. Materials are drawn from [0.25, 0.75], tangent offsets, where there are, from
+    [-0.2, 0.2]; lights are the ones that fit them. Directions follow the signs of the gradient, so
+    that contributions do not cancel.
     """
     rng = np.random.default_rng(seed)
     x = rng.uniform(0.25, 0.75, objective.size)

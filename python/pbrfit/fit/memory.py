@@ -12,9 +12,8 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.settings import LBFGS_PAIRS, WHOLE_PIXELS_MAX
+from pbrfit.fit.settings import LBFGS_PAIRS, TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
 from pbrfit.fit.solvers.projected_lbfgs import choose
-from pbrfit.fit.tiles.tiling import FEW
 from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
@@ -171,10 +170,11 @@ def of_layout(
 def of_tiles(
     layout: ParameterLayout, *, held: int, exact: bool = False, refine_normals: bool = False
 ) -> FitMemory:
-    """The same where the scene is fitted in tiles: as of a lattice, and maps of all pixels."""
-    few = replace(layout, valid=np.ones((1, min(FEW, layout.pixels)), dtype=bool), segments=None)
-    lattice = of_layout(few, "auto", held=held, exact=exact, refine_normals=refine_normals)
-    return replace(lattice, solver=lattice.solver + MAPS_BYTES * layout.pixels)
+    """The same where the scene is fitted in tiles: as of a subset, and maps of all pixels."""
+    pixels = min(TILES_SUBSET_PIXELS_MAX, layout.pixels)
+    few = replace(layout, valid=np.ones((1, pixels), dtype=bool), segments=None)
+    subset = of_layout(few, "auto", held=held, exact=exact, refine_normals=refine_normals)
+    return replace(subset, solver=subset.solver + MAPS_BYTES * layout.pixels)
 
 
 def check(method: Method, needed: FitMemory) -> None:

@@ -7,17 +7,10 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.penalties import tied_neighbours
-from pbrfit.fit.sampling import spread
+from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.settings import NEIGHBOUR_CORRELATION_MAX, NEIGHBOUR_PAIRS_MAX
 
 Array = NDArray[np.float64]
-
-PAIRS = 1024
-"""Neighbouring pixels by which a fit is judged."""
-
-NEIGHBOUR_CORRELATION_MAX = 0.25
-"""Mean cosine between neighbours' residuals up to which these are noise. On six synthetic rooms
-noise of 1 %, or of float32, left at most 0.05; wrong normals, field of view or SH order 0.84 and
-more."""
 
 
 class NeighbourPairs:
@@ -31,8 +24,8 @@ class NeighbourPairs:
 
     def __init__(self, objective: Objective) -> None:
         pairs = tied_neighbours(objective.layout)
-        if pairs.shape[1] > PAIRS:
-            pairs = pairs[:, spread(pairs.shape[1], PAIRS)]
+        if pairs.shape[1] > NEIGHBOUR_PAIRS_MAX:
+            pairs = pairs[:, evenly_spaced(pairs.shape[1], NEIGHBOUR_PAIRS_MAX)]
         pairs = pairs.astype(np.uint64)
         self.pixels = np.unique(pairs).astype(np.uint64)
         self._first, self._second = np.searchsorted(self.pixels, pairs)
@@ -51,3 +44,7 @@ class NeighbourPairs:
         size = np.sqrt(np.einsum("ps,ps->p", of_pixels, of_pixels))
         of_pixels /= np.maximum(size, np.finfo(np.float64).tiny)[:, None]
         return float(np.einsum("ps,ps->p", of_pixels[self._first], of_pixels[self._second]).mean())
+
+    def are_noise(self, x: Array) -> bool:
+        """Whether the residuals at x are noise: neighbours do not share them."""
+        return self.residual_correlation(x) <= NEIGHBOUR_CORRELATION_MAX

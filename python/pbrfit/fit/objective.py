@@ -14,12 +14,13 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties
-from pbrfit.fit.robust import MOST_PIXELS, irls_weights, loss_scale, noise_sigma
-from pbrfit.fit.sampling import spread
+from pbrfit.fit.robust import irls_weights, loss_scale, noise_sigma
+from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import (
     LARGEST_LIGHT,
     LIGHT_RIDGE,
     MEAN_RADIANCE,
+    NOISE_PIXELS_MAX,
     NOISE_SIGMA_MIN,
     START_ALBEDO_RANGE,
     START_MEAN_ALBEDO,
@@ -334,7 +335,7 @@ class Objective:
         """
         if name == "none":
             return None
-        pixels = spread(self.pixels, MOST_PIXELS)
+        pixels = evenly_spaced(self.pixels, NOISE_PIXELS_MAX)
         sigma = noise_sigma(
             self.problem.residuals(self.for_core(x), pixels),
             None if self.weights is None else self.weights[:, pixels],

@@ -1,7 +1,7 @@
 """Robust losses: their scale from residuals, and the pixels that it is estimated at.
 
 A robust loss φ(e) is e² for residuals e that noise explains and grows slower beyond, so that
-shadows, interreflections and highlights outside the model pull less (the formulas are in
+shadows, interreflections and highlights outside the model weigh less (the formulas are in
 `rust/problem/robust.rs`). Where it bends is its scale δ, a multiple of the noise's standard
 deviation σ, which is not known and is taken from the residuals themselves.
 
@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
+from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN
 
 SCALES = {"huber": 1.345, "cauchy": 2.385}
 """δ/σ by loss, for an efficiency of 95 % on Gaussian noise."""
@@ -34,14 +35,9 @@ SCALES = {"huber": 1.345, "cauchy": 2.385}
 MEDIAN_TO_SIGMA = 1.482602218505602
 """1 / 0.6745: σ over the median of |e| where e is Gaussian."""
 
-MOST_PIXELS = 20_000
-"""Enough for σ to 1 %, and quick to find residuals of."""
-
 LARGEST_RATIO = np.float32(1e19)
-"""Of residuals to the scale: larger ones, whose squares float32 cannot hold, count as this."""
-
-FEWEST_DEGREES = 0.1
-"""Of the samples: the noise is not estimated from fewer degrees of freedom."""
+"""Ratio of residuals to the scale: larger ones, whose squares float32 cannot hold, count as this.
+"""
 
 
 def loss_scale(loss: str, sigma: float) -> float:
@@ -67,7 +63,7 @@ def loss_scale(loss: str, sigma: float) -> float:
 
 
 def irls_weights(loss: tuple[str, float], residuals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """φ'(e)/2e: how much a residual pulls beside its square, 1 for small ones.
+    """φ'(e)/2e: the weight of a residual beside its square, 1 for small ones.
 
     Squares with these weights have the slopes that the loss has.
 
@@ -121,7 +117,7 @@ def noise_sigma(
     if not samples:
         raise InputError("residuals: expected samples of some weight, found none")
     median = weighted_median(sizes.ravel(), np.repeat(each.ravel(), sizes.shape[2]))
-    degrees = max(samples - unknowns, FEWEST_DEGREES * samples)
+    degrees = max(samples - unknowns, DEGREES_OF_FREEDOM_SHARE_MIN * samples)
     return float(MEDIAN_TO_SIGMA * median * np.sqrt(samples / degrees))
 
 

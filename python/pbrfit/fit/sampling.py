@@ -1,4 +1,4 @@
-"""Pixels that stand for all of a picture."""
+"""Which pixels are worked on: evenly spaced ones that stand for all, or all in pieces."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 _GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
 
 
-def spread(count: int, at_most: int) -> NDArray[np.uint64]:
+def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:
     """Indices below `count`, spread evenly and in order: all of them, or `at_most`.
 
     The range is cut into equal pieces, and one index is taken from each, at fractions that follow
@@ -22,7 +22,7 @@ def spread(count: int, at_most: int) -> NDArray[np.uint64]:
     return np.asarray(borders[:-1] + (fraction * np.diff(borders)).astype(np.int64), np.uint64)
 
 
-def spread_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uint64]:
+def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uint64]:
     """Indices into `labels` (P,), in order, at most so many: spread evenly in each label.
 
     Half of them are shared out equally between labels, so that small ones are represented; what
@@ -36,7 +36,12 @@ def spread_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uint64]:
     taken = np.zeros(len(labels), dtype=bool)
     if share:
         for of_label in np.split(order, starts[1:]):
-            taken[of_label[spread(len(of_label), share)]] = True
+            taken[of_label[evenly_spaced(len(of_label), share)]] = True
     rest = order[~taken[order]]
-    taken[rest[spread(len(rest), at_most - int(np.count_nonzero(taken)))]] = True
+    taken[rest[evenly_spaced(len(rest), at_most - int(np.count_nonzero(taken)))]] = True
     return np.flatnonzero(taken).astype(np.uint64)
+
+
+def slices(count: int, size: int) -> list[slice]:
+    """Ranges of `size` and a rest that make up range(count)."""
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]

@@ -50,11 +50,180 @@ tiles."""
 
 # --- Misfit: whether residuals are noise ------------------------------------------------------
 
+NEIGHBOUR_PAIRS_MAX = 1024
+"""Pairs of neighbouring pixels, evenly spaced, by which a fit is judged; their pixels are the
+validation pixels. More cost time, fewer make the correlation below uncertain."""
+
+NEIGHBOUR_CORRELATION_MAX = 0.25
+"""Mean cosine between the residuals of neighbouring pixels up to which these count as noise; above
+it the model does not fit the pictures. On six synthetic rooms noise of 1 %, or of float32, left at
+most 0.05; wrong normals, field of view or SH order 0.84 and more."""
+
+NOISE_PIXELS_MAX = 20_000
+"""Pixels whose residuals the scale of a robust loss is estimated from: enough for σ to 1 %."""
+
+DEGREES_OF_FREEDOM_SHARE_MIN = 0.1
+"""Smallest share of the samples that the noise's degrees of freedom count as, where the unknowns
+leave fewer."""
+
+NOISE_VARIANCE_MIN = 1e-20
+"""Smallest variance of the noise in units of x squared, far below that of any picture: it keeps
+quotients finite where pictures are explained perfectly. `NOISE_SIGMA_MIN` is larger because a
+robust loss bends there."""
+
 
 # --- Gauss-Newton: lights from a subset of the pixels -----------------------------------------
 
+DAMPING_START = 1e-3
+"""First damping of joint steps, as a share of the diagonal of each pixel's matrix (Marquardt)."""
+
+DAMPING_GROWTH = 10
+DAMPING_DECAY = 5
+"""Factor on the damping after a step that failed, and divisor after one that did not."""
+
+LIGHT_DAMPING = 1e-3
+"""Damping of the lights, as a share of that of pixels: the lights' system is what joint steps are
+for."""
+
+LIGHT_PIXELS = 256
+"""Pixels that find the lights of 16 pictures. On 80 rooms of 128² without noise the first draw of
+256 sufficed for 63; joint steps cost half as much as with 512."""
+
+LIGHT_UNKNOWNS_PER_PIXEL_MAX = 3
+"""Unknowns of the lights for each pixel of the subset; for more lights it has more pixels. A pixel
+of N pictures and three channels knows 3N − 5 numbers about them."""
+
+LIGHT_PIXELS_TRIES = 3
+"""Subsets of `LIGHT_PIXELS` that are tried while none leads to lights that fit."""
+
+LIGHT_PIXELS_MORE = (512, 1024)
+"""Pixels of the subsets that go on where no try fits; the last also where noise is left, because
+lights from few noisy pixels lie too far off for all to follow."""
+
+SAME_MINIMUM_RATIO = 0.4
+"""Ratio of the least to the largest sum of squared residuals of the tries, above which all count as
+having found the same minimum: the model does not fit, and more pixels would not help."""
+
+SUBSET_EXACT_RMSE = 1e-5
+"""Root mean square residual of the validation pixels, at mean radiance 0.4, up to which no larger
+subset is tried. Larger than `EXACT_RMSE`: steps of all pixels are still to come."""
+
+SUBSET_ROUNDS_MAX = 20
+"""Rounds of a subset, each a search of the nodes and joint steps. Rooms need three to seven."""
+
+SUBSET_STARTS = 2
+"""Nodes of roughness and metallic from which each pixel of a subset descends in a round."""
+
+SUBSET_STEPS_MAX = 8
+"""Joint steps of a round."""
+
+SUBSET_FAILED_STEPS_MAX = 5
+"""Failed steps in a row that end a round."""
+
+SUBSET_STEP_SHARES = (1.0, 0.4, 0.1)
+"""Shares of a joint step that are tried in turn before the damping grows."""
+
+SUBSET_DAMPING_MIN = 1e-9
+SUBSET_ROUND_DAMPING_MIN = 1e-6
+"""Smallest damping within a round, and at the start of the next."""
+
+SUBSET_GAIN_MIN = 1e-4
+"""Share of the sum of squared residuals: a step that lowers it by less ends its round, and another
+scale of the lights has to lower it by more."""
+
+SUBSET_ROUND_GAIN_MIN = 0.02
+"""The same share for a round: one that lowers the sum by less is the last, unless another scale of
+the lights is better. Where the way is free a round lowers the sum by a third or more, and what is
+left of noise is found faster by more pixels."""
+
+LIGHT_SCALE_TRIALS = (1.2, 1 / 1.2, 1.05, 1 / 1.05)
+"""Factors on the lights of a channel that are tried, with its albedo divided by them: the loss is
+flat along this scale, and curved."""
+
 
 # --- Gauss-Newton: all pixels -----------------------------------------------------------------
+
+DESCENT_ROUGHNESS_NODES = (0.08, 1.0, 12)
+DESCENT_METALLIC_NODES = (0.0, 1.0, 6)
+"""(Lowest, highest, count) of the nodes from which pixels descend. Below roughness 0.1 pictures
+under SH light hardly change."""
+
+DESCENT_STEPS = 12
+"""Steps of a pixel's descent from a node, on sums over pictures that are made once."""
+
+DESCENT_EXACT_STEPS = 1
+DESCENT_EXACT_STEPS_FREE_NORMALS = 4
+"""Steps on residuals after these, for the last digits; in these alone normals turn where they are
+free."""
+
+DESCENT_STEPS_AFTER_JOINT = 4
+"""Steps of each pixel by itself after a joint step."""
+
+RETRY_RATIO = 5.0
+"""Ratio of a pixel's sum of squared residuals to the median of all from which it is tried again
+from more nodes and from its neighbours' materials. Of pure noise in 16 pictures of three channels
+practically none is."""
+
+RETRY_ROUGHNESS_NODES = (0.02, 1.0, 24)
+RETRY_METALLIC_NODES = (0.0, 1.0, 11)
+RETRY_STARTS = 6
+"""Nodes for these pixels, as above, and from how many of the best they descend."""
+
+RETRY_GAIN_MIN = 1e-3
+"""Share of the sum of squared residuals by which trying pixels again has to lower it to be worth
+more joint steps of all pixels."""
+
+GLOBAL_ROUNDS_MAX = 4
+"""Rounds of joint steps of all pixels and of trying pixels again."""
+
+GLOBAL_STEPS_MAX = 8
+"""Joint steps of all pixels in a round."""
+
+GLOBAL_STEP_SHARES = (1.0, 0.4)
+"""Shares of a joint step that are tried before the damping grows; fewer than of a subset's because
+each costs a pass over all pixels."""
+
+GLOBAL_DAMPING_FACTOR = 30.0
+"""Factor on the damping after a failed step, and divisor after another. There is none at first, and
+then `DAMPING_START`."""
+
+GLOBAL_DAMPING_MAX = 0.5
+"""Damping from which a failed step is the last."""
+
+GLOBAL_PREDICTED_GAIN_MIN = 1e-5
+"""Share of the sum by which the quadratic model has to promise to lower it for a step to be made.
+"""
+
+GLOBAL_GAIN_MIN = 1e-3
+"""Share of the sum: a step that lowers it by less is the last. A tenth is left of what it gained.
+"""
+
+WORSE_RATIO = 1.02
+"""Ratio of a pixel's sum of squared residuals after a joint step to that before, above which it may
+have fallen into another minimum and starts again."""
+
+PRECONDITIONER_PIXELS = 1024
+"""Pixels whose system is the preconditioner. With two and four times as many, fits of 512² with
+noise took longer."""
+
+PRECONDITIONER_DAMPING = 1e-6
+"""Share of the preconditioner's diagonal that is added to it."""
+
+CG_ITERATIONS_MAX = 12
+"""Products with the lights' system in a joint step, each a pass over all pictures."""
+
+CG_ERROR_RATIO = 0.3
+"""Ratio of the remaining error to the first, in the norm of the preconditioner, at which conjugate
+gradients stop. With 0.1 fits of 512² with noise took twice as long and ended the same."""
+
+CG_GAIN_SHARE = 0.1
+"""Share of `GLOBAL_PREDICTED_GAIN_MIN` at which they stop too, because less is left to gain."""
+
+PRIOR_TURNS_MAX = 8
+"""Turns in which a Gaussian prior's offsets, and then all else, are put to their best values."""
+
+PRIOR_TURN_CHANGE_MIN = 1e-4
+"""Relative change of the sum of squared residuals in a turn, below which it is the last."""
 
 
 # --- L-BFGS, and the choice between solvers ---------------------------------------------------
@@ -121,11 +290,260 @@ as many iterations single scenes end up to 12 % above scipy's loss, others as mu
 
 # --- Mixture prior on materials ---------------------------------------------------------------
 
+PRIOR_ROUGHNESS_NODES = (0.03, 1.0, 33)
+PRIOR_METALLIC_NODES = (0.0, 1.0, 7)
+"""(Lowest, highest, count) of the nodes on which segments have their distributions."""
+
+PRIOR_NODE_SPACING = 0.03
+"""Spacing of the roughness nodes to which likelihoods that are sharper are widened."""
+
+PRIOR_SIGMAS_MIN = (0.05, 0.02, 0.01, 0.01)
+"""Smallest standard deviation of a pixel's Gaussian prior in roughness and metallic, by round: wide
+at first, while lights are wrong."""
+
+PRIOR_STEPS = 3
+"""Joint Gauss-Newton steps of lights and materials in a round."""
+
+PRIOR_LIGHT_PIXELS = 1024
+"""Pixels that find lights and prior together. The dense system makes each step cost the square of
+the lights' number for each of them."""
+
+PRIOR_FIT_PIXELS = 16384
+"""Pixels that the final distributions are fitted to."""
+
+EM_ITERATIONS = 100
+"""Iterations of EM for a distribution."""
+
+SEGMENT_PIXELS_MIN = 16
+"""Pixels from which a segment has a distribution of its own; below, it has that of the picture."""
+
+PICTURE_PSEUDO_PIXELS = 10.0
+"""Number of pixels that the distribution of the whole picture counts for in that of a segment."""
+
+NODE_PROBABILITY_MIN = 1e-30
+"""Smallest probability of a node. Pixels that nothing was fitted to may have a likelihood of 0, to
+the last bit, wherever else something was found; their likelihood alone decides then."""
+
+GROUP_PROBABILITY_SHARE = 0.02
+"""Share of the largest probability: neighbouring nodes above it are one group."""
+
+PRIOR_LIGHTS_FAR_BETTER = 0.5
+"""Ratio of the validation pixels' sum of squared residuals with the prior's lights to that before,
+up to which these lights are taken whatever is left. On twelve synthetic rooms noise and slow
+convergence gave 0.004 to 0.92, wrong normals, field of view and SH order 0.8 to 1.02."""
+
+PRIOR_LIGHTS_NOT_WORSE = 1.05
+"""The same ratio, up to which they are taken where all that is left is noise: lights from few
+pixels have more noise of their own than lights from all, which the fit that follows takes out."""
+
+LIKELIHOOD_CURVATURE_MIN = 1e-6
+"""Smallest second difference of a log-likelihood between nodes, which may be flat."""
+
+OFFSET_PRECISION_SHARE = 1e-3
+"""Precision of a cluster's offset around 0, as a share of the summed precision of its pixels: so
+small that clusters move almost freely."""
+
+PRIOR_DAMPING_MIN = 1e-6
+"""Smallest damping of the joint steps with a prior."""
+
+PRIOR_FAILED_STEPS_MAX = 4
+"""Failed steps in a row that end them; fewer than a subset's, which starts farther off."""
+
+PRIOR_GAIN_MIN = 1e-5
+"""Share of the sum of data and prior: a joint step that lowers it by less is the last."""
+
 
 # --- Normals ----------------------------------------------------------------------------------
 
+STRIDED_SUBSET_EXCESS = 1.25
+"""Times as many pixels as wanted that a strided subset may have: rows and columns are chosen, not
+pixels, so their number is not exact."""
+
+NORMALS_SUBSET_PIXELS_MAX = 1024
+"""Pixels of the strided subset that finds lights and normals, about. More pixels find lights with
+less noise, and take longer."""
+
+NORMALS_LIGHT_SCALE_STARTS = (1.0, 2.0, 1.4)
+"""Factors on the lights from which the search starts, the next only where the one before has not
+ended well: which of several ways lights and normals go is decided in the first rounds."""
+
+NORMALS_MEAN_OVER_MEDIAN_MAX = 1.25
+"""Ratio of mean to median of the pixels' summed squared residuals, divided by that of noise, up to
+which a search has ended well; above it another start is tried."""
+
+NORMALS_RMS_MAX = 2e-3
+"""Root mean square residual of the better half of the pixels, as a share of the mean radiance, up
+to which a search has ended well too: without noise that half ends exact, and what is wrong
+elsewhere is never noise, but lights are right by then."""
+
+NORMALS_ROUNDS_MAX = 12
+"""Rounds of a search."""
+
+NORMALS_ROUND_DECREASE_MIN = 1e-3
+"""Share of the sum by which a round has to lower it for another to follow."""
+
+NORMALS_STEPS_PER_ROUND = 4
+"""Joint steps of a round, at most."""
+
+NORMALS_STEP_SHARES = (1.0, 0.4)
+"""Shares of a joint step that are tried before the damping grows; after each all
+materials are fitted anew."""
+
+NORMALS_FAILED_STEPS_MAX = 4
+"""Dampings that a joint step is tried with before its round ends."""
+
+NORMALS_FAILED_DAMPING_MIN = 1e-6
+"""Smallest damping after a joint step that failed, as a share of the diagonal of each pixel's
+matrix."""
+
+NORMALS_STARTS = 2
+"""Nodes of roughness and metallic from which each pixel starts in every other round."""
+
+NORMALS_PIXEL_STEPS = 12
+"""Steps of a pixel by itself from such a start."""
+
+NORMALS_DIELECTRIC_ROUNDS = 3
+"""First rounds of a search, in which metallic has a prior around 0 in place of the fitted one."""
+
+NORMALS_DIELECTRIC_SIGMA = 0.2
+"""Standard deviation of that prior on metallic."""
+
+NORMALS_MATERIAL_SIGMAS_MIN = (0.1, 0.06, 0.036, 0.02)
+"""Smallest standard deviation of the fitted prior on roughness and metallic in the rounds after
+those; the last value holds from then on. A smaller one binds pixels of a segment more strongly."""
+
+NORMALS_METALLIC_NODES = (0.0, 1.0)
+"""Metallic of the nodes that the prior is fitted on: there is hardly anything between dielectrics
+and metals, and with normals free the pictures alone do not say so."""
+
+NORMALS_METALLIC_BINARY_ROUND = 8
+"""Round from which on clusters have no offset in metallic, which then is drawn to 0 or 1. Before,
+they are free to move together, which lights need to find their scale."""
+
+NORMALS_METALLIC_OFFSET_PRECISION = 1e3
+"""Precision of that offset from then on, as a share of the summed precision of the pixels."""
+
+NORMALS_DIELECTRIC_TRIAL_ROUNDS = (5, 8)
+"""Rounds after which segments that are neither dielectric nor metal are tried as dielectrics, each
+as a whole. They stay so if all is explained better for it: what is in between has been bent there
+by wrong normals, and its own way back is uphill."""
+
+NORMALS_DIELECTRIC_TRIALS_MAX = 12
+"""Segments that are tried so in a round."""
+
+NORMALS_DIELECTRIC_TRIAL_PIXELS_MIN = 8
+"""Pixels of the subset that a segment needs to be tried so."""
+
+NORMALS_DIELECTRIC_TRIAL_STEPS = 2
+"""Joint steps of such a trial."""
+
+NORMALS_MIXED_METALLIC = (0.04, 0.96)
+"""Mean metallic of a segment between which it is neither dielectric nor metal."""
+
+NORMALS_LOSS_BOUND = 4.0
+NORMALS_LOSS_BOUND_QUANTILE = 0.8
+"""The bound τ of a pixel's loss is this multiple of this quantile of the pixels' summed squared
+residuals. Pixels far above τ have little weight in joint steps."""
+
+NORMALS_OFFSET_STEP_MAX = 0.3
+"""Longest joint step of a pixel's tangent offset, as the tangent of an angle."""
+
+NORMALS_ROUGHNESS_STEP_MAX = 0.25
+"""Largest joint step of roughness."""
+
+NORMALS_OFFSET_SIGMA_ALONE = math.radians(60.0)
+"""Standard deviation of each tangent offset by itself, in radians. It is weak on purpose: counted
+once a pixel, a stronger one would hold back a turn that all normals have in common."""
+
+NORMALS_OFFSET_SIGMA_START = math.radians(6.0)
+"""Standard deviation of the difference between neighbours' tangent offsets, in radians, before it
+is found from the pictures."""
+
+NORMALS_OFFSET_SIGMA_RANGE = (math.radians(0.05), math.radians(12.0))
+"""Smallest and largest standard deviation, in radians, that is found for it."""
+
+NORMALS_HALF_WEIGHT_STEP = 3.0
+"""Difference between neighbours' tangent offsets, in their standard deviations, at which a pair
+counts half; larger ones, at outlines, count less."""
+
+NORMALS_EDGE_SCALE = 0.1
+"""Squared difference |Δn|² between neighbours' given normals, 18 degrees, at which the weight of
+the pair has fallen to 1/e: from about here on an edge lies between them."""
+
+NORMALS_GIVEN_SIGMA_MIN = 0.1
+"""Smallest uncertainty of a given normal, as a share of the mean one: nothing is known for sure."""
+
+NORMALS_PRIOR_UPDATES = 3
+"""Times that all pixels refine their normals, each time with a prior around where their neighbours
+were the time before."""
+
+NORMALS_ROUGHNESS_METALLIC_SIGMA = 0.03
+"""Standard deviation of roughness and metallic, while normals are refined again, around those of
+the fit before, which has all priors."""
+
+NORMALS_PASSES = 2
+"""Times that all normals are refined, and then held in a fit."""
+
+NORMALS_GIVEN_CORRELATION_MAX = 0.03
+"""Mean cosine between residuals of neighbours up to which the given normals are right; above it
+`auto` goes on to refine them."""
+
+NORMALS_ROUNDING_RMS = 1e-6
+"""Root mean square residual, as a share of the mean radiance, up to which given normals are right
+whatever neighbours have in common: rounding to float32 leaves 6e-8 at most, and neighbours of one
+colour may be rounded alike."""
+
+NORMALS_SAMPLES_PER_UNKNOWN_MIN = 2.0
+"""Samples for each unknown of a pixel, its normal's included, from which on `auto` refines: with
+fewer almost anything can be explained."""
+
+NORMALS_ITERATIONS_MIN = 50
+"""Iterations up to which `auto` does not refine after a fit that was stopped by their number: what
+it leaves may be gone with the next ones."""
+
+NORMALS_FAR_BETTER = 0.1
+NORMALS_PERFECT = 0.01
+"""Ratios of the loss with refined normals to that with given ones, each by its degrees of freedom.
+Up to the first refined ones are kept if residuals of neighbours have little in common (normals that
+bend to shadows leave little too, but neighbours share that); up to the second, always."""
+
+NORMALS_REFINED_CORRELATION_MAX = 0.1
+NORMALS_REFINED_CORRELATION_RATIO = 0.5
+"""Mean cosine between residuals of neighbours up to which refined normals leave noise, and are kept
+if they leave less than given ones; and the largest ratio of it to that with given ones."""
+
+NORMALS_GAIN_WINDOW = 5
+"""Rows and columns of pixels over which the gain of refined normals is averaged."""
+
+NORMALS_GAIN_OF_NOISE = 2.0
+"""Gain of a pixel, in summed squared residuals over the noise's variance, that two numbers more
+have on noise alone."""
+
+NORMALS_GAIN_SIGMAS = 3.0
+"""Standard deviations above that from which on a mean gain is real; below it pixels get their given
+normals back."""
+
 
 # --- Tiles ------------------------------------------------------------------------------------
+
+TILES_SUBSET_PIXELS_MAX = 1 << 18
+"""Pixels that find the lights of a large picture, about: 512². The error of a pixel's materials
+that comes from the lights is then 1 % of that from its own noise, and a fit of so many takes a
+minute."""
+
+TILES_SUBSET_PIXELS_MIN = 1 << 12
+"""Pixels that find the lights at least, where a mask would leave a strided subset fewer."""
+
+TILE_SIDE = 512
+"""Rows and columns of a tile, at most: memory grows with its square."""
+
+TILE_MARGIN = 2
+"""Pixels around a tile that are fitted with it and left to its neighbours, where pixels are fitted
+each for itself: only those that are tried again look beside."""
+
+TILE_MARGIN_SMOOTH = 32
+"""The same where neighbouring pixels are to be alike: the borders of two tiles then come from
+almost the same pixels."""
 
 
 # --- Uncertainty ------------------------------------------------------------------------------

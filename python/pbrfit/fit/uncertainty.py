@@ -16,7 +16,7 @@ from pbrfit.fit.gauss_newton.light_spectrum import spectrum
 from pbrfit.fit.gauss_newton.normal_equations import WORKING_SET, chunks, held_at_bounds, inverse
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.sampling import spread
+from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import (
     FREE_MOVE_MAX,
     LIGHT_INFORMATION_MIN,
@@ -245,7 +245,7 @@ def light_modes(
         return None
     held = held_at_bounds(x, objective.layout)
     layout, for_core = objective.layout, objective.for_core(x)
-    pixels = spread(layout.pixels, light_pixels)
+    pixels = evenly_spaced(layout.pixels, light_pixels)
     own_held = held[pixels]
     known = spectrum(objective.problem, for_core, layout, pixels, own_held)
     left, vectors = known.left, known.vectors
@@ -307,7 +307,7 @@ def _omitted(
     used: int,
 ) -> float:
     """Largest share of a deviation that the modes from `used` on would add, over some pixels."""
-    some = spread(len(pixels), OMITTED_CHECK_PIXELS)
+    some = evenly_spaced(len(pixels), OMITTED_CHECK_PIXELS)
     matrices, _, _ = objective.problem.normal_equations(for_core, pixels[some])
     found = inverse(matrices, held[some])
     args = for_core, pixels[some], found.matrices

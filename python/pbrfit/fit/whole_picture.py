@@ -159,7 +159,7 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
 
 def fit_pixels(
     scene: Scene, setup: FitSetup, start: Start, units: Normalization | None = None
-) -> tuple[refined_fit.Fit, Refinement]:
+) -> tuple[refined_fit.PixelFit, Refinement]:
     """Where the fit of a scene ends, and what was decided about its normals.
 
     `units` as for `Objective`.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.materials import Materials
-from pbrfit.result.refinement import LEAST_CHANGE
+from pbrfit.result.refinement import CHANGE_DEGREES_MIN
 from pbrfit.result.uncertainty import PARAMETERS, Uncertainty
 
 Map = NDArray[np.floating[Any]]
@@ -152,7 +152,7 @@ def turned(degrees: Map) -> Difference:
     A small angle in radians is how far apart the unit vectors are, so it has the place on the scale
     that a difference of that size has. `DEGREE_TICKS` are for its key.
     """
-    return Difference(np.radians(degrees), white=degrees < LEAST_CHANGE)
+    return Difference(np.radians(degrees), white=degrees < CHANGE_DEGREES_MIN)
 
 
 def rms(values: Map) -> float:

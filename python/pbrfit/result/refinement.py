@@ -20,10 +20,12 @@ RefineNormals = Literal["off", "auto", "on"]
 
 CHOICES: tuple[RefineNormals, ...] = get_args(RefineNormals)
 
-LEAST_PICTURES = 3
+PICTURES_MIN = 3
+"""Pictures from which on normals can be refined; with fewer almost any normal can be explained by
+its material."""
 
-LEAST_CHANGE = 1e-4
-"""Degrees below which a normal is as given: float32, as files hold them, is 1e-5 degrees off."""
+CHANGE_DEGREES_MIN = 1e-4
+"""Angle, in degrees, below which a normal is as given: float32 in files is 1e-5 degrees off."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Refinement:
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def with_change(self, change: NDArray[np.floating[Any]]) -> Refinement:
-        """Add how far normals were turned: `change` (H, W) in degrees, NaN outside the mask."""
+        """Add how far normals changed: `change` (H, W) in degrees, NaN outside the mask."""
         inside = change[np.isfinite(change)]
         return replace(
             self,
@@ -58,7 +60,7 @@ class Refinement:
                 **self.figures,
                 "mean_change_degrees": float(inside.mean()),
                 "largest_change_degrees": float(inside.max()),
-                "changed_share": float(np.mean(inside >= LEAST_CHANGE)),
+                "changed_share": float(np.mean(inside >= CHANGE_DEGREES_MIN)),
             },
         )
 
@@ -101,15 +103,14 @@ NOT_ASKED = Refinement("off", False, "not asked for")
 def hindrance(scene: Scene) -> str | None:
     """Why the pictures of a scene cannot tell what its normals should be; None if they may.
 
-    A normal has two unknowns. What a pixel shows beside is made of its material and of lights that
-    are the same for all pixels, so with one or two pictures almost any normal can be explained by
-    the material, even where the lights are known.
+    A normal has two unknowns, which a pixel's material can make up for in one or two pictures, even
+    where the lights are known.
     """
     pictures = len(scene.images)
-    if pictures >= LEAST_PICTURES:
+    if pictures >= PICTURES_MIN:
         return None
     found = "a single picture does" if pictures == 1 else f"{pictures} pictures do"
-    return f"{found} not determine normals, which takes at least {LEAST_PICTURES}"
+    return f"{found} not determine normals, which takes at least {PICTURES_MIN}"
 
 
 def _finite(value: float) -> float | None:

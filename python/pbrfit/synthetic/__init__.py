@@ -17,13 +17,12 @@ from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
-from pbrfit.synthetic.scenes import build, draw
+from pbrfit.synthetic.scenes import draw
 from pbrfit.synthetic.world import RayCast, World
 
 __all__ = [
     "RayCast",
     "World",
-    "build",
     "draw",
     "make_scene",
     "random_lights",
@@ -80,8 +79,8 @@ def make_scene(
     -------
     Scene
         float64 pictures (noise may make them negative) with segment ids from 1 for each piece and
-        each wall, and the truth: materials, lights, noise-free held-out pictures and their lights
-        in the same exposure.
+        each wall, and the ground truth: materials, lights, noise-free held-out pictures and their
+        lights in the same exposure.
 
     Raises
     ------
@@ -94,7 +93,7 @@ def make_scene(
         raise InputError(f"seed: expected a non-negative integer, found {seed}")
     model = checked_model(model)
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
-    view = build(kind, size, streams[0], fov, textures)
+    view = draw(kind, streams[0], textures).cast(size, fov)
 
     lighting, images = _expose(view, random_lights(lights, streams[1], sh_order), model, streams[1])
     relight_lighting, relight_images = _expose(

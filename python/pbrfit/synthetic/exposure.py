@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MEAN_RADIANCE = 0.4
-"""Of the training pictures of a scene together."""
+"""Mean radiance of the training pictures of a scene, all together."""
 
 
 def gains(images: Array, rng: np.random.Generator) -> Array:

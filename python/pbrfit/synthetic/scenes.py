@@ -17,7 +17,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.synthetic.stages import case_stage, room_stage
 from pbrfit.synthetic.surfaces import case_surfaces, plain_surfaces, textured_surfaces
-from pbrfit.synthetic.world import RayCast, World
+from pbrfit.synthetic.world import World
 
 KINDS = ("room", "spheres", "textured")
 """Kinds that are always there."""
@@ -87,33 +87,3 @@ def _added(kind: str) -> Any:
         )
     expected = ", ".join((*KINDS, *ADDED_KINDS))
     raise InputError(f"kind: expected one of {expected}, found {kind!r}")
-
-
-def build(
-    kind: str, size: int, rng: np.random.Generator, fov: float = 60.0, textures: Any = None
-) -> RayCast:
-    """Draw a scene and cast one ray through every pixel centre: `draw`, then `World.cast`.
-
-    Parameters
-    ----------
-    kind, textures
-        As for `draw`.
-    size
-        Width and height of the picture in pixels.
-    rng
-        Source of randomness; the same state gives the same scene at every size.
-    fov
-        Horizontal field of view in degrees, 0 < fov < 180.
-
-    Returns
-    -------
-    RayCast
-        Every pixel valid (`mask` None) and facing the camera.
-
-    Raises
-    ------
-    InputError
-        When `kind` is unknown, the textures cannot be used, `size` is below 1, or `fov` is outside
-        its range.
-    """
-    return draw(kind, rng, textures).cast(size, fov)

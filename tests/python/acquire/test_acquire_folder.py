@@ -104,12 +104,6 @@ def test_a_generator_that_there_is_none_of_is_refused(choice: str) -> None:
         create(choice)
 
 
-def test_an_option_that_a_generator_does_not_have_is_refused(folder: Path) -> None:
-    Image.fromarray(noise(97, 131, 3)).save(folder / "x.png")
-    with pytest.raises(InputError, match="steps: expected no such option for the generator folder"):
-        create(f"folder:{folder}", steps=3, guidance=None)
-
-
 def test_requests_go_around_the_catalogue_with_seeds_of_their_own() -> None:
     requests = requests_from(CATALOGUE, 5, 40)
     assert [request.name for request in requests] == ["left", "dusk", "left_2", "dusk_2", "left_3"]

@@ -78,26 +78,21 @@ def test_a_scene_folder_holds_the_pictures_the_photo_normals_and_why(
     }  # fmt: skip
 
 
-def test_the_photo_is_in_the_scene_as_the_network_was_shown_it(
+def pixels(path: Path) -> Any:
+    with Image.open(path) as picture:
+        return np.asarray(picture)
+
+
+def test_pictures_are_in_the_scene_bit_by_bit_and_the_photo_where_it_is_wanted(
     make: Make, tmp_path: Path, photo: Path
 ) -> None:
     make(Counting())
-    in_scene = tmp_path / "scene" / "images" / "photo.png"
-    with Image.open(photo) as given, Image.open(in_scene) as placed:
-        np.testing.assert_array_equal(np.asarray(placed), np.asarray(given))
-
-
-def test_without_the_photo_it_is_not(make: Make, tmp_path: Path) -> None:
-    make(Counting(), with_photo=False)
-    assert "photo.png" not in names(tmp_path / "scene" / "images")
-
-
-def test_a_generated_picture_is_in_the_scene_bit_by_bit(make: Make, tmp_path: Path) -> None:
-    make(Counting())
     scene = tmp_path / "scene"
-    paths = scene / "generation" / "light_2-2.png", scene / "images" / "light_2.png"
-    with Image.open(paths[0]) as received, Image.open(paths[1]) as placed:
-        np.testing.assert_array_equal(np.asarray(received), np.asarray(placed))
+    np.testing.assert_array_equal(pixels(scene / "images" / "photo.png"), pixels(photo))
+    received = pixels(scene / "generation" / "light_2-2.png")
+    np.testing.assert_array_equal(pixels(scene / "images" / "light_2.png"), received)
+    make(Counting(), with_photo=False, overwrite=True)
+    assert "photo.png" not in names(scene / "images")
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt(), InputError("service: gone"), MemoryError()])
@@ -197,15 +192,12 @@ def test_a_run_that_stops_before_the_first_picture_leaves_nothing(
     assert not (tmp_path / "new").exists()
 
 
-def test_resume_of_an_unfinished_scene_needs_to_be_asked_for(make: Make) -> None:
+def test_what_is_there_is_neither_gone_on_with_nor_replaced_unless_asked(make: Make) -> None:
     with pytest.raises(KeyboardInterrupt):
         make(Counting(before=failing(1, KeyboardInterrupt())))
     with pytest.raises(FileExistsError, match=r"found a run that has not ended; --resume goes on"):
         make(Counting())
-
-
-def test_a_finished_scene_is_not_replaced_unless_asked(make: Make) -> None:
-    make(Counting())
+    make(Counting(), resume=True)
     again = Counting()
     with pytest.raises(FileExistsError, match=r"found a scene; --resume goes on"):
         make(again)
@@ -234,29 +226,24 @@ def test_a_prompt_that_was_rewritten_is_asked_for_and_the_old_picture_stays(
     assert {"light_0-0.png", "light_0-0-2.png"} <= set(names(tmp_path / "scene" / "generation"))
 
 
-def test_resume_with_other_settings_says_what_differs(make: Make) -> None:
-    make(Counting())
-    with pytest.raises(InputError, match=r"found quality 'good' \(now 'better'\); --overwrite"):
-        make(Counting(quality="better"), resume=True)
-
-
-def test_resume_with_another_photo_says_so(make: Make, tmp_path: Path) -> None:
-    make(Counting())
-    with pytest.raises(InputError, match="found another photo"):
-        make(Counting(), photo=write_photo(tmp_path / "b" / "other.png", 80), resume=True)
-
-
-def test_resume_at_another_size_says_so(make: Make, tmp_path: Path) -> None:
-    large = write_photo(tmp_path / "large" / "photo.png", 160)
-    make(Counting(), photo=large)
-    with pytest.raises(InputError, match=r"found photo of 160 × 160 pixels \(now 80 × 80\)"):
-        make(Counting(), photo=large, max_size=80, resume=True)
-
-
-def test_resume_in_another_colour_space_says_so(make: Make) -> None:
-    make(Counting())
-    with pytest.raises(InputError, match="found photo read in another colour space"):
-        make(Counting(), color_space="linear", resume=True)
+@pytest.mark.parametrize(
+    ("quality", "options", "message"),
+    [
+        ("better", {}, r"found quality 'good' \(now 'better'\); --overwrite"),
+        ("good", {"photo": "other.png"}, "found another photo"),
+        ("good", {"max_size": 80}, r"found photo of 160 × 160 pixels \(now 80 × 80\)"),
+        ("good", {"color_space": "linear"}, "found photo read in another colour space"),
+    ],
+)
+def test_resume_of_something_else_says_what_differs(
+    make: Make, tmp_path: Path, quality: str, options: dict[str, Any], message: str
+) -> None:
+    write_photo(tmp_path / "other.png", 80)
+    photo = write_photo(tmp_path / "large.png", 160)
+    make(Counting(), photo=photo)
+    options = {**options, "photo": tmp_path / options.get("photo", "large.png")}
+    with pytest.raises(InputError, match=message):
+        make(Counting(quality=quality), resume=True, **options)
 
 
 def test_overwrite_takes_other_settings_and_keeps_what_was_received(

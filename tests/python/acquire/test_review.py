@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import InputError
-from pbrfit.acquire.review import LEAST_CHANGE, Reviewer, illumination, structure
+from pbrfit.acquire.review import LOG_CHANGE_MIN, Reviewer, illumination, structure
 from pbrfit.io.color import encode_srgb
 from pbrfit_evaluation.review.damage import damaged
 from pbrfit_evaluation.review.pictures import View, camera, relights
@@ -56,7 +56,7 @@ def test_the_photograph_with_another_tone_curve_is_a_copy(gamma: float) -> None:
     verdict = reviewer().picture(camera(toned))
     assert failed(verdict) == {"copy"}
     (check,) = [check for check in verdict.checks if check.name == "copy"]
-    assert check.value < LEAST_CHANGE
+    assert check.value < LOG_CHANGE_MIN
     assert "tone curve" in verdict.reason
 
 

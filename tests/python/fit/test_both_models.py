@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from functools import partial
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Priors, Scene, decompose
-from pbrfit.fit import decompose as solve
-from pbrfit.fit import memory, uncertainty
-from pbrfit.fit.gauss_newton.lights import options
+from pbrfit.fit import uncertainty
+from pbrfit.fit.gauss_newton.pixels import schur_options
 from pbrfit.fit.gradient_check import check_gradients
-from pbrfit.fit.tiles import fit_tiles
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
+from scene_kinds import all_pixels, known_lights, of_kind
+from tiled import in_tiles
 
 MAPS = ("albedo_rmse", "roughness_rmse", "metallic_rmse")
 
@@ -27,11 +26,6 @@ both_models = pytest.mark.parametrize("model", MODELS)
 @functools.cache
 def room(model: Model, size: int = 16, noise: float = 0.0) -> Scene:
     return make_scene("room", size=size, lights=16, held_out=2, seed=2000, model=model, noise=noise)
-
-
-def in_float64(scene: Scene) -> Scene:
-    assert scene.images.dtype == np.float64
-    return scene
 
 
 @both_models
@@ -52,16 +46,7 @@ def test_the_gradient_agrees_with_finite_differences(
 def test_the_gradient_agrees_where_there_is_less_or_more_than_pictures(
     model: Model, kind: str
 ) -> None:
-    scene = room(model, noise=0.02)
-    assert scene.truth is not None
-    if kind == "known lights":
-        scene = dataclasses.replace(scene, lighting=scene.truth.lighting)
-    elif kind == "grey":
-        grey = np.repeat(scene.images.mean(axis=-1, keepdims=True), 3, axis=-1)
-        scene = dataclasses.replace(scene, images=grey, truth=None)
-    else:
-        weights = np.random.default_rng(0).random(scene.images.shape[:3])
-        scene = dataclasses.replace(scene, weights=weights)
+    scene, _ = of_kind(room(model, noise=0.02), kind)
     assert [check for check in check_gradients(Objective(scene)) if not check.passed] == []
 
 
@@ -72,8 +57,8 @@ def test_mirrors_do_not_move_with_the_lights(model: Model) -> None:
     objective = Objective(scene, model=model, priors=None)
     true = scene.truth.materials
     x = objective.pack(true.albedo, np.zeros_like(true.roughness), true.metallic)
-    pixels = np.arange(objective.pixels, dtype=np.uint64)
-    how = options(objective, x, pixels, None) | {"damping": 1e-3}
+    pixels = all_pixels(objective)
+    how = schur_options(objective, x, pixels, None, 1e-3)
     moves = np.random.default_rng(0).normal(size=x[objective.layout.lighting].size)
     # At roughness 0 nothing depends on roughness; what rounding leaves of that would go any way.
     followed = objective.problem.back_substitute(objective.for_core(x), pixels, moves, **how)
@@ -89,10 +74,7 @@ def test_exact_pictures_give_exact_materials(model: Model) -> None:
 
 @both_models
 def test_known_lights_give_exact_materials(model: Model) -> None:
-    scene = room(model)
-    assert scene.truth is not None
-    known = dataclasses.replace(scene, lighting=scene.truth.lighting)
-    result = decompose(known, priors=None, uncertainty=False)
+    result = decompose(known_lights(room(model)), priors=None, uncertainty=False)
     assert max(result.metrics[name] for name in MAPS) <= 1e-6
 
 
@@ -134,9 +116,8 @@ def test_the_true_materials_explain_pictures_of_their_model_alone(model: Model) 
 def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     scene = room(model, size=16, noise=0.01)
     assert scene.truth is not None
-    true, lighting = scene.truth.materials, scene.truth.lighting
-    known = dataclasses.replace(scene, lighting=lighting)
-    result = decompose(known, priors=None)
+    true = scene.truth.materials
+    result = decompose(known_lights(scene), priors=None)
     found = result.uncertainty
     assert found is not None
     assert found.noise == pytest.approx(0.01, rel=0.1)
@@ -172,9 +153,7 @@ def test_wrong_normals_are_refined() -> None:
 def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = room("principled", size=20)
     whole = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
-    monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 0)
-    monkeypatch.setattr("pbrfit.fit.tiles.tiling.FEWEST", 16)
-    monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=100, side=14))
+    in_tiles(monkeypatch, side=14, subset=100)
     tiled = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
     assert "tiles" in tiled.stages[-1].name
     for name in ("albedo", "roughness", "metallic"):

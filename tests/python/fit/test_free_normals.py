@@ -36,15 +36,15 @@ def truth(scene: pbrfit.Scene) -> pbrfit.Truth:
     return scene.truth
 
 
-def turned_scene(scene: pbrfit.Scene, tilts: Array) -> pbrfit.Scene:
-    """The same pictures with normals that are turned by tilts (2, P)."""
+def changed_scene(scene: pbrfit.Scene, offsets: Array) -> pbrfit.Scene:
+    """The same pictures with normals changed by tangent offsets (2, P)."""
     normals = np.array(scene.normals, dtype=np.float64)
-    normals[scene.valid] = reference.turned(normals[scene.valid], tilts)
+    normals[scene.valid] = reference.turned(normals[scene.valid], offsets)
     return dataclasses.replace(scene, normals=normals)
 
 
-def tilts_back(given: Array, wanted: Array) -> Array:
-    """Tilts (2, P) that turn the normals (P, 3) to others: parts along the tangents over n₀'s."""
+def offsets_between(given: Array, wanted: Array) -> Array:
+    """Tangent offsets (2, P) of other normals (P, 3): parts along the tangents over n₀'s."""
     step = 1e-6
     tangents = [
         (reference.turned(given, step * axis) - reference.turned(given, -step * axis)) / (2 * step)
@@ -55,7 +55,7 @@ def tilts_back(given: Array, wanted: Array) -> Array:
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=str)
-def test_tilts_lie_between_materials_and_lights(options: dict[str, Any]) -> None:
+def test_tangent_offsets_lie_between_materials_and_lights(options: dict[str, Any]) -> None:
     scene = room()
     known, free = (Objective(scene, **options, free_normals=f) for f in (False, True))
     p = free.pixels
@@ -93,32 +93,32 @@ def test_the_start_has_the_given_normals(options: dict[str, Any]) -> None:
     np.testing.assert_allclose(found.roughness, materials.roughness, rtol=0, atol=1e-12)
 
 
-def test_normals_are_the_given_ones_turned() -> None:
+def test_normals_are_the_given_ones_at_their_tangent_offsets() -> None:
     scene = room()
     objective = Objective(scene, free_normals=True)
     x = objective.start()
-    tilts = np.random.default_rng(0).normal(size=(2, objective.pixels))
-    x[objective.tangent_offsets] = tilts.ravel()
+    offsets = np.random.default_rng(0).normal(size=(2, objective.pixels))
+    x[objective.tangent_offsets] = offsets.ravel()
     given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
-    expected = reference.turned(given, tilts)
+    expected = reference.turned(given, offsets)
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
     np.testing.assert_allclose(objective.normals(x), expected, rtol=0, atol=1e-6)
     core = objective.problem.normals(x[objective.layout.maps])
     np.testing.assert_allclose(np.linalg.norm(core, axis=-1), 1, rtol=0, atol=1e-15)
 
 
-def test_the_tilts_to_the_true_normals_explain_the_pictures() -> None:
+def test_the_tangent_offsets_to_the_true_normals_explain_the_pictures() -> None:
     scene = room()
     rng = np.random.default_rng(1)
     given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
-    disturbed = turned_scene(scene, 0.2 * rng.normal(size=(2, len(given))))
+    disturbed = changed_scene(scene, 0.2 * rng.normal(size=(2, len(given))))
     objective = Objective(disturbed, free_normals=True)
     materials = truth(scene).materials
     x = objective.pack(
         materials.albedo, materials.roughness, materials.metallic, truth(scene).lighting
     )
     wrong, gradient = objective.value_and_grad(x)
-    x[objective.tangent_offsets] = tilts_back(
+    x[objective.tangent_offsets] = offsets_between(
         np.asarray(disturbed.normals, dtype=np.float64)[scene.valid], given
     ).ravel()
     right, _ = objective.value_and_grad(x)
@@ -129,7 +129,7 @@ def test_the_tilts_to_the_true_normals_explain_the_pictures() -> None:
     np.testing.assert_allclose(again[objective.lighting], x[objective.lighting], atol=1e-3)
 
 
-def test_a_part_keeps_its_tilts() -> None:
+def test_a_part_keeps_its_tangent_offsets() -> None:
     scene = room()
     objective = Objective(scene, free_normals=True)
     rng = np.random.default_rng(2)
@@ -181,7 +181,7 @@ def test_reweighted_squares_have_the_gradient_of_the_robust_loss(loss: str) -> N
     )
 
 
-def test_refused_tilts_are_named() -> None:
+def test_refused_tangent_offsets_are_named() -> None:
     objective = Objective(room(), free_normals=True)
     x = objective.start()
     for value, reason in ((np.nan, "finite numbers"), (1001.0, "numbers up to 1e3 in size")):

@@ -11,9 +11,8 @@ import pytest
 
 import pbrfit
 from pbrfit import Priors, Result, Scene, Status, _core
-from pbrfit.fit.gauss_newton import global_gauss_newton as polish
 from pbrfit.fit.gauss_newton import pixels
-from pbrfit.fit.priors import material as material_prior
+from pbrfit.fit.priors import material
 from pbrfit.fit.solvers.run import Run
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
@@ -111,12 +110,8 @@ def test_whenever_time_is_up_little_is_done_from_there_on(
 ) -> None:
     options = CONFIGURATIONS[name]
     # Pieces as small beside this picture as the real ones beside large pictures.
-    for module, attribute in (
-        (pixels, "AT_ONCE"),
-        (polish, "AT_ONCE"),
-        (material_prior, "APPLIED_AT_ONCE"),
-    ):
-        monkeypatch.setattr(module, attribute, 32)
+    monkeypatch.setattr(pixels, "PIXELS_PER_CALL", 32)
+    monkeypatch.setattr(material, "PIXELS_AT_ONCE", 32)
     with monkeypatch.context() as patch:
         undisturbed = Clock(patch, np.inf)
         assert fit(**options).status is not Status.TIME_LIMIT

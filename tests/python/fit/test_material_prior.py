@@ -1,8 +1,8 @@
-"""The learnt material prior, and what it is made of: grid, best albedo, Gauss-Newton, EM."""
+"""The mixture prior on materials, and what it is made of: grid, best albedo, Gauss-Newton, EM."""
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +11,14 @@ from scipy.optimize import minimize_scalar
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene, shade
-from pbrfit.fit.priors import map_gauss_newton as pulled_steps
-from pbrfit.fit.priors import material as material_prior
-from pbrfit.fit.priors.map_gauss_newton import OFFSET_PULL, Pull
-from pbrfit.fit.priors.material import MaterialPull
-from pbrfit.fit.sampling import spread, spread_over
+from pbrfit.fit import settings
+from pbrfit.fit.priors import map_gauss_newton, material
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
+from pbrfit.fit.settings import NOISE_PIXELS_MAX, OFFSET_PRECISION_SHARE
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
+from scene_kinds import FREE_LIGHTS, KINDS, all_pixels, of_kind
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
@@ -26,27 +27,6 @@ Pixels = NDArray[np.uint64]
 @pytest.fixture(scope="module")
 def room() -> Scene:
     return make_scene("room", size=24, lights=8, noise=0.01, seed=2000, held_out=4)
-
-
-def variants(room: Scene) -> dict[str, tuple[Scene, dict[str, Any]]]:
-    """Scenes and options of every kind of problem."""
-    assert room.truth is not None
-    rng = np.random.default_rng(0)
-    weights = rng.uniform(0.2, 1, room.images.shape[:3])
-    weights[:, ::3] *= rng.integers(0, 2, weights[:, ::3].shape)
-    grey = np.repeat(room.images.mean(axis=-1, keepdims=True), 3, axis=-1)
-    return {
-        "colour": (room, {}),
-        "order 2": (room, {"sh_order": 2}),
-        "known metallic": (room, {"metallic": 0.3}),
-        "mono light": (room, {"mono_light": True}),
-        "weights": (dataclasses.replace(room, weights=weights), {}),
-        "grey": (dataclasses.replace(room, images=grey), {}),
-        "known lights": (dataclasses.replace(room, lighting=room.truth.lighting), {}),
-    }
-
-
-KINDS = ("colour", "order 2", "known metallic", "mono light", "weights", "grey", "known lights")
 
 
 def some_point(objective: Objective, rng: np.random.Generator) -> Array:
@@ -96,7 +76,7 @@ def squares_of(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_grid_is_the_least_over_albedo(room: Scene, kind: str) -> None:
-    scene, options = variants(room)[kind]
+    scene, options = of_kind(room, kind)
     objective = Objective(scene, **options)
     rng = np.random.default_rng(1)
     x = some_point(objective, rng)
@@ -119,7 +99,7 @@ def test_the_grid_is_the_least_over_albedo(room: Scene, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_best_albedo_is_best(room: Scene, kind: str) -> None:
-    scene, options = variants(room)[kind]
+    scene, options = of_kind(room, kind)
     objective = Objective(scene, **options)
     rng = np.random.default_rng(2)
     x = some_point(objective, rng)
@@ -191,45 +171,45 @@ def test_the_grid_refuses_what_it_cannot_use(
         objective.problem.material_grid(*arguments.values())
 
 
-def some_pull(
+def some_prior(
     objective: Objective, pixels: Pixels, rng: np.random.Generator, clusters: int = 4
-) -> Pull:
-    f = len(objective.layout.roughness_metallic)
-    centre = rng.uniform(0.2, 0.8, (len(pixels), f))
-    precision = rng.uniform(0.01, 0.05, (len(pixels), f))
+) -> GaussianPrior:
+    blocks = objective.layout.roughness_metallic
+    mean = rng.uniform(0.2, 0.8, (len(pixels), len(blocks)))
+    precision = rng.uniform(0.01, 0.05, mean.shape)
     cluster = rng.permutation(np.arange(len(pixels)) % clusters)
-    return Pull(centre, precision, cluster, clusters)
+    return GaussianPrior(mean, precision, cluster, blocks)
 
 
-def total_of(objective: Objective, x: Array, pixels: Pixels, pull: Pull) -> float:
-    """What `pulled_steps.minimize` minimises, with the best offsets, term by term."""
+def total_of(objective: Objective, x: Array, pixels: Pixels, prior: GaussianPrior) -> float:
+    """What `map_gauss_newton.minimize` minimises, with the best offsets, term by term."""
     residuals = objective.problem.residuals(objective.for_core(x), pixels).astype(np.float64)
     _, _, weights = objective.problem.derivatives(objective.for_core(x), pixels)
-    total = (weights.transpose(1, 0, 2) * residuals**2).sum()
+    total, share = (weights.transpose(1, 0, 2) * residuals**2).sum(), OFFSET_PRECISION_SHARE
     for f, block in enumerate(objective.layout.roughness_metallic):
-        for g in range(pull.clusters):
-            here = pull.cluster == g
-            a, d = pull.precision[here, f], x[block][pixels[here]] - pull.centre[here, f]
-            offset = (a * d).sum() / ((1 + OFFSET_PULL) * a.sum())
-            total += (a * (d - offset) ** 2).sum() + OFFSET_PULL * a.sum() * offset**2
+        for g in range(prior.clusters):
+            here = prior.cluster == g
+            a, d = prior.precision[here, f], x[block][pixels[here]] - prior.mean[here, f]
+            offset = (a * d).sum() / ((1 + share) * a.sum())
+            total += (a * (d - offset) ** 2).sum() + share * a.sum() * offset**2
     return float(total)
 
 
-@pytest.mark.parametrize("kind", KINDS[:-1])
+@pytest.mark.parametrize("kind", FREE_LIGHTS)
 def test_gauss_newton_ends_in_a_minimum(
     room: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pulled_steps, "ENOUGH", 0.0)
-    scene, options = variants(room)[kind]
+    monkeypatch.setattr(settings, "PRIOR_GAIN_MIN", 0.0)
+    scene, options = of_kind(room, kind)
     objective = Objective(scene, **options)
     rng = np.random.default_rng(3)
-    pixels = spread(objective.pixels, 80)
-    pull = some_pull(objective, pixels, rng)
+    pixels = evenly_spaced(objective.pixels, 80)
+    prior = some_prior(objective, pixels, rng)
     start = objective.start()
-    found, steps = pulled_steps.minimize(objective, start, pixels, pull, steps=25)
+    found, steps = map_gauss_newton.minimize(objective, start, pixels, prior, steps=25)
     assert steps > 1
-    least = total_of(objective, found, pixels, pull)
-    assert least < total_of(objective, start, pixels, pull)
+    least = total_of(objective, found, pixels, prior)
+    assert least < total_of(objective, start, pixels, prior)
     # Nothing near it is lower: materials of these pixels inside their bounds, and lights.
     layout = objective.layout
     assert layout.lighting is not None
@@ -241,15 +221,15 @@ def test_gauss_newton_ends_in_a_minimum(
         direction[layout.lighting] *= np.abs(found[layout.lighting]).mean()
         direction[layout.maps][(found[layout.maps] < 0.05) | (found[layout.maps] > 0.95)] = 0
         for step in (1e-2, -1e-2):
-            assert total_of(objective, found + step * direction, pixels, pull) > least
+            assert total_of(objective, found + step * direction, pixels, prior) > least
 
 
 def test_gauss_newton_leaves_other_pixels(room: Scene) -> None:
     objective = Objective(room)
-    pixels = spread(objective.pixels, 40)
-    pull = some_pull(objective, pixels, np.random.default_rng(4))
+    pixels = evenly_spaced(objective.pixels, 40)
+    prior = some_prior(objective, pixels, np.random.default_rng(4))
     start = objective.start()
-    found, _ = pulled_steps.minimize(objective, start, pixels, pull, steps=2)
+    found, _ = map_gauss_newton.minimize(objective, start, pixels, prior, steps=2)
     others = np.setdiff1d(np.arange(objective.pixels), pixels)
     maps = objective.layout.maps
     before, after = (x[maps].reshape(-1, objective.pixels)[:, others] for x in (start, found))
@@ -258,41 +238,40 @@ def test_gauss_newton_leaves_other_pixels(room: Scene) -> None:
     assert (found[maps] <= 1).all()
 
 
-def test_the_pull_has_the_right_gradient(room: Scene) -> None:
+def test_the_prior_has_the_right_gradient(room: Scene) -> None:
     objective = Objective(room)
     rng = np.random.default_rng(5)
-    pixels = np.arange(objective.pixels, dtype=np.uint64)
-    penalty = MaterialPull(
-        some_pull(objective, pixels, rng, 7), objective.layout.roughness_metallic, 0.3
-    )
+    with_offsets = some_prior(objective, all_pixels(objective), rng, 7)
     x = some_point(objective, rng)
-    gradient = np.zeros(objective.size)
-    value = penalty.value_and_grad(x, gradient)
-    assert value > 0
-    for _ in range(5):
-        direction = rng.normal(size=objective.size)
-        plus, minus = (
-            penalty.value_and_grad(x + h * direction, np.zeros(objective.size))
-            for h in (1e-5, -1e-5)
-        )
-        assert gradient @ direction == pytest.approx((plus - minus) / 2e-5, rel=1e-6)
+    for cluster in (with_offsets.cluster, None):
+        prior = dataclasses.replace(with_offsets, cluster=cluster, factor=0.3)
+        gradient = np.zeros(objective.size)
+        assert prior.value_and_grad(x, gradient) > 0
+        for _ in range(5):
+            direction = rng.normal(size=objective.size)
+            plus, minus = (
+                prior.value_and_grad(x + h * direction, np.zeros(objective.size))
+                for h in (1e-5, -1e-5)
+            )
+            assert gradient @ direction == pytest.approx((plus - minus) / 2e-5, rel=1e-6)
 
 
-def test_the_pull_lets_a_cluster_move_as_a_whole(room: Scene) -> None:
-    """Moving all pixels of a cluster alike costs only the small pull of the offsets."""
+def test_the_prior_lets_a_cluster_move_as_a_whole(room: Scene) -> None:
+    """Moving all pixels of a cluster alike costs only the small precision of the offsets."""
     objective = Objective(room)
-    pixels = np.arange(objective.pixels, dtype=np.uint64)
-    pull = some_pull(objective, pixels, np.random.default_rng(6), clusters=3)
-    penalty = MaterialPull(pull, objective.layout.roughness_metallic, 1.0)
+    prior = some_prior(objective, all_pixels(objective), np.random.default_rng(6), clusters=3)
     x = objective.start()
     for f, block in enumerate(objective.layout.roughness_metallic):
-        x[block] = pull.centre[:, f]
-    at_centre = penalty.value_and_grad(x, np.zeros(objective.size))
-    assert at_centre == pytest.approx(0, abs=1e-20)
-    x[objective.roughness][pull.cluster == 1] += 0.1
-    as_whole = penalty.value_and_grad(x, np.zeros(objective.size))
-    stiff = 0.1**2 * pull.precision[pull.cluster == 1, 0].sum()
-    assert as_whole == pytest.approx(OFFSET_PULL / (1 + OFFSET_PULL) * stiff, rel=1e-6)
+        x[block] = prior.mean[:, f]
+    at_mean = prior.value_and_grad(x, np.zeros(objective.size))
+    assert at_mean == pytest.approx(0, abs=1e-20)
+    x[objective.roughness][prior.cluster == 1] += 0.1
+    as_whole = prior.value_and_grad(x, np.zeros(objective.size))
+    stiff = 0.1**2 * prior.precision[prior.cluster == 1, 0].sum()
+    share = OFFSET_PRECISION_SHARE / (1 + OFFSET_PRECISION_SHARE)
+    assert as_whole == pytest.approx(share * stiff, rel=1e-6)
+    alone = dataclasses.replace(prior, cluster=None)
+    assert alone.value_and_grad(x, np.zeros(objective.size)) == pytest.approx(stiff, rel=1e-6)
 
 
 def test_em_finds_a_planted_mixture() -> None:
@@ -302,20 +281,20 @@ def test_em_finds_a_planted_mixture() -> None:
     true = np.where(rng.random(3000) < 0.3, 0.25, 0.7)
     seen = true + rng.normal(0, 0.15, true.shape)
     likelihood = np.exp(-((seen[:, None] - nodes) ** 2) / (2 * 0.15**2)).astype(np.float32)
-    found = material_prior._mixture(likelihood)
+    found = material._mixture(likelihood)
     assert found.sum() == pytest.approx(1, abs=1e-5)
     assert found[nodes < 0.47].sum() == pytest.approx(0.3, abs=0.04)
     assert found[np.abs(nodes - 0.25) < 0.08].sum() > 0.22
     assert found[np.abs(nodes - 0.7) < 0.08].sum() > 0.55
 
 
-def test_a_pixel_unlike_all_learnt_ones_keeps_its_own_material(room: Scene) -> None:
-    # What is learnt from has all its likelihood at one node, what is asked for at another.
+def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> None:
+    # What is fitted to has all its likelihood at one node, what is asked for at another.
     objective = Objective(room)
-    grid = material_prior._Grid(objective, objective.start(), np.arange(64, dtype=np.uint64))
+    grid = material._Grid(objective, objective.start(), np.arange(64, dtype=np.uint64))
     nodes = np.eye(len(grid.roughness), dtype=np.float32)
-    learnt = material_prior._Learnt.of(nodes[[3] * 50], np.ones(50, np.intp), grid)
-    found = learnt.posterior(nodes[[200, 3]], np.ones(2, np.intp))
+    fitted = material._Distributions.of(nodes[[3] * 50], np.ones(50, np.intp), grid)
+    found = fitted.posterior(nodes[[200, 3]], np.ones(2, np.intp))
     true = [[grid.roughness[i], grid.metallic[i]] for i in (200, 3)]
     np.testing.assert_allclose(found.mean, true, rtol=1e-6)
     assert np.isfinite(found.variance).all()
@@ -336,8 +315,8 @@ def test_the_prior_halves_the_error_of_roughness(solver: Solver) -> None:
 
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_of_problem_has_a_learnt_prior(room: Scene, kind: str, solver: Solver) -> None:
-    scene, options = variants(room)[kind]
+def test_every_kind_of_problem_has_a_mixture_prior(room: Scene, kind: str, solver: Solver) -> None:
+    scene, options = of_kind(room, kind)
     result = pbrfit.decompose(scene, solver=solver, iterations=60, refine_normals="off", **options)
     assert "material prior" in [stage.name for stage in result.stages]
     valid = result.mask
@@ -398,7 +377,7 @@ def test_odd_segments(room: Scene, solver: Solver) -> None:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_perfect_pictures_are_not_pulled(room: Scene, solver: Solver) -> None:
+def test_perfect_pictures_have_no_use_for_a_prior(room: Scene, solver: Solver) -> None:
     """Where the fit leaves no residual there is no noise, and the prior has nothing to say."""
     assert room.truth is not None
     assert room.truth.lighting is not None
@@ -411,50 +390,37 @@ def test_perfect_pictures_are_not_pulled(room: Scene, solver: Solver) -> None:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_bitwise_the_same_at_any_number_of_threads(room: Scene, solver: Solver) -> None:
-    one, two = (
-        pbrfit.decompose(room, solver=solver, iterations=60, refine_normals="off", threads=t)
-        for t in (1, 2)
-    )
-    assert "material prior" in [stage.name for stage in one.stages]
-    np.testing.assert_array_equal(one.albedo, two.albedo)
-    np.testing.assert_array_equal(one.roughness, two.roughness)
-    np.testing.assert_array_equal(one.lighting, two.lighting)
+@pytest.mark.parametrize("priors", [Priors(material=0), None, Priors()])
+def test_weight_zero_fits_no_prior(room: Scene, solver: Solver, priors: Priors | None) -> None:
+    result = pbrfit.decompose(room, iterations=40, solver=solver, priors=priors)
+    has_one = priors is not None and priors.material > 0
+    assert ("material prior" in [stage.name for stage in result.stages]) == has_one
 
 
-def test_weight_zero_learns_nothing(room: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(*_: object, **__: object) -> NoReturn:
-        raise AssertionError("the prior was learnt")
-
-    monkeypatch.setattr(material_prior, "learn", never)
-    for solver in SOLVERS:
-        pbrfit.decompose(room, iterations=4, solver=solver, priors=Priors(material=0))
-        pbrfit.decompose(room, iterations=4, solver=solver, priors=None)
-    with pytest.raises(AssertionError):
-        pbrfit.decompose(room, iterations=4, solver="lbfgsb")
-    for solver in SOLVERS:
-        with pytest.raises(AssertionError):
-            pbrfit.decompose(room, solver=solver)
-
-
-def test_spread() -> None:
-    assert spread(0, 10).shape == (0,)
-    np.testing.assert_array_equal(spread(5, 10), np.arange(5))
-    chosen = spread(10**6, 100)
-    assert len(chosen) == 100
-    assert (np.diff(chosen.astype(np.int64)) > 0).all()
-    assert (chosen // 10**4 == np.arange(100)).all()
+@pytest.mark.parametrize("count", [0, 5, 19_999, 20_000, 20_001, 23_456, 1 << 20])
+def test_evenly_spaced_indices_are_distinct_and_favour_no_column(count: int) -> None:
+    chosen = evenly_spaced(count, NOISE_PIXELS_MAX)
+    assert chosen.dtype == np.uint64
+    assert len(chosen) == min(count, NOISE_PIXELS_MAX)
+    # They rise, and no more than two pieces lie between neighbours.
+    gaps = np.diff(chosen.astype(np.int64), prepend=-1, append=count)
+    assert gaps.min() > 0
+    assert gaps.max() <= 2 * -(-count // max(len(chosen), 1)) + 1
+    if count == 1 << 20:
+        columns = np.bincount(chosen.astype(np.int64) % 1024, minlength=1024)
+        assert columns.min() >= 10  # 19.5 on average
+        assert columns.max() <= 30
 
 
-def test_spread_over_labels() -> None:
+def test_evenly_spaced_over_labels() -> None:
     labels = np.zeros(10_000, np.intp)
     labels[5000:5040] = 1
     labels[9000:9003] = 2
-    chosen = spread_over(labels, 400)
+    chosen = evenly_spaced_over(labels, 400)
     assert len(chosen) == 400
     assert len(np.unique(chosen)) == 400
     of_labels = labels[chosen.astype(np.intp)]
     assert (of_labels == 2).sum() == 3
     assert (of_labels == 1).sum() >= 40
-    np.testing.assert_array_equal(spread_over(labels, 10**5), np.arange(10_000))
-    assert len(spread_over(np.arange(1000), 100)) == 100
+    np.testing.assert_array_equal(evenly_spaced_over(labels, 10**5), np.arange(10_000))
+    assert len(evenly_spaced_over(np.arange(1000), 100)) == 100

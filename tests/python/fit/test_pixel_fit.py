@@ -22,7 +22,8 @@ Pixels = NDArray[np.uint64]
 
 ROUGHNESS = np.linspace(0.05, 1, 12)
 METALLIC = np.linspace(0, 1, 6)
-NONE = np.empty(0)
+NODES = ROUGHNESS, METALLIC
+NONE = np.empty(0), np.empty(0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,8 +90,10 @@ class Example:
         """(P, N, C) by the reference; `materials` (P, C + 2)."""
         c, k = self.kind.channels, (self.kind.sh_order + 1) ** 2
         colour = np.broadcast_to(materials[:, :c], (len(materials), 3))
-        finish = materials[:, c], materials[:, c + 1]
-        weights = reference.shade(self.normals[pixels], self.views[pixels], colour, *finish)
+        roughness_metallic = materials[:, c], materials[:, c + 1]
+        weights = reference.shade(
+            self.normals[pixels], self.views[pixels], colour, *roughness_metallic
+        )
         return np.asarray(np.einsum("pck,nkc->pnc", weights[:, :c, :k], self.lights))
 
     def problem(self, threads: int = 1, *, exact: bool = True) -> _core.Problem:
@@ -122,6 +125,24 @@ class Example:
             return found
         return np.column_stack([found, np.full(len(found), self.kind.metallic)])
 
+    def fit(
+        self,
+        x: Array | None = None,
+        pixels: Pixels | None = None,
+        nodes: tuple[Array, Array] | None = None,
+        *,
+        threads: int = 1,
+        exact: bool = True,
+        **options: Any,
+    ) -> tuple[Array, Array]:
+        """Best materials from x, or from nothing, of pixels, or all, and their sums of squares."""
+        return self.problem(threads, exact=exact).fit_materials(
+            self.grey() if x is None else x,
+            self.everything if pixels is None else pixels,
+            *(NODES if nodes is None else nodes),
+            **options,
+        )
+
     @property
     def everything(self) -> Pixels:
         return np.arange(self.pixels, dtype=np.uint64)
@@ -144,17 +165,17 @@ def noisy(kind: Kind) -> Example:
 
 
 def best_of_scipy(
-    example: Example, p: int, centre: Array | None = None, precision: Array | None = None
+    example: Example, p: int, mean: Array | None = None, precision: Array | None = None
 ) -> float:
-    """Least Σ ω (I − T)² + Σ precision (v − centre)² of a pixel, from many starts."""
+    """Least Σ ω (I − T)² + Σ precision (v − mean)² of a pixel, from many starts."""
     kind = example.kind
     root = np.sqrt(example.omega[p])
 
     def residuals(v: Array) -> Array:
         materials = example.whole(v[None])
         parts = [root * (example.radiance(materials, slice(p, p + 1))[0] - example.targets[p])]
-        if centre is not None and precision is not None:
-            parts.append(np.sqrt(precision[p]) * (v[kind.channels :] - centre[p]))
+        if mean is not None and precision is not None:
+            parts.append(np.sqrt(precision[p]) * (v[kind.channels :] - mean[p]))
         return np.concatenate([part.ravel() for part in parts])
 
     starts = [
@@ -169,9 +190,7 @@ def best_of_scipy(
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_no_start_of_scipys_ends_lower(kind: Kind) -> None:
     example = noisy(kind)
-    found, squares = example.problem().fit_materials(
-        example.grey(), example.everything, ROUGHNESS, METALLIC, starts=4, steps=40, exact_steps=5
-    )
+    found, squares = example.fit(starts=4, steps=40, exact_steps=5)
     assert found.shape == (8, kind.unknowns)
     np.testing.assert_allclose(squares, example.squares(found), rtol=1e-11)
     for p in range(8):
@@ -179,36 +198,19 @@ def test_no_start_of_scipys_ends_lower(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", [KINDS[0], KINDS[4]], ids=str)
-def test_a_pull_is_minimised_with_the_squares(kind: Kind) -> None:
+def test_a_prior_is_minimised_with_the_squares(kind: Kind) -> None:
     example = noisy(kind)
     rng = np.random.default_rng(0)
     shape = 8, kind.unknowns - kind.channels
-    centre, precision = rng.uniform(0.1, 0.9, shape), rng.uniform(0, 0.3, shape)
-    found, squares = example.problem().fit_materials(
-        example.grey(),
-        example.everything,
-        ROUGHNESS,
-        METALLIC,
-        starts=4,
-        steps=40,
-        exact_steps=5,
-        mean=centre,
-        precision=precision,
-    )
-    # What is handed out is without the pull, what is least is with it.
+    mean, precision = rng.uniform(0.1, 0.9, shape), rng.uniform(0, 0.3, shape)
+    found, squares = example.fit(starts=4, steps=40, exact_steps=5, mean=mean, precision=precision)
+    # What is handed out is without the prior, what is least is with it.
     np.testing.assert_allclose(squares, example.squares(found), rtol=1e-11)
-    total = squares + (precision * (found[:, kind.channels :] - centre) ** 2).sum(axis=1)
+    total = squares + (precision * (found[:, kind.channels :] - mean) ** 2).sum(axis=1)
     for p in range(8):
-        assert total[p] <= best_of_scipy(example, p, centre, precision) * (1 + 1e-7)
-    stiff, _ = example.problem().fit_materials(
-        example.grey(),
-        example.everything,
-        ROUGHNESS,
-        METALLIC,
-        mean=centre,
-        precision=np.full(shape, 1e12),
-    )
-    np.testing.assert_allclose(stiff[:, kind.channels :], centre, atol=1e-9)
+        assert total[p] <= best_of_scipy(example, p, mean, precision) * (1 + 1e-7)
+    stiff, _ = example.fit(mean=mean, precision=np.full(shape, 1e12))
+    np.testing.assert_allclose(stiff[:, kind.channels :], mean, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
@@ -216,9 +218,7 @@ def test_noise_free_materials_are_found_from_nothing(kind: Kind) -> None:
     example = Example(kind)
     truth = example.truth[:, : kind.unknowns]
     for exact, median, most in ((False, 1e-7, 2e-6), (True, 1e-14, 1e-12)):
-        found, squares = example.problem(exact=exact).fit_materials(
-            example.grey(), example.everything, ROUGHNESS, METALLIC, starts=2, exact_steps=2
-        )
+        found, squares = example.fit(exact=exact, starts=2, exact_steps=2)
         error = np.abs(found - truth).max(axis=1)
         assert np.median(error) < median
         assert error.max() < most
@@ -239,9 +239,7 @@ def test_rounded_targets_move_materials_as_far_as_they_say() -> None:
     rounding = example.targets.astype(np.float32) - example.targets
     right = np.einsum("pncj,pnc->pj", jacobian, rounding)
     expected = np.linalg.solve(matrices, right[..., None])[..., 0]
-    found, _ = example.problem(exact=False).fit_materials(
-        example.grey(), example.everything, ROUGHNESS, METALLIC, starts=2, exact_steps=2
-    )
+    found, _ = example.fit(exact=False, starts=2, exact_steps=2)
     np.testing.assert_allclose(found - example.truth, expected, atol=1e-11)
 
 
@@ -263,15 +261,7 @@ def test_materials_on_bounds_are_found(unknown: int, value: float, tolerance: fl
         truth[:, unknown] = value
 
     example = Example(change=change)
-    found, squares = example.problem().fit_materials(
-        example.grey(),
-        example.everything,
-        np.linspace(0.05, 1, 12),
-        METALLIC,
-        starts=3,
-        steps=40,
-        exact_steps=6,
-    )
+    found, squares = example.fit(starts=3, steps=40, exact_steps=6)
     assert (found >= 0).all()
     assert (found <= 1).all()
     assert np.abs(found[:, unknown] - value).max() < tolerance
@@ -283,9 +273,7 @@ def test_roughness_0_is_left() -> None:
     example = Example()
     given = example.truth.copy()
     given[:, 3] = 0
-    found, squares = example.problem().fit_materials(
-        example.x(given), example.everything, NONE, NONE, steps=60
-    )
+    found, squares = example.fit(example.x(given), nodes=NONE, steps=60)
     before = example.squares(given)
     assert (squares < before).all()
     # Most get to the bottom; a few may end in another minimum.
@@ -297,9 +285,7 @@ def test_roughness_0_stays_where_it_is_best() -> None:
         truth[:, 3] = 0
 
     example = Example(change=change)
-    found, squares = example.problem().fit_materials(
-        example.x(example.truth), example.everything, NONE, NONE
-    )
+    found, squares = example.fit(example.x(example.truth), nodes=NONE)
     assert squares.max() < 1e-27
     assert np.abs(found - example.truth).max() < 2e-3
 
@@ -335,7 +321,7 @@ def test_whatever_the_pictures_show_it_ends_no_worse(
     given[rng.random((40, 5)) < 0.2] = 0
     given[rng.random((40, 5)) < 0.2] = 1
     before = explicit(example, given)
-    problem, x = example.problem(), example.x(given)
+    x = example.x(given)
     every: tuple[dict[str, Any], ...] = (
         {},
         {"starts": 3, "exact_steps": 4},
@@ -343,9 +329,7 @@ def test_whatever_the_pictures_show_it_ends_no_worse(
         {"starts": 0},
     )
     for options in every:
-        found, squares = problem.fit_materials(
-            x, example.everything, ROUGHNESS, METALLIC, **options
-        )
+        found, squares = example.fit(x, **options)
         assert ((found >= 0) & (found <= 1)).all()
         assert (squares <= before).all()
         # To the last bit what the normal equations say there.
@@ -353,7 +337,7 @@ def test_whatever_the_pictures_show_it_ends_no_worse(
         if change is unlit:
             np.testing.assert_array_equal(squares, before)
     scale = (example.omega * example.targets**2).sum(axis=(1, 2))
-    found, squares = problem.fit_materials(x, example.everything, NONE, NONE, exact_steps=0)
+    found, squares = example.fit(x, nodes=NONE, exact_steps=0)
     assert (squares <= before + 1e-13 * scale + 1e-13 * before).all()
     np.testing.assert_allclose(squares, explicit(example, found), atol=1e-13 * scale.max())
 
@@ -361,22 +345,14 @@ def test_whatever_the_pictures_show_it_ends_no_worse(
 def test_the_best_is_left_alone() -> None:
     example = Example()
     given = example.truth.copy()
-    found, squares = example.problem().fit_materials(
-        example.x(given), example.everything, ROUGHNESS, METALLIC
-    )
+    found, squares = example.fit(example.x(given))
     assert squares.max() < 1e-28
     assert np.abs(found - given).max() < 1e-12
 
 
 def test_more_starts_never_end_higher() -> None:
     example = Example(pixels=300, pictures=4, noise=0.05)
-    problem, x = example.problem(), example.grey()
-    ends = [
-        problem.fit_materials(
-            x, example.everything, ROUGHNESS, METALLIC, starts=starts, exact_steps=0
-        )[1]
-        for starts in (0, 1, 2, 5)
-    ]
+    ends = [example.fit(starts=starts, exact_steps=0)[1] for starts in (0, 1, 2, 5)]
     for fewer, more in itertools.pairwise(ends):
         assert (more <= fewer).all()
     assert (ends[-1] < ends[0] * (1 - 1e-3)).any()
@@ -387,19 +363,13 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
     example = Example(kind, pixels=700, pictures=5, noise=0.02)
     rng = np.random.default_rng(2)
     shape = 700, kind.unknowns - kind.channels
-    centre, precision = rng.uniform(0, 1, shape), rng.uniform(0, 0.1, shape)
+    mean, precision = rng.uniform(0, 1, shape), rng.uniform(0, 0.1, shape)
     given = np.clip(example.truth + rng.normal(0, 0.2, example.truth.shape), 0, 1)
 
     def fit(threads: int, pixels: Pixels) -> tuple[Array, Array]:
-        return example.problem(threads).fit_materials(
-            example.x(given),
-            pixels,
-            ROUGHNESS,
-            METALLIC,
-            starts=2,
-            exact_steps=2,
-            mean=centre[pixels],
-            precision=precision[pixels],
+        prior: dict[str, Any] = {"mean": mean[pixels], "precision": precision[pixels]}
+        return example.fit(
+            example.x(given), pixels, threads=threads, starts=2, exact_steps=2, **prior
         )
 
     found, squares = fit(1, example.everything)
@@ -416,9 +386,7 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
 
 def test_no_pixels_give_no_materials() -> None:
     example = noisy(KINDS[0])
-    found, squares = example.problem().fit_materials(
-        example.grey(), np.empty(0, np.uint64), ROUGHNESS, METALLIC
-    )
+    found, squares = example.fit(pixels=np.empty(0, np.uint64))
     assert found.shape == (0, 5)
     assert squares.shape == (0,)
 
@@ -445,12 +413,7 @@ TWO = np.full((3, 2), 0.5)
 )
 def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
     example = noisy(KINDS[0])
-    arguments: dict[str, Any] = {
-        "x": example.grey(),
-        "pixels": np.arange(3, dtype=np.uint64),
-        "roughness": ROUGHNESS,
-        "metallic": METALLIC,
-    }
-    arguments.update(change)
+    arguments: dict[str, Any] = {"x": example.grey(), "pixels": np.arange(3, dtype=np.uint64)}
+    arguments |= {"roughness": ROUGHNESS, "metallic": METALLIC} | change
     with pytest.raises(InputError, match=message):
         example.problem().fit_materials(**arguments)

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
+import scene_kinds
 from pbrfit import InputError, _core
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
@@ -367,22 +368,11 @@ def test_penalties_may_change_between_evaluations() -> None:
     np.testing.assert_array_equal(after[1], gradient)
 
 
-KINDS: dict[str, dict[str, Any]] = {
-    "plain": {},
-    "order 2": {"sh_order": 2},
-    "known metallic": {"metallic": 0.3},
-    "one light for all channels": {"mono_light": True},
-}
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["colour", "order 2", "known metallic", "mono light"])
 @pytest.mark.parametrize("grey", [False, True])
 def test_gradients_of_all_terms(kind: str, grey: bool) -> None:
-    scene = scene_of()
-    if grey:
-        images = np.repeat(scene.images[..., :1], 3, axis=-1)
-        scene = dataclasses.replace(scene, images=images, truth=None)
-    objective = Objective(scene, priors=ALL, **KINDS[kind])
+    scene = scene_kinds.grey(scene_of()) if grey else scene_of()
+    objective = Objective(scene, priors=ALL, **scene_kinds.KINDS[kind][1])
     checks = check_gradients(objective)
     assert {check.function for check in checks} == {
         "loss",
@@ -427,11 +417,6 @@ def test_threads_do_not_change_a_bit() -> None:
 # --- One light for all channels ---
 
 
-def weighted(scene: pbrfit.Scene) -> pbrfit.Scene:
-    weights = np.random.default_rng(2).uniform(0.1, 1, scene.images.shape[:3])
-    return dataclasses.replace(scene, weights=weights)
-
-
 @pytest.mark.parametrize("sh_order", [2, 3])
 @pytest.mark.parametrize("metallic", [None, 0.3])
 def test_mono_light_is_a_third_of_the_lights(sh_order: int, metallic: float | None) -> None:
@@ -464,7 +449,7 @@ def test_coloured_lights_are_packed_as_their_mean() -> None:
 
 @pytest.mark.parametrize("sample_weights", [False, True])
 def test_the_best_light_for_all_channels_is_a_minimum(sample_weights: bool) -> None:
-    scene = weighted(scene_of()) if sample_weights else scene_of()
+    scene = scene_kinds.weighted(scene_of()) if sample_weights else scene_of()
     objective = Objective(scene, mono_light=True)
     x = objective.start()
     loss, gradient = objective.value_and_grad(x)
@@ -480,9 +465,7 @@ def test_the_best_light_for_all_channels_is_a_minimum(sample_weights: bool) -> N
 
 
 def test_mono_light_changes_nothing_where_there_is_one_channel() -> None:
-    scene = scene_of()
-    images = np.repeat(scene.images[..., :1], 3, axis=-1)
-    scene = dataclasses.replace(scene, images=images, truth=None)
+    scene = scene_kinds.grey(scene_of())
     one, other = Objective(scene), Objective(scene, mono_light=True)
     x = one.start()
     np.testing.assert_array_equal(other.start(), x)
@@ -490,13 +473,12 @@ def test_mono_light_changes_nothing_where_there_is_one_channel() -> None:
 
 
 def test_known_lights_in_colour_are_refused_by_mono_light() -> None:
-    scene = scene_of()
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
+    known = scene_kinds.known_lights(scene_of())
     with pytest.raises(InputError, match=r"^lighting: expected known lights with equal channels"):
-        Objective(dataclasses.replace(scene, lighting=scene.truth.lighting), mono_light=True)
-    grey = np.repeat(scene.truth.lighting[..., :1], 3, axis=-1)
-    known = dataclasses.replace(scene, lighting=grey)
+        Objective(known, mono_light=True)
+    assert known.lighting is not None
+    grey = np.repeat(known.lighting[..., :1], 3, axis=-1)
+    known = dataclasses.replace(known, lighting=grey)
     objective, plain = Objective(known, mono_light=True), Objective(known)
     x = objective.start()
     assert objective.value_and_grad(x)[0] == plain.value_and_grad(x)[0]

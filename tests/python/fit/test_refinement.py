@@ -21,7 +21,7 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import render
 from pbrfit.report import write_report
 from pbrfit.result.differences import PALETTE, WHITE, turned
-from pbrfit.result.refinement import CHOICES, LEAST_CHANGE, NOT_ASKED, Refinement, hindrance
+from pbrfit.result.refinement import CHANGE_DEGREES_MIN, CHOICES, NOT_ASKED, Refinement, hindrance
 from pbrfit.synthetic import make_scene
 from refined import LARGEST, degrees_of, refined
 from scene_files import run
@@ -105,13 +105,13 @@ def test_the_change_is_the_angle_between_given_and_refined_normals(result: Resul
 
 
 def test_what_rounding_turns_is_as_given(result: Result) -> None:
-    change = np.array([[0.0, 0.9 * LEAST_CHANGE, LEAST_CHANGE, np.nan, 3.0]])
+    change = np.array([[0.0, 0.9 * CHANGE_DEGREES_MIN, CHANGE_DEGREES_MIN, np.nan, 3.0]])
     assert result.refinement.with_change(change).figures["changed_share"] == 0.5
     assert (turned(change).indices() == WHITE).tolist() == [[True, True, False, False, False]]
-    # A normal that was made anew from a tilt of 0, and stored.
+    # A normal that was made anew from a tangent offset of 0, and stored.
     stored = result.normals[result.mask].astype(np.float32).astype(np.float64)
     again = stored / np.linalg.norm(stored, axis=-1, keepdims=True)
-    assert angles_between(again.astype(np.float32), stored).max() < LEAST_CHANGE
+    assert angles_between(again.astype(np.float32), stored).max() < CHANGE_DEGREES_MIN
 
 
 def test_refined_normals_without_given_ones_are_refused_and_the_reverse(result: Result) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,11 @@ import pytest
 import pbrfit
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.robust import FEWEST_DEGREES, MEDIAN_TO_SIGMA, SCALES, irls_weights
-from pbrfit.fit.settings import NOISE_SIGMA_MIN
+from pbrfit.fit.robust import MEDIAN_TO_SIGMA, SCALES, irls_weights
+from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN, NOISE_SIGMA_MIN
 from pbrfit.result.options import LOSSES, Solver
 from pbrfit.synthetic import make_scene
+from scene_kinds import at_truth
 
 ROBUST = LOSSES[1:]
 NOISE = 0.01
@@ -31,62 +33,52 @@ def with_shadows(scene: pbrfit.Scene, share: float = 0.05) -> pbrfit.Scene:
     return dataclasses.replace(scene, images=np.where(hit[..., None], 0.3, 1) * scene.images)
 
 
-@pytest.fixture(scope="module")
-def spoilt() -> tuple[pbrfit.Scene, pbrfit.Result]:
-    scene = with_shadows(room(noise=0.004))
-    return scene, pbrfit.decompose(
-        scene, solver="lbfgsb", iterations=200, priors=None, refine_normals="off"
-    )
+@cache
+def shadows() -> pbrfit.Scene:
+    return with_shadows(room(noise=0.004))
 
 
+@cache
+def fit(case: str, robust: Any) -> pbrfit.Result:
+    """The scene with shadows, fitted as `CASES` says."""
+    return pbrfit.decompose(shadows(), robust=robust, refine_normals="off", **CASES[case][0])
+
+
+MAPS = ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse")
+CASES: dict[str, tuple[dict[str, Any], float]] = {
+    "lbfgsb": ({"solver": "lbfgsb", "iterations": 200, "priors": None}, 0.9),
+    "lbfgsb, material prior": ({"solver": "lbfgsb", "iterations": 120}, 0.8),
+    "auto": ({"solver": "auto", "priors": None}, 0.9),
+    "auto, material prior": ({"solver": "auto"}, 0.9),
+}
+"""Options, and the share of the errors by squares that is left at most."""
+
+
+@pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("loss", ROBUST)
-def test_outliers_do_less_harm_than_to_squares(
-    spoilt: tuple[pbrfit.Scene, pbrfit.Result], loss: Any
-) -> None:
-    scene, by_squares = spoilt
-    result = pbrfit.decompose(
-        scene, solver="lbfgsb", iterations=200, priors=None, robust=loss, refine_normals="off"
-    )
-    for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
-        assert result.metrics[name] < 0.9 * by_squares.metrics[name], name
+def test_outliers_do_less_harm_than_to_squares(loss: str, case: str) -> None:
+    by_squares, robust = fit(case, "none"), fit(case, loss)
+    for name in MAPS:
+        assert robust.metrics[name] < CASES[case][1] * by_squares.metrics[name], name
     # The outliers are left where they are.
-    assert result.metrics["recon_rmse"] > by_squares.metrics["recon_rmse"]
-    assert result.options.robust == loss
-    assert by_squares.options.robust == "none"
-    assert len(result.history) - 1 == 200
-
-
-@pytest.mark.parametrize("priors", [None, pbrfit.Priors()], ids=["alone", "priors"])
-@pytest.mark.parametrize("loss", ROBUST)
-def test_outliers_do_less_harm_than_to_squares_after_gauss_newton(
-    loss: Any, priors: pbrfit.Priors | None
-) -> None:
-    scene = with_shadows(room(noise=0.004))
-    by_squares, robust = (
-        pbrfit.decompose(scene, solver="auto", priors=priors, robust=name, refine_normals="off")
-        for name in ("none", loss)
-    )
-    for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
-        assert robust.metrics[name] < 0.9 * by_squares.metrics[name], name
     assert robust.metrics["recon_rmse"] > by_squares.metrics["recon_rmse"]
+    assert (robust.options.robust, by_squares.options.robust) == (loss, "none")
+    if case == "lbfgsb":
+        assert len(robust.history) - 1 == 200
 
 
-def test_the_first_stage_is_by_squares(spoilt: tuple[pbrfit.Scene, pbrfit.Result]) -> None:
-    scene, by_squares = spoilt
-    result = pbrfit.decompose(
-        scene, solver="lbfgsb", iterations=200, priors=None, robust="huber", refine_normals="off"
-    )
-    first = slice(0, 61)
-    np.testing.assert_array_equal(result.history["loss"][first], by_squares.history["loss"][first])
-    assert result.history["loss"][-1] < by_squares.history["loss"][-1]
+def test_the_first_stage_is_by_squares() -> None:
+    by_squares, robust = fit("lbfgsb", "none").history, fit("lbfgsb", "huber").history
+    np.testing.assert_array_equal(robust["loss"][:61], by_squares["loss"][:61])
+    assert robust["loss"][-1] < by_squares["loss"][-1]
     # Root of the robust loss, below that of the squares.
-    assert result.history["recon_rmse"][-1] < result.metrics["recon_rmse"]
+    assert robust["recon_rmse"][-1] < fit("lbfgsb", "huber").metrics["recon_rmse"]
 
 
 @pytest.mark.parametrize("solver", ["auto", "lbfgsb"])
 @pytest.mark.parametrize("loss", ROBUST)
 def test_a_fit_from_a_given_start_becomes_robust_too(loss: Any, solver: Solver) -> None:
-    scene = with_shadows(room(noise=0.004))
+    scene = shadows()
     assert scene.truth is not None
     fits = [
         pbrfit.decompose(
@@ -107,10 +99,8 @@ def test_a_fit_from_a_given_start_becomes_robust_too(loss: Any, solver: Solver) 
 def test_the_scale_is_that_of_the_noise() -> None:
     """At the truth nothing of the noise is taken up but by the unknowns' number, as if it were."""
     scene = room(noise=NOISE)
-    assert scene.truth is not None
-    maps = scene.truth.materials
     objective = Objective(scene)
-    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
+    x = at_truth(objective, scene)
     degrees = 1 - objective.size / objective.samples
     for name in ROBUST:
         loss = objective.robust_around(x, name)
@@ -122,11 +112,8 @@ def test_the_scale_is_that_of_the_noise() -> None:
 
 
 def test_perfectly_explained_pictures_have_a_scale() -> None:
-    scene = room()
-    assert scene.truth is not None
-    maps = scene.truth.materials
-    objective = Objective(scene)
-    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
+    objective = Objective(room())
+    x = at_truth(objective, room())
     assert objective.robust_around(x, "huber") == ("huber", SCALES["huber"] * NOISE_SIGMA_MIN)
 
 
@@ -137,7 +124,7 @@ def test_more_unknowns_than_samples_have_a_scale() -> None:
     x = np.clip(objective.start(), 0.1, None)
     residuals = objective.problem.residuals(x, np.arange(16, dtype=np.uint64))
     median = np.sort(np.abs(residuals).ravel())[(residuals.size - 1) // 2]
-    expected = SCALES["cauchy"] * MEDIAN_TO_SIGMA * median / np.sqrt(FEWEST_DEGREES)
+    expected = SCALES["cauchy"] * MEDIAN_TO_SIGMA * median / np.sqrt(DEGREES_OF_FREEDOM_SHARE_MIN)
     found = objective.robust_around(x, "cauchy")
     assert found is not None
     assert found[1] == pytest.approx(expected, rel=1e-6)
@@ -173,7 +160,7 @@ def test_reweighted_squares_have_the_gradient_of_the_loss(name: str, weighted: b
 
 
 @pytest.mark.parametrize(("name", "expected"), [("huber", 0.25), ("cauchy", 1 / 17)])
-def test_pull(name: str, expected: float) -> None:
+def test_irls_weights(name: str, expected: float) -> None:
     sizes = np.array([0, 1e-6, -0.02, 1e30, -3e38], dtype=np.float32)
     found = irls_weights((name, 0.005), sizes)
     assert found.dtype == np.float32
@@ -188,17 +175,6 @@ def test_gradient_of_the_objective(name: str, mono_light: bool) -> None:
     objective = Objective(with_shadows(room(size=12)), mono_light=mono_light)
     objective.robust = objective.robust_around(objective.start(), name)
     assert all(check.passed for check in check_gradients(objective, seed=3))
-
-
-@pytest.mark.parametrize("loss", ROBUST)
-def test_with_the_learnt_prior(loss: Any) -> None:
-    scene = with_shadows(room(noise=0.004))
-    by_squares, robust = (
-        pbrfit.decompose(scene, solver="lbfgsb", iterations=120, robust=name, refine_normals="off")
-        for name in ("none", loss)
-    )
-    for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
-        assert robust.metrics[name] < 0.8 * by_squares.metrics[name], name
 
 
 def test_the_loss_is_kept_with_the_result(tmp_path: Path) -> None:

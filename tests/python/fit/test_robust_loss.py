@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 import reference
 from finite_differences import ridders
 from pbrfit import InputError, _core
-from pbrfit.fit.robust import MOST_PIXELS, SCALES, loss_scale, noise_sigma, weighted_median
-from pbrfit.fit.sampling import spread
+from pbrfit.fit.robust import SCALES, loss_scale, noise_sigma, weighted_median
 
 PIXELS, PICTURES = 40, 5
 LOSSES: dict[str, Callable[[float], reference.Loss]] = {
@@ -255,21 +254,3 @@ def test_loss_scale_refuses() -> None:
     for sigma in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="sigma: expected a positive number"):
             loss_scale("huber", sigma)
-
-
-@pytest.mark.parametrize("pixels", [1, 7, 19_999, 20_000, 20_001, 23_456, 1 << 20])
-def test_spread_pixels_are_distinct_and_spread(pixels: int) -> None:
-    chosen = spread(pixels, MOST_PIXELS)
-    assert chosen.dtype == np.uint64
-    assert len(chosen) == min(pixels, 20_000)
-    assert (np.diff(chosen.astype(np.int64)) > 0).all()
-    assert chosen[-1] < pixels
-    # No more than two pieces lie between neighbours.
-    gaps = np.diff(chosen.astype(np.int64), prepend=-1, append=pixels)
-    assert gaps.max() <= 2 * -(-pixels // len(chosen))
-
-
-def test_spread_pixels_favour_no_column() -> None:
-    columns = np.bincount(spread(1 << 20, MOST_PIXELS).astype(np.int64) % 1024, minlength=1024)
-    assert columns.min() >= 10  # 19.5 on average
-    assert columns.max() <= 30

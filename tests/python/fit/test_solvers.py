@@ -14,7 +14,7 @@ import pytest
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene, decompose
-from pbrfit.fit.misfit import NEIGHBOUR_CORRELATION_MAX, NeighbourPairs
+from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.model import reflection as model
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
@@ -186,9 +186,10 @@ def test_neighbours_share_what_the_model_lacks_and_not_noise() -> None:
         maps = scene.truth.materials
         objective = Objective(scene)
         x = objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
-        shared = NeighbourPairs(objective).residual_correlation(x)
-        assert (shared > NEIGHBOUR_CORRELATION_MAX) == alike
-        assert shared > 0.5 if alike else shared < 0.1
+        pairs = NeighbourPairs(objective)
+        correlation = pairs.residual_correlation(x)
+        assert pairs.are_noise(x) != alike
+        assert correlation > 0.5 if alike else correlation < 0.1
 
 
 def test_no_pixel_has_a_neighbour() -> None:

@@ -1,10 +1,9 @@
-"""Large pictures: lights from a lattice of pixels, then tiles that hold what it learnt."""
+"""Large pictures: lights from a strided subset of pixels, then tiles that hold what it found."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,24 +14,20 @@ from numpy.typing import NDArray
 import pbrfit
 from pbrfit import Priors
 from pbrfit.cli import main
-from pbrfit.fit import decompose as solve
 from pbrfit.fit import memory
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.solvers.run import Progress
-from pbrfit.fit.tiles import fit as tiles_fit
-from pbrfit.fit.tiles import fit_tiles
-from pbrfit.fit.tiles.canvas import Canvas
-from pbrfit.fit.tiles.nearest import Nearest
-from pbrfit.fit.tiles.part import Parts, Window
-from pbrfit.fit.tiles.tiling import FEWEST, Tile, lattice, tiles
-from pbrfit.fit.tiles.total import Total
+from pbrfit.fit.tiles.fit import SUBSET_PIXELS, Totals, ending
+from pbrfit.fit.tiles.maps import NearestMaps
+from pbrfit.fit.tiles.windows import SceneCutter, Window, strided_window, tiles
 from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
+from tiled import in_tiles
 
 Array = NDArray[np.float64]
 
-FEW, SIDE = 1296, 30
-"""Of pictures of 72², a lattice of every second pixel, and nine tiles."""
+NINE: dict[str, Any] = {"side": 30, "subset": 1296}
+"""Of pictures of 72², a subset of every second row and column, and nine tiles."""
 
 ERRORS = ("recon_rmse", "albedo_rmse", "roughness_rmse", "metallic_rmse", "relight_rmse")
 
@@ -48,11 +43,9 @@ def noisy() -> pbrfit.Scene:
 
 
 @pytest.fixture
-def in_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+def nine_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every picture is a large one."""
-    monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 0)
-    monkeypatch.setattr("pbrfit.fit.tiles.tiling.FEWEST", 16)
-    monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=SIDE))
+    in_tiles(monkeypatch, **NINE)
 
 
 def held(scene: pbrfit.Scene, **options: Any) -> pbrfit.Result:
@@ -60,26 +53,28 @@ def held(scene: pbrfit.Scene, **options: Any) -> pbrfit.Result:
 
 
 class TestCutting:
-    def test_a_lattice_has_about_as_many_pixels_as_asked_for(self) -> None:
-        valid = np.ones((1000, 1500), bool)
-        found = lattice(valid, 60_000).of(valid)
-        assert 0.8 * 60_000 < found.size <= 60_000
+    @pytest.mark.parametrize(
+        ("shape", "striped", "wanted"),
+        [
+            ((1000, 1500), slice(None), (48_000, 60_000)),
+            # Rows that a window of every fourth row would all miss, or all hit.
+            ((4096, 4096), slice(None, None, 8), (1 << 12, 1 << 17)),
+            ((1024, 1024), slice(4, None, 8), (1 << 10, 5 * 2048)),
+        ],
+        ids=["all", "missed", "hit"],
+    )
+    def test_a_subset_has_about_as_many_pixels_as_asked_for(
+        self, shape: tuple[int, int], striped: slice, wanted: tuple[int, int]
+    ) -> None:
+        valid = np.zeros(shape, bool)
+        valid[striped] = True
+        at_least, at_most = wanted
+        found = np.count_nonzero(strided_window(valid, at_least, at_most).of(valid))
+        assert at_least <= found <= 1.25 * at_most
 
-    def test_a_small_picture_is_its_own_lattice(self) -> None:
+    def test_a_small_picture_is_its_own_subset(self) -> None:
         valid = np.ones((30, 40), bool)
-        assert lattice(valid).of(valid).shape == (30, 40)
-
-    def test_a_lattice_does_not_miss_what_a_mask_leaves(self) -> None:
-        """Rows that a lattice of every fourth row would all miss."""
-        valid = np.zeros((4096, 4096), bool)
-        valid[::8] = True
-        assert np.count_nonzero(lattice(valid, 1 << 17).of(valid)) >= FEWEST
-
-    def test_a_lattice_has_no_more_where_it_would_hit_all_that_a_mask_leaves(self) -> None:
-        valid = np.zeros((1024, 1024), bool)
-        valid[4::8] = True
-        few = int(np.count_nonzero(valid)) // 64
-        assert FEWEST / 4 < np.count_nonzero(lattice(valid, 4 * few).of(valid)) < 5 * few
+        assert strided_window(valid, *SUBSET_PIXELS).of(valid).shape == (30, 40)
 
     @pytest.mark.parametrize("margin", [0, 7])
     def test_tiles_cover_each_pixel_once(self, margin: int) -> None:
@@ -99,7 +94,7 @@ class TestCutting:
 
     def test_a_part_is_seen_from_where_the_whole_is(self, noisy: pbrfit.Scene) -> None:
         window = Window(slice(3, 50, 4), slice(10, 60, 3))
-        part = Parts(noisy).cut(window)
+        part = SceneCutter(noisy).cut(window)
         np.testing.assert_array_equal(part.views, window.of(noisy.views))
         np.testing.assert_array_equal(part.images[2], window.of(noisy.images[2]))
 
@@ -109,18 +104,18 @@ class TestCutting:
         segments[50:, 60:] = -7
         whole = replace(noisy, segments=segments)
         assert whole.labels is not None
-        part = Parts(whole).cut(Window(slice(0, 40), slice(20, 40)))
+        part = SceneCutter(whole).cut(Window(slice(0, 40), slice(20, 40)))
         assert part.labels is not None
         labels, count = part.labels
         assert count == 2
         of_whole = whole.labels[0].reshape(noisy.valid.shape)[:40, 20:40]
         np.testing.assert_array_equal(labels, of_whole.ravel())
 
-    def test_the_nearest_pixel_of_a_lattice_is_found(self) -> None:
+    def test_the_nearest_pixel_of_a_subset_is_found(self) -> None:
         valid = np.ones((20, 33), bool)
         valid[7:12, 5:9] = False
         rows, columns = (one.astype(float) for one in np.indices(valid.shape))
-        window = lattice(valid, 60)
+        window = strided_window(valid, 1, 60)
         step = window.rows.step
         chosen = window.of(np.stack([rows, columns], axis=-1)) / 40
         materials = pbrfit.Materials(
@@ -129,14 +124,14 @@ class TestCutting:
             chosen[..., 1],
         )
         normals = np.zeros((*chosen.shape[:2], 3))
-        found, _ = Nearest(window, np.ones_like(valid), materials, normals).at(
+        found, _ = NearestMaps(window, np.ones_like(valid), materials, normals).at(
             Window(slice(2, 19), slice(4, 30))
         )
         assert np.abs(40 * found.roughness - rows[2:19, 4:30]).max() <= step
         assert np.abs(40 * found.metallic - columns[2:19, 4:30]).max() <= step
 
 
-@pytest.mark.usefixtures("in_tiles")
+@pytest.mark.usefixtures("nine_tiles")
 class TestFit:
     def test_without_noise_tiles_are_exact(self, exact: pbrfit.Scene) -> None:
         result = held(exact)
@@ -149,7 +144,7 @@ class TestFit:
         result = held(noisy, uncertainty=False)
         # One tile has no borders.
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=200))
+            in_tiles(patch, **NINE | {"side": 200})
             whole = held(noisy, uncertainty=False)
         np.testing.assert_array_equal(result.lighting, whole.lighting)
         difference = np.abs(result.roughness - whole.roughness)
@@ -167,7 +162,7 @@ class TestFit:
         priors = Priors(**{prior: 1e-3})
         in_nine = held(scene, priors=priors, uncertainty=False)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=200))
+            in_tiles(patch, **NINE | {"side": 200})
             whole = held(scene, priors=priors, uncertainty=False)
         off = np.abs(in_nine.roughness - whole.roughness)
         borders = np.zeros(off.shape, bool)
@@ -179,7 +174,7 @@ class TestFit:
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """With lights from all of them."""
-        monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=72**2, side=SIDE))
+        in_tiles(monkeypatch, **NINE | {"subset": 72**2})
         in_nine = held(noisy)
         monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 1 << 21)
         whole = held(noisy)
@@ -240,18 +235,18 @@ class TestFit:
         assert result.metrics["recon_rmse"] < 0.0105
 
     @pytest.mark.parametrize("loss", ["huber", "cauchy"])
-    def test_robust_losses_have_the_lattices_scale(
+    def test_robust_losses_have_the_scale_of_the_subset(
         self, noisy: pbrfit.Scene, loss: Any, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         images = noisy.images.copy()
         images[0, 20:40, 20:40] *= 3.0  # tiles with and without outliers
-        losses, add = [], Total.add
+        losses, add = [], Totals.add
 
-        def noted(total: Total, objective: pbrfit.Objective, x: Array) -> None:
+        def noted(totals: Totals, objective: pbrfit.Objective, x: Array) -> None:
             losses.append(objective.robust)
-            add(total, objective, x)
+            add(totals, objective, x)
 
-        monkeypatch.setattr(Total, "add", noted)
+        monkeypatch.setattr(Totals, "add", noted)
         result = held(replace(noisy, images=images), robust=loss, iterations=60)
         assert len(losses) == 9
         assert losses[0] is not None
@@ -276,7 +271,7 @@ class TestFit:
             ("unknown", "roughness: expected finite values at all valid pixels, found NaN"),
         ],
     )
-    def test_a_start_is_checked_off_the_lattice_too(
+    def test_a_start_is_checked_off_the_subset_too(
         self, noisy: pbrfit.Scene, fault: str, message: str
     ) -> None:
         assert noisy.truth is not None
@@ -295,28 +290,28 @@ class TestFit:
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         def evaluations(side: int) -> int:
-            monkeypatch.setattr(solve, "fit_tiles", partial(fit_tiles, few=FEW, side=side))
+            in_tiles(monkeypatch, **NINE | {"side": side})
             return held(noisy, uncertainty=False, iterations=20).evaluations
 
         assert evaluations(24) < 2 * evaluations(200)  # sixteen tiles, and one
 
-    def test_tiles_that_need_more_iterations_are_told_of(
-        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """Of nine the fourth, after a lattice that needed fewer."""
-        of_tile, count = tiles_fit._fit_tile, 0
-
-        def fourth_is_cut_short(*args: Any) -> Any:
-            nonlocal count
-            count += 1
-            *found, status = of_tile(*args)
-            assert status is Status.CONVERGED
-            return *found, Status.ITERATION_LIMIT if count == 4 else status
-
-        monkeypatch.setattr(tiles_fit, "_fit_tile", fourth_is_cut_short)
-        result = held(noisy, uncertainty=False, priors=Priors(material=1.0))
-        assert result.status is Status.ITERATION_LIMIT
-        assert result.stop_reason == "500 iterations done in 1 of 9 tiles"
+    @pytest.mark.parametrize(
+        ("of_subset", "of_tiles", "status", "reason"),
+        [
+            ("converged", "c" * 9, "converged", "as the subset"),
+            ("converged", "cccicccci", "iteration_limit", "500 iterations done in 2 of 9 tiles"),
+            ("iteration_limit", "cccicccci", "iteration_limit", "as the subset"),
+            ("converged", "cccicctt", "time_limit", "time limit of 60 s reached: 2 of 8 tiles"),
+            ("time_limit", "cccc", "time_limit", "half of the time limit of 60 s was not enough"),
+        ],
+    )
+    def test_why_it_ended(self, of_subset: str, of_tiles: str, status: str, reason: str) -> None:
+        names = {"c": Status.CONVERGED, "i": Status.ITERATION_LIMIT, "t": Status.TIME_LIMIT}
+        options = pbrfit.FitOptions(time_limit=60.0)
+        statuses = [names[letter] for letter in of_tiles]
+        found = ending(Status(of_subset), "as the subset", statuses, options)
+        assert found[0] is Status(status)
+        assert found[1].startswith(reason)
 
     def test_penalties_are_as_strong_where_all_weights_are_small(
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
@@ -330,10 +325,10 @@ class TestFit:
             noisy, weights=weights, lighting=noisy.truth.lighting, segments=segments, truth=None
         )
         priors = replace(Priors.none(), cohesion=1e-3)
-        in_tiles = held(scene, priors=priors, uncertainty=False)
+        tiled = held(scene, priors=priors, uncertainty=False)
         monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 1 << 21)
         whole = held(scene, priors=priors, uncertainty=False)
-        off = np.abs(in_tiles.metallic - whole.metallic)
+        off = np.abs(tiled.metallic - whole.metallic)
         assert off[:40, :40].mean() < 0.01
 
     def test_progress_counts_tiles(self, noisy: pbrfit.Scene) -> None:
@@ -360,26 +355,27 @@ class TestFit:
     def test_time_that_runs_out_says_how_many_tiles_are_unfinished(
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """A clock that jumps when the fourth tile is kept."""
-        real, jump, put = time.perf_counter, [0.0], Canvas.put
-        kept: list[Tile] = []
+        """A clock that jumps after the fourth tile."""
+        real, asked_since = time.perf_counter, [-1]
 
-        def late(canvas: Canvas, tile: Tile, *found: Any) -> None:
-            put(canvas, tile, *found)
-            kept.append(tile)
-            if len(kept) == 4:
-                jump[0] = 1e6
+        def progress(told: Progress) -> None:
+            if told.tiles == (4, 9):
+                asked_since[0] = 0
 
-        monkeypatch.setattr(Canvas, "put", late)
-        monkeypatch.setattr(time, "perf_counter", lambda: real() + jump[0])
-        result = held(noisy, time_limit=1e5)
+        def clock() -> float:
+            asked_since[0] += asked_since[0] >= 0
+            # Once for the time that `progress` took, which is not counted.
+            return real() + 1e6 * (asked_since[0] > 1)
+
+        monkeypatch.setattr(time, "perf_counter", clock)
+        result = held(noisy, time_limit=1e5, progress=progress)
         assert result.status is Status.TIME_LIMIT
         assert result.stop_reason.endswith("5 of 9 tiles are unfinished")
         assert np.isfinite(result.albedo).all()
         assert result.metrics["recon_rmse"] < 0.05
 
 
-@pytest.mark.usefixtures("in_tiles")
+@pytest.mark.usefixtures("nine_tiles")
 class TestCommand:
     @pytest.mark.parametrize("options", [[], ["--quiet"]])
     def test_shows_tiles_or_nothing(
@@ -425,10 +421,10 @@ class TestWhenTilesAreUsed:
     def test_where_a_whole_fit_has_no_room(self, available: list[int | None]) -> None:
         whole = self.plan(WHOLE_PIXELS_MAX)
         available[0] = whole.needed.further - 1
-        in_tiles = self.plan(WHOLE_PIXELS_MAX)
-        assert in_tiles.tiled
-        assert in_tiles.refine_normals
-        assert in_tiles.needed.further < whole.needed.further
+        smaller = self.plan(WHOLE_PIXELS_MAX)
+        assert smaller.tiled
+        assert smaller.refine_normals
+        assert smaller.needed.further < whole.needed.further
 
     def test_which_is_said(
         self,
@@ -444,7 +440,7 @@ class TestWhenTilesAreUsed:
             "fitted in tiles: there is not enough memory for all pixels at once"
         ]
         caplog.clear()
-        monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 0)
+        in_tiles(monkeypatch, **NINE)
         held(noisy, **options)
         assert not caplog.records
 

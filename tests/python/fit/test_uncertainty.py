@@ -284,9 +284,9 @@ def test_many_lights_need_few_of_their_modes(monkeypatch: pytest.MonkeyPatch) ->
     _, objective, x = scene_and_x()
     monkeypatch.setattr(uncertainty, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
     whole = uncertainty.estimate(objective, x)
-    monkeypatch.setattr(light_spectrum, "MOST_WHOLE", 6 * 16 * 3 - 1)
+    monkeypatch.setattr(light_spectrum, "DENSE_UNKNOWNS_MAX", 6 * 16 * 3 - 1)
     few = uncertainty.estimate(objective, x)
-    assert few.light_modes == light_spectrum.LEADING < whole.light_modes
+    assert few.light_modes == light_spectrum.LEADING_EIGENVALUES < whole.light_modes
     np.testing.assert_allclose(
         stacked(few.marginal, objective), stacked(whole.marginal, objective), rtol=0.01
     )

@@ -14,11 +14,10 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render, sh_basis
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import build, make_scene, random_lights
+from pbrfit.synthetic import RayCast, draw, make_scene, random_lights
 from pbrfit.synthetic.geometry import (
     Box,
     Cylinder,
-    Frustum,
     Plane,
     Primitive,
     Sphere,
@@ -26,10 +25,15 @@ from pbrfit.synthetic.geometry import (
     trace,
 )
 from pbrfit.synthetic.stages import case_stage, room_stage
+from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
 KINDS: tuple[str, ...] = ("room", "spheres", "textured")
 ORIGIN = np.zeros(3)
+
+
+def build(kind: str, size: int, rng: np.random.Generator, fov: float = 60.0) -> RayCast:
+    return draw(kind, rng).cast(size, fov)
 
 
 def camera_rays(height: int, width: int, fov: float) -> Array:

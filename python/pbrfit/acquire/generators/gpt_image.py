@@ -27,6 +27,7 @@ from pbrfit.acquire.padding import GPT_IMAGE_2, Frame, frame, resized_srgb8
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.weights import need
+from pbrfit.io import images
 
 if TYPE_CHECKING:
     import openai
@@ -134,7 +135,7 @@ class GptImage:
         import openai
 
         around = frame(photo.size, GPT_IMAGE_2)
-        sent = _as_png(around.to_model(photo.srgb8()))
+        sent = images.encode_png(around.to_model(photo.srgb8()), tag=None)
         height, width = around.padded
         start = time.monotonic()
         try:
@@ -297,9 +298,3 @@ def _root(error: BaseException) -> str:
     while error.__cause__ is not None:
         error = error.__cause__
     return type(error).__name__
-
-
-def _as_png(pixels: NDArray[np.uint8]) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()

@@ -43,7 +43,7 @@ EDGE_BEND_RATIO = 6.0
 Gaussian noise 6 medians are 4 standard deviations."""
 
 CHANNELS = ("Z", "depth.Z", "Depth.Z", "depth.V", "Depth.V", "depth.Y", "Y", "R")
-"""Of an EXR file, in the order in which they are looked for."""
+"""Channels that may hold depth in an EXR file, in the order in which they are looked for."""
 
 
 def from_file(

@@ -27,8 +27,8 @@ MODEL = "prs-eth/marigold-normals-v1-1"
 
 ENSEMBLE = 5
 
-LEAST_FOR_UNCERTAINTY = 3
-"""Fewer members tell no spread worth using."""
+UNCERTAINTY_ENSEMBLE_MIN = 3
+"""Predictions below which their spread is not worth using."""
 
 WHAT = "Marigold (normals)"
 
@@ -121,7 +121,7 @@ def from_picture(
         "dtype": where.dtype,
         "packages": weights.versions("diffusers", "transformers", "torch"),
     }
-    return normals, spread if ensemble >= LEAST_FOR_UNCERTAINTY else None, record
+    return normals, spread if ensemble >= UNCERTAINTY_ENSEMBLE_MIN else None, record
 
 
 def mean_and_spread(members: Sequence[Array]) -> tuple[Array, Array]:

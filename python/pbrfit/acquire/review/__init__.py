@@ -36,44 +36,45 @@ from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.scene import alignment
 from pbrfit.scene.alignment import Alignment
 
-LEAST_USABLE = 0.2
-"""Share of pixels that must be neither clipped nor black."""
+USABLE_SHARE_MIN = 0.2
+"""Share of pixels that are neither clipped nor black, below which a picture is refused."""
 
-_BLACK, _CLIPPED = 0.01, 0.98
-"""Of white, for the brightest channel: saturated colours are neither."""
+BLACK, CLIPPED = 0.01, 0.98
+"""Brightest channel, relative to white, up to which a pixel is black, and from which it is clipped;
+by it saturated colours are neither."""
 
-LEAST_CHANGE = 0.04
-"""Standard deviation of the logarithm that must be left when a tone curve is taken out."""
+LOG_CHANGE_MIN = 0.04
+"""Standard deviation of the logarithm that is left when a tone curve is taken out, below which a
+picture is the photograph again."""
 
-LEAST_AGREEMENT = 0.15
-LEAST_AGREEMENT_TOGETHER = 0.4
-"""Correlation of edges with the photograph, and with what the others share, which relief under one
-lamp does not blur; see `pbrfit.scene.alignment`."""
+EDGE_CORRELATION_MIN = 0.15
+EDGE_CORRELATION_TOGETHER_MIN = 0.4
+"""Correlation of edges below which a picture is refused: with the photograph, and with what the
+others share, which relief under one lamp does not blur; see `pbrfit.scene.alignment`."""
 
-MOST_SHIFT = 1.0
-"""Pixels at the size that is compared."""
+DISPLACED_SHARE_TOGETHER_MAX = 0.07
+"""Share of the edges that lie in displaced tiles, compared with what the others share, above which
+a picture is refused; compared with the photograph it is `alignment.MOST_MOVED`."""
 
-MOST_MOVED = 0.25
-MOST_MOVED_TOGETHER = 0.07
-"""Share of the edges that lie in displaced tiles, likewise."""
+COLOUR_RESIDUAL_MAX = (0.035, 0.425)
+"""Unexplained logarithm of light, up in one channel and down in another, above which a picture is
+refused: a + b / N with N pictures, since fewer explain less of a light that is right; see
+`illumination`."""
 
-MOST_MIXED = (0.035, 0.425)
-"""Unexplained light, up in one channel and down in another: a + b / N, since fewer pictures explain
-less of a light that is right; see `illumination`."""
-
-MOST_CHANGED = (1.47, 3.0)
+CHANGE_EVIDENCE_MAX = (1.47, 3.0)
 BRIGHTNESS = 4.5
 DETAIL = 1.6
-"""Evidence that a place shows something else, a + b / N likewise: `DETAIL` times what is missing of
-the lasting gradients, and the unexplained brightness in units of `BRIGHTNESS` times the median
-picture's most. Either alone is common under hard lamps, both in one place are not. All bounds were
-chosen on scenes of seeds 2000 to 2104."""
+"""Evidence that a place shows something else, above which a picture is refused, a + b / N likewise:
+`DETAIL` times what is missing of the lasting gradients, and the unexplained brightness in units of
+`BRIGHTNESS` times the median picture's most. Either alone is common under hard lamps, both in one
+place are not. All bounds were chosen on scenes of seeds 2000 to 2104."""
 
-_MOST_COUNTED = 17
-"""Pictures, of those scenes: what bounds more would allow was not measured."""
+PICTURES_COUNTED_MAX = 17
+"""Number of pictures N that bounds a + b / N are taken at for more: those scenes had no more."""
 
-_LEAST_BRIGHTNESS = 0.05
-"""Of the median picture: noise and whole numbers leave as much."""
+BRIGHTNESS_MIN = 0.05
+"""Unexplained logarithm of brightness that the median picture has at least: noise and whole numbers
+leave as much."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ class Reviewer:
             (
                 exposure,
                 self._copy(picture),
-                *_aligned(found, "the photograph", LEAST_AGREEMENT, MOST_MOVED),
+                *_aligned(found, "the photograph", EDGE_CORRELATION_MIN, alignment.MOST_MOVED),
             )
         )
 
@@ -243,7 +244,7 @@ class Reviewer:
             illumination.unexplained(i, low, used).reshape(*size, 3) for i in range(1, len(members))
         ]
         brightness = [illumination.brightness(residual) for residual in residuals]
-        usual = max(float(np.median([found.max() for found in brightness])), _LEAST_BRIGHTNESS)
+        usual = max(float(np.median([found.max() for found in brightness])), BRIGHTNESS_MIN)
         verdicts = []
         for member, common, residual, bright in zip(
             members[first:],
@@ -260,8 +261,8 @@ class Reviewer:
                         *_aligned(
                             found,
                             "what the others share",
-                            LEAST_AGREEMENT_TOGETHER,
-                            MOST_MOVED_TOGETHER,
+                            EDGE_CORRELATION_TOGETHER_MIN,
+                            DISPLACED_SHARE_TOGETHER_MAX,
                         ),
                         self._colour(residual, len(members)),
                         self._content(kept, bright, usual, len(members)),
@@ -291,14 +292,13 @@ class Reviewer:
 
     def _exposure(self, picture: NDArray[np.float32]) -> Check:
         bright = self._inside(picture.max(axis=-1))
-        share = float(((bright > _BLACK) & (bright < _CLIPPED)).mean())
-        black = float((bright <= _BLACK).mean())
+        share = float(((bright > BLACK) & (bright < CLIPPED)).mean())
+        black = float((bright <= BLACK).mean())
         what = "black" if black > 0.5 * (1 - share) else "clipped"
-        return Check(
+        return _at_least(
             "exposure",
             share,
-            LEAST_USABLE,
-            share >= LEAST_USABLE,
+            USABLE_SHARE_MIN,
             f"{100 * share:.0f} % of the picture is neither clipped nor black; the rest is mostly "
             f"{what}",
         )
@@ -319,26 +319,24 @@ class Reviewer:
                 left.append(np.std(to - np.polynomial.polynomial.polyval(from_, curve)))
             change = float(np.mean(left))
         known = float(min(change, 10.0))
-        return Check(
+        return _at_least(
             "copy",
             known,
-            LEAST_CHANGE,
-            change >= LEAST_CHANGE,
+            LOG_CHANGE_MIN,
             f"the same light as in the photograph: beside a tone curve only {known:.3f} of the "
             "logarithm differs"
-            if change < LEAST_CHANGE
+            if change < LOG_CHANGE_MIN
             else f"the light differs by {known:.2f} in the logarithm beside a tone curve",
         )
 
     def _colour(self, residual: NDArray[np.float64], pictures: int) -> Check:
-        bound = _bound(MOST_MIXED, pictures)
+        bound = _bound(COLOUR_RESIDUAL_MAX, pictures)
         mixed = illumination.mixed(residual)
         most = float(mixed.max())
-        return Check(
+        return _at_most(
             "colour",
             most,
             bound,
-            most <= bound,
             f"a colour that no light of the others makes, by {most:.3f} in the logarithm, around "
             f"{self._place(mixed)}",
         )
@@ -350,17 +348,16 @@ class Reviewer:
         usual: float,
         pictures: int,
     ) -> Check:
-        bound = _bound(MOST_CHANGED, pictures)
+        bound = _bound(CHANGE_EVIDENCE_MAX, pictures)
         missing = np.nan_to_num(1.05 - kept).clip(0)
         changed = brightness / (BRIGHTNESS * usual) + DETAIL * missing
         row, column = np.unravel_index(changed.argmax(), changed.shape)
         most = float(changed[row, column])
         detail = 100 * float(np.clip(missing[row, column], 0, 1))
-        return Check(
+        return _at_most(
             "content",
             most,
             bound,
-            most <= bound,
             f"something else around {self._place(changed)}: {detail:.0f} % of the lasting detail "
             f"is missing, and brightness is off by {brightness[row, column]:.2f} in the logarithm "
             f"from what light can make ({usual:.2f} is usual here)",
@@ -375,7 +372,7 @@ class Reviewer:
 
 
 def _bound(parts: tuple[float, float], pictures: int) -> float:
-    return parts[0] + parts[1] / min(pictures, _MOST_COUNTED)
+    return parts[0] + parts[1] / min(pictures, PICTURES_COUNTED_MAX)
 
 
 class _Member:
@@ -403,31 +400,34 @@ def _aligned(
     found: Alignment | None, reference: str, least_agreement: float, most_moved: float
 ) -> tuple[Check, ...]:
     if found is None:
-        nothing = "no edges to compare by"
-        return (Check("edges", 0.0, least_agreement, False, nothing),)
-    most = MOST_SHIFT * found.pixel
+        return (Check("edges", 0.0, least_agreement, False, "no edges to compare by"),)
     right, down = found.shift
     return (
-        Check(
+        _at_least(
             "edges",
             found.agreement,
             least_agreement,
-            found.agreement >= least_agreement,
             f"edges agree with {reference} to {max(found.agreement, 0):.2f} of 1",
         ),
-        Check(
+        _at_most(
             "shift",
             found.distance,
-            most,
-            found.distance <= most,
+            alignment.MOST_SHIFT * found.pixel,
             f"shifted by {found.distance:.1f} pixels ({right:+.1f}, {down:+.1f}) from {reference}",
         ),
-        Check(
+        _at_most(
             "warp",
             found.moved,
             most_moved,
-            found.moved <= most_moved,
             f"{100 * found.moved:.0f} % of the edges are displaced from {reference}, in the median "
             f"by {found.warp:.1f} pixels",
         ),
     )
+
+
+def _at_least(name: str, value: float, bound: float, note: str) -> Check:
+    return Check(name, value, bound, bool(value >= bound), note)
+
+
+def _at_most(name: str, value: float, bound: float, note: str) -> Check:
+    return Check(name, value, bound, bool(value <= bound), note)

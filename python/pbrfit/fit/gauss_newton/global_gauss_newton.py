@@ -1,4 +1,4 @@
-"""Joint Gauss-Newton steps of all pixels and the lights, whose system is never formed."""
+"""All pixels' materials, and joint steps with the lights, whose system is never formed."""
 
 from __future__ import annotations
 
@@ -9,243 +9,246 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.gauss_newton.lights import options
-from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x
+from pbrfit.fit import settings
+from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, one_blas_thread
 from pbrfit.fit.gauss_newton.pixels import (
-    AT_ONCE,
     Pixels,
-    Towards,
+    Watch,
     chunks,
     fit_all,
+    pieces,
     place,
+    retry_outliers,
+    schur_options,
     taken,
     try_from,
 )
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.sampling import spread
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.sampling import evenly_spaced
 
 Array = NDArray[np.float64]
-
-STEPS = 8
-"""At most."""
-
-BASIS_PIXELS = 1024
-"""Their system is the preconditioner. With two and four times as many, fits of 512² with noise
-took longer."""
-
-BASIS_DAMPING = 1e-6
-
-PRODUCTS = 12
-"""Of the system with a vector, each a pass over all pictures, in one step at most."""
-
-LEFT = 0.3
-"""Of the error, in the norm of the preconditioner, a step may leave to the next. With 0.1 fits of
-512² with noise took twice as long and ended the same."""
-
-WORTH = 1e-5
-"""Share of the sum by which a step has to lower it, as predicted, to be taken."""
-
-LAST = 1e-3
-"""A step that lowers the sum by less than this share of it is the last: a tenth is left of what it
-gained."""
-
-SHARES = (1.0, 0.4)
-"""Of a step that are tried before more damping is."""
-
-FIRST_DAMPING = 1e-3
-MORE_DAMPING = 30.0
-MOST_DAMPING = 0.5
-"""Of the diagonals of pixels, as in Marquardt's method: none at first, and where a step fails."""
-
-LIGHT_DAMPING = 1e-3
-"""Damping of the lights, as a share of that of pixels."""
-
-DESCENT = 4
-"""Steps of each pixel by itself after a joint one."""
-
-WORSE = 1.02
-"""Times its squares before a step: a pixel left with more may have fallen into another minimum."""
-
-
-@dataclass(frozen=True, eq=False)
-class _How:
-    """How pixels are solved for."""
-
-    towards: Towards | None
-    damping: float
-
-    def of(self, objective: Objective, x: Array, pixels: Pixels) -> dict[str, Any]:
-        """Options of the core's functions."""
-        rows = None if self.towards is None else self.towards.of(pixels)
-        return options(objective, x, pixels, rows) | {"damping": self.damping}
-
+Stop = Callable[[], bool]
 
 Visit = Callable[[Array, Array], bool]
-"""Called with x and the pixels' squares after each step; whether to stop."""
+"""Called with x and the pixels' sums of squares after each step; whether to stop."""
 
 
-def polish(
+def fit_materials(objective: Objective, x: Array, watch: Watch) -> Array | None:
+    """All pixels' materials for the lights of x, then both together; x changes.
+
+    Returns the pixels' sums of squared residuals (P,), or None if time ran out before all pixels
+    had materials.
+    """
+    with one_blas_thread():
+        sum_sq = fit_all(objective, x, starts=1, stop=watch.stop)
+        if sum_sq is None:
+            return None
+        retry_outliers(objective, x, sum_sq, watch.stop)
+        stop = watch.visit(x, sum_sq)
+        if objective.lighting is None:
+            return sum_sq
+        for _ in range(settings.GLOBAL_ROUNDS_MAX):
+            if stop:
+                break
+            minimize(objective, x, sum_sq, watch.visit, watch.stop)
+            before = float(sum_sq.sum())
+            retry_outliers(objective, x, sum_sq, watch.stop)
+            left = float(sum_sq.sum())
+            if left < before:
+                stop = watch.visit(x, sum_sq)
+            if left >= (1 - settings.RETRY_GAIN_MIN) * before:
+                break
+    return sum_sq
+
+
+def fit_with_prior(objective: Objective, x: Array, prior: GaussianPrior, watch: Watch) -> None:
+    """Squares and prior together as low as they get from x, which changes.
+
+    The prior's offsets are put to their best values in turns with all else. Where time runs out
+    before all pixels have had their turn, x is as it was before it.
+    """
+    data = np.inf
+    with one_blas_thread():
+        for turn in range(settings.PRIOR_TURNS_MAX):
+            fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
+            starts = 1 if turn == 0 else 0
+            before_turn = x.copy()
+            sum_sq = fit_all(objective, x, starts=starts, prior=fixed, stop=watch.stop)
+            if sum_sq is None:
+                x[:] = before_turn
+                break
+            del before_turn  # of the size of x, which counts
+            if objective.lighting is not None:
+                minimize(objective, x, sum_sq, lambda *_: watch.stop(), watch.stop, fixed)
+            stop = watch.visit(x, sum_sq)
+            before, data = data, float(sum_sq.sum())
+            if stop or abs(before - data) < settings.PRIOR_TURN_CHANGE_MIN * data:
+                break
+
+
+def minimize(
     objective: Objective,
     x: Array,
-    squares: Array,
+    sum_sq: Array,
     visit: Visit,
-    stop: Callable[[], bool],
-    towards: Towards | None = None,
+    stop: Stop,
+    prior: GaussianPrior | None = None,
 ) -> None:
-    """Joint steps that lower the sum of squares, pulls included; x and `squares` (P,) change."""
-    total = _total(objective, x, squares, towards)
-    damping = 0.0
-    for _ in range(STEPS):
+    """Joint steps that lower the sum of squares and prior; x and the sums of pixels (P,) change."""
+    fit = _JointFit(objective, x, sum_sq, prior, stop)
+    total = fit.total(x, sum_sq)
+    for _ in range(settings.GLOBAL_STEPS_MAX):
         if total == 0:
             break
-        how = _How(towards, damping)
-        moves, predicted = _light_moves(objective, x, how, WORTH * total, stop)
-        if predicted < WORTH * total or stop():
+        worth = settings.GLOBAL_PREDICTED_GAIN_MIN * total
+        moves, predicted = fit.light_moves(worth)
+        if predicted < worth or stop():
             break
-        lower = _step(objective, x, squares, moves, total, how, stop)
+        lower = fit.step(moves, total)
         if lower is None:
-            if damping >= MOST_DAMPING or stop():
+            if fit.damping >= settings.GLOBAL_DAMPING_MAX or stop():
                 break
-            damping = max(MORE_DAMPING * damping, FIRST_DAMPING)
+            fit.damping = max(settings.GLOBAL_DAMPING_FACTOR * fit.damping, settings.DAMPING_START)
             continue
-        damping = 0.0 if damping <= FIRST_DAMPING else damping / MORE_DAMPING
-        gain, total = 1 - lower / total, lower
-        if visit(x, squares) or gain < LAST:
-            break
-
-
-def _total(objective: Objective, x: Array, squares: Array, towards: Towards | None) -> float:
-    total = float(squares.sum())
-    if towards is not None:
-        total += towards.cost(taken(objective, x, slice(None))[:, objective.channels :])
-    return total
-
-
-def _basis(objective: Objective, x: Array, how: _How) -> Cholesky:
-    """The system of some pixels, scaled up to all."""
-    chosen = spread(objective.pixels, BASIS_PIXELS)
-    few = objective.restricted(chosen)
-    part, pixels = objective.part_of(x, chosen), np.arange(len(chosen), dtype=np.uint64)
-    of_few = _How(None if how.towards is None else how.towards.of(chosen), how.damping)
-    matrix, _ = few.problem.schur_complement(
-        few.for_core(part), pixels, **of_few.of(few, part, pixels)
-    )
-    matrix *= objective.pixels / len(chosen)
-    return Cholesky(matrix, BASIS_DAMPING)
-
-
-def _product(
-    objective: Objective, x: Array, v: Array, how: _How, stop: Callable[[], bool]
-) -> tuple[Array, Array] | None:
-    """S v and s of all pixels, in order, so that the sums are always the same; None if stopped."""
-    totals = np.zeros((2, len(v)))
-    for chunk in chunks(objective.pixels):
-        if stop():
-            return None
-        totals += objective.problem.schur_product(
-            objective.for_core(x), chunk, v, **how.of(objective, x, chunk)
+        fit.damping = (
+            0.0
+            if fit.damping <= settings.DAMPING_START
+            else fit.damping / settings.GLOBAL_DAMPING_FACTOR
         )
-    return totals[0], totals[1]
-
-
-def _light_moves(
-    objective: Objective, x: Array, how: _How, enough: float, stop: Callable[[], bool]
-) -> tuple[Array, float]:
-    """δ with (S + damping) δ ≈ −s by preconditioned conjugate gradients, and what it gains.
-
-    The latter is by how much the sum falls in the quadratic model; if it cannot exceed `enough`, no
-    product is made.
-    """
-    layout = objective.layout
-    size = layout.light_channels * layout.pictures * layout.coefficients
-    moves = np.zeros(size)
-    try:
-        basis = _basis(objective, x, how)
-    except np.linalg.LinAlgError:
-        return moves, 0.0
-    product = _product(objective, x, moves, how, stop)
-    if product is None:
-        return moves, 0.0
-    residual = -product[1]
-    direction = preconditioned = basis.solve(residual)
-    first = size_now = float(residual @ preconditioned)
-    if not first >= enough:
-        return moves, 0.0
-    predicted = 0.0
-    for _ in range(PRODUCTS):
-        product = _product(objective, x, direction, how, stop)
-        if product is None:
+        gain, total = 1 - lower / total, lower
+        if visit(x, sum_sq) or gain < settings.GLOBAL_GAIN_MIN:
             break
-        along = product[0] + LIGHT_DAMPING * how.damping * basis.diagonal * direction
-        curvature = float(direction @ along)
-        if not curvature > 0:
-            break
-        length = size_now / curvature
-        moves += length * direction
-        residual -= length * along
-        predicted += length * size_now
-        preconditioned = basis.solve(residual)
-        size_before, size_now = size_now, float(residual @ preconditioned)
-        if size_now <= max(LEFT**2 * first, 0.1 * enough):
-            break
-        direction = preconditioned + size_now / size_before * direction
-    return moves, predicted
 
 
-def _step(
-    objective: Objective,
-    x: Array,
-    squares: Array,
-    moves: Array,
-    total: float,
-    how: _How,
-    stop: Callable[[], bool],
-) -> float | None:
-    """The sum after the longest step of a few that lowers it, which is taken; None if none does."""
-    towards = how.towards
-    trial = np.empty_like(x)
-    for share in SHARES:
-        moved = share * moves
-        trial[:] = x
-        trial[objective.layout.lighting] += as_in_x(moved, objective.layout)
-        for chunk in chunks(objective.pixels):
-            if stop():
+@dataclass(eq=False)
+class _JointFit:
+    """All pixels and the lights at x, and the sums of squares (P,) that pixels have there."""
+
+    objective: Objective
+    x: Array
+    sum_sq: Array
+    prior: GaussianPrior | None
+    stop: Stop
+    damping: float = 0.0
+
+    def total(self, x: Array, sum_sq: Array) -> float:
+        """The sum that is lowered, prior included."""
+        total = float(sum_sq.sum())
+        if self.prior is not None:
+            materials = taken(self.objective, x, slice(None))
+            total += self.prior.cost(materials[:, self.objective.channels :])
+        return total
+
+    def _rows(self, pixels: Pixels) -> GaussianPrior | None:
+        return None if self.prior is None else self.prior.rows(pixels)
+
+    def _options(self, pixels: Pixels) -> dict[str, Any]:
+        return schur_options(self.objective, self.x, pixels, self.prior, self.damping)
+
+    def _preconditioner(self) -> Cholesky:
+        """The system of some pixels, scaled up to all."""
+        objective = self.objective
+        chosen = evenly_spaced(objective.pixels, settings.PRECONDITIONER_PIXELS)
+        few = objective.restricted(chosen)
+        part, pixels = objective.part_of(self.x, chosen), np.arange(len(chosen), dtype=np.uint64)
+        options = schur_options(few, part, pixels, self._rows(chosen), self.damping)
+        matrix, _ = few.problem.schur_complement(few.for_core(part), pixels, **options)
+        matrix *= objective.pixels / len(chosen)
+        return Cholesky(matrix, settings.PRECONDITIONER_DAMPING)
+
+    def _product(self, v: Array) -> tuple[Array, Array] | None:
+        """S v and s of all pixels, in order, so that sums are always the same; None if stopped."""
+        totals = np.zeros((2, len(v)))
+        for chunk in chunks(self.objective.pixels):
+            if self.stop():
                 return None
-            followed = objective.problem.back_substitute(
-                objective.for_core(x), chunk, moved, **how.of(objective, x, chunk)
+            totals += self.objective.problem.schur_product(
+                self.objective.for_core(self.x), chunk, v, **self._options(chunk)
             )
-            place(objective, trial, chunk, followed)
-        left = fit_all(objective, trial, starts=0, steps=DESCENT, towards=towards, stop=stop)
-        if left is None:
-            return None
-        _catch(objective, x, squares, trial, left, towards, stop)
-        lower = _total(objective, trial, left, towards)
-        if lower < total:
-            x[:], squares[:] = trial, left
-            return lower
-    return None
+        return totals[0], totals[1]
 
+    def light_moves(self, enough: float) -> tuple[Array, float]:
+        """δ with (S + damping) δ ≈ −s by preconditioned conjugate gradients, and what it gains.
 
-def _catch(
-    objective: Objective,
-    before: Array,
-    squares_before: Array,
-    x: Array,
-    squares: Array,
-    towards: Towards | None,
-    stop: Callable[[], bool],
-) -> None:
-    """Let pixels that a step left worse off start again; x and `squares` change.
+        The latter is by how much the sum falls in the quadratic model; if it cannot exceed
+        `enough`, no product is made.
+        """
+        layout = self.objective.layout
+        moves = np.zeros(layout.light_channels * layout.pictures * layout.coefficients)
+        try:
+            preconditioner = self._preconditioner()
+        except np.linalg.LinAlgError:
+            return moves, 0.0
+        product = self._product(moves)
+        if product is None:
+            return moves, 0.0
+        residual = -product[1]
+        direction = preconditioned = preconditioner.solve(residual)
+        first = size_now = float(residual @ preconditioned)
+        if not first >= enough:
+            return moves, 0.0
+        predicted = 0.0
+        for _ in range(settings.CG_ITERATIONS_MAX):
+            product = self._product(direction)
+            if product is None:
+                break
+            along = (
+                product[0]
+                + settings.LIGHT_DAMPING * self.damping * preconditioner.diagonal * direction
+            )
+            curvature = float(direction @ along)
+            if not curvature > 0:
+                break
+            length = size_now / curvature
+            moves += length * direction
+            residual -= length * along
+            predicted += length * size_now
+            preconditioned = preconditioner.solve(residual)
+            size_before, size_now = size_now, float(residual @ preconditioned)
+            if size_now <= max(settings.CG_ERROR_RATIO**2 * first, settings.CG_GAIN_SHARE * enough):
+                break
+            direction = preconditioned + size_now / size_before * direction
+        return moves, predicted
 
-    From where they were, and from the best node: one that falls into another minimum costs more
-    than many others gain. Those that are left when it is stopped stay worse off.
-    """
-    worse = np.flatnonzero(squares > WORSE * squares_before).astype(np.uint64)
-    for first in range(0, len(worse), AT_ONCE):
-        if stop():
-            return
-        chunk = worse[first : first + AT_ONCE]
-        own = taken(objective, before, chunk)
-        rows = None if towards is None else towards.of(chunk)
-        steps = 2 * DESCENT
-        try_from(objective, x, squares, chunk, own, steps=steps, starts=1, towards=rows)
+    def step(self, moves: Array, total: float) -> float | None:
+        """The sum after the longest step of a few that lowers it, which is taken; None if none."""
+        objective, trial = self.objective, np.empty_like(self.x)
+        steps = settings.DESCENT_STEPS_AFTER_JOINT
+        for share in settings.GLOBAL_STEP_SHARES:
+            moved = share * moves
+            trial[:] = self.x
+            trial[objective.layout.lighting] += as_in_x(moved, objective.layout)
+            for chunk in chunks(objective.pixels):
+                if self.stop():
+                    return None
+                followed = objective.problem.back_substitute(
+                    objective.for_core(self.x), chunk, moved, **self._options(chunk)
+                )
+                place(objective, trial, chunk, followed)
+            left = fit_all(
+                objective, trial, starts=0, steps=steps, prior=self.prior, stop=self.stop
+            )
+            if left is None:
+                return None
+            self._restart_worse(trial, left)
+            lower = self.total(trial, left)
+            if lower < total:
+                self.x[:], self.sum_sq[:] = trial, left
+                return lower
+        return None
+
+    def _restart_worse(self, trial: Array, left: Array) -> None:
+        """Let pixels that a step to `trial` left worse off start again; it and the sums change.
+
+        From where they were, and from the best node: one that falls into another minimum costs more
+        than many others gain. Those that are left when it is stopped stay worse off.
+        """
+        worse = np.flatnonzero(left > settings.WORSE_RATIO * self.sum_sq).astype(np.uint64)
+        steps = 2 * settings.DESCENT_STEPS_AFTER_JOINT
+        objective = self.objective
+        for chunk in pieces(worse):
+            if self.stop():
+                return
+            own, rows = taken(objective, self.x, chunk), self._rows(chunk)
+            try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)

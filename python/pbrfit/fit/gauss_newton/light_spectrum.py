@@ -19,18 +19,18 @@ from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
 
-DARK = 1e-12
-"""Of the largest eigenvalue of G: directions of the light that no pixel sees any more than this
-move no material, and are left out."""
+DARK_SHARE = 1e-12
+"""Share of the largest eigenvalue of G up to which a direction of the light counts as seen by no
+pixel: it moves no material and is left out."""
 
-MOST_WHOLE = 1600
-"""Up to so many unknowns all eigenvalues are computed, which takes time with their cube."""
+DENSE_UNKNOWNS_MAX = 1600
+"""Unknowns of the lights up to which all eigenvalues are computed, which takes time with their
+cube; above, the smallest `LEADING_EIGENVALUES`."""
 
-LEADING = 160
-"""Smallest eigenvalues that are computed where there are more unknowns."""
+LEADING_EIGENVALUES = 160
 
-ITERATIONS = 2
-"""Of subspace iteration, before the one that tells eigenvalues."""
+SUBSPACE_ITERATIONS = 2
+"""Subspace iterations before the one that tells eigenvalues."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def spectrum(
     ]
     alone = np.sum([part.information_alone(layout) for part in parts], axis=0)
     to_units, from_units = _units(alone.reshape(lights, k, k))
-    if size > MOST_WHOLE:
+    if size > DENSE_UNKNOWNS_MAX:
         left, vectors = _leading(parts, from_units, layout)
         rest = (size - len(left)) * max(0.0, 1 - float(left[-1]))
         return Spectrum(left, vectors, rest, to_units, from_units)
@@ -92,7 +92,7 @@ def spectrum(
 
 def _units(alone: Array) -> tuple[Array, Array]:
     sizes, directions = np.linalg.eigh(alone)
-    seen = sizes > DARK * sizes.max()
+    seen = sizes > DARK_SHARE * sizes.max()
     roots = np.sqrt(np.where(seen, sizes, 0))
     inverses = np.zeros_like(roots)
     np.divide(1, roots, where=seen, out=inverses)
@@ -121,8 +121,8 @@ def _leading(
         units = from_units.transpose(0, 2, 1) @ moved.reshape(blocks, k, -1)
         return np.asarray(units.reshape(directions.shape))
 
-    found = np.random.default_rng(0).normal(size=(blocks * k, LEADING))
-    for _ in range(ITERATIONS):
+    found = np.random.default_rng(0).normal(size=(blocks * k, LEADING_EIGENVALUES))
+    for _ in range(SUBSPACE_ITERATIONS):
         found, _ = np.linalg.qr(apply(found))
     lost, turn = np.linalg.eigh(found.T @ apply(found))
     return 1 - lost[::-1], found @ turn[:, ::-1]

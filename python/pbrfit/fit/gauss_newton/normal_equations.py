@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,22 +10,23 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.sampling import slices
 
 Array = NDArray[np.float64]
 
 RIDGE = 1e-12
 """Added to matrices of unit diagonal before they are inverted; far below what data can tell."""
 
-LIGHT_RIDGE = 1e-13
-"""Of the largest diagonal entry of the lights' system: they may have directions that no pixel sees.
-"""
+SCHUR_RIDGE = 1e-13
+"""Share of the largest diagonal entry that is added to the diagonal of the lights' system: they may
+have directions that no pixel sees."""
 
-SINGULAR = 1e8
-"""Where the other unknowns of a pixel raise a variance by more than this, rounding has decided it:
-the matrices are sums of float64 products, and the pictures have 7 digits."""
+VARIANCE_INFLATION_MAX = 1e8
+"""Factor by which the other unknowns of a pixel may raise a variance; above it rounding has decided
+it, because the pictures have 7 digits, and the unknown counts as not known at all."""
 
 WORKING_SET = 1 << 24
-"""Bytes of the largest array that a piece of work may need."""
+"""Bytes of the largest array that a piece of work may need; changes no result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,7 @@ def inverse(matrices: Array, held: NDArray[np.bool_]) -> Inverse:
     scaled, scale = _scaled(matrices, held)
     inverted = np.linalg.inv(scaled)
     inflation = np.einsum("pii->pi", inverted)
-    singular = ~held & ((scale == 0) | (inflation > SINGULAR))
+    singular = ~held & ((scale == 0) | (inflation > VARIANCE_INFLATION_MAX))
     return Inverse(inverted * scale[:, :, None] * scale[:, None, :], singular)
 
 
@@ -113,39 +115,40 @@ class Eliminated:
     def information(self, layout: ParameterLayout) -> Array:
         """(M, M): what is left of it when materials are solved for, G − Σ_p Bᵀ A⁻¹ B."""
         channels, unknowns = layout.channels, self.rows.shape[1]
-        n, lit, k = layout.pictures, layout.light_channels, layout.coefficients
-        blocks = np.zeros((n, lit, k, n, lit, k))
-        found = blocks.reshape(n * lit * k, -1)
+        n, light_channels, k = layout.pictures, layout.light_channels, layout.coefficients
+        blocks = np.zeros((n, light_channels, k, n, light_channels, k))
+        found = blocks.reshape(n * light_channels * k, -1)
         for chunk in chunks(len(self.rows), 8 * unknowns * len(found)):
             # Row c is that of the albedo of channel c: A is diagonal in these, U triangular.
             for c in range(channels):
                 rows = self.rows[chunk, c, :, c, None] * self.by_light[chunk, None, c]
                 rows = rows.reshape(len(rows), -1)
-                blocks[:, c % lit, :, :, c % lit] -= (rows.T @ rows).reshape(n, k, n, k)
+                of_channel = blocks[:, c % light_channels, :, :, c % light_channels]
+                of_channel -= (rows.T @ rows).reshape(n, k, n, k)
             rest = self.light_rows(chunk, layout)
             found -= rest.T @ rest
-        lights = np.arange(n * lit)
-        by_light = found.reshape(n * lit, k, n * lit, k)
+        lights = np.arange(n * light_channels)
+        by_light = found.reshape(n * light_channels, k, n * light_channels, k)
         by_light[lights, :, lights, :] += self.information_alone(layout).reshape(-1, k, k)
         return found
 
     def imitated(self, lights: Array, layout: ParameterLayout) -> Array:
         """Σ_p Bᵀ A⁻¹ B v, the part of v that materials imitate, for `lights` (N, ·, K, R) = v."""
-        n, lit, k, count = lights.shape
+        n, light_channels, k, count = lights.shape
         channels = layout.channels
         found = np.zeros_like(lights)
-        by_coefficient = lights.transpose(1, 2, 0, 3).reshape(lit, k, n * count)
+        by_coefficient = lights.transpose(1, 2, 0, 3).reshape(light_channels, k, n * count)
         for chunk in chunks(len(self.rows), 8 * n * channels * count):
             w = self.by_light[chunk]
             rows = self.rows[chunk].transpose(0, 1, 3, 2).reshape(len(w), -1, channels * n)
             radiance = np.empty((len(w), channels, n * count))
             for c in range(channels):
-                np.matmul(w[:, c], by_coefficient[c % lit], out=radiance[:, c])
+                np.matmul(w[:, c], by_coefficient[c % light_channels], out=radiance[:, c])
             moved = rows.transpose(0, 2, 1) @ (rows @ radiance.reshape(len(w), -1, count))
             moved = moved.reshape(len(w), channels, n * count)
             for c in range(channels):
                 by_light = (w[:, c].T @ moved[:, c]).reshape(k, n, count)
-                found[:, c % lit] += by_light.transpose(1, 0, 2)
+                found[:, c % light_channels] += by_light.transpose(1, 0, 2)
         return found
 
     def light_rows(self, chunk: slice, layout: ParameterLayout) -> Array:
@@ -188,8 +191,15 @@ def eliminate(
 
 def chunks(count: int, bytes_each: int) -> list[slice]:
     """Ranges of pixels that need no more than the working set; at least one pixel each."""
-    step = max(1, WORKING_SET // bytes_each)
-    return [slice(first, min(first + step, count)) for first in range(0, count, step)]
+    return slices(count, max(1, WORKING_SET // bytes_each))
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Sums split over threads would round differently on a machine with more processors."""
+    from threadpoolctl import threadpool_limits
+
+    limits: AbstractContextManager[object] = threadpool_limits(1, user_api="blas")
+    return limits
 
 
 def _by_unknowns(by_material: Array, layout: ParameterLayout) -> Array:
@@ -236,7 +246,7 @@ class Cholesky:
 
         diagonal = np.einsum("ii->i", matrix)
         self.diagonal = diagonal.copy()
-        diagonal += damping * np.abs(diagonal) + LIGHT_RIDGE * diagonal.max() + np.finfo(float).tiny
+        diagonal += damping * np.abs(diagonal) + SCHUR_RIDGE * diagonal.max() + np.finfo(float).tiny
         self._factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:

@@ -3,60 +3,70 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.sampling import slices
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
+Nodes = tuple[Array, Array]
 
-ROUGHNESS = np.linspace(0.08, 1.0, 12)
-METALLIC = np.linspace(0.0, 1.0, 6)
-"""Nodes from which pixels start. Below roughness 0.1 pictures under SH light hardly change."""
-
-FINE_ROUGHNESS = np.linspace(0.02, 1.0, 24)
-FINE_METALLIC = np.linspace(0.0, 1.0, 11)
-FINE_STARTS = 6
-"""For pixels whose residuals stand out."""
-
-OUTLYING = 5.0
-"""Times the median of the pixels' squares: from here on a pixel is tried again from more starts. Of
-pure noise in 16 pictures of three channels practically none is."""
+NODES = (
+    np.linspace(*settings.DESCENT_ROUGHNESS_NODES),
+    np.linspace(*settings.DESCENT_METALLIC_NODES),
+)
+RETRY_NODES = (
+    np.linspace(*settings.RETRY_ROUGHNESS_NODES),
+    np.linspace(*settings.RETRY_METALLIC_NODES),
+)
+"""Roughness and metallic from which pixels descend, and those that stand out."""
 
 NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-"""From where outlying pixels take over materials, in this order: (rows, columns)."""
+"""From where pixels that stand out take over materials, in this order: (rows, columns)."""
 
-STEPS = 12
-"""Of a descent from a node."""
-
-EXACT_STEPS = 1
-TURNING_STEPS = 4
-"""Of a descent on residuals, in which alone normals turn where they are free."""
-
-AT_ONCE = 1 << 17
-"""Pixels in one call, so that Python has its turn several times a second."""
+PIXELS_PER_CALL = 1 << 17
+"""Pixels in one call, so that Python has its turn several times a second; changes no result."""
 
 
-@dataclass(frozen=True, eq=False)
-class Towards:
-    """What pulls at roughness and metallic of pixels: Σ a (v − c)² beside their squares.
+class Watch(Protocol):
+    """Who is told of progress, and says when to stop."""
 
-    `centre` and `precision`, c and a, are (P, F): F = 2, or 1 where metallic is known.
-    """
+    def stop(self) -> bool:
+        """Whether time is up."""
 
-    centre: Array
-    precision: Array
+    def visit_few(self, pixels: Pixels, materials: Array, lights: Array, share: float, /) -> bool:
+        """A joint step of some pixels is done; whether to stop.
 
-    def of(self, pixels: Pixels | slice) -> Towards:
-        """The rows of some pixels."""
-        return Towards(self.centre[pixels], self.precision[pixels])
+        `materials` (Q, D), `lights` as in x, and the mean weighted square that is left of them.
+        """
 
-    def cost(self, finish: Array) -> float:
-        """At these roughness and metallic (P, F)."""
-        return float((self.precision * (finish - self.centre) ** 2).sum())
+    def visit(self, x: Array, sum_sq_residuals: Array, /) -> bool:
+        """All pixels have new materials, which leave them with these sums (P,); whether to stop."""
+
+
+def schur_options(
+    objective: Objective, x: Array, pixels: Pixels, prior: GaussianPrior | None, damping: float
+) -> dict[str, Any]:
+    """Options with which the core solves for some pixels, under the prior of all of x's."""
+    layout = objective.layout
+    found: dict[str, Any] = {"mono": layout.light_channels < layout.channels, "damping": damping}
+    if prior is not None:
+        rows = prior.rows(pixels)
+        values = taken(objective, x, pixels)[:, layout.channels :]
+        found |= {"precision": rows.precision, "deviation": values - rows.mean}
+    return found
+
+
+def start_nodes(objective: Objective, nodes: Nodes = NODES) -> Nodes:
+    """Roughness and metallic of the nodes; the latter as it is known, where it is."""
+    known = objective.known_metallic
+    return nodes[0], nodes[1] if known is None else np.array([known])
 
 
 def taken(objective: Objective, x: Array, pixels: Pixels | slice) -> Array:
@@ -82,48 +92,49 @@ def descended(
     pixels: Pixels,
     *,
     steps: int,
-    exact_steps: int | None = None,
     starts: int = 0,
-    nodes: tuple[Array, Array] = (ROUGHNESS, METALLIC),
-    towards: Towards | None = None,
+    nodes: Nodes = NODES,
+    prior: GaussianPrior | None = None,
 ) -> tuple[Array, Array]:
-    """Materials (Q, D) of some pixels, no worse than those of x, and their squares (Q,).
+    """Materials (Q, D) of some pixels, no worse than those of x, and their sums of squares (Q,).
 
     Parameters
     ----------
-    steps, exact_steps
-        Of Levenberg and Marquardt's method: on sums over pictures made once, which know squares to
-        half their digits, and then on residuals. None = as many of the latter as it takes.
+    steps
+        Of Levenberg and Marquardt's method on sums over pictures that are made once, which know
+        squares to half their digits; a few on residuals follow.
     starts
         Beside their own material, pixels start from so many of the best `nodes`.
-    towards
-        A pull, with rows of `pixels`.
+    prior
+        With rows of `pixels`; its cost counts when materials are compared, and is no part of what
+        is returned.
     """
-    if exact_steps is None:
-        exact_steps = EXACT_STEPS if objective.tangent_offsets is None else TURNING_STEPS
-    roughness, metallic = nodes
-    if objective.known_metallic is not None:
-        metallic = np.array([objective.known_metallic])
-    if starts == 0:
-        roughness = metallic = np.empty(0)
-    found, squares = objective.problem.fit_materials(
+    free_normals = objective.tangent_offsets is not None
+    nodes = start_nodes(objective, nodes) if starts else (np.empty(0), np.empty(0))
+    return objective.problem.fit_materials(
         objective.for_core(x),
         pixels,
-        roughness,
-        metallic,
+        *nodes,
         starts=starts,
         steps=steps,
-        exact_steps=exact_steps,
-        mean=None if towards is None else towards.centre,
-        precision=None if towards is None else towards.precision,
+        exact_steps=settings.DESCENT_EXACT_STEPS_FREE_NORMALS
+        if free_normals
+        else settings.DESCENT_EXACT_STEPS,
+        mean=None if prior is None else prior.mean,
+        precision=None if prior is None else prior.precision,
     )
-    return found, squares
 
 
 def chunks(count: int) -> Iterator[Pixels]:
     """All pixels, in pieces that take a fraction of a second."""
-    for first in range(0, count, AT_ONCE):
-        yield np.arange(first, min(first + AT_ONCE, count), dtype=np.uint64)
+    for piece in slices(count, PIXELS_PER_CALL):
+        yield np.arange(piece.start, piece.stop, dtype=np.uint64)
+
+
+def pieces(pixels: Pixels) -> Iterator[Pixels]:
+    """Some pixels, in such pieces."""
+    for piece in slices(len(pixels), PIXELS_PER_CALL):
+        yield pixels[piece]
 
 
 def fit_all(
@@ -131,79 +142,73 @@ def fit_all(
     x: Array,
     *,
     starts: int,
-    steps: int = STEPS,
-    towards: Towards | None = None,
+    steps: int = settings.DESCENT_STEPS,
+    prior: GaussianPrior | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Array | None:
-    """Give all pixels of x their best materials for its lights; their squares (P,).
+    """Give all pixels of x their best materials for its lights; their sums of squares (P,).
 
     None if stopped before all pixels had theirs.
     """
-    squares = np.empty(objective.pixels)
+    sum_sq = np.empty(objective.pixels)
     for chunk in chunks(objective.pixels):
         if stop():
             return None
-        rows = None if towards is None else towards.of(chunk)
-        found, squares[chunk] = descended(
-            objective, x, chunk, steps=steps, starts=starts, towards=rows
+        rows = None if prior is None else prior.rows(chunk)
+        found, sum_sq[chunk] = descended(
+            objective, x, chunk, steps=steps, starts=starts, prior=rows
         )
         place(objective, x, chunk, found)
-    return squares
+    return sum_sq
 
 
 def try_from(
     objective: Objective,
     x: Array,
-    squares: Array,
+    sum_sq: Array,
     pixels: Pixels,
     materials: Array,
     *,
     steps: int,
     starts: int = 0,
-    towards: Towards | None = None,
+    prior: GaussianPrior | None = None,
 ) -> None:
     """Let some pixels of x descend from these materials (Q, D), and keep what is lower.
 
-    Theirs of `squares` (P,) change too.
+    Theirs of the sums of squares (P,) change too. `prior` has rows of `pixels`.
     """
     own = taken(objective, x, pixels)
     place(objective, x, pixels, materials)
-    found, left = descended(objective, x, pixels, steps=steps, starts=starts, towards=towards)
-    better = left < squares[pixels]
+    found, left = descended(objective, x, pixels, steps=steps, starts=starts, prior=prior)
+    better = left < sum_sq[pixels]
     place(objective, x, pixels, np.where(better[:, None], found, own))
-    squares[pixels[better]] = left[better]
+    sum_sq[pixels[better]] = left[better]
 
 
-def retry(
-    objective: Objective, x: Array, squares: Array, stop: Callable[[], bool] = lambda: False
+def retry_outliers(
+    objective: Objective, x: Array, sum_sq: Array, stop: Callable[[], bool] = lambda: False
 ) -> None:
-    """Try pixels again whose squares stand out; x and `squares` change where that is better.
+    """Try pixels again whose sums of squares stand out; x and the sums (P,) change where better.
 
     From more nodes, and from the materials of the pixels around them: an object is seldom of a
     single pixel, and where its neighbours have found their way, so can it. Where it is stopped, the
     pixels that are left stay as they are.
     """
-    outlying = np.flatnonzero(squares > OUTLYING * np.median(squares)).astype(np.uint64)
-    for first in range(0, len(outlying), AT_ONCE):
+    outlying = np.flatnonzero(sum_sq > settings.RETRY_RATIO * np.median(sum_sq)).astype(np.uint64)
+    steps = 2 * settings.DESCENT_STEPS
+    for chunk in pieces(outlying):
         if stop():
             return
-        chunk = outlying[first : first + AT_ONCE]
-        found, squares[chunk] = descended(
-            objective,
-            x,
-            chunk,
-            steps=2 * STEPS,
-            starts=FINE_STARTS,
-            nodes=(FINE_ROUGHNESS, FINE_METALLIC),
+        found, sum_sq[chunk] = descended(
+            objective, x, chunk, steps=steps, starts=settings.RETRY_STARTS, nodes=RETRY_NODES
         )
         place(objective, x, chunk, found)
     for pixels, others in _beside(objective, outlying):
-        for first in range(0, len(pixels), AT_ONCE):
+        for chunk, neighbours in zip(pieces(pixels), pieces(others), strict=True):
             if stop():
                 return
-            piece = slice(first, first + AT_ONCE)
-            beside = taken(objective, x, others[piece])
-            try_from(objective, x, squares, pixels[piece], beside, steps=STEPS)
+            beside = taken(objective, x, neighbours)
+            try_from(objective, x, sum_sq, chunk, beside, steps=settings.DESCENT_STEPS)
 
 
 def _beside(objective: Objective, pixels: Pixels) -> Iterator[tuple[Pixels, Pixels]]:

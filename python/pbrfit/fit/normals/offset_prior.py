@@ -1,20 +1,19 @@
-"""What is thought likely of the change of normals before pictures tell: it is alike nearby.
+"""The prior on tangent offsets: errors of normals are alike nearby.
 
 Errors of estimated normals are no noise: they are alike over neighbouring pixels, and often over
-the whole picture. So the changes δ = (a, b) of neighbours are drawn to each other,
+the whole picture. So the tangent offsets δ = (a, b) of neighbours are drawn to each other,
 
     s² Σ_pq w_pq u_pq |δ_p − δ_q|² / σ²  +  s² Σ_p |δ_p|² / σ₀²
 
-beside the sum of squares, with the noise's variance s², edge-aware weights w and u = 1/(1 + d²/c²)
-of Student's kind for the few large steps d = |δ_p − δ_q| / σ at outlines. The second term is weak
-on purpose: counted once a pixel, a stronger one would hold back a turn that all normals have in
-common, which lights can follow at little cost.
+beside the sum of squared residuals, with the noise's variance s², edge-aware weights w and
+u = 1/(1 + d²/c²) of Student's kind for the few large steps d = |δ_p − δ_q| / σ at outlines. The
+second term is weak: lights can follow a turn that all normals have in common at little cost.
 
-σ is not told. It is found from the changes themselves, by expectation and maximisation,
+σ is found from the offsets themselves, by expectation and maximisation,
 
     σ² = Σ w u (|δ_p − δ_q|² + tr V_p + tr V_q) / 2 Σ w u
 
-where V_p is what is still uncertain of δ_p.
+where V_p is the covariance of δ_p that is left.
 """
 
 from __future__ import annotations
@@ -24,80 +23,163 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.normals.strided_subset import Neighbourhood
+from pbrfit.fit import settings
+from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
 
-LOOSEST = np.radians(60.0)
-"""σ₀."""
 
-FIRST_SPREAD = np.radians(6.0)
-SMALLEST_SPREAD, LARGEST_SPREAD = np.radians(0.05), np.radians(12.0)
-"""σ: at first, and between which it may be found."""
-
-HEAVY = 3.0
-"""c: steps of so many σ count half."""
+def pixel_index(layout: ParameterLayout) -> NDArray[np.intp]:
+    """(H, W): the index of each valid pixel in the order of x, −1 elsewhere."""
+    index = np.full(layout.valid.shape, -1)
+    index[layout.valid] = np.arange(layout.pixels)
+    return index
 
 
 @dataclass(frozen=True, eq=False)
-class TiltPrior:
-    """The penalty on tilts (P, 2) of some pixels.
+class Neighbourhood:
+    """Pairs of pixels, and how far their normals' changes are expected to be alike.
 
     Attributes
     ----------
-    around
-        Which pixels are neighbours.
-    spread
-        σ, in radians.
-    robust
-        (E,): u.
+    pairs
+        (E, 2) indices.
+    weights
+        (E,): w = e^(−|Δn|²/0.1) of the given normals, less where these are known to be unsure.
+    count
+        Of the pixels.
     """
 
-    around: Neighbourhood
-    spread: float = FIRST_SPREAD
-    robust: Array | None = None
+    pairs: NDArray[np.intp]
+    weights: Array
+    count: int
+
+    @classmethod
+    def of(
+        cls, index: NDArray[np.intp], normals: Array, normal_sigma: Array | None
+    ) -> Neighbourhood:
+        """Of pixels beside and below each other.
+
+        Parameters
+        ----------
+        index
+            (rows, columns): the pixel that is there, or −1.
+        normals
+            (P, 3): the given ones.
+        normal_sigma
+            (P,): their uncertainty, in any unit; None = all alike. Where both of a pair are twice
+            as unsure as the mean, their changes may differ twice as far.
+        """
+        beside = np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1)
+        below = np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1)
+        pairs = np.concatenate([beside, below])
+        pairs = pairs[(pairs >= 0).all(axis=1)]
+        first, second = pairs.T
+        difference = normals[first] - normals[second]
+        weights = np.exp(
+            -np.einsum("ed,ed->e", difference, difference) / settings.NORMALS_EDGE_SCALE
+        )
+        if normal_sigma is not None and normal_sigma.any():
+            mean = normal_sigma.mean()
+            of_pairs = 0.5 * (normal_sigma[first] + normal_sigma[second])
+            weights /= (np.maximum(of_pairs, settings.NORMALS_GIVEN_SIGMA_MIN * mean) / mean) ** 2
+        return cls(pairs, weights, len(normals))
+
+    def sums(self, values: Array, weights: Array) -> Array:
+        """Σ over the neighbours of each pixel of `weights` (E,) times their `values` (P, 2)."""
+        first, second = self.pairs.T
+        found = np.zeros_like(values)
+        for column in range(values.shape[1]):
+            found[:, column] = np.bincount(
+                first, weights * values[second, column], minlength=self.count
+            ) + np.bincount(second, weights * values[first, column], minlength=self.count)
+        return found
+
+    def weight_sums(self, weights: Array) -> Array:
+        """Σ of the weights (E,) of each pixel's pairs, (P,)."""
+        first, second = self.pairs.T
+        return np.asarray(
+            np.bincount(first, weights, minlength=self.count)
+            + np.bincount(second, weights, minlength=self.count)
+        )
+
+    def squared_differences(self, values: Array) -> Array:
+        """|v_second − v_first|² of each pair, (E,), for `values` (P, 2)."""
+        first, second = self.pairs.T
+        difference = values[second] - values[first]
+        return np.asarray(np.einsum("ed,ed->e", difference, difference))
+
+
+@dataclass(frozen=True, eq=False)
+class TangentOffsetPrior:
+    """The penalty on tangent offsets (P, 2) of some pixels, for noise of variance s².
+
+    Attributes
+    ----------
+    neighbourhood
+        Which pixels are neighbours.
+    sigma
+        σ, in radians.
+    robust_weights
+        (E,): u; None = 1.
+    """
+
+    neighbourhood: Neighbourhood
+    sigma: float = settings.NORMALS_OFFSET_SIGMA_START
+    robust_weights: Array | None = None
 
     @property
     def _weights(self) -> Array:
-        of_pairs = self.around.weights / self.spread**2
-        return of_pairs if self.robust is None else of_pairs * self.robust
+        of_pairs = self.neighbourhood.weights / self.sigma**2
+        return of_pairs if self.robust_weights is None else of_pairs * self.robust_weights
 
-    def cost(self, tilts: Array, variance: float) -> float:
-        """The penalty for noise of this variance s²."""
-        alike = float(self._weights @ self.around.squares(tilts))
-        return float(variance * (alike + np.square(tilts).sum() / LOOSEST**2))
+    @property
+    def _own_weights(self) -> Array:
+        return (
+            self.neighbourhood.weight_sums(self._weights)
+            + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
+        )
 
-    def slope(self, tilts: Array, variance: float) -> Array:
+    def cost(self, offsets: Array, variance: float) -> float:
+        """The penalty."""
+        pairs = float(self._weights @ self.neighbourhood.squared_differences(offsets))
+        return float(
+            variance * (pairs + np.square(offsets).sum() / settings.NORMALS_OFFSET_SIGMA_ALONE**2)
+        )
+
+    def half_gradient(self, offsets: Array, variance: float) -> Array:
         """Half of its gradient, (P, 2)."""
-        weights = self._weights
-        own = self.around.degrees(weights) + 1 / LOOSEST**2
-        return np.asarray(variance * (own[:, None] * tilts - self.around.sums(tilts, weights)))
+        others = self.neighbourhood.sums(offsets, self._weights)
+        return np.asarray(variance * (self._own_weights[:, None] * offsets - others))
 
     def diagonal(self, variance: float) -> Array:
         """Of half of its second derivatives, (P,), the same for a and b."""
-        return np.asarray(variance * (self.around.degrees(self._weights) + 1 / LOOSEST**2))
+        return np.asarray(variance * self._own_weights)
 
     def coupling(self, variance: float) -> Array:
-        """Half of the second derivative by the tilts of each pair, (E,)."""
+        """Half of the second derivative by the offsets of each pair, (E,)."""
         return np.asarray(-variance * self._weights)
 
-    def beside_others(self, tilts: Array, variance: float) -> tuple[Array, Array]:
-        """Centre (P, 2) and precision (P, 2) that each pixel feels while the others stay."""
-        own = self.around.degrees(self._weights) + 1 / LOOSEST**2
-        centre = self.around.sums(tilts, self._weights) / own[:, None]
-        return centre, np.repeat(variance * own[:, None], 2, axis=1)
+    def conditional(self, offsets: Array, variance: float) -> tuple[Array, Array]:
+        """Mean (P, 2) and precision (P, 2) of each pixel's offset while the others stay."""
+        own = self._own_weights[:, None]
+        mean = self.neighbourhood.sums(offsets, self._weights) / own
+        return mean, np.repeat(variance * own, 2, axis=1)
 
-    def learnt(self, tilts: Array, uncertain: Array) -> TiltPrior:
-        """With σ and u from tilts (P, 2) and what is uncertain of them, tr V (P,)."""
-        first, second = self.around.pairs.T
+    def fitted(self, offsets: Array, variances: Array) -> TangentOffsetPrior:
+        """With σ and u from offsets (P, 2) and the variance that is left of each, tr V (P,)."""
+        first, second = self.neighbourhood.pairs.T
         if not len(first):
             return self
-        squares = self.around.squares(tilts) + uncertain[first] + uncertain[second]
-        robust = 1 / (1 + squares / (2 * HEAVY**2 * self.spread**2))
-        weights = self.around.weights * robust
+        squared = self.neighbourhood.squared_differences(offsets)
+        squared = squared + variances[first] + variances[second]
+        robust_weights = 1 / (
+            1 + squared / (2 * settings.NORMALS_HALF_WEIGHT_STEP**2 * self.sigma**2)
+        )
+        weights = self.neighbourhood.weights * robust_weights
         total = float(weights.sum())
         if not total > 0:
             return self
-        spread = np.sqrt(float(weights @ squares) / (2 * total))
-        spread = float(np.clip(spread, SMALLEST_SPREAD, LARGEST_SPREAD))
-        return replace(self, spread=spread, robust=robust)
+        sigma = np.sqrt(float(weights @ squared) / (2 * total))
+        sigma = float(np.clip(sigma, *settings.NORMALS_OFFSET_SIGMA_RANGE))
+        return replace(self, sigma=sigma, robust_weights=robust_weights)

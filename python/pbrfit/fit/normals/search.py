@@ -1,145 +1,116 @@
-"""Lights and normals from the pixels of a lattice, from given normals that are wrong.
+"""Lights and normals from a strided subset of the pixels, from given normals that are wrong.
 
 With wrong normals held, lights bend to them, and materials to both; a fit that starts there stays
-there. So normals are free from the beginning, but alike nearby, and metallic is drawn to 0 in the
-first rounds: metal with a broad lobe and normals turned half way to the camera shows what a
+there. So normals are free from the beginning, but alike nearby, and metallic has a prior around 0
+in the first rounds: metal with a broad lobe and normals turned half way to the camera shows what a
 dielectric shows, and where both are free most pixels would choose wrongly together. Later rounds
-draw roughness and metallic to what their segment has been found to be made of instead. Without
-that, the many numbers of each pixel take up noise in a way that does not cancel out over pixels,
-and lights end up beside the true ones however many there are.
+have a prior on roughness and metallic around what their segment has been found to be made of.
+Without that, the many numbers of each pixel take up noise in a way that does not cancel out over
+pixels, and lights end up beside the true ones however many there are.
 
-A round tries all finishes for each pixel by itself, and then takes joint steps. Pixels that are in
-a wrong minimum have little weight in these: a bounded loss ρ(c) = τ c / (τ + c), with τ from the
-pixels' own squares, has w = ρ' = (τ / (τ + c))².
+A round tries all roughness and metallic for each pixel by itself, and then takes joint steps.
+Pixels that are in a wrong minimum have little weight in these: a bounded loss ρ(c) = τ c / (τ + c),
+with τ from the pixels' own sums of squared residuals, has w = ρ' = (τ / (τ + c))².
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.gauss_newton.pixels import METALLIC, ROUGHNESS, place, taken
-from pbrfit.fit.normals import joint_step
-from pbrfit.fit.normals.joint_step import State
+from pbrfit.fit import settings
+from pbrfit.fit.gauss_newton.pixels import place, start_nodes, taken
+from pbrfit.fit.normals.joint_step import SubsetState, joint_step
 from pbrfit.fit.normals.noise import (
     mean_over_median,
     noise_variance,
-    pixel_squares,
-    uncertain_tilts,
+    offset_variances,
+    pixel_sums,
 )
-from pbrfit.fit.normals.offset_prior import TiltPrior
-from pbrfit.fit.normals.strided_subset import Neighbourhood, lattice
+from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors import material as material_prior
-from pbrfit.fit.priors.map_gauss_newton import OFFSET_PULL, Pull
-from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.material import prior_at
 
 Array = NDArray[np.float64]
 
-PIXELS = 1024
-"""Of the lattice, at most."""
 
-DIELECTRIC_ROUNDS = 3
-DIELECTRIC = 0.2
-"""Rounds in which metallic is drawn to 0, and the standard deviation of that."""
+def strided_subset(
+    layout: ParameterLayout, at_most: int
+) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+    """Valid pixels in every s-th row and column, and where they stand.
 
-ROUNDS = 12
-"""At most."""
+    Returns
+    -------
+    pixels
+        (Q,) indices in the order of x, about `at_most` at most, and at least one.
+    index
+        (rows, columns): position in `pixels`, or −1 where the pixel there is not valid.
+    """
+    step = max(1, math.ceil(math.sqrt(layout.pixels / at_most)))
+    # A long and narrow picture or mask has more pixels in every s-th row and column than a square.
+    while (first := _first_pixel(layout.valid, step))[0] > settings.STRIDED_SUBSET_EXCESS * at_most:
+        step += 1
+    _, row, column = first
+    found = pixel_index(layout)[row::step, column::step]
+    inside = found >= 0
+    index = np.full(found.shape, -1)
+    index[inside] = np.arange(np.count_nonzero(inside))
+    return found[inside].astype(np.uint64), index
 
-STARTS = (1.0, 2.0, 1.4)
-"""Factors on the lights that the search starts from, the next only where the one before has not
-ended well: which of several ways lights and normals go is decided in the first rounds."""
 
-WELL = 1.25
-"""Mean of the pixels' squares over their median, beside that of noise, up to which a search has."""
+def _first_pixel(valid: NDArray[np.bool_], step: int) -> tuple[int, int, int]:
+    """How many valid pixels a strided subset has, and its first row and column.
 
-PERFECT = 2e-3
-"""Or a deviation of the better half of the pixels of this share of the mean radiance. Without noise
-that half ends exact and what is wrong elsewhere is never noise, but lights are right by then."""
-
-FLOORS = (0.1, 0.06, 0.036, 0.02)
-"""Smallest deviation of the pull to what was learnt, by round."""
-
-PURE_ROUNDS = 8
-HELD = 1e3
-"""From this round on clusters have no offset in metallic: what it is drawn to is 0 or 1. Before,
-they are free to move together, which lights need to find their scale."""
-
-FLIP_ROUNDS = (5, 8)
-FLIPPED = 12
-FEWEST = 8
-FLIP_STEPS = 2
-"""After these rounds segments that are neither dielectric nor metal are tried as dielectrics, each
-as a whole: at most so many, of so many pixels at least, with so many joint steps each. They stay so
-if all is explained better for it. What is in between has been bent there by wrong normals, and its
-own way back is uphill."""
-
-BETWEEN = (0.04, 0.96)
-"""Mean metallic of what is neither."""
-
-SCALES = (1.2, 1 / 1.2, 1.05, 1 / 1.05)
-"""Factors on all lights that are tried after each round, with albedo divided by them."""
-
-PURE = np.array([0.0, 1.0])
-"""Metallic of the nodes that materials are learnt on: there is hardly anything between dielectrics
-and metals, and with normals free the pictures alone do not say so."""
-
-STEPS = 4
-"""Joint steps of a round."""
-
-NODES = 2
-"""From which a pixel starts in every other round."""
-
-OUTLYING = 4.0
-QUANTILE = 0.8
-"""τ is so many times this quantile of the pixels' squares."""
-
-FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
-FAILURES = 4
-SHARES = (1.0, 0.4)
-
-STALLED = 1e-4
-"""A step that lowers the sum by less than this share is the last of its round."""
-
-SETTLED = 1e-3
-"""A round that does is the last."""
+    It begins half a step from the border, unless a mask with a pattern of its own (every other
+    row, say) leaves it less than half of its share there.
+    """
+    rows, columns = np.nonzero(valid)
+    counts = np.bincount(rows % step * step + columns % step, minlength=step**2)
+    middle = [min(step // 2, size - 1) for size in valid.shape]
+    first = middle[0] * step + middle[1]
+    if 2 * step**2 * counts[first] < len(rows):
+        first = int(counts.argmax())
+    return int(counts[first]), first // step, first % step
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """What the lattice knows.
+class SubsetFit:
+    """What a strided subset found.
 
     Attributes
     ----------
-    few
-        Its objective, with free normals.
+    objective
+        Of the subset, with free normals.
     pixels
         Which of the whole's pixels it has.
     x
-        Of `few`.
+        Of `objective`.
     prior
-        Of its tilts.
+        Of its tangent offsets.
     """
 
-    few: Objective
+    objective: Objective
     pixels: NDArray[np.uint64]
     x: Array
-    prior: TiltPrior
+    prior: TangentOffsetPrior
 
 
-def find(
+def fit_subset(
     objective: Objective,
     x: Array,
     given: Array,
-    sigma: Array | None,
+    normal_sigma: Array | None,
     stop: Callable[[], bool],
     *,
-    rounds: int = ROUNDS,
-) -> Found:
-    """Lights, tilts and materials of a lattice, from the lights of x.
+    rounds: int = settings.NORMALS_ROUNDS_MAX,
+) -> SubsetFit:
+    """Lights, tangent offsets and materials of a strided subset, from the lights of x.
 
     Parameters
     ----------
@@ -147,319 +118,333 @@ def find(
         With free normals and unknown lights.
     x
         Where to start.
-    given, sigma
-        (P, 3) and (P,): the normals that tilts are from, and how sure these are.
+    given, normal_sigma
+        (P, 3) and (P,): the given normals, and their uncertainty in any unit; None = all alike.
     stop
         Whether time is up: asked after each joint step, and what is left of a round is left out.
     rounds
         At most so many from each start.
     """
-    pixels, index = lattice(objective.layout, PIXELS)
-    few = objective.restricted(pixels)
+    pixels, index = strided_subset(objective.layout, settings.NORMALS_SUBSET_PIXELS_MAX)
+    subset, x = objective.restricted(pixels), objective.part_of(x, pixels)
     chosen = pixels.astype(np.intp)
-    around = Neighbourhood.of(index, given[chosen], None if sigma is None else sigma[chosen])
-    x = objective.part_of(x, pixels)
-    best: tuple[_Search, Array] | None = None
-    for factor in STARTS:
-        search = _searched(few, TiltPrior(around), _scaled(few, x, factor), stop, rounds)
-        squares = pixel_squares(few, search.state.x)
-        if best is None or _nearer(squares, best[1]):
-            best = search, squares
-        if _ended_well(few, squares) or stop():
+    sigma = None if normal_sigma is None else normal_sigma[chosen]
+    prior = TangentOffsetPrior(Neighbourhood.of(index, given[chosen], sigma))
+    best: tuple[NormalSearch, Array] | None = None
+    for factor in settings.NORMALS_LIGHT_SCALE_STARTS:
+        search = NormalSearch(subset, prior, with_scaled_lights(subset, x, factor), stop)
+        search.run(rounds)
+        sums = pixel_sums(subset, search.state.x)
+        if best is None or explains_more(sums, best[1]):
+            best = search, sums
+        if ended_well(subset, sums) or stop():
             break
     assert best is not None
-    return Found(few, pixels, best[0].state.x, best[0].prior)
+    return SubsetFit(subset, pixels, best[0].state.x, best[0].offset_prior)
 
 
-def _searched(
-    few: Objective, prior: TiltPrior, x: Array, stop: Callable[[], bool], rounds: int
-) -> _Search:
-    search = _Search(few, prior, x, stop)
-    last = np.inf
-    for number in range(min(ROUNDS, rounds)):
-        total = search.round(number)
-        settled = number > DIELECTRIC_ROUNDS + len(FLOORS) and total > (1 - SETTLED) * last
-        if settled or stop():
-            break
-        last = total
-    return search
-
-
-def _scaled(few: Objective, x: Array, factor: float) -> Array:
-    """X with brighter lights and darker albedo."""
-    assert few.lighting is not None
+def with_scaled_lights(objective: Objective, x: Array, factor: float) -> Array:
+    """A copy of x with lights times a factor, and albedo divided by it."""
+    assert objective.lighting is not None
     x = x.copy()
-    x[few.lighting] *= factor
-    x[few.albedo] = np.clip(x[few.albedo] / factor, 0, 1)
+    x[objective.lighting] *= factor
+    x[objective.albedo] = np.clip(x[objective.albedo] / factor, 0, 1)
     return x
 
 
-def _ended_well(few: Objective, squares: Array) -> bool:
-    """Whether a search left noise, or next to nothing."""
-    left = noise_variance(few, squares)
-    return left <= (PERFECT * MEAN_RADIANCE) ** 2 or mean_over_median(few, squares) <= WELL
+def ended_well(objective: Objective, sums: Array) -> bool:
+    """Whether a search left noise, or next to nothing, by its sums of squared residuals (P,)."""
+    return (
+        noise_variance(objective, sums) <= (settings.NORMALS_RMS_MAX * settings.MEAN_RADIANCE) ** 2
+        or mean_over_median(objective, sums) <= settings.NORMALS_MEAN_OVER_MEDIAN_MAX
+    )
 
 
-def _nearer(squares: Array, others: Array) -> bool:
-    """Whether one search explains more than another, in the same bounded loss."""
-    bound = min(_bound(squares), _bound(others))
-    return _bounded(squares, bound) < _bounded(others, bound)
+def explains_more(sums: Array, others: Array) -> bool:
+    """Whether sums of squared residuals (P,) are less than others, in the same bounded loss."""
+    bound = min(_loss_bound(sums), _loss_bound(others))
+    return _bounded_loss(sums, bound) < _bounded_loss(others, bound)
 
 
-class _Search:
-    """A lattice on its way."""
+class NormalSearch:
+    """The search of a subset from one start."""
 
     def __init__(
-        self, few: Objective, prior: TiltPrior, x: Array, stop: Callable[[], bool]
+        self, subset: Objective, prior: TangentOffsetPrior, x: Array, stop: Callable[[], bool]
     ) -> None:
-        self.few, self.prior, self._stop = few, prior, stop
-        self._pixels = np.arange(few.pixels, dtype=np.uint64)
-        self._damping = FIRST_DAMPING
-        finish = len(few.layout.roughness_metallic)
-        nothing = np.zeros((few.pixels, finish))
-        self._pull = Pull(nothing, nothing, np.zeros(few.pixels, np.intp), 1)
-        self._offset_pull = np.full(finish, OFFSET_PULL)
-        self.state = State(x, np.zeros((1, finish)))
+        self.subset, self.offset_prior, self._stop = subset, prior, stop
+        self._pixels = np.arange(subset.pixels, dtype=np.uint64)
+        self._damping = settings.DAMPING_START
+        f_count = len(subset.layout.roughness_metallic)
+        self._cluster_offset_precision = np.full(f_count, settings.OFFSET_PRECISION_SHARE)
+        self.state = SubsetState(x, np.zeros((1, f_count)))
+        self._material_prior = self._prior_of_first_rounds(0.0)
+
+    def run(self, rounds: int) -> None:
+        """Rounds until they settle, or so many."""
+        last = np.inf
+        fitted = settings.NORMALS_DIELECTRIC_ROUNDS + len(settings.NORMALS_MATERIAL_SIGMAS_MIN)
+        for number in range(min(settings.NORMALS_ROUNDS_MAX, rounds)):
+            total = self._round(number)
+            settled = number > fitted and total > (1 - settings.NORMALS_ROUND_DECREASE_MIN) * last
+            if settled or self._stop():
+                break
+            last = total
+
+    def _round(self, number: int) -> float:
+        """Materials tried, and joint steps; the sum at the end, in units of the noise."""
+        self._set_material_prior(number)
+        if number >= settings.NORMALS_METALLIC_BINARY_ROUND:
+            self._cluster_offset_precision[1:] = settings.NORMALS_METALLIC_OFFSET_PRECISION
+        if number % 2 == 0:
+            self._try_materials(free_normals=number > 0)
+        if number > settings.NORMALS_DIELECTRIC_ROUNDS:
+            x, variance = self.state.x, self._variance
+            _, precision = self._pixel_prior(self.state, x, variance)
+            variances = offset_variances(self.subset, x, precision, variance)
+            self.offset_prior = self.offset_prior.fitted(self._offsets(x), variances)
+        for _ in range(settings.NORMALS_STEPS_PER_ROUND):
+            if self._stop() or not self._joint_step():
+                break
+        if number >= settings.NORMALS_DIELECTRIC_ROUNDS and not self._stop():
+            self._try_light_scales()
+        if number in settings.NORMALS_DIELECTRIC_TRIAL_ROUNDS:
+            self._try_dielectrics()
+        sums = pixel_sums(self.subset, self.state.x)
+        costs = self._with_material_prior(self.state, sums)
+        variance = noise_variance(self.subset, sums)
+        return _bounded_loss(costs, _loss_bound(sums)) + self._offset_cost(self.state, variance)
 
     @property
-    def variance(self) -> float:
+    def _variance(self) -> float:
         """Of the noise."""
-        return noise_variance(self.few, self._squares(self.state.x))
+        return noise_variance(self.subset, pixel_sums(self.subset, self.state.x))
 
-    def round(self, number: int) -> float:
-        """Finishes tried, and joint steps; the sum at the end, in units of the noise."""
-        self._draw(number)
-        if number >= PURE_ROUNDS:
-            self._offset_pull[1:] = HELD
-        if number % 2 == 0:
-            self._try_finishes(turn=number > 0)
-        if number > DIELECTRIC_ROUNDS:
-            x, variance = self.state.x, self.variance
-            _, precision = self._towards(self.state, x, variance)
-            uncertain = uncertain_tilts(self.few, x, precision, variance)
-            self.prior = self.prior.learnt(self._tilts(x), uncertain)
-        for _ in range(STEPS):
-            if self._stop() or not self._joint():
-                break
-        if number >= DIELECTRIC_ROUNDS and not self._stop():
-            self._scale()
-        if number in FLIP_ROUNDS:
-            self._flip()
-        squares = self._squares(self.state.x)
-        return _bounded(self._with_pull(self.state, squares), _bound(squares)) + self.prior.cost(
-            self._tilts(self.state.x), noise_variance(self.few, squares)
-        )
+    def _offsets(self, x: Array) -> Array:
+        """Tangent offsets (P, 2)."""
+        tangent_offsets = self.subset.layout.tangent_offsets
+        assert tangent_offsets is not None
+        return x[tangent_offsets].reshape(2, -1).T
 
-    def _squares(self, x: Array) -> Array:
-        return pixel_squares(self.few, x)
+    def _offset_cost(self, state: SubsetState, variance: float) -> float:
+        return self.offset_prior.cost(self._offsets(state.x), variance)
 
-    def _tilts(self, x: Array) -> Array:
-        tilts = self.few.layout.tangent_offsets
-        assert tilts is not None
-        return x[tilts].reshape(2, -1).T
+    def _prior_of_first_rounds(self, variance: float) -> GaussianPrior:
+        shape = self.subset.pixels, len(self.subset.layout.roughness_metallic)
+        precision = np.zeros(shape)
+        precision[:, 1:] = variance / settings.NORMALS_DIELECTRIC_SIGMA**2
+        return GaussianPrior(np.zeros(shape), precision, np.zeros(self.subset.pixels, np.intp))
 
-    def _finish(self, x: Array) -> Array:
-        return np.stack([x[block] for block in self.few.layout.roughness_metallic], axis=-1)
+    def _set_material_prior(self, number: int) -> None:
+        """The prior on roughness and metallic of this round."""
+        later = number - settings.NORMALS_DIELECTRIC_ROUNDS
+        if later < 0:
+            self._material_prior = self._prior_of_first_rounds(self._variance)
+        else:
+            sigmas = settings.NORMALS_MATERIAL_SIGMAS_MIN
+            self._material_prior = prior_at(
+                self.subset,
+                self.state.x,
+                sigmas[min(later, len(sigmas) - 1)],
+                self._variance,
+                np.array(settings.NORMALS_METALLIC_NODES),
+            )
+        f_count = self._material_prior.precision.shape[1]
+        self.state = SubsetState(self.state.x, np.zeros((self._material_prior.clusters, f_count)))
 
-    def _draw(self, number: int) -> None:
-        """What roughness and metallic are drawn to in this round."""
-        finish = len(self.few.layout.roughness_metallic)
-        variance = self.variance
-        if number < DIELECTRIC_ROUNDS:
-            centre, precision = np.zeros((2, self.few.pixels, finish))
-            if finish == 2:
-                precision[:, 1] = variance / DIELECTRIC**2
-            clusters = np.zeros(self.few.pixels, np.intp)
-            self._pull = Pull(centre, precision, clusters, 1)
-            self.state = State(self.state.x, np.zeros((1, finish)))
-            return
-        floor = FLOORS[min(number - DIELECTRIC_ROUNDS, len(FLOORS) - 1)]
-        self._pull = material_prior.pull_at(self.few, self.state.x, floor, variance, PURE)
-        self.state = State(self.state.x, np.zeros((self._pull.clusters, finish)))
+    def _with_material_prior(self, state: SubsetState, sums: Array) -> Array:
+        """Summed squared residuals and the prior's penalty of each pixel, (P,)."""
+        prior = self._material_prior
+        layout = self.subset.layout
+        values = np.stack([state.x[block] for block in layout.roughness_metallic], axis=-1)
+        deviation = values - prior.mean - state.cluster_offsets[prior.cluster]
+        return np.asarray(sums + (prior.precision * deviation**2).sum(axis=1))
 
-    def _with_pull(self, state: State, squares: Array) -> Array:
-        """Squares and pull of each pixel, (P,)."""
-        off = self._finish(state.x) - self._pull.centre - state.offsets[self._pull.cluster]
-        return np.asarray(squares + (self._pull.precision * off**2).sum(axis=1))
-
-    def _towards(self, state: State, x: Array, variance: float) -> tuple[Array, Array]:
-        """Centres and precisions (P, F + 2) that a pixel by itself feels."""
-        centre, precision = self.prior.beside_others(self._tilts(x), variance)
-        shifted = self._pull.centre + state.offsets[self._pull.cluster]
+    def _pixel_prior(self, state: SubsetState, x: Array, variance: float) -> tuple[Array, Array]:
+        """Means and precisions (P, F + 2) of a pixel's unknowns while all others stay."""
+        prior = self._material_prior
+        mean, precision = self.offset_prior.conditional(self._offsets(x), variance)
+        material_mean = prior.mean + state.cluster_offsets[prior.cluster]
         return (
-            np.concatenate([shifted, centre], axis=1),
-            np.concatenate([self._pull.precision, precision], axis=1),
+            np.concatenate([material_mean, mean], axis=1),
+            np.concatenate([prior.precision, precision], axis=1),
         )
 
-    def _fitted(
-        self, state: State, x: Array, *, starts: int, steps: int, exact_steps: int, turn: bool
+    def _fit_pixels(
+        self, state: SubsetState, x: Array, *, starts: int, exact_steps: int, free_normals: bool
     ) -> tuple[Array, Array]:
-        """X with each pixel's best unknowns, its tilt held unless `turn`, and their squares."""
-        few = self.few
-        centre, precision = self._towards(state, x, self.variance if turn else 0.0)
-        if not turn:
-            finish = len(few.layout.roughness_metallic)
-            centre[:, finish:], precision[:, finish:] = 0.0, 0.0
-        nodes = _nodes(few) if starts else (np.empty(0), np.empty(0))
-        found, squares = few.problem.fit_materials(
-            few.for_core(x),
+        """X with each pixel's best unknowns, and their sums of squared residuals (P,)."""
+        subset = self.subset
+        mean, precision = self._pixel_prior(state, x, self._variance if free_normals else 0.0)
+        if not free_normals:
+            mean[:, -2:], precision[:, -2:] = 0.0, 0.0
+        nodes = start_nodes(subset) if starts else (np.empty(0), np.empty(0))
+        found, sums = subset.problem.fit_materials(
+            subset.for_core(x),
             self._pixels,
             *nodes,
             starts=starts,
-            steps=steps,
+            steps=settings.NORMALS_PIXEL_STEPS if starts else 0,
             exact_steps=exact_steps,
-            mean=centre,
+            mean=mean,
             precision=precision,
-            held_normals=not turn,
+            held_normals=not free_normals,
         )
         x = x.copy()
-        place(few, x, self._pixels, found)
-        return x, squares
+        place(subset, x, self._pixels, found)
+        return x, sums
 
-    def _try_finishes(self, *, turn: bool) -> None:
-        state = self.state
-        x, _ = self._fitted(state, state.x, starts=NODES, steps=12, exact_steps=4, turn=False)
-        if turn:
-            x, _ = self._fitted(state, x, starts=NODES, steps=12, exact_steps=4, turn=True)
-        self.state = State(x, state.offsets)
+    def _try_materials(self, *, free_normals: bool) -> None:
+        """Start each pixel by itself from nodes: normals held, then free where they may be."""
+        state, x = self.state, self.state.x
+        for free in (False, True) if free_normals else (False,):
+            x, _ = self._fit_pixels(
+                state, x, starts=settings.NORMALS_STARTS, exact_steps=4, free_normals=free
+            )
+        self.state = replace(state, x=x)
 
-    def _joint(self) -> bool:
+    def _joint_step(self) -> bool:
         """A joint step; whether another is worth while."""
         state = self.state
-        squares = self._squares(state.x)
-        variance, bound = noise_variance(self.few, squares), _bound(squares)
-        costs = self._with_pull(state, squares)
+        sums = pixel_sums(self.subset, state.x)
+        variance, bound = noise_variance(self.subset, sums), _loss_bound(sums)
+        costs = self._with_material_prior(state, sums)
         before = self._total(state, costs, bound, variance)
         weights = np.square(bound / (bound + costs))
-        for _ in range(FAILURES):
+        for _ in range(settings.NORMALS_FAILED_STEPS_MAX):
             try:
-                taken = joint_step.moves(
-                    self.few,
+                step = joint_step(
+                    self.subset,
                     state,
-                    self._pull,
-                    self.prior,
+                    self._material_prior,
+                    self.offset_prior,
                     variance,
                     weights,
-                    self._offset_pull,
+                    self._cluster_offset_precision,
                     self._damping,
                 )
             except np.linalg.LinAlgError:
-                self._damping = max(10 * self._damping, 1e-6)
-                continue
-            for share in SHARES:
-                trial, costs = self._followed(state, taken(share))
+                step = None
+            for share in settings.NORMALS_STEP_SHARES if step else ():
+                assert step is not None
+                trial, costs = self._refit_materials(state, step(share))
                 after = self._total(trial, costs, bound, variance)
                 if after < before:
                     self.state = trial
-                    self._damping = max(self._damping / 5, LEAST_DAMPING)
-                    return after < (1 - STALLED) * before
-            self._damping = max(10 * self._damping, 1e-6)
+                    self._damping = max(
+                        self._damping / settings.DAMPING_DECAY, settings.SUBSET_DAMPING_MIN
+                    )
+                    return after < (1 - settings.SUBSET_GAIN_MIN) * before
+            self._damping = max(
+                settings.DAMPING_GROWTH * self._damping, settings.NORMALS_FAILED_DAMPING_MIN
+            )
         return False
 
-    def _flip(self) -> None:
+    def _refit_materials(
+        self, before: SubsetState, trial: SubsetState
+    ) -> tuple[SubsetState, Array]:
+        """Pixels after a step, each from where it led and from where they were; and their costs."""
+        subset, everything = self.subset, slice(None)
+        stayed = taken(subset, before.x, everything).copy()
+        stayed[:, -2:] = taken(subset, trial.x, everything)[:, -2:]
+        ends = []
+        for start, exact_steps in ((taken(subset, trial.x, everything), 2), (stayed, 3)):
+            x = trial.x.copy()
+            place(subset, x, everything, start)
+            x, sums = self._fit_pixels(
+                trial, x, starts=0, exact_steps=exact_steps, free_normals=False
+            )
+            ends.append((x, self._with_material_prior(replace(trial, x=x), sums)))
+        (moved, costs), (other, other_costs) = ends
+        better = other_costs < costs
+        planes = taken(subset, moved, everything), taken(subset, other, everything)
+        place(subset, moved, everything, np.where(better[:, None], planes[1], planes[0]))
+        return replace(trial, x=moved), np.where(better, other_costs, costs)
+
+    def _try_dielectrics(self) -> None:
         """Try segments that are neither dielectric nor metal as dielectrics."""
-        few = self.few
-        labels, metallic = few.layout.segments, few.layout.metallic
+        layout = self.subset.layout
+        labels, metallic = layout.segments, layout.metallic
         if labels is None or metallic is None:
             return
+        low, high = settings.NORMALS_MIXED_METALLIC
         counts = np.bincount(labels)
         means = np.bincount(labels, self.state.x[metallic]) / np.maximum(counts, 1)
-        between = (means > BETWEEN[0]) & (means < BETWEEN[1]) & (counts >= FEWEST)
-        between[0] = False  # unclassified pixels have nothing in common
-        candidates = np.flatnonzero(between)
-        for label in candidates[np.argsort(-counts[candidates])][:FLIPPED]:
+        enough = counts >= settings.NORMALS_DIELECTRIC_TRIAL_PIXELS_MIN
+        mixed = (means > low) & (means < high) & enough
+        mixed[0] = False  # unclassified pixels have nothing in common
+        candidates = np.flatnonzero(mixed)
+        largest_first = candidates[np.argsort(-counts[candidates])]
+        for label in largest_first[: settings.NORMALS_DIELECTRIC_TRIALS_MAX]:
             if self._stop():
                 break
-            squares = self._squares(self.state.x)
-            variance, bound = noise_variance(self.few, squares), _bound(squares)
-            least = self._alone(self.state, squares, bound, variance)
-            before = self.state, self._pull, self._damping
-            if not self._as_dielectric(labels == label, bound, variance) < least:
-                self.state, self._pull, self._damping = before
+            sums = pixel_sums(self.subset, self.state.x)
+            variance, bound = noise_variance(self.subset, sums), _loss_bound(sums)
+            before = self.state, self._material_prior, self._damping
+            total = _bounded_loss(sums, bound) + self._offset_cost(self.state, variance)
+            self._make_dielectric(labels == label, variance)
+            sums = pixel_sums(self.subset, self.state.x)
+            if not _bounded_loss(sums, bound) + self._offset_cost(self.state, variance) < total:
+                self.state, self._material_prior, self._damping = before
 
-    def _as_dielectric(self, there: NDArray[np.bool_], bound: float, variance: float) -> float:
-        """Make some pixels dielectric, and let all else follow; what `_alone` says then."""
-        few, pull = self.few, self._pull
-        metallic = few.layout.metallic
-        assert metallic is not None
-        centre, precision = pull.centre.copy(), pull.precision.copy()
-        centre[there, 1], precision[there, 1] = 0.0, variance / FLOORS[-1] ** 2
+    def _make_dielectric(self, there: NDArray[np.bool_], variance: float) -> None:
+        """Make some pixels dielectric, as a cluster of their own, and let all else follow."""
+        prior, layout = self._material_prior, self.subset.layout
+        assert layout.metallic is not None
+        assert prior.cluster is not None
+        mean, precision = prior.mean.copy(), prior.precision.copy()
+        mean[there, 1], precision[there, 1] = (
+            0.0,
+            variance / settings.NORMALS_MATERIAL_SIGMAS_MIN[-1] ** 2,
+        )
         precision[there, 0] = 0.0
-        cluster = np.where(there, pull.clusters, pull.cluster)
-        self._pull = Pull(centre, precision, cluster, pull.clusters + 1)
-        offsets = np.concatenate([self.state.offsets, np.zeros((1, centre.shape[1]))])
+        cluster = np.where(there, prior.clusters, prior.cluster)
+        self._material_prior = GaussianPrior(mean, precision, cluster)
         x = self.state.x.copy()
-        x[metallic][there] = 0.0
-        state = State(x, offsets)
-        x, _ = self._fitted(state, x, starts=NODES, steps=12, exact_steps=6, turn=True)
-        self.state = State(x, offsets)
-        for _ in range(FLIP_STEPS):
-            if not self._joint():
+        x[layout.metallic][there] = 0.0
+        none = np.zeros((1, mean.shape[1]))
+        state = SubsetState(x, np.concatenate([self.state.cluster_offsets, none]))
+        x, _ = self._fit_pixels(
+            state, x, starts=settings.NORMALS_STARTS, exact_steps=6, free_normals=True
+        )
+        self.state = replace(state, x=x)
+        for _ in range(settings.NORMALS_DIELECTRIC_TRIAL_STEPS):
+            if not self._joint_step():
                 break
-        return self._alone(self.state, self._squares(self.state.x), bound, variance)
 
-    def _alone(self, state: State, squares: Array, bound: float, variance: float) -> float:
-        """The sum without what roughness and metallic are drawn to."""
-        return _bounded(squares, bound) + self.prior.cost(self._tilts(state.x), variance)
-
-    def _scale(self) -> None:
+    def _try_light_scales(self) -> None:
         """Try other scales between albedo and lights: the loss is flat along them, and curved."""
-        few, state = self.few, self.state
-        assert few.lighting is not None
-        squares = self._squares(state.x)
-        variance, bound = noise_variance(self.few, squares), _bound(squares)
-        least = self._total(state, self._with_pull(state, squares), bound, variance)
-        for factor in SCALES:
-            trial = state.x.copy()
-            trial[few.lighting] *= factor
-            trial[few.albedo] = np.clip(trial[few.albedo] / factor, 0, 1)
-            trial, squares = self._fitted(state, trial, starts=0, steps=0, exact_steps=6, turn=True)
-            scaled = State(trial, state.offsets)
-            total = self._total(scaled, self._with_pull(scaled, squares), bound, variance)
+        subset, state = self.subset, self.state
+        sums = pixel_sums(subset, state.x)
+        variance, bound = noise_variance(subset, sums), _loss_bound(sums)
+        least = self._total(state, self._with_material_prior(state, sums), bound, variance)
+        for factor in settings.LIGHT_SCALE_TRIALS:
+            x, sums = self._fit_pixels(
+                state,
+                with_scaled_lights(subset, state.x, factor),
+                starts=0,
+                exact_steps=6,
+                free_normals=True,
+            )
+            trial = replace(state, x=x)
+            total = self._total(trial, self._with_material_prior(trial, sums), bound, variance)
             if total < least:
-                least, self.state = total, scaled
+                least, self.state = total, trial
 
-    def _total(self, state: State, costs: Array, bound: float, variance: float) -> float:
-        tilts = self._tilts(state.x)
-        held = self._offset_pull * self._pull.sums(self._pull.precision) * state.offsets**2
-        return _bounded(costs, bound) + float(held.sum()) + self.prior.cost(tilts, variance)
-
-    def _followed(self, before: State, trial: State) -> tuple[State, Array]:
-        """Pixels after a step, each from where it led and from where they were; and their costs."""
-        moved, squares = self._fitted(trial, trial.x, starts=0, steps=0, exact_steps=2, turn=False)
-        stayed = trial.x.copy()
-        materials = taken(self.few, before.x, slice(None)).copy()
-        materials[:, -2:] = taken(self.few, trial.x, slice(None))[:, -2:]
-        place(self.few, stayed, slice(None), materials)
-        stayed, squares_then = self._fitted(
-            trial, stayed, starts=0, steps=0, exact_steps=3, turn=False
-        )
-        states = [State(x, trial.offsets) for x in (moved, stayed)]
-        costs = [
-            self._with_pull(state, left)
-            for state, left in zip(states, (squares, squares_then), strict=True)
-        ]
-        better = costs[1] < costs[0]
-        chosen = np.where(
-            better[:, None],
-            taken(self.few, stayed, slice(None)),
-            taken(self.few, moved, slice(None)),
-        )
-        place(self.few, moved, slice(None), chosen)
-        return State(moved, trial.offsets), np.where(better, costs[1], costs[0])
+    def _total(self, state: SubsetState, costs: Array, bound: float, variance: float) -> float:
+        """What is lowered: bounded losses of the pixels' `costs` (P,), and priors of offsets."""
+        prior = self._material_prior
+        of_clusters = self._cluster_offset_precision * prior.sums(prior.precision)
+        held = of_clusters * state.cluster_offsets**2
+        return _bounded_loss(costs, bound) + float(held.sum()) + self._offset_cost(state, variance)
 
 
-def _bound(squares: Array) -> float:
+def _loss_bound(sums: Array) -> float:
     """τ."""
-    typical = float(np.quantile(squares, QUANTILE))
-    return max(OUTLYING * typical, float(np.finfo(np.float64).tiny))
+    typical = float(np.quantile(sums, settings.NORMALS_LOSS_BOUND_QUANTILE))
+    return max(settings.NORMALS_LOSS_BOUND * typical, float(np.finfo(np.float64).tiny))
 
 
-def _bounded(costs: Array, bound: float) -> float:
+def _bounded_loss(costs: Array, bound: float) -> float:
     """Σ ρ(c), with τ = `bound`."""
     return float((bound * costs / (bound + costs)).sum())
-
-
-def _nodes(objective: Objective) -> tuple[Array, Array]:
-    known = objective.known_metallic
-    return ROUGHNESS, METALLIC if known is None else np.array([known])

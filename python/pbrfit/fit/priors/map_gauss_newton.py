@@ -1,4 +1,4 @@
-"""Joint Gauss-Newton steps for lights and the materials of some pixels, pulled to given values.
+"""Joint Gauss-Newton steps for lights and the materials of some pixels with a Gaussian prior.
 
 L-BFGS hardly moves along the valleys that the problem has: when a channel's albedo is scaled and
 its lights undo it, little but the highlights of dielectrics changes, and many pixels have to
@@ -7,8 +7,8 @@ roughness and metallic of some pixels, the lights, and an offset δ for each clu
 
     Σ ω (I − T)² + Σ_pf a_pf (v_pf − c_pf − δ_g(p)f)² + s Σ_gf (Σ_{p in g} a_pf) δ_gf²
 
-with v = roughness and metallic (f), pulled with precision a towards c. The offsets let a cluster
-move as a whole; without them each step of many pixels would have to be won against their pulls.
+with the prior of `GaussianPrior`. Without the offsets each step of many pixels would have to be won
+against their priors.
 
 Pixels are solved for first, which leaves a dense system in lights and offsets (Schur complement,
 as in `normal_equations`). After each step albedo is put to its best value for the new lights,
@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.gauss_newton.normal_equations import (
     Cholesky,
     Eliminated,
@@ -33,57 +34,9 @@ from pbrfit.fit.gauss_newton.normal_equations import (
 )
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
-
-OFFSET_PULL = 1e-3
-"""s: offsets are pulled to 0 by this share of the pull that their pixels feel."""
-
-FIRST_DAMPING = 1e-3
-"""Of the diagonal of each pixel's matrix, as in Marquardt's method."""
-
-LIGHT_DAMPING = 1e-3
-"""Damping of the lights, as a share of that of pixels: their system is what we are here for."""
-
-SMALLEST_DAMPING = 1e-6
-
-FAILURES = 4
-"""Steps in a row that may fail, each followed by ten times the damping."""
-
-ENOUGH = 1e-5
-"""A step that lowers the sum by less than this share of it is the last."""
-
-
-@dataclass(frozen=True, eq=False)
-class Pull:
-    """Where pixels are pulled; F = 2 for roughness and metallic, or 1 where the latter is known.
-
-    Attributes
-    ----------
-    centre, precision
-        (P, F): c, and a in units of squared residuals.
-    cluster
-        (P,): which offset a pixel has.
-    clusters
-        Number of clusters.
-    """
-
-    centre: Array
-    precision: Array
-    cluster: NDArray[np.intp]
-    clusters: int
-
-    def offset_precision(self) -> Array:
-        """Σ a over the pixels of a cluster, (clusters, F)."""
-        return self.sums(self.precision)
-
-    def sums(self, values: Array) -> Array:
-        """Of (P, F) over the pixels of each cluster, (clusters, F)."""
-        columns = [
-            np.bincount(self.cluster, weights=column, minlength=self.clusters)
-            for column in values.T
-        ]
-        return np.stack(columns, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +49,7 @@ class _State:
 
 
 def minimize(
-    objective: Objective, x: Array, pixels: NDArray[np.uint64], pull: Pull, steps: int
+    objective: Objective, x: Array, pixels: NDArray[np.uint64], prior: GaussianPrior, steps: int
 ) -> tuple[Array, int]:
     """Steps from x that lower the sum; returns x and how many they were.
 
@@ -108,43 +61,45 @@ def minimize(
         Where to start. Other pixels' materials stay.
     pixels
         (Q,) indices of the pixels that take part.
-    pull
-        Of these pixels.
+    prior
+        Of these pixels, (Q, F).
     steps
         At most so many.
     """
     x = x.copy()
-    state = _with_best_albedo(
-        objective, x, pixels, pull, np.zeros((pull.clusters, pull.centre.shape[1]))
-    )
-    damping, done, failed = FIRST_DAMPING, 0, 0
-    while done < steps and failed < FAILURES:
+    offsets = np.zeros_like(prior.cluster_precision)
+    state = _with_best_albedo(objective, x, pixels, prior, offsets)
+    damping, done, failed = settings.DAMPING_START, 0, 0
+    while done < steps and failed < settings.PRIOR_FAILED_STEPS_MAX:
         try:
-            moved = _step(objective, x, state, pixels, pull, damping)
+            moved = _step(objective, x, state, pixels, prior, damping)
         except np.linalg.LinAlgError:
             moved = None
         if moved is None or not moved.total < state.total:
             objective.put_part(x, pixels, state.part)
-            damping, failed = 10 * damping, failed + 1
+            damping, failed = settings.DAMPING_GROWTH * damping, failed + 1
             continue
         gain = state.total - moved.total
         state, done, failed = moved, done + 1, 0
-        damping = max(damping / 5, SMALLEST_DAMPING)
-        if gain < ENOUGH * state.total:
+        damping = max(damping / settings.DAMPING_DECAY, settings.PRIOR_DAMPING_MIN)
+        if gain < settings.PRIOR_GAIN_MIN * state.total:
             break
     return x, done
 
 
 def _with_best_albedo(
-    objective: Objective, x: Array, pixels: NDArray[np.uint64], pull: Pull, offsets: Array
+    objective: Objective, x: Array, pixels: NDArray[np.uint64], prior: GaussianPrior, offsets: Array
 ) -> _State:
     """The state of x, whose albedo is put to its best."""
-    squares = objective.put_best_albedo(x, pixels)
+    sum_sq = objective.put_best_albedo(x, pixels)
     values = np.stack([x[block][pixels] for block in objective.layout.roughness_metallic], axis=-1)
-    off = values - pull.centre - offsets[pull.cluster]
-    pulled = float((pull.precision * off**2).sum())
-    held = OFFSET_PULL * float((pull.offset_precision() * offsets**2).sum())
-    return _State(objective.part_of(x, pixels), offsets, float(squares.sum()) + pulled + held)
+    deviation = prior.deviation(values, offsets)
+    of_pixels = float((prior.precision * deviation**2).sum())
+    of_offsets = settings.OFFSET_PRECISION_SHARE * float(
+        (prior.cluster_precision * offsets**2).sum()
+    )
+    total = float(sum_sq.sum()) + of_pixels + of_offsets
+    return _State(objective.part_of(x, pixels), offsets, total)
 
 
 def _step(
@@ -152,21 +107,21 @@ def _step(
     x: Array,
     state: _State,
     pixels: NDArray[np.uint64],
-    pull: Pull,
+    prior: GaussianPrior,
     damping: float,
 ) -> _State:
     """One damped step of x, which is in `state`. Half the sum's derivatives are used throughout."""
     layout = objective.layout
     for_core = objective.for_core(x)
     values = x[layout.maps].reshape(-1, layout.pixels)[:, pixels].T  # (Q, D)
-    finish = slice(layout.channels, None)
-    off = values[:, finish] - pull.centre - state.offsets[pull.cluster]
+    roughness_metallic = slice(layout.channels, None)
+    deviation = prior.deviation(values[:, roughness_metallic], state.offsets)
     precision = np.zeros_like(values)
-    precision[:, finish] = pull.precision
+    precision[:, roughness_metallic] = prior.precision
 
     # Pixels: those on a bound that would leave it are held.
     _, by_materials, _ = objective.problem.normal_equations(for_core, pixels)
-    by_materials[:, finish] += pull.precision * off
+    by_materials[:, roughness_metallic] += prior.precision * deviation
     held = ((values <= 0) & (by_materials > 0)) | ((values >= 1) & (by_materials < 0))
     part = eliminate(
         objective.problem, for_core, layout, pixels, held, precision=precision, damping=damping
@@ -179,16 +134,16 @@ def _step(
         pixels,
         damping=damping,
         mono=layout.light_channels < layout.channels,
-        precision=pull.precision,
-        deviation=off,
+        precision=prior.precision,
+        deviation=deviation,
     )
-    system = _System.of(part, of_lights, pull, layout)
-    tied = np.einsum("pfg,pf->pg", system.by_offsets, whitened[:, finish])
-    by_offsets = OFFSET_PULL * pull.offset_precision() * state.offsets
-    by_offsets -= pull.sums(pull.precision * off + tied)
+    system = _System.of(part, of_lights, prior, layout)
+    tied = np.einsum("pfg,pf->pg", system.by_offsets, whitened[:, roughness_metallic])
+    by_offsets = settings.OFFSET_PRECISION_SHARE * prior.cluster_precision * state.offsets
+    by_offsets -= prior.sums(prior.precision * deviation + tied)
     gradient = np.concatenate([by_lights, by_offsets.ravel()])
 
-    moves = -Cholesky(system.matrix, LIGHT_DAMPING * damping).solve(gradient)
+    moves = -Cholesky(system.matrix, settings.LIGHT_DAMPING * damping).solve(gradient)
     lights = moves[: by_lights.size].reshape(
         layout.light_channels, layout.pictures, layout.coefficients
     )
@@ -202,11 +157,13 @@ def _step(
         part.by_light,
     )
     whitened += np.einsum("pdnc,pnc->pd", part.rows, of_samples)
-    whitened[:, finish] += np.einsum("pfg,pg->pf", system.by_offsets, offsets[pull.cluster])
+    whitened[:, roughness_metallic] += np.einsum(
+        "pfg,pg->pf", system.by_offsets, offsets[prior.cluster]
+    )
     values = np.clip(values - np.einsum("pij,pi->pj", part.whiten, whitened), 0, 1)
     x[layout.maps].reshape(-1, layout.pixels)[:, pixels] = values.T
     x[layout.lighting] += as_in_x(moves[: by_lights.size], layout)
-    return _with_best_albedo(objective, x, pixels, pull, state.offsets + offsets)
+    return _with_best_albedo(objective, x, pixels, prior, state.offsets + offsets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,21 +182,26 @@ class _System:
     by_offsets: Array
 
     @classmethod
-    def of(cls, part: Eliminated, of_lights: Array, pull: Pull, layout: ParameterLayout) -> _System:
-        finish = slice(layout.channels, None)
-        by_offsets = -part.whiten[:, finish, finish] * pull.precision[:, None, :]
+    def of(
+        cls, part: Eliminated, of_lights: Array, prior: GaussianPrior, layout: ParameterLayout
+    ) -> _System:
+        assert prior.cluster is not None
+        roughness_metallic = slice(layout.channels, None)
+        by_offsets = (
+            -part.whiten[:, roughness_metallic, roughness_metallic] * prior.precision[:, None, :]
+        )
         shape = (layout.pictures, layout.light_channels, layout.coefficients)
         in_core = np.arange(len(of_lights)).reshape(shape).transpose(1, 0, 2).ravel()
-        f = pull.precision.shape[1]
-        size, count = len(of_lights), pull.clusters * f
+        f = prior.precision.shape[1]
+        size, count = len(of_lights), prior.clusters * f
         matrix = np.zeros((size + count, size + count))
         matrix[:size, :size] = of_lights
-        total = (1 + OFFSET_PULL) * pull.offset_precision().ravel()
+        total = (1 + settings.OFFSET_PRECISION_SHARE) * prior.cluster_precision.ravel()
         matrix[size:, size:] = np.diag(total)
         for chunk in chunks(len(by_offsets), 8 * f * (size + count)):
             of_chunk = by_offsets[chunk]
-            columns = np.zeros((len(of_chunk), f, pull.clusters, f))
-            columns[np.arange(len(of_chunk)), :, pull.cluster[chunk]] = of_chunk
+            columns = np.zeros((len(of_chunk), f, prior.clusters, f))
+            columns[np.arange(len(of_chunk)), :, prior.cluster[chunk]] = of_chunk
             by_offset = columns.reshape(-1, count)
             crossed = part.light_rows(chunk, layout).T @ by_offset
             crossed = crossed[in_core]

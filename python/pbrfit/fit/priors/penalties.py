@@ -30,7 +30,7 @@ class Penalty(Protocol):
 def penalties(layout: ParameterLayout, priors: Priors) -> list[Penalty]:
     """Penalties of weight above 0 that have something to act on.
 
-    The learnt prior on materials is none of them: it changes while a fit runs. Nor is a monochrome
+    The mixture prior on materials is none of them: it changes while a fit runs. Nor is a monochrome
     weight that is to be chosen.
     """
     found: list[Penalty] = []
@@ -46,10 +46,10 @@ def penalties(layout: ParameterLayout, priors: Priors) -> list[Penalty]:
 
 
 class Cohesion:
-    """Pull of roughness and metallic towards the mean of their segment.
+    """Roughness and metallic near the mean of their segment.
 
     w/P Σ_i (v_i − v̄_s(i))² for v = r and v = m, over the classified pixels i. P counts all valid
-    pixels, as in the data term, so that the pull at a pixel beside its own data does not depend on
+    pixels, as in the data term, so that what a pixel feels beside its own data does not depend on
     how many others are classified.
 
     The mean moves with its pixels, but contributes nothing to the gradient:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors.material import FittedPrior, HeldPull, MaterialPull
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.material import FittedPrior
 from pbrfit.fit.priors.penalties import Penalty
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
@@ -83,9 +84,8 @@ class SharedState:
         known = np.isfinite(centre) & (layout.segments > 0)[:, None]
         precision = np.where(known, weight, 0.0)
         centre = np.where(known, centre, 0.0)
-        return [
-            HeldPull(centre, precision, layout.roughness_metallic, 1 / layout.pixels, "cohesion")
-        ]
+        blocks, factor = layout.roughness_metallic, 1 / layout.pixels
+        return [GaussianPrior(centre, precision, None, blocks, factor, "cohesion")]
 
 
 class Run:
@@ -122,7 +122,7 @@ class Run:
         self.scene, self.objective, self.options = scene, objective, options
         self._iteration_limit = options.iterations
         self.measured_lighting: Array | None = None
-        self.fitted_prior: tuple[FittedPrior, MaterialPull] | None = None
+        self.fitted_prior: tuple[FittedPrior, GaussianPrior] | None = None
         self._truth = None if scene.truth is None else scene.truth.materials
         self._progress = progress
         self._began = began

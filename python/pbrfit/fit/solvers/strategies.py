@@ -13,8 +13,8 @@ from pbrfit.fit import gauss_newton as joint
 from pbrfit.fit.gauss_newton import LightEstimate
 from pbrfit.fit.gauss_newton.pixels import put
 from pbrfit.fit.plan import FitPlan
-from pbrfit.fit.priors import material
-from pbrfit.fit.priors.material import HeldPull, MaterialPull
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.material import fit_prior
 from pbrfit.fit.priors.penalties import Penalty, penalties
 from pbrfit.fit.settings import (
     DATA_SHARE_OF_ITERATIONS,
@@ -109,8 +109,9 @@ def _by_lbfgs(
 def _may_be_better(run: Run, lights: LightEstimate, by_lbfgs: Array) -> bool:
     """Whether all pixels need be fitted to tell, judged by the validation pixels."""
     objective = run.objective
-    *_, squares = objective.problem.normal_equations(objective.for_core(by_lbfgs), lights.judges)
-    share = lights.squares / max(float(squares.sum()), np.finfo(np.float64).tiny)
+    x, pixels = objective.for_core(by_lbfgs), lights.validation_pixels
+    *_, squares = objective.problem.normal_equations(x, pixels)
+    share = lights.sum_sq_residuals / max(float(squares.sum()), np.finfo(np.float64).tiny)
     least, most = SAME_FIT_OF_VALIDATION_PIXELS
     return _goes_on(run) and (share <= FAR_BETTER or least <= share <= most)
 
@@ -154,10 +155,10 @@ def find_lights(run: Run, x: Array) -> LightEstimate:
 def fit_materials(run: Run, lights: LightEstimate) -> Array | None:
     """X with the squares of all pixels as low as they get; None if time ran out before."""
     with run.stage("all pixels by Gauss-Newton") as notes:
-        fit = joint.fit_materials(run.objective, lights.x, _Watch(run, lights.x))
-        if fit is None:
+        done = joint.fit_materials(run.objective, lights.x, _Watch(run, lights.x))
+        if done is None:
             notes.append("stopped before all pixels had lights")
-    return None if fit is None else fit.x
+    return None if done is None else lights.x
 
 
 def with_material_prior(run: Run, x: Array) -> Array:
@@ -176,7 +177,7 @@ def with_material_prior(run: Run, x: Array) -> Array:
     if prior is None:
         return x
     with run.stage("all pixels by Gauss-Newton, with the material prior"):
-        joint.fit_pulled(run.objective, x, prior, _Watch(run, x))
+        joint.fit_with_prior(run.objective, x, prior, _Watch(run, x))
     return x
 
 
@@ -185,7 +186,7 @@ def has_mixture_prior(run: Run) -> bool:
     return run.options.priors.material > 0
 
 
-def fit_mixture_prior(run: Run, x: Array) -> tuple[Array, MaterialPull | HeldPull | None]:
+def fit_mixture_prior(run: Run, x: Array) -> tuple[Array, GaussianPrior | None]:
     """X with the material prior fitted around it, which is a penalty from here on; one iteration.
 
     Where time runs out before, x is as it was and there is no prior.
@@ -214,13 +215,13 @@ def fit_mixture_prior(run: Run, x: Array) -> tuple[Array, MaterialPull | HeldPul
     return x, prior
 
 
-def _fitted_by(run: Run, x: Array) -> tuple[Array, MaterialPull | HeldPull] | None:
+def _fitted_by(run: Run, x: Array) -> tuple[Array, GaussianPrior] | None:
     """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
     reweighted = run.objective.reweighted(x)
     if run.shared_state is not None:
         assert run.shared_state.material is not None
         return run.shared_state.material.applied(reweighted, x, run.out_of_time)
-    found = material.learn(reweighted, x, run.options.priors.material, out_of_time=run.out_of_time)
+    found = fit_prior(reweighted, x, run.options.priors.material, stop=run.out_of_time)
     if found is None:
         return None
     x, prior, fitted = found

@@ -1,41 +1,87 @@
-"""The fit of a large picture: a lattice of its pixels, then tile by tile."""
+"""The fit of a large picture: a strided subset of its pixels, then tile by tile."""
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import uncertainty
+from pbrfit.fit import settings, uncertainty
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.solvers.run import Run, SharedState, material_errors
-from pbrfit.fit.tiles.canvas import Canvas
-from pbrfit.fit.tiles.part import Parts
-from pbrfit.fit.tiles.subset_fit import Lattice, fit_lattice
-from pbrfit.fit.tiles.tiling import FEW, MARGIN, THIN_MARGIN, TILE, Tile, lattice, tiles
-from pbrfit.fit.tiles.total import Total
+from pbrfit.fit.tiles.maps import TiledMaps
+from pbrfit.fit.tiles.subset_fit import SubsetResult, fit_subset
+from pbrfit.fit.tiles.windows import SceneCutter, Tile, strided_window, tiles
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, Start
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
-from pbrfit.result.options import Priors
+from pbrfit.result.options import FitOptions, Priors
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
+SUBSET_PIXELS = (settings.TILES_SUBSET_PIXELS_MIN, settings.TILES_SUBSET_PIXELS_MAX)
+
+
+class Totals:
+    """Samples of a whole scene, and what is left of the tiles so far.
+
+    Attributes
+    ----------
+    channels, pixels, samples, weight
+        How many channels are fitted, pixels are valid and samples have a weight, and the sum of the
+        weights, of which the largest is 1.
+    """
+
+    def __init__(self, scene: Scene, units: Normalization, channels: int) -> None:
+        self._scale, self.channels = units.scale, channels
+        self._loss_sum = self._weight_sum = 0.0
+        self.pixels = int(np.count_nonzero(scene.valid))
+        if scene.weights is None or not scene.weighted:
+            self.samples = channels * len(scene.images) * self.pixels
+            self.weight = float(self.samples)
+            return
+        self.samples, self.weight = 0, 0.0
+        for of_picture in scene.weights:
+            inside = of_picture[scene.valid]
+            self.samples += channels * int(np.count_nonzero(inside))
+            self.weight += channels * float(inside.sum(dtype=np.float64)) / units.largest_weight
+
+    def add(self, objective: Objective, x: Array) -> None:
+        """One more tile; pixels of its margin count twice."""
+        self._loss_sum += objective.data_value_and_grad(x)[0] * objective.total_weight
+        self._weight_sum += objective.total_weight
+
+    @property
+    def mean(self) -> float:
+        """Loss of the data."""
+        return self._loss_sum / self._weight_sum
+
+    @property
+    def rmse(self) -> float:
+        """In picture units."""
+        return math.sqrt(self.mean) * self._scale
+
 
 def fit_tiles(
-    scene: Scene, setup: FitSetup, start: Start, *, few: int = FEW, side: int = TILE
+    scene: Scene,
+    setup: FitSetup,
+    start: Start,
+    *,
+    subset_pixels: tuple[int, int] = SUBSET_PIXELS,
+    side: int = settings.TILE_SIDE,
 ) -> FitOutput:
     """Fit a scene: some of its pixels together, then all of them in tiles.
 
     Parameters
     ----------
-    few
-        Pixels that find the lights, at most.
+    subset_pixels
+        Pixels that find the lights, at least and at most.
     side
         Rows and columns of a tile, at most.
     """
@@ -43,80 +89,73 @@ def fit_tiles(
 
     # Sums split over threads would round differently on a machine with more processors.
     with threadpool_limits(1, user_api="blas"):
-        return _fit_tiles(scene, setup, start, few, side)
+        return _fit_tiles(scene, setup, start, subset_pixels, side)
 
 
-def _fit_tiles(scene: Scene, setup: FitSetup, start: Start, few: int, side: int) -> FitOutput:
-    units = Normalization.of(scene, setup.options.equal_exposures)
-    parts = Parts(scene)
-    known = fit_lattice(parts, lattice(scene.valid, few), setup, units, start)
+def _fit_tiles(
+    scene: Scene, setup: FitSetup, start: Start, subset_pixels: tuple[int, int], side: int
+) -> FitOutput:
+    options = setup.options
+    units = Normalization.of(scene, options.equal_exposures)
+    cutter = SceneCutter(scene)
+    window = strided_window(scene.valid, *subset_pixels)
+    subset = fit_subset(cutter, window, setup, units, start)
     layout = setup.layout(scene)
-    canvas = Canvas(scene, layout, uncertain=setup.options.uncertainty)
-    refined = known.refinement.refined
-    margin = MARGIN if setup.options.priors.smoothness or refined else THIN_MARGIN
+    maps = TiledMaps(scene, layout, uncertain=options.uncertainty)
+    smooth = options.priors.smoothness or subset.refinement.refined
+    margin = settings.TILE_MARGIN_SMOOTH if smooth else settings.TILE_MARGIN
     pieces = list(tiles(scene.valid, margin, side))
-    whole = Total(scene, units, layout.channels)
-    clock, late, cut_short = known.run, 0, 0
+    whole = Totals(scene, units, layout.channels)
+    clock, statuses = subset.run, list[Status]()
     began, passes = clock.elapsed, 0.0
-    clock.tell_tile((0, len(pieces)), clock.rows[-1].recon_rmse, lambda: _maps(canvas, known))
-    for number, tile in enumerate(pieces, 1):
-        run, x, status = _fit_tile(tile, known, parts, setup, units, whole)
-        late += status is Status.TIME_LIMIT
-        cut_short += status is Status.ITERATION_LIMIT
-        canvas.put(tile, run.scene, run.objective.unpack(x)[0])
+
+    def state() -> tuple[Materials, Array]:
+        return maps.materials, subset.lighting
+
+    clock.tell_tile((0, len(pieces)), clock.rows[-1].recon_rmse, state)
+    for tile in pieces:
+        run, x, status = _fit_tile(tile, subset, cutter, setup, units, whole)
+        statuses.append(status)
+        maps.put(tile, run.scene, run.objective.unpack(x)[0])
         whole.add(run.objective, x)
         passes += run.evaluations * run.objective.pixels / whole.pixels
-        if setup.options.uncertainty:
+        if options.uncertainty:
             before = time.perf_counter()
-            canvas.put_variances(
-                tile, run.scene, uncertainty.variances(run.objective, x, known.modes)
-            )
+            variances = uncertainty.variances(run.objective, x, subset.light_modes)
+            maps.put_variances(tile, run.scene, variances)
             clock.unmeasured += time.perf_counter() - before
         del run, x  # before the next tile has its own
-        clock.tell_tile((number, len(pieces)), whole.rmse, lambda: _maps(canvas, known))
+        clock.tell_tile((len(statuses), len(pieces)), whole.rmse, state)
+    of_pixels = f"{subset.pixels} of {layout.pixels} pixels"
     clock.stages.append(
         Stage(
             "all pixels in tiles, lights held",
             clock.elapsed - began,
-            f"{len(pieces)} tiles; lights from {known.pixels} of {layout.pixels} pixels",
+            f"{len(pieces)} tiles; lights from {of_pixels}",
         )
     )
     clock.evaluations += round(passes)
     seconds = clock.elapsed
-    errors = {}
-    if scene.truth is not None:
-        errors = material_errors(canvas.materials, scene.truth.materials)
+    truth = scene.truth
+    errors = {} if truth is None else material_errors(maps.materials, truth.materials)
     clock.rows.append(
         HistoryRow(seconds, clock.iteration, clock.evaluations, whole.mean, whole.rmse, **errors)
     )
-    status, reason = known.status, known.reason
-    if late:
-        status = Status.TIME_LIMIT
-        reason = (
-            f"time limit of {setup.options.time_limit:g} s reached: {late} of {len(pieces)} tiles "
-            "are unfinished"
-        )
-    elif status is Status.TIME_LIMIT:
-        reason = (
-            f"half of the time limit of {setup.options.time_limit:g} s was not enough for lights"
-        )
-    elif status is Status.CONVERGED and cut_short:
-        status = Status.ITERATION_LIMIT
-        reason = f"{setup.options.iterations} iterations done in {cut_short} of {len(pieces)} tiles"
     deviations = None
-    if canvas.variances is not None:
+    if maps.variances is not None:
         deviations = uncertainty.of_variances(
-            canvas.variances,
+            maps.variances,
             layout,
-            known.modes,
+            subset.light_modes,
             samples=whole.samples,
             scale=units.scale,
-            priors=setup.options.priors != Priors.none(),
+            priors=options.priors != Priors.none(),
         )
+    status, reason = ending(subset.status, subset.reason, statuses, options)
     return FitOutput(
-        materials=canvas.materials,
-        lighting=known.lighting,
-        normals=canvas.normals,
+        materials=maps.materials,
+        lighting=subset.lighting,
+        normals=maps.normals,
         uncertainty=deviations,
         status=status,
         reason=reason,
@@ -125,52 +164,74 @@ def _fit_tiles(scene: Scene, setup: FitSetup, start: Start, few: int, side: int)
         iterations=clock.iteration,
         stages=tuple(clock.stages),
         seconds=seconds,
-        refinement=known.refinement,
+        refinement=subset.refinement,
         exposures=units.exposures,
         measured_lighting=clock.measured_lighting,
     )
 
 
-def _maps(canvas: Canvas, known: Lattice) -> tuple[Materials, Array]:
-    return canvas.materials, known.lighting
+def ending(
+    status: Status, reason: str, of_tiles: list[Status], options: FitOptions
+) -> tuple[Status, str]:
+    """Why a tiled fit ended, from why its subset did and each of its tiles."""
+    late = of_tiles.count(Status.TIME_LIMIT)
+    cut_short = of_tiles.count(Status.ITERATION_LIMIT)
+    if late:
+        return Status.TIME_LIMIT, (
+            f"time limit of {options.time_limit:g} s reached: {late} of {len(of_tiles)} tiles "
+            "are unfinished"
+        )
+    if status is Status.TIME_LIMIT:
+        half = f"half of the time limit of {options.time_limit:g} s"
+        return status, f"{half} was not enough for lights"
+    if status is Status.CONVERGED and cut_short:
+        done = f"{options.iterations} iterations done"
+        return Status.ITERATION_LIMIT, f"{done} in {cut_short} of {len(of_tiles)} tiles"
+    return status, reason
 
 
 def _fit_tile(
-    tile: Tile, known: Lattice, parts: Parts, setup: FitSetup, units: Normalization, whole: Total
+    tile: Tile,
+    subset: SubsetResult,
+    cutter: SceneCutter,
+    setup: FitSetup,
+    units: Normalization,
+    whole: Totals,
 ) -> tuple[Run, Array, Status]:
     """The run of a tile, its x, and why it ended; `whole` is of the scene."""
-    # Nobody reads the history of a tile, so it need not know the truth.
-    part = replace(parts.cut(tile.outer, known.lighting), truth=None)
-    near, normals = known.near.at(tile.outer)
-    priors, taught = _of_part(known, Total(part, units, whole.channels), whole)
+    # Nobody reads the history of a tile, so it need not know the ground truth.
+    part = replace(cutter.cut(tile.outer, subset.lighting), truth=None)
+    near, normals = subset.nearest.at(tile.outer)
+    priors, shared_state = _scaled_to(subset, Totals(part, units, whole.channels), whole)
     setup = replace(setup, options=replace(setup.options, priors=priors), progress=None)
 
     def objective_of(of: Scene, free_normals: bool) -> Objective:
         objective = setup.objective(of, free_normals=free_normals, units=units)
         if not free_normals:
-            objective.penalties += taught.penalties(objective.layout)
+            objective.penalties += shared_state.penalties(objective.layout)
         return objective
 
     objective = objective_of(part, False)
-    run = setup.run(part, objective, taught)
-    run.unmeasured = known.run.unmeasured
+    run = setup.run(part, objective, shared_state)
+    run.unmeasured = subset.run.unmeasured
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
     if run.out_of_time():
         return run, x, Status.TIME_LIMIT
+    refined = subset.refinement.refined
     found, _ = refined_fit.fit(
         run,
         x,
         objective_of,
         start_given=True,
-        asked="on" if known.refinement.refined else "off",
+        asked="on" if refined else "off",
         hindered=None,
-        turned=normals[part.valid] if known.refinement.refined else None,
+        normals=normals[part.valid] if refined else None,
     )
     return found.run, found.x, found.status
 
 
-def _of_part(known: Lattice, part: Total, whole: Total) -> tuple[Priors, SharedState]:
+def _scaled_to(subset: SubsetResult, part: Totals, whole: Totals) -> tuple[Priors, SharedState]:
     """What a part's priors and penalties weigh, so that they are as strong as in the whole.
 
     The data term is a mean by weight. Beside that of the whole, smoothness is a sum, and sparsity
@@ -178,14 +239,14 @@ def _of_part(known: Lattice, part: Total, whole: Total) -> tuple[Priors, SharedS
     """
     share = part.weight / whole.weight
     density = share / (part.pixels / whole.pixels)
-    taught = known.taught
-    if taught.cohesion is not None:
-        means, weight = taught.cohesion
-        taught = replace(taught, cohesion=(means, weight / density))
+    shared_state = subset.shared_state
+    if shared_state.cohesion is not None:
+        means, weight = shared_state.cohesion
+        shared_state = replace(shared_state, cohesion=(means, weight / density))
     priors = replace(
-        known.priors,
-        smoothness=known.priors.smoothness / share,
-        sparsity=known.priors.sparsity / density,
-        cohesion=0.0,  # means of segments are held, so it is a pull that was taught
+        subset.priors,
+        smoothness=subset.priors.smoothness / share,
+        sparsity=subset.priors.sparsity / density,
+        cohesion=0.0,  # means of segments are held: a penalty of the shared state
     )
-    return priors, taught
+    return priors, shared_state

@@ -1,4 +1,4 @@
-"""The fit of a lattice of pixels, and what all others take over from it."""
+"""The fit of a strided subset of the pixels, and what all others take over from it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pbrfit.fit import uncertainty
 from pbrfit.fit.objective import Normalization, Objective, valid_values
 from pbrfit.fit.solvers.run import Run, SharedState
-from pbrfit.fit.tiles.nearest import Nearest
-from pbrfit.fit.tiles.part import Parts, Window, cut
+from pbrfit.fit.tiles.maps import NearestMaps
+from pbrfit.fit.tiles.windows import SceneCutter, Window, cut_maps
 from pbrfit.fit.whole_picture import FitSetup, Start, fit_pixels
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Status
@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
-    """What a lattice of pixels found.
+class SubsetResult:
+    """What a subset of the pixels found.
 
     Attributes
     ----------
@@ -38,11 +38,11 @@ class Lattice:
         (N, 16, 3) in picture units.
     refinement
         What was decided about normals.
-    taught, priors
+    shared_state, priors
         What tiles have in common, and the priors that they have then.
-    modes
+    light_modes
         How the lights may move; None where they are known or nobody asked.
-    near
+    nearest
         Materials and normals to start from.
     """
 
@@ -52,15 +52,15 @@ class Lattice:
     pixels: int
     lighting: Array
     refinement: Refinement
-    taught: SharedState
+    shared_state: SharedState
     priors: Priors
-    modes: uncertainty.LightModes | None
-    near: Nearest
+    light_modes: uncertainty.LightModes | None
+    nearest: NearestMaps
 
 
-def fit_lattice(
-    parts: Parts, window: Window, setup: FitSetup, units: Normalization, start: Start
-) -> Lattice:
+def fit_subset(
+    cutter: SceneCutter, window: Window, setup: FitSetup, units: Normalization, start: Start
+) -> SubsetResult:
     """Fit the pixels of a window of a scene as if they were all.
 
     `units` are those of the scene. Of a time limit half is left to the tiles.
@@ -68,40 +68,40 @@ def fit_lattice(
     options = setup.options
     if options.time_limit is not None:
         setup = replace(setup, options=replace(options, time_limit=options.time_limit / 2))
-    whole, scene = parts.scene, parts.cut(window)
+    whole, scene = cutter.scene, cutter.cut(window)
     if start is not None:
         start = _of_window(start, window, whole.valid)
     found, refinement = fit_pixels(scene, setup, start, units)
     run, x = found.run, found.x
     objective = run.objective
     materials, lighting = objective.unpack(x)
-    modes = None
+    light_modes = None
     if setup.options.uncertainty:
         began = time.perf_counter()
         pixels = int(np.count_nonzero(whole.valid))
-        modes = uncertainty.light_modes(objective, x, of_pixels=pixels)
+        light_modes = uncertainty.light_modes(objective, x, of_pixels=pixels)
         run.unmeasured += time.perf_counter() - began
-    lesson = None
+    material, priors = None, setup.options.priors
     if run.fitted_prior is not None:
-        learnt, pull = run.fitted_prior
-        lesson = learnt.moved(pull, x)
-    taught = SharedState(
-        material=lesson,
-        robust=objective.robust,
-        cohesion=_means_of_segments(objective, x, setup.options.priors.cohesion),
-    )
-    return Lattice(
+        fitted, pull = run.fitted_prior
+        material = fitted.moved(pull, x)
+    else:  # the subset had no time or no use for the fitted prior: tiles have none either
+        priors = replace(priors, material=0.0)
+    return SubsetResult(
         run=run,
         status=found.status,
         reason=found.reason,
         pixels=objective.pixels,
         lighting=lighting,
         refinement=refinement,
-        taught=taught,
-        # Where the lattice had no time for the learnt prior or no use, tiles have none either.
-        priors=setup.options.priors if lesson else replace(setup.options.priors, material=0.0),
-        modes=modes,
-        near=Nearest(window, whole.valid, materials, np.asarray(run.scene.normals)),
+        shared_state=SharedState(
+            material=material,
+            robust=objective.robust,
+            cohesion=_segment_means(objective, x, priors.cohesion),
+        ),
+        priors=priors,
+        light_modes=light_modes,
+        nearest=NearestMaps(window, whole.valid, materials, np.asarray(run.scene.normals)),
     )
 
 
@@ -112,11 +112,11 @@ def _of_window(
     materials = start if isinstance(start, Materials) else start[0]
     for name in ("albedo", "roughness", "metallic"):
         valid_values(name, getattr(materials, name), valid)
-    part = cut(materials, window)
+    part = cut_maps(materials, window)
     return part if isinstance(start, Materials) else (part, start[1])
 
 
-def _means_of_segments(objective: Objective, x: Array, weight: float) -> tuple[Array, float] | None:
+def _segment_means(objective: Objective, x: Array, weight: float) -> tuple[Array, float] | None:
     """As `SharedState.cohesion`; NaN for segments that none of these pixels is in."""
     layout = objective.layout
     if not weight or layout.segments is None:

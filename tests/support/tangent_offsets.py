@@ -1,4 +1,4 @@
-"""Tilted normals again: slow, plain, written from the definition and not from the package."""
+"""Normals at tangent offsets again: slow, plain, from the definition and not from the package."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ def tangents(normals: Array) -> tuple[Array, Array]:
     return turned(np.array([1.0, 0, 0])), turned(np.array([0, 1.0, 0]))
 
 
-def turn(normals: Array, tilts: Array) -> Array:
-    """Unit normals (P, 3) of tilts (P, 2) at the given ones (P, 3)."""
+def changed(normals: Array, offsets: Array) -> Array:
+    """Unit normals (P, 3) of tangent offsets (P, 2) at the given ones (P, 3)."""
     first, second = tangents(normals)
-    return reference.unit(normals + tilts[:, :1] * first + tilts[:, 1:] * second)
+    return reference.unit(normals + offsets[:, :1] * first + offsets[:, 1:] * second)
 
 
-def weights_by_tilts(
-    normals: Array, views: Array, tilts: Array, *material: Any
+def weights_by_offsets(
+    normals: Array, views: Array, offsets: Array, *material: Any
 ) -> tuple[Array, Array]:
-    """Derivatives of the reference's weights by both tilts: (P, 3, 16) each.
+    """Derivatives of the reference's weights by both tangent offsets: (P, 3, 16) each.
 
     Central differences of sixth order. Masking bends the more the nearer n·v is to 0, and has a
     kink at the clamp: steps are short there, and stay on their side.
     """
-    cosine = np.sum(turn(normals, tilts) * views, axis=1)
+    cosine = np.sum(changed(normals, offsets) * views, axis=1)
     step = np.minimum(3e-3, 0.02 * np.abs(cosine - reference.CLAMP))[:, None]
 
-    def weights(tilt: int, steps: int) -> Array:
-        moved = tilts.copy()
-        moved[:, tilt] += steps * step[:, 0]
-        return np.asarray(reference.shade(turn(normals, moved), views, *material))
+    def weights(axis: int, steps: int) -> Array:
+        moved = offsets.copy()
+        moved[:, axis] += steps * step[:, 0]
+        return np.asarray(reference.shade(changed(normals, moved), views, *material))
 
-    def slope(tilt: int) -> Array:
-        one, two, three = (weights(tilt, n) - weights(tilt, -n) for n in (1, 2, 3))
+    def slope(axis: int) -> Array:
+        one, two, three = (weights(axis, n) - weights(axis, -n) for n in (1, 2, 3))
         return np.asarray((45 * one - 9 * two + three) / (60 * step[..., None]))
 
     return slope(0), slope(1)

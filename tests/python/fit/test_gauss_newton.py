@@ -1,9 +1,7 @@
-"""The stages of Gauss-Newton: lights from some pixels, all pixels, joint steps, pulls."""
+"""The stages of Gauss-Newton: lights from some pixels, all pixels, joint steps, priors."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,13 +10,27 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Objective, Scene
-from pbrfit.fit import gauss_newton as second_order
-from pbrfit.fit.gauss_newton import global_gauss_newton as polish
-from pbrfit.fit.gauss_newton import subsample
+from pbrfit.fit.gauss_newton import (
+    LightEstimate,
+    find_lights,
+    fit_materials,
+    fit_with_prior,
+    global_gauss_newton,
+    subsample,
+)
 from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x
-from pbrfit.fit.gauss_newton.pixels import Towards, fit_all, put, retry, taken
-from pbrfit.fit.priors import material as material_prior
+from pbrfit.fit.gauss_newton.pixels import fit_all, put, retry_outliers, taken
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.material import fit_prior
 from pbrfit.synthetic import make_scene
+from scene_kinds import (
+    FREE_LIGHTS,
+    all_pixels,
+    at_truth,
+    known_lights,
+    objective_of,
+    sum_sq_at,
+)
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
@@ -33,7 +45,7 @@ class Watch:
     def __init__(self, visits: float = np.inf, asked: float = np.inf) -> None:
         self.visits, self.asked = visits, asked
         self.shares: list[float] = []
-        self.squares: list[float] = []
+        self.sum_sq: list[float] = []
         self.materials: list[Array] = []
         self.lights: list[Array] = []
 
@@ -42,7 +54,7 @@ class Watch:
         return self.asked < 0
 
     def _done(self) -> bool:
-        return len(self.shares) + len(self.squares) >= self.visits
+        return len(self.shares) + len(self.sum_sq) >= self.visits
 
     def visit_few(self, pixels: Pixels, materials: Array, lights: Array, share: float) -> bool:
         assert len(pixels) == len(materials)
@@ -51,9 +63,9 @@ class Watch:
         self.lights.append(lights)
         return self._done()
 
-    def visit(self, x: Array, squares: Array) -> bool:
+    def visit(self, x: Array, sum_sq: Array) -> bool:
         assert ((x[:1] >= 0) & (x[:1] <= 1)).all()
-        self.squares.append(float(squares.sum()))
+        self.sum_sq.append(float(sum_sq.sum()))
         return self._done()
 
 
@@ -67,52 +79,30 @@ def noisy() -> Scene:
     return make_scene("room", size=24, lights=8, noise=0.01, seed=2001, held_out=2)
 
 
-def at_truth(objective: Objective, scene: Scene) -> Array:
-    assert scene.truth is not None
-    maps = scene.truth.materials
-    return objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
+def lights_of(objective: Objective, watch: Watch | None = None, seed: int = 0) -> LightEstimate:
+    """Lights from some pixels."""
+    return find_lights(objective, objective.start(), watch or Watch(), seed)
 
 
-def everything(objective: Objective) -> Pixels:
-    return np.arange(objective.pixels, dtype=np.uint64)
+def fitted(objective: Objective, watch: Watch | None = None) -> tuple[Array, Array]:
+    """X of a fit of the squares, and the pixels' sums of them."""
+    x = lights_of(objective, watch).x
+    sum_sq = fit_materials(objective, x, watch or Watch())
+    assert sum_sq is not None
+    return x, sum_sq
 
 
-def squares_at(objective: Objective, x: Array) -> Array:
-    """Σ ω (I − T)² of each pixel, by another path of the core."""
-    return objective.problem.normal_equations(objective.for_core(x), everything(objective))[2]
-
-
-def weighted(scene: Scene) -> Scene:
-    rng = np.random.default_rng(0)
-    weights = rng.uniform(0.2, 1, scene.images.shape[:3])
-    weights[rng.random(weights.shape) < 0.1] = 0
-    return dataclasses.replace(scene, weights=weights)
-
-
-def grey(scene: Scene) -> Scene:
-    images = np.repeat(scene.images[..., :1], 3, axis=-1)
-    return dataclasses.replace(scene, images=images, truth=None)
-
-
-KINDS: dict[str, tuple[Callable[[Scene], Scene], dict[str, Any]]] = {
-    "colour": (lambda scene: scene, {}),
-    "order 2": (lambda scene: scene, {"sh_order": 2}),
-    "known metallic": (lambda scene: scene, {"metallic": 0.3}),
-    "mono light": (lambda scene: scene, {"mono_light": True}),
-    "weights": (weighted, {}),
-    "grey": (grey, {}),
-}
-
-
-def objective_of(scene: Scene, kind: str) -> Objective:
-    change, options = KINDS[kind]
-    return Objective(change(scene), **options)
+def fitted_pixels(objective: Objective, x: Array, starts: int) -> Array:
+    """Sums of squares when all pixels of x have their best materials."""
+    sum_sq = fit_all(objective, x, starts=starts)
+    assert sum_sq is not None
+    return sum_sq
 
 
 # --- Some pixels stand for all ---
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FREE_LIGHTS)
 def test_the_objective_of_some_pixels_is_a_part_of_the_whole_one(noisy: Scene, kind: str) -> None:
     objective = objective_of(noisy, kind)
     rng = np.random.default_rng(1)
@@ -124,10 +114,10 @@ def test_the_objective_of_some_pixels_is_a_part_of_the_whole_one(noisy: Scene, k
     assert few.pixels == 100
     np.testing.assert_array_equal(taken(few, part, slice(None)), taken(objective, x, chosen))
     np.testing.assert_array_equal(part[few.layout.lighting], x[objective.layout.lighting])
-    of_few, of_all = squares_at(few, part), squares_at(objective, x)[chosen]
+    of_few, of_all = sum_sq_at(few, part), sum_sq_at(objective, x)[chosen]
     np.testing.assert_allclose(of_few, of_all, rtol=1e-12)
     for one, other in zip(
-        few.problem.normal_equations(few.for_core(part), everything(few)),
+        few.problem.normal_equations(few.for_core(part), all_pixels(few)),
         objective.problem.normal_equations(objective.for_core(x), chosen),
         strict=True,
     ):
@@ -190,27 +180,28 @@ def test_moves_of_lights_come_in_the_order_of_x(noisy: Scene, mono: bool) -> Non
 
 def test_some_pixels_find_the_lights_of_a_room_without_noise(room: Scene) -> None:
     objective, watch = Objective(room), Watch()
-    lit = second_order.find_lights(objective, objective.start(), watch, seed=0)
-    assert lit.fits
-    assert lit.squares <= EXACT**2 * objective.total_weight * len(lit.judges) / objective.pixels
-    assert "pixels" in lit.note
+    lights = lights_of(objective, watch)
+    assert lights.fits
+    share = len(lights.validation_pixels) / objective.pixels
+    assert lights.sum_sq_residuals <= EXACT**2 * objective.total_weight * share
+    assert "pixels" in lights.note
     # Those of the truth but for a scale of each channel, which pictures do not tell.
-    found = lit.x[objective.layout.lighting].reshape(12, 16, 3)
+    found = lights.x[objective.layout.lighting].reshape(12, 16, 3)
     true = at_truth(objective, room)[objective.layout.lighting].reshape(12, 16, 3)
     scale = (found * true).sum(axis=(0, 1)) / (found**2).sum(axis=(0, 1))
     np.testing.assert_allclose(found * scale, true, rtol=0, atol=1e-5 * np.abs(true).max())
     assert len(watch.shares) > 2
-    assert watch.squares == []
+    assert watch.sum_sq == []
     assert watch.shares[-1] <= EXACT**2
     assert all(np.isfinite(materials).all() for materials in watch.materials)
     # Pixels that had no part are as they were.
-    before, after = (taken(objective, x, slice(None)) for x in (objective.start(), lit.x))
+    before, after = (taken(objective, x, slice(None)) for x in (objective.start(), lights.x))
     same = (before == after).all(axis=1)
     assert np.count_nonzero(~same) > 0
-    assert (~same)[lit.judges].all()
+    assert (~same)[lights.validation_pixels].all()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FREE_LIGHTS)
 def test_joint_steps_of_some_pixels_only_lower_the_squares(noisy: Scene, kind: str) -> None:
     objective = objective_of(noisy, kind)
     chosen = np.arange(0, objective.pixels, 3, dtype=np.uint64)
@@ -219,55 +210,52 @@ def test_joint_steps_of_some_pixels_only_lower_the_squares(noisy: Scene, kind: s
     totals: list[float] = []
 
     def visit(x: Array, total: float) -> bool:
-        assert total == pytest.approx(squares_at(few, x).sum(), rel=1e-6, abs=1e-12)
+        assert total == pytest.approx(sum_sq_at(few, x).sum(), rel=1e-6, abs=1e-12)
         totals.append(total)
         return len(totals) == 60
 
     found, total = subsample.minimize(few, start, visit)
     assert len(totals) > 1
-    assert totals[0] < squares_at(few, start).sum()
+    assert totals[0] < sum_sq_at(few, start).sum()
     assert (np.diff(totals) <= 0).all()
     assert total <= totals[-1]
-    assert total == pytest.approx(squares_at(few, found).sum(), rel=1e-6)
+    assert total == pytest.approx(sum_sq_at(few, found).sum(), rel=1e-6)
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_the_same_lights(noisy: Scene) -> None:
     objective = Objective(noisy)
-    one, two, other = (
-        second_order.find_lights(objective, objective.start(), Watch(), seed) for seed in (0, 0, 1)
-    )
+    one, two, other = (lights_of(objective, seed=seed) for seed in (0, 0, 1))
     np.testing.assert_array_equal(one.x, two.x)
     assert one.note == two.note
     assert not np.array_equal(one.x, other.x)
-    fits = [second_order.fit_materials(objective, lit.x, Watch()) for lit in (one, other)]
+    fits = [fit_materials(objective, lights.x, Watch()) for lights in (one, other)]
     assert fits[0] is not None
     assert fits[1] is not None
-    assert fits[1].squares.sum() == pytest.approx(fits[0].squares.sum(), rel=0.01)
+    assert fits[1].sum() == pytest.approx(fits[0].sum(), rel=0.01)
 
 
 def test_known_lights_are_not_sought(room: Scene) -> None:
-    assert room.truth is not None
-    objective = Objective(dataclasses.replace(room, lighting=room.truth.lighting))
-    start, watch = objective.start(), Watch()
-    lit = second_order.find_lights(objective, start, watch, seed=0)
-    np.testing.assert_array_equal(lit.x, start)
-    assert lit.x is not start  # it changes from there on
-    assert lit.fits
-    assert lit.note == "lights known"
-    fit = second_order.fit_materials(objective, lit.x, watch)
-    assert fit is not None
+    objective, watch = Objective(known_lights(room)), Watch()
+    start = objective.start()
+    lights = find_lights(objective, start, watch, seed=0)
+    np.testing.assert_array_equal(lights.x, start)
+    assert lights.x is not start  # it changes from there on
+    assert lights.fits
+    assert lights.note == "lights known"
+    sum_sq = fit_materials(objective, lights.x, watch)
+    assert sum_sq is not None
     assert watch.shares == []
-    assert len(watch.squares) == 1
-    assert fit.squares.sum() <= EXACT**2 * objective.total_weight
+    assert len(watch.sum_sq) == 1
+    assert sum_sq.sum() <= EXACT**2 * objective.total_weight
 
 
 @pytest.mark.parametrize("visits", [1, 2, 5])
 def test_the_search_for_lights_stops_when_told(room: Scene, visits: int) -> None:
     objective, watch = Objective(room), Watch(visits)
-    lit = second_order.find_lights(objective, objective.start(), watch, seed=0)
+    lights = lights_of(objective, watch)
     assert len(watch.shares) == visits
-    assert np.isfinite(lit.x).all()
-    assert np.isfinite(lit.squares)
+    assert np.isfinite(lights.x).all()
+    assert np.isfinite(lights.sum_sq_residuals)
 
 
 # --- All pixels ---
@@ -275,38 +263,32 @@ def test_the_search_for_lights_stops_when_told(room: Scene, visits: int) -> None
 
 def test_all_pixels_of_a_room_without_noise_are_found(room: Scene) -> None:
     objective, watch = Objective(room), Watch()
-    lit = second_order.find_lights(objective, objective.start(), watch, seed=0)
-    fit = second_order.fit_materials(objective, lit.x, watch)
-    assert fit is not None
-    np.testing.assert_allclose(fit.squares.sum(), squares_at(objective, fit.x).sum(), rtol=1e-6)
-    assert fit.squares.sum() <= EXACT**2 * objective.total_weight
-    assert watch.squares[-1] == fit.squares.sum()
-    true, found = at_truth(objective, room), fit.x
+    found, sum_sq = fitted(objective, watch)
+    np.testing.assert_allclose(sum_sq.sum(), sum_sq_at(objective, found).sum(), rtol=1e-6)
+    assert sum_sq.sum() <= EXACT**2 * objective.total_weight
+    assert watch.sum_sq[-1] == sum_sq.sum()
+    true = at_truth(objective, room)
     for block in (objective.roughness, objective.metallic):
         assert block is not None
         assert np.sqrt(np.mean((found[block] - true[block]) ** 2)) < 1e-5
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FREE_LIGHTS)
 def test_all_pixels_end_with_less_than_at_the_start(noisy: Scene, kind: str) -> None:
     objective, watch = objective_of(noisy, kind), Watch()
-    start = objective.start()
-    lit = second_order.find_lights(objective, start, watch, seed=0)
-    fit = second_order.fit_materials(objective, lit.x, watch)
-    assert fit is not None
-    assert fit.squares.sum() < 0.2 * squares_at(objective, start).sum()
-    assert (np.diff(watch.squares) <= 0).all()
-    maps = fit.x[objective.layout.maps]
+    x, sum_sq = fitted(objective, watch)
+    assert sum_sq.sum() < 0.2 * sum_sq_at(objective, objective.start()).sum()
+    assert (np.diff(watch.sum_sq) <= 0).all()
+    maps = x[objective.layout.maps]
     assert ((maps >= 0) & (maps <= 1)).all()
 
 
 def test_time_may_run_out_before_all_pixels_have_lights(room: Scene) -> None:
     objective = Objective(room)
-    assert second_order.fit_materials(objective, objective.start(), Watch(asked=0)) is None
+    assert fit_materials(objective, objective.start(), Watch(asked=0)) is None
     watch = Watch(visits=1)
-    fit = second_order.fit_materials(objective, objective.start(), watch)
-    assert fit is not None
-    assert len(watch.squares) == 1
+    assert fit_materials(objective, objective.start(), watch) is not None
+    assert len(watch.sum_sq) == 1
 
 
 def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
@@ -317,107 +299,94 @@ def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
     wrong = taken(objective, x, caught)
     wrong[:, 3:] = 1 - np.round(wrong[:, 3:])  # rough for smooth, metal for none
     x = put(objective, x, caught, wrong)
-    squares = fit_all(objective, x, starts=0)
-    assert squares is not None
-    still = caught[squares[caught] > EXACT**2 * 36]
+    sum_sq = fitted_pixels(objective, x, starts=0)
+    still = caught[sum_sq[caught] > EXACT**2 * 36]
     assert len(still) >= 5  # a descent alone does not free all
-    retry(objective, x, squares)
-    assert squares[still].max() <= EXACT**2 * 36
+    retry_outliers(objective, x, sum_sq)
+    assert sum_sq[still].max() <= EXACT**2 * 36
     np.testing.assert_allclose(x, at_truth(objective, room), atol=1e-4)
 
 
 def test_where_nothing_stands_out_nothing_is_tried_again(noisy: Scene) -> None:
     objective = Objective(noisy)
     x = at_truth(objective, noisy)
-    squares = squares_at(objective, x)
-    squares[:] = 1.0
+    sum_sq = np.ones(objective.pixels)
     before = x.copy()
-    retry(objective, x, squares)
+    retry_outliers(objective, x, sum_sq)
     np.testing.assert_array_equal(x, before)
-    assert (squares == 1.0).all()
+    assert (sum_sq == 1.0).all()
 
 
 # --- Joint steps ---
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FREE_LIGHTS)
 def test_joint_steps_of_all_pixels_lower_the_sum(noisy: Scene, kind: str) -> None:
     objective = objective_of(noisy, kind)
     x = objective.start()
-    squares = fit_all(objective, x, starts=2)
-    assert squares is not None
-    before = float(squares.sum())
+    sum_sq = fitted_pixels(objective, x, starts=2)
+    before = float(sum_sq.sum())
     watch = Watch()
-    polish.polish(objective, x, squares, watch.visit, watch.stop)
-    assert watch.squares
-    assert watch.squares[0] < before
-    assert (np.diff(watch.squares) <= 0).all()
-    assert squares.sum() == watch.squares[-1]
-    np.testing.assert_allclose(squares.sum(), squares_at(objective, x).sum(), rtol=1e-6)
+    global_gauss_newton.minimize(objective, x, sum_sq, watch.visit, watch.stop)
+    assert watch.sum_sq
+    assert watch.sum_sq[0] < before
+    assert (np.diff(watch.sum_sq) <= 0).all()
+    assert sum_sq.sum() == watch.sum_sq[-1]
+    np.testing.assert_allclose(sum_sq.sum(), sum_sq_at(objective, x).sum(), rtol=1e-6)
 
 
 def test_where_no_step_lowers_the_sum_nothing_changes(room: Scene) -> None:
     objective = Objective(room)
     x = at_truth(objective, room)
-    squares = fit_all(objective, x, starts=0)
-    assert squares is not None
-    before = float(squares.sum())
+    sum_sq = fitted_pixels(objective, x, starts=0)
+    before = float(sum_sq.sum())
     watch = Watch()
-    polish.polish(objective, x, squares, watch.visit, watch.stop)
-    assert squares.sum() <= before
+    global_gauss_newton.minimize(objective, x, sum_sq, watch.visit, watch.stop)
+    assert sum_sq.sum() <= before
     np.testing.assert_allclose(x, at_truth(objective, room), atol=1e-5)
 
 
-def test_a_step_that_makes_pixels_worse_is_not_taken(
-    noisy: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_that_makes_pixels_worse_is_not_taken(noisy: Scene) -> None:
     objective = Objective(noisy)
     x = objective.start()
-    squares = fit_all(objective, x, starts=2)
-    assert squares is not None
-    before = x.copy(), squares.copy()
-    steps = polish._light_moves
-
-    def too_far(*args: Any) -> tuple[Array, float]:
-        moves, predicted = steps(*args)
-        return -20 * moves, predicted
-
-    monkeypatch.setattr(polish, "_light_moves", too_far)
-    watch = Watch()
-    polish.polish(objective, x, squares, watch.visit, watch.stop)
-    assert watch.squares == []
+    sum_sq = fitted_pixels(objective, x, starts=2)
+    fit = global_gauss_newton._JointFit(objective, x, sum_sq, None, lambda: False)
+    before, total = (x.copy(), sum_sq.copy()), float(sum_sq.sum())
+    moves, predicted = fit.light_moves(0.0)
+    assert predicted > 0
+    assert fit.step(-20 * moves, total) is None
     np.testing.assert_array_equal(x, before[0])
-    np.testing.assert_array_equal(squares, before[1])
+    np.testing.assert_array_equal(sum_sq, before[1])
+    lower = fit.step(moves, total)
+    assert lower is not None
+    assert lower == sum_sq.sum() < total
 
 
-# --- Pulls ---
+# --- With a prior ---
 
 
-def learnt(objective: Objective) -> tuple[Array, material_prior.MaterialPull]:
-    lit = second_order.find_lights(objective, objective.start(), Watch(), seed=0)
-    fit = second_order.fit_materials(objective, lit.x, Watch())
-    assert fit is not None
-    found = material_prior.learn(objective, fit.x, 1.0, out_of_time=lambda: False)
+def fitted_prior(objective: Objective) -> tuple[Array, GaussianPrior]:
+    found = fit_prior(objective, fitted(objective)[0], 1.0)
     assert found is not None
     return found[:2]
 
 
-@pytest.mark.parametrize("kind", ["colour", "known metallic", "mono light", "weights", "grey"])
-def test_squares_and_pull_together_are_lowered(noisy: Scene, kind: str) -> None:
+def total(objective: Objective, x: Array, prior: GaussianPrior) -> float:
+    cost = prior.value_and_grad(x, np.zeros(objective.size))
+    return float(sum_sq_at(objective, x).sum()) / objective.total_weight + cost
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FREE_LIGHTS if kind != "order 2"])
+def test_squares_and_prior_together_are_lowered(noisy: Scene, kind: str) -> None:
     objective = objective_of(noisy, kind)
-    x, pull = learnt(objective)
-
-    def total(x: Array) -> float:
-        cost = pull.value_and_grad(x, np.zeros(objective.size))
-        return float(squares_at(objective, x).sum()) / objective.total_weight + cost
-
+    x, prior = fitted_prior(objective)
     found = x.copy()
-    second_order.fit_pulled(objective, found, pull, Watch())
-    assert total(found) < total(x)
+    fit_with_prior(objective, found, prior, Watch())
+    assert total(objective, found, prior) < total(objective, x, prior)
     # L-BFGS finds nothing much lower from there.
-    objective.penalties = [pull]
+    objective.penalties = [prior]
     loss, gradient = objective.value_and_grad(found)
-    assert loss == pytest.approx(total(found), rel=1e-4)
+    assert loss == pytest.approx(total(objective, found, prior), rel=1e-4)
     maps = found[objective.layout.maps]
     inside = np.ones(objective.size, bool)
     inside[objective.layout.maps] = (maps > 1e-6) & (maps < 1 - 1e-6)
@@ -425,36 +394,30 @@ def test_squares_and_pull_together_are_lowered(noisy: Scene, kind: str) -> None:
     assert np.linalg.norm(gradient[inside]) < 0.1 * np.linalg.norm(at_start[inside])
 
 
-def test_known_lights_stay_when_materials_are_pulled(noisy: Scene) -> None:
-    assert noisy.truth is not None
-    objective = Objective(dataclasses.replace(noisy, lighting=noisy.truth.lighting))
-    x, pull = learnt(objective)
+def test_known_lights_stay_when_materials_have_a_prior(noisy: Scene) -> None:
+    objective = Objective(known_lights(noisy))
+    x, prior = fitted_prior(objective)
     found = x.copy()
-    second_order.fit_pulled(objective, found, pull, Watch())
-    zeros = np.zeros(objective.size)
-    totals = [
-        squares_at(objective, at).sum() / objective.total_weight + pull.value_and_grad(at, zeros)
-        for at in (x, found)
-    ]
-    assert totals[1] <= totals[0]
+    fit_with_prior(objective, found, prior, Watch())
+    assert total(objective, found, prior) <= total(objective, x, prior)
 
 
-def test_time_may_run_out_while_materials_are_pulled(noisy: Scene) -> None:
+def test_time_may_run_out_while_materials_have_a_prior(noisy: Scene) -> None:
     objective = Objective(noisy)
-    x, pull = learnt(objective)
+    x, prior = fitted_prior(objective)
     found = x.copy()
-    second_order.fit_pulled(objective, found, pull, Watch(asked=0))
+    fit_with_prior(objective, found, prior, Watch(asked=0))
     np.testing.assert_array_equal(found, x)
-    second_order.fit_pulled(objective, found, pull, Watch(visits=1))
+    fit_with_prior(objective, found, prior, Watch(visits=1))
     assert np.isfinite(found).all()
     assert (found != x).any()
 
 
-def test_the_cost_of_a_pull_by_hand() -> None:
-    towards = Towards(np.array([[0.5, 0.0], [0.2, 1.0]]), np.array([[2.0, 1.0], [10.0, 3.0]]))
-    finish = np.array([[0.6, 0.5], [0.2, 0.8]])
-    assert towards.cost(finish) == pytest.approx(2 * 0.01 + 0.25 + 3 * 0.04)
-    assert towards.of(np.array([1], dtype=np.uint64)).cost(finish[1:]) == pytest.approx(0.12)
+def test_the_cost_of_a_prior_by_hand() -> None:
+    prior = GaussianPrior(np.array([[0.5, 0.0], [0.2, 1.0]]), np.array([[2.0, 1.0], [10.0, 3.0]]))
+    values = np.array([[0.6, 0.5], [0.2, 0.8]])
+    assert prior.cost(values) == pytest.approx(2 * 0.01 + 0.25 + 3 * 0.04)
+    assert prior.rows(np.array([1], dtype=np.uint64)).cost(values[1:]) == pytest.approx(0.12)
 
 
 # --- Whole fits ---

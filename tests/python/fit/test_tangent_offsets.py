@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import reference
-import tilts
+import tangent_offsets
 from pbrfit import _core
 from pbrfit._core import InputError
 
@@ -46,7 +46,7 @@ KINDS = (
 
 
 class Example:
-    """Random pixels under known lights, with normals turned from the given ones.
+    """Random pixels under known lights, with normals changed from the given ones.
 
     Half of the pixels are seen at grazing angles, on both sides of the clamp of n·v.
     """
@@ -65,16 +65,16 @@ class Example:
         self.kind, self.pixels, self.pictures = kind, pixels, pictures
         p, n, c, k = pixels, pictures, kind.channels, (kind.sh_order + 1) ** 2
         self.views = reference.unit(rng.normal(size=(p, 3)) * 0.1 + (0, 0, 1))
-        self.tilts = rng.normal(size=(p, 2))
-        self.tilts *= np.tan(np.radians(degrees)) / np.linalg.norm(self.tilts, axis=1)[:, None]
+        self.offsets = rng.normal(size=(p, 2))
+        self.offsets *= np.tan(np.radians(degrees)) / np.linalg.norm(self.offsets, axis=1)[:, None]
         self.given = reference.unit(rng.normal(size=(p, 3)) * 0.4 + (0, 0, 1))
         if grazing:
-            # v·n from -0.2 to 0.2 at the given normal, some of it within the clamp at the tilt.
+            # v·n from -0.2 to 0.2 at the given normal, some within the clamp when changed.
             side = reference.unit(np.cross(self.views, rng.normal(size=(p, 3))))
             cosine = rng.uniform(-0.2, 0.2, (p, 1))
             graze = cosine * self.views + np.sqrt(1 - cosine**2) * side
             self.given[::2] = reference.unit(graze)[::2]
-        self.normals = tilts.turn(self.given, self.tilts)
+        self.normals = tangent_offsets.changed(self.given, self.offsets)
         self.truth = rng.uniform(0.1, 0.9, (p, c + 2))
         if kind.metallic is not None:
             self.truth[:, -1] = kind.metallic
@@ -112,10 +112,10 @@ class Example:
         normals = options.pop("normals", self.given)
         return _core.Problem(targets, normals, self.views, threads, **(given | options))
 
-    def x(self, values: Array, tilt: Array | None = None) -> Array:
-        """X with materials (P, C + 2) and tilts (P, 2), those of the truth by default."""
-        tilt = self.tilts if tilt is None else tilt
-        return np.hstack([values[:, : self.kind.of_material], tilt]).T.ravel()
+    def x(self, values: Array, offsets: Array | None = None) -> Array:
+        """X with materials (P, C + 2) and tangent offsets (P, 2), those of the truth by default."""
+        offsets = self.offsets if offsets is None else offsets
+        return np.hstack([values[:, : self.kind.of_material], offsets]).T.ravel()
 
     @property
     def everything(self) -> Pixels:
@@ -126,17 +126,20 @@ class Example:
         material = found[:, : self.kind.of_material]
         if self.kind.metallic is not None:
             material = np.column_stack([material, np.full(len(found), self.kind.metallic)])
-        residuals = self.radiance(material, tilts.turn(self.given, found[:, -2:])) - self.targets
+        residuals = (
+            self.radiance(material, tangent_offsets.changed(self.given, found[:, -2:]))
+            - self.targets
+        )
         return np.asarray((self.omega * residuals**2).sum(axis=(1, 2)))
 
     def away(self, degrees: float) -> Array:
-        """Tilts at which normals are so far from the true ones."""
+        """Tangent offsets at which normals are so far from the true ones."""
         rng = np.random.default_rng(1)
-        first, second = tilts.tangents(self.normals)
+        first, second = tangent_offsets.tangents(self.normals)
         angle = rng.uniform(0, 2 * np.pi, (self.pixels, 1))
         aside = np.cos(angle) * first + np.sin(angle) * second
         wrong = self.normals + np.tan(np.radians(degrees)) * aside
-        first, second = tilts.tangents(self.given)
+        first, second = tangent_offsets.tangents(self.given)
         along = np.sum(wrong * self.given, axis=1)
         return np.column_stack(
             [np.sum(wrong * first, axis=1) / along, np.sum(wrong * second, axis=1) / along]
@@ -144,12 +147,14 @@ class Example:
 
     def degrees(self, found: Array) -> Array:
         """Between normals of unknowns (P, D) and the true ones."""
-        apart = np.linalg.norm(tilts.turn(self.given, found[:, -2:]) - self.normals, axis=1)
+        apart = np.linalg.norm(
+            tangent_offsets.changed(self.given, found[:, -2:]) - self.normals, axis=1
+        )
         return np.asarray(np.degrees(2 * np.arcsin(apart / 2)))
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
-def test_derivatives_by_tilts_are_those_of_the_slow_model(kind: Kind) -> None:
+def test_derivatives_by_tangent_offsets_are_those_of_the_slow_model(kind: Kind) -> None:
     example = Example(kind)
     cosine = np.sum(example.normals * example.views, axis=1)
     assert np.count_nonzero(cosine < CLAMP) > 20
@@ -162,32 +167,34 @@ def test_derivatives_by_tilts_are_those_of_the_slow_model(kind: Kind) -> None:
     material = example.material(example.truth)
     weights = reference.shade(example.normals, example.views, *material)[:, :c, :k]
     np.testing.assert_allclose(by_light, weights, rtol=0, atol=1e-13)
-    slopes = tilts.weights_by_tilts(example.given, example.views, example.tilts, *material)
-    for tilt, slope in enumerate(slopes):
+    slopes = tangent_offsets.weights_by_offsets(
+        example.given, example.views, example.offsets, *material
+    )
+    for axis, slope in enumerate(slopes):
         expected = np.einsum("pck,nkc->pnc", slope[:, :c, :k], example.lights)
-        found = by_unknowns[..., 3 + tilt]
+        found = by_unknowns[..., 3 + axis]
         scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
         assert (np.abs(found - expected) <= 1e-8 * scale).all()
 
 
-def test_derivatives_by_tilts_are_those_of_residuals() -> None:
+def test_derivatives_by_tangent_offsets_are_those_of_residuals() -> None:
     """Differences of residuals, which are rounded to float32, far enough from the clamp."""
     example = Example(pictures=6)
     problem, step = example.problem(), 2e-3
     by_unknowns, _, _ = problem.derivatives(example.x(example.truth), example.everything)
     clear = np.abs(np.sum(example.normals * example.views, axis=1) - CLAMP) > 0.15
     assert np.count_nonzero(clear) > 150
-    for tilt in range(2):
+    for axis in range(2):
 
-        def at(steps: int, tilt: int = tilt) -> Array:
-            moved = example.tilts.copy()
-            moved[:, tilt] += steps * step
+        def at(steps: int, axis: int = axis) -> Array:
+            moved = example.offsets.copy()
+            moved[:, axis] += steps * step
             found = problem.residuals(example.x(example.truth, moved), example.everything)
             return found.astype(np.float64).swapaxes(0, 1)
 
         slope = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
         # Residuals are about 1e-2 here, and float32 knows them to 6e-8 of that.
-        found = by_unknowns[..., 3 + tilt]
+        found = by_unknowns[..., 3 + axis]
         np.testing.assert_allclose(found[clear], slope[clear], rtol=0, atol=1e-6)
 
 
@@ -195,20 +202,21 @@ def test_slopes_at_the_clamp_are_those_of_one_side() -> None:
     """The clamped cosine does not move below the clamp, and moves above; the mirror always does."""
     example = Example(pixels=2, grazing=False)
     example.views[:] = 0, 0, 1
-    tilt = np.zeros((2, 2))
+    offsets = np.zeros((2, 2))
     for p, cosine in enumerate((CLAMP * 0.9, CLAMP * 1.1)):
         example.given[p] = np.sqrt(1 - cosine**2), 0, cosine
     by_unknowns, _, _ = example.problem().derivatives(
-        example.x(example.truth, tilt), example.everything
+        example.x(example.truth, offsets), example.everything
     )
     step = 1e-7
     material = example.material(example.truth)
     for t in range(2):
-        moved = [tilt.copy(), tilt.copy()]
+        moved = [offsets.copy(), offsets.copy()]
         moved[0][:, t] -= step
         moved[1][:, t] += step
         low, high = (
-            reference.shade(tilts.turn(example.given, m), example.views, *material) for m in moved
+            reference.shade(tangent_offsets.changed(example.given, m), example.views, *material)
+            for m in moved
         )
         slope = np.einsum("pck,nkc->pnc", (high - low) / (2 * step), example.lights)
         scale = np.abs(slope).max()
@@ -274,7 +282,7 @@ def test_materials_and_normals_are_found_from_normals_5_degrees_off(kind: Kind) 
     found, squares = fit(example, x)
     assert found.shape == (300, kind.of_material + 2)
     np.testing.assert_allclose(squares, example.total(found), rtol=1e-6, atol=1e-24)
-    error = np.abs(found - np.hstack([example.truth[:, : kind.of_material], example.tilts]))
+    error = np.abs(found - np.hstack([example.truth[:, : kind.of_material], example.offsets]))
     assert np.mean(error.max(axis=1) < 1e-7) > 0.95
     assert np.median(example.degrees(found)) < 1e-9
 
@@ -282,7 +290,7 @@ def test_materials_and_normals_are_found_from_normals_5_degrees_off(kind: Kind) 
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_it_ends_no_worse_than_it_began(kind: Kind, held: bool) -> None:
-    """Squares and pull, from any materials and normals, however few steps."""
+    """Squared residuals and prior, from any materials and normals, however few steps."""
     example = Example(kind, noise=0.05)
     rng = np.random.default_rng(3)
     values = np.clip(rng.uniform(-0.2, 1.2, example.truth.shape), 0, 1)
@@ -292,7 +300,7 @@ def test_it_ends_no_worse_than_it_began(kind: Kind, held: bool) -> None:
     shape = 300, kind.of_material + 2 - kind.channels
     centre, precision = rng.uniform(-0.5, 1, shape), rng.uniform(0, 1, shape)
 
-    def pulled(unknowns: Array) -> Array:
+    def prior(unknowns: Array) -> Array:
         offset = unknowns[:, kind.channels :] - centre
         return np.asarray((precision * offset**2).sum(axis=1))
 
@@ -305,7 +313,7 @@ def test_it_ends_no_worse_than_it_began(kind: Kind, held: bool) -> None:
         found, squares = fit(
             example, x, held_normals=held, mean=centre, precision=precision, **options
         )
-        assert (squares + pulled(found) <= (before + pulled(began)) * (1 + 1e-12)).all()
+        assert (squares + prior(found) <= (before + prior(began)) * (1 + 1e-12)).all()
         lengths = np.linalg.norm(found[:, -2:], axis=1)
         longest = np.maximum(np.sqrt(3), np.linalg.norm(start, axis=1))
         assert (lengths <= longest * (1 + 1e-12)).all()
@@ -316,7 +324,7 @@ def test_it_ends_no_worse_than_it_began(kind: Kind, held: bool) -> None:
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_held_normals_leave_the_fit_of_materials(kind: Kind) -> None:
-    """To the rounding of normals, of a problem that was given the tilted ones."""
+    """To the rounding of normals, of a problem that was given the changed ones."""
     example = Example(kind, grazing=False, noise=0.02)
     x = example.x(np.full_like(example.truth, 0.5))
     found, squares = fit(example, x, held_normals=True, exact_steps=3)
@@ -330,16 +338,16 @@ def test_held_normals_leave_the_fit_of_materials(kind: Kind) -> None:
     assert np.mean(same) > 0.98
     # Without steps on residuals normals stay as well.
     found, _ = fit(example, x, exact_steps=0)
-    np.testing.assert_array_equal(found[:, -2:], example.tilts)
+    np.testing.assert_array_equal(found[:, -2:], example.offsets)
 
 
-def test_a_stiff_pull_draws_tilts_to_its_centre() -> None:
+def test_a_stiff_prior_draws_tangent_offsets_to_its_mean() -> None:
     example = Example(grazing=False, noise=0.02)
-    centre = np.hstack([np.zeros((300, 2)), 0.5 * example.tilts])
+    centre = np.hstack([np.zeros((300, 2)), 0.5 * example.offsets])
     precision = np.hstack([np.zeros((300, 2)), np.full((300, 2), 1e12)])
     found, _ = fit(example, example.x(example.truth), mean=centre, precision=precision)
     # A decrease of 1e-14 of what there was to begin with is taken for rounding.
-    np.testing.assert_allclose(found[:, -2:], 0.5 * example.tilts, atol=1e-7)
+    np.testing.assert_allclose(found[:, -2:], 0.5 * example.offsets, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", [KINDS[0], KINDS[2]], ids=str)
@@ -369,7 +377,7 @@ def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
             np.testing.assert_array_equal(one, other[pixels])
 
 
-def test_a_pull_without_tilts_is_refused() -> None:
+def test_a_prior_without_tangent_offsets_is_refused() -> None:
     example = Example(pixels=3)
     two = np.full((3, 2), 0.5)
     message = r"^mean: expected shape \[3, 4\], found shape \[3, 2\]$"

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import reference
-import tilts
+import tangent_offsets
 from pbrfit import _core
 from pbrfit._core import InputError
 
@@ -121,10 +121,10 @@ class Example:
         self.precision = rng.uniform(0, 30, (PIXELS, kind.unknowns - c)) if kind.pull else None
         self.off = rng.uniform(-0.5, 0.5, (PIXELS, kind.unknowns - c)) if kind.pull else None
         self.pixels = rng.permutation(PIXELS)[:150].astype(np.uint64)
-        self.tilts, self.normals = np.zeros((PIXELS, 2)), self.given
+        self.offsets, self.normals = np.zeros((PIXELS, 2)), self.given
         if kind.free_normals:
-            self.tilts = 0.2 * rng.normal(size=(PIXELS, 2))
-            self.normals = tilts.turn(self.given, self.tilts)
+            self.offsets = 0.2 * rng.normal(size=(PIXELS, 2))
+            self.normals = tangent_offsets.changed(self.given, self.offsets)
 
     def problem(self, threads: int = 1) -> _core.Problem:
         return _core.Problem(
@@ -143,7 +143,7 @@ class Example:
     def values(self) -> Array:
         """All unknowns of the pixels, (P, D)."""
         materials = self.materials[:, : self.kind.of_material]
-        return np.hstack([materials, self.tilts]) if self.kind.free_normals else materials
+        return np.hstack([materials, self.offsets]) if self.kind.free_normals else materials
 
     @property
     def x(self) -> Array:
@@ -181,7 +181,7 @@ class Dense:
     curvature: Array
 
     def steps(self, moves: Array, of_material: int) -> Array:
-        """Of the pixels (P', D) when the lights move; with tilts within reach, the best others."""
+        """Of the pixels (P', D) when lights move; with offsets within reach, the best others."""
         steps = -self.forward - self.follow @ moves
         for a, step in zip(self.curvature, steps, strict=True):
             length = np.linalg.norm(step[of_material:])
@@ -207,8 +207,8 @@ def dense(example: Example, pixels: Pixels) -> Dense:
     if kind.metallic is not None:
         del slopes[2]
     if kind.free_normals:
-        given = example.given[pixels], example.views[pixels], example.tilts[pixels]
-        slopes += tilts.weights_by_tilts(*given, *at)
+        given = example.given[pixels], example.views[pixels], example.offsets[pixels]
+        slopes += tangent_offsets.weights_by_offsets(*given, *at)
     of_unknowns = [np.einsum("pck,nkc->pnc", s[:, :c, :k], example.lights) for s in slopes]
     targets = example.images[:, pixels].astype(np.float64).swapaxes(0, 1)
     residuals = np.einsum("pck,nkc->pnc", weights, example.lights) - targets
@@ -310,12 +310,12 @@ def test_pixels_follow_the_lights_as_the_whole_system_says(kind: str) -> None:
     np.testing.assert_allclose(found, after, rtol=0, atol=1e-7)
 
 
-def test_tilts_grow_no_longer_than_tan_60_degrees() -> None:
+def test_offsets_grow_no_longer_than_tan_60_degrees() -> None:
     example = Example(KINDS["free normals"])
     longest = np.sqrt(3)
     angles = np.random.default_rng(1).uniform(0, 2 * np.pi, PIXELS)
     lengths = np.where(np.arange(PIXELS) % 2, longest - 0.1, longest + 0.5)
-    example.tilts = lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    example.offsets = lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
     pixels = np.arange(PIXELS, dtype=np.uint64)
     # Moves that are large for the lights, so that all steps are as long as they may be.
     moves = 1e3 * example.moves()
@@ -323,7 +323,7 @@ def test_tilts_grow_no_longer_than_tan_60_degrees() -> None:
     after = np.linalg.norm(found, axis=1)
     assert (after <= np.maximum(longest, lengths) * (1 + 1e-12)).all()
     assert np.count_nonzero(after > np.maximum(longest, lengths) * (1 - 1e-12)) > PIXELS / 5
-    assert np.linalg.norm(found - example.tilts, axis=1).max() < REACH * (1 + 1e-12)
+    assert np.linalg.norm(found - example.offsets, axis=1).max() < REACH * (1 + 1e-12)
 
 
 def test_a_step_solves_the_whole_system() -> None:

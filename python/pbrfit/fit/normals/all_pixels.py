@@ -1,0 +1,189 @@
+"""All pixels' normals, from lights that a subset found, or that a fit with held normals had.
+
+Each pixel changes its normal by itself, with a prior around where its neighbours are; then joint
+steps of all pixels and the lights (`pbrfit.fit.gauss_newton.global_gauss_newton`). Neighbours are
+seen where they were before, so the prior is made anew a few times: at the end that is the same as
+all together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.gauss_newton.global_gauss_newton import minimize
+from pbrfit.fit.gauss_newton.pixels import chunks, fit_all, taken
+from pbrfit.fit.normals.noise import (
+    degrees_of_freedom,
+    noise_variance,
+    offset_variances,
+    pixel_sums,
+)
+from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
+from pbrfit.fit.normals.search import SubsetFit
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.gaussian import GaussianPrior
+
+Array = NDArray[np.float64]
+
+MIRRORED_Z = -0.99
+"""Below this z of the given normal the tangents are those of its mirror image (docs/model.md)."""
+
+COSINE_MIN = 0.1
+"""Smallest cosine between two normals that a tangent offset is made of: it grows without bound."""
+
+
+def tangent_offsets_between(given: Array, changed: Array) -> Array:
+    """Tangent offsets (P, 2) that change unit normals (P, 3) into others.
+
+    n is along n₀ + a t₁ + b t₂ with tangents at n₀ that are unit vectors at right angles, so that
+    a = n·t₁ / n·n₀ and b = n·t₂ / n·n₀.
+    """
+    x, y, z = given.T
+    mirrored = z <= MIRRORED_Z
+    upper = np.where(mirrored, -z, z)
+    first = np.stack([1 - x**2 / (1 + upper), -x * y / (1 + upper), -x], axis=-1)
+    second = np.stack([-x * y / (1 + upper), 1 - y**2 / (1 + upper), -y], axis=-1)
+    for tangent in (first, second):
+        tangent[mirrored, 2] *= -1
+    cosine = np.maximum(np.einsum("pi,pi->p", given, changed), COSINE_MIN)
+    return np.stack(
+        [np.einsum("pi,pi->p", changed, tangent) / cosine for tangent in (first, second)], axis=-1
+    )
+
+
+def start_from_subset(objective: Objective, x: Array, found: SubsetFit) -> None:
+    """Give all pixels the unknowns of the subset's nearest one, and its lights; x changes."""
+    from scipy.spatial import KDTree
+
+    layout, of_subset = objective.layout, found.objective.layout
+    places = np.argwhere(layout.valid)
+    _, nearest = KDTree(places[found.pixels.astype(np.intp)]).query(places)
+    maps = found.x[of_subset.maps].reshape(-1, found.objective.pixels)
+    x[layout.maps] = maps[:, nearest].ravel()
+    x[layout.maps.stop :] = found.x[of_subset.maps.stop :]
+
+
+def start_from_offsets(objective: Objective, x: Array, offsets: Array) -> None:
+    """Give pixels these tangent offsets (P, 2) where they explain more than those of x; x changes.
+
+    Each with its best albedo, and roughness and metallic as they are.
+    """
+    assert objective.tangent_offsets is not None
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    before = objective.put_best_albedo(x, everything)
+    other = x.copy()
+    other[objective.tangent_offsets] = offsets.T.ravel()
+    better = objective.put_best_albedo(other, everything) < before
+    maps = slice(0, objective.layout.maps.stop)
+    planes = x[maps].reshape(-1, objective.pixels)
+    planes[:, better] = other[maps].reshape(-1, objective.pixels)[:, better]
+
+
+def refine_all(
+    objective: Objective,
+    x: Array,
+    prior: TangentOffsetPrior,
+    roughness_metallic: Array | None,
+    starts: int,
+    stop: Callable[[], bool],
+) -> tuple[TangentOffsetPrior, Array | None]:
+    """Change the normals of all pixels, with their materials and the lights; x changes.
+
+    Parameters
+    ----------
+    objective
+        With free normals.
+    prior
+        Of the tangent offsets.
+    roughness_metallic
+        (P, F): the mean of a prior on these; None = none.
+    starts
+        Nodes from which pixels start, in the first round.
+
+    Returns
+    -------
+    prior
+        With the σ that was found.
+    sum_sq_residuals
+        (P,); None if time ran out before all pixels had been refined.
+    """
+    layout = objective.layout
+    assert layout.tangent_offsets is not None
+    sums = None
+    for number in range(settings.NORMALS_PRIOR_UPDATES):
+        offsets = x[layout.tangent_offsets].reshape(2, -1).T
+        variance = noise_variance(objective, pixel_sums(objective, x))
+        offset_mean, offset_precision = prior.conditional(offsets, variance)
+        mean, precision = np.zeros((2, len(offsets), len(layout.roughness_metallic)))
+        if roughness_metallic is not None:
+            mean = roughness_metallic
+            precision = precision + variance / settings.NORMALS_ROUGHNESS_METALLIC_SIGMA**2
+        pixel_prior = GaussianPrior(
+            np.concatenate([mean, offset_mean], axis=1),
+            np.concatenate([precision, offset_precision], axis=1),
+        )
+        first = number == 0
+        sums = fit_all(
+            objective,
+            x,
+            starts=starts if first else 0,
+            steps=settings.NORMALS_PIXEL_STEPS if first and starts else 0,
+            prior=pixel_prior,
+            stop=stop,
+        )
+        if sums is None:
+            return prior, None
+        if objective.lighting is not None:
+            minimize(objective, x, sums, lambda *_: stop(), stop, pixel_prior)
+        prior = prior.fitted(
+            x[layout.tangent_offsets].reshape(2, -1).T,
+            offset_variances(objective, x, pixel_prior.precision, variance),
+        )
+    return prior, sums
+
+
+def restore_given(objective: Objective, x: Array, sum_sq_residuals: Array) -> None:
+    """Give pixels their given normals back around which nothing has been gained; x changes.
+
+    With `sum_sq_residuals` (P,) of the refined ones. Given normals have the best materials there.
+    """
+    from scipy.ndimage import uniform_filter
+
+    layout = objective.layout
+    assert layout.tangent_offsets is not None
+    given_x = x.copy()
+    given_x[layout.tangent_offsets] = 0.0
+    sums = np.empty(objective.pixels)
+    unknowns = np.empty((objective.pixels, layout.maps.stop // objective.pixels))
+    empty = np.empty(0)
+    for chunk in chunks(objective.pixels):
+        unknowns[chunk], sums[chunk] = objective.problem.fit_materials(
+            objective.for_core(given_x),
+            chunk,
+            empty,
+            empty,
+            starts=0,
+            steps=settings.NORMALS_PIXEL_STEPS,
+            exact_steps=2,
+            held_normals=True,
+        )
+    gain = (sums - sum_sq_residuals) / noise_variance(objective, sum_sq_residuals)
+    gain = np.minimum(gain, 10 * degrees_of_freedom(objective))
+    # Means over the valid pixels of a window around each.
+    size = settings.NORMALS_GAIN_WINDOW
+    inside = uniform_filter(layout.valid.astype(np.float64), size, mode="constant")
+    around = uniform_filter(layout.whole(gain, 0.0), size, mode="constant")
+    counted = np.maximum(inside[layout.valid] * size**2, 1.0)
+    mean = around[layout.valid] * size**2 / counted
+    # The square of a normal number has mean 1 and variance 2.
+    needed = settings.NORMALS_GAIN_OF_NOISE * (
+        1 + settings.NORMALS_GAIN_SIGMAS * np.sqrt(1 / counted)
+    )
+    restored = mean < needed
+    refined = taken(objective, x, slice(None)).copy()
+    refined[restored] = unknowns[restored]
+    x[layout.maps] = refined.T.ravel()

@@ -1,0 +1,168 @@
+"""Strided subsets, and the search for lights and normals on one: its starts, and what it keeps."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit.fit.normals.noise import degrees_of_freedom, mean_over_median, pixel_sums
+from pbrfit.fit.normals.search import (
+    explains_more,
+    fit_subset,
+    strided_subset,
+    with_scaled_lights,
+)
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.settings import NORMALS_LIGHT_SCALE_STARTS, NORMALS_MEAN_OVER_MEDIAN_MAX
+from pbrfit.synthetic import make_scene
+
+Array = NDArray[np.float64]
+
+SCENE = make_scene("room", size=16, lights=8, seed=2002, noise=0.01)
+FREE = Objective(SCENE, priors=None, free_normals=True)
+
+
+def layout(valid: NDArray[np.bool_]) -> ParameterLayout:
+    known: Any = SimpleNamespace(valid=valid, pixels=int(np.count_nonzero(valid)))
+    return known  # type: ignore[no-any-return]
+
+
+def holed(height: int, width: int) -> NDArray[np.bool_]:
+    valid = np.ones((height, width), bool)
+    valid[1, 1:-1] = valid[2:4, 2] = False
+    return valid
+
+
+def check_subset(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int]:
+    """The subset's pixels lie where its index says, all that are there; how many, and its step."""
+    pixels, index = strided_subset(layout(valid), at_most)
+    assert pixels.dtype == np.uint64
+    assert np.all(np.diff(pixels.astype(int)) > 0)
+    np.testing.assert_array_equal(np.sort(index[index >= 0]), np.arange(len(pixels)))
+    rows, columns = (of_all[pixels.astype(int)] for of_all in np.nonzero(valid))
+    i, j = np.nonzero(index >= 0)
+    order = index[i, j]
+    steps = []
+    for place, at in ((rows[order], i), (columns[order], j)):
+        places = {int(k): set(place[at == k]) for k in np.unique(at)}
+        assert all(len(found) == 1 for found in places.values())
+        known = sorted((k, found.pop()) for k, found in places.items())
+        steps += [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(known)]
+    assert len(set(steps)) <= 1
+    step = int(steps[0]) if steps else 1
+    first = rows[order[0]] - step * i[0], columns[order[0]] - step * j[0]
+    there = np.zeros_like(valid)
+    there[first[0] :: step, first[1] :: step] = True
+    assert np.count_nonzero(there & valid) == len(pixels)
+    return len(pixels), step
+
+
+def test_a_subset_of_more_pixels_than_there_are_is_all_of_them() -> None:
+    for valid in (holed(7, 9), np.ones((1, 1), bool), np.ones((1, 5), bool), holed(6, 4)):
+        assert check_subset(valid, 1024) == (int(np.count_nonzero(valid)), 1)
+
+
+def test_a_subset_keeps_clear_of_holes() -> None:
+    valid = np.ones((60, 80), bool)
+    valid[10:30, 15:50] = valid[40:, :20] = False
+    count, step = check_subset(valid, 256)
+    assert step == 4
+    assert 200 <= count <= 300
+
+
+@pytest.mark.parametrize("shape", [(1, 5000), (5000, 1), (2, 3000), (700, 4)])
+def test_a_subset_of_a_long_picture_has_no_more_pixels_than_others(shape: tuple[int, int]) -> None:
+    count, _ = check_subset(np.ones(shape, bool), 256)
+    assert 100 <= count <= 320
+
+
+def test_a_mask_with_a_pattern_of_its_own_still_has_pixels_in_the_subset() -> None:
+    rows = np.arange(64)[:, None] + np.zeros(64, int)
+    for valid in (rows % 2 == 0, rows.T % 2 == 0, (rows % 8 == 0) | (rows.T % 8 == 3)):
+        count, _ = check_subset(valid, 256)
+        assert 50 <= count <= 320
+
+
+# ----------------------------------------------------------------------------------------- starts
+
+
+def true_x() -> Array:
+    """Materials and lights of the scene, and tangent offsets of 0."""
+    assert SCENE.truth is not None
+    maps = SCENE.truth.materials
+    held = Objective(SCENE, priors=None)
+    packed = held.pack(maps.albedo, maps.roughness, maps.metallic, SCENE.truth.lighting)
+    x = FREE.start()
+    x[FREE.layout.materials] = packed[held.layout.materials]
+    x[FREE.layout.maps.stop :] = packed[held.layout.maps.stop :]
+    return x
+
+
+def unexplained() -> Array:
+    """Every other pixel is black, the rest as it is."""
+    x = true_x()
+    x[FREE.albedo].reshape(3, -1)[:, ::2] = 0
+    return x
+
+
+def started(x: Array, stop: bool = False) -> tuple[Array, int]:
+    """What is kept of starts from x without any round, and how many of them did not end well."""
+    asked: list[None] = []
+
+    def out_of_time() -> bool:
+        asked.append(None)
+        return stop
+
+    given = np.asarray(SCENE.normals, np.float64)[SCENE.valid]
+    return fit_subset(FREE, x, given, None, out_of_time, rounds=0).x, len(asked)
+
+
+def test_noise_has_the_mean_that_its_median_asks_for() -> None:
+    rng = np.random.default_rng(0)
+    sums = rng.chisquare(degrees_of_freedom(FREE), 20_000)
+    assert mean_over_median(FREE, sums) == pytest.approx(1, abs=0.02)
+    assert mean_over_median(FREE, 1e-9 * sums) == pytest.approx(1, abs=0.02)
+    sums[::50] *= 50
+    assert mean_over_median(FREE, sums) > NORMALS_MEAN_OVER_MEDIAN_MAX
+    assert np.isfinite(mean_over_median(FREE, np.zeros(5)))
+
+
+def test_a_search_that_explains_all_is_the_only_one() -> None:
+    x = true_x()
+    found, failed = started(x)
+    np.testing.assert_array_equal(found, x)
+    assert failed == 0
+
+
+@pytest.mark.parametrize("factor", NORMALS_LIGHT_SCALE_STARTS[1:])
+def test_of_all_starts_the_one_that_explains_most_is_kept(factor: float) -> None:
+    x = with_scaled_lights(FREE, true_x(), 1 / factor)
+    found, _ = started(x)
+    np.testing.assert_array_equal(found, with_scaled_lights(FREE, x, factor))
+    sums = pixel_sums(FREE, found)
+    for other in NORMALS_LIGHT_SCALE_STARTS:
+        assert not explains_more(pixel_sums(FREE, with_scaled_lights(FREE, x, other)), sums)
+
+
+def test_all_starts_are_tried_while_none_explains_all() -> None:
+    assert started(unexplained())[1] == len(NORMALS_LIGHT_SCALE_STARTS)
+
+
+def test_scaled_lights_leave_all_else() -> None:
+    x = true_x()
+    found = with_scaled_lights(FREE, x, 2.0)
+    assert FREE.lighting is not None
+    np.testing.assert_array_equal(found[FREE.lighting], 2 * x[FREE.lighting])
+    np.testing.assert_array_equal(found[FREE.albedo], x[FREE.albedo] / 2)
+    others = slice(FREE.albedo.stop, FREE.lighting.start)
+    np.testing.assert_array_equal(found[others], x[others])
+
+
+def test_out_of_time_there_is_no_other_start() -> None:
+    assert started(unexplained(), stop=True)[1] == 1

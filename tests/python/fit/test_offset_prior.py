@@ -1,0 +1,224 @@
+"""The prior on tangent offsets, and which pixels are neighbours in it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.settings import NORMALS_OFFSET_SIGMA_RANGE
+
+Array = NDArray[np.float64]
+
+VARIANCE = 0.7
+
+
+def layout(valid: NDArray[np.bool_]) -> ParameterLayout:
+    known: Any = SimpleNamespace(valid=valid, pixels=int(np.count_nonzero(valid)))
+    return known  # type: ignore[no-any-return]
+
+
+def unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def around(
+    index: NDArray[np.intp], normal_sigma: Array | None = None, bend: float = 0.0
+) -> Neighbourhood:
+    """Of pixels whose normals are all the same, or bent at random."""
+    count = int(index.max()) + 1
+    normals = np.array([0.0, 0.0, 1.0]) + bend * np.random.default_rng(3).normal(size=(count, 3))
+    return Neighbourhood.of(index, unit(normals), normal_sigma)
+
+
+def holed(height: int, width: int) -> NDArray[np.bool_]:
+    valid = np.ones((height, width), bool)
+    valid[1, 1:-1] = valid[2:4, 2] = False
+    return valid
+
+
+@pytest.fixture
+def prior() -> TangentOffsetPrior:
+    """Of 5 × 6 pixels with holes, bent, some pairs of them half let go."""
+    found = around(pixel_index(layout(holed(5, 6))), bend=0.2)
+    robust = np.random.default_rng(0).uniform(0.2, 1, len(found.pairs))
+    return TangentOffsetPrior(found, sigma=0.15, robust_weights=robust)
+
+
+def second_differences(prior: TangentOffsetPrior) -> Array:
+    """Half of the second derivatives of the cost, (P, 2, P, 2): exact, for it is quadratic."""
+    count = prior.neighbourhood.count
+    size = 2 * count
+    steps = np.eye(size).reshape(size, count, 2)
+
+    def cost(offsets: Array) -> float:
+        return prior.cost(offsets, VARIANCE)
+
+    single = np.array([cost(step) for step in steps])
+    both = np.array([[cost(one + other) for other in steps] for one in steps])
+    half = (both - single[:, None] - single) / 2
+    return np.asarray(half.reshape(count, 2, count, 2))
+
+
+# ------------------------------------------------------------------------------------ derivatives
+
+
+def test_the_slope_of_the_prior_is_half_of_its_gradient(prior: TangentOffsetPrior) -> None:
+    offsets = 0.3 * np.random.default_rng(1).normal(size=(prior.neighbourhood.count, 2))
+    found = np.empty_like(offsets)
+    for place in np.ndindex(*offsets.shape):
+        step = np.zeros_like(offsets)
+        step[place] = 0.01
+        higher, lower = (prior.cost(offsets + sign * step, VARIANCE) for sign in (1, -1))
+        found[place] = (higher - lower) / 0.04
+    expected = prior.half_gradient(offsets, VARIANCE)
+    np.testing.assert_allclose(expected, found, rtol=0, atol=1e-9 * np.abs(found).max())
+
+
+def test_diagonal_and_coupling_are_second_derivatives_of_the_prior(
+    prior: TangentOffsetPrior,
+) -> None:
+    count = prior.neighbourhood.count
+    expected = np.zeros((count, 2, count, 2))
+    first, second = prior.neighbourhood.pairs.T
+    for i in range(2):
+        expected[np.arange(count), i, np.arange(count), i] = prior.diagonal(VARIANCE)
+        expected[first, i, second, i] = prior.coupling(VARIANCE)
+        expected[second, i, first, i] = prior.coupling(VARIANCE)
+    found = second_differences(prior)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * expected.max())
+
+
+def test_beside_the_others_a_pixel_has_a_gaussian_prior(prior: TangentOffsetPrior) -> None:
+    rng = np.random.default_rng(2)
+    offsets = rng.normal(size=(prior.neighbourhood.count, 2))
+    mean, precision = prior.conditional(offsets, VARIANCE)
+    for pixel in range(prior.neighbourhood.count):
+        costs = []
+        trials = rng.normal(size=(3, 2))
+        for trial in trials:
+            moved = offsets.copy()
+            moved[pixel] = trial
+            costs.append(prior.cost(moved, VARIANCE))
+        penalty = (precision[pixel] * (trials - mean[pixel]) ** 2).sum(axis=1)
+        np.testing.assert_allclose(np.diff(costs), np.diff(penalty), rtol=1e-9, atol=1e-9)
+
+
+def test_a_turn_that_all_normals_have_in_common_costs_next_to_nothing() -> None:
+    prior = TangentOffsetPrior(around(np.arange(100).reshape(10, 10)), sigma=np.radians(3.0))
+    common = np.tile(np.radians([10.0, -5.0]), (100, 1))
+    scattered = common * np.random.default_rng(0).choice([-1, 1], size=(100, 1))
+    assert 300 * prior.cost(common, 1.0) < prior.cost(scattered, 1.0)
+
+
+# ----------------------------------------------------------------------------------------- sigma
+
+
+def chain(steps: Array) -> tuple[NDArray[np.intp], Array]:
+    """A picture of one row whose neighbours differ by `steps` (P − 1, 2)."""
+    return np.arange(len(steps) + 1)[None], np.concatenate([np.zeros((1, 2)), steps.cumsum(axis=0)])
+
+
+def settled(prior: TangentOffsetPrior, offsets: Array, variances: Array) -> TangentOffsetPrior:
+    for _ in range(60):
+        prior = prior.fitted(offsets, variances)
+    return prior
+
+
+@pytest.mark.parametrize("degrees", [0.3, 2.0, 8.0])
+def test_sigma_of_known_fields_is_found(degrees: float) -> None:
+    sigma = np.radians(degrees)
+    rng = np.random.default_rng(4)
+    index, offsets = chain(sigma * rng.normal(size=(4000, 2)))
+    prior = settled(TangentOffsetPrior(around(index)), offsets, np.zeros(len(offsets)))
+    assert prior.sigma == pytest.approx(sigma, rel=0.1)
+
+
+def test_sigma_is_found_from_estimates_that_are_unsure_of_it() -> None:
+    """Pairs apart: their means lie too near each other, and their variances say by how much."""
+    sigma, noise, pairs = np.radians(4.0), np.radians(3.0), 5000
+    rng = np.random.default_rng(5)
+    index = np.full((2 * pairs, 2), -1)
+    index[::2] = np.arange(2 * pairs).reshape(pairs, 2)
+    # A difference of variance σ², seen with variance v: the mean of the rest, and its variance.
+    seen = rng.normal(size=(pairs, 2)) * np.hypot(sigma, noise)
+    share = sigma**2 / (sigma**2 + noise**2)
+    offsets = np.zeros((pairs, 2, 2))
+    offsets[:, 1] = share * seen
+    # Of both components of a pair; half of it each pixel's.
+    variances = np.full(2 * pairs, share * noise**2)
+    prior = settled(TangentOffsetPrior(around(index)), offsets.reshape(-1, 2), variances)
+    assert prior.sigma == pytest.approx(sigma, rel=0.1)
+    sure = settled(TangentOffsetPrior(around(index)), offsets.reshape(-1, 2), np.zeros(2 * pairs))
+    assert sure.sigma < 0.9 * sigma
+
+
+def test_steps_at_a_few_outlines_hardly_widen_sigma() -> None:
+    sigma = np.radians(1.0)
+    rng = np.random.default_rng(6)
+    steps = sigma * rng.normal(size=(4000, 2))
+    outlines = np.arange(50, 4000, 100)
+    steps[outlines] *= 30
+    index, offsets = chain(steps)
+    prior = settled(TangentOffsetPrior(around(index)), offsets, np.zeros(len(offsets)))
+    assert np.sqrt(np.mean(steps**2)) > 2.5 * sigma
+    assert prior.sigma == pytest.approx(sigma, rel=0.2)
+    assert prior.robust_weights is not None
+    within = np.delete(prior.robust_weights, outlines)
+    assert np.median(prior.robust_weights[outlines]) < 0.1 < 0.5 < within.min()
+
+
+@pytest.mark.parametrize(
+    ("degrees", "expected"),
+    [
+        (0.0, NORMALS_OFFSET_SIGMA_RANGE[0]),
+        (1e-4, NORMALS_OFFSET_SIGMA_RANGE[0]),
+        (80, NORMALS_OFFSET_SIGMA_RANGE[1]),
+    ],
+)
+def test_sigma_stays_within_its_limits(degrees: float, expected: float) -> None:
+    index, offsets = chain(np.radians(degrees) * np.random.default_rng(7).normal(size=(200, 2)))
+    assert settled(TangentOffsetPrior(around(index)), offsets, np.zeros(201)).sigma == expected
+
+
+def test_pixels_without_neighbours_tell_nothing_of_sigma() -> None:
+    index = np.array([[0, -1, 1], [-1, 2, -1]])
+    prior = TangentOffsetPrior(around(index), sigma=0.11)
+    assert len(prior.neighbourhood.pairs) == 0
+    offsets = np.ones((3, 2))
+    assert prior.fitted(offsets, np.ones(3)).sigma == 0.11
+    np.testing.assert_array_equal(prior.conditional(offsets, 1.0)[0], 0)
+    assert (prior.diagonal(1.0) > 0).all()
+
+
+# ---------------------------------------------------------------------------------- neighbourhood
+
+
+def test_neighbours_across_an_edge_need_not_be_alike() -> None:
+    normals = unit(np.array([[0.0, 0, 1], [0.02, 0, 1], [1.0, 0, 0.2], [1.0, 0.02, 0.2]]))
+    weights = Neighbourhood.of(np.arange(4)[None], normals, None).weights
+    assert weights[0] > 0.99
+    assert weights[2] > 0.99
+    assert weights[1] < 1e-4
+
+
+def test_normals_known_to_be_unsure_may_change_more_than_their_neighbours() -> None:
+    index = np.arange(6)[None]
+    sigma = np.array([2.0, 2, 2, 4, 4, 4])
+    plain, known = around(index), around(index, sigma)
+    np.testing.assert_allclose(plain.weights, 1.0)
+    # Twice as unsure, twice as far: a quarter of the weight.
+    assert known.weights[0] == pytest.approx(4 * known.weights[-1])
+    assert known.weights[0] > 1 > known.weights[-1]
+    # Where all are alike there is nothing to tell, in whatever unit.
+    for same in (0.0, 1e-3, 70.0):
+        np.testing.assert_allclose(around(index, np.full(6, same)).weights, 1.0)
+    # Zero is not for ever: somebody who is sure may be wrong.
+    part = around(index, np.array([0.0, 0, 0, 4, 4, 4])).weights
+    assert np.isfinite(part).all()
+    assert part[0] <= 1000

@@ -1,0 +1,19 @@
+"""Small pictures fitted in tiles as if they were large ones."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+
+from pbrfit.fit import decompose as decompose_module
+from pbrfit.fit import memory
+from pbrfit.fit.tiles import fit_tiles
+
+
+def in_tiles(patch: pytest.MonkeyPatch, *, side: int, subset: int) -> None:
+    """Every picture is a large one: lights from about `subset` pixels, then tiles of `side`²."""
+    for module in (memory, decompose_module):
+        patch.setattr(module, "WHOLE_PIXELS_MAX", 0)
+    tiled = partial(fit_tiles, subset_pixels=(16, subset), side=side)
+    patch.setattr(decompose_module, "fit_tiles", tiled)
