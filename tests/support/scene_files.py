@@ -15,6 +15,7 @@ from PIL import Image
 from pbrfit.cli import main
 from pbrfit.io import images
 from pbrfit.io.color import encode_srgb
+from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 
@@ -33,6 +34,26 @@ def room() -> Scene:
         segments=bright.segments,
         names=bright.names,
     )
+
+
+def truth_of(scene: Scene) -> Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def lights_of(scene: Scene) -> NDArray[np.float64]:
+    """Known lights of its pictures."""
+    lighting = truth_of(scene).lighting
+    assert lighting is not None
+    return lighting
+
+
+def held_out_of(scene: Scene) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Held-out pictures and their lights."""
+    pictures, lighting = truth_of(scene).relight_images, truth_of(scene).relight_lighting
+    assert pictures is not None
+    assert lighting is not None
+    return pictures, lighting
 
 
 def write_exr(path: Path, image: NDArray[Any]) -> None:

@@ -46,18 +46,9 @@ _BRADFORD = np.array(
 
 
 def decode_srgb(encoded: ArrayLike) -> NDArray[np.float64]:
-    """Decode sRGB to linear light (IEC 61966-2-1).
+    """Decode sRGB values of any shape, 1 = white, to linear light (IEC 61966-2-1), float64.
 
-    Parameters
-    ----------
-    encoded
-        Values of any shape, 1 = white. Negative values are decoded by odd symmetry, values above
-        1 by the same power law.
-
-    Returns
-    -------
-    NDArray
-        Linear values of the same shape, float64.
+    Negative values are decoded by odd symmetry, values above 1 by the same power law.
     """
     value = np.asarray(encoded, dtype=np.float64)
     size = np.abs(value)
@@ -66,18 +57,7 @@ def decode_srgb(encoded: ArrayLike) -> NDArray[np.float64]:
 
 
 def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
-    """Encode linear light as sRGB (IEC 61966-2-1): the inverse of `decode_srgb`.
-
-    Parameters
-    ----------
-    linear
-        Values of any shape, 1 = white; negative values by odd symmetry.
-
-    Returns
-    -------
-    NDArray
-        Encoded values of the same shape, float64, not clipped.
-    """
+    """Encode linear light of any shape as sRGB, float64, not clipped: undoes `decode_srgb`."""
     value = np.asarray(linear, dtype=np.float64)
     size = np.abs(value)
     encoded = np.where(size <= 0.0031308, size * 12.92, 1.055 * size ** (1 / 2.4) - 0.055)
@@ -85,15 +65,10 @@ def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
 
 
 def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
-    """Matrix from linear RGB to CIE XYZ, white with Y = 1.
+    """Matrix (3, 3) from linear RGB to CIE XYZ, white with Y = 1.
 
     The columns are the primaries, XYZ = (x/y, 1, (1-x-y)/y), each scaled so that equal amounts
     of the three give the white point.
-
-    Returns
-    -------
-    NDArray
-        (3, 3), float64.
 
     Raises
     ------
@@ -118,12 +93,7 @@ def bradford(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArra
 
 
 def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
-    """Matrix from linear RGB of some primaries to linear Rec.709, white to white.
-
-    Returns
-    -------
-    NDArray
-        (3, 3), float64; rows sum to 1.
+    """Matrix (3, 3) from linear RGB of some primaries to linear Rec.709; rows sum to 1.
 
     Raises
     ------
@@ -136,17 +106,9 @@ def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
 
 
 def icc_to_rec709(to_xyz: ArrayLike) -> NDArray[np.float64]:
-    """Matrix from linear RGB of an ICC profile to linear Rec.709.
+    """Matrix (3, 3) from linear RGB of an ICC profile to linear Rec.709.
 
-    Parameters
-    ----------
-    to_xyz
-        (3, 3), the colorants of the profile as columns: XYZ under D50.
-
-    Returns
-    -------
-    NDArray
-        (3, 3), float64.
+    `to_xyz` (3, 3) has the colorants of the profile as columns, XYZ under D50.
     """
     rec709 = rgb_to_xyz(REC709)
     adapt = bradford(ICC_D50, rec709.sum(axis=1))
@@ -169,18 +131,7 @@ class Conversion:
     matrix: NDArray[np.float64] | None = None
 
     def __call__(self, samples: NDArray[Any]) -> NDArray[np.float32]:
-        """Convert samples.
-
-        Parameters
-        ----------
-        samples
-            (H, W, 3), uint8, uint16 or floating.
-
-        Returns
-        -------
-        NDArray
-            (H, W, 3), linear Rec.709, float32, a new array.
-        """
+        """Samples (H, W, 3), uint8, uint16 or floating, as linear Rec.709 float32, a new array."""
         if samples.dtype.kind == "u":
             linear = self._look_up(samples)
         elif isinstance(self.curve, str) and self.curve == "srgb":
@@ -250,18 +201,15 @@ def near_rec709(primaries: Primaries) -> bool:
 def from_icc(curves: list[NDArray[np.float32]], to_xyz: ArrayLike | None) -> Conversion:
     """Conversion from the curves and the colorants of an ICC profile.
 
+    Colorants of Rec.709 to within the rounding that profiles have (1e-3 in the matrix) count as
+    Rec.709.
+
     Parameters
     ----------
     curves
         One curve of a grey profile or three, each (levels,), linear light per code.
     to_xyz
         (3, 3) colorants as columns, XYZ under D50; None of a grey profile.
-
-    Returns
-    -------
-    Conversion
-        Colorants of Rec.709 to within the rounding that profiles have (1e-3 in the matrix) count
-        as Rec.709.
     """
     matrix = None if to_xyz is None else icc_to_rec709(to_xyz)
     if matrix is not None and np.abs(matrix - np.eye(3)).max() <= 1e-3:

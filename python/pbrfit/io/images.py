@@ -125,10 +125,6 @@ def read_picture(
         Lowest and highest code that is data, of an 8-bit file; a 16-bit file has the same shares
         of its maximum. They mark what is `clipped` or `dark`, and do not change pixels.
 
-    Returns
-    -------
-    Picture
-
     Raises
     ------
     InputError
@@ -234,17 +230,12 @@ def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray
 
 
 def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
-    """Read a picture of integer ids, such as segments.
+    """Read a picture of integer ids, such as segments: (H, W) uint16, as they are stored.
 
     Parameters
     ----------
     path
         Grey PNG or TIFF file of 8 or 16 bits, or palette PNG, of which the indices are taken.
-
-    Returns
-    -------
-    NDArray
-        (H, W), uint16, the stored integers.
 
     Raises
     ------
@@ -264,18 +255,9 @@ def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
 
 
 def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
-    """Read all channels of an EXR file as they are.
+    """Read all channels of an EXR file as they are: (H, W) float32 by full name, ``albedo.R``.
 
-    Parameters
-    ----------
-    path
-        EXR file.
-
-    Returns
-    -------
-    dict
-        Full channel name, such as ``albedo.R``, to (H, W) float32. Of a file with several parts
-        the name of the part comes first.
+    In a file with several parts the name of the part comes first.
 
     Raises
     ------

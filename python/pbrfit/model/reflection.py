@@ -253,20 +253,12 @@ def render_directional(
 
     Parameters
     ----------
-    materials
-        Maps of (H, W) pixels. Pixels that are NaN in any map stay NaN.
-    normals
-        (H, W, 3) unit vectors in camera space; NaN outside the mask.
     directions
         (3,) or (N, 3) unit vectors from the surface to the lights.
     colors
         (3,) or (N, 3), linear Rec.709.
-    fov
-        Horizontal field of view in degrees, 0 = orthographic.
-    threads
-        0 = one for each processor; the result does not depend on it.
-    model
-        "paper" or "principled": how surfaces reflect light.
+    materials, normals, fov, threads, model
+        As for `render`.
 
     Returns
     -------

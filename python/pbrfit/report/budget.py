@@ -15,9 +15,10 @@ LIMIT = 20_000_000
 """Bytes that a page has at most."""
 
 VIEW_SHARE = 0.4
+"""Share of the limit that the relight view may take; what a part does not need goes to the next."""
+
 MAPS_SHARE = 0.6
-"""Shares of the limit: for the relight view, and for the maps of what that leaves. Pictures have
-the rest; what one part does not need goes to the next."""
+"""Share of what the view leaves that the maps may take; pictures have the rest."""
 
 LARGEST = 1024
 """Longer side of a map or the relight view in pixels."""

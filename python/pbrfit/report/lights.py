@@ -21,11 +21,10 @@ PANORAMA_HEIGHT = 96
 GAP = 8
 
 MIRROR_ROUGHNESS = 0.1
-"""Side of the mirror ball in pixels: lights of l ≤ 3 hold nothing that a sharper mirror would
-show."""
+"""Roughness of the mirror ball: lights of l ≤ 3 hold nothing that a sharper mirror would show."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear Rec.709. Source: ITU-R BT.709-6."""
+"""Weights of linear Rec.709 R, G, B. Source: ITU-R BT.709-6."""
 
 HATCH = 8
 """Pixels between the lines that mark negative radiance."""

@@ -27,8 +27,9 @@ def plain(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Write a share: 0.0092 %, 3.4 %, 57 %; on one line."""
-    return f"{plain(100 * share)}\N{NO-BREAK SPACE}%"
+    """Write a share: 57 %, 3.4 %, 0.0092 %, < 0.001 %; on one line."""
+    space = "\N{NO-BREAK SPACE}"
+    return f"<{space}0.001{space}%" if 0 < share < 1e-5 else f"{plain(100 * share)}{space}%"
 
 
 def band(index: int) -> str:

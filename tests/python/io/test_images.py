@@ -47,17 +47,20 @@ def save_png(path: Path, array: NDArray[Any], **options: Any) -> Path:
     return path
 
 
+def chunk(kind: bytes, body: bytes) -> bytes:
+    """Of a PNG file."""
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def png_of_chunks(*chunks: bytes, size: tuple[int, int] = (1, 1), interlaced: int = 0) -> bytes:
+    """An 8-bit grey PNG of (width, height) whose header these chunks follow."""
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", *size, 8, 0, 0, 0, interlaced))
+    return b"".join([b"\x89PNG\r\n\x1a\n", header, *chunks, chunk(b"IEND", b"")])
+
+
 def png_with_chunk(kind: bytes, body: bytes) -> bytes:
-    """An 8-bit grey PNG of one pixel with one more chunk before its data."""
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        )
-
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 0, 0, 0, 0))
-    data = chunk(b"IDAT", zlib.compress(b"\0\x80"))
-    return b"\x89PNG\r\n\x1a\n" + header + chunk(kind, body) + data + chunk(b"IEND", b"")
+    """A PNG of one pixel with one more chunk before its data."""
+    return png_of_chunks(chunk(kind, body), chunk(b"IDAT", zlib.compress(b"\0\x80")))
 
 
 # Integer pictures
@@ -165,16 +168,8 @@ def test_interlaced_png(tmp_path: Path) -> None:
         for row in grey[y::dy, x::dx]
         if row.size
     )
-    one = png_with_chunk(b"tEXt", b"a\0b")
-    start = one.index(b"IHDR")
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        )
-
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 1))
-    data = one[: start - 4] + header + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
+    idat = chunk(b"IDAT", zlib.compress(raw))
+    data = png_of_chunks(idat, size=(width, height), interlaced=1)
     (tmp_path / "i.png").write_bytes(data)
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "i.png")), grey)
     np.testing.assert_array_equal(

@@ -119,7 +119,7 @@ def test_a_white_matt_surface_that_faces_the_light_has_radiance_one_less_fresnel
 @pytest.mark.parametrize("r", [0.3, 0.5, 0.8, 1.0])
 def test_metals_return_no_more_than_they_get(r: float, cosine: float) -> None:
     directions, solid_angles = lights_over()
-    found = under_all(directions, r, 1.0, cosine)
+    found = under_all(directions, WHITE, r, 1.0, seen_at(cosine))[:, 0]
     albedo_of_white = float(found @ solid_angles) / math.pi
     assert 0.3 < albedo_of_white <= 1 + 1e-6
 
@@ -133,23 +133,24 @@ def test_at_grazing_angles_the_papers_masking_returns_too_much(
 ) -> None:
     """With k = α²/2 masking is weak: the equations as printed break the conservation of energy."""
     directions, solid_angles = lights_over()
-    found = under_all(directions, r, metallic, cosine)
+    found = under_all(directions, WHITE, r, metallic, seen_at(cosine))[:, 0]
     assert float(found @ solid_angles) / math.pi == pytest.approx(returned, abs=2e-3)
 
 
-def under_all(directions: Array, r: float, metallic: float, cosine: float) -> Array:
-    """(N,) radiance of a white surface under each light alone."""
-    lit = _core.render_directional(
-        UP[None],
-        seen_at(cosine)[None],
-        np.ones((1, 3)),
-        np.array([r]),
-        np.array([float(metallic)]),
-        directions,
-        np.ones_like(directions),
-        1,
-    )
-    return lit[:, 0, 0]
+def under_all(
+    directions: Array,
+    albedo: Array,
+    r: float,
+    metallic: float,
+    view: Array,
+    normal: Array = UP,
+    model: Model = "paper",
+) -> Array:
+    """(N, 3) radiance under each light alone."""
+    material = albedo[None], np.array([r]), np.array([float(metallic)])
+    lights = directions, np.ones_like(directions)
+    lit = _core.render_directional(normal[None], unit(view)[None], *material, *lights, 2, model)
+    return np.asarray(lit[:, 0])
 
 
 @pytest.mark.parametrize(
@@ -159,16 +160,7 @@ def test_all_lights_of_an_sh_light_together_give_the_integral(
     r: float, metallic: float, cosine: float
 ) -> None:
     directions, solid_angles = lights_over()
-    lit = _core.render_directional(
-        UP[None],
-        seen_at(cosine)[None],
-        np.array([[0.9, 0.5, 0.1]]),
-        np.array([r]),
-        np.array([metallic]),
-        directions,
-        np.ones_like(directions),
-        2,
-    )[:, 0]
+    lit = under_all(directions, np.array([0.9, 0.5, 0.1]), r, metallic, seen_at(cosine))
     # Radiance L arriving from dω is an irradiance L dω, which is π times a colour.
     found = np.einsum("lc,lk,l->ck", lit, sh_basis(directions), solid_angles / math.pi)
     expected = respond(r, cosine).weights(np.array([0.9, 0.5, 0.1]), np.array(metallic))
@@ -210,17 +202,9 @@ def test_brightest_lights_do_not_overflow(model: Model) -> None:
     color = np.full((1, 3), 1e260)
     r = np.geomspace(1e-20, 1, 400)
     count = len(r)
-    found = _core.render_directional(
-        np.tile(UP, (count, 1)),
-        np.tile(UP, (count, 1)),
-        np.ones((count, 3)),
-        r,
-        np.ones(count),
-        UP[None],
-        color,
-        1,
-        model,
-    )
+    up = np.tile(UP, (count, 1))
+    material = np.ones((count, 3)), r, np.ones(count)
+    found = _core.render_directional(up, up, *material, UP[None], color, 1, model)
     assert np.isfinite(found).all()
 
 

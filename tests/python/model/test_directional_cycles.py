@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(why_not() is not None, reason=str(why_not()))
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> dict[str, NDArray[np.float32]]:
     folder = tmp_path_factory.mktemp("sun")
-    worker = Path(__file__).with_name("blender_sun.py")
+    worker = Path(__file__).parents[2] / "support" / "blender_sun.py"
     arguments = [str(x) for x in (LIGHT.azimuth, LIGHT.elevation, SIDE, *BOUNDS)]
     run_worker(find_python(), folder, 300, *arguments, worker=worker)
     return {name: images.read_picture(folder / f"{name}.exr").pixels for name in BOUNDS}

@@ -19,7 +19,7 @@ from pbrfit import InputError, Objective, Result, Scene, decompose, relight
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model, checked_model, render_directional
 from pbrfit.scene import folder as scene_folder
 from pbrfit.synthetic import make_scene
-from scene_files import run, write_folder
+from scene_files import held_out_of, lights_of, run, truth_of, write_folder
 
 ROOT = Path(__file__).resolve().parents[3]
 OTHER: dict[Model, Model] = {"paper": "principled", "principled": "paper"}
@@ -51,8 +51,7 @@ def misnamed(model: Any) -> Iterator[Callable[[], object]]:
     pixel: dict[str, Any] = {"normal": [0, 0, 1], "view": [0, 0, 1], "albedo": [0.5] * 3}
     pixel |= {"roughness": 0.5, "metallic": 0.0}
     scene = room("paper")
-    assert scene.truth is not None
-    known = scene.truth.materials, scene.normals
+    known = truth_of(scene).materials, scene.normals
     light = np.zeros((16, 3))
     yield lambda: pbrfit.shade(**pixel, model=model)
     yield lambda: pbrfit.shade_vjp(**pixel, cotangent=np.zeros((3, 16)), model=model)
@@ -154,17 +153,13 @@ def test_scene_toml_names_a_model_or_is_refused(tmp_path: Path) -> None:
 
 def test_synthetic_pictures_are_rendered_with_the_model_and_all_else_is_the_same() -> None:
     one, other = room("paper"), room("principled")
-    assert one.truth is not None
-    assert other.truth is not None
     np.testing.assert_array_equal(one.normals, other.normals)
-    np.testing.assert_array_equal(one.truth.materials.albedo, other.truth.materials.albedo)
+    np.testing.assert_array_equal(truth_of(one).materials.albedo, truth_of(other).materials.albedo)
     for scene in (one, other):
-        assert scene.truth is not None
-        assert scene.truth.lighting is not None
         assert scene.model is not None
-        known = scene.truth.materials, scene.normals
-        lights = scene.truth.lighting, scene.truth.relight_lighting
-        for light, images in zip(lights, (scene.images, scene.truth.relight_images), strict=True):
+        known = truth_of(scene).materials, scene.normals
+        lights = lights_of(scene), held_out_of(scene)[1]
+        for light, images in zip(lights, (scene.images, held_out_of(scene)[0]), strict=True):
             assert light is not None
             assert images is not None
             again = pbrfit.render(*known, light, scene.fov, model=scene.model)
@@ -197,16 +192,13 @@ def test_a_fit_takes_the_model_of_the_scene_unless_told_otherwise(model: Model) 
 @pytest.mark.parametrize("model", MODELS)
 def test_errors_of_a_result_are_those_of_its_own_model(model: Model) -> None:
     scene = room(model)
-    assert scene.truth is not None
-    assert scene.truth.relight_lighting is not None
-    assert scene.truth.relight_images is not None
     for found in (result(model), decompose(scene, iterations=0, model=OTHER[model])):
         images = relight(found, found.lighting)
         assert pbrfit.result.metrics.rmse(images, scene.images) == pytest.approx(
             found.metrics["recon_rmse"], rel=1e-9
         )
-        relit = relight(found, scene.truth.relight_lighting)
-        assert pbrfit.result.metrics.rmse(relit, scene.truth.relight_images) == pytest.approx(
+        relit = relight(found, held_out_of(scene)[1])
+        assert pbrfit.result.metrics.rmse(relit, held_out_of(scene)[0]) == pytest.approx(
             found.metrics["relight_rmse"], rel=1e-9
         )
 

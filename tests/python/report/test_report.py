@@ -31,6 +31,7 @@ from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.history import History, HistoryRow
 from pbrfit.result.options import FitOptions
 from pbrfit.synthetic import make_scene
+from scene_files import lights_of, truth_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -134,8 +135,7 @@ def test_numbers_are_those_of_result_json(page: Page, folder: Path) -> None:
 
 def test_maps_are_drawn_pixel_by_pixel(page: Page, folder: Path) -> None:
     result = Result.load(folder / "result")
-    truth = Scene.load(folder / "scene").truth
-    assert truth is not None
+    truth = truth_of(Scene.load(folder / "scene"))
     for which, materials in (("recovered", result.materials), ("true", truth.materials)):
         albedo = np.asarray(page.picture(f"Map of the {which} albedo"))
         np.testing.assert_array_equal(albedo, np.rint(255 * encode_srgb(materials.albedo)))
@@ -148,8 +148,7 @@ def test_maps_are_drawn_pixel_by_pixel(page: Page, folder: Path) -> None:
 
 def test_errors_and_deviations_have_the_colours_of_the_scale(page: Page, folder: Path) -> None:
     result = Result.load(folder / "result")
-    truth = Scene.load(folder / "scene").truth
-    assert truth is not None
+    truth = truth_of(Scene.load(folder / "scene"))
     assert result.uncertainty is not None
     error = np.abs(result.roughness - truth.materials.roughness)
     shares = {
@@ -382,10 +381,8 @@ def test_there_are_no_deviations_where_nothing_tells_the_noise(tmp_path: Path) -
 
 def test_grey_pictures_and_one_picture_of_known_light(tmp_path: Path) -> None:
     made = make_scene("room", size=SIZE, lights=2)
-    assert made.truth is not None
-    assert made.truth.lighting is not None
     grey = np.repeat(made.images[:1, ..., :1], 3, axis=-1)
-    light = np.repeat(made.truth.lighting[:1, :, :1], 3, axis=-1)
+    light = np.repeat(lights_of(made)[:1, :, :1], 3, axis=-1)
     scene = Scene(images=grey, normals=made.normals, lighting=light)
     result = decompose(scene, iterations=2)
     found = written(result, tmp_path / "page.html", scene)

@@ -17,6 +17,7 @@ from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.result.options import Solver
 from pbrfit.scene.exposure import EXPOSURE_RANGE, LEAST_EXPOSURE, mean_radiance, relative_exposures
 from pbrfit.synthetic import make_scene
+from scene_files import lights_of, truth_of
 
 SIZE, N = 12, 5
 
@@ -34,12 +35,10 @@ def with_means(scene: pbrfit.Scene, means: NDArray[Any]) -> pbrfit.Scene:
 
 def brighter(scene: pbrfit.Scene, picture: int, factor: float) -> pbrfit.Scene:
     """The scene with one picture, and its true light, so many times as bright."""
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    images, lighting = np.array(scene.images), scene.truth.lighting.copy()
+    images, lighting = np.array(scene.images), lights_of(scene).copy()
     images[picture] *= factor
     lighting[picture] *= factor
-    truth = dataclasses.replace(scene.truth, lighting=lighting)
+    truth = dataclasses.replace(truth_of(scene), lighting=lighting)
     return dataclasses.replace(scene, images=images, truth=truth)
 
 
@@ -87,11 +86,10 @@ def test_pictures_of_no_light_are_left_to_the_objective() -> None:
 
 def test_the_loss_is_that_of_inverse_square_weights() -> None:
     scene = brighter(made(noise=0.02), 2, 16.0)
-    assert scene.truth is not None
     objective = Objective(scene, threads=1)
     exposures = objective.exposures
     assert exposures is not None
-    maps, lighting = scene.truth.materials, scene.truth.lighting
+    maps, lighting = truth_of(scene).materials, lights_of(scene)
     assert lighting is not None
     x = objective.pack(maps.albedo, maps.roughness, maps.metallic, lighting)
     np.testing.assert_allclose(objective.unpack(x)[1], lighting, rtol=1e-12)
@@ -106,9 +104,8 @@ def test_the_loss_is_that_of_inverse_square_weights() -> None:
 @pytest.mark.parametrize("known", [False, True])
 def test_gradient(known: bool) -> None:
     scene = brighter(made(), 1, 16.0)
-    assert scene.truth is not None
     if known:
-        scene = dataclasses.replace(scene, lighting=scene.truth.lighting)
+        scene = dataclasses.replace(scene, lighting=lights_of(scene))
     objective = Objective(scene)
     rng = np.random.default_rng(1)
     x = objective.with_best_lights(rng.uniform(0.25, 0.75, objective.size))

@@ -26,7 +26,10 @@ from scene_files import (
     FORMATS,
     LIGHTS,
     SIZE,
+    held_out_of,
+    lights_of,
     room,
+    truth_of,
     write_exr,
     write_folder,
     write_jpeg,
@@ -472,50 +475,44 @@ def test_max_size_is_the_longer_side(folder: Path, max_size: int, size: tuple[in
 
 def test_truth_without_known_lights_is_kept_without(tmp_path: Path) -> None:
     made = make_scene("room", size=SIZE, lights=2, held_out=2)
-    assert made.truth is not None
-    dataclasses.replace(made, truth=Truth(made.truth.materials)).save(tmp_path / "scene")
+    dataclasses.replace(made, truth=Truth(truth_of(made).materials)).save(tmp_path / "scene")
     loaded = Scene.load(tmp_path / "scene").truth
     assert loaded is not None
     assert loaded.lighting is None
     assert loaded.relight_images is None
-    np.testing.assert_allclose(loaded.materials.albedo, made.truth.materials.albedo, atol=1e-6)
+    np.testing.assert_allclose(loaded.materials.albedo, truth_of(made).materials.albedo, atol=1e-6)
 
 
 def test_save_and_load_give_the_same_scene(tmp_path: Path) -> None:
     made = make_scene("spheres", size=SIZE, lights=2, held_out=2, seed=4)
     mask = np.ones((SIZE, SIZE), bool)
     mask[:, 0] = False
-    assert made.truth is not None
-    assert made.truth.lighting is not None
     scene = Scene(
         images=made.images.astype(np.float32),
         normals=made.normals,
         fov=33.3,
         mask=mask,
         segments=made.segments,
-        lighting=made.truth.lighting,
+        lighting=lights_of(made),
         names=("b.1", "a"),
         truth=made.truth,
     )
     scene.save(tmp_path / "scene")
     loaded = Scene.load(tmp_path / "scene")
-    assert loaded.truth is not None
     assert loaded.names == ("a", "b.1")  # name order
     np.testing.assert_array_equal(loaded.images, scene.images[::-1])
-    np.testing.assert_array_equal(loaded.lighting, made.truth.lighting[::-1])
-    np.testing.assert_array_equal(loaded.truth.lighting, made.truth.lighting[::-1])
+    np.testing.assert_array_equal(loaded.lighting, lights_of(made)[::-1])
+    np.testing.assert_array_equal(lights_of(loaded), lights_of(made)[::-1])
     np.testing.assert_array_equal(loaded.valid, mask)
     np.testing.assert_array_equal(loaded.segments, scene.segments)
     np.testing.assert_allclose(loaded.normals, scene.normals, atol=1e-7)
     assert loaded.fov == 33.3
     for name in ("albedo", "roughness", "metallic"):
-        found, true = (getattr(t.materials, name) for t in (loaded.truth, made.truth))
+        found, true = (getattr(truth_of(one).materials, name) for one in (loaded, made))
         np.testing.assert_allclose(found[mask], true[mask], rtol=1e-7)
         assert np.isnan(found[~mask]).all()
-    assert loaded.truth.relight_images is not None
-    assert made.truth.relight_images is not None
-    np.testing.assert_allclose(loaded.truth.relight_images, made.truth.relight_images, rtol=1e-7)
-    np.testing.assert_array_equal(loaded.truth.relight_lighting, made.truth.relight_lighting)
+    np.testing.assert_allclose(held_out_of(loaded)[0], held_out_of(made)[0], rtol=1e-7)
+    np.testing.assert_array_equal(held_out_of(loaded)[1], held_out_of(made)[1])
 
 
 def test_a_smaller_size_has_no_truth(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
