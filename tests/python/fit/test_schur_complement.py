@@ -35,7 +35,7 @@ class Kind:
     mono: bool = False
     weights: int | None = None
     damping: float = 0.0
-    pull: bool = False
+    prior: bool = False
     bounds: bool = False
     known_lights: bool = False
     free_normals: bool = False
@@ -61,30 +61,30 @@ KINDS = {
     "plain": Kind(),
     "damped": Kind(damping=0.3),
     "held at bounds": Kind(bounds=True),
-    "held at bounds, pulled and damped": Kind(bounds=True, pull=True, damping=1e-3),
-    "pulled": Kind(pull=True),
-    "pulled, known metallic": Kind(pull=True, metallic=0.3),
+    "held at bounds, with prior and damped": Kind(bounds=True, prior=True, damping=1e-3),
+    "with prior": Kind(prior=True),
+    "with prior, known metallic": Kind(prior=True, metallic=0.3),
     "mono": Kind(mono=True),
     "mono, damped, weighted": Kind(mono=True, damping=1e-2, weights=2),
     "known metallic": Kind(metallic=0.0, damping=0.1),
     "grey": Kind(channels=1, damping=1e-3),
     "grey, order 2, known metallic, weighted": Kind(
-        channels=1, sh_order=2, metallic=0.6, weights=2, pull=True
+        channels=1, sh_order=2, metallic=0.6, weights=2, prior=True
     ),
     "order 2": Kind(sh_order=2, damping=1e-3),
     "weights of pixels": Kind(weights=2),
     "weights of samples": Kind(weights=3, bounds=True),
     "known lights": Kind(known_lights=True),
     "free normals": Kind(free_normals=True, damping=1e-3),
-    "free normals, pulled": Kind(free_normals=True, pull=True),
+    "free normals, with prior": Kind(free_normals=True, prior=True),
     "free normals, held at bounds, mono": Kind(
         free_normals=True, bounds=True, mono=True, damping=1e-2
     ),
     "free normals, known metallic, weighted": Kind(
         free_normals=True, metallic=0.3, weights=3, damping=1e-3
     ),
-    "free normals, grey, pulled, known metallic": Kind(
-        free_normals=True, channels=1, sh_order=2, metallic=0.6, weights=2, pull=True
+    "free normals, grey, with prior, known metallic": Kind(
+        free_normals=True, channels=1, sh_order=2, metallic=0.6, weights=2, prior=True
     ),
     "free normals, grey": Kind(free_normals=True, channels=1, damping=1e-3),
 }
@@ -118,8 +118,8 @@ class Example:
             self.weights = weights
             self.omega[:] = (weights if weights.ndim == 3 else weights[..., None]).swapaxes(0, 1)
         self.images = rng.uniform(0, 2, (n, PIXELS, c)).astype(np.float32)
-        self.precision = rng.uniform(0, 30, (PIXELS, kind.unknowns - c)) if kind.pull else None
-        self.off = rng.uniform(-0.5, 0.5, (PIXELS, kind.unknowns - c)) if kind.pull else None
+        self.precision = rng.uniform(0, 30, (PIXELS, kind.unknowns - c)) if kind.prior else None
+        self.off = rng.uniform(-0.5, 0.5, (PIXELS, kind.unknowns - c)) if kind.prior else None
         self.pixels = rng.permutation(PIXELS)[:150].astype(np.uint64)
         self.offsets, self.normals = np.zeros((PIXELS, 2)), self.given
         if kind.free_normals:
@@ -154,12 +154,16 @@ class Example:
     def size(self) -> int:
         return self.kind.light_channels * PICTURES * self.kind.coefficients
 
-    def options(self, pixels: Pixels | None = None) -> dict[str, Any]:
-        rows = self.pixels if pixels is None else pixels
+    def options(self, rows: Pixels) -> dict[str, Any]:
         found: dict[str, Any] = {"damping": self.kind.damping, "mono": self.kind.mono}
         if self.precision is not None and self.off is not None:
             found |= {"precision": self.precision[rows], "deviation": self.off[rows]}
         return found
+
+    def ask(self, name: str, *moves: Array, pixels: Pixels | None = None, threads: int = 1) -> Any:
+        """What a method of the problem says of these pixels."""
+        rows = self.pixels if pixels is None else pixels
+        return getattr(self.problem(threads), name)(self.x, rows, *moves, **self.options(rows))
 
     def moves(self) -> Array:
         """Of the lights."""
@@ -261,16 +265,14 @@ def close(found: Array, expected: Array, share: float) -> None:
 
 def accuracy(kind: Kind) -> float:
     """Of pixels that are nearly singular the core's ridge shows: 1e-12 of their diagonal."""
-    return 1e-10 if kind.damping > 0 or kind.pull else 1e-8
+    return 1e-10 if kind.damping > 0 or kind.prior else 1e-8
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) -> None:
     example, expected = expected_of(kind)
-    matrix, gradient = example.problem().schur_complement(
-        example.x, example.pixels, **example.options()
-    )
+    matrix, gradient = example.ask("schur_complement")
     assert matrix.shape == (example.size, example.size)
     close(matrix, expected.matrix, accuracy(example.kind))
     close(gradient, expected.gradient, accuracy(example.kind))
@@ -281,9 +283,7 @@ def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) ->
 def test_products_are_those_of_the_whole_system(kind: str) -> None:
     example, expected = expected_of(kind)
     moves = example.moves()
-    product, gradient = example.problem().schur_product(
-        example.x, example.pixels, moves, **example.options()
-    )
+    product, gradient = example.ask("schur_product", moves)
     close(product, expected.matrix @ moves, accuracy(example.kind))
     close(gradient, expected.gradient, accuracy(example.kind))
 
@@ -292,7 +292,7 @@ def test_products_are_those_of_the_whole_system(kind: str) -> None:
 def test_pixels_follow_the_lights_as_the_whole_system_says(kind: str) -> None:
     example, expected = expected_of(kind)
     moves = example.moves()
-    found = example.problem().back_substitute(example.x, example.pixels, moves, **example.options())
+    found = example.ask("back_substitute", moves)
     of_material = example.kind.of_material
     before = example.values[example.pixels]
     steps = expected.steps(moves, of_material)
@@ -334,7 +334,8 @@ def test_a_step_solves_the_whole_system() -> None:
 
 
 def step_lowers_squares(example: Example) -> None:
-    problem, x, pixels, how = example.problem(), example.x, example.pixels, example.options()
+    problem, x, pixels = example.problem(), example.x, example.pixels
+    how = example.options(pixels)
     matrix, gradient = problem.schur_complement(x, pixels, **how)
     # Not all directions of the lights are told by these pixels.
     damped = matrix + 1e-2 * np.diag(np.diag(matrix))
@@ -352,32 +353,21 @@ def step_lowers_squares(example: Example) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_order_of_pixels_changes_rounding_alone(kind: str) -> None:
     example = Example(KINDS[kind])
-    problem, moves = example.problem(), example.moves()
     order = np.random.default_rng(6).permutation(len(example.pixels))
-    other = example.pixels[order]
-    first, second = (
-        (
-            problem.schur_complement(example.x, pixels, **example.options(pixels)),
-            problem.schur_product(example.x, pixels, moves, **example.options(pixels)),
-        )
-        for pixels in (example.pixels, other)
-    )
-    for one, two in zip(first, second, strict=True):
-        for a, b in zip(one, two, strict=True):
+    other, moves = example.pixels[order], example.moves()
+    for asked in (("schur_complement",), ("schur_product", moves)):
+        for a, b in zip(example.ask(*asked), example.ask(*asked, pixels=other), strict=True):
             close(a, b, 1e-12)
-    one_by_one = problem.back_substitute(
-        example.x, example.pixels, moves, **example.options(example.pixels)
-    )
-    shuffled = problem.back_substitute(example.x, other, moves, **example.options(other))
-    np.testing.assert_array_equal(one_by_one[order], shuffled)
+    shuffled = example.ask("back_substitute", moves, pixels=other)
+    np.testing.assert_array_equal(example.ask("back_substitute", moves)[order], shuffled)
 
 
 @pytest.mark.parametrize(
     "kind",
     [
-        "held at bounds, pulled and damped",
+        "held at bounds, with prior and damped",
         "mono, damped, weighted",
-        "free normals, pulled",
+        "free normals, with prior",
         "free normals, known metallic, weighted",
     ],
 )
@@ -385,14 +375,13 @@ def test_the_same_bits_at_any_number_of_threads(kind: str) -> None:
     example = Example(KINDS[kind])
     # So many that there is work for several threads.
     pixels = np.tile(example.pixels, 30)
-    how, moves = example.options(pixels), example.moves()
+    moves = example.moves()
 
     def answers(threads: int) -> list[Array]:
-        problem = example.problem(threads)
         return [
-            *problem.schur_complement(example.x, pixels, **how),
-            *problem.schur_product(example.x, pixels, moves, **how),
-            problem.back_substitute(example.x, pixels, moves, **how),
+            *example.ask("schur_complement", pixels=pixels, threads=threads),
+            *example.ask("schur_product", moves, pixels=pixels, threads=threads),
+            example.ask("back_substitute", moves, pixels=pixels, threads=threads),
         ]
 
     expected = answers(1)
