@@ -218,12 +218,9 @@ class FitOptions:
         Results of versions that had no `refine_normals` were fitted without.
         """
         values = {"refine_normals": "off", **table(content)}
-        unknown = sorted(set(values) - {one.name for one in fields(cls)})
-        if unknown:
-            raise ValueError(f"options {listed(unknown)}")
         if "priors" in values:
             values["priors"] = Priors(**table(values["priors"]))
-        unknown = set(values) - {one.name for one in fields(cls)}
+        unknown = sorted(set(values) - {one.name for one in fields(cls)})
         if unknown:
             raise ValueError(f"options {listed(unknown)}")
         return cls(**values)
