@@ -20,7 +20,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.result import metrics
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import convergence
-from pbrfit_evaluation.convergence import Task, figures
+from pbrfit_evaluation.convergence import figures
 from pbrfit_evaluation.convergence.cases import CASES, LIGHTS, Case, make, true_lighting
 from pbrfit_evaluation.convergence.measure import (
     QUANTITIES,
@@ -32,7 +32,7 @@ from pbrfit_evaluation.convergence.measure import (
     median_reached,
     on_grid,
 )
-from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Budget, fit_with_ours
+from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Budget, Task, fit_with_ours
 from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.suite import Results
 from scene_files import run

@@ -33,18 +33,10 @@ from pbrfit_evaluation.stability.extreme_pixels import (
     random_pixels,
     seen_at,
 )
-from pbrfit_evaluation.stability.measure import (
-    EFFORTS,
-    Effort,
-    Task,
-    count,
-    ratio,
-    sections,
-    worst,
-    worst_entry,
-)
-from pbrfit_evaluation.stability.measure import run as run_section
+from pbrfit_evaluation.stability.measure import EFFORTS, Effort, count, ratio, worst, worst_entry
 from pbrfit_evaluation.stability.objective import QUANTITIES
+from pbrfit_evaluation.stability.run import Task, sections
+from pbrfit_evaluation.stability.run import run as run_section
 from pbrfit_evaluation.stability.stiff_scenes import stiff_scenes
 from pbrfit_evaluation.suite import Results
 from scene_files import run

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from pbrfit._core import InputError
@@ -13,7 +13,7 @@ from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation.convergence import figures
 from pbrfit_evaluation.convergence.cases import CASES, Case, make, true_lighting
 from pbrfit_evaluation.convergence.measure import Tracker
-from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Budget
+from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Budget, Task
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -24,21 +24,6 @@ MOST_SEEDS = 100
 
 REHEARSAL = Case("rehearsal", 8, 0.0, "typical")
 REHEARSAL_BUDGET = Budget(iterations=3, evaluations=3, seconds=60.0)
-
-
-@dataclass(frozen=True)
-class Task:
-    """One run: a solver on a scene."""
-
-    case: Case
-    solver: str
-    seed: int
-    budget: Budget
-
-    @property
-    def key(self) -> str:
-        """Unique name, fit for a file."""
-        return f"{self.case.name}.{self.solver}.{self.seed}"
 
 
 def tasks(options: Options) -> list[Task]:

@@ -36,7 +36,7 @@ from pbrfit_evaluation.suite import (
 )
 
 if TYPE_CHECKING:
-    from pbrfit_evaluation.convergence import Task
+    from pbrfit_evaluation.convergence.solvers import Task
 
 SHOWN: tuple[tuple[Quantity, float], ...] = (
     ("recon", 1e-2),

@@ -19,7 +19,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
-from pbrfit_evaluation.convergence.cases import true_lighting
+from pbrfit_evaluation.convergence.cases import Case, true_lighting
 from pbrfit_evaluation.convergence.measure import Tracker
 from pbrfit_evaluation.convergence.torch_peer import Limits, Settings
 from pbrfit_evaluation.recipes import paper_start
@@ -192,3 +192,18 @@ SOLVERS: tuple[Solver, ...] = (
 
 
 BY_NAME = {solver.name: solver for solver in SOLVERS}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run: a solver on a scene."""
+
+    case: Case
+    solver: str
+    seed: int
+    budget: Budget
+
+    @property
+    def key(self) -> str:
+        """Unique name, fit for a file."""
+        return f"{self.case.name}.{self.solver}.{self.seed}"

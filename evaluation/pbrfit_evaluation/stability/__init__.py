@@ -6,7 +6,8 @@ from pbrfit.commands.arguments import add_threads, whole_number
 from pbrfit_evaluation.options import option
 from pbrfit_evaluation.stability import figures
 from pbrfit_evaluation.stability.bounds import SECTIONS
-from pbrfit_evaluation.stability.measure import EFFORTS, Task, run
+from pbrfit_evaluation.stability.measure import EFFORTS
+from pbrfit_evaluation.stability.run import Task, run
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 

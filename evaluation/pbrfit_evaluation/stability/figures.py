@@ -18,7 +18,7 @@ from pbrfit_evaluation.stability.bounds import (
     SLOPE_BOUND,
 )
 from pbrfit_evaluation.stability.branches import STEPS
-from pbrfit_evaluation.stability.measure import Task
+from pbrfit_evaluation.stability.run import Task
 from pbrfit_evaluation.stability.stiff_fits import MAPS
 from pbrfit_evaluation.stability.tiny import BOUNDED, EXPOSURES
 from pbrfit_evaluation.suite import (

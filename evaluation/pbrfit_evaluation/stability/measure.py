@@ -9,16 +9,12 @@ name nothing of how it is done.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.random import Generator
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
-
-from pbrfit_evaluation.jobs import Values
 
 Array = NDArray[np.float64]
 
@@ -108,45 +104,3 @@ def worst_entry(errors: Array, scale: Array) -> float:
     relative = np.divide(errors, scale, out=np.full_like(errors, np.inf), where=scale > 0)
     relative[(errors == 0) & (scale == 0)] = 0
     return float(relative.max())
-
-
-Measure = Callable[[Effort, Generator, int], Values]
-
-
-def sections() -> dict[str, Measure]:
-    """What measures each section, by name, in the order of their seeds."""
-    from pbrfit_evaluation.stability import bands, branches, objective, stiff_fits, tiny
-
-    return {
-        "band weights": bands.measure,
-        "fast objective": objective.kernel,
-        "branch points": branches.measure,
-        "cancellation": objective.cancellation,
-        "accumulated error": objective.accumulation,
-        "tiny numbers": tiny.measure,
-        "determinism": objective.determinism,
-        "stiff fits": stiff_fits.measure,
-    }
-
-
-@dataclass(frozen=True)
-class Task:
-    """One section; each draws its own pixels, lights and pictures, whatever the others do."""
-
-    section: str
-    effort: Effort
-    seed: int
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        return self.section.replace(" ", "-")
-
-
-def run(task: Task, threads: int) -> Values:
-    """Measure one section."""
-    measures = sections()
-    rng = np.random.default_rng([task.seed, 1 + list(measures).index(task.section)])
-    # Small matrices: more BLAS threads only get into each other's way, and change the last bits.
-    with threadpool_limits(1):
-        return measures[task.section](task.effort, rng, threads)
