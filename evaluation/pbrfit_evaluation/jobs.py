@@ -41,7 +41,7 @@ _HEAD = b'{\n "digest": "'
 
 WRITERS = frozenset(
     {
-        *("drawing.py", "history_plot.py", "html.py", "page.py", "plot.py", "plots.py"),
+        *("drawing.py", "html.py", "page.py", "plot.py", "plots.py"),
         *("report.py", "figures.py", "options.py", "suite.py"),
     }
 )
