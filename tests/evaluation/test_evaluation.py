@@ -386,6 +386,7 @@ def test_a_fit_that_starts_at_the_truth_stays_there(kind: str, seed: int) -> Non
 # ----------------------------------------------------------------------------------- the command
 
 
+@pytest.mark.slow
 def test_a_command_interrupted_in_the_middle_can_go_on(tmp_path: Path) -> None:
     """Ctrl-C reaches parent and workers alike; nothing but whole records is left."""
     import signal
