@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.gauss_newton.light_spectrum import spectrum
-from pbrfit.fit.gauss_newton.normal_equations import WORKING_SET, chunks, held_at_bounds, inverse
+from pbrfit.fit.gauss_newton.normal_equations import (
+    WORKING_SET,
+    chunks,
+    held_at_bounds,
+    inverse,
+    one_blas_thread,
+)
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.sampling import evenly_spaced
@@ -63,9 +69,8 @@ def estimate(
     """
     # Here and not above: only a fit needs it. One BLAS thread: sums split over threads would round
     # differently on a machine with another number of processors.
-    from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         lights = light_modes(objective, x, light_pixels)
         found = variances(objective, x, lights)
         return of_variances(

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
+from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
@@ -222,13 +223,11 @@ def _refine(
     run: Run, x: Array, make: Callable[[Scene, bool], Objective], normals: Array | None
 ) -> tuple[PixelFit, float] | None:
     """The fit with refined normals, and the σ of their offsets; None if time ran out."""
-    from threadpoolctl import threadpool_limits
-
     scene = run.scene
     free = make(scene, True)
     ended: tuple[Status, str] | None = None
     # Sums split over threads would round differently on a machine with more processors.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         free_x, prior = _start(run, x, free, normals)
         roughness_metallic, starts = None, 1
         for number in range(settings.NORMALS_PASSES):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.settings import (
     LBFGS_PAIRS,
     LBFGS_STAGES,
@@ -183,7 +184,6 @@ def scipys(
 ) -> tuple[float, Array]:
     """See `Descent`."""
     from scipy.optimize import Bounds, minimize
-    from threadpoolctl import threadpool_limits
 
     lower, upper = run.objective.bounds.T.copy()
     lower[run.objective.roughness] = lowest_roughness
@@ -214,7 +214,7 @@ def scipys(
 
     # One BLAS thread: dot products split over threads would round differently on a machine with
     # another number of processors.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         try:
             found = minimize(
                 evaluate,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings, uncertainty
+from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.solvers.run import Run, SharedState, material_errors
@@ -85,10 +86,8 @@ def fit_tiles(
     side
         Rows and columns of a tile, at most.
     """
-    from threadpoolctl import threadpool_limits
-
     # Sums split over threads would round differently on a machine with more processors.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         return _fit_tiles(scene, setup, start, subset_pixels, side)
 
 
