@@ -47,14 +47,18 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dis
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint lint-rust lint-python bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
 
-test: $(VENV)/tools lint
-	cargo test --profile test-optimized
+# Rust's half and Python's side by side: the last crate of each build takes one core alone.
+test:
+	$(MAKE) --jobs 2 test-rust lint-python
 	$(PYTEST) -m "not slow"
+
+test-rust: lint-rust
+	cargo test --profile test-optimized
 
 test-slow: $(VENV)/tools
 	$(PYTEST) -m slow
@@ -84,9 +88,13 @@ test-reliability: $(VENV)/tools
 	$(BIN)/python tests/reliability/signals.py
 	$(BIN)/pytest tests/reliability
 
-lint: $(VENV)/tools
+lint: lint-rust lint-python
+
+lint-rust:
 	cargo fmt --check
 	cargo clippy --all-targets --features python -- -D warnings
+
+lint-python: $(VENV)/tools
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
