@@ -17,7 +17,7 @@ from pbrfit.synthetic.stages import Stage, shell
 from pbrfit_evaluation.rooms import furniture
 from pbrfit_evaluation.rooms.coverings import MAY_BE_METAL
 from pbrfit_evaluation.rooms.furniture import Piece
-from pbrfit_evaluation.rooms.parts import Parts, moved, reach, retagged, turned
+from pbrfit_evaluation.rooms.parts import Parts, placed, reach
 
 Rng = np.random.Generator
 
@@ -28,23 +28,6 @@ _LEAST_FURNITURE = 0.36  # share of the glance
 _LEAST_POSSIBLE_METAL = 0.19  # share of the glance that parts cover which may be of metal
 _MOST_PARTS = 31, 39  # of a room: its limit is drawn between these
 _GAP = 0.06  # metres between things that stand side by side
-
-
-@dataclass(frozen=True)
-class Room:
-    """A furnished room without materials.
-
-    Attributes
-    ----------
-    stage
-        Walls, primitives of all furniture, camera.
-    parts
-        The furniture in the room, in the order of the stage's pieces. Parts with the same tag have
-        the same material.
-    """
-
-    stage: Stage
-    parts: Parts
 
 
 @dataclass
@@ -65,7 +48,7 @@ class _Plan:
 
     def place(self, piece: Piece, at: tuple[float, float, float], yaw: float) -> bool:
         """Add a piece that has its place, unless it would run into a wall or be too much."""
-        parts = moved(turned(retagged(piece.parts, f"{self.pieces}"), yaw), *at)
+        parts = placed(piece.parts, at, yaw=yaw, tag=f"{self.pieces}")
         if len(self.parts) + len(parts) > self.most:
             return False
         for wall in self.walls:
@@ -87,12 +70,21 @@ class _Plan:
         return True
 
 
-def draw_room(rng: Rng) -> Room:
-    """Draw rooms until one shows enough; the best of 10 if none does."""
+def draw_room(rng: Rng) -> tuple[Stage, Parts]:
+    """Draw rooms until one shows enough; the best of 10 if none does.
+
+    Returns
+    -------
+    stage
+        Walls, primitives of all furniture, camera.
+    parts
+        The furniture, in the order of the stage's pieces. Parts with the same tag have the same
+        material.
+    """
     best, best_score = None, -1.0
     for _ in range(10):
         room = _arrange(rng)
-        score = _score(room)
+        score = _score(*room)
         if score > best_score:
             best, best_score = room, score
         if score >= 1.0:
@@ -101,18 +93,15 @@ def draw_room(rng: Rng) -> Room:
     return best
 
 
-def _score(room: Room) -> float:
+def _score(stage: Stage, parts: Parts) -> float:
     """Least ratio of what a room shows to what it should: pieces, furniture, possible metal."""
-    hits = look(room.stage, _GLANCE)
-    walls = len(room.stage.walls)
-    pixels = np.bincount(hits.index, minlength=len(room.stage.primitives))[walls:]
-    metal_pixels = sum(
-        int(n) for n, part in zip(pixels, room.parts, strict=True) if part.role in MAY_BE_METAL
-    )
+    hits = look(stage, _GLANCE)
+    pixels = np.bincount(hits.index, minlength=len(stage.primitives))[len(stage.walls) :]
+    possible = np.array([part.covering in MAY_BE_METAL for part in parts])
     return min(
         float(np.sum(pixels >= _LEAST_PIXELS)) / _LEAST_PIECES,
         float(pixels.sum()) / len(hits.index) / _LEAST_FURNITURE,
-        metal_pixels / len(hits.index) / _LEAST_POSSIBLE_METAL,
+        float(pixels[possible].sum()) / len(hits.index) / _LEAST_POSSIBLE_METAL,
     )
 
 
@@ -122,7 +111,7 @@ def look(stage: Stage, size: int) -> Hits:
     return trace(stage.primitives, stage.eye, rays @ stage.turn.T)
 
 
-def _arrange(rng: Rng) -> Room:
+def _arrange(rng: Rng) -> tuple[Stage, Parts]:
     width, depth, height = rng.uniform([3.2, 3.0, 2.4], [4.4, 3.9, 2.9])
     low, high = np.array([-width / 2, 0.0, -depth]), np.array([width / 2, height, 1.4])
     walls = shell(low, high)
@@ -146,7 +135,7 @@ def _arrange(rng: Rng) -> Room:
         eye=eye,
         turn=rotation(1, yaw) @ rotation(0, pitch),
     )
-    return Room(stage, plan.parts)
+    return stage, plan.parts
 
 
 def _fill_middle(plan: _Plan, rng: Rng, depth: float, height: float) -> None:
@@ -156,7 +145,7 @@ def _fill_middle(plan: _Plan, rng: Rng, depth: float, height: float) -> None:
     yaw = rng.uniform(-20, 20)
     plan.stand(furniture.table(rng, low=low), x, z, yaw)
     if rng.random() < 0.6:
-        plan.place(furniture.rug(rng), (x, 0.0, z), rng.uniform(-8, 8))
+        plan.place(furniture.carpet(rng), (x, 0.0, z), rng.uniform(-8, 8))
     seats = (furniture.stool, furniture.armchair) if low else (furniture.chair, furniture.stool)
     wanted = int(rng.integers(1, 3))
     for side in rng.permutation([-1, 1, -1, 1]):

@@ -142,14 +142,7 @@ def _bilinear(maps: Maps, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDA
 def load_textures(folder: Path) -> tuple[MaterialSet, ...]:
     """Read all sets of texture maps in a folder and the folders below it, in order of their paths.
 
-    Parameters
-    ----------
-    folder
-        See the module for the names that are known.
-
-    Returns
-    -------
-    tuple of MaterialSet
+    See the module for the names that are known.
 
     Raises
     ------
@@ -207,29 +200,27 @@ def _load_set(name: str, parent: Path, paths: dict[str, Path]) -> MaterialSet:
         raise InputError(f"{parent}: expected an albedo or base colour map of {name}, found none")
     if "roughness" not in paths and "packed" not in paths:
         raise InputError(f"{parent}: expected a roughness map of {name}, found none")
-    packed = None
+    # In the order of the channels; one texel where there is no map.
+    absent = {"albedo": [0, 0, 0], "roughness": [0], "metallic": [0], "normal": [0, 0, 1]}
+    layers = {role: np.array([[texel]], dtype=np.float32) for role, texel in absent.items()}
     if "packed" in paths:
         packed = _read(paths["packed"], "occlusion, roughness and metallic", 3)
-    layers = [_reduced(images.read_picture(paths["albedo"]).pixels)]
-    for role, channel in (("roughness", 1), ("metallic", 2)):
+        layers |= {"roughness": packed[..., 1:2], "metallic": packed[..., 2:]}
+    layers["albedo"] = _reduced(images.read_picture(paths["albedo"]).pixels)
+    for role in ("roughness", "metallic"):
         if role in paths:
-            layers.append(_read(paths[role], role, 1))
-        elif packed is not None:
-            layers.append(packed[..., channel : channel + 1])
-        else:
-            layers.append(np.zeros((1, 1, 1), dtype=np.float32))
+            layers[role] = _read(paths[role], role, 1)
     relief = [role for role in paths if role.startswith("normal")]
     if relief:
         vectors = 2 * _read(paths[relief[0]], "normals", 3) - 1
         vectors[..., 2] = np.maximum(vectors[..., 2], 0.05)  # a surface that faces outwards
         if relief[0] == "normal-dx":
             vectors[..., 1] *= -1
-        layers.append(vectors)
-    else:
-        layers.append(np.array([[[0.0, 0.0, 1.0]]], dtype=np.float32))
-    side = min(_FINEST, 2 ** int(np.log2(max(max(layer.shape[:2]) for layer in layers))))
-    maps = np.concatenate([_resized(layer, side) for layer in layers], axis=-1)
-    levels = [maps]
+        layers["normal"] = vectors
+    largest = max(max(layer.shape[:2]) for layer in layers.values())
+    side = min(_FINEST, 2 ** int(np.log2(largest)))
+    resized = [averaged_channels(layer, (side, side)) for layer in layers.values()]
+    levels = [np.concatenate(resized, axis=-1).astype(np.float32)]
     while len(levels[-1]) > 1:
         levels.append(_block_means(levels[-1], 2))
     return MaterialSet(name=name, levels=tuple(levels), relief=bool(relief))
@@ -258,8 +249,3 @@ def _block_means(layer: NDArray[Any], factor: int) -> Maps:
     for j in range(factor):
         total += rows[:, j : width * factor : factor]
     return np.asarray(total / factor**2, dtype=np.float32)
-
-
-def _resized(layer: Maps, side: int) -> Maps:
-    """Average over the squares of a (side, side) grid: texels are shared by area."""
-    return averaged_channels(layer, (side, side)).astype(np.float32)
