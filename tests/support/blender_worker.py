@@ -30,7 +30,7 @@ def main(folder: Path) -> None:
     )
     names = {"albedo": "Base Color", "roughness": "Roughness", "metallic": "Metallic"}
     nodes.show(**{key: source(principled, name) for key, name in names.items()})
-    np.savez(folder / "seen.npz", allow_pickle=False, **render_truth(scene, folder))
+    np.savez(folder / "seen.npz", **render_truth(scene, folder))
     for of in job["renders"]:
         scene, nodes, principled = imported(job)
         light(scene, of)

@@ -42,7 +42,7 @@ def main(folder: Path) -> None:
     truth = render_truth(scene, folder)
     light = render_harmonics if job["light"]["kind"] == "harmonics" else render_points
     radiance = light(scene, folder, job)
-    np.savez(folder / "truth.npz", allow_pickle=False, **truth)
+    np.savez(folder / "truth.npz", **truth)
     np.save(folder / "radiance.npy", radiance)
     outcome = {"cpu_seconds": time.process_time() - started}
     (folder / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
