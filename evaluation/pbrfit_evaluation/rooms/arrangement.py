@@ -119,8 +119,7 @@ def _arrange(rng: Rng) -> tuple[Stage, Parts]:
     if rng.random() < 0.4:  # a wall of books, and less in the middle
         plan.stand(furniture.bookcase(rng), rng.uniform(-0.5, 0.5), 0.25 - depth, 0.0)
     _fill_middle(plan, rng, depth, height)
-    free = _fill_back(plan, rng, width, depth)
-    _hang_on_back(plan, rng, free, depth)
+    _fill_back(plan, rng, width, depth)
     for side in rng.permutation([-1, 1]):
         _fill_side(plan, rng, int(side), width, depth)
 
@@ -171,14 +170,9 @@ _ALONG_WALLS: tuple[Callable[[Rng], Piece], ...] = (
 )
 
 
-def _fill_back(
-    plan: _Plan, rng: Rng, width: float, depth: float
-) -> list[tuple[float, float, float]]:
-    """Fill the back wall from left to right; return the stretches that stay free above 1 m.
-
-    A stretch is its ends along x and the height of what stands there.
-    """
-    stretches = []
+def _fill_back(plan: _Plan, rng: Rng, width: float, depth: float) -> None:
+    """Fill the back wall from left to right; hang pictures and shelves over what is low."""
+    low: list[tuple[float, float, float]] = []  # middle, width, and height of what stands there
     left = -width / 2 + rng.uniform(0.05, 0.25)
     for i in rng.permutation(len(_ALONG_WALLS)):
         piece = _ALONG_WALLS[i](rng)
@@ -187,21 +181,15 @@ def _fill_back(
             continue
         if plan.stand(piece, x, -depth + piece.half[1] + 0.02, 0.0):
             top = max(0.0, *(float(part.primitive.centre[1]) for part in piece.parts))
+            right = left + 2 * piece.half[0]
             if max(top, piece.height) < 1.1:
-                stretches.append((left, left + 2 * piece.half[0], max(top + 0.2, piece.height)))
+                low.append(((left + right) / 2, right - left, max(top + 0.2, piece.height)))
             left += 2 * piece.half[0] + rng.uniform(_GAP + 0.01, 0.3)
-    return stretches
-
-
-def _hang_on_back(
-    plan: _Plan, rng: Rng, free: list[tuple[float, float, float]], depth: float
-) -> None:
-    """Hang pictures, mirrors and shelves where there is room for them."""
-    for start, end, top in free:
+    for x, free, height in low:
         hung = furniture.wall_shelf(rng) if rng.random() < 0.25 else furniture.picture(rng)
-        y = max(top + 0.12 + hung.height / 2, rng.uniform(1.35, 1.6))
-        if end - start > 1.6 * hung.half[0] and y < 1.9:
-            plan.place(hung, ((start + end) / 2, y, -depth), 0.0)
+        y = max(height + 0.12 + hung.height / 2, rng.uniform(1.35, 1.6))
+        if free > 1.6 * hung.half[0] and y < 1.9:
+            plan.place(hung, (x, y, -depth), 0.0)
 
 
 def _fill_side(plan: _Plan, rng: Rng, side: int, width: float, depth: float) -> None:

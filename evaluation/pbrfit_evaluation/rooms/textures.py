@@ -158,22 +158,20 @@ def load_textures(folder: Path) -> tuple[MaterialSet, ...]:
         if not role:
             continue
         maps = found.setdefault((path.parent, name), {})
-        if role.split("-")[0] in {known.split("-")[0] for known in maps}:
-            raise InputError(
-                f"{path}: expected one {role.split('-')[0]} map of a set, found a second"
-            )
+        if role in maps:
+            raise InputError(f"{path}: expected one {role} map of a set, found a second")
         maps[role] = path
     for (parent, name), shared in list(found.items()):
         if name.endswith("_shared"):
             del found[parent, name]
             for (other, member), maps in found.items():
                 if other == parent and member.startswith(name.removesuffix("shared")):
-                    maps.update({role: path for role, path in shared.items() if role not in maps})
+                    maps.update(shared | maps)
     # A lone normal map belongs to something else than a material.
     sets = [
         _load_set(name or parent.name, parent, maps)
         for (parent, name), maps in found.items()
-        if any(not role.startswith("normal") for role in maps)
+        if set(maps) != {"normal"}
     ]
     if not sets:
         raise InputError(
@@ -187,11 +185,8 @@ def _role(path: Path) -> tuple[str, str]:
     """Role and name of the set, both empty for a file that is no texture map."""
     if path.suffix.lower() in _PICTURES:
         for role, pattern in _NAME.items():
-            match = pattern.match(path.stem)
-            if match:
-                kind = (match["kind"] or "").lower()
-                down = role == "normal" and ("dx" in kind or "directx" in kind)
-                return ("normal-dx" if down else role), match["name"] or ""
+            if match := pattern.match(path.stem):
+                return role, match["name"] or ""
     return "", ""
 
 
@@ -210,11 +205,11 @@ def _load_set(name: str, parent: Path, paths: dict[str, Path]) -> MaterialSet:
     for role in ("roughness", "metallic"):
         if role in paths:
             layers[role] = _read(paths[role], role, 1)
-    relief = [role for role in paths if role.startswith("normal")]
-    if relief:
-        vectors = 2 * _read(paths[relief[0]], "normals", 3) - 1
+    if "normal" in paths:
+        vectors = 2 * _read(paths["normal"], "normals", 3) - 1
         vectors[..., 2] = np.maximum(vectors[..., 2], 0.05)  # a surface that faces outwards
-        if relief[0] == "normal-dx":
+        match = _NAME["normal"].match(paths["normal"].stem)
+        if match and (match["kind"] or "").lower().endswith(("dx", "directx")):
             vectors[..., 1] *= -1
         layers["normal"] = vectors
     largest = max(max(layer.shape[:2]) for layer in layers.values())
@@ -223,7 +218,7 @@ def _load_set(name: str, parent: Path, paths: dict[str, Path]) -> MaterialSet:
     levels = [np.concatenate(resized, axis=-1).astype(np.float32)]
     while len(levels[-1]) > 1:
         levels.append(_block_means(levels[-1], 2))
-    return MaterialSet(name=name, levels=tuple(levels), relief=bool(relief))
+    return MaterialSet(name=name, levels=tuple(levels), relief="normal" in paths)
 
 
 def _read(path: Path, what: str, channels: int) -> Maps:
