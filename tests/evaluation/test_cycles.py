@@ -437,12 +437,12 @@ def test_maps_are_those_of_our_own_rays(bpy_cache: Path) -> None:
 
 def test_pictures_come_close_to_the_models_only_without_shadows(bpy_cache: Path) -> None:
     error = {}
-    options = {"lights": 4, "held_out": 1, "samples": 32}
+    picture = partial(
+        render_scene, world("textured"), SIZE, lights=4, held_out=1, samples=32, cache=bpy_cache
+    )
     transports: tuple[Transport, ...] = ("brdf", "full")
     for transport in transports:
-        scene = render_scene(
-            world("textured"), SIZE, transport=transport, cache=bpy_cache, **options
-        )
+        scene = picture(transport=transport)
         known, of = scene.truth, scene.valid
         assert known is not None
         assert known.lighting is not None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import reference
 from pbrfit.synthetic import World
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere
-from pbrfit.synthetic.surfaces import Layers, Spots
+from pbrfit.synthetic.surfaces import Layers, Paint, Spots
 from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def _mix(surface: Layers, points: Array) -> Array:
     """(P, 5) albedo, roughness, metallic: as a weighted sum of all paints."""
     shown = np.ones(len(points))  # what is left to see of the layers below
     total = np.zeros((len(points), 5))
-    base = (surface.base, lambda p: np.ones(len(p)))
+    base: tuple[Paint, Field] = (surface.base, lambda p: np.ones(len(p)))
     for paint, pattern in (*reversed(surface.layers), base):
         share = shown * pattern(points)
         total += share[:, None] * np.array([*paint.albedo, paint.roughness, paint.metallic])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,6 @@ from pbrfit.synthetic.surfaces import Surface
 from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
-
-T = TypeVar("T")
 Covering = Callable[[np.random.Generator, Primitive], Surface]
 """Draws what a primitive is made of; see `coverings`."""
 
@@ -42,7 +39,7 @@ class Part:
 Parts = tuple[Part, ...]
 
 
-def pick(rng: np.random.Generator, *options: T) -> T:
+def pick(rng: np.random.Generator, *options: Covering) -> Covering:
     """Draw one of these."""
     return options[rng.integers(len(options))]
 
