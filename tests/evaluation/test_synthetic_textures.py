@@ -168,7 +168,7 @@ def test_between_texels_and_levels_values_are_linear() -> None:
     made = one_set(maps)
 
     def sample(u: float, v: float, texels: float) -> Array:
-        return made.sample(np.array([u]), np.array([v]), np.array([texels]))[0]
+        return np.asarray(made.sample(np.array([u]), np.array([v]), np.array([texels]))[0])
 
     found = sample(3 / 8, 1 - 2.5 / 8, 1.0)
     np.testing.assert_allclose(found, (maps[2, 2] + maps[2, 3]) / 2, atol=1e-6)

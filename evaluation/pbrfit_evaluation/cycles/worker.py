@@ -260,7 +260,7 @@ def plane(channels: dict[str, Floats], *names: str) -> Floats:
     return next(of for key, of in channels.items() if key.rsplit(".", 1)[0] in names)
 
 
-def render_truth(scene: Any, folder: Path) -> dict[str, NDArray[Any]]:
+def render_truth(scene: Any, folder: Path) -> dict[str, Any]:
     """Albedo, roughness, metallic, normal, position and object of every pixel's centre."""
     view_layer = scene.view_layers[0]
 
