@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pbrfit_evaluation.rooms import coverings as of
-from pbrfit_evaluation.rooms.parts import Part, Parts, ball, box, cone, drum, pick, placed
+from pbrfit_evaluation.rooms.parts import Part, Parts, ball, box, cone, drum, pick
 from pbrfit_evaluation.rooms.things import SMALL, TABLEWARE, row
 
 
@@ -56,8 +56,9 @@ def table(rng: np.random.Generator, *, low: bool) -> Piece:
                 middle = (at[0], leg / 2, at[2])
                 parts.append(box(of.frame, "legs", middle, (half, leg / 2, half)))
         length, depth = 1.8 * x, 1.7 * z
-    things = row(rng, TABLEWARE, length=length, depth=depth, count=int(rng.integers(3, 5)))
-    return Piece((*parts, *placed(things, (0.0, height, 0.0), tag="top")), (x, z), height)
+    count = int(rng.integers(3, 5))
+    things = row(rng, TABLEWARE, (0, height, 0), count, length=length, depth=depth)
+    return Piece((*parts, *things), (x, z), height)
 
 
 def bookcase(rng: np.random.Generator) -> Piece:
@@ -66,8 +67,8 @@ def bookcase(rng: np.random.Generator) -> Piece:
     height, thick = rng.uniform(1.5, 1.8), 0.025
     cover = pick(rng, of.wood, of.lacquer, of.frame)
     inner, levels = 2 * (x - 2 * thick), np.linspace(0.08, height - thick, 4)
-    middle, half = (x - thick, height / 2, 0), (thick, height / 2, z)
-    sides = [box(cover, "case", (side * middle[0], *middle[1:]), half) for side in (-1, 1)]
+    half = (thick, height / 2, z)
+    sides = [box(cover, "case", (i * (x - thick), height / 2, 0), half) for i in (-1, 1)]
     boards = [box(cover, "case", (0, at, 0), (x - 2 * thick, thick, z)) for at in levels]
     parts: Parts = (*sides, *boards)
     clear = float(levels[1] - levels[0]) - 2 * thick
@@ -80,8 +81,8 @@ def bookcase(rng: np.random.Generator) -> Piece:
             at = (x_books, floor + tall / 2, 0.0)
             parts += (box(of.books, f"books{i}", at, (width / 2, tall / 2, 0.75 * z)),)
             free, x_free, count = inner - width, float(-np.sign(x_books) * width / 2), 1
-        things = row(rng, SMALL, length=free, depth=2 * z, count=count, ceiling=clear)
-        parts += placed(things, (x_free, floor, 0.0), tag=f"level{i}")
+        at, tag = (x_free, floor, 0.0), f"level{i}"
+        parts += row(rng, SMALL, at, count, length=free, depth=2 * z, ceiling=clear, tag=tag)
     return Piece(parts, (x, z), height)
 
 
@@ -103,10 +104,9 @@ def sideboard(rng: np.random.Generator) -> Piece:
         parts += (box(front, "doors", at, (x / 2 - 0.025, half, 0.018)),)
         knob = (side * 0.09, (body + foot) / 2 + 0.3 * half, z + 0.03)
         parts += (ball(of.metal, "knobs", knob, 0.035),)
-    things = row(rng, TABLEWARE, length=1.9 * x, depth=1.9 * z, count=int(rng.integers(2, 4)))
-    return Piece(
-        (*parts, *placed(things, (0.0, height, 0.0), tag="top")), (x + 0.02, z + 0.05), height
-    )
+    count = int(rng.integers(2, 4))
+    things = row(rng, TABLEWARE, (0, height, 0), count, length=1.9 * x, depth=1.9 * z)
+    return Piece((*parts, *things), (x + 0.02, z + 0.05), height)
 
 
 def locker(rng: np.random.Generator) -> Piece:
@@ -134,12 +134,8 @@ def chest(rng: np.random.Generator) -> Piece:
     for side in (-0.55, 0.55):
         at = (side * x, height / 2 + 0.004, 0.0)
         parts += (box(of.metal, "bands", at, (0.045, height / 2 + 0.004, z + 0.025)),)
-    things = row(rng, SMALL, length=1.6 * x, depth=1.8 * z, count=1)
-    return Piece(
-        (*parts, *placed(things, (0.0, height + 0.008, 0.0), tag="top")),
-        (x + 0.02, z + 0.03),
-        height,
-    )
+    things = row(rng, SMALL, (0, height + 0.008, 0), 1, length=1.6 * x, depth=1.8 * z)
+    return Piece((*parts, *things), (x + 0.02, z + 0.03), height)
 
 
 def chair(rng: np.random.Generator) -> Piece:
@@ -248,8 +244,9 @@ def wall_shelf(rng: np.random.Generator) -> Piece:
     """Draw a board on a wall with things on it, the wall at z = 0."""
     x, z = rng.uniform(0.4, 0.55), 0.19
     board = box(pick(rng, of.wood, of.lacquer, of.frame), "board", (0, 0, z), (x, 0.028, z))
-    things = row(rng, SMALL, length=1.9 * x, depth=1.9 * z, count=int(rng.integers(2, 4)))
-    return Piece((board, *placed(things, (0.0, 0.028, z), tag="top")), (x, z), 0.056)
+    count = int(rng.integers(2, 4))
+    things = row(rng, SMALL, (0, 0.028, z), count, length=1.9 * x, depth=1.9 * z)
+    return Piece((board, *things), (x, z), 0.056)
 
 
 def pendant(rng: np.random.Generator, ceiling: float, height: float) -> Piece:

@@ -152,13 +152,15 @@ SMALL = tuple(thing for thing in TABLEWARE if thing not in (pot, lamp))
 def row(
     rng: np.random.Generator,
     things: tuple[Thing, ...],
+    at: tuple[float, float, float],
+    count: int,
     *,
     length: float,
     depth: float,
-    count: int,
     ceiling: float = np.inf,
+    tag: str = "top",
 ) -> Parts:
-    """Stand up to `count` different things in a row along x, centred at the origin.
+    """Stand up to `count` different things in a row along x, centred `at` a place.
 
     The row is no longer than `length`, no thing deeper than `depth` or higher than `ceiling`.
     """
@@ -178,4 +180,4 @@ def row(
         aside = max(depth / 2 - radius, 0.0)
         standing += placed(parts, (x, 0.0, rng.uniform(-aside, aside)))
         x += radius
-    return standing
+    return placed(standing, at, tag=tag)
