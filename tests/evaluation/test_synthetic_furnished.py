@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import raycaster
 from pbrfit.model.geometry import view_directions
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
-from pbrfit.synthetic.geometry import Box, Cylinder, Primitive, Sphere, trace
+from pbrfit.synthetic.geometry import trace
 from pbrfit.synthetic.scenes import ADDED_KINDS
 from pbrfit.synthetic.scenes import KINDS as ALWAYS
+from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.rooms.arrangement import draw_room
-from pbrfit_evaluation.rooms.frustum import Frustum
-from pbrfit_evaluation.rooms.palette import DARKEST, LIGHTEST, LIGHTEST_METAL
+from pbrfit_evaluation.rooms.coverings import DARKEST, LIGHTEST, LIGHTEST_METAL
 
-Array = NDArray[np.float64]
 KINDS: tuple[str, ...] = (*ALWAYS, *ADDED_KINDS)
 ROOMS: tuple[str, ...] = ("furnished", "detailed")
 
@@ -49,20 +47,17 @@ def test_pictures_agree_with_a_second_ray_caster(kind: str, fov: float) -> None:
         for i, point in zip(hits.index, hits.local, strict=True)
     ]
     np.testing.assert_allclose(placed, view.points, atol=1e-9)
-    materials, flat = truth(scene).materials, (size * size, -1)
+    known, flat = truth(scene), (size * size, -1)
+    maps = [known.materials.albedo, known.materials.roughness, known.materials.metallic]
+    found = np.concatenate([of.reshape(flat) for of in maps], axis=-1)
     np.testing.assert_allclose(scene.normals.reshape(flat), view.normals, atol=1e-6)
-    np.testing.assert_allclose(materials.albedo.reshape(flat), view.albedo, atol=1e-6)
-    np.testing.assert_allclose(materials.roughness.ravel(), view.roughness, atol=1e-6)
-    np.testing.assert_allclose(materials.metallic.ravel(), view.metallic, atol=1e-6)
-    known, held_out = truth(scene).lighting, truth(scene).relight_images
-    assert known is not None
-    radiance = view.radiance(known)
-    np.testing.assert_allclose(scene.images.reshape(radiance.shape), radiance, atol=1e-6)
-    lighting = truth(scene).relight_lighting
-    assert held_out is not None
-    assert lighting is not None
-    radiance = view.radiance(lighting)
-    np.testing.assert_allclose(held_out.reshape(radiance.shape), radiance, atol=1e-6)
+    np.testing.assert_allclose(found, view.materials, atol=1e-6)
+    pictures = ((scene.images, known.lighting), (known.relight_images, known.relight_lighting))
+    for images, lighting in pictures:
+        assert images is not None
+        assert lighting is not None
+        radiance = view.radiance(lighting)
+        np.testing.assert_allclose(images.reshape(radiance.shape), radiance, atol=1e-6)
 
 
 # ------------------------------------------------------------------------------------- promises
@@ -95,53 +90,33 @@ def test_rooms_keep_their_promises(kind: str) -> None:
 
 
 def test_rooms_differ() -> None:
-    rooms = [draw_room(np.random.default_rng(seed)) for seed in range(5)]
-    widths = {float(room.stage.walls[3].centre[0]) for room in rooms}
-    eyes = {tuple(room.stage.eye) for room in rooms}
-    assert len(widths) == len(eyes) == 5
-    roles = [{part.role for part in room.parts} for room in rooms]
-    assert len({frozenset(role) for role in roles}) > 2
-    assert len({len(room.parts) for room in rooms}) > 2
-
-
-def reach(solid: Primitive, direction: Array) -> float:
-    """How far a solid extends from its centre along a unit vector of the scene."""
-    x, y, z = np.abs(solid.rotation.T @ direction)
-    match solid:
-        case Sphere(radius=radius):
-            return radius
-        case Box(half=half):
-            return float(x * half[0] + y * half[1] + z * half[2])
-        case Cylinder(radius=radius, half=tall):
-            return float(y * tall + np.hypot(x, z) * radius)
-        case Frustum(bottom=bottom, top=top, half=tall):
-            return float(y * tall + np.hypot(x, z) * max(bottom, top))
-    raise AssertionError(type(solid))
+    stages, parts = zip(*(draw_room(np.random.default_rng(seed)) for seed in range(5)), strict=True)
+    assert len({float(stage.walls[3].centre[0]) for stage in stages}) == 5
+    assert len({tuple(stage.eye) for stage in stages}) == 5
+    assert len({frozenset(part.covering for part in room) for room in parts}) > 2
+    assert len({len(room) for room in parts}) > 2
 
 
 def test_every_piece_is_in_the_room() -> None:
     for seed in range(5):
-        room = draw_room(np.random.default_rng(seed))
-        for part in room.parts:
-            for wall in room.stage.walls:
-                inwards = wall.rotation[:, 1]
-                height = float((part.primitive.centre - wall.centre) @ inwards)
-                assert height - reach(part.primitive, -inwards) > -1e-9, f"seed {seed}: {part}"
+        meshes = export(draw("furnished", np.random.default_rng(seed)), 8, 60.0).meshes
+        for wall in meshes[:6]:
+            for i, piece in enumerate(meshes[6:]):
+                height = (piece.vertices - wall.vertices[0]) @ wall.normals[0]
+                assert height.min() > -1e-9, f"seed {seed}: piece {i}"
 
 
 @pytest.mark.parametrize("kind", ROOMS)
 def test_same_seed_same_bytes(kind: str) -> None:
-    first, again, other = (
-        make_scene(kind, size=24, lights=3, held_out=1, noise=0.01, seed=seed) for seed in (7, 7, 8)
-    )
-    for name in ("images", "normals", "segments"):
-        bytes_of = [getattr(scene, name).tobytes() for scene in (first, again, other)]
-        assert bytes_of[0] == bytes_of[1] != bytes_of[2], name
-    for name in ("albedo", "roughness", "metallic"):
-        bytes_of = [
-            getattr(truth(scene).materials, name).tobytes() for scene in (first, again, other)
-        ]
-        assert bytes_of[0] == bytes_of[1] != bytes_of[2], name
+    def drawn(seed: int) -> list[bytes]:
+        scene = make_scene(kind, size=24, lights=3, held_out=1, noise=0.01, seed=seed)
+        m = truth(scene).materials
+        maps = (scene.images, scene.normals, scene.segments, m.albedo, m.roughness, m.metallic)
+        return [np.asarray(of).tobytes() for of in maps]
+
+    first = drawn(7)
+    assert drawn(7) == first
+    assert all(one != other for one, other in zip(first, drawn(8), strict=True))
 
 
 def test_rooms_do_not_depend_on_the_resolution() -> None:

@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
 from pbrfit.synthetic import draw, make_scene
-from pbrfit.synthetic.geometry import (
-    Box,
-    Cylinder,
-    Plane,
-    Primitive,
-    Sphere,
-    rotation,
-    trace,
-)
+from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, rotation, trace
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit_evaluation.rooms import MaterialSet, load_textures
 from pbrfit_evaluation.rooms.detailed import LEAST_ROUGHNESS, Textured
@@ -39,6 +31,13 @@ def save(path: Path, values: Any) -> None:
     images.write_png(path, np.round(255 * image).astype(np.uint8), tag=None)
 
 
+def save_set(folder: Path, color: Any, rough: Any, metal: Any = None, prefix: str = "") -> None:
+    """Write the maps of a set."""
+    for name, values in (("albedo", color), ("roughness", rough), ("metallic", metal)):
+        if values is not None:
+            save(folder / f"{prefix}{name}.png", values)
+
+
 def noise(seed: int, side: int = 16, channels: int = 3) -> Array:
     return np.asarray(np.random.default_rng(seed).random((side, side, channels)))
 
@@ -52,9 +51,7 @@ def eight_bit(values: Array) -> Array:
 
 def test_maps_of_a_set_by_folder_name(tmp_path: Path) -> None:
     color, rough, metal = noise(0), noise(1)[..., 0], noise(2)[..., 0]
-    save(tmp_path / "tin" / "albedo.png", color)
-    save(tmp_path / "tin" / "roughness.png", rough)
-    save(tmp_path / "tin" / "metallic.png", metal)
+    save_set(tmp_path / "tin", color, rough, metal)
     (one,) = load_textures(tmp_path)
     assert one.name == "tin"
     assert not one.relief
@@ -94,15 +91,13 @@ def test_names_in_use(tmp_path: Path, color: str, rough: str) -> None:
 
 
 def test_a_material_may_be_called_metal(tmp_path: Path) -> None:
-    save(tmp_path / "rusty_metal_albedo.png", noise(0))
-    save(tmp_path / "rusty_metal_roughness.png", noise(1)[..., 0])
+    save_set(tmp_path, noise(0), noise(1)[..., 0], prefix="rusty_metal_")
     assert load_textures(tmp_path)[0].name == "rusty_metal"
 
 
 def test_shared_maps_serve_all_of_their_name(tmp_path: Path) -> None:
     for name in ("king_black", "king_white"):
-        save(tmp_path / f"{name}_base_color.png", noise(0))
-        save(tmp_path / f"{name}_roughness.png", noise(1)[..., 0])
+        save_set(tmp_path, noise(0), noise(1)[..., 0], prefix=f"{name}_")
     save(tmp_path / "king_shared_metallic.png", np.ones((16, 16)))
     sets = load_textures(tmp_path)
     assert [one.name for one in sets] == ["king_black", "king_white"]
@@ -113,9 +108,7 @@ def test_normal_maps_up_or_down(tmp_path: Path) -> None:
     tilted = np.broadcast_to([0.5 + 0.3, 0.5 + 0.2, 0.5 + np.sqrt(0.25 - 0.13)], (8, 8, 3))
     for name in ("gl/nor_gl.png", "dx/normal_dx.png"):
         save(tmp_path / name, tilted)
-        folder = (tmp_path / name).parent
-        save(folder / "albedo.png", noise(0, 8))
-        save(folder / "roughness.png", noise(1, 8)[..., 0])
+        save_set((tmp_path / name).parent, noise(0, 8), noise(1, 8)[..., 0])
     down, up = load_textures(tmp_path)
     assert (down.name, up.name) == ("dx", "gl")
     np.testing.assert_allclose(up.mean[5:], [0.6, 0.4, np.sqrt(0.48)], atol=0.005)
@@ -126,8 +119,7 @@ def test_normal_maps_up_or_down(tmp_path: Path) -> None:
 def test_large_and_odd_maps_are_averaged_by_area(tmp_path: Path) -> None:
     color = np.zeros((24, 24, 3))
     color[:, :12] = 1.0
-    save(tmp_path / "albedo.png", color)
-    save(tmp_path / "roughness.png", noise(1, 4)[..., 0])
+    save_set(tmp_path, color, noise(1, 4)[..., 0])
     (one,) = load_textures(tmp_path)
     assert len(one.levels[0]) == 16
     np.testing.assert_allclose(one.levels[0][:, :8, :3], 1.0, atol=1e-6)
@@ -138,19 +130,16 @@ def test_large_and_odd_maps_are_averaged_by_area(tmp_path: Path) -> None:
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"nowhere: expected a folder of texture maps"):
         load_textures(tmp_path / "nowhere")
-    with pytest.raises(ValueError, match=r"expected texture maps such as .*, found none"):
-        load_textures(tmp_path)
-    save(tmp_path / "oak_albedo.png", noise(0))
-    with pytest.raises(ValueError, match="expected a roughness map of oak, found none"):
-        load_textures(tmp_path)
-    save(tmp_path / "oak_roughness.png", noise(0)[..., 0])
-    save(tmp_path / "tin_roughness.png", noise(0)[..., 0])
-    with pytest.raises(ValueError, match="expected an albedo or base colour map of tin"):
-        load_textures(tmp_path)
-    save(tmp_path / "tin_albedo.png", noise(0))
-    save(tmp_path / "tin_color.png", noise(0))
-    with pytest.raises(ValueError, match="expected one albedo map of a set, found a second"):
-        load_textures(tmp_path)
+    for added, message in (
+        ((), r"expected texture maps such as .*, found none"),
+        (("oak_albedo",), "expected a roughness map of oak, found none"),
+        (("oak_roughness", "tin_roughness"), "expected an albedo or base colour map of tin"),
+        (("tin_albedo", "tin_color"), "expected one albedo map of a set, found a second"),
+    ):
+        for name in added:
+            save(tmp_path / f"{name}.png", noise(0))
+        with pytest.raises(ValueError, match=message):
+            load_textures(tmp_path)
 
 
 # -------------------------------------------------------------------------------------- sampling
@@ -177,15 +166,15 @@ def test_texel_centres_and_repetition() -> None:
 def test_between_texels_and_levels_values_are_linear() -> None:
     maps = noise(4, 8, 8)
     made = one_set(maps)
-    u, v = np.array([3 / 8]), np.array([1 - 2.5 / 8])
-    found = made.sample(u, v, np.ones(1))[0]
+
+    def sample(u: float, v: float, texels: float) -> Array:
+        return np.asarray(made.sample(np.array([u]), np.array([v]), np.array([texels]))[0])
+
+    found = sample(3 / 8, 1 - 2.5 / 8, 1.0)
     np.testing.assert_allclose(found, (maps[2, 2] + maps[2, 3]) / 2, atol=1e-6)
-    wide = made.sample(np.array([2 / 8]), np.array([1 - 2 / 8]), np.full(1, 2 * np.sqrt(2)))[0]
-    first = made.sample(np.array([2 / 8]), np.array([1 - 2 / 8]), np.full(1, 2.0))[0]
-    second = made.sample(np.array([2 / 8]), np.array([1 - 2 / 8]), np.full(1, 4.0))[0]
+    first, wide, second = (sample(2 / 8, 1 - 2 / 8, x) for x in (2.0, 2 * np.sqrt(2), 4.0))
     np.testing.assert_allclose(wide, (first + second) / 2, atol=1e-6)
-    far = made.sample(np.array([0.3]), np.array([0.9]), np.full(1, 1e9))[0]
-    np.testing.assert_allclose(far, maps.mean((0, 1)), atol=1e-6)
+    np.testing.assert_allclose(sample(0.3, 0.9, 1e9), maps.mean((0, 1)), atol=1e-6)
 
 
 # --------------------------------------------------------------------------------------- mapping
@@ -218,9 +207,7 @@ def test_charts_grow_along_their_axes(solid: Primitive) -> None:
 
     beside = chart(solid, points + step * on.right, normals, tile)
     above = chart(solid, points + step * on.up, normals, tile)
-    flat = (
-        np.abs(normals[:, 1]) == 1.0 if not isinstance(solid, Box) else np.full(len(points), True)
-    )
+    flat = (np.abs(normals[:, 1]) == 1.0) | isinstance(solid, Box)
     around = np.hypot(points[:, 0], points[:, 2])
     for u, v in ((beside.u - on.u, beside.v - on.v), (above.v - on.v, above.u - on.u)):
         np.testing.assert_allclose(v / step, 0.0, atol=1e-3)
@@ -252,9 +239,8 @@ def test_relief_tilts_the_normal_to_the_right_of_the_map() -> None:
 @pytest.fixture
 def two_sets(tmp_path: Path) -> Path:
     for name, metallic in (("stone", 0.0), ("steel", 1.0)):
-        save(tmp_path / name / "albedo.png", 0.3 + 0.5 * noise(5, 32))
-        save(tmp_path / name / "roughness.png", 0.2 + 0.6 * noise(6, 32)[..., 0])
-        save(tmp_path / name / "metallic.png", np.full((32, 32), metallic))
+        color, rough = 0.3 + 0.5 * noise(5, 32), 0.2 + 0.6 * noise(6, 32)[..., 0]
+        save_set(tmp_path / name, color, rough, np.full((32, 32), metallic))
         tilt = 0.5 + 0.1 * (noise(7, 32) - 0.5)
         tilt[..., 2] = 0.98
         save(tmp_path / name / "normal.png", tilt)
@@ -262,11 +248,10 @@ def two_sets(tmp_path: Path) -> Path:
 
 
 def test_scene_from_a_folder_of_maps(two_sets: Path) -> None:
-    scene = make_scene("detailed", size=32, lights=2, held_out=1, seed=3, textures=two_sets)
-    again = make_scene(
-        "detailed", size=32, lights=2, held_out=1, seed=3, textures=load_textures(two_sets)
+    scene, again, plain = (
+        make_scene("detailed", size=32, lights=2, held_out=1, seed=3, textures=textures)
+        for textures in (two_sets, load_textures(two_sets), None)
     )
-    plain = make_scene("detailed", size=32, lights=2, held_out=1, seed=3)
     assert scene.images.tobytes() == again.images.tobytes()
     np.testing.assert_array_equal(scene.segments, plain.segments)
     assert scene.truth is not None

@@ -61,7 +61,7 @@ class Rendering:
 
 @dataclass(frozen=True)
 class InBlender:
-    """What came back: `facts` and `seen` as the worker describes them; (H, W, 4) by name."""
+    """What feeds the surface; what Blender sees at the pixels; pictures (H, W, 4) by name."""
 
     facts: dict[str, Any]
     seen: dict[str, NDArray[np.float32]]
@@ -84,19 +84,20 @@ def in_blender(
     folder.mkdir()
     job = {
         "glb": str(glb),
-        "size": size,
+        "size": size[0],
+        "height": size[1],
         "threads": 2,
+        "seed": 1,
+        "bounces": dict.fromkeys(("all", "diffuse", "glossy"), 0),
         "camera_only": camera_only,
         "renders": [asdict(of) | {"panorama": str(of.panorama)} for of in renderings],
     }
     (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
     run_worker(find_python(), folder, timeout, worker=WORKER)
+    facts = json.loads((folder / "facts.json").read_text(encoding="utf-8"))
+    pictures = {of.name: np.load(folder / f"{of.name}.npy") for of in renderings}
     with np.load(folder / "seen.npz") as seen:
-        return InBlender(
-            json.loads((folder / "facts.json").read_text(encoding="utf-8")),
-            dict(seen),
-            {of.name: np.load(folder / f"{of.name}.npy") for of in renderings},
-        )
+        return InBlender(facts, dict(seen), pictures)
 
 
 def to_camera_space(vectors: NDArray[Any]) -> NDArray[Any]:

@@ -2,8 +2,9 @@
 
     python blender_sun.py FOLDER AZIMUTH ELEVATION SIDE NAME...
 
-NAME is ``matt``, or the roughness of a white metal; FOLDER/NAME.exr is written. A camera in Blender
-looks along −Z with +Y up, so its space is ours. Nothing of pbrfit is imported here.
+NAME is ``matt``, or the roughness of a white metal; FOLDER/NAME.npy is written. A camera in Blender
+looks along −Z with +Y up, so its space is ours. Of pbrfit-evaluation only the worker is imported,
+as a file.
 """
 
 from __future__ import annotations
@@ -13,28 +14,21 @@ import sys
 from pathlib import Path
 
 import bpy
+import numpy as np
+
+sys.path.append(str(Path(__file__).parents[2] / "evaluation" / "pbrfit_evaluation" / "cycles"))
+
+from worker import layer, new_material, render, set_up  # type: ignore[import-not-found]
 
 
 def main(folder: Path, azimuth: float, elevation: float, side: int, names: list[str]) -> None:
     """Set up the sphere, the camera and the sun, and render once a material."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.cycles.device = "CPU"
+    no_bounces = dict.fromkeys(("all", "diffuse", "glossy"), 0)
+    set_up(scene, {"size": side, "threads": 1, "seed": 0, "bounces": no_bounces})
     scene.cycles.samples = 256
     scene.cycles.pixel_filter_type = "BOX"  # a pixel is the mean of what it covers
-    scene.cycles.max_bounces = 0
-    scene.cycles.use_denoising = False
-    scene.render.threads_mode = "FIXED"
-    scene.render.threads = 1
-    scene.render.resolution_x = scene.render.resolution_y = side
-    scene.render.image_settings.file_format = "OPEN_EXR"
-    scene.render.image_settings.color_depth = "32"
-    scene.view_settings.view_transform = "Raw"
-    scene.world = bpy.data.worlds.new("dark")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
-
     camera = bpy.data.cameras.new("camera")
     camera.type, camera.ortho_scale = "ORTHO", 2.0
     scene.camera = bpy.data.objects.new("camera", camera)
@@ -49,28 +43,16 @@ def main(folder: Path, azimuth: float, elevation: float, side: int, names: list[
     bpy.ops.object.shade_smooth()
     sphere = bpy.context.object
     for name in names:
+        material, nodes = new_material(name)
+        if name == "matt":  # Lambert's
+            surface = nodes.add("BsdfDiffuse", {"Color": (1, 1, 1, 1)})
+        else:  # GGX of that roughness without Fresnel
+            inputs = {"Color": (1, 1, 1, 1), "Roughness": float(name)}
+            surface = nodes.add("BsdfAnisotropic", inputs, distribution="GGX")
+        nodes.add("OutputMaterial", {"Surface": surface.outputs[0]})
         sphere.data.materials.clear()
-        sphere.data.materials.append(material(name))
-        scene.render.filepath = str(folder / f"{name}.exr")
-        bpy.ops.render.render(write_still=True)
-
-
-def material(name: str) -> bpy.types.Material:
-    """White: Lambert's, or GGX of that roughness without Fresnel."""
-    made = bpy.data.materials.new(name)
-    made.use_nodes = True
-    nodes = made.node_tree.nodes
-    nodes.clear()
-    if name == "matt":
-        surface = nodes.new("ShaderNodeBsdfDiffuse")
-    else:
-        surface = nodes.new("ShaderNodeBsdfAnisotropic")
-        surface.distribution = "GGX"
-        surface.inputs["Roughness"].default_value = float(name)
-    surface.inputs["Color"].default_value = (1, 1, 1, 1)
-    output = nodes.new("ShaderNodeOutputMaterial")
-    made.node_tree.links.new(surface.outputs[0], output.inputs[0])
-    return made
+        sphere.data.materials.append(material)
+        np.save(folder / f"{name}.npy", layer(render(scene, folder), "Combined", "RGB"))
 
 
 if __name__ == "__main__":

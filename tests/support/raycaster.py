@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import reference
 from pbrfit.synthetic import World
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere
-from pbrfit.synthetic.surfaces import Layers, Spots
+from pbrfit.synthetic.surfaces import Layers, Paint, Spots
 from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
@@ -67,8 +67,8 @@ class View:
         (P,) of the primitive.
     distance, points, normals
         (P,), (P, 3) and (P, 3): along the ray, in scene space, and unit normals in camera space.
-    albedo, roughness, metallic
-        (P, 3), (P,), (P,).
+    materials
+        (P, 5): albedo, roughness, metallic.
     towards_camera
         (P, 3) unit vectors in camera space.
     """
@@ -77,16 +77,13 @@ class View:
     distance: Array
     points: Array
     normals: Array
-    albedo: Array
-    roughness: Array
-    metallic: Array
+    materials: Array
     towards_camera: Array
 
     def radiance(self, lighting: Array) -> Array:
         """(N, P, 3) by the tests' own model."""
-        weights = reference.shade(
-            self.normals, self.towards_camera, self.albedo, self.roughness, self.metallic
-        )
+        maps = (self.materials[:, :3], self.materials[:, 3], self.materials[:, 4])
+        weights = reference.shade(self.normals, self.towards_camera, *maps)
         return np.asarray(np.einsum("pck,nkc->npc", weights, lighting))
 
 
@@ -107,30 +104,25 @@ def look(world: World, size: int, fov: float) -> View:
 
     count = len(rays)
     index, distance = np.full(count, -1), np.full(count, np.inf)
-    points, normals = np.zeros((count, 3)), np.zeros((count, 3))
     for i, solid in enumerate(world.primitives):
         entry = _entry(solid, world.eye, in_scene)
         nearer = entry < distance
         index[nearer], distance[nearer] = i, entry[nearer]
     points = world.eye + distance[:, None] * in_scene
 
-    albedo, roughness, metallic = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
-    for i, solid in enumerate(world.primitives):
-        here = index == i
-        if not here.any():
-            continue
+    normals, materials = np.zeros((count, 3)), np.zeros((count, 5))
+    for i in np.unique(index):
+        here, solid, surface = index == i, world.primitives[i], world.surfaces[i]
         local = np.einsum("ji,pj->pi", solid.rotation, points[here] - solid.centre)
         facing = _gradient(solid, local)
         slant = -(np.einsum("ij,pj->pi", solid.rotation, facing) * in_scene[here]).sum(-1)
         width = distance[here] / depth_to_distance[here] * pixel / np.sqrt(slant)
-        surface = world.surfaces[i]
         finish = surface.at(Spots(local, facing, width))
         if isinstance(surface, Layers):
-            finish_maps = _mix(surface, local)
+            materials[here] = _mix(surface, local)
         else:
-            finish_maps = np.column_stack([finish.albedo, finish.roughness, finish.metallic])
-        albedo[here] = finish_maps[:, :3]
-        roughness[here], metallic[here] = finish_maps[:, 3], finish_maps[:, 4]
+            maps = (finish.albedo, finish.roughness, finish.metallic)
+            materials[here] = np.column_stack(maps)
         relief = facing if finish.normals is None else finish.normals
         normals[here] = np.einsum("ij,pj->pi", solid.rotation, relief)
         if finish.normals is not None:
@@ -138,20 +130,19 @@ def look(world: World, size: int, fov: float) -> View:
             normals[here] -= short[:, None] * in_scene[here]
     normals = np.einsum("ij,pi->pj", world.turn, normals)
     normals /= np.sqrt((normals**2).sum(-1))[:, None]
-    return View(index, distance, points, normals, albedo, roughness, metallic, -rays)
+    return View(index, distance, points, normals, materials, -rays)
 
 
 def _mix(surface: Layers, points: Array) -> Array:
     """(P, 5) albedo, roughness, metallic: as a weighted sum of all paints."""
     shown = np.ones(len(points))  # what is left to see of the layers below
     total = np.zeros((len(points), 5))
-    for paint, pattern in reversed(surface.layers):
+    base: tuple[Paint, Field] = (surface.base, lambda p: np.ones(len(p)))
+    for paint, pattern in (*reversed(surface.layers), base):
         share = shown * pattern(points)
         total += share[:, None] * np.array([*paint.albedo, paint.roughness, paint.metallic])
         shown = shown - share
-    base = surface.base
-    below = np.array([*base.albedo, base.roughness, base.metallic])
-    return np.asarray(total + shown[:, None] * below)
+    return total
 
 
 def _entry(solid: Primitive, eye: Array, rays: Array) -> Array:

@@ -6,7 +6,6 @@ docs/cycles.md.
 
 from __future__ import annotations
 
-from pbrfit_evaluation.cycles.check import SphereCheck, TruthCheck, check_spheres, check_truth
 from pbrfit_evaluation.cycles.job import Transport, default_cache
 from pbrfit_evaluation.cycles.process import CyclesError, CyclesNotFoundError, why_not
 from pbrfit_evaluation.cycles.scene import SAMPLES, Light, render_scene
@@ -16,11 +15,7 @@ __all__ = [
     "CyclesError",
     "CyclesNotFoundError",
     "Light",
-    "SphereCheck",
     "Transport",
-    "TruthCheck",
-    "check_spheres",
-    "check_truth",
     "default_cache",
     "render_scene",
     "why_not",

@@ -111,19 +111,17 @@ def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage
         If a number is out of its range, or a primitive is of another kind.
     """
     check_choice("shell", shell, get_args(Shell))
-    if size < 1:
-        raise InputError(f"size: expected at least 1 pixel, found {size}")
-    if not 0 < fov < 180:
-        raise InputError(f"fov: expected degrees between 0 and 180, found {fov}")
+    view = world.cast(size, fov)
     solid = light_blockers(world, fov, shell)
     meshes = tuple(_mesh(world, i, solid[i]) for i in range(len(world.primitives)))
+    one = Spots(np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]]), np.ones(1))
+    relief = any(surface.at(one).normals is not None for surface in world.surfaces)
     maps = {}
-    if any(mesh.varies for mesh in meshes) or _has_relief(world):
-        view = world.cast(size, fov)
-        material = view.materials
-        finish = np.stack([material.roughness, material.metallic, 0 * material.metallic], axis=-1)
-        maps = {"albedo": material.albedo.astype(np.float32), "finish": finish.astype(np.float32)}
-        if _has_relief(world):
+    if relief or any(mesh.varies for mesh in meshes):
+        of = view.materials
+        finish = np.stack([of.roughness, of.metallic, 0 * of.metallic], axis=-1)
+        maps = {"albedo": of.albedo.astype(np.float32), "finish": finish.astype(np.float32)}
+        if relief:
             maps["normal"] = view.normals.astype(np.float32)
     return Stage(meshes=meshes, maps=maps, size=size, fov=fov)
 
@@ -147,8 +145,7 @@ def light_blockers(world: World, fov: float, shell: Shell) -> tuple[bool, ...]:
 
 def _mesh(world: World, index: int, blocks_light: bool) -> Mesh:
     primitive, surface = world.primitives[index], world.surfaces[index]
-    patches = _patches(primitive, index, world)
-    points, normals, triangles = _triangulate(patches)
+    points, normals, triangles = _triangulate(_patches(primitive, index, world))
     finish = surface.at(Spots(points, normals, np.full(len(points), _CELL)))
     to_camera = primitive.rotation.T @ world.turn
     place = (primitive.centre - world.eye) @ world.turn
@@ -161,11 +158,6 @@ def _mesh(world: World, index: int, blocks_light: bool) -> Mesh:
         metallic=finish.metallic,
         blocks_light=blocks_light,
     )
-
-
-def _has_relief(world: World) -> bool:
-    one = Spots(np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]]), np.ones(1))
-    return any(surface.at(one).normals is not None for surface in world.surfaces)
 
 
 def _triangulate(patches: Sequence[Patch]) -> tuple[Array, Array, NDArray[np.int32]]:
@@ -192,16 +184,22 @@ def _triangulate(patches: Sequence[Patch]) -> tuple[Array, Array, NDArray[np.int
 
 
 def _patches(primitive: Primitive, index: int, world: World) -> list[Patch]:
-    if isinstance(primitive, Sphere):
-        return [_ball(primitive.radius)]
-    if isinstance(primitive, Box):
-        return _cuboid(primitive.half)
-    if isinstance(primitive, Cylinder):
-        return _drum(primitive.radius, primitive.radius, primitive.half)
-    if isinstance(primitive, Frustum):
-        return _drum(primitive.bottom, primitive.top, primitive.half)
-    if isinstance(primitive, Plane):
-        return [_wall(primitive, index, world)]
+    match primitive:
+        case Sphere(radius=radius):
+            polar = np.linspace(0, np.pi, ROUND // 2 + 1)[:, None]
+            ring = np.sin(polar)
+            ring[[0, -1]] = 0.0
+            normals = _turned(ring, np.cos(polar))
+            return [(radius * normals, normals)]
+        case Box(half=half):
+            sides = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
+            return [_sheet((a + 1) % 3, (a + 2) % 3, sign, -half, half) for a, sign in sides]
+        case Cylinder(radius=radius, half=tall):
+            return _drum(radius, radius, tall)
+        case Frustum(bottom=bottom, top=top, half=tall):
+            return _drum(bottom, top, tall)
+        case Plane():
+            return [_wall(primitive, index, world)]
     raise InputError(
         "world: expected spheres, boxes, cylinders, frustums and planes, found "
         f"{type(primitive).__name__}"
@@ -212,50 +210,41 @@ def _steps(length: float) -> int:
     return int(np.clip(np.ceil(length / _CELL), 1, _MOST_CELLS)) + 1
 
 
-def _circle() -> tuple[Array, Array]:
-    """Cosine and sine (ROUND + 1,) around a circle whose ends are the same to the bit."""
+def _turned(radius: Array, height: Array | float) -> Array:
+    """(m, ROUND + 1, 3): a profile (m, 1) about the y axis; first and last are equal to the bit."""
     angle = 2 * np.pi / ROUND * (np.arange(ROUND + 1) % ROUND)
-    return np.cos(angle), np.sin(angle)
+    circles = np.broadcast_arrays(radius * np.cos(angle), height, radius * np.sin(angle))
+    return np.stack(circles, axis=-1)
 
 
-def _ball(radius: float) -> Patch:
-    c, s = _circle()
-    polar = np.linspace(0, np.pi, ROUND // 2 + 1)[:, None]
-    ring = np.sin(polar)
-    ring[[0, -1]] = 0.0
-    normals = np.stack(np.broadcast_arrays(ring * c, np.cos(polar), ring * s), axis=-1)
-    return radius * normals, normals
+def _sheet(i: int, j: int, sign: float, low: Array, high: Array) -> Patch:
+    """Rectangle along the axes i and j at the low or high end, by `sign`, of the third."""
+    axis = 3 - i - j
+    u, v = (np.linspace(low[k], high[k], _steps(high[k] - low[k])) for k in (i, j))
+    points = np.empty((len(u), len(v), 3))
+    points[..., axis] = (low if sign < 0 else high)[axis]
+    points[..., i], points[..., j] = u[:, None], v
+    return points, _facing(axis, sign, points)
 
 
-def _cuboid(half: Array) -> list[Patch]:
-    patches = []
-    for axis in range(3):
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        for sign in (-1.0, 1.0):
-            u = np.linspace(-half[i], half[i], _steps(2 * half[i]))
-            v = np.linspace(-half[j], half[j], _steps(2 * half[j]))
-            points = np.empty((len(u), len(v), 3))
-            points[..., axis], points[..., i], points[..., j] = sign * half[axis], u[:, None], v
-            normal = np.zeros(3)
-            normal[axis] = sign
-            patches.append((points, np.broadcast_to(normal, points.shape)))
-    return patches
+def _facing(axis: int, sign: float, points: Array) -> Array:
+    """The same normal everywhere, along an axis."""
+    normals = np.zeros_like(points)
+    normals[..., axis] = sign
+    return normals
 
 
 def _drum(bottom: float, top: float, half: float) -> list[Patch]:
     """Side and caps of a cylinder, a cone or part of one."""
-    c, s = _circle()
     along = np.linspace(0, 1, _steps(2 * half))[:, None]
-    radius = bottom + along * (top - bottom)
-    side = np.stack(np.broadcast_arrays(radius * c, half * (2 * along - 1), radius * s), axis=-1)
     slope = (top - bottom) / (2 * half)
-    normals = np.stack(np.broadcast_arrays(c, -slope + 0 * radius, s), axis=-1)
-    patches = [(side, normals / np.sqrt(1 + slope**2))]
+    side = _turned(bottom + along * (top - bottom), half * (2 * along - 1))
+    normals = _turned(np.ones_like(along), -slope) / np.sqrt(1 + slope**2)
+    patches = [(side, normals)]
     for sign, rim in ((-1.0, bottom), (1.0, top)):
         if rim > 0:
-            ring = np.linspace(0, rim, _steps(rim))[:, None]
-            cap = np.stack(np.broadcast_arrays(ring * c, sign * half, ring * s), axis=-1)
-            patches.append((cap, np.broadcast_to(np.array([0.0, sign, 0.0]), cap.shape)))
+            cap = _turned(np.linspace(0, rim, _steps(rim))[:, None], sign * half)
+            patches.append((cap, _facing(1, sign, cap)))
     return patches
 
 
@@ -271,11 +260,8 @@ def _wall(plane: Plane, index: int, world: World) -> Patch:
         raise InputError(f"world: expected walls around a room, found nothing left of wall {index}")
     local = (polygon - plane.centre) @ plane.rotation
     low, high = local.min(axis=0), local.max(axis=0)
-    x = np.linspace(low[0], high[0], _steps(high[0] - low[0]))
-    z = np.linspace(low[2], high[2], _steps(high[2] - low[2]))
-    points = np.zeros((len(x), len(z), 3))
-    points[..., 0], points[..., 2] = x[:, None], z
-    return points, np.broadcast_to(np.array([0.0, 1.0, 0.0]), points.shape)
+    low[1] = high[1] = 0.0
+    return _sheet(0, 2, 1.0, low, high)
 
 
 def _cut(polygon: Array, normal: Array, point: Array) -> Array:

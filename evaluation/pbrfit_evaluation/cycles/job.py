@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,6 @@ from pbrfit._core import InputError
 from pbrfit.io.output import new_folder
 from pbrfit_evaluation.cycles.export import Stage, check_choice
 from pbrfit_evaluation.cycles.process import (
-    LOG,
     WORKER,
     CyclesError,
     blender_version,
@@ -28,25 +26,8 @@ from pbrfit_evaluation.cycles.process import (
 
 Transport = Literal["brdf", "shadows", "full"]
 Distribution = Literal["GGX", "MULTI_GGX"]
+_RESULTS = ("radiance.npy", "truth.npz", "outcome.json")
 
-_BOUNCES = {  # of light between surfaces
-    "brdf": {"all": 0, "diffuse": 0, "glossy": 0},
-    "shadows": {"all": 0, "diffuse": 0, "glossy": 0},
-    "full": {"all": 12, "diffuse": 4, "glossy": 4},
-}
-
-_S = np.sqrt
-_C = {  # constants of the basis, by l and |m|
-    (0, 0): _S(1 / (4 * np.pi)),
-    (1, 0): _S(3 / (4 * np.pi)),
-    (2, 0): _S(5 / (16 * np.pi)),
-    (2, 1): _S(15 / (4 * np.pi)),
-    (2, 2): _S(15 / (16 * np.pi)),
-    (3, 0): _S(7 / (16 * np.pi)),
-    (3, 1): _S(21 / (32 * np.pi)),
-    (3, 2): _S(105 / (16 * np.pi)),
-    (3, 3): _S(35 / (32 * np.pi)),
-}
 Terms = list[tuple[float, tuple[int, int, int]]]
 
 
@@ -60,25 +41,28 @@ def basis_polynomials() -> list[Terms]:
         z² = 1 - x² - y² leaves a choice; here every polynomial is homogeneous but for l = 2, 3 and
         m = 0, ±1, which use 1.
     """
-    scaled: list[tuple[tuple[int, int], Terms]] = [
-        ((0, 0), [(1, (0, 0, 0))]),
-        ((1, 0), [(1, (0, 1, 0))]),
-        ((1, 0), [(1, (0, 0, 1))]),
-        ((1, 0), [(1, (1, 0, 0))]),
-        ((2, 1), [(1, (1, 1, 0))]),
-        ((2, 1), [(1, (0, 1, 1))]),
-        ((2, 0), [(3, (0, 0, 2)), (-1, (0, 0, 0))]),
-        ((2, 1), [(1, (1, 0, 1))]),
-        ((2, 2), [(1, (2, 0, 0)), (-1, (0, 2, 0))]),
-        ((3, 3), [(3, (2, 1, 0)), (-1, (0, 3, 0))]),
-        ((3, 2), [(2, (1, 1, 1))]),
-        ((3, 1), [(5, (0, 1, 2)), (-1, (0, 1, 0))]),
-        ((3, 0), [(5, (0, 0, 3)), (-3, (0, 0, 1))]),
-        ((3, 1), [(5, (1, 0, 2)), (-1, (1, 0, 0))]),
-        ((3, 2), [(1, (2, 0, 1)), (-1, (0, 2, 1))]),
-        ((3, 3), [(1, (3, 0, 0)), (-3, (1, 2, 0))]),
+    scaled: list[tuple[int, int, Terms]] = [  # p, q and the terms' sum over √(p / qπ)
+        (1, 4, [(1, (0, 0, 0))]),
+        (3, 4, [(1, (0, 1, 0))]),
+        (3, 4, [(1, (0, 0, 1))]),
+        (3, 4, [(1, (1, 0, 0))]),
+        (15, 4, [(1, (1, 1, 0))]),
+        (15, 4, [(1, (0, 1, 1))]),
+        (5, 16, [(3, (0, 0, 2)), (-1, (0, 0, 0))]),
+        (15, 4, [(1, (1, 0, 1))]),
+        (15, 16, [(1, (2, 0, 0)), (-1, (0, 2, 0))]),
+        (35, 32, [(3, (2, 1, 0)), (-1, (0, 3, 0))]),
+        (105, 16, [(2, (1, 1, 1))]),
+        (21, 32, [(5, (0, 1, 2)), (-1, (0, 1, 0))]),
+        (7, 16, [(5, (0, 0, 3)), (-3, (0, 0, 1))]),
+        (21, 32, [(5, (1, 0, 2)), (-1, (1, 0, 0))]),
+        (105, 16, [(1, (2, 0, 1)), (-1, (0, 2, 1))]),
+        (35, 32, [(1, (3, 0, 0)), (-3, (1, 2, 0))]),
     ]
-    return [[(float(_C[of] * factor), powers) for factor, powers in terms] for of, terms in scaled]
+    return [
+        [(float(np.sqrt(p / (q * np.pi)) * factor), powers) for factor, powers in terms]
+        for p, q, terms in scaled
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +109,7 @@ class Job:
     def description(self) -> dict[str, Any]:
         """Return what `job.json` says, but for the number of threads."""
         reach = max(float(np.abs(mesh.vertices).max()) for mesh in self.stage.meshes)
+        bounces = (12, 4, 4) if self.transport == "full" else (0, 0, 0)  # between surfaces
         light = (
             {"kind": "harmonics", "basis": basis_polynomials(), "distance": 10.0 * reach}
             if self.positions is None
@@ -146,7 +131,7 @@ class Job:
             "maps": list(self.stage.maps),
             "light": light,
             "transport": self.transport,
-            "bounces": _BOUNCES[self.transport],
+            "bounces": dict(zip(("all", "diffuse", "glossy"), bounces, strict=True)),
             "samples": self.samples,
             "seed": self.seed,
             "specular": self.specular,
@@ -253,19 +238,12 @@ def _render(job: Job, python: Path, folder: Path, threads: int, timeout: float) 
     (folder / "job.json").write_text(json.dumps(description), encoding="utf-8")
     np.savez(folder / "arrays.npz", allow_pickle=False, **job.arrays())
     run_worker(python, folder, timeout)
-    missing = [name for name in _RESULTS if not (folder / name).is_file()]
-    if missing:
-        raise CyclesError(f"Cycles: expected {missing[0]} from the renderer, found none")
-    radiance = np.load(folder / "radiance.npy")
-    if not np.isfinite(radiance).all():
+    for name in _RESULTS:
+        if not (folder / name).is_file():
+            raise CyclesError(f"Cycles: expected {name} from the renderer, found none")
+    if not np.isfinite(np.load(folder / "radiance.npy")).all():
         raise CyclesError("Cycles: expected finite radiance, found NaN or infinity")
     (folder / "arrays.npz").unlink()  # ten times larger than the pictures
-    for scratch in folder.iterdir():
-        if scratch.name not in (*_RESULTS, "job.json", LOG):
-            shutil.rmtree(scratch) if scratch.is_dir() else scratch.unlink()
-
-
-_RESULTS = ("radiance.npy", "truth.npz", "outcome.json")
 
 
 def _read(folder: Path) -> Rendered:
@@ -274,8 +252,5 @@ def _read(folder: Path) -> Rendered:
         return Rendered(
             radiance=np.load(folder / "radiance.npy"),
             cpu_seconds=outcome["cpu_seconds"],
-            **{name: truth[name] for name in _TRUTH},
+            **truth,
         )
-
-
-_TRUTH = ("albedo", "roughness", "metallic", "normals", "positions", "segments")

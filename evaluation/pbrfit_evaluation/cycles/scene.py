@@ -14,17 +14,19 @@ from pbrfit.model.materials import Materials
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
-from pbrfit.synthetic.lights import random_lights
+from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
-from pbrfit_evaluation.cycles.export import Shell, check_choice, export
-from pbrfit_evaluation.cycles.job import Distribution, Job, Rendered, Transport, rendered
-from pbrfit_evaluation.cycles.point_lights import random_point_lights
+from pbrfit_evaluation.cycles.export import Shell, Stage, check_choice, export
+from pbrfit_evaluation.cycles.job import Distribution, Job, Transport, rendered
 
 Array = NDArray[np.float64]
 Light = Literal["panorama", "points"]
 
 MAX_TURN = 30.0
 """Neighbouring pixels of one object whose normals differ by more degrees lie at an edge."""
+
+_CLEARANCE = 0.5  # metres from a point light to the nearest surface
+_TRIES = 2000  # a point light
 
 SAMPLES: dict[tuple[Light, Transport], int] = {
     ("panorama", "brdf"): 1024,
@@ -136,14 +138,21 @@ def render_scene(
         gain = gains(images[:, mask], rng)
         return gain[:, None, None] * lighting, gain[:, None, None, None] * images
 
-    relight_lighting = relight_images = lighting = None
+    known: dict[str, Array] = {}
     if colors is not None:  # each picture has its own light: coefficients N × N × 3
-        chosen = np.eye(lights)[..., None] * colors[:, None, :]
-        _, images = exposed(chosen, streams[1])
+        _, images = exposed(np.eye(lights)[..., None] * colors[:, None, :], streams[1])
     else:
-        lighting, images = exposed(random_lights(lights, streams[1]), streams[1])
-        relight_lighting, relight_images = exposed(random_lights(held_out, streams[2]), streams[2])
+        known["lighting"], images = exposed(random_lights(lights, streams[1]), streams[1])
+        known["relight_lighting"], known["relight_images"] = exposed(
+            random_lights(held_out, streams[2]), streams[2]
+        )
     level = MEAN_RADIANCE / images[:, mask].mean()
+
+    def inside(values: NDArray[np.float32]) -> Array:
+        clipped = np.clip(values.astype(np.float64), 0.0, 1.0)
+        clipped[~mask] = np.nan
+        return clipped
+
     return Scene(
         images=level * images,
         normals=np.where(mask[..., None], found.normals, np.nan).astype(np.float64),
@@ -152,10 +161,8 @@ def render_scene(
         segments=found.segments,
         names=tuple(f"light_{i:02d}" for i in range(lights)),
         truth=Truth(
-            materials=_materials(found, mask),
-            lighting=None if lighting is None else level * lighting,
-            relight_images=None if relight_images is None else level * relight_images,
-            relight_lighting=None if relight_lighting is None else level * relight_lighting,
+            materials=Materials(*map(inside, (found.albedo, found.roughness, found.metallic))),
+            **{name: level * values for name, values in known.items()},
         ),
     )
 
@@ -189,12 +196,45 @@ def inner_pixels(
     return np.asarray(inner)
 
 
-def _materials(found: Rendered, mask: NDArray[np.bool_]) -> Materials:
-    def of(values: NDArray[np.float32]) -> Array:
-        clipped = np.clip(values.astype(np.float64), 0.0, 1.0)
-        clipped[~mask] = np.nan
-        return clipped
+def random_point_lights(
+    stage: Stage, walls: int, count: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Draw lights like lamps: half of them anywhere in the upper half of the room, half at hand.
 
-    return Materials(
-        albedo=of(found.albedo), roughness=of(found.roughness), metallic=of(found.metallic)
-    )
+    The first `walls` meshes are the shell; 0 = the camera's surroundings are the room. Returns
+    positions (N, 3) in camera space, at least 0.5 m from every surface, and colours (N, 3) in
+    linear Rec.709, the largest channel 1. An InputError says that the room leaves no place.
+    """
+    around = stage.meshes[:walls] or stage.meshes
+    corners = np.concatenate([mesh.vertices for mesh in around] + [np.zeros((1, 3))])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    positions: list[Array] = []
+    for attempt in range(_TRIES * count):
+        if len(positions) == count:
+            break
+        if attempt % 2:
+            place = rng.normal(scale=(0.8, 0.5, 0.4), size=3) + np.array([0.0, 0.3, 0.0])
+        else:
+            place = low + (high - low) * rng.uniform([0, 0.5, 0], 1)
+        if _is_free(place, stage, walls):
+            positions.append(place)
+    if len(positions) < count:
+        raise InputError(f"world: expected room for {count} point lights, found {len(positions)}")
+    return np.array(positions), random_colors((count,), rng)
+
+
+def _is_free(place: Array, stage: Stage, walls: int) -> bool:
+    """Whether a place is inside the shell, outside of all pieces and far enough from both.
+
+    Every piece is convex: a point is inside if it is behind the surface at all of its vertices.
+    So is the shell, and its normals point inwards.
+    """
+    for i, mesh in enumerate(stage.meshes):
+        towards = place - mesh.vertices
+        height = np.einsum("vi,vi->v", towards, mesh.normals)
+        if i < walls:
+            if height.min() < _CLEARANCE:
+                return False
+        elif height.max() < 0 or np.linalg.norm(towards, axis=-1).min() < _CLEARANCE:
+            return False
+    return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +87,6 @@ def under(of: Rendered, lights: Array) -> Array:
     return np.asarray(np.einsum("khwc,nkc->nhwc", of.radiance.astype(np.float64), lights))
 
 
-def relative_rmse(found: Array, expected: Array) -> float:
+def relative_rmse(found: NDArray[np.floating[Any]], expected: NDArray[np.floating[Any]]) -> float:
     """RMSE over the mean of what is expected."""
     return float(np.sqrt(np.mean((found - expected) ** 2)) / np.mean(expected))

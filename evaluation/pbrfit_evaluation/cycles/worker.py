@@ -2,7 +2,7 @@
 
     python worker.py FOLDER
 
-FOLDER holds `job.json` and `arrays.npz`, as `export.py` describes them; the results are written
+FOLDER holds `job.json` and `arrays.npz`, as `job.py` writes them; the results are written
 beside them: `radiance.npy`, `truth.npz` and `outcome.json`. Nothing of pbrfit is imported here,
 and bpy nowhere else.
 
@@ -31,28 +31,20 @@ def main(folder: Path) -> None:
     """Read the job, build it, render the truth and then the light, write both."""
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     arrays = np.load(folder / "arrays.npz")
-    start, started = time.perf_counter(), time.process_time()
+    started = time.process_time()
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     set_up(scene, job)
     add_camera(scene, job["fov"])
     maps = {name: pixel_map(name, arrays[f"map.{name}"]) for name in job["maps"]}
-    for index, mesh in enumerate(job["meshes"]):
-        add_mesh(scene, index, mesh, arrays, maps, job)
-    built = time.perf_counter()
+    for index in range(len(job["meshes"])):
+        add_mesh(scene, index, arrays, maps, job)
     truth = render_truth(scene, folder)
-    if job["light"]["kind"] == "harmonics":
-        radiance = render_harmonics(scene, folder, job)
-    else:
-        radiance = render_points(scene, folder, job)
-    np.savez(folder / "truth.npz", allow_pickle=False, **truth)
+    light = render_harmonics if job["light"]["kind"] == "harmonics" else render_points
+    radiance = light(scene, folder, job)
+    np.savez(folder / "truth.npz", **truth)
     np.save(folder / "radiance.npy", radiance)
-    outcome = {
-        "blender": bpy.app.version_string,
-        "build_seconds": built - start,
-        "render_seconds": time.perf_counter() - built,
-        "cpu_seconds": time.process_time() - started,
-    }
+    outcome = {"cpu_seconds": time.process_time() - started}
     (folder / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
 
 
@@ -120,30 +112,24 @@ def pixel_map(name: str, values: Floats) -> Any:
 
 
 def add_mesh(
-    scene: Any,
-    index: int,
-    mesh: dict[str, Any],
-    arrays: Any,
-    maps: dict[str, Any],
-    job: dict[str, Any],
+    scene: Any, index: int, arrays: Any, maps: dict[str, Any], job: dict[str, Any]
 ) -> None:
     """Triangles with normals and, where the material varies, its values at the vertices."""
-    part = {key: arrays[f"{index}.{key}"] for key in ("vertices", "normals", "triangles")}
-    data = triangles(f"piece {index}", part["vertices"], part["triangles"])
-    attribute = data.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT")
-    attribute.data.foreach_set("vector", part["normals"].reshape(-1))
+    mesh = job["meshes"][index]
+    data = triangles(f"piece {index}", arrays[f"{index}.vertices"], arrays[f"{index}.triangles"])
+    at_vertices = {"custom_normal": arrays[f"{index}.normals"]}
     if mesh["varies"]:
         values = arrays[f"{index}.material"]  # (V, 5): albedo, roughness, metallic
-        finish = np.concatenate([values[:, 3:], 0 * values[:, :1]], axis=1)
-        for key, of in (("albedo", values[:, :3]), ("finish", finish)):
-            attribute = data.attributes.new(key, "FLOAT_VECTOR", "POINT")
-            attribute.data.foreach_set("vector", np.ascontiguousarray(of).reshape(-1))
+        at_vertices["albedo"] = values[:, :3]
+        at_vertices["finish"] = np.concatenate([values[:, 3:], 0 * values[:, :1]], axis=1)
+    for name, of in at_vertices.items():
+        attribute = data.attributes.new(name, "FLOAT_VECTOR", "POINT")
+        attribute.data.foreach_set("vector", np.ascontiguousarray(of).reshape(-1))
     data.materials.append(material(index, mesh, maps, job))
     data.update()
     piece = bpy.data.objects.new(f"piece {index}", data)
     piece.pass_index = index + 1
-    blocks = mesh["blocks_light"] and job["transport"] != "brdf"
-    only_camera(piece, not blocks)
+    only_camera(piece, not mesh["blocks_light"] or job["transport"] == "brdf")
     piece.cycles.shadow_terminator_geometry_offset = 0.0
     piece.cycles.shadow_terminator_offset = 0.0
     scene.collection.objects.link(piece)
@@ -172,17 +158,15 @@ def only_camera(piece: Any, alone: bool) -> None:
 
 
 class Nodes:
-    """Shader nodes of one material, made and linked in one step."""
+    """Shader nodes of a material or world, made and linked in one step."""
 
-    def __init__(self, name: str) -> None:
-        self.material = bpy.data.materials.new(name)
-        self.material.use_nodes = True
-        self.tree = self.material.node_tree
-        self.tree.nodes.clear()
+    def __init__(self, of: Any) -> None:
+        of.use_nodes = True
+        self.tree = of.node_tree
 
     def add(self, kind: str, inputs: dict[Any, Any] | None = None, **settings: Any) -> Any:
         """Make a node; an input is a constant or another node's output socket."""
-        node = self.tree.nodes.new(kind)
+        node = self.tree.nodes.new(f"ShaderNode{kind}")
         for key, value in settings.items():
             setattr(node, key, value)
         for key, value in (inputs or {}).items():
@@ -194,11 +178,21 @@ class Nodes:
 
     def math(self, operation: str, a: Any, b: Any = 0.0) -> Any:
         """Output of an arithmetic node."""
-        return self.add("ShaderNodeMath", {0: a, 1: b}, operation=operation).outputs[0]
+        return self.add("Math", {0: a, 1: b}, operation=operation).outputs[0]
 
-    def surface(self, shader: Any) -> None:
-        """Use the shader's output."""
-        self.add("ShaderNodeOutputMaterial", {"Surface": shader})
+    def show(self, **values: Any) -> None:
+        """Put what feeds the albedo, roughness and metallic into passes of these names."""
+        for name, value in values.items():
+            key = "Color" if name == "albedo" else "Value"
+            self.add("OutputAOV", {key: value}, aov_name=name)
+
+
+def new_material(name: str) -> tuple[Any, Nodes]:
+    """A material without nodes."""
+    made = bpy.data.materials.new(name)
+    nodes = Nodes(made)
+    nodes.tree.nodes.clear()
+    return made, nodes
 
 
 def material(index: int, mesh: dict[str, Any], maps: dict[str, Any], job: dict[str, Any]) -> Any:
@@ -207,53 +201,38 @@ def material(index: int, mesh: dict[str, Any], maps: dict[str, Any], job: dict[s
     What the camera sees comes from maps with one texel a pixel, looked up where the point is in
     the picture; what other rays see comes from the values at the vertices.
     """
-    nodes = Nodes(f"material {index}")
+    made, nodes = new_material(f"material {index}")
     inputs: dict[str, Any] = {"IOR": 1.5, "Specular IOR Level": job["specular"]}
-    by_camera = None
     if mesh["varies"]:
-        by_camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
-        window = nodes.add("ShaderNodeTexCoord").outputs["Window"]
+        by_camera = nodes.add("LightPath").outputs["Is Camera Ray"]
+        window = {"Vector": nodes.add("TexCoord").outputs["Window"]}
+        smooth = nodes.add("NewGeometry").outputs["Normal"]
 
-        def seen(name: str, otherwise: Any) -> Any:
+        def seen(name: str) -> Any:
             texture = nodes.add(
-                "ShaderNodeTexImage",
-                {"Vector": window},
-                image=maps[name],
-                interpolation="Closest",
-                extension="EXTEND",
+                "TexImage", window, image=maps[name], interpolation="Closest", extension="EXTEND"
             )
-            mix = nodes.add(
-                "ShaderNodeMix",
-                {"Factor": by_camera},
-                data_type="VECTOR",
-                clamp_factor=False,
-            )
+            at_vertices = nodes.add("Attribute", attribute_name=name).outputs["Vector"]
+            mix = nodes.add("Mix", {"Factor": by_camera}, data_type="VECTOR", clamp_factor=False)
             a, b = (s for s in mix.inputs if s.name in "AB" and s.type == "VECTOR")
-            nodes.tree.links.new(otherwise, a)
+            nodes.tree.links.new(smooth if name == "normal" else at_vertices, a)
             nodes.tree.links.new(texture.outputs["Color"], b)
             return next(s for s in mix.outputs if s.type == "VECTOR")
 
-        def at_vertices(name: str) -> Any:
-            node = nodes.add("ShaderNodeAttribute", attribute_name=name)
-            return node.outputs["Vector"]
-
-        finish = nodes.add("ShaderNodeSeparateXYZ", {0: seen("finish", at_vertices("finish"))})
-        inputs["Base Color"] = seen("albedo", at_vertices("albedo"))
+        finish = nodes.add("SeparateXYZ", {0: seen("finish")})
+        inputs["Base Color"] = seen("albedo")
         inputs["Roughness"], inputs["Metallic"] = finish.outputs[0], finish.outputs[1]
         if "normal" in maps:
-            smooth = nodes.add("ShaderNodeNewGeometry").outputs["Normal"]
-            inputs["Normal"] = seen("normal", smooth)
-        aov: dict[str, Any] = {"albedo": inputs["Base Color"]}
+            inputs["Normal"] = seen("normal")
     else:
         inputs["Base Color"] = (*mesh["albedo"], 1.0)
         inputs["Roughness"], inputs["Metallic"] = mesh["roughness"], mesh["metallic"]
-        aov = {"albedo": inputs["Base Color"]}
-    shader = nodes.add("ShaderNodeBsdfPrincipled", inputs, distribution=job["distribution"])
-    nodes.surface(shader.outputs[0])
-    nodes.add("ShaderNodeOutputAOV", {"Color": aov["albedo"]}, aov_name="albedo")
-    for name in ("roughness", "metallic"):
-        nodes.add("ShaderNodeOutputAOV", {"Value": inputs[name.capitalize()]}, aov_name=name)
-    return nodes.material
+    shader = nodes.add("BsdfPrincipled", inputs, distribution=job["distribution"])
+    nodes.add("OutputMaterial", {"Surface": shader.outputs[0]})
+    nodes.show(
+        albedo=inputs["Base Color"], roughness=inputs["Roughness"], metallic=inputs["Metallic"]
+    )
+    return made
 
 
 def render(scene: Any, folder: Path) -> dict[str, Floats]:
@@ -273,35 +252,32 @@ def render(scene: Any, folder: Path) -> dict[str, Floats]:
 
 def layer(channels: dict[str, Floats], name: str, ends: str) -> Floats:
     """(H, W, len(ends)) of one pass."""
-    try:
-        return np.stack([channels[f"{name}.{end}"] for end in ends], axis=-1)
-    except KeyError as missing:
-        raise KeyError(f"no channel {missing} among {sorted(channels)}") from None
+    return np.stack([channels[f"{name}.{end}"] for end in ends], axis=-1)
 
 
 def plane(channels: dict[str, Floats], *names: str) -> Floats:
     """(H, W) of a pass with one channel, by any of its names."""
-    for key, values in channels.items():
-        if key.rsplit(".", 1)[0] in names:
-            return values
-    raise KeyError(f"no channel {names[0]} among {sorted(channels)}")
+    return next(of for key, of in channels.items() if key.rsplit(".", 1)[0] in names)
 
 
-def render_truth(scene: Any, folder: Path) -> dict[str, NDArray[Any]]:
+def render_truth(scene: Any, folder: Path) -> dict[str, Any]:
     """Albedo, roughness, metallic, normal, position and object of every pixel's centre."""
     view_layer = scene.view_layers[0]
-    view_layer.use_pass_normal = view_layer.use_pass_position = True
-    view_layer.use_pass_object_index = True
+
+    def use_passes(on: bool) -> None:
+        view_layer.use_pass_normal = view_layer.use_pass_position = on
+        view_layer.use_pass_object_index = on
+
+    use_passes(True)
     for name, kind in (("albedo", "COLOR"), ("roughness", "VALUE"), ("metallic", "VALUE")):
         aov = view_layer.aovs.add()
         aov.name, aov.type = name, kind
     scene.cycles.samples = 1
     channels = render(scene, folder)
-    index = plane(channels, "Object Index", "IndexOB")
-    view_layer.use_pass_normal = view_layer.use_pass_position = False
-    view_layer.use_pass_object_index = False
+    use_passes(False)
     while view_layer.aovs:
         view_layer.aovs.remove(view_layer.aovs[0])
+    index = plane(channels, "Object Index", "IndexOB")
     return {
         "albedo": layer(channels, "albedo", "RGB"),
         "normals": layer(channels, "Normal", "XYZ"),
@@ -318,12 +294,9 @@ def render_harmonics(scene: Any, folder: Path, job: dict[str, Any]) -> Floats:
     Each function is the emission of one more box around everything, and a light group. The boxes
     are transparent as well, so that a ray that leaves the scene meets all of them.
     """
-    view_layer = scene.view_layers[0]
-    names = []
-    for k, terms in enumerate(job["light"]["basis"]):
-        name = f"basis{k:02d}"
-        view_layer.lightgroups.add(name=name)
-        names.append(name)
+    names = [f"basis{k:02d}" for k in range(len(job["light"]["basis"]))]
+    for k, (name, terms) in enumerate(zip(names, job["light"]["basis"], strict=True)):
+        scene.view_layers[0].lightgroups.add(name=name)
         box = bpy.data.objects.new(name, enclosure(name, 1.01**k * job["light"]["distance"]))
         box.data.materials.append(glow(name, terms))
         box.lightgroup = name
@@ -346,10 +319,10 @@ def enclosure(name: str, half: float) -> Any:
 
 def glow(name: str, terms: list[list[Any]]) -> Any:
     """Transparent, and emits the polynomial of the ray's direction: [factor, [a, b, c]], ..."""
-    nodes = Nodes(name)
-    incoming = nodes.add("ShaderNodeNewGeometry").outputs["Incoming"]  # against the ray
-    towards = nodes.add("ShaderNodeVectorMath", {0: incoming, 3: -1.0}, operation="SCALE")
-    axes = nodes.add("ShaderNodeSeparateXYZ", {0: towards.outputs[0]}).outputs
+    made, nodes = new_material(name)
+    incoming = nodes.add("NewGeometry").outputs["Incoming"]  # against the ray
+    towards = nodes.add("VectorMath", {0: incoming, 3: -1.0}, operation="SCALE")
+    axes = nodes.add("SeparateXYZ", {0: towards.outputs[0]}).outputs
     total: Any = None
     for factor, powers in terms:
         term: Any = None
@@ -358,12 +331,12 @@ def glow(name: str, terms: list[list[Any]]) -> Any:
                 term = axis if term is None else nodes.math("MULTIPLY", term, axis)
         term = factor if term is None else nodes.math("MULTIPLY", term, factor)
         total = term if total is None else nodes.math("ADD", total, term)
-    emission = nodes.add("ShaderNodeEmission", {"Color": (1, 1, 1, 1), "Strength": total})
-    clear = nodes.add("ShaderNodeBsdfTransparent", {"Color": (1, 1, 1, 1)})
-    both = nodes.add("ShaderNodeAddShader", {0: emission.outputs[0], 1: clear.outputs[0]})
-    nodes.surface(both.outputs[0])
-    nodes.material.cycles.emission_sampling = "NONE"
-    return nodes.material
+    emission = nodes.add("Emission", {"Color": (1, 1, 1, 1), "Strength": total})
+    clear = nodes.add("BsdfTransparent", {"Color": (1, 1, 1, 1)})
+    both = nodes.add("AddShader", {0: emission.outputs[0], 1: clear.outputs[0]})
+    nodes.add("OutputMaterial", {"Surface": both.outputs[0]})
+    made.cycles.emission_sampling = "NONE"
+    return made
 
 
 def render_points(scene: Any, folder: Path, job: dict[str, Any]) -> Floats:

@@ -28,10 +28,10 @@ def furnished(rng: np.random.Generator, textures: Textures = None) -> World:
     """Draw a furnished room; it takes no textures."""
     if textures is not None:
         raise InputError("textures: expected the kind detailed with them, found furnished")
-    return draw_furnished(rng).world
+    return draw_furnished(rng)[0]
 
 
 def detailed(rng: np.random.Generator, textures: Textures = None) -> World:
     """Draw a furnished room with texture maps, or with procedural detail."""
     sets = load_textures(textures) if isinstance(textures, Path) else textures or ()
-    return draw_detailed(draw_furnished(rng), sets, rng)
+    return draw_detailed(*draw_furnished(rng), sets, rng)

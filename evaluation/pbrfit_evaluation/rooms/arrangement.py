@@ -17,7 +17,7 @@ from pbrfit.synthetic.stages import Stage, shell
 from pbrfit_evaluation.rooms import furniture
 from pbrfit_evaluation.rooms.coverings import MAY_BE_METAL
 from pbrfit_evaluation.rooms.furniture import Piece
-from pbrfit_evaluation.rooms.parts import Parts, moved, reach, retagged, turned
+from pbrfit_evaluation.rooms.parts import Parts, placed, reach
 
 Rng = np.random.Generator
 
@@ -28,23 +28,6 @@ _LEAST_FURNITURE = 0.36  # share of the glance
 _LEAST_POSSIBLE_METAL = 0.19  # share of the glance that parts cover which may be of metal
 _MOST_PARTS = 31, 39  # of a room: its limit is drawn between these
 _GAP = 0.06  # metres between things that stand side by side
-
-
-@dataclass(frozen=True)
-class Room:
-    """A furnished room without materials.
-
-    Attributes
-    ----------
-    stage
-        Walls, primitives of all furniture, camera.
-    parts
-        The furniture in the room, in the order of the stage's pieces. Parts with the same tag have
-        the same material.
-    """
-
-    stage: Stage
-    parts: Parts
 
 
 @dataclass
@@ -65,7 +48,7 @@ class _Plan:
 
     def place(self, piece: Piece, at: tuple[float, float, float], yaw: float) -> bool:
         """Add a piece that has its place, unless it would run into a wall or be too much."""
-        parts = moved(turned(retagged(piece.parts, f"{self.pieces}"), yaw), *at)
+        parts = placed(piece.parts, at, yaw=yaw, tag=f"{self.pieces}")
         if len(self.parts) + len(parts) > self.most:
             return False
         for wall in self.walls:
@@ -87,12 +70,21 @@ class _Plan:
         return True
 
 
-def draw_room(rng: Rng) -> Room:
-    """Draw rooms until one shows enough; the best of 10 if none does."""
+def draw_room(rng: Rng) -> tuple[Stage, Parts]:
+    """Draw rooms until one shows enough; the best of 10 if none does.
+
+    Returns
+    -------
+    stage
+        Walls, primitives of all furniture, camera.
+    parts
+        The furniture, in the order of the stage's pieces. Parts with the same tag have the same
+        material.
+    """
     best, best_score = None, -1.0
     for _ in range(10):
         room = _arrange(rng)
-        score = _score(room)
+        score = _score(*room)
         if score > best_score:
             best, best_score = room, score
         if score >= 1.0:
@@ -101,18 +93,15 @@ def draw_room(rng: Rng) -> Room:
     return best
 
 
-def _score(room: Room) -> float:
+def _score(stage: Stage, parts: Parts) -> float:
     """Least ratio of what a room shows to what it should: pieces, furniture, possible metal."""
-    hits = look(room.stage, _GLANCE)
-    walls = len(room.stage.walls)
-    pixels = np.bincount(hits.index, minlength=len(room.stage.primitives))[walls:]
-    metal_pixels = sum(
-        int(n) for n, part in zip(pixels, room.parts, strict=True) if part.role in MAY_BE_METAL
-    )
+    hits = look(stage, _GLANCE)
+    pixels = np.bincount(hits.index, minlength=len(stage.primitives))[len(stage.walls) :]
+    possible = np.array([part.covering in MAY_BE_METAL for part in parts])
     return min(
         float(np.sum(pixels >= _LEAST_PIXELS)) / _LEAST_PIECES,
         float(pixels.sum()) / len(hits.index) / _LEAST_FURNITURE,
-        metal_pixels / len(hits.index) / _LEAST_POSSIBLE_METAL,
+        float(pixels[possible].sum()) / len(hits.index) / _LEAST_POSSIBLE_METAL,
     )
 
 
@@ -122,7 +111,7 @@ def look(stage: Stage, size: int) -> Hits:
     return trace(stage.primitives, stage.eye, rays @ stage.turn.T)
 
 
-def _arrange(rng: Rng) -> Room:
+def _arrange(rng: Rng) -> tuple[Stage, Parts]:
     width, depth, height = rng.uniform([3.2, 3.0, 2.4], [4.4, 3.9, 2.9])
     low, high = np.array([-width / 2, 0.0, -depth]), np.array([width / 2, height, 1.4])
     walls = shell(low, high)
@@ -130,8 +119,7 @@ def _arrange(rng: Rng) -> Room:
     if rng.random() < 0.4:  # a wall of books, and less in the middle
         plan.stand(furniture.bookcase(rng), rng.uniform(-0.5, 0.5), 0.25 - depth, 0.0)
     _fill_middle(plan, rng, depth, height)
-    free = _fill_back(plan, rng, width, depth)
-    _hang_on_back(plan, rng, free, depth)
+    _fill_back(plan, rng, width, depth)
     for side in rng.permutation([-1, 1]):
         _fill_side(plan, rng, int(side), width, depth)
 
@@ -146,7 +134,7 @@ def _arrange(rng: Rng) -> Room:
         eye=eye,
         turn=rotation(1, yaw) @ rotation(0, pitch),
     )
-    return Room(stage, plan.parts)
+    return stage, plan.parts
 
 
 def _fill_middle(plan: _Plan, rng: Rng, depth: float, height: float) -> None:
@@ -156,7 +144,7 @@ def _fill_middle(plan: _Plan, rng: Rng, depth: float, height: float) -> None:
     yaw = rng.uniform(-20, 20)
     plan.stand(furniture.table(rng, low=low), x, z, yaw)
     if rng.random() < 0.6:
-        plan.place(furniture.rug(rng), (x, 0.0, z), rng.uniform(-8, 8))
+        plan.place(furniture.carpet(rng), (x, 0.0, z), rng.uniform(-8, 8))
     seats = (furniture.stool, furniture.armchair) if low else (furniture.chair, furniture.stool)
     wanted = int(rng.integers(1, 3))
     for side in rng.permutation([-1, 1, -1, 1]):
@@ -182,14 +170,9 @@ _ALONG_WALLS: tuple[Callable[[Rng], Piece], ...] = (
 )
 
 
-def _fill_back(
-    plan: _Plan, rng: Rng, width: float, depth: float
-) -> list[tuple[float, float, float]]:
-    """Fill the back wall from left to right; return the stretches that stay free above 1 m.
-
-    A stretch is its ends along x and the height of what stands there.
-    """
-    stretches = []
+def _fill_back(plan: _Plan, rng: Rng, width: float, depth: float) -> None:
+    """Fill the back wall from left to right; hang pictures and shelves over what is low."""
+    low: list[tuple[float, float, float]] = []  # middle, width, and height of what stands there
     left = -width / 2 + rng.uniform(0.05, 0.25)
     for i in rng.permutation(len(_ALONG_WALLS)):
         piece = _ALONG_WALLS[i](rng)
@@ -198,21 +181,15 @@ def _fill_back(
             continue
         if plan.stand(piece, x, -depth + piece.half[1] + 0.02, 0.0):
             top = max(0.0, *(float(part.primitive.centre[1]) for part in piece.parts))
+            right = left + 2 * piece.half[0]
             if max(top, piece.height) < 1.1:
-                stretches.append((left, left + 2 * piece.half[0], max(top + 0.2, piece.height)))
+                low.append(((left + right) / 2, right - left, max(top + 0.2, piece.height)))
             left += 2 * piece.half[0] + rng.uniform(_GAP + 0.01, 0.3)
-    return stretches
-
-
-def _hang_on_back(
-    plan: _Plan, rng: Rng, free: list[tuple[float, float, float]], depth: float
-) -> None:
-    """Hang pictures, mirrors and shelves where there is room for them."""
-    for start, end, top in free:
+    for x, free, height in low:
         hung = furniture.wall_shelf(rng) if rng.random() < 0.25 else furniture.picture(rng)
-        y = max(top + 0.12 + hung.height / 2, rng.uniform(1.35, 1.6))
-        if end - start > 1.6 * hung.half[0] and y < 1.9:
-            plan.place(hung, ((start + end) / 2, y, -depth), 0.0)
+        y = max(height + 0.12 + hung.height / 2, rng.uniform(1.35, 1.6))
+        if free > 1.6 * hung.half[0] and y < 1.9:
+            plan.place(hung, (x, y, -depth), 0.0)
 
 
 def _fill_side(plan: _Plan, rng: Rng, side: int, width: float, depth: float) -> None:

@@ -8,7 +8,7 @@ relief, grain and stains of several sizes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,13 +18,14 @@ from pbrfit.synthetic.geometry import Plane, Primitive
 from pbrfit.synthetic.patterns import edge
 from pbrfit.synthetic.surfaces import METALS, Finish, Layers, Spots, Surface
 from pbrfit.synthetic.world import World
-from pbrfit_evaluation.rooms.furnished import Furnished
+from pbrfit_evaluation.rooms.coverings import DARKEST, LIGHTEST, LIGHTEST_METAL
 from pbrfit_evaluation.rooms.mapping import chart
-from pbrfit_evaluation.rooms.palette import DARKEST, LIGHTEST, LIGHTEST_METAL
 from pbrfit_evaluation.rooms.textures import MaterialSet
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
+Relief = Callable[[Array, Array], Array]
+"""(P,) in about [-1, 1] at object-space points (P, 3) for pixels of this width (P,) in metres."""
 
 LEAST_ROUGHNESS = 0.12
 """Roughness is raised to this: below it, lights of order 3 look the same in every surface."""
@@ -80,30 +81,20 @@ class Textured(Surface):
         )
 
 
-@dataclass(frozen=True)
-class Fractal:
+def _fractal(rng: Rng, scale: float, octaves: int = 5) -> Relief:
     """Sums of value noise from coarse to fine; what is finer than a pixel fades out.
 
-    Attributes
-    ----------
-    table
-        (octaves, 16, 16, 16) values in [-1, 1] on the lattices.
-    offset
-        (octaves, 3) of the lattices, in cells.
-    scale
-        Metres of the coarsest cell; each further octave has half of it, and 0.6 of the strength.
+    The coarsest cell is `scale` metres; each further octave has half of it, and 0.6 of the
+    strength.
     """
+    cells = 16
+    tables = rng.uniform(-1, 1, size=(octaves, cells, cells, cells))
+    offsets = rng.uniform(0, cells, size=(octaves, 3))
 
-    table: Array
-    offset: Array
-    scale: float
-
-    def __call__(self, points: Array, width: Array) -> Array:
-        """(P,) in about [-1, 1] at object-space points (P, 3) for pixels of this width (P,)."""
+    def fractal(points: Array, width: Array) -> Array:
         total = np.zeros(len(points))
-        cells = self.table.shape[1]
-        for octave, (table, offset) in enumerate(zip(self.table, self.offset, strict=True)):
-            cell = self.scale / 2**octave
+        for octave, (table, offset) in enumerate(zip(tables, offsets, strict=True)):
+            cell = scale / 2**octave
             strength = 0.6**octave * edge(cell / np.maximum(width, 1e-9) - 2.0, 1.0)
             position = points / cell + offset
             corner = np.floor(position)
@@ -118,13 +109,7 @@ class Fractal:
             total += strength * value
         return total
 
-
-def _fractal(rng: Rng, scale: float, octaves: int) -> Fractal:
-    return Fractal(
-        table=rng.uniform(-1, 1, size=(octaves, 16, 16, 16)),
-        offset=rng.uniform(0, 16, size=(octaves, 3)),
-        scale=scale,
-    )
+    return fractal
 
 
 @dataclass(frozen=True)
@@ -146,8 +131,8 @@ class Weathered(Surface):
     """
 
     base: Surface
-    relief: Fractal
-    grain: Fractal
+    relief: Relief
+    grain: Relief
     depth: float
     tone: float
     dullness: float
@@ -178,51 +163,51 @@ class Weathered(Surface):
         )
 
 
-def draw_detailed(room: Furnished, sets: Sequence[MaterialSet], rng: Rng) -> World:
+def draw_detailed(
+    world: World, tags: Sequence[str], sets: Sequence[MaterialSet], rng: Rng
+) -> World:
     """Give a furnished room finer materials.
 
     Parameters
     ----------
-    room
-        Geometry, and for each piece whether it is metal.
+    world, tags
+        As `draw_furnished` returns them.
     sets
         Texture maps; none for procedural detail.
     rng
         Source of randomness.
     """
-    world = room.world
-    bare = [one for one in sets if one.metallic >= 0.3]
-    coated = [one for one in sets if one.metallic < 0.3]
     walls = [f"wall/{min(i, 2)}" if i != 4 else "wall/back" for i in range(world.walls)]
-    tags = [*walls, *room.tags]
-    choice: dict[str, Surface] = {}
+    choice: dict[str, Textured | Weathered] = {}
     surfaces: list[Surface] = []
-    for primitive, surface, tag in zip(world.primitives, world.surfaces, tags, strict=True):
+    pieces = zip(world.primitives, world.surfaces, (*walls, *tags), strict=True)
+    for primitive, surface, tag in pieces:
         assert isinstance(surface, Layers)
         if tag not in choice:
-            fitting = bare if surface.base.metallic >= 0.5 else coated
+            bare = surface.base.metallic >= 0.5
+            fitting = [one for one in sets if (one.metallic >= 0.3) == bare]
             if isinstance(primitive, Plane):
                 fitting = [one for one in fitting if one.repeats]
             if fitting and rng.random() < _TEXTURED:
                 choice[tag] = _textured(surface, primitive, fitting, rng)
             else:
                 choice[tag] = _weathered(surface, rng)
-        surfaces.append(_laid_on(choice[tag], surface, primitive))
+        drawn = choice[tag]
+        if isinstance(drawn, Weathered):
+            surfaces.append(replace(drawn, base=surface))
+        else:
+            quarter = _upright(primitive, drawn.quarter)
+            surfaces.append(replace(drawn, primitive=primitive, quarter=quarter))
     return replace(world, surfaces=tuple(surfaces))
 
 
-def _laid_on(drawn: Surface, base: Surface, primitive: Primitive) -> Surface:
-    """Lay a material that was drawn for a tag on one of its primitives."""
-    if isinstance(drawn, Weathered):
-        return replace(drawn, base=base)
-    assert isinstance(drawn, Textured)
-    quarter = drawn.quarter
-    if isinstance(primitive, Plane) and primitive.rotation[1, 1] ** 2 < 0.5:
-        # Upright on walls: v grows along +y of the scene.
-        up = primitive.rotation.T @ np.array([0.0, 1.0, 0.0])
-        # On a plane, right is x and up is -z.
-        quarter = int(np.argmax([-up[2], up[0], up[2], -up[0]]))
-    return replace(drawn, primitive=primitive, quarter=quarter)
+def _upright(primitive: Primitive, quarter: int) -> int:
+    """Quarter turns of maps on a primitive: on walls v grows along +y of the scene."""
+    if not isinstance(primitive, Plane) or primitive.rotation[1, 1] ** 2 >= 0.5:
+        return quarter
+    up = primitive.rotation.T @ np.array([0.0, 1.0, 0.0])
+    # On a plane, right is x and up is -z.
+    return int(np.argmax([-up[2], up[0], up[2], -up[0]]))
 
 
 def _textured(
@@ -255,8 +240,8 @@ def _weathered(surface: Layers, rng: Rng) -> Weathered:
     soft = surface.base.roughness > 0.7
     return Weathered(
         base=surface,
-        relief=_fractal(rng, rng.uniform(0.15, 0.35), 5),
-        grain=_fractal(rng, rng.uniform(0.1, 0.4), 5),
+        relief=_fractal(rng, rng.uniform(0.15, 0.35)),
+        grain=_fractal(rng, rng.uniform(0.1, 0.4)),
         depth=float(rng.uniform(0.006, 0.025 if soft else 0.012)),
         tone=float(rng.uniform(0.15, 0.4)),
         dullness=float(rng.uniform(0.04, 0.12)),

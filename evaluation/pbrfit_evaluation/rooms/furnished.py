@@ -5,17 +5,16 @@ A few of the materials are exchanged until metal has its share of the picture: `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.synthetic.geometry import Primitive
+from pbrfit.synthetic.stages import Stage
 from pbrfit.synthetic.surfaces import Spots, Surface
 from pbrfit.synthetic.world import World
-from pbrfit_evaluation.rooms.arrangement import Room, draw_room, look
-from pbrfit_evaluation.rooms.coverings import MAY_BE_METAL, covering, metal, unmetal
-from pbrfit_evaluation.rooms.shell_coverings import shell_coverings
+from pbrfit_evaluation.rooms.arrangement import draw_room, look
+from pbrfit_evaluation.rooms.coverings import MAY_BE_METAL, metal, shell_coverings, unmetal
+from pbrfit_evaluation.rooms.parts import Parts
 
 Rng = np.random.Generator
 
@@ -26,33 +25,24 @@ between the first two, its largest is the third."""
 _PROBE = 48
 
 
-@dataclass(frozen=True)
-class Furnished:
-    """A furnished room with its materials.
+def draw_furnished(rng: Rng) -> tuple[World, list[str]]:
+    """Draw a furnished room with its materials.
 
-    Attributes
-    ----------
+    Returns
+    -------
     world
         Walls, furniture, surfaces and camera.
     tags
         For each piece after the walls: pieces with the same tag have the same material.
     """
-
-    world: World
-    tags: tuple[str, ...]
-
-
-def draw_furnished(rng: Rng) -> Furnished:
-    """Draw a furnished room with its materials."""
-    room = draw_room(rng)
-    stage = room.stage
-    tags = [part.tag for part in room.parts]
+    stage, parts = draw_room(rng)
     by_tag: dict[str, Surface] = {}
-    for part in room.parts:
+    for part in parts:
         if part.tag not in by_tag:
-            by_tag[part.tag] = covering(part, rng)
+            by_tag[part.tag] = part.covering(rng, part.primitive)
     covers = shell_coverings(tuple(stage.walls), rng)
-    _balance(by_tag, room, rng)
+    _balance(by_tag, stage, parts, rng)
+    tags = [part.tag for part in parts]
     world = World(
         primitives=tuple(stage.primitives),
         surfaces=(*covers, *(by_tag[tag] for tag in tags)),
@@ -60,19 +50,18 @@ def draw_furnished(rng: Rng) -> Furnished:
         eye=stage.eye,
         turn=stage.turn,
     )
-    return Furnished(world, tuple(tags))
+    return world, tags
 
 
-def _balance(by_tag: dict[str, Surface], room: Room, rng: Rng) -> None:
+def _balance(by_tag: dict[str, Surface], stage: Stage, parts: Parts, rng: Rng) -> None:
     """Change materials, the largest first, until metal has its share of the picture."""
-    hits = look(room.stage, _PROBE)
-    walls = len(room.stage.walls)
+    hits = look(stage, _PROBE)
     first: dict[str, Primitive] = {}
     seen: dict[str, NDArray[np.intp]] = {}
-    for i, part in enumerate(room.parts):
-        if part.role in MAY_BE_METAL:
+    for i, part in enumerate(parts, start=len(stage.walls)):
+        if part.covering in MAY_BE_METAL:
             first.setdefault(part.tag, part.primitive)
-            here = np.flatnonzero(hits.index == walls + i)
+            here = np.flatnonzero(hits.index == i)
             seen[part.tag] = np.concatenate([seen.get(part.tag, here[:0]), here])
     order = sorted(seen, key=lambda tag: (-len(seen[tag]), tag))
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit_evaluation.rooms.parts import Part, Parts, Role, ball, box, cone, drum, moved, retagged
+from pbrfit_evaluation.rooms import coverings as of
+from pbrfit_evaluation.rooms.parts import Part, Parts, ball, box, cone, drum, pick
 from pbrfit_evaluation.rooms.things import SMALL, TABLEWARE, row
 
 
@@ -29,67 +30,59 @@ class Piece:
     height: float
 
 
-def _on_top(parts: Parts, height: float) -> Parts:
-    return moved(retagged(parts, "top"), 0.0, height, 0.0)
-
-
 def table(rng: np.random.Generator, *, low: bool) -> Piece:
     """Draw a table, round or not, with things on it."""
     height = rng.uniform(0.4, 0.5) if low else rng.uniform(0.68, 0.76)
     x, z = rng.uniform(0.5, 0.7), rng.uniform(0.36, 0.46)
     board = rng.uniform(0.025, 0.04)
-    top_role = rng.choice(["wood", "stone", "lacquer"])
+    top = pick(rng, of.wood, of.stone, of.lacquer)
     parts: list[Part] = []
     if rng.random() < 0.35:
         x = z = rng.uniform(0.46, 0.58)
-        parts.append(drum(top_role, "board", (0, height - 2 * board, 0), x, 2 * board))
+        parts.append(drum(top, "board", (0, height - 2 * board, 0), x, 2 * board))
         leg = height - 2 * board - 0.04
-        parts.append(cone("frame", "legs", (0, 0.04, 0), 0.11, 0.06, leg))
-        parts.append(drum("frame", "legs", (0, 0, 0), 0.6 * x, 0.04))
+        parts.append(cone(of.frame, "legs", (0, 0.04, 0), 0.11, 0.06, leg))
+        parts.append(drum(of.frame, "legs", (0, 0, 0), 0.6 * x, 0.04))
         length, depth = 1.5 * x, x
     else:
-        parts.append(box(top_role, "board", (0, height - board, 0), (x, board, z)))
+        parts.append(box(top, "board", (0, height - board, 0), (x, board, z)))
         half, leg = rng.uniform(0.03, 0.045), height - 2 * board
         round_legs = rng.random() < 0.5
         for i, j in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
             at = (i * (x - 1.6 * half), 0.0, j * (z - 1.6 * half))
             if round_legs:
-                parts.append(cone("frame", "legs", at, 0.7 * half, 1.2 * half, leg))
+                parts.append(cone(of.frame, "legs", at, 0.7 * half, 1.2 * half, leg))
             else:
                 middle = (at[0], leg / 2, at[2])
-                parts.append(box("frame", "legs", middle, (half, leg / 2, half)))
+                parts.append(box(of.frame, "legs", middle, (half, leg / 2, half)))
         length, depth = 1.8 * x, 1.7 * z
-    things = row(rng, TABLEWARE, length=length, depth=depth, count=int(rng.integers(3, 5)))
-    return Piece((*parts, *_on_top(things, height)), (x, z), height)
+    count = int(rng.integers(3, 5))
+    things = row(rng, TABLEWARE, (0, height, 0), count, length=length, depth=depth)
+    return Piece((*parts, *things), (x, z), height)
 
 
 def bookcase(rng: np.random.Generator) -> Piece:
     """Draw two sides, three boards, and books and things on them."""
     x, z = rng.uniform(0.42, 0.56), rng.uniform(0.17, 0.2)
     height, thick = rng.uniform(1.5, 1.8), 0.025
-    role = rng.choice(["wood", "lacquer", "frame"])
-    parts: Parts = tuple(
-        box(role, "case", (side * (x - thick), height / 2, 0), (thick, height / 2, z))
-        for side in (-1, 1)
-    )
-    levels = np.linspace(0.08, height - thick, 4)
-    for level in levels:
-        parts += (box(role, "case", (0, level, 0), (x - 2 * thick, thick, z)),)
-    inner = 2 * (x - 2 * thick)
+    cover = pick(rng, of.wood, of.lacquer, of.frame)
+    inner, levels = 2 * (x - 2 * thick), np.linspace(0.08, height - thick, 4)
+    half = (thick, height / 2, z)
+    sides = [box(cover, "case", (i * (x - thick), height / 2, 0), half) for i in (-1, 1)]
+    boards = [box(cover, "case", (0, at, 0), (x - 2 * thick, thick, z)) for at in levels]
+    parts: Parts = (*sides, *boards)
     clear = float(levels[1] - levels[0]) - 2 * thick
     for i, level in enumerate(levels[:-1]):
         floor = float(level) + thick
+        free, x_free, count = inner, 0.0, 2
         if rng.random() < 0.55:
             width, tall = rng.uniform(0.5, 0.75) * inner, rng.uniform(0.7, 0.92) * clear
             x_books = rng.choice([-1, 1]) * (inner - width) / 2
             at = (x_books, floor + tall / 2, 0.0)
-            parts += (box("books", f"books{i}", at, (width / 2, tall / 2, 0.75 * z)),)
-            free, x_free = inner - width, -np.sign(x_books) * width / 2
-            things = row(rng, SMALL, length=free, depth=2 * z, count=1, ceiling=clear)
-        else:
-            x_free = 0.0
-            things = row(rng, SMALL, length=inner, depth=2 * z, count=2, ceiling=clear)
-        parts += moved(retagged(things, f"level{i}"), float(x_free), floor, 0.0)
+            parts += (box(of.books, f"books{i}", at, (width / 2, tall / 2, 0.75 * z)),)
+            free, x_free, count = inner - width, float(-np.sign(x_books) * width / 2), 1
+        at, tag = (x_free, floor, 0.0), f"level{i}"
+        parts += row(rng, SMALL, at, count, length=free, depth=2 * z, ceiling=clear, tag=tag)
     return Piece(parts, (x, z), height)
 
 
@@ -97,12 +90,12 @@ def sideboard(rng: np.random.Generator) -> Piece:
     """Draw a cabinet with two doors and knobs, and things on it."""
     x, z = rng.uniform(0.5, 0.7), rng.uniform(0.2, 0.25)
     height = rng.uniform(0.65, 0.85)
-    role, front = rng.choice(["wood", "lacquer", "lacquer"]), rng.choice(["wood", "lacquer"])
-    over = rng.choice(["wood", "stone", role])
+    cover, front = pick(rng, of.wood, of.lacquer, of.lacquer), pick(rng, of.wood, of.lacquer)
+    over = pick(rng, of.wood, of.stone, cover)
     body, foot = height - 0.03, 0.08
     parts: Parts = (
-        box("frame", "plinth", (0, foot / 2, 0), (0.92 * x, foot / 2, 0.9 * z)),
-        box(role, "body", (0, (body + foot) / 2, 0), (x, (body - foot) / 2, z)),
+        box(of.frame, "plinth", (0, foot / 2, 0), (0.92 * x, foot / 2, 0.9 * z)),
+        box(cover, "body", (0, (body + foot) / 2, 0), (x, (body - foot) / 2, z)),
         box(over, "top", (0, body + 0.015, 0.01), (x + 0.02, 0.015, z + 0.02)),
     )
     half = (body - foot) / 2 - 0.03
@@ -110,21 +103,22 @@ def sideboard(rng: np.random.Generator) -> Piece:
         at = (side * x / 2, (body + foot) / 2, z)
         parts += (box(front, "doors", at, (x / 2 - 0.025, half, 0.018)),)
         knob = (side * 0.09, (body + foot) / 2 + 0.3 * half, z + 0.03)
-        parts += (ball("metal", "knobs", knob, 0.035),)
-    things = row(rng, TABLEWARE, length=1.9 * x, depth=1.9 * z, count=int(rng.integers(2, 4)))
-    return Piece((*parts, *_on_top(things, height)), (x + 0.02, z + 0.05), height)
+        parts += (ball(of.metal, "knobs", knob, 0.035),)
+    count = int(rng.integers(2, 4))
+    things = row(rng, TABLEWARE, (0, height, 0), count, length=1.9 * x, depth=1.9 * z)
+    return Piece((*parts, *things), (x + 0.02, z + 0.05), height)
 
 
 def locker(rng: np.random.Generator) -> Piece:
     """Draw a refrigerator or steel cupboard: two doors, one above the other, and handles."""
     x, z, height = rng.uniform(0.3, 0.38), rng.uniform(0.27, 0.33), rng.uniform(1.4, 1.75)
     split = rng.uniform(0.55, 0.7) * height
-    parts: Parts = (box("lacquer", "body", (0, height / 2, 0), (x, height / 2, z)),)
+    parts: Parts = (box(of.lacquer, "body", (0, height / 2, 0), (x, height / 2, z)),)
     for low, high in ((0.06, split - 0.012), (split + 0.012, height - 0.02)):
         middle, half = (low + high) / 2, (high - low) / 2
         parts += (
-            box("lacquer", "doors", (0, middle, z), (x - 0.015, half, 0.025)),
-            box("frame", "handles", (-0.75 * x, middle, z + 0.05), (0.022, 0.5 * half, 0.025)),
+            box(of.lacquer, "doors", (0, middle, z), (x - 0.015, half, 0.025)),
+            box(of.frame, "handles", (-0.75 * x, middle, z + 0.05), (0.022, 0.5 * half, 0.025)),
         )
     return Piece(parts, (x, z + 0.07), height)
 
@@ -134,28 +128,28 @@ def chest(rng: np.random.Generator) -> Piece:
     x, z, height = rng.uniform(0.38, 0.52), rng.uniform(0.22, 0.28), rng.uniform(0.4, 0.55)
     lid = 0.3 * height
     parts: Parts = (
-        box("wood", "body", (0, (height - lid) / 2, 0), (x, (height - lid) / 2, z)),
-        box("wood", "lid", (0, height - lid / 2, 0), (x + 0.015, lid / 2, z + 0.015)),
+        box(of.wood, "body", (0, (height - lid) / 2, 0), (x, (height - lid) / 2, z)),
+        box(of.wood, "lid", (0, height - lid / 2, 0), (x + 0.015, lid / 2, z + 0.015)),
     )
     for side in (-0.55, 0.55):
         at = (side * x, height / 2 + 0.004, 0.0)
-        parts += (box("metal", "bands", at, (0.045, height / 2 + 0.004, z + 0.025)),)
-    things = row(rng, SMALL, length=1.6 * x, depth=1.8 * z, count=1)
-    return Piece((*parts, *_on_top(things, height + 0.008)), (x + 0.02, z + 0.03), height)
+        parts += (box(of.metal, "bands", at, (0.045, height / 2 + 0.004, z + 0.025)),)
+    things = row(rng, SMALL, (0, height + 0.008, 0), 1, length=1.6 * x, depth=1.8 * z)
+    return Piece((*parts, *things), (x + 0.02, z + 0.03), height)
 
 
 def chair(rng: np.random.Generator) -> Piece:
     """Draw a chair."""
     half, seat, back = rng.uniform(0.2, 0.23), rng.uniform(0.42, 0.47), rng.uniform(0.38, 0.48)
     leg = rng.uniform(0.024, 0.034)
-    role = rng.choice(["wood", "textile", "lacquer"])
-    parts: Parts = (box(role, "seat", (0, seat - 0.03, 0), (half, 0.03, half)),)
+    cover = pick(rng, of.wood, of.textile, of.lacquer)
+    parts: Parts = (box(cover, "seat", (0, seat - 0.03, 0), (half, 0.03, half)),)
     for i, j in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
         top = seat + 0.6 * back if j < 0 else seat - 0.06
         at = (i * (half - leg), top / 2, j * (half - leg) - (0.07 if j < 0 else 0.0))
-        parts += (box("frame", "legs", at, (leg, top / 2, leg)),)
+        parts += (box(of.frame, "legs", at, (leg, top / 2, leg)),)
     at = (0.0, seat + 0.65 * back, -half - 0.03)
-    parts += (box(role, "seat", at, (half + 0.01, 0.35 * back, 0.028)),)
+    parts += (box(cover, "seat", at, (half + 0.01, 0.35 * back, 0.028)),)
     return Piece(parts, (half + 0.02, half + 0.1), seat + back)
 
 
@@ -163,12 +157,12 @@ def stool(rng: np.random.Generator) -> Piece:
     """Draw a round stool on a column, or a pouf."""
     radius, height = rng.uniform(0.19, 0.26), rng.uniform(0.4, 0.55)
     if rng.random() < 0.4:
-        pouf = drum("textile", "pouf", (0, 0, 0), radius + 0.06, 0.8 * height)
+        pouf = drum(of.textile, "pouf", (0, 0, 0), radius + 0.06, 0.8 * height)
         return Piece((pouf,), (radius + 0.06, radius + 0.06), 0.8 * height)
     parts = (
-        drum(rng.choice(["textile", "wood", "metal"]), "seat", (0, height - 0.08, 0), radius, 0.08),
-        drum("frame", "foot", (0, 0.035, 0), 0.045, height - 0.115),
-        cone("frame", "foot", (0, 0, 0), 0.9 * radius, 0.6 * radius, 0.035),
+        drum(pick(rng, of.textile, of.wood, of.metal), "seat", (0, height - 0.08, 0), radius, 0.08),
+        drum(of.frame, "foot", (0, 0.035, 0), 0.045, height - 0.115),
+        cone(of.frame, "foot", (0, 0, 0), 0.9 * radius, 0.6 * radius, 0.035),
     )
     return Piece(parts, (radius, radius), height)
 
@@ -176,7 +170,7 @@ def stool(rng: np.random.Generator) -> Piece:
 def _above_floor(tag: str, half: tuple[float, float], top: float, z: float) -> Part:
     """Upholstery from 5 cm above the floor to `top`."""
     middle, tall = (top + 0.05) / 2, (top - 0.05) / 2
-    return box("textile", tag, (0, middle, z), (half[0], tall, half[1]))
+    return box(of.textile, tag, (0, middle, z), (half[0], tall, half[1]))
 
 
 def armchair(rng: np.random.Generator) -> Piece:
@@ -190,10 +184,10 @@ def armchair(rng: np.random.Generator) -> Piece:
     )
     for side in (-1, 1):
         at = (side * (x - 0.045), 0.05 + (arm - 0.05) / 2, 0.0)
-        parts += (box("textile", "cover", at, (0.045, (arm - 0.05) / 2, z)),)
-    parts += (box("frame", "base", (0, 0.025, 0), (0.9 * x, 0.025, 0.85 * z)),)
+        parts += (box(of.textile, "cover", at, (0.045, (arm - 0.05) / 2, z)),)
+    parts += (box(of.frame, "base", (0, 0.025, 0), (0.9 * x, 0.025, 0.85 * z)),)
     side = rng.choice([-1, 1])
-    pillow = box("textile", "cushion", (side * 0.4 * x, seat + 0.15, -0.05), (0.15, 0.15, 0.06))
+    pillow = box(of.textile, "cushion", (side * 0.4 * x, seat + 0.15, -0.05), (0.15, 0.15, 0.06))
     return Piece((*parts, pillow), (x, z), back)
 
 
@@ -201,9 +195,9 @@ def floor_lamp(rng: np.random.Generator) -> Piece:
     """Draw a lamp on a pole."""
     height, rim = rng.uniform(1.2, 1.5), rng.uniform(0.2, 0.27)
     parts = (
-        cone("frame", "pole", (0, 0, 0), 0.17, 0.14, 0.04),
-        drum("frame", "pole", (0, 0.04, 0), 0.032, height - 0.04),
-        cone("shade", "shade", (0, height - 0.02, 0), rim, rng.uniform(0.5, 0.85) * rim, 0.3),
+        cone(of.frame, "pole", (0, 0, 0), 0.17, 0.14, 0.04),
+        drum(of.frame, "pole", (0, 0.04, 0), 0.032, height - 0.04),
+        cone(of.shade, "shade", (0, height - 0.02, 0), rim, rng.uniform(0.5, 0.85) * rim, 0.3),
     )
     return Piece(parts, (rim, rim), height + 0.28)
 
@@ -214,10 +208,10 @@ def potted_tree(rng: np.random.Generator) -> Piece:
     stem, crown = rng.uniform(0.3, 0.5), rng.uniform(0.24, 0.3)
     top = height + stem
     parts = (
-        cone("vessel", "pot", (0, 0, 0), 0.75 * radius, radius, height),
-        drum("wood", "stem", (0, height, 0), 0.035, stem),
-        ball("leaves", "leaves", (0.06, top + 0.5 * crown, 0), crown),
-        ball("leaves", "leaves", (-0.16, top + 0.1 * crown, 0.08), 0.7 * crown),
+        cone(of.vessel, "pot", (0, 0, 0), 0.75 * radius, radius, height),
+        drum(of.wood, "stem", (0, height, 0), 0.035, stem),
+        ball(of.leaves, "leaves", (0.06, top + 0.5 * crown, 0), crown),
+        ball(of.leaves, "leaves", (-0.16, top + 0.1 * crown, 0.08), 0.7 * crown),
     )
     return Piece(parts, (crown, crown), top + 1.5 * crown)
 
@@ -227,9 +221,9 @@ def urn(rng: np.random.Generator) -> Piece:
     foot, belly, lip = rng.uniform([0.13, 0.22, 0.1], [0.17, 0.28, 0.16])
     low, high = rng.uniform(0.3, 0.45), rng.uniform(0.22, 0.35)
     parts = (
-        cone("vessel", "urn", (0, 0, 0), foot, belly, low),
-        cone("vessel", "urn", (0, low, 0), belly, lip, high),
-        cone("vessel", "urn", (0, low + high, 0), lip, 1.4 * lip, 0.1),
+        cone(of.vessel, "urn", (0, 0, 0), foot, belly, low),
+        cone(of.vessel, "urn", (0, low, 0), belly, lip, high),
+        cone(of.vessel, "urn", (0, low + high, 0), lip, 1.4 * lip, 0.1),
     )
     return Piece(parts, (belly, belly), low + high + 0.1)
 
@@ -238,9 +232,9 @@ def picture(rng: np.random.Generator) -> Piece:
     """Draw a framed picture or a mirror that hangs on a wall, the wall at z = 0."""
     x, y = rng.uniform(0.25, 0.42), rng.uniform(0.22, 0.32)
     border = rng.uniform(0.04, 0.06)
-    inside: Role = "metal" if rng.random() < 0.3 else "canvas"
+    inside = of.metal if rng.random() < 0.3 else of.canvas
     parts = (
-        box("frame", "frame", (0, 0, 0.02), (x, y, 0.02)),
+        box(of.frame, "frame", (0, 0, 0.02), (x, y, 0.02)),
         box(inside, "inside", (0, 0, 0.024), (x - border, y - border, 0.024)),
     )
     return Piece(parts, (x, 0.05), 2 * y)
@@ -249,9 +243,10 @@ def picture(rng: np.random.Generator) -> Piece:
 def wall_shelf(rng: np.random.Generator) -> Piece:
     """Draw a board on a wall with things on it, the wall at z = 0."""
     x, z = rng.uniform(0.4, 0.55), 0.19
-    board = box(rng.choice(["wood", "lacquer", "frame"]), "board", (0, 0, z), (x, 0.028, z))
-    things = row(rng, SMALL, length=1.9 * x, depth=1.9 * z, count=int(rng.integers(2, 4)))
-    return Piece((board, *moved(_on_top(things, 0.028), 0, 0, z)), (x, z), 0.056)
+    board = box(pick(rng, of.wood, of.lacquer, of.frame), "board", (0, 0, z), (x, 0.028, z))
+    count = int(rng.integers(2, 4))
+    things = row(rng, SMALL, (0, 0.028, z), count, length=1.9 * x, depth=1.9 * z)
+    return Piece((board, *things), (x, z), 0.056)
 
 
 def pendant(rng: np.random.Generator, ceiling: float, height: float) -> Piece:
@@ -259,18 +254,18 @@ def pendant(rng: np.random.Generator, ceiling: float, height: float) -> Piece:
     rim = rng.uniform(0.24, 0.32)
     tall = rng.uniform(0.2, 0.3)
     if rng.random() < 0.4:
-        head = ball("shade", "shade", (0, height + 0.75 * rim, 0), 0.75 * rim)
+        head = ball(of.shade, "shade", (0, height + 0.75 * rim, 0), 0.75 * rim)
         top = height + 1.45 * rim
     else:
-        head = cone("shade", "shade", (0, height, 0), rim, rng.uniform(0.15, 0.5) * rim, tall)
+        head = cone(of.shade, "shade", (0, height, 0), rim, rng.uniform(0.15, 0.5) * rim, tall)
         top = height + tall
-    cord = drum("frame", "cord", (0, top, 0), 0.025, ceiling - top)
+    cord = drum(of.frame, "cord", (0, top, 0), 0.025, ceiling - top)
     return Piece((head, cord), (rim, rim), ceiling)
 
 
-def rug(rng: np.random.Generator) -> Piece:
+def carpet(rng: np.random.Generator) -> Piece:
     """Draw a rug, round or not."""
     x, z = rng.uniform(0.9, 1.2), rng.uniform(0.65, 0.85)
     if rng.random() < 0.25:
-        return Piece((drum("rug", "rug", (0, 0, 0), x, 0.015),), (x, x), 0.015)
-    return Piece((box("rug", "rug", (0, 0.0075, 0), (x, 0.0075, z)),), (x, z), 0.015)
+        return Piece((drum(of.rug, "rug", (0, 0, 0), x, 0.015),), (x, x), 0.015)
+    return Piece((box(of.rug, "rug", (0, 0.0075, 0), (x, 0.0075, z)),), (x, z), 0.015)

@@ -2,35 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.synthetic.geometry import Box, Cylinder, Primitive, Sphere, rotation
+from pbrfit.synthetic.surfaces import Surface
 from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
-
-Role = Literal[
-    "wood",
-    "lacquer",
-    "metal",
-    "frame",
-    "vessel",
-    "textile",
-    "shade",
-    "stone",
-    "books",
-    "paper",
-    "leaves",
-    "canvas",
-    "rug",
-]
-"""What a part is used as. "frame" (legs, poles, rails), "vessel", "shade" and "lacquer" (bodies of
-furniture) may be of metal or not; "metal" always is, the others never."""
+Covering = Callable[[np.random.Generator, Primitive], Surface]
+"""Draws what a primitive is made of; see `coverings`."""
 
 
 @dataclass(frozen=True)
@@ -41,72 +25,73 @@ class Part:
     ----------
     primitive
         Placed in the space of the piece, later in the room.
-    role
-        What it is used as.
+    covering
+        What it is made of.
     tag
         Parts of one piece with the same tag have the same material.
     """
 
     primitive: Primitive
-    role: Role
+    covering: Covering
     tag: str
 
 
 Parts = tuple[Part, ...]
 
 
-def moved(parts: Sequence[Part], x: float, y: float, z: float) -> Parts:
-    """Shift parts by (x, y, z)."""
-    offset = np.array([x, y, z])
-    return tuple(
-        replace(part, primitive=replace(part.primitive, centre=part.primitive.centre + offset))
-        for part in parts
-    )
+def pick(rng: np.random.Generator, *options: Covering) -> Covering:
+    """Draw one of these."""
+    return options[rng.integers(len(options))]
 
 
-def turned(parts: Sequence[Part], degrees: float) -> Parts:
-    """Turn parts about the vertical axis through the origin."""
-    turn = rotation(1, degrees)
+def placed(
+    parts: Sequence[Part],
+    at: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    yaw: float = 0.0,
+    tag: str | None = None,
+) -> Parts:
+    """Turn parts by `yaw` degrees about the vertical axis through the origin and shift them.
+
+    A tag is put before all of theirs, so that they differ from those of other things.
+    """
+    turn = rotation(1, yaw)
     return tuple(
-        replace(
-            part,
+        Part(
             primitive=replace(
                 part.primitive,
-                centre=turn @ part.primitive.centre,
+                centre=turn @ part.primitive.centre + np.array(at),
                 rotation=turn @ part.primitive.rotation,
             ),
+            covering=part.covering,
+            tag=part.tag if tag is None else f"{tag}/{part.tag}",
         )
         for part in parts
     )
 
 
-def retagged(parts: Sequence[Part], prefix: str) -> Parts:
-    """Put a prefix before all tags, so that they differ from those of other things."""
-    return tuple(replace(part, tag=f"{prefix}/{part.tag}") for part in parts)
-
-
-def box(role: Role, tag: str, at: Sequence[float], half: Sequence[float] | Array) -> Part:
+def box(of: Covering, tag: str, at: Sequence[float], half: Sequence[float] | Array) -> Part:
     """Cuboid with its centre `at` and half its edges `half`."""
-    return Part(Box(centre=np.array(at, dtype=float), half=np.array(half, dtype=float)), role, tag)
+    return Part(Box(centre=np.array(at, dtype=float), half=np.array(half, dtype=float)), of, tag)
 
 
-def ball(role: Role, tag: str, at: Sequence[float], radius: float) -> Part:
+def ball(of: Covering, tag: str, at: Sequence[float], radius: float) -> Part:
     """Sphere with its centre `at`."""
-    return Part(Sphere(centre=np.array(at, dtype=float), radius=radius), role, tag)
+    return Part(Sphere(centre=np.array(at, dtype=float), radius=radius), of, tag)
 
 
-def drum(role: Role, tag: str, foot: Sequence[float], radius: float, height: float) -> Part:
+def drum(of: Covering, tag: str, foot: Sequence[float], radius: float, height: float) -> Part:
     """Upright cylinder that stands on `foot`."""
     centre = np.array([foot[0], foot[1] + height / 2, foot[2]])
-    return Part(Cylinder(centre=centre, radius=radius, half=height / 2), role, tag)
+    return Part(Cylinder(centre=centre, radius=radius, half=height / 2), of, tag)
 
 
 def cone(
-    role: Role, tag: str, foot: Sequence[float], bottom: float, top: float, height: float
+    of: Covering, tag: str, foot: Sequence[float], bottom: float, top: float, height: float
 ) -> Part:
     """Upright frustum that stands on `foot`."""
     centre = np.array([foot[0], foot[1] + height / 2, foot[2]])
-    return Part(Frustum(centre=centre, bottom=bottom, top=top, half=height / 2), role, tag)
+    return Part(Frustum(centre=centre, bottom=bottom, top=top, half=height / 2), of, tag)
 
 
 def reach(parts: Sequence[Part], direction: Array) -> float:

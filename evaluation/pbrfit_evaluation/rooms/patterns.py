@@ -52,7 +52,7 @@ def above(direction: Array, level: float, softness: float = 0.01) -> Pattern:
     return lambda points: edge((points @ direction - level) / softness, 1.0)
 
 
-def frame(half_x: float, half_z: float, inset: float, width: float, *, disc: bool) -> Pattern:
+def border(half_x: float, half_z: float, inset: float, width: float, *, disc: bool) -> Pattern:
     """Draw a band of `width`, `inset` from the border of a rectangle or disc of the plane y = 0."""
 
     def pattern(points: Array) -> Array:
@@ -80,6 +80,12 @@ def bands(rng: np.random.Generator, thinnest: float, thickest: float, share: flo
         return np.asarray(before + blend * (tones[index] - before))
 
     return pattern
+
+
+def chips(rng: np.random.Generator, scale: float, least: float, softness: float) -> Pattern:
+    """Islands with a ragged outline where noise is more than `least`."""
+    noise = value_noise(rng, scale, octaves=3)
+    return lambda points: edge(noise(points) - least, softness)
 
 
 def brushed(rng: np.random.Generator, axis: int) -> Pattern:

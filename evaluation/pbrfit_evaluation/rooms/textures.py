@@ -142,14 +142,7 @@ def _bilinear(maps: Maps, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDA
 def load_textures(folder: Path) -> tuple[MaterialSet, ...]:
     """Read all sets of texture maps in a folder and the folders below it, in order of their paths.
 
-    Parameters
-    ----------
-    folder
-        See the module for the names that are known.
-
-    Returns
-    -------
-    tuple of MaterialSet
+    See the module for the names that are known.
 
     Raises
     ------
@@ -165,22 +158,20 @@ def load_textures(folder: Path) -> tuple[MaterialSet, ...]:
         if not role:
             continue
         maps = found.setdefault((path.parent, name), {})
-        if role.split("-")[0] in {known.split("-")[0] for known in maps}:
-            raise InputError(
-                f"{path}: expected one {role.split('-')[0]} map of a set, found a second"
-            )
+        if role in maps:
+            raise InputError(f"{path}: expected one {role} map of a set, found a second")
         maps[role] = path
     for (parent, name), shared in list(found.items()):
         if name.endswith("_shared"):
             del found[parent, name]
             for (other, member), maps in found.items():
                 if other == parent and member.startswith(name.removesuffix("shared")):
-                    maps.update({role: path for role, path in shared.items() if role not in maps})
+                    maps.update(shared | maps)
     # A lone normal map belongs to something else than a material.
     sets = [
         _load_set(name or parent.name, parent, maps)
         for (parent, name), maps in found.items()
-        if any(not role.startswith("normal") for role in maps)
+        if set(maps) != {"normal"}
     ]
     if not sets:
         raise InputError(
@@ -194,11 +185,8 @@ def _role(path: Path) -> tuple[str, str]:
     """Role and name of the set, both empty for a file that is no texture map."""
     if path.suffix.lower() in _PICTURES:
         for role, pattern in _NAME.items():
-            match = pattern.match(path.stem)
-            if match:
-                kind = (match["kind"] or "").lower()
-                down = role == "normal" and ("dx" in kind or "directx" in kind)
-                return ("normal-dx" if down else role), match["name"] or ""
+            if match := pattern.match(path.stem):
+                return role, match["name"] or ""
     return "", ""
 
 
@@ -207,32 +195,30 @@ def _load_set(name: str, parent: Path, paths: dict[str, Path]) -> MaterialSet:
         raise InputError(f"{parent}: expected an albedo or base colour map of {name}, found none")
     if "roughness" not in paths and "packed" not in paths:
         raise InputError(f"{parent}: expected a roughness map of {name}, found none")
-    packed = None
+    # In the order of the channels; one texel where there is no map.
+    absent = {"albedo": [0, 0, 0], "roughness": [0], "metallic": [0], "normal": [0, 0, 1]}
+    layers = {role: np.array([[texel]], dtype=np.float32) for role, texel in absent.items()}
     if "packed" in paths:
         packed = _read(paths["packed"], "occlusion, roughness and metallic", 3)
-    layers = [_reduced(images.read_picture(paths["albedo"]).pixels)]
-    for role, channel in (("roughness", 1), ("metallic", 2)):
+        layers |= {"roughness": packed[..., 1:2], "metallic": packed[..., 2:]}
+    layers["albedo"] = _reduced(images.read_picture(paths["albedo"]).pixels)
+    for role in ("roughness", "metallic"):
         if role in paths:
-            layers.append(_read(paths[role], role, 1))
-        elif packed is not None:
-            layers.append(packed[..., channel : channel + 1])
-        else:
-            layers.append(np.zeros((1, 1, 1), dtype=np.float32))
-    relief = [role for role in paths if role.startswith("normal")]
-    if relief:
-        vectors = 2 * _read(paths[relief[0]], "normals", 3) - 1
+            layers[role] = _read(paths[role], role, 1)
+    if "normal" in paths:
+        vectors = 2 * _read(paths["normal"], "normals", 3) - 1
         vectors[..., 2] = np.maximum(vectors[..., 2], 0.05)  # a surface that faces outwards
-        if relief[0] == "normal-dx":
+        match = _NAME["normal"].match(paths["normal"].stem)
+        if match and (match["kind"] or "").lower().endswith(("dx", "directx")):
             vectors[..., 1] *= -1
-        layers.append(vectors)
-    else:
-        layers.append(np.array([[[0.0, 0.0, 1.0]]], dtype=np.float32))
-    side = min(_FINEST, 2 ** int(np.log2(max(max(layer.shape[:2]) for layer in layers))))
-    maps = np.concatenate([_resized(layer, side) for layer in layers], axis=-1)
-    levels = [maps]
+        layers["normal"] = vectors
+    largest = max(max(layer.shape[:2]) for layer in layers.values())
+    side = min(_FINEST, 2 ** int(np.log2(largest)))
+    resized = [averaged_channels(layer, (side, side)) for layer in layers.values()]
+    levels = [np.concatenate(resized, axis=-1).astype(np.float32)]
     while len(levels[-1]) > 1:
         levels.append(_block_means(levels[-1], 2))
-    return MaterialSet(name=name, levels=tuple(levels), relief=bool(relief))
+    return MaterialSet(name=name, levels=tuple(levels), relief="normal" in paths)
 
 
 def _read(path: Path, what: str, channels: int) -> Maps:
@@ -258,8 +244,3 @@ def _block_means(layer: NDArray[Any], factor: int) -> Maps:
     for j in range(factor):
         total += rows[:, j : width * factor : factor]
     return np.asarray(total / factor**2, dtype=np.float32)
-
-
-def _resized(layer: Maps, side: int) -> Maps:
-    """Average over the squares of a (side, side) grid: texels are shared by area."""
-    return averaged_channels(layer, (side, side)).astype(np.float32)

@@ -102,17 +102,17 @@ def test_blender_reads_sockets_color_spaces_and_camera(blender: InBlender) -> No
 
 def test_what_blender_sees_is_the_result(blender: InBlender, result: Result) -> None:
     seen, inside = blender.seen, result.mask
-    np.testing.assert_array_equal(seen["alpha"] > 0.5, inside)
+    np.testing.assert_array_equal(blender.pictures["default"][..., 3] > 0.5, inside)
     for name, expected in (
-        ("base_color", result.albedo),
+        ("albedo", result.albedo),
         ("roughness", result.roughness),
         ("metallic", result.metallic),
     ):
         np.testing.assert_allclose(seen[name][inside], expected[inside], atol=0.006, err_msg=name)
-    normals = to_camera_space(seen["normal"])
+    normals = to_camera_space(seen["normals"])
     np.testing.assert_allclose(normals[inside], result.normals[inside], atol=1e-4)
     camera = np.array([0, 0, 0.5 / np.tan(np.radians(result.fov) / 2)])
-    towards = camera - to_camera_space(seen["position"])
+    towards = camera - to_camera_space(seen["positions"])
     views = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
     np.testing.assert_allclose(
         views[inside], view_directions(HEIGHT, WIDTH, result.fov)[inside], atol=1e-5
@@ -144,9 +144,9 @@ def test_rotating_the_light_is_turning_the_world_further(facets: InBlender, resu
 
 
 def test_facets_have_the_normals_of_the_result(facets: InBlender, result: Result) -> None:
-    normals = to_camera_space(facets.seen["normal"])
+    normals = to_camera_space(facets.seen["normals"])
     np.testing.assert_allclose(normals[result.mask], result.normals[result.mask], atol=2e-3)
-    np.testing.assert_array_equal(facets.seen["alpha"] > 0.5, result.mask)
+    np.testing.assert_array_equal(facets.pictures["default"][..., 3] > 0.5, result.mask)
     assert facets.facts["inputs"]["Normal"] == []
 
 

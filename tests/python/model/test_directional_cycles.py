@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import DirectionalLight, Materials
-from pbrfit.io import images
 from pbrfit.model.reflection import render_directional
 from pbrfit_evaluation.cycles import why_not
 from pbrfit_evaluation.cycles.process import find_python, run_worker
@@ -34,7 +33,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> dict[str, NDArray[np.f
     worker = Path(__file__).parents[2] / "support" / "blender_sun.py"
     arguments = [str(x) for x in (LIGHT.azimuth, LIGHT.elevation, SIDE, *BOUNDS)]
     run_worker(find_python(), folder, 300, *arguments, worker=worker)
-    return {name: images.read_picture(folder / f"{name}.exr").pixels for name in BOUNDS}
+    return {name: np.load(folder / f"{name}.npy") for name in BOUNDS}
 
 
 def ours(name: str) -> NDArray[np.float64]:
