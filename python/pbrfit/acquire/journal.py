@@ -44,27 +44,18 @@ RUN = "run.json"
 
 @dataclass(frozen=True)
 class Entry:
-    """What came of one request.
-
-    Attributes
-    ----------
-    stem
-        Of its files' names.
-    request
-        What was asked for.
-    refused
-        Why there is no picture; empty where there is one.
-    record
-        What the generator noted.
-    sha256
-        Of the picture file.
-    """
+    """What came of one request."""
 
     stem: str
+    """Of its files' names."""
     request: Request
+    """What was asked for."""
     refused: str
+    """Why there is no picture; empty where there is one."""
     record: dict[str, Any]
+    """What the generator noted."""
     sha256: str | None
+    """Of the picture file."""
 
 
 class Journal:
@@ -73,10 +64,7 @@ class Journal:
     def __init__(self, folder: Path, photo: Photo, settings: dict[str, Any]) -> None:
         """Read what is there; makes no file.
 
-        Raises
-        ------
-        InputError
-            If a file of the journal cannot be read.
+        Raises InputError if a file of the journal cannot be read.
         """
         self.folder = folder
         self._photo = photo
@@ -120,10 +108,7 @@ class Journal:
     def pixels(self, entry: Entry) -> NDArray[np.uint8]:
         """Picture of an entry, (H, W, 3) sRGB.
 
-        Raises
-        ------
-        InputError
-            If the file is not the one that was received.
+        Raises InputError if the file is not the one that was received.
         """
         path = self.folder / f"{entry.stem}.png"
         data = path.read_bytes() if path.is_file() else b""
@@ -168,10 +153,7 @@ def about(photo: Photo, settings: dict[str, Any]) -> dict[str, Any]:
 def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[str]:
     """What the last run in a journal was about that this one is not; empty if all is the same.
 
-    Raises
-    ------
-    InputError
-        If the folder does not say.
+    Raises InputError if the folder does not say.
     """
     path = folder / RUN
     if not path.is_file():
@@ -208,10 +190,7 @@ def _key(request: Request) -> tuple[str, str, str, int]:
 def names(folder: Path) -> set[str]:
     """Names of all pictures that were ever asked for, of any photo and settings.
 
-    Raises
-    ------
-    InputError
-        If a file of the journal cannot be read.
+    Raises InputError if a file of the journal cannot be read.
     """
     return {entry.request.name for _, entry in _read(folder)}
 

@@ -43,24 +43,16 @@ class Reviewer(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """One answer of the generator and what became of it.
-
-    Attributes
-    ----------
-    entry
-        What the journal holds.
-    checks
-        Of the picture by itself; empty without a review, or where there is no picture.
-    together
-        Of the picture beside the others, when it was last among those that were accepted.
-    reason
-        Why it was refused; empty for one that was accepted.
-    """
+    """One answer of the generator and what became of it."""
 
     entry: Entry
+    """What the journal holds."""
     checks: tuple[Check, ...] = ()
+    """Of the picture by itself; empty without a review, or where there is no picture."""
     together: tuple[Check, ...] = ()
+    """Of the picture beside the others, when it was last among those that were accepted."""
     reason: str = ""
+    """Why it was refused; empty for one that was accepted."""
 
 
 @dataclass(eq=False)
@@ -101,10 +93,8 @@ class Rounds:
     def make(self, requests: Iterable[Request]) -> list[Picture]:
         """Ask for all and review them.
 
-        Raises
-        ------
-        InputError, OSError, MemoryError
-            If the generator cannot go on. What had come is in the journal.
+        Raises InputError, OSError or MemoryError if the generator cannot go on. What had come is in
+        the journal.
         """
         pictures = [Picture(request) for request in requests]
         self.wanted = len(pictures)

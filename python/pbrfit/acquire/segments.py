@@ -33,6 +33,9 @@ def segment(
 ) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Find the segments of a picture.
 
+    Raises InputError or OSError in one line that names the file or option, what was expected and
+    what was found.
+
     Parameters
     ----------
     source
@@ -49,11 +52,6 @@ def segment(
         (H, W), 0 = in no segment.
     record
         How they were made, as JSON.
-
-    Raises
-    ------
-    InputError, OSError
-        One line that names the file or option, what was expected and what was found.
     """
     if source == "sam2":
         return by_sam2(srgb8, **options)
@@ -79,6 +77,9 @@ def by_sam2(
 ) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Segments by SAM2 through the mask generation of transformers.
 
+    Raises InputError if a package or the weights are missing, an option cannot be used, or memory
+    runs out.
+
     Parameters
     ----------
     srgb8
@@ -101,11 +102,6 @@ def by_sam2(
         (H, W), 0 = in no segment, which may be so everywhere.
     record
         How they were made, as JSON.
-
-    Raises
-    ------
-    InputError
-        If a package or the weights are missing, an option cannot be used, or memory runs out.
     """
     _check_share(smallest)
     weights.need("segment", "torch", "torchvision", "transformers")

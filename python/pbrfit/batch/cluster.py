@@ -22,7 +22,7 @@ class Cluster:
     """Workers of a dask cluster, each with one task at a time.
 
     Workers that come later are used too. A task whose worker is gone is given to another by dask
-    itself, up to three times.
+    itself, up to three times. Raises InputError if dask is not installed, or nobody answers.
 
     Parameters
     ----------
@@ -31,11 +31,6 @@ class Cluster:
         machine.
     jobs
         Tasks at the same time; None = as many as there are workers.
-
-    Raises
-    ------
-    InputError
-        If dask is not installed, or nobody answers.
     """
 
     apart = True

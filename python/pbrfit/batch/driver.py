@@ -25,31 +25,24 @@ DIED = "its process died"
 
 @dataclass(frozen=True)
 class Attempt(Generic[R]):
-    """What became of a task.
-
-    Attributes
-    ----------
-    value
-        What its function returned; None if it failed.
-    error
-        In one line why it failed, else None.
-    raised
-        The type of what its function raised, by name.
-    seconds
-        That it took.
-    said
-        What it logged in another process: level and message.
-    """
+    """What became of a task."""
 
     value: R | None
+    """What its function returned; None if it failed."""
     error: str | None
+    """In one line why it failed, else None."""
     raised: str | None = None
+    """The type of what its function raised, by name."""
     seconds: float = 0.0
+    """That it took."""
     said: tuple[tuple[int, str], ...] = ()
+    """What it logged in another process: level and message."""
 
 
 def workers(jobs: int | None, cluster: str | None, *, most: int) -> Workers:
     """Make the workers for so many tasks at the same time, of whom no more than `most` are of use.
+
+    Raises InputError if there is no such cluster.
 
     Parameters
     ----------
@@ -59,11 +52,6 @@ def workers(jobs: int | None, cluster: str | None, *, most: int) -> Workers:
         None = on this machine; else see `pbrfit.batch.cluster.Cluster`.
     most
         How many tasks there are.
-
-    Raises
-    ------
-    InputError
-        If there is no such cluster.
     """
     jobs = None if jobs is None else min(jobs, most)
     if cluster is not None:

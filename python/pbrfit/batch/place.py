@@ -26,14 +26,9 @@ def of_batch(folder: Path) -> Iterator[Path]:
     """Give `folder/.pbrfit` for temporary folders, to this process alone; afterwards it is gone.
 
     What a killed batch left there is removed first. A result that was about to be replaced is put
-    back, then and afterwards. A new `folder` that stays empty is removed too.
-
-    Raises
-    ------
-    FileExistsError
-        If another batch works there. Where the system has no `flock` (Windows), that is not known.
-    OSError
-        If nothing can be written there.
+    back, then and afterwards. A new `folder` that stays empty is removed too. Raises
+    FileExistsError if another batch works there. Where the system has no `flock` (Windows), that is
+    not known. Raises OSError if nothing can be written there.
     """
     target = folder.resolve()
     new_parents = [parent for parent in (target, *target.parents) if not parent.exists()]

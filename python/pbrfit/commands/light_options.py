@@ -72,10 +72,7 @@ def add_light(parser: argparse.ArgumentParser) -> None:
 def choose_light(options: argparse.Namespace) -> tuple[Light, Facts]:
     """Read what the options name, and what there is to say about it.
 
-    Raises
-    ------
-    InputError, OSError
-        If a file cannot be used.
+    Raises InputError or OSError if a file cannot be used.
     """
     if options.light is not None:
         azimuth, elevation = options.light

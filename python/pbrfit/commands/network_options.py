@@ -79,6 +79,8 @@ def asked_for(
 ) -> dict[str, Any]:
     """Options that were given, all of them for a source of this kind.
 
+    Raises InputError if an option of another kind was given: it would be ignored.
+
     Parameters
     ----------
     options
@@ -89,11 +91,6 @@ def asked_for(
         Of the source that was asked for.
     flag
         That asked for it, with its value, for the message.
-
-    Raises
-    ------
-    InputError
-        If an option of another kind was given: it would be ignored.
     """
     for name in (name for others in flags.values() for name in others):
         if name not in flags[kind] and getattr(options, name) is not None:

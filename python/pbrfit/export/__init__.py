@@ -47,24 +47,16 @@ CONTAINS = (MANIFEST,)
 
 @dataclass(frozen=True)
 class ExportedFile:
-    """A file of an export.
-
-    Attributes
-    ----------
-    path
-        In the folder, with "/".
-    holds
-        What a channel each is, or all of it, in words.
-    color_space
-        How its values are encoded, in words.
-    size
-        Bytes.
-    """
+    """A file of an export."""
 
     path: str
+    """In the folder, with "/"."""
     holds: str
+    """What a channel each is, or all of it, in words."""
     color_space: str
+    """How its values are encoded, in words."""
     size: int
+    """Bytes."""
 
 
 @dataclass(frozen=True)

@@ -34,22 +34,15 @@ FILES = {
 
 @dataclass(frozen=True)
 class LightPanorama:
-    """The panorama of a light.
-
-    Attributes
-    ----------
-    picture
-        Whose light it is.
-    file
-        Its name in the folder of lights.
-    difference
-        By how much the surfaces look different under it than under the SH light, which may be
-        negative in places: RMS, relative; 0 where it is not.
-    """
+    """The panorama of a light."""
 
     picture: str
+    """Whose light it is."""
     file: str
+    """Its name in the folder of lights."""
     difference: float
+    """By how much the surfaces look different under it than under the SH light, which may be
+    negative in places: RMS, relative; 0 where it is not."""
 
 
 def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:

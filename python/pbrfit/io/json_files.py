@@ -25,6 +25,9 @@ MOST = 2**53
 def read_json(path: Path, expected: str, *, finite: bool = True) -> Any:
     """Content of a JSON file.
 
+    Raises InputError if it is not UTF-8 or not JSON, or nested beyond reason; OSError if it cannot
+    be read.
+
     Parameters
     ----------
     path
@@ -33,13 +36,6 @@ def read_json(path: Path, expected: str, *, finite: bool = True) -> Any:
         What it should hold, for the message.
     finite
         Whether NaN and infinities are refused, which are no JSON but often written.
-
-    Raises
-    ------
-    InputError
-        If it is not UTF-8 or not JSON, or nested beyond reason.
-    OSError
-        If it cannot be read.
     """
     refuse = _refuse if finite else None
     try:

@@ -23,6 +23,8 @@ ALL = "Y"
 def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     """Read weights.
 
+    Raises InputError if channels are missing, or the file has both kinds.
+
     Parameters
     ----------
     path
@@ -34,11 +36,6 @@ def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     -------
     ndarray
         (H, W) for all pictures alike, or (N, H, W) in the order of `names`; as stored.
-
-    Raises
-    ------
-    InputError
-        If channels are missing, or the file has both kinds.
     """
     channels = images.read_channels(path)
     own = [name for name in names if f"{name}.{ALL}" in channels]

@@ -25,18 +25,12 @@ ORDER = 3
 
 @dataclass(frozen=True)
 class Lighting:
-    """SH light of each picture.
-
-    Attributes
-    ----------
-    pictures
-        Names, one a picture.
-    coefficients
-        (N, 16, 3) float64: picture, coefficient k = l(l+1)+m, channel; linear Rec.709.
-    """
+    """SH light of each picture."""
 
     pictures: tuple[str, ...]
+    """Names, one a picture."""
     coefficients: NDArray[np.float64]
+    """(N, 16, 3) float64: picture, coefficient k = l(l+1)+m, channel; linear Rec.709."""
 
     def save(self, path: Path) -> None:
         """Write `lighting.json`."""
@@ -53,10 +47,7 @@ class Lighting:
     def load(cls, path: Path) -> Lighting:
         """Read `lighting.json`.
 
-        Raises
-        ------
-        InputError
-            If the file is not what `save` writes; the message names the file.
+        Raises InputError if the file is not what `save` writes; the message names the file.
         """
         parts = "JSON with basis, order, pictures and coefficients"
         content = read_json(path, parts, finite=False)  # told of below

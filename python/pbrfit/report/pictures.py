@@ -22,23 +22,16 @@ HIGH = 95
 
 @dataclass(frozen=True)
 class Fit:
-    """How well a picture is explained.
-
-    Attributes
-    ----------
-    rms, rmse
-        Root mean square of the picture and of (rendered − picture), in the picture's unit, with
-        the weights of the samples.
-    high
-        Percentile `HIGH` of the residuals, relative to `rms`.
-    left_out
-        Share of its samples that took no part in the fit.
-    """
+    """How well a picture is explained."""
 
     rms: float
     rmse: float
+    """Root mean square of the picture and of (rendered − picture), in the picture's unit, with the
+    weights of the samples."""
     high: float
+    """Percentile `HIGH` of the residuals, relative to `rms`."""
     left_out: float
+    """Share of its samples that took no part in the fit."""
 
     @property
     def share(self) -> float:
@@ -48,26 +41,18 @@ class Fit:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as the page shows it.
-
-    Attributes
-    ----------
-    name
-        Of the picture.
-    fit
-        None without the scene.
-    pngs
-        By side, the largest first: the picture, its reconstruction and the residual, or the
-        reconstruction alone.
-    light, light_pngs
-        Its light: in numbers; on balls, as a panorama.
-    """
+    """A picture as the page shows it."""
 
     name: str
+    """Of the picture."""
     fit: Fit | None
+    """None without the scene."""
     pngs: tuple[tuple[bytes, ...], ...]
+    """By side, the largest first: the picture, its reconstruction and the residual, or the
+    reconstruction alone."""
     light: Light
     light_pngs: tuple[bytes, bytes]
+    """Its light: in numbers; on balls, as a panorama."""
 
     @property
     def sizes(self) -> list[int]:

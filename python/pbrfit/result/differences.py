@@ -84,19 +84,13 @@ PALETTE = np.concatenate(
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """A map of differences.
-
-    Attributes
-    ----------
-    values
-        (H, W), 0 or more; NaN outside the mask.
-    white, vermillion
-        (H, W) bool: pixels with a colour of their own instead; None = none.
-    """
+    """A map of differences."""
 
     values: Map
+    """(H, W), 0 or more; NaN outside the mask."""
     white: NDArray[np.bool_] | None = None
     vermillion: NDArray[np.bool_] | None = None
+    """(H, W) bool: pixels with a colour of their own instead; None = none."""
 
     def indices(self) -> NDArray[np.uint8]:
         """(H, W) into `PALETTE`."""

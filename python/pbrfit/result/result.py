@@ -220,10 +220,7 @@ def _check_maps(
 def model_of(content: Mapping[str, Any], file: Path) -> Model:
     """Return the model of a result by what its `result.json` holds.
 
-    Raises
-    ------
-    InputError
-        If that is none; the message names the file.
+    Raises InputError if that is none; the message names the file.
     """
     name = content.get("model", FIRST_MODEL)  # earlier versions had one model and did not say so
     for model in MODELS:

@@ -34,44 +34,29 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 @dataclass(frozen=True)
 class Panel:
-    """One labelled picture: (H, W, 3) values in [0, 1] as they go to the screen.
-
-    Attributes
-    ----------
-    caption
-        A line above it.
-    note
-        Below it, in as many lines as it needs.
-    crossed
-        Whether it is marked as refused: framed in red, with a cross in a corner.
-    """
+    """One labelled picture: (H, W, 3) values in [0, 1] as they go to the screen."""
 
     caption: str
+    """A line above it."""
     pixels: NDArray[np.floating[Any]]
     note: str = ""
+    """Below it, in as many lines as it needs."""
     crossed: bool = False
+    """Whether it is marked as refused: framed in red, with a cross in a corner."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """What colours mean: a bar from the left, ticks at shares of its width, and patches.
-
-    Attributes
-    ----------
-    caption
-        What the bar measures.
-    bar
-        (M, 3) colours, the lowest value first, as they go to the screen.
-    ticks
-        Labels by share of the bar's width.
-    patches
-        Colours by label, for what is not on the bar.
-    """
+    """What colours mean: a bar from the left, ticks at shares of its width, and patches."""
 
     caption: str
+    """What the bar measures."""
     bar: NDArray[np.floating[Any]]
+    """(M, 3) colours, the lowest value first, as they go to the screen."""
     ticks: Mapping[float, str]
+    """Labels by share of the bar's width."""
     patches: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    """Colours by label, for what is not on the bar."""
 
 
 Row = list[Panel | None]

@@ -57,27 +57,18 @@ higher than the correlation in place. Chosen on scenes of seeds 2000 to 2104."""
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a picture lies relative to a reference.
-
-    Attributes
-    ----------
-    shift
-        Pixels (right, down) by which it is shifted as a whole.
-    agreement
-        Correlation of the edges at that shift: 1 the same, about 0 unrelated.
-    warp
-        Median displacement of tiles that can be told, in pixels: a shift, or what is bent.
-    moved
-        Share of the edges in tiles that are displaced, 0 to 1.
-    pixel
-        Pixels of the picture per pixel that was compared: errors are about 0.2 of it.
-    """
+    """How a picture lies relative to a reference."""
 
     shift: tuple[float, float]
+    """Pixels (right, down) by which it is shifted as a whole."""
     agreement: float
+    """Correlation of the edges at that shift: 1 the same, about 0 unrelated."""
     warp: float
+    """Median displacement of tiles that can be told, in pixels: a shift, or what is bent."""
     moved: float
+    """Share of the edges in tiles that are displaced, 0 to 1."""
     pixel: float
+    """Pixels of the picture per pixel that was compared: errors are about 0.2 of it."""
 
     @property
     def distance(self) -> float:

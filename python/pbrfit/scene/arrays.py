@@ -54,21 +54,15 @@ class Truth:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a scene was read from, and how its pictures were to be read.
-
-    Attributes
-    ----------
-    path
-        The scene folder, absolute.
-    color_space, max_size, code_range, fov
-        As given to `Scene.load`.
-    """
+    """Where a scene was read from, and how its pictures were to be read."""
 
     path: Path
+    """The scene folder, absolute."""
     color_space: ColorSpace | None = None
     max_size: int | None = None
     code_range: tuple[int, int] = CODE_RANGE
     fov: float | None = None
+    """As given to `Scene.load`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -155,25 +155,17 @@ def load(
 
 @dataclass
 class _Pictures:
-    """All pictures of a scene folder.
-
-    Attributes
-    ----------
-    pixels
-        (N, H, W, 3) at the working size.
-    clipped, dark
-        (N, H, W), bool: samples with a part in what is too bright or too dark for its file.
-    mask
-        What alpha leaves, at the files' size.
-    focal_length
-        Of the first picture that has one, 35 mm equivalent, millimetres.
-    """
+    """All pictures of a scene folder."""
 
     pixels: NDArray[np.float32]
+    """(N, H, W, 3) at the working size."""
     clipped: NDArray[np.bool_]
     dark: NDArray[np.bool_]
+    """(N, H, W), bool: samples with a part in what is too bright or too dark for its file."""
     mask: NDArray[np.bool_]
+    """What alpha leaves, at the files' size."""
     focal_length: float | None = None
+    """Of the first picture that has one, 35 mm equivalent, millimetres."""
 
 
 def _read_pictures(

@@ -31,6 +31,9 @@ GROUP = "pbrfit.scenes"
 def draw(kind: str, rng: np.random.Generator, textures: Any = None) -> World:
     """Draw a scene.
 
+    Raises InputError when `kind` is unknown, its package is not installed, or the textures cannot
+    be used.
+
     Parameters
     ----------
     kind
@@ -48,11 +51,6 @@ def draw(kind: str, rng: np.random.Generator, textures: Any = None) -> World:
     Returns
     -------
     World
-
-    Raises
-    ------
-    InputError
-        When `kind` is unknown, its package is not installed, or the textures cannot be used.
     """
     if kind not in KINDS:
         world = _added(kind)(rng, textures)

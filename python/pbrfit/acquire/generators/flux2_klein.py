@@ -35,6 +35,8 @@ PROMPT_TOKENS = 512
 class Flux2Klein:
     """Pictures by diffusers' `Flux2KleinPipeline`; the network is loaded at the first one.
 
+    Raises InputError if diffusers is missing, or an option is none there is.
+
     Parameters
     ----------
     model
@@ -49,11 +51,6 @@ class Flux2Klein:
         As `pbrfit.acquire.weights.placement` takes them.
     quiet
         No bar over the steps of a picture; there is one only where stderr is a terminal.
-
-    Raises
-    ------
-    InputError
-        If diffusers is missing, or an option is none there is.
     """
 
     name = "flux2-klein"
@@ -102,10 +99,8 @@ class Flux2Klein:
     def check(self) -> None:
         """Look for the device and the network, and what kind it is; reads no weights.
 
-        Raises
-        ------
-        InputError
-            If one of them is not there, or the network is distilled and guidance is asked for.
+        Raises InputError if one of them is not there, or the network is distilled and guidance is
+        asked for.
         """
         _ = self._placement
 
@@ -119,10 +114,8 @@ class Flux2Klein:
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
         """The first `count` lightings of the catalogue.
 
-        Raises
-        ------
-        InputError
-            If `count` is out of range, or there are negatives and no guidance to use them.
+        Raises InputError if `count` is out of range, or there are negatives and no guidance to use
+        them.
         """
         self._check_guidance(catalogue.negative)
         return requests_from(catalogue, count, seed)
@@ -130,11 +123,8 @@ class Flux2Klein:
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Make one picture; the same seed on the same machine gives the same bits.
 
-        Raises
-        ------
-        InputError
-            If the network cannot be had, is distilled and cannot do what was asked for, or runs
-            out of memory; or the prompt is too long.
+        Raises InputError if the network cannot be had, is distilled and cannot do what was asked
+        for, or runs out of memory; or the prompt is too long.
         """
         self._check_guidance(request.negative)
         pipeline = self._loaded(request.negative)

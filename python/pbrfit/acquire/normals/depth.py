@@ -56,6 +56,8 @@ def from_file(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
+    Raises InputError or OSError if the file holds no depth, or of another proportion.
+
     Parameters
     ----------
     path
@@ -70,11 +72,6 @@ def from_file(
     -------
     normals, known
         As of `from_depth`.
-
-    Raises
-    ------
-    InputError, OSError
-        If the file holds no depth, or of another proportion.
     """
     depth = read_depth(path)
     if depth.shape != size:
@@ -151,7 +148,8 @@ def from_depth(
     n·P = -1 before it is normalised, whatever g is: no normal faces away.
 
     An orthographic camera that sees a width of w sees (x w/2, y w/2, -z) with t = 1, a plane's z is
-    linear itself, and n ∝ (∂z/∂X, ∂z/∂Y, 1) with W/w pixels to a unit of X.
+    linear itself, and n ∝ (∂z/∂X, ∂z/∂Y, 1) with W/w pixels to a unit of X. Raises InputError if
+    `kind` is none, or an orthographic camera comes without `view_width` or with disparity.
 
     Parameters
     ----------
@@ -169,11 +167,6 @@ def from_depth(
     -------
     normals, known
         (H, W, 3) in camera space, and (H, W): where the depth told them.
-
-    Raises
-    ------
-    InputError
-        If `kind` is none, or an orthographic camera comes without `view_width` or with disparity.
     """
     geometry.check_fov(fov)
     if kind not in get_args(DepthKind):

@@ -28,6 +28,9 @@ def from_file(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Normals of a file in camera space, at the size (height, width) of the pictures.
 
+    Raises InputError or OSError if the file holds no normals, those of another frame, or of another
+    proportion.
+
     Parameters
     ----------
     path
@@ -43,11 +46,6 @@ def from_file(
     normals, known
         (H, W, 3) unit vectors, and (H, W): where the file has one. Elsewhere (zero, NaN) the
         normal faces the viewer.
-
-    Raises
-    ------
-    InputError, OSError
-        If the file holds no normals, those of another frame, or of another proportion.
     """
     stored = _stored(path)
     if stored.shape[:2] != size:
@@ -93,6 +91,8 @@ def fit_to_size(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Average unit normals over the pixels of a smaller picture, and make them unit again.
 
+    Raises InputError if the map is smaller, or of another proportion.
+
     Parameters
     ----------
     normals, known
@@ -106,11 +106,6 @@ def fit_to_size(
     -------
     normals, known
         Of that size. What is not known, or cancels, faces the viewer.
-
-    Raises
-    ------
-    InputError
-        If the map is smaller, or of another proportion.
     """
     if normals.shape[:2] == size:
         return normals, known
@@ -128,10 +123,7 @@ def fit_to_size(
 def check_reducible(path: Path, shape: tuple[int, ...], size: tuple[int, int]) -> None:
     """Check that a map of this shape becomes one of (height, width) by averaging.
 
-    Raises
-    ------
-    InputError
-        If it is smaller, or of another proportion; it names `path`.
+    Raises InputError if it is smaller, or of another proportion; it names `path`.
     """
     height, width = size
     larger = shape[0] >= height and shape[1] >= width
@@ -145,10 +137,7 @@ def check_reducible(path: Path, shape: tuple[int, ...], size: tuple[int, int]) -
 def read_npy(path: Path) -> NDArray[np.float64]:
     """Read an array of numpy's own format, without anything that could be code.
 
-    Raises
-    ------
-    InputError
-        If the file is no array of real numbers.
+    Raises InputError if the file is no array of real numbers.
     """
     expected = "expected an array of real numbers in .npy"
     try:

@@ -50,6 +50,9 @@ def from_picture(
 ) -> tuple[Array, Array | None, dict[str, Any]]:
     """Estimate normals of one picture.
 
+    Raises InputError if a package or the weights are missing, an option cannot be used, or memory
+    runs out.
+
     Parameters
     ----------
     srgb8
@@ -76,11 +79,6 @@ def from_picture(
         (H, W) degrees, see `mean_and_spread`; None for an ensemble below 3.
     record
         How they were made, as JSON.
-
-    Raises
-    ------
-    InputError
-        If a package or the weights are missing, an option cannot be used, or memory runs out.
     """
     weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
     import torch

@@ -79,25 +79,17 @@ leave as much."""
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was measured of a picture.
-
-    Attributes
-    ----------
-    name
-        What was checked, in a word.
-    value, bound
-        What was found, and where it begins to be too much (or too little).
-    passed
-        Whether it is right.
-    note
-        A sentence for people.
-    """
+    """One thing that was measured of a picture."""
 
     name: str
+    """What was checked, in a word."""
     value: float
     bound: float
+    """What was found, and where it begins to be too much (or too little)."""
     passed: bool
+    """Whether it is right."""
     note: str
+    """A sentence for people."""
 
     @property
     def excess(self) -> float:
@@ -133,17 +125,14 @@ class Verdict:
 class Reviewer:
     """Judges pictures of the view of one photograph.
 
+    Raises InputError if the photograph has nothing to compare by: no edges at all.
+
     Parameters
     ----------
     photo
         (H, W, 3) the photograph, linear Rec.709, white = 1.
     mask
         (H, W), False where the photograph is transparent.
-
-    Raises
-    ------
-    InputError
-        If the photograph has nothing to compare by: no edges at all.
     """
 
     def __init__(self, photo: NDArray[Any], *, mask: NDArray[np.bool_] | None = None) -> None:
@@ -163,10 +152,7 @@ class Reviewer:
     def picture(self, pixels: NDArray[Any]) -> Verdict:
         """Judge one picture (H, W, 3), linear Rec.709, white = 1, against the photograph.
 
-        Raises
-        ------
-        InputError
-            If it is of another size.
+        Raises InputError if it is of another size.
         """
         picture = self._reduced(pixels)
         edges = alignment.edges(picture, self._mask)

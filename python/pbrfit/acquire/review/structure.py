@@ -44,21 +44,14 @@ LEAST = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """Gradients of the logarithm of a picture.
-
-    Attributes
-    ----------
-    values
-        (H, W, 3) complex64: x + i y, of log(I + ε).
-    factor
-        (H, W, 3) float32: I / (I + ε).
-    sound
-        (H, W, 3) bool: neither clipped nor black.
-    """
+    """Gradients of the logarithm of a picture."""
 
     values: NDArray[np.complex64]
+    """(H, W, 3) complex64: x + i y, of log(I + ε)."""
     factor: NDArray[np.float32]
+    """(H, W, 3) float32: I / (I + ε)."""
     sound: NDArray[np.bool_]
+    """(H, W, 3) bool: neither clipped nor black."""
 
 
 def gradients(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Gradients:

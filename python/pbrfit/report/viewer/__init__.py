@@ -43,6 +43,8 @@ SCRIPTS = ("light.js", "panorama.js", "planes.js", "picture.js", "viewer.js")
 def fragment(result: Result, max_side: int = 1024) -> str:
     """HTML of the relight view of a result: style, markup, maps and script in one.
 
+    Raises InputError if `max_side` is below 1.
+
     Parameters
     ----------
     result
@@ -54,11 +56,6 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     Returns
     -------
     A fragment for the body of a page in UTF-8; it refers to nothing outside.
-
-    Raises
-    ------
-    InputError
-        If `max_side` is below 1.
     """
     small = maps.of_result(result, max_side)
     height, width = small.mask.shape

@@ -19,30 +19,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Maps:
-    """Maps of (H, W) pixels, NaN outside the mask.
-
-    Attributes
-    ----------
-    materials, normals, mask, fov
-        As of a result.
-    """
+    """Maps of (H, W) pixels, NaN outside the mask."""
 
     materials: Materials
     normals: Array
     mask: NDArray[np.bool_]
     fov: float
+    """As of a result."""
 
 
 def of_result(result: Result, max_side: int) -> Maps:
     """Maps with at most `max_side` pixels on the longer side.
 
     Larger ones are averaged over the area that falls on each new pixel, its part in the mask alone,
-    and normals made unit vectors again. A new pixel is valid if half of its area is.
-
-    Raises
-    ------
-    InputError
-        If `max_side` is below 1.
+    and normals made unit vectors again. A new pixel is valid if half of its area is. Raises
+    InputError if `max_side` is below 1.
     """
     if max_side < 1:
         raise InputError(f"max_side: expected at least 1 pixel, found {max_side}")
