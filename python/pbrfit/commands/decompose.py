@@ -20,11 +20,13 @@ from pbrfit.commands.arguments import (
     SOME_FAILED,
     UNUSABLE,
     add_cluster,
+    add_flags,
     add_jobs,
     add_out,
     add_quiet,
     complain,
     message_of,
+    switch,
 )
 from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
 from pbrfit.commands.scene_display import SceneDisplay
@@ -41,14 +43,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "scenes", metavar="SCENE", nargs="+", type=Path, help="scene folder, or a folder of them"
     )
     add_out(parser, "result folder; with several scenes it holds one result folder a scene")
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        help="keep results that are whole and would come out again: the same files, options and "
-        "version of pbrfit; do all others",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print a line of JSON a scene instead of a table"
+    add_flags(
+        parser,
+        resume=switch(
+            "keep results that are whole and would come out again: the same files, options and "
+            "version of pbrfit; do all others"
+        ),
+        json=switch("print a line of JSON a scene instead of a table"),
     )
     add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
     add_cluster(parser)

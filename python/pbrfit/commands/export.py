@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import get_args
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import DONE, add_quiet, add_result, unread_is_no_failure
+from pbrfit.commands.arguments import (
+    DONE,
+    add_flags,
+    add_quiet,
+    add_result,
+    choice,
+    unread_is_no_failure,
+)
 from pbrfit.export import CONTAINS, Exported, export_result
 from pbrfit.export.maps import Bits, NormalConvention
 from pbrfit.export.presets import Format, PresetName
@@ -19,34 +25,29 @@ from pbrfit.result.result import Result
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     add_result(parser, "DIR", "folder to write")
-    parser.add_argument(
-        "--format",
-        choices=get_args(Format),
-        help="this one alone (default: those of the preset, else all)",
-    )
-    parser.add_argument(
-        "--preset",
-        choices=get_args(PresetName),
-        help="textures with the names, channels and normals that a tool expects (default: a file "
-        "a map)",
-    )
-    parser.add_argument(
-        "--normals",
-        choices=get_args(NormalConvention),
-        help="green of normal maps upwards or downwards (default: as the preset says, else opengl)",
-    )
-    parser.add_argument(
-        "--bits",
-        type=int,
-        choices=get_args(Bits),
-        help="of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
-        "glTF 16 for normals alone)",
-    )
-    parser.add_argument(
-        "--geometry",
-        choices=get_args(Geometry),
-        help="of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
-        "for path tracers (default: card)",
+    add_flags(
+        parser,
+        format=choice(Format, "this one alone (default: those of the preset, else all)"),
+        preset=choice(
+            PresetName,
+            "textures with the names, channels and normals that a tool expects (default: a file a "
+            "map)",
+        ),
+        normals=choice(
+            NormalConvention,
+            "green of normal maps upwards or downwards (default: as the preset says, else opengl)",
+        ),
+        bits=choice(
+            Bits,
+            "of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
+            "glTF 16 for normals alone)",
+            type=int,
+        ),
+        geometry=choice(
+            Geometry,
+            "of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
+            "for path tracers (default: card)",
+        ),
     )
     add_quiet(parser)
 

@@ -9,7 +9,6 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import get_args
 
 from pbrfit._core import InputError
 from pbrfit.acquire.generation import generate
@@ -20,14 +19,19 @@ from pbrfit.acquire.rounds import REGENERATE, Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
 from pbrfit.commands.arguments import (
     DONE,
+    add_flags,
     add_quiet,
+    choice,
     number,
     positive,
     progress_bar,
+    switch,
     unread_is_no_failure,
+    value,
     whole_number,
 )
-from pbrfit.commands.network_options import source
+from pbrfit.commands.network_options import NORMAL_SOURCES, normal_source, source
+from pbrfit.commands.scene_options import field_of_view
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.output import new_file
 
@@ -64,143 +68,109 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "       %(prog)s --save-prompts FILE"
     )
     parser.add_argument("photo", metavar="PHOTO", nargs="?", type=Path, help="the photograph")
-    parser.add_argument("--out", metavar="SCENE", type=Path, help="scene folder to write")
-    again = parser.add_mutually_exclusive_group()
-    again.add_argument(
-        "--resume",
-        action="store_true",
-        help="go on with a run of the same photograph and settings, or add pictures to it; what "
-        "was received is never asked for twice",
-    )
-    again.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="make an earlier scene anew, also with another photograph or other settings; "
-        "received pictures are kept and taken where they are what is asked for (of "
-        "--save-prompts: replace the file)",
+    add_flags(parser, out=value("SCENE", Path, "scene folder to write"))
+    add_flags(
+        parser.add_mutually_exclusive_group(),
+        resume=switch(
+            "go on with a run of the same photograph and settings, or add pictures to it; what "
+            "was received is never asked for twice"
+        ),
+        overwrite=switch(
+            "make an earlier scene anew, also with another photograph or other settings; "
+            "received pictures are kept and taken where they are what is asked for (of "
+            "--save-prompts: replace the file)"
+        ),
     )
     add_quiet(parser, "no progress bar, no summary")
-    parser.add_argument("--json", action="store_true", help="print review.json as the summary")
-
-    photo = parser.add_argument_group("the photograph")
-    photo.add_argument(
-        "--fov",
-        metavar="DEG",
-        type=number,
-        help="horizontal field of view, 0 = orthographic (default: EXIF, else 60)",
+    add_flags(parser, json=switch("print review.json as the summary"))
+    add_flags(
+        parser.add_argument_group("the photograph"),
+        fov=field_of_view(number, "EXIF"),
+        color_space=choice(
+            ColorSpace,
+            "of the photograph (default: its ICC profile, else sRGB, of float files linear)",
+        ),
+        max_size=value(
+            "PIXELS",
+            positive,
+            "average a larger photograph down to this longer side, which all pictures then have",
+            default=MAX_SIZE,
+        ),
+        without_photo=switch("leave the photograph itself out of the scene's pictures"),
     )
-    photo.add_argument(
-        "--color-space",
-        choices=get_args(ColorSpace),
-        help="of the photograph (default: its ICC profile, else sRGB, of float files linear)",
+    add_flags(
+        parser.add_argument_group("pictures under other lights"),
+        generator=value(
+            "flux2-klein|gpt-image-2|folder:DIR",
+            str,
+            "FLUX.2 Klein on this machine; GPT-Image-2 by OpenAI's service, with the key in "
+            "OPENAI_API_KEY; or pictures that are there already",
+            default="flux2-klein",
+        ),
+        count=value("N", positive, "how many (default: 16, of a folder all)"),
+        seed=value(None, whole_number, "of the first; the next has one more (default: 0)"),
+        model=value(
+            "ID|FOLDER",
+            str,
+            "another checkpoint, on the Hugging Face Hub or in a folder, or another model of "
+            "OpenAI's",
+        ),
+        guidance=value("G", number, "flux2-klein: towards the prompt (default: 5)"),
+        steps=value("N", positive, "flux2-klein: of the sampler (default: 50)"),
+        dtype=choice(
+            Precision, "flux2-klein: of its numbers (default: bfloat16 on a GPU, else float32)"
+        ),
+        offload=choice(Offload, "flux2-klein: what waits outside the GPU's memory (default: none)"),
+        quality=value(
+            "low|medium|high|auto", str, "gpt-image-2: decides most of the price (default: high)"
+        ),
     )
-    photo.add_argument(
-        "--max-size",
-        metavar="PIXELS",
-        type=positive,
-        default=MAX_SIZE,
-        help="average a larger photograph down to this longer side, which all pictures then have",
-    )
-    photo.add_argument(
-        "--without-photo",
-        action="store_true",
-        help="leave the photograph itself out of the scene's pictures",
-    )
-
-    pictures = parser.add_argument_group("pictures under other lights")
-    pictures.add_argument(
-        "--generator",
-        metavar="flux2-klein|gpt-image-2|folder:DIR",
-        default="flux2-klein",
-        help="FLUX.2 Klein on this machine; GPT-Image-2 by OpenAI's service, with the key in "
-        "OPENAI_API_KEY; or pictures that are there already",
-    )
-    pictures.add_argument(
-        "--count",
-        metavar="N",
-        type=positive,
-        help="how many (default: 16, of a folder all)",
-    )
-    pictures.add_argument(
-        "--seed", type=whole_number, help="of the first; the next has one more (default: 0)"
-    )
-    pictures.add_argument(
-        "--model",
-        metavar="ID|FOLDER",
-        help="another checkpoint, on the Hugging Face Hub or in a folder, or another model of "
-        "OpenAI's",
-    )
-    pictures.add_argument(
-        "--guidance", metavar="G", type=number, help="flux2-klein: towards the prompt (default: 5)"
-    )
-    pictures.add_argument(
-        "--steps", metavar="N", type=positive, help="flux2-klein: of the sampler (default: 50)"
-    )
-    pictures.add_argument(
-        "--dtype",
-        choices=get_args(Precision),
-        help="flux2-klein: of its numbers (default: bfloat16 on a GPU, else float32)",
-    )
-    pictures.add_argument(
-        "--offload",
-        choices=get_args(Offload),
-        help="flux2-klein: what waits outside the GPU's memory (default: none)",
-    )
-    pictures.add_argument(
-        "--quality",
-        metavar="low|medium|high|auto",
-        help="gpt-image-2: decides most of the price (default: high)",
-    )
-
     prompts = parser.add_argument_group("prompts")
-    prompts.add_argument(
-        "--prompts", metavar="FILE", type=Path, help="catalogue (default: the one that ships)"
+    add_flags(prompts, prompts=value("FILE", Path, "catalogue (default: the one that ships)"))
+    add_flags(
+        prompts.add_mutually_exclusive_group(),
+        negative=value("TEXT", str, "what must not appear (default: the catalogue's)"),
+        no_negative={
+            "dest": "negative",
+            "action": "store_const",
+            "const": "",
+            "help": "no negative prompt",
+        },
     )
-    negative = prompts.add_mutually_exclusive_group()
-    negative.add_argument(
-        "--negative", metavar="TEXT", help="what must not appear (default: the catalogue's)"
+    add_flags(
+        prompts,
+        list_prompts=switch("print the catalogue and do nothing else"),
+        save_prompts=value(
+            "FILE", Path, "write the catalogue that ships to a file to edit, and do nothing else"
+        ),
     )
-    negative.add_argument(
-        "--no-negative", dest="negative", action="store_const", const="", help="no negative prompt"
+    add_flags(
+        parser.add_argument_group("review"),
+        regenerate=value(
+            "N",
+            whole_number,
+            "ask for a refused picture again so often, with other seeds (default: 2)",
+        ),
+        no_review=switch("take every picture as it comes"),
     )
-    prompts.add_argument(
-        "--list-prompts", action="store_true", help="print the catalogue and do nothing else"
-    )
-    prompts.add_argument(
-        "--save-prompts",
-        metavar="FILE",
-        type=Path,
-        help="write the catalogue that ships to a file to edit, and do nothing else",
-    )
-
-    review = parser.add_argument_group("review")
-    review.add_argument(
-        "--regenerate",
-        metavar="N",
-        type=whole_number,
-        help="ask for a refused picture again so often, with other seeds (default: 2)",
-    )
-    review.add_argument("--no-review", action="store_true", help="take every picture as it comes")
-
-    maps = parser.add_argument_group("normals and segments")
-    maps.add_argument(
-        "--normals",
-        metavar="marigold|flat|depth:FILE|FILE",
-        type=source(("marigold", "flat"), ("depth:",)),
-        default="marigold",
-        help="by a network, none (every surface faces the camera), or from a file",
-    )
-    maps.add_argument(
-        "--segments",
-        metavar="sam2|none|FILE",
-        type=source(("sam2", "none")),
-        default="sam2",
-        help="by a network, none, or from a file",
-    )
-    maps.add_argument(
-        "--device",
-        choices=get_args(Device),
-        help="where networks compute, those for pictures too (default: a GPU if there is one)",
+    add_flags(
+        parser.add_argument_group("normals and segments"),
+        normals=value(
+            NORMAL_SOURCES,
+            normal_source,
+            "by a network, none (every surface faces the camera), or from a file",
+            default="marigold",
+        ),
+        segments=value(
+            "sam2|none|FILE",
+            source(("sam2", "none")),
+            "by a network, none, or from a file",
+            default="sam2",
+        ),
+        device=choice(
+            Device,
+            "where networks compute, those for pictures too (default: a GPU if there is one)",
+        ),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import shlex
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,84 +15,79 @@ from pbrfit.acquire.normals.depth import DepthKind
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands.arguments import (
     DONE,
+    add_flags,
     add_quiet,
     add_scene,
+    choice,
     number,
     positive,
     progress_bar,
+    switch,
     unread_is_no_failure,
+    value,
     whole_number,
 )
 from pbrfit.commands.network_options import (
     DEVICE,
+    NORMAL_SOURCES,
     PRECISION,
     SHOWN,
     Flags,
-    add_flags,
     asked_for,
     checkpoint,
-    source,
+    normal_source,
 )
+from pbrfit.commands.scene_options import field_of_view
 from pbrfit.scene import completion
 from pbrfit.scene import folder as scene_folder
 
 FLAGS: dict[str, Flags] = {
     "marigold": {
         **SHOWN,
-        "ensemble": {
-            "metavar": "E",
-            "type": positive,
-            "help": "predictions that are averaged; from 3 on, what they differ by gives the "
-            f"weights (default: {marigold.ENSEMBLE})",
-        },
-        "steps": {
-            "metavar": "N",
-            "type": positive,
-            "help": "of the sampler (default: the model's)",
-        },
-        "resolution": {
-            "metavar": "PIXELS",
-            "type": whole_number,
-            "help": "longer side at which the network sees the picture, 0 = as it is (default: "
-            "the model's)",
-        },
-        "seed": {
-            "type": whole_number,
-            "help": "of the first prediction, the next has one more (default: 0)",
-        },
+        "ensemble": value(
+            "E",
+            positive,
+            "predictions that are averaged; from 3 on, what they differ by gives the weights "
+            f"(default: {marigold.ENSEMBLE})",
+        ),
+        "steps": value("N", positive, "of the sampler (default: the model's)"),
+        "resolution": value(
+            "PIXELS",
+            whole_number,
+            "longer side at which the network sees the picture, 0 = as it is (default: the "
+            "model's)",
+        ),
+        "seed": value(
+            None, whole_number, "of the first prediction, the next has one more (default: 0)"
+        ),
         **checkpoint(marigold.MODEL),
         **DEVICE,
         **PRECISION,
     },
     "depth": {
-        "depth_kind": {
-            "choices": get_args(DepthKind),
-            "help": "what a number says, up to any factor: the distance along the optical axis, "
-            "that along the pixel's ray, or the inverse of the first (default: z)",
-        },
-        "fov": {
-            "metavar": "DEG",
-            "type": number,
-            "help": "horizontal field of view, 0 = orthographic (default: scene.toml, EXIF, else "
-            "60)",
-        },
-        "view_width": {
-            "metavar": "WIDTH",
-            "type": number,
-            "help": "what an orthographic camera sees from left to right, in units of the depth",
-        },
+        "depth_kind": choice(
+            DepthKind,
+            "what a number says, up to any factor: the distance along the optical axis, that along "
+            "the pixel's ray, or the inverse of the first (default: z)",
+        ),
+        "fov": field_of_view(number, "scene.toml, EXIF"),
+        "view_width": value(
+            "WIDTH",
+            number,
+            "what an orthographic camera sees from left to right, in units of the depth",
+        ),
     },
     "file": {
-        "convention": {
-            "choices": ("opengl", "directx"),
-            "help": "opengl: Y up; directx: Y down (default: scene.toml, else opengl)",
-        },
-        "frame": {
-            "choices": ("camera", "tangent", "world"),
-            "help": "camera: X right, Z to the viewer; tangent: the texture of a flat card that "
-            "faces the camera; world: turned by scene.toml's world_to_camera (default: "
-            "scene.toml, else camera)",
-        },
+        "convention": choice(
+            ("opengl", "directx"),
+            "opengl: Y up; directx: Y down (default: scene.toml, else opengl)",
+        ),
+        "frame": choice(
+            ("camera", "tangent", "world"),
+            "camera: X right, Z to the viewer; tangent: the texture of a flat card that faces the "
+            "camera; world: turned by scene.toml's world_to_camera (default: scene.toml, else "
+            "camera)",
+        ),
     },
     "flat": {},
 }
@@ -116,18 +111,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from",
         dest="source",
-        metavar="marigold|flat|depth:FILE|FILE",
-        type=source(("marigold", "flat"), ("depth:",)),
+        metavar=NORMAL_SOURCES,
+        type=normal_source,
         default="marigold",
         help="marigold: a network's estimate; flat: every surface faces the camera; depth:FILE: "
         "from a depth map; FILE: normals that are there already",
     )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace existing normals and weights"
-    )
+    add_flags(parser, overwrite=switch("replace existing normals and weights"))
     add_quiet(parser, "no progress bar, no summary")
     for kind, title in TITLES.items():
-        add_flags(parser.add_argument_group(title), FLAGS[kind])
+        add_flags(parser.add_argument_group(title), **FLAGS[kind])
 
 
 def run(options: argparse.Namespace) -> int:

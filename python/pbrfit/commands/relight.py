@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from typing import get_args
 
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import (
     DONE,
+    add_flags,
     add_quiet,
     add_result,
     add_threads,
+    choice,
     number,
     positive,
     progress_bar,
     unread_is_no_failure,
+    value,
 )
 from pbrfit.commands.light_options import Light, add_light, choose_light
 from pbrfit.io import relit_files
@@ -47,42 +49,37 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "FILE",
         ".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or .webp",
     )
-    parser.add_argument(
-        "--model",
-        choices=MODELS,
-        help="the reflection model that the result is expected to be of; with another one it is "
-        "refused (default: whichever it is of)",
+    add_flags(
+        parser,
+        model=choice(
+            MODELS,
+            "the reflection model that the result is expected to be of; with another one it is "
+            "refused (default: whichever it is of)",
+        ),
     )
     add_light(parser)
-
-    files = parser.add_argument_group("output")
-    files.add_argument(
-        "--turntable",
-        metavar="N",
-        type=positive,
-        help="N frames while the light goes once around, from where it is to the right",
-    )
-    files.add_argument(
-        "--format",
-        choices=("exr", "png"),
-        help="with --turntable and a folder: of the frames (default: exr)",
-    )
-    files.add_argument(
-        "--fps",
-        metavar="F",
-        type=number,
-        help=f"with --turntable and an animation: frames a second, 1 to 50 (default: {FPS:g})",
-    )
-    files.add_argument(
-        "--exposure",
-        metavar="EV",
-        type=number,
-        help="of files for a screen, in stops: radiance times 2^EV (default: 0)",
-    )
-    files.add_argument(
-        "--tone-map",
-        choices=get_args(ToneMap),
-        help="of files for a screen: neutral compresses highlights that none clips (default: none)",
+    add_flags(
+        parser.add_argument_group("output"),
+        turntable=value(
+            "N",
+            positive,
+            "N frames while the light goes once around, from where it is to the right",
+        ),
+        format=choice(
+            ("exr", "png"), "with --turntable and a folder: of the frames (default: exr)"
+        ),
+        fps=value(
+            "F",
+            number,
+            f"with --turntable and an animation: frames a second, 1 to 50 (default: {FPS:g})",
+        ),
+        exposure=value(
+            "EV", number, "of files for a screen, in stops: radiance times 2^EV (default: 0)"
+        ),
+        tone_map=choice(
+            ToneMap,
+            "of files for a screen: neutral compresses highlights that none clips (default: none)",
+        ),
     )
     add_threads(parser)
     add_quiet(parser)

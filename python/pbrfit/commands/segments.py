@@ -10,17 +10,19 @@ from pbrfit.acquire import segments
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands.arguments import (
     DONE,
+    add_flags,
     add_quiet,
     add_scene,
     number,
     positive,
+    switch,
     unread_is_no_failure,
+    value,
 )
 from pbrfit.commands.network_options import (
     DEVICE,
     SHOWN,
     Flags,
-    add_flags,
     asked_for,
     checkpoint,
     source,
@@ -29,17 +31,12 @@ from pbrfit.scene import completion
 
 SAM2: Flags = {
     **SHOWN,
-    "points": {
-        "metavar": "N",
-        "type": positive,
-        "help": "ask what lies at N × N points of the picture (default: 32)",
-    },
-    "smallest": {
-        "metavar": "SHARE",
-        "type": number,
-        "help": "drop segments of which less than this share of the picture shows (default: "
-        "0.0005)",
-    },
+    "points": value("N", positive, "ask what lies at N × N points of the picture (default: 32)"),
+    "smallest": value(
+        "SHARE",
+        number,
+        "drop segments of which less than this share of the picture shows (default: 0.0005)",
+    ),
     **checkpoint(segments.MODEL),
     **DEVICE,
 }
@@ -62,9 +59,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default="sam2",
         help="sam2: a network's; FILE: a picture of ids, which may be larger",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace existing segments")
+    add_flags(parser, overwrite=switch("replace existing segments"))
     add_quiet(parser, "no summary")
-    add_flags(parser.add_argument_group("--from sam2"), SAM2)
+    add_flags(parser.add_argument_group("--from sam2"), **SAM2)
 
 
 def run(options: argparse.Namespace) -> int:
