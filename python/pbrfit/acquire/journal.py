@@ -26,7 +26,17 @@ from PIL.PngImagePlugin import PngInfo
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.photo import Photo
-from pbrfit.io.json_files import UNFIT, read_json, seed, table, text, whole
+from pbrfit.io.json_files import (
+    UNFIT,
+    json_text,
+    read_json,
+    seed,
+    table,
+    text,
+    whole,
+    words,
+    write_json,
+)
 from pbrfit.io.output import new_file
 from pbrfit.io.quoting import listed, quoted
 
@@ -37,6 +47,9 @@ TEXT = "pbrfit"
 """Key of the text in a picture that says what its entry says."""
 
 ENTRY = "an entry of a generation journal"
+
+ESCAPED = "backslashreplace"
+"""How bytes in names of files that are no UTF-8 are written: in JSON they come back from it."""
 
 RUN = "run.json"
 """What the last run was about: the photo and the generator's settings."""
@@ -80,7 +93,7 @@ class Journal:
         """Make the folder, and note what this run is about."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with new_file(self.folder / RUN, overwrite=True) as path:
-            write_json(path, self._about)
+            write_json(path, self._about, ESCAPED)
 
     def find(self, request: Request) -> Entry | None:
         """What came of an equal request, if it was made."""
@@ -91,7 +104,8 @@ class Journal:
         stem = self._free(request)
         told = PngInfo()
         asked = {"request": dataclasses.asdict(request), "record": generated.record}
-        told.add_itxt(TEXT, _text({"about": self._about, **asked}), zip=True)
+        entry = json_text({"about": self._about, **asked}).encode("utf-8", ESCAPED)
+        told.add_itxt(TEXT, entry.decode(), zip=True)
         told.add(b"sRGB", b"\0")
         buffer = io.BytesIO()
         Image.fromarray(generated.pixels).save(buffer, "PNG", pnginfo=told)
@@ -125,7 +139,7 @@ class Journal:
         content = {"about": self._about, **dataclasses.asdict(entry)}
         del content["stem"]
         with new_file(self.folder / f"{entry.stem}.json") as path:
-            write_json(path, content)
+            write_json(path, content, ESCAPED)
         self._entries[_key(entry.request)] = entry
         return entry
 
@@ -203,7 +217,7 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
         content = read_json(path, ENTRY)
         try:
             request, run, sha256 = _request(content["request"]), content["about"], content["sha256"]
-            refused, record = _words(content["refused"]), table(content["record"])
+            refused, record = words(content["refused"]), table(content["record"])
             sha256 = None if sha256 is None else text(sha256)
         except UNFIT:
             raise _strange(path) from None
@@ -231,33 +245,11 @@ def _orphan(path: Path) -> Iterator[tuple[object, Entry]]:
 
 def _request(content: Any) -> Request:
     """Undo `asdict`; one of `UNFIT` if it is something else."""
-    name, prompt, negative = (_words(content[key]) for key in ("name", "prompt", "negative"))
+    name, prompt, negative = (words(content[key]) for key in ("name", "prompt", "negative"))
     if content.keys() != {"name", "prompt", "negative", "seed"}:
         raise ValueError(f"request of {listed(content)}")
     return Request(name, prompt, negative, seed(content["seed"]))
 
 
-def _words(value: Any) -> str:
-    """A text that need not be UTF-8: names of files are not on every system."""
-    if not isinstance(value, str):
-        raise ValueError(f"{quoted(value)} in place of a text")
-    value.encode("utf-8", "surrogateescape")
-    return value
-
-
 def _strange(path: Path) -> InputError:
     return InputError(f"{path}: expected {ENTRY}, found something else")
-
-
-def write_json(path: Path, content: object) -> None:
-    """Write JSON that people can read.
-
-    Names of files may hold bytes that are no UTF-8; as escapes, they come back as they were.
-    """
-    path.write_text(_text(content) + "\n", encoding="utf-8")
-
-
-def _text(content: object) -> str:
-    """JSON in UTF-8."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")

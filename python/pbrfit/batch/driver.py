@@ -150,7 +150,7 @@ def _one_pool(
 
 def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bool) -> Attempt[R]:
     """Do a task where it runs; whatever it raises becomes a line."""
-    from threadpoolctl import threadpool_limits
+    from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 
     if threads is None:
         threads = threads_of_worker()
@@ -158,8 +158,7 @@ def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bo
     value, error, raised = None, None, None
     with _listening(apart) as said:
         try:
-            # Small matrices: more threads only get into each other's way.
-            with threadpool_limits(1):
+            with one_blas_thread():  # of small matrices: more get into each other's way
                 value = work(task, threads)
         except Exception as failure:  # whatever it is, the other tasks are no worse for it
             error, raised = in_one_line(failure), type(failure).__name__

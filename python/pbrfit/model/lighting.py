@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_array, real_number
-from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit
+from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit, write_json
 from pbrfit.io.quoting import quoted, shown
 from pbrfit.model.reflection import sh_basis
 
@@ -40,8 +39,7 @@ class Lighting:
             "pictures": list(self.pictures),
             "coefficients": self.coefficients.tolist(),
         }
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        path.write_text(text + "\n", encoding="utf-8")
+        write_json(path, content)
 
     @classmethod
     def load(cls, path: Path) -> Lighting:

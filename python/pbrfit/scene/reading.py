@@ -325,8 +325,7 @@ def _averaged(
     gets in; ids are not averaged but taken from the middle.
     """
     small_mask = averaged(mask, size) > 1 - 1e-4
-    planes = [averaged(np.where(mask, normals[..., i], 0.0), size) for i in range(3)]
-    small_normals = np.stack(planes, axis=-1).astype(np.float64)
+    small_normals = averaged_channels(np.where(mask[..., None], normals, 0.0), size)
     # Opposite normals cancel.
     small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH
     if segments is not None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io.normal_files import Convention, read_normals
 from pbrfit.io.quoting import shown
-from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.scene.arrays import MIN_NORMAL_LENGTH
 
 FACING = np.array([0.0, 0.0, 1.0])
@@ -110,8 +110,7 @@ def fit_to_size(
     if normals.shape[:2] == size:
         return normals, known
     check_reducible(path, normals.shape, size)
-    planes = [averaged(np.where(known, normals[..., i], 0.0), size) for i in range(3)]
-    small = np.stack(planes, axis=-1)
+    small = averaged_channels(np.where(known[..., None], normals, 0.0), size)
     length = np.linalg.norm(small, axis=-1)
     # A pixel of which a part is known has a normal, if only that of the part.
     share = averaged(known, size)
