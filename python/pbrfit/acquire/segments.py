@@ -33,8 +33,8 @@ def segment(
 ) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Find the segments of a picture.
 
-    Raises InputError or OSError in one line that names the file or option, what was expected and
-    what was found.
+    Returns ids: (H, W), 0 = in no segment; record: how they were made, as JSON. Raises InputError
+    or OSError in one line that names the file or option, what was expected and what was found.
 
     Parameters
     ----------
@@ -45,13 +45,6 @@ def segment(
         (H, W, 3), sRGB: what the network is shown. Of a file only its size matters.
     options
         Of "sam2": those of `by_sam2`.
-
-    Returns
-    -------
-    ids
-        (H, W), 0 = in no segment.
-    record
-        How they were made, as JSON.
     """
     if source == "sam2":
         return by_sam2(srgb8, **options)
@@ -77,8 +70,9 @@ def by_sam2(
 ) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Segments by SAM2 through the mask generation of transformers.
 
-    Raises InputError if a package or the weights are missing, an option cannot be used, or memory
-    runs out.
+    Returns ids: (H, W), 0 = in no segment, which may be so everywhere; record: how they were made,
+    as JSON. Raises InputError if a package or the weights are missing, an option cannot be used, or
+    memory runs out.
 
     Parameters
     ----------
@@ -95,13 +89,6 @@ def by_sam2(
     thresholds
         ``pred_iou_thresh`` and ``stability_score_thresh`` of transformers'
         `MaskGenerationPipeline`, which masks are trusted; its defaults are SAM2's.
-
-    Returns
-    -------
-    ids
-        (H, W), 0 = in no segment, which may be so everywhere.
-    record
-        How they were made, as JSON.
     """
     _check_share(smallest)
     weights.need("segment", "torch", "torchvision", "transformers")
@@ -162,6 +149,7 @@ def ids_of(
     Masks are laid down from the largest to the smallest, so that a smaller one lies on top: the cup
     on the table, the handle on the cup. What then shows of a mask counts: the mask of which least
     shows is taken away, and what lay below comes to light, until all that are left show enough.
+    Returns (H, W): 1 is the largest mask, and so on without gaps, at most 65535; 0 = in none.
 
     Parameters
     ----------
@@ -171,11 +159,6 @@ def ids_of(
         (height, width).
     smallest
         Share of the picture, 0 to 1, that must show of a mask.
-
-    Returns
-    -------
-    ndarray
-        (H, W): 1 is the largest mask, and so on without gaps, at most 65535; 0 = in none.
     """
     _check_share(smallest)
     least = max(1.0, smallest * size[0] * size[1])

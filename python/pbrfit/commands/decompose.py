@@ -15,19 +15,7 @@ from pbrfit.batch.cluster import LOCAL
 from pbrfit.batch.driver import Attempt, drive, workers
 from pbrfit.batch.executors import Workers
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of
-from pbrfit.commands.arguments import (
-    DONE,
-    SOME_FAILED,
-    UNUSABLE,
-    add_cluster,
-    add_flags,
-    add_jobs,
-    add_out,
-    add_quiet,
-    complain,
-    message_of,
-    switch,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
 from pbrfit.commands.scene_display import SceneDisplay
 from pbrfit.commands.scene_options import add_input, reading
@@ -42,20 +30,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "scenes", metavar="SCENE", nargs="+", type=Path, help="scene folder, or a folder of them"
     )
-    add_out(parser, "result folder; with several scenes it holds one result folder a scene")
-    add_flags(
+    cli.add_out(parser, "result folder; with several scenes it holds one result folder a scene")
+    cli.add_flags(
         parser,
-        resume=switch(
+        resume=cli.switch(
             "keep results that are whole and would come out again: the same files, options and "
             "version of pbrfit; do all others"
         ),
-        json=switch("print a line of JSON a scene instead of a table"),
+        json=cli.switch("print a line of JSON a scene instead of a table"),
     )
-    add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
-    add_cluster(parser)
+    cli.add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
+    cli.add_cluster(parser)
     add_input(parser)
     add_fit_options(parser)
-    add_quiet(parser)
+    cli.add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -104,13 +92,13 @@ def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
             with fit_bar(options.iterations, task.name, quiet=options.quiet) as show:
                 outcome = decompose_scene(task, 0, show)
         except (InputError, OSError, MemoryError) as error:
-            message = message_of(error)
+            message = cli.message_of(error)
             if not options.json:
                 raise
             display.tell(task, Attempt(None, message, seconds=time.perf_counter() - began))
-            return UNUSABLE
+            return cli.UNUSABLE
         display.tell(task, Attempt(outcome, None, seconds=time.perf_counter() - began))
-    return DONE
+    return cli.DONE
 
 
 def _run_all(
@@ -137,9 +125,9 @@ def _run_all(
                     available=memory.available(),
                 )
         except ConnectionError as error:
-            complain(message_of(error))
+            cli.complain(cli.message_of(error))
             display.summary()
-            return SOME_FAILED if display.ended > len(display.failed) else UNUSABLE
+            return cli.SOME_FAILED if display.ended > len(display.failed) else cli.UNUSABLE
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted after {display.ended} of {len(tasks)} scenes; no unfinished result "
@@ -148,8 +136,8 @@ def _run_all(
     if not one:
         display.summary()
     if display.failed:
-        return SOME_FAILED if len(display.failed) < len(tasks) else UNUSABLE
-    return DONE
+        return cli.SOME_FAILED if len(display.failed) < len(tasks) else cli.UNUSABLE
+    return cli.DONE
 
 
 def _decompose_here(task: SceneTask, threads: int, *, quiet: bool) -> SceneOutcome:

@@ -6,14 +6,7 @@ import argparse
 from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import (
-    DONE,
-    add_flags,
-    add_quiet,
-    add_result,
-    choice,
-    unread_is_no_failure,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.export import CONTAINS, Exported, export_result
 from pbrfit.export.maps import Bits, NormalConvention
 from pbrfit.export.presets import Format, PresetName
@@ -24,32 +17,32 @@ from pbrfit.result.result import Result
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
-    add_result(parser, "DIR", "folder to write")
-    add_flags(
+    cli.add_result(parser, "DIR", "folder to write")
+    cli.add_flags(
         parser,
-        format=choice(Format, "this one alone (default: those of the preset, else all)"),
-        preset=choice(
+        format=cli.choice(Format, "this one alone (default: those of the preset, else all)"),
+        preset=cli.choice(
             PresetName,
             "textures with the names, channels and normals that a tool expects (default: a file a "
             "map)",
         ),
-        normals=choice(
+        normals=cli.choice(
             NormalConvention,
             "green of normal maps upwards or downwards (default: as the preset says, else opengl)",
         ),
-        bits=choice(
+        bits=cli.choice(
             Bits,
             "of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
             "glTF 16 for normals alone)",
             type=int,
         ),
-        geometry=choice(
+        geometry=cli.choice(
             Geometry,
             "of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
             "for path tracers (default: card)",
         ),
     )
-    add_quiet(parser)
+    cli.add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,9 +56,9 @@ def run(options: argparse.Namespace) -> int:
     asked = {name: getattr(options, name) for name in names}
     exported = export_result(Result.load(options.result), options.out, **asked)
     if not options.quiet:
-        with unread_is_no_failure():
+        with cli.unread_is_no_failure():
             _print_files(exported, options.out)
-    return DONE
+    return cli.DONE
 
 
 def _print_files(exported: Exported, out: Path) -> None:

@@ -8,15 +8,7 @@ from contextlib import contextmanager
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
-from pbrfit.commands.arguments import (
-    add_flags,
-    add_threads,
-    choice,
-    progress_bar,
-    switch,
-    value,
-    whole_number,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions, Priors, prior_names
 
 if TYPE_CHECKING:
@@ -40,7 +32,7 @@ def add_fit_options(parser: argparse.ArgumentParser, *, there: Collection[str] =
         if name not in there:
             add_option(parser, name)
     add_priors(parser)
-    add_threads(parser)
+    cli.add_threads(parser)
 
 
 def add_option(
@@ -51,16 +43,16 @@ def add_option(
     said = said or flag.help
     default = DEFAULTS[name] if default is None else default
     if flag.kind is bool:
-        arguments = switch(said)
+        arguments = cli.switch(said)
     elif flag.values is None:
-        kind = whole_number if name == "seed" else flag.kind
-        arguments = value(flag.metavar, kind, said, default=default)
+        kind = cli.whole_number if name == "seed" else flag.kind
+        arguments = cli.value(flag.metavar, kind, said, default=default)
     else:
         if isinstance(flag.values, Mapping):
             default = next(word for word, meant in flag.values.items() if meant == default)
         kind = int if isinstance(default, int) else str
-        arguments = choice(tuple(flag.values), said, type=kind, default=default)
-    add_flags(parser, **{flag.name or name: {"dest": name, **arguments}})
+        arguments = cli.choice(tuple(flag.values), said, type=kind, default=default)
+    cli.add_flags(parser, **{flag.name or name: {"dest": name, **arguments}})
 
 
 def given(options: argparse.Namespace, name: str) -> Any:
@@ -78,10 +70,10 @@ def fit_options(options: argparse.Namespace) -> FitOptions:
 def add_priors(parser: argparse.ArgumentParser) -> None:
     """Add `--prior` and `--no-priors`; `given_priors` reads them."""
     said = f"weight of a prior ({', '.join(prior_names())}); 0 leaves it out; can be repeated"
-    add_flags(
+    cli.add_flags(
         parser,
-        prior=value("NAME=WEIGHT", prior_weight, said, dest="prior_weights", action="append"),
-        no_priors=switch("only the priors that --prior names"),
+        prior=cli.value("NAME=WEIGHT", prior_weight, said, dest="prior_weights", action="append"),
+        no_priors=cli.switch("only the priors that --prior names"),
     )
 
 
@@ -117,7 +109,7 @@ def fit_bar(
     A large picture's lights take iterations; after that tiles are counted, which tell how much time
     is left.
     """
-    with progress_bar(iterations, quiet=quiet, name=name, leave=not within) as bar:
+    with cli.progress_bar(iterations, quiet=quiet, name=name, leave=not within) as bar:
 
         def show(progress: Progress) -> None:
             bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)

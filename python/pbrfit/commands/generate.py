@@ -17,19 +17,7 @@ from pbrfit.acquire.generators import create
 from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
 from pbrfit.acquire.rounds import REGENERATE, Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.commands.arguments import (
-    DONE,
-    add_flags,
-    add_quiet,
-    choice,
-    number,
-    positive,
-    progress_bar,
-    switch,
-    unread_is_no_failure,
-    value,
-    whole_number,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import NORMAL_SOURCES, normal_source, source
 from pbrfit.commands.scene_options import field_of_view
 from pbrfit.io.color import ColorSpace
@@ -68,68 +56,72 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "       %(prog)s --save-prompts FILE"
     )
     parser.add_argument("photo", metavar="PHOTO", nargs="?", type=Path, help="the photograph")
-    add_flags(parser, out=value("SCENE", Path, "scene folder to write"))
-    add_flags(
+    cli.add_flags(parser, out=cli.value("SCENE", Path, "scene folder to write"))
+    cli.add_flags(
         parser.add_mutually_exclusive_group(),
-        resume=switch(
+        resume=cli.switch(
             "go on with a run of the same photograph and settings, or add pictures to it; what "
             "was received is never asked for twice"
         ),
-        overwrite=switch(
+        overwrite=cli.switch(
             "make an earlier scene anew, also with another photograph or other settings; "
             "received pictures are kept and taken where they are what is asked for (of "
             "--save-prompts: replace the file)"
         ),
     )
-    add_quiet(parser, "no progress bar, no summary")
-    add_flags(parser, json=switch("print review.json as the summary"))
-    add_flags(
+    cli.add_quiet(parser, "no progress bar, no summary")
+    cli.add_flags(parser, json=cli.switch("print review.json as the summary"))
+    cli.add_flags(
         parser.add_argument_group("the photograph"),
-        fov=field_of_view(number, "EXIF"),
-        color_space=choice(
+        fov=field_of_view(cli.number, "EXIF"),
+        color_space=cli.choice(
             ColorSpace,
             "of the photograph (default: its ICC profile, else sRGB, of float files linear)",
         ),
-        max_size=value(
+        max_size=cli.value(
             "PIXELS",
-            positive,
+            cli.positive,
             "average a larger photograph down to this longer side, which all pictures then have",
             default=MAX_SIZE,
         ),
-        without_photo=switch("leave the photograph itself out of the scene's pictures"),
+        without_photo=cli.switch("leave the photograph itself out of the scene's pictures"),
     )
-    add_flags(
+    cli.add_flags(
         parser.add_argument_group("pictures under other lights"),
-        generator=value(
+        generator=cli.value(
             "flux2-klein|gpt-image-2|folder:DIR",
             str,
             "FLUX.2 Klein on this machine; GPT-Image-2 by OpenAI's service, with the key in "
             "OPENAI_API_KEY; or pictures that are there already",
             default="flux2-klein",
         ),
-        count=value("N", positive, "how many (default: 16, of a folder all)"),
-        seed=value(None, whole_number, "of the first; the next has one more (default: 0)"),
-        model=value(
+        count=cli.value("N", cli.positive, "how many (default: 16, of a folder all)"),
+        seed=cli.value(None, cli.whole_number, "of the first; the next has one more (default: 0)"),
+        model=cli.value(
             "ID|FOLDER",
             str,
             "another checkpoint, on the Hugging Face Hub or in a folder, or another model of "
             "OpenAI's",
         ),
-        guidance=value("G", number, "flux2-klein: towards the prompt (default: 5)"),
-        steps=value("N", positive, "flux2-klein: of the sampler (default: 50)"),
-        dtype=choice(
+        guidance=cli.value("G", cli.number, "flux2-klein: towards the prompt (default: 5)"),
+        steps=cli.value("N", cli.positive, "flux2-klein: of the sampler (default: 50)"),
+        dtype=cli.choice(
             Precision, "flux2-klein: of its numbers (default: bfloat16 on a GPU, else float32)"
         ),
-        offload=choice(Offload, "flux2-klein: what waits outside the GPU's memory (default: none)"),
-        quality=value(
+        offload=cli.choice(
+            Offload, "flux2-klein: what waits outside the GPU's memory (default: none)"
+        ),
+        quality=cli.value(
             "low|medium|high|auto", str, "gpt-image-2: decides most of the price (default: high)"
         ),
     )
     prompts = parser.add_argument_group("prompts")
-    add_flags(prompts, prompts=value("FILE", Path, "catalogue (default: the one that ships)"))
-    add_flags(
+    cli.add_flags(
+        prompts, prompts=cli.value("FILE", Path, "catalogue (default: the one that ships)")
+    )
+    cli.add_flags(
         prompts.add_mutually_exclusive_group(),
-        negative=value("TEXT", str, "what must not appear (default: the catalogue's)"),
+        negative=cli.value("TEXT", str, "what must not appear (default: the catalogue's)"),
         no_negative={
             "dest": "negative",
             "action": "store_const",
@@ -137,37 +129,37 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             "help": "no negative prompt",
         },
     )
-    add_flags(
+    cli.add_flags(
         prompts,
-        list_prompts=switch("print the catalogue and do nothing else"),
-        save_prompts=value(
+        list_prompts=cli.switch("print the catalogue and do nothing else"),
+        save_prompts=cli.value(
             "FILE", Path, "write the catalogue that ships to a file to edit, and do nothing else"
         ),
     )
-    add_flags(
+    cli.add_flags(
         parser.add_argument_group("review"),
-        regenerate=value(
+        regenerate=cli.value(
             "N",
-            whole_number,
+            cli.whole_number,
             "ask for a refused picture again so often, with other seeds (default: 2)",
         ),
-        no_review=switch("take every picture as it comes"),
+        no_review=cli.switch("take every picture as it comes"),
     )
-    add_flags(
+    cli.add_flags(
         parser.add_argument_group("normals and segments"),
-        normals=value(
+        normals=cli.value(
             NORMAL_SOURCES,
             normal_source,
             "by a network, none (every surface faces the camera), or from a file",
             default="marigold",
         ),
-        segments=value(
+        segments=cli.value(
             "sam2|none|FILE",
             source(("sam2", "none")),
             "by a network, none, or from a file",
             default="sam2",
         ),
-        device=choice(
+        device=cli.choice(
             Device,
             "where networks compute, those for pictures too (default: a GPU if there is one)",
         ),
@@ -180,11 +172,11 @@ def run(options: argparse.Namespace) -> int:
         with new_file(options.save_prompts, overwrite=options.overwrite) as file:
             file.write_text(shipped_text(), encoding="utf-8")
         print(f"{options.save_prompts}: edit it, and pass it as --prompts")
-        return DONE
+        return cli.DONE
     catalogue = read_prompts(options.prompts)
     if options.list_prompts:
         print(listing(catalogue))
-        return DONE
+        return cli.DONE
     if options.photo is None or options.out is None:
         missing = "PHOTO" if options.photo is None else "--out SCENE"
         raise InputError(f"generate: expected {missing}, found none; see pbrfit generate --help")
@@ -218,12 +210,12 @@ def run(options: argparse.Namespace) -> int:
             overwrite=options.overwrite,
             progress=told,
         )
-    with unread_is_no_failure():
+    with cli.unread_is_no_failure():
         if options.json:
             print(json.dumps(report.as_json(), indent=1, ensure_ascii=False))
         elif not options.quiet:
             _print_summary(report)
-    return DONE
+    return cli.DONE
 
 
 def _check_belonging(options: argparse.Namespace) -> None:
@@ -246,7 +238,7 @@ def _check_belonging(options: argparse.Namespace) -> None:
 
 @contextmanager
 def _progress(options: argparse.Namespace) -> Iterator[Progress]:
-    with progress_bar(1, quiet=options.quiet, unit="picture", name="generate") as bar:
+    with cli.progress_bar(1, quiet=options.quiet, unit="picture", name="generate") as bar:
 
         def told(what: str, done: int, total: int) -> None:
             bar.total = total

@@ -13,20 +13,7 @@ from numpy.typing import NDArray
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, marigold
 from pbrfit.acquire.normals.depth import DepthKind
 from pbrfit.acquire.photo import shown_to_network
-from pbrfit.commands.arguments import (
-    DONE,
-    add_flags,
-    add_quiet,
-    add_scene,
-    choice,
-    number,
-    positive,
-    progress_bar,
-    switch,
-    unread_is_no_failure,
-    value,
-    whole_number,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import (
     DEVICE,
     NORMAL_SOURCES,
@@ -44,45 +31,45 @@ from pbrfit.scene import folder as scene_folder
 FLAGS: dict[str, Flags] = {
     "marigold": {
         **SHOWN,
-        "ensemble": value(
+        "ensemble": cli.value(
             "E",
-            positive,
+            cli.positive,
             "predictions that are averaged; from 3 on, what they differ by gives the weights "
             f"(default: {marigold.ENSEMBLE})",
         ),
-        "steps": value("N", positive, "of the sampler (default: the model's)"),
-        "resolution": value(
+        "steps": cli.value("N", cli.positive, "of the sampler (default: the model's)"),
+        "resolution": cli.value(
             "PIXELS",
-            whole_number,
+            cli.whole_number,
             "longer side at which the network sees the picture, 0 = as it is (default: the "
             "model's)",
         ),
-        "seed": value(
-            None, whole_number, "of the first prediction, the next has one more (default: 0)"
+        "seed": cli.value(
+            None, cli.whole_number, "of the first prediction, the next has one more (default: 0)"
         ),
         **checkpoint(marigold.MODEL),
         **DEVICE,
         **PRECISION,
     },
     "depth": {
-        "depth_kind": choice(
+        "depth_kind": cli.choice(
             DepthKind,
             "what a number says, up to any factor: the distance along the optical axis, that along "
             "the pixel's ray, or the inverse of the first (default: z)",
         ),
-        "fov": field_of_view(number, "scene.toml, EXIF"),
-        "view_width": value(
+        "fov": field_of_view(cli.number, "scene.toml, EXIF"),
+        "view_width": cli.value(
             "WIDTH",
-            number,
+            cli.number,
             "what an orthographic camera sees from left to right, in units of the depth",
         ),
     },
     "file": {
-        "convention": choice(
+        "convention": cli.choice(
             ("opengl", "directx"),
             "opengl: Y up; directx: Y down (default: scene.toml, else opengl)",
         ),
-        "frame": choice(
+        "frame": cli.choice(
             ("camera", "tangent", "world"),
             "camera: X right, Z to the viewer; tangent: the texture of a flat card that faces the "
             "camera; world: turned by scene.toml's world_to_camera (default: scene.toml, else "
@@ -107,7 +94,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "scene.toml states, and where some are uncertain or missing weights.exr, which says how "
         "much pixels count in a fit. marigold needs the extra packages pbrfit[diffusion]."
     )
-    add_scene(parser)
+    cli.add_scene(parser)
     parser.add_argument(
         "--from",
         dest="source",
@@ -117,10 +104,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="marigold: a network's estimate; flat: every surface faces the camera; depth:FILE: "
         "from a depth map; FILE: normals that are there already",
     )
-    add_flags(parser, overwrite=switch("replace existing normals and weights"))
-    add_quiet(parser, "no progress bar, no summary")
+    cli.add_flags(parser, overwrite=cli.switch("replace existing normals and weights"))
+    cli.add_quiet(parser, "no progress bar, no summary")
     for kind, title in TITLES.items():
-        add_flags(parser.add_argument_group(title), **FLAGS[kind])
+        cli.add_flags(parser.add_argument_group(title), **FLAGS[kind])
 
 
 def run(options: argparse.Namespace) -> int:
@@ -135,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
     )
     if not options.quiet:
-        with unread_is_no_failure():
+        with cli.unread_is_no_failure():
             print(f"{paths[0]}: {said}")
             for line in _facts(found):
                 print(f"  {line}")
@@ -143,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
                 print(f"{paths[1]}: {_of_weights(found)}")
             scene = shlex.quote(str(options.scene))
             print(f"look at them: pbrfit inspect {scene} --preview normals_preview.png")
-    return DONE
+    return cli.DONE
 
 
 def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
@@ -154,7 +141,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
         space = given.pop("color_space", None)
         srgb8, what = shown_to_network(options.scene, given.pop("picture", None), space)
         total = given.get("ensemble", marigold.ENSEMBLE)
-        with progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
+        with cli.progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
             found = estimate(kind, srgb8, fov=0.0, progress=bar.update, **given)
         return found, f"{found.record['model']}, shown {what}"
     size = completion.picture_size(options.scene)

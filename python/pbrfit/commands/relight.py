@@ -6,19 +6,7 @@ import argparse
 from collections.abc import Iterator
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import (
-    DONE,
-    add_flags,
-    add_quiet,
-    add_result,
-    add_threads,
-    choice,
-    number,
-    positive,
-    progress_bar,
-    unread_is_no_failure,
-    value,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.light_options import Light, add_light, choose_light
 from pbrfit.io import relit_files
 from pbrfit.io.display import ToneMap
@@ -44,45 +32,45 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Render a result under a panorama, a hard light from one direction, or SH light. "
         "docs/relight.md says what each of them is good for."
     )
-    add_result(
+    cli.add_result(
         parser,
         "FILE",
         ".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or .webp",
     )
-    add_flags(
+    cli.add_flags(
         parser,
-        model=choice(
+        model=cli.choice(
             MODELS,
             "the reflection model that the result is expected to be of; with another one it is "
             "refused (default: whichever it is of)",
         ),
     )
     add_light(parser)
-    add_flags(
+    cli.add_flags(
         parser.add_argument_group("output"),
-        turntable=value(
+        turntable=cli.value(
             "N",
-            positive,
+            cli.positive,
             "N frames while the light goes once around, from where it is to the right",
         ),
-        format=choice(
+        format=cli.choice(
             ("exr", "png"), "with --turntable and a folder: of the frames (default: exr)"
         ),
-        fps=value(
+        fps=cli.value(
             "F",
-            number,
+            cli.number,
             f"with --turntable and an animation: frames a second, 1 to 50 (default: {FPS:g})",
         ),
-        exposure=value(
-            "EV", number, "of files for a screen, in stops: radiance times 2^EV (default: 0)"
+        exposure=cli.value(
+            "EV", cli.number, "of files for a screen, in stops: radiance times 2^EV (default: 0)"
         ),
-        tone_map=choice(
+        tone_map=cli.choice(
             ToneMap,
             "of files for a screen: neutral compresses highlights that none clips (default: none)",
         ),
     )
-    add_threads(parser)
-    add_quiet(parser)
+    cli.add_threads(parser)
+    cli.add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -100,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     light, said = choose_light(options)
     screen = Screen(options.exposure or 0.0, options.tone_map or "none")
     radiance = Range()
-    with progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
+    with cli.progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
 
         def frames() -> Iterator[Radiance]:
             for frame in radiance.take(_frames(result, light, options)):
@@ -109,11 +97,11 @@ def run(options: argparse.Namespace) -> int:
 
         _write(options, kind, frames(), screen)
     if not options.quiet:
-        with unread_is_no_failure():
+        with cli.unread_is_no_failure():
             facts = [*said, *_facts_of_output(options, kind, result, screen, radiance)]
             for topic, fact in facts:
                 print(f"{topic:<12}{fact}")
-    return DONE
+    return cli.DONE
 
 
 def _kind(options: argparse.Namespace) -> str:

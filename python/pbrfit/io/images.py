@@ -171,7 +171,10 @@ def read_picture(
 def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[np.float64]:
     """Read a mask, normals or other data: never decoded as colour.
 
-    Raises InputError if the content cannot be used; OSError if the file cannot be read.
+    Returns (H, W, C), float64. Integers are divided by the maximum of their type; floats are as
+    stored. C is 1 grey, 2 grey and alpha, 3 RGB, 4 RGB and alpha. Of an EXR file: R, G, B and, if
+    there is one, A; else X, Y, Z; else Y and A; else the only channel there is. Raises InputError
+    if the content cannot be used; OSError if the file cannot be read.
 
     Parameters
     ----------
@@ -179,13 +182,6 @@ def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray
         EXR, HDR, PNG, JPEG or TIFF file.
     layer
         Of an EXR file: which layer, as in `read_picture`.
-
-    Returns
-    -------
-    NDArray
-        (H, W, C), float64. Integers are divided by the maximum of their type; floats are as
-        stored. C is 1 grey, 2 grey and alpha, 3 RGB, 4 RGB and alpha. Of an EXR file: R, G, B
-        and, if there is one, A; else X, Y, Z; else Y and A; else the only channel there is.
     """
     path, data, kind = _load(path)
     if kind == "EXR":

@@ -69,12 +69,8 @@ def find_normals(folder: Path) -> list[Path]:
 def read_normals(path: Path) -> NDArray[np.float64]:
     """Read a normal map: EXR channels as they are, or a PNG whose values v mean n = 2v - 1.
 
-    Raises InputError if the file has other channels.
-
-    Returns
-    -------
-    ndarray
-        (H, W, 3), in whatever frame and of whatever length the file holds.
+    Returns (H, W, 3), in whatever frame and of whatever length the file holds. Raises InputError if
+    the file has other channels.
     """
     if path.suffix.lower() == ".exr":
         channels = images.read_channels(path)

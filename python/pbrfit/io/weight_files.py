@@ -23,7 +23,8 @@ ALL = "Y"
 def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     """Read weights.
 
-    Raises InputError if channels are missing, or the file has both kinds.
+    Returns (H, W) for all pictures alike, or (N, H, W) in the order of `names`; as stored. Raises
+    InputError if channels are missing, or the file has both kinds.
 
     Parameters
     ----------
@@ -31,11 +32,6 @@ def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
         The file: channel `Y`, or `NAME.Y` for each picture.
     names
         Of the pictures.
-
-    Returns
-    -------
-    ndarray
-        (H, W) for all pictures alike, or (N, H, W) in the order of `names`; as stored.
     """
     channels = images.read_channels(path)
     own = [name for name in names if f"{name}.{ALL}" in channels]

@@ -123,16 +123,14 @@ def _refuse_where(wrong: ArrayLike, what: str, name: str) -> None:
 def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[np.float64]:
     """SH light that comes nearest to a panorama.
 
+    Returns (16, 3): L_k = ∫ E Y_k dω.
+
     Parameters
     ----------
     pixels
         (H, W, 3), linear Rec.709 radiance.
     rotate
         Degrees by which the light is turned about +Y, from +Z towards +X.
-
-    Returns
-    -------
-    (16, 3): L_k = ∫ E Y_k dω.
     """
     height, width = pixels.shape[:2]
     weights = solid_angles(height, width)

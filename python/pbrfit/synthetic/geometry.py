@@ -41,20 +41,15 @@ class Primitive(ABC):
     def enter(self, origin: Array, directions: Array) -> tuple[Array, Array]:
         """Distance at which rays enter the primitive, and the surface they enter through.
 
+        Returns distance: (P,); inf where the ray misses, or starts inside; normals: (P, 3) unit
+        normals in object space, on the side the ray comes from; without meaning where it misses.
+
         Parameters
         ----------
         origin
             (3,) common origin of the rays, in object space.
         directions
             (P, 3) unit vectors, in object space.
-
-        Returns
-        -------
-        distance : ndarray
-            (P,); inf where the ray misses, or starts inside.
-        normals : ndarray
-            (P, 3) unit normals in object space, on the side the ray comes from; without meaning
-            where it misses.
         """
 
 
@@ -177,10 +172,6 @@ def trace(primitives: Sequence[Primitive], origin: Array, directions: Array) -> 
         (3,) common origin of the rays, in scene space.
     directions
         (P, 3) unit vectors in scene space.
-
-    Returns
-    -------
-    Hits
     """
     index = np.full(len(directions), -1, dtype=np.int64)
     distance = np.full(len(directions), np.inf)

@@ -47,10 +47,6 @@ def draw(kind: str, rng: np.random.Generator, textures: Any = None) -> World:
     textures
         For kinds that take some: a folder of texture maps, or the sets that were read from one.
         None for procedural detail.
-
-    Returns
-    -------
-    World
     """
     if kind not in KINDS:
         world = _added(kind)(rng, textures)

@@ -51,7 +51,8 @@ class World:
     def cast(self, size: int, fov: float = 60.0) -> RayCast:
         """Cast one ray through every pixel centre.
 
-        Raises InputError when `size` is below 1, or `fov` is outside its range.
+        Every pixel is valid (`mask` None) and faces the camera. Raises InputError when `size`
+        is below 1, or `fov` is outside its range.
 
         Parameters
         ----------
@@ -59,11 +60,6 @@ class World:
             Width and height of the picture in pixels.
         fov
             Horizontal field of view in degrees, 0 < fov < 180.
-
-        Returns
-        -------
-        RayCast
-            Every pixel valid (`mask` None) and facing the camera.
         """
         if size < 1:
             raise InputError(f"size: expected at least 1 pixel, found {size}")

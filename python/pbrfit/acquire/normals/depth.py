@@ -56,7 +56,8 @@ def from_file(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
-    Raises InputError or OSError if the file holds no depth, or of another proportion.
+    Returns normals, known: as of `from_depth`. Raises InputError or OSError if the file holds no
+    depth, or of another proportion.
 
     Parameters
     ----------
@@ -67,11 +68,6 @@ def from_file(
         The map has this size, or is larger in the same proportion; then normals are averaged.
     fov, kind, view_width
         As for `from_depth`.
-
-    Returns
-    -------
-    normals, known
-        As of `from_depth`.
     """
     depth = read_depth(path)
     if depth.shape != size:
@@ -151,6 +147,8 @@ def from_depth(
     linear itself, and n ∝ (∂z/∂X, ∂z/∂Y, 1) with W/w pixels to a unit of X. Raises InputError if
     `kind` is none, or an orthographic camera comes without `view_width` or with disparity.
 
+    Returns normals, known: (H, W, 3) in camera space, and (H, W): where the depth told them.
+
     Parameters
     ----------
     depth
@@ -162,11 +160,6 @@ def from_depth(
     view_width
         What an orthographic camera sees from left to right, in units of the depth; without a
         meaning for others.
-
-    Returns
-    -------
-    normals, known
-        (H, W, 3) in camera space, and (H, W): where the depth told them.
     """
     geometry.check_fov(fov)
     if kind not in get_args(DepthKind):

@@ -28,8 +28,9 @@ def from_file(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Normals of a file in camera space, at the size (height, width) of the pictures.
 
-    Raises InputError or OSError if the file holds no normals, those of another frame, or of another
-    proportion.
+    Returns normals, known: (H, W, 3) unit vectors, and (H, W): where the file has one. Elsewhere
+    (zero, NaN) the normal faces the viewer. Raises InputError or OSError if the file holds no
+    normals, those of another frame, or of another proportion.
 
     Parameters
     ----------
@@ -40,12 +41,6 @@ def from_file(
         The map has this size, or is larger in the same proportion; then normals are averaged.
     convention
         How the file is written.
-
-    Returns
-    -------
-    normals, known
-        (H, W, 3) unit vectors, and (H, W): where the file has one. Elsewhere (zero, NaN) the
-        normal faces the viewer.
     """
     stored = _stored(path)
     if stored.shape[:2] != size:
@@ -91,7 +86,8 @@ def fit_to_size(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Average unit normals over the pixels of a smaller picture, and make them unit again.
 
-    Raises InputError if the map is smaller, or of another proportion.
+    Returns normals, known: of that size. What is not known, or cancels, faces the viewer. Raises
+    InputError if the map is smaller, or of another proportion.
 
     Parameters
     ----------
@@ -101,11 +97,6 @@ def fit_to_size(
         (height, width); the map has this size, or is larger in the same proportion.
     path
         For messages.
-
-    Returns
-    -------
-    normals, known
-        Of that size. What is not known, or cancels, faces the viewer.
     """
     if normals.shape[:2] == size:
         return normals, known

@@ -50,8 +50,10 @@ def from_picture(
 ) -> tuple[Array, Array | None, dict[str, Any]]:
     """Estimate normals of one picture.
 
-    Raises InputError if a package or the weights are missing, an option cannot be used, or memory
-    runs out.
+    Returns normals: (H, W, 3) unit vectors in camera space; uncertainty: (H, W) degrees, see
+    `mean_and_spread`; None for an ensemble below 3; record: how they were made, as JSON. Raises
+    InputError if a package or the weights are missing, an option cannot be used, or memory runs
+    out.
 
     Parameters
     ----------
@@ -70,15 +72,6 @@ def from_picture(
         As for `pbrfit.acquire.weights.placement`.
     progress
         Called after each prediction.
-
-    Returns
-    -------
-    normals
-        (H, W, 3) unit vectors in camera space.
-    uncertainty
-        (H, W) degrees, see `mean_and_spread`; None for an ensemble below 3.
-    record
-        How they were made, as JSON.
     """
     weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
     import torch
@@ -133,19 +126,14 @@ def mean_and_spread(members: Sequence[Array]) -> tuple[Array, Array]:
 
     is the mean square angle between one member and the direction that all scatter about. It says
     how much the network's answers depend on the noise that it started from; an error that all
-    members share is not in it. The mean is itself off by σ/√E on top of that.
+    members share is not in it. The mean is itself off by σ/√E on top of that. Returns mean: (H, W,
+    3) unit vectors; (0, 0, 1) where the members cancel; spread: (H, W) σ in degrees; 0 of a single
+    member.
 
     Parameters
     ----------
     members
         E arrays (H, W, 3) of unit vectors.
-
-    Returns
-    -------
-    mean : ndarray
-        (H, W, 3) unit vectors; (0, 0, 1) where the members cancel.
-    spread : ndarray
-        (H, W) σ in degrees; 0 of a single member.
     """
     total = np.zeros_like(members[0])
     for member in members:

@@ -97,7 +97,8 @@ def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> NDArr
     """Share of the lasting gradients that a picture keeps, at the most.
 
     The border of one shadow in a window of few lasting gradients lowers the share by chance, the
-    more the fewer they are. So 1/√(Σ w |r|²) is added to it.
+    more the fewer they are. So 1/√(Σ w |r|²) is added to it. Returns (h, w): 1 or more for an
+    honest picture, about 0 where the content is another; NaN where there is too little to judge by.
 
     Parameters
     ----------
@@ -105,11 +106,6 @@ def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> NDArr
         Of one size (H, W).
     size
         (h, w) of the result, averaged down: the window is wide.
-
-    Returns
-    -------
-    (h, w): 1 or more for an honest picture, about 0 where the content is another; NaN where there
-    is too little to judge by.
     """
     from scipy.ndimage import gaussian_filter
 
