@@ -134,16 +134,8 @@ def contact_sheet(
 ) -> NDArray[np.uint8]:
     """The photo, then accepted pictures, then a part of its own for those that were refused.
 
-    Returns (H, W, 3) uint8.
-
-    Parameters
-    ----------
-    photo
-        (H, W, 3) as it goes to the screen, as all pictures are.
-    pictures
-        In any order, which is kept within each part; those that were refused are crossed.
-    title
-        A line above all.
+    All as they go to the screen; pictures that were refused are crossed, and the order of the
+    others is kept. Returns (H, W, 3) uint8.
     """
     pictures = [replace(one, caption=_shortened(one.caption)) for one in pictures]
     accepted = [Panel("the photo", photo), *(one for one in pictures if not one.crossed)]

@@ -111,15 +111,8 @@ class Frame:
 def frame(size: tuple[int, int], limits: Limits) -> Frame:
     """Find the largest form of a picture, up to its own size, that a network takes.
 
-    Raises InputError if no form of it is in the limits.
-
-    Parameters
-    ----------
-    size
-        (height, width).
-    limits
-        What the network takes. A picture below the least area is scaled up, one that is too long
-        is padded until it is not.
+    A picture of `size` (height, width) below the least area is scaled up, one that is too long is
+    padded until it is not. Raises InputError if no form of it is in the limits.
     """
     longer, shorter = max(size), min(size)
     own = _padded(longer, shorter, limits)

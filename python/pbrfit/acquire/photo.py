@@ -74,19 +74,11 @@ def read_photo(
     """Read a photograph: EXR, HDR, PNG, JPEG or TIFF, of any depth, colour or grey.
 
     The colour is decided as by `pbrfit.io.images.read_picture`, the EXIF orientation is applied,
-    and alpha below a half leaves pixels out. Raises InputError if the file cannot be used, a side
+    and alpha below a half leaves pixels out. `color_space` says how to read the stored values,
+    whatever the file says. Larger photographs are averaged down in linear light to a longer side of
+    `max_size` pixels; None keeps their size. Raises InputError if the file cannot be used, a side
     is below 64 pixels, before or after scaling, or nothing is left by alpha; OSError if it cannot
     be read.
-
-    Parameters
-    ----------
-    path
-        The file.
-    color_space
-        How to read the stored values, whatever the file says.
-    max_size
-        Longer side in pixels, to which larger photographs are averaged down in linear light; None
-        keeps their size.
     """
     if max_size is not None and max_size < LEAST_SIDE:
         raise InputError(f"max_size: expected at least {LEAST_SIDE} pixels, found {max_size}")
@@ -176,17 +168,8 @@ def shown_to_network(
     Without a name it is the mean of all pictures, each brought to the same mean radiance. Light
     adds up, so this is a photograph of the same view with all lamps on: even light, soft shadows,
     and fewer pixels that are clipped or black than in any single one. Its 98th percentile is white.
-    Raises InputError or OSError if there is no such picture, or one cannot be read, or all are
-    black.
-
-    Parameters
-    ----------
-    folder
-        Scene folder.
-    picture
-        Name of one picture, without suffix, that is shown instead.
-    color_space
-        Of all pictures; None = as `scene.toml` says, else the files.
+    A `color_space` of None is as `scene.toml` says, else the files. Raises InputError or OSError if
+    there is no such picture, or one cannot be read, or all are black.
     """
     paths = scene_folder.find_pictures(folder)
     if color_space is None:

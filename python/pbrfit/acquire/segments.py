@@ -33,18 +33,11 @@ def segment(
 ) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Find the segments of a picture.
 
-    Returns ids: (H, W), 0 = in no segment; record: how they were made, as JSON. Raises InputError
-    or OSError in one line that names the file or option, what was expected and what was found.
-
-    Parameters
-    ----------
-    source
-        "sam2", or a file with ids: a grey PNG or TIFF of 8 or 16 bits or a palette PNG, of the
-        picture's size or larger in the same proportion.
-    srgb8
-        (H, W, 3), sRGB: what the network is shown. Of a file only its size matters.
-    options
-        Of "sam2": those of `by_sam2`.
+    The source is "sam2", with the options of `by_sam2`, or a file with ids: a grey PNG or TIFF of 8
+    or 16 bits or a palette PNG, of the picture's size or larger in the same proportion. The network
+    is shown `srgb8` (H, W, 3); of a file only its size matters. Returns ids: (H, W), 0 = in no
+    segment; record: how they were made, as JSON. Raises InputError or OSError in one line that
+    names the file or option, what was expected and what was found.
     """
     if source == "sam2":
         return by_sam2(srgb8, **options)
@@ -149,16 +142,9 @@ def ids_of(
     Masks are laid down from the largest to the smallest, so that a smaller one lies on top: the cup
     on the table, the handle on the cup. What then shows of a mask counts: the mask of which least
     shows is taken away, and what lay below comes to light, until all that are left show enough.
-    Returns (H, W): 1 is the largest mask, and so on without gaps, at most 65535; 0 = in none.
-
-    Parameters
-    ----------
-    masks
-        (H, W) each, of that size, in any order: equal masks in another order give the same ids.
-    size
-        (height, width).
-    smallest
-        Share of the picture, 0 to 1, that must show of a mask.
+    Masks are (H, W) = `size` each, in any order: equal masks in another order give the same ids.
+    `smallest` is the share of the picture, 0 to 1, that must show of a mask. Returns (H, W): 1 is
+    the largest mask, and so on without gaps, at most 65535; 0 = in none.
     """
     _check_share(smallest)
     least = max(1.0, smallest * size[0] * size[1])

@@ -42,16 +42,9 @@ class Attempt(Generic[R]):
 def workers(jobs: int | None, cluster: str | None, *, most: int) -> Workers:
     """Make the workers for so many tasks at the same time, of whom no more than `most` are of use.
 
-    Raises InputError if there is no such cluster.
-
-    Parameters
-    ----------
-    jobs
-        1 or None = in this process, with all processors. On a cluster None = one for each worker.
-    cluster
-        None = on this machine; else see `pbrfit.batch.cluster.Cluster`.
-    most
-        How many tasks there are.
+    Without a cluster (see `pbrfit.batch.cluster.Cluster`) `jobs` of 1 or None are done in this
+    process, with all processors; on one, None is one job for each worker. Raises InputError if
+    there is no such cluster.
     """
     jobs = None if jobs is None else min(jobs, most)
     if cluster is not None:

@@ -75,11 +75,6 @@ class Processes:
 
     So nothing is inherited from a process whose threads may hold locks. Processors are shared out
     among them.
-
-    Parameters
-    ----------
-    jobs
-        How many.
     """
 
     apart = True

@@ -77,17 +77,8 @@ def decompose_scene(
 ) -> SceneOutcome:
     """Read, fit, write, put in place.
 
-    Raises InputError, OSError or MemoryError if the scene cannot be used, or its result not be
-    written. The message names the file.
-
-    Parameters
-    ----------
-    task
-        What to do.
-    threads
-        To use where the task asks for none.
-    show
-        Told how the fit goes on.
+    `threads` are used where the task asks for none. Raises InputError, OSError or MemoryError if
+    the scene cannot be used, or its result not be written. The message names the file.
     """
     from pbrfit.batch import process_memory
     from pbrfit.batch.unchanged import check_model, kept

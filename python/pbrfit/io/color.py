@@ -186,14 +186,8 @@ def from_icc(curves: list[NDArray[np.float32]], to_xyz: ArrayLike | None) -> Con
     """Conversion from the curves and the colorants of an ICC profile.
 
     Colorants of Rec.709 to within the rounding that profiles have (1e-3 in the matrix) count as
-    Rec.709.
-
-    Parameters
-    ----------
-    curves
-        One curve of a grey profile or three, each (levels,), linear light per code.
-    to_xyz
-        (3, 3) colorants as columns, XYZ under D50; None of a grey profile.
+    Rec.709. There is one curve of a grey profile or three, each (levels,), linear light per code;
+    `to_xyz` (3, 3) has the colorants as columns, XYZ under D50, None of a grey profile.
     """
     matrix = None if to_xyz is None else icc_to_rec709(to_xyz)
     if matrix is not None and np.abs(matrix - np.eye(3)).max() <= 1e-3:

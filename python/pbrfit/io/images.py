@@ -171,17 +171,11 @@ def read_picture(
 def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[np.float64]:
     """Read a mask, normals or other data: never decoded as colour.
 
-    Returns (H, W, C), float64. Integers are divided by the maximum of their type; floats are as
-    stored. C is 1 grey, 2 grey and alpha, 3 RGB, 4 RGB and alpha. Of an EXR file: R, G, B and, if
-    there is one, A; else X, Y, Z; else Y and A; else the only channel there is. Raises InputError
-    if the content cannot be used; OSError if the file cannot be read.
-
-    Parameters
-    ----------
-    path
-        EXR, HDR, PNG, JPEG or TIFF file.
-    layer
-        Of an EXR file: which layer, as in `read_picture`.
+    `layer` of an EXR file is as in `read_picture`. Returns (H, W, C), float64. Integers are divided
+    by the maximum of their type; floats are as stored. C is 1 grey, 2 grey and alpha, 3 RGB, 4 RGB
+    and alpha. Of an EXR file: R, G, B and, if there is one, A; else X, Y, Z; else Y and A; else the
+    only channel there is. Raises InputError if the content cannot be used; OSError if the file
+    cannot be read.
     """
     path, data, kind = _load(path)
     if kind == "EXR":
@@ -203,13 +197,9 @@ def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray
 def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
     """Read a picture of integer ids, such as segments: (H, W) uint16, as they are stored.
 
-    Raises InputError if the file has several channels, floats, or is of a lossy format; OSError if
-    the file cannot be read.
-
-    Parameters
-    ----------
-    path
-        Grey PNG or TIFF file of 8 or 16 bits, or palette PNG, of which the indices are taken.
+    The file is a grey PNG or TIFF of 8 or 16 bits, or a palette PNG, of which the indices are
+    taken. Raises InputError if the file has several channels, floats, or is of a lossy format;
+    OSError if the file cannot be read.
     """
     path, data, kind = _load(path)
     expected = "expected ids in a grey 8 or 16-bit PNG or TIFF"
@@ -238,17 +228,10 @@ def write_exr(
 ) -> None:
     """Write an EXR file of one part: ZIP, linear Rec.709 stated in it.
 
-    The file is there as a whole or not at all, and equal channels give equal bytes. Raises
+    The file is there as a whole or not at all, and equal channels give equal bytes. Channels are
+    (H, W) arrays by name, all of one shape; values are written as given, with `half` as 16-bit
+    floats, where values beyond 65504 become infinite. An existing file is replaced. Raises
     InputError if there is no channel or their shapes differ; OSError if the file cannot be written.
-
-    Parameters
-    ----------
-    path
-        File to write; an existing one is replaced.
-    channels
-        Channel name to (H, W) array, all of one shape. Values are written as given.
-    half
-        16-bit instead of 32-bit floats; beyond 65504 they become infinite.
     """
     planes = []
     for name, channel in channels.items():
@@ -262,18 +245,11 @@ def write_exr(
 def write_png(path: str | os.PathLike[str], image: NDArray[Any], tag: PngTag) -> None:
     """Write a PNG file.
 
-    The file is there as a whole or not at all, and equal images give equal bytes. Raises InputError
-    if the shape or type of `image` is another; OSError if the file cannot be written.
-
-    Parameters
-    ----------
-    path
-        File to write; an existing one is replaced.
-    image
-        (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
-    tag
-        What the file is to say about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1:
-        data, or linear light) or None (nothing).
+    The file is there as a whole or not at all, and equal images give equal bytes. The image is (H,
+    W) or (H, W, 1 to 4), uint8 or uint16, already encoded. The tag is what the file is to say about
+    its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1: data, or linear light) or None
+    (nothing). An existing file is replaced. Raises InputError if the shape or type of `image` is
+    another; OSError if the file cannot be written.
     """
     _core.write_png(path, image, tag)
 

@@ -25,17 +25,9 @@ MOST = 2**53
 def read_json(path: Path, expected: str, *, finite: bool = True) -> Any:
     """Content of a JSON file.
 
-    Raises InputError if it is not UTF-8 or not JSON, or nested beyond reason; OSError if it cannot
-    be read.
-
-    Parameters
-    ----------
-    path
-        The file.
-    expected
-        What it should hold, for the message.
-    finite
-        Whether NaN and infinities are refused, which are no JSON but often written.
+    `expected` says for the message what it should hold. `finite` refuses NaN and infinities, which
+    are no JSON but often written. Raises InputError if it is not UTF-8 or not JSON, or nested
+    beyond reason; OSError if it cannot be read.
     """
     refuse = _refuse if finite else None
     try:

@@ -110,14 +110,7 @@ def write_normals(
 ) -> None:
     """Write `normals.exr`: channels X, Y, Z, and `UNCERTAINTY` if there is one.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    normals
-        (H, W, 3), as they are to stand in the file.
-    uncertainty
-        (H, W), degrees.
+    Normals (H, W, 3) stand in the file as they are, uncertainty (H, W) is in degrees.
     """
     channels = {name: normals[..., i] for i, name in enumerate("XYZ")}
     if uncertainty is not None:

@@ -43,12 +43,8 @@ def write_png(path: Path, shown: NDArray[np.uint8]) -> None:
 def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
     """Write frames of `Screen.shown` that are repeated for ever; WebP and PNG are lossless.
 
-    Parameters
-    ----------
-    kind
-        A key of `ANIMATIONS`: what to write, whatever the path is called.
-    fps
-        Frames a second; GIF holds each frame for a whole number of hundredths of a second.
+    `kind` is a key of `ANIMATIONS`, whatever the path is called. GIF holds each frame for a whole
+    number of hundredths of a second.
     """
     pictures = (Image.fromarray(frame) for frame in frames)
     if kind == ".gif":

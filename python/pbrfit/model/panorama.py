@@ -71,17 +71,11 @@ def read(
 ) -> NDArray[np.float32]:
     """Read a panorama as linear Rec.709: (H, 2H, 3).
 
-    Raises InputError if it cannot be read as a picture, is not twice as wide as high or too small,
-    or holds NaN, infinity or negative radiance. Colours that only other primaries than Rec.709 hold
+    Other pictures than EXR and Radiance HDR files are read too, but know no light above white,
+    which is warned of where they reach it. `color_space` is as for `images.read_picture`. Raises
+    InputError if it cannot be read as a picture, is not twice as wide as high or too small, or
+    holds NaN, infinity or negative radiance. Colours that only other primaries than Rec.709 hold
     are negative in Rec.709 and welcome. Raises OSError if the file cannot be read.
-
-    Parameters
-    ----------
-    path
-        EXR or Radiance HDR file; other pictures are read too, but know no light above white, which
-        is warned of where they reach it.
-    color_space
-        As for `images.read_picture`.
     """
     picture = images.read_picture(path, color_space)
     _check(picture, str(path))
@@ -125,12 +119,8 @@ def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[n
 
     Returns (16, 3): L_k = ∫ E Y_k dω.
 
-    Parameters
-    ----------
-    pixels
-        (H, W, 3), linear Rec.709 radiance.
-    rotate
-        Degrees by which the light is turned about +Y, from +Z towards +X.
+    Pixels are (H, W, 3), linear Rec.709 radiance; the light is turned by `rotate` degrees about +Y,
+    from +Z towards +X.
     """
     height, width = pixels.shape[:2]
     weights = solid_angles(height, width)

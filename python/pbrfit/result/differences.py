@@ -122,12 +122,8 @@ def residual(
 ) -> Difference:
     """Root mean square over channels of (rendered − picture), relative to the picture's RMS.
 
-    Parameters
-    ----------
-    rendered, picture
-        (H, W, 3); `rendered` is NaN outside the mask.
-    weights
-        (H, W); samples of weight 0, which did not take part in the fit, are white.
+    Both are (H, W, 3), and `rendered` is NaN outside the mask. Samples of weight 0 (H, W), which
+    did not take part in the fit, are white.
     """
     used = np.isfinite(rendered).all(axis=-1)
     left_out = None if weights is None else used & (weights == 0)

@@ -28,16 +28,9 @@ def rmse(
 ) -> float:
     """Root mean square difference over the entries that are NaN in neither array.
 
-    Raises ValueError if the shapes differ, or no entry is left that is NaN in neither array and has
-    a weight.
-
-    Parameters
-    ----------
-    found, true
-        Arrays of one shape.
-    weights
-        How much each entry counts, 0 or more, of a shape that broadcasts to theirs; None = all the
-        same. Entries of weight 0 never enter, whatever they are.
+    Weights are how much each entry counts, 0 or more, of a shape that broadcasts to theirs; None =
+    all the same. Entries of weight 0 never enter, whatever they are. Raises ValueError if the
+    shapes differ, or no entry is left that is NaN in neither array and has a weight.
     """
     found, true = reals("found", found), reals("true", true)
     if found.shape != true.shape:

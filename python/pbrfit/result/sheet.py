@@ -77,16 +77,8 @@ def sheet(
 ) -> NDArray[np.uint8]:
     """Panels in a grid, captions above: (H, W, 3) uint8.
 
-    Parameters
-    ----------
-    rows
-        Pictures of one size. A row without any caption has no room for one.
-    title
-        A line above all.
-    labels
-        What stands at the left of each row.
-    keys
-        At the bottom, one below the other.
+    All pictures are of one size. A row without any caption has no room for one; labels stand at the
+    left of the rows, keys at the bottom, one below the other.
     """
     first = next(panel for row in rows for panel in row if panel is not None)
     height, width = first.pixels.shape[:2]

@@ -87,14 +87,8 @@ def gradient(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[An
 def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
     """Field of edges of a picture, at most `SIDE` pixels long.
 
-    Returns (h, w) complex64, |e| ≤ 1; 0 outside the mask.
-
-    Parameters
-    ----------
-    image
-        (H, W, 3) linear radiance in any unit.
-    mask
-        (H, W), False where there is no picture.
+    The image is (H, W, 3) linear radiance in any unit, the mask (H, W) False where there is no
+    picture. Returns (h, w) complex64, |e| ≤ 1; 0 outside the mask.
     """
     from scipy.ndimage import binary_erosion, gaussian_filter
 
@@ -131,14 +125,8 @@ def of_the_others(fields: Sequence[Field]) -> list[Field]:
 def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment | None:
     """Say how the picture of `field` lies relative to that of `reference`.
 
-    Returns None if there are no edges to tell by.
-
-    Parameters
-    ----------
-    reference, field
-        (h, w) fields of `edges`, of one size.
-    pixel
-        Pixels of the picture per pixel of the fields.
+    Both are fields of `edges`, of one size; `pixel` is in pixels of the picture per pixel of the
+    fields. Returns None if there are no edges to tell by.
     """
     if min(_energy(reference), _energy(field)) < _LEAST_EDGES * reference.size:
         return None

@@ -54,20 +54,11 @@ def add_normals(
 
     The normals are turned into the convention that the folder's `scene.toml` states, so that they
     are read back as they are given. Weights of earlier normals are not weights of these: with
-    `overwrite` they are replaced, or removed where there are none now. Raises FileExistsError if
-    the folder has normals or weights and `overwrite` is False; InputError if the normals have
-    another size than the pictures.
-
-    Parameters
-    ----------
-    folder
-        Scene folder.
-    normals
-        (H, W, 3) in camera space, of the pictures' size.
-    uncertainty
-        (H, W), degrees: kept as a channel of `normals.exr`.
-    weights
-        (H, W), how much the pixels count.
+    `overwrite` they are replaced, or removed where there are none now. Normals (H, W, 3) are in
+    camera space, of the pictures' size; uncertainty (H, W), in degrees, is kept as a channel of
+    `normals.exr`; weights (H, W) are how much the pixels count. Raises FileExistsError if the
+    folder has normals or weights and `overwrite` is False; InputError if the normals have another
+    size than the pictures.
     """
     check_normals_can_be_added(folder, overwrite=overwrite)
     size = picture_size(folder)

@@ -41,15 +41,9 @@ class Primitive(ABC):
     def enter(self, origin: Array, directions: Array) -> tuple[Array, Array]:
         """Distance at which rays enter the primitive, and the surface they enter through.
 
+        Rays start at `origin` (3,), and `directions` are (P, 3) unit vectors, in object space.
         Returns distance: (P,); inf where the ray misses, or starts inside; normals: (P, 3) unit
         normals in object space, on the side the ray comes from; without meaning where it misses.
-
-        Parameters
-        ----------
-        origin
-            (3,) common origin of the rays, in object space.
-        directions
-            (P, 3) unit vectors, in object space.
         """
 
 
@@ -164,14 +158,7 @@ class Hits:
 def trace(primitives: Sequence[Primitive], origin: Array, directions: Array) -> Hits:
     """Nearest hit of each ray.
 
-    Parameters
-    ----------
-    primitives
-        The scene.
-    origin
-        (3,) common origin of the rays, in scene space.
-    directions
-        (P, 3) unit vectors in scene space.
+    Rays start at `origin` (3,), and `directions` are (P, 3) unit vectors, in scene space.
     """
     index = np.full(len(directions), -1, dtype=np.int64)
     distance = np.full(len(directions), np.inf)

@@ -51,15 +51,9 @@ class World:
     def cast(self, size: int, fov: float = 60.0) -> RayCast:
         """Cast one ray through every pixel centre.
 
-        Every pixel is valid (`mask` None) and faces the camera. Raises InputError when `size`
-        is below 1, or `fov` is outside its range.
-
-        Parameters
-        ----------
-        size
-            Width and height of the picture in pixels.
-        fov
-            Horizontal field of view in degrees, 0 < fov < 180.
+        Every pixel is valid (`mask` None) and faces the camera. Its `size` is width and height in
+        pixels, `fov` the horizontal field of view in degrees, 0 < fov < 180. Raises InputError when
+        `size` is below 1, or `fov` is outside its range.
         """
         if size < 1:
             raise InputError(f"size: expected at least 1 pixel, found {size}")

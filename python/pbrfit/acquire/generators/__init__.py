@@ -117,14 +117,8 @@ NAMES = ("flux2-klein", "gpt-image-2", "folder:DIR")
 def create(choice: str, **options: Any) -> Generator:
     """Make a generator by its name.
 
-    Raises InputError if there is none of that name.
-
-    Parameters
-    ----------
-    choice
-        One of `NAMES`.
-    options
-        What its constructor takes; None stands for its default.
+    `choice` is one of `NAMES`, and `options` are what its constructor takes; None stands for its
+    default. Raises InputError if there is none of that name.
     """
     name, colon, argument = choice.partition(":")
     if name not in _REGISTRY or (name == "folder") != bool(colon and argument):

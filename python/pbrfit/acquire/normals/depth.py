@@ -56,18 +56,10 @@ def from_file(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
-    Returns normals, known: as of `from_depth`. Raises InputError or OSError if the file holds no
-    depth, or of another proportion.
-
-    Parameters
-    ----------
-    path
-        EXR (a channel Z, Y or V, or the only one there is), grey PNG or TIFF of 16 bits or
-        floats, or .npy.
-    size
-        The map has this size, or is larger in the same proportion; then normals are averaged.
-    fov, kind, view_width
-        As for `from_depth`.
+    The file is EXR (a channel Z, Y or V, or the only one there is), grey PNG or TIFF of 16 bits or
+    floats, or .npy. The map has the pictures' size, or is larger in the same proportion; then
+    normals are averaged. All else is as for `from_depth`. Returns normals, known: as of
+    `from_depth`. Raises InputError or OSError if the file holds no depth, or of another proportion.
     """
     depth = read_depth(path)
     if depth.shape != size:

@@ -28,19 +28,11 @@ def from_file(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Normals of a file in camera space, at the size (height, width) of the pictures.
 
-    Returns normals, known: (H, W, 3) unit vectors, and (H, W): where the file has one. Elsewhere
-    (zero, NaN) the normal faces the viewer. Raises InputError or OSError if the file holds no
-    normals, those of another frame, or of another proportion.
-
-    Parameters
-    ----------
-    path
-        EXR (X, Y, Z or R, G, B: the components), PNG or TIFF (n = 2v - 1), or .npy of shape
-        (H, W, 3) or (3, H, W).
-    size
-        The map has this size, or is larger in the same proportion; then normals are averaged.
-    convention
-        How the file is written.
+    The file is EXR (X, Y, Z or R, G, B: the components), PNG or TIFF (n = 2v - 1), or .npy of shape
+    (H, W, 3) or (3, H, W). The map has the pictures' size, or is larger in the same proportion;
+    then normals are averaged. Returns normals, known: (H, W, 3) unit vectors, and (H, W): where the
+    file has one. Elsewhere (zero, NaN) the normal faces the viewer. Raises InputError or OSError if
+    the file holds no normals, those of another frame, or of another proportion.
     """
     stored = _stored(path)
     if stored.shape[:2] != size:
@@ -86,17 +78,10 @@ def fit_to_size(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Average unit normals over the pixels of a smaller picture, and make them unit again.
 
-    Returns normals, known: of that size. What is not known, or cancels, faces the viewer. Raises
-    InputError if the map is smaller, or of another proportion.
-
-    Parameters
-    ----------
-    normals, known
-        (H, W, 3), and (H, W): where they mean anything.
-    size
-        (height, width); the map has this size, or is larger in the same proportion.
-    path
-        For messages.
+    The map (H, W, 3), which means something where it is `known` (H, W), has the `size` (height,
+    width), or is larger in the same proportion. Returns normals, known: of that size. What is not
+    known, or cancels, faces the viewer. Raises InputError if the map is smaller, or of another
+    proportion.
     """
     if normals.shape[:2] == size:
         return normals, known

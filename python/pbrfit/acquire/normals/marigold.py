@@ -129,11 +129,6 @@ def mean_and_spread(members: Sequence[Array]) -> tuple[Array, Array]:
     members share is not in it. The mean is itself off by σ/√E on top of that. Returns mean: (H, W,
     3) unit vectors; (0, 0, 1) where the members cancel; spread: (H, W) σ in degrees; 0 of a single
     member.
-
-    Parameters
-    ----------
-    members
-        E arrays (H, W, 3) of unit vectors.
     """
     total = np.zeros_like(members[0])
     for member in members:

@@ -124,14 +124,8 @@ class Verdict:
 class Reviewer:
     """Judges pictures of the view of one photograph.
 
-    Raises InputError if the photograph has nothing to compare by: no edges at all.
-
-    Parameters
-    ----------
-    photo
-        (H, W, 3) the photograph, linear Rec.709, white = 1.
-    mask
-        (H, W), False where the photograph is transparent.
+    The photograph is (H, W, 3), linear Rec.709, white = 1; the mask (H, W) False where it is
+    transparent. Raises InputError if the photograph has nothing to compare by: no edges at all.
     """
 
     def __init__(self, photo: NDArray[Any], *, mask: NDArray[np.bool_] | None = None) -> None:
@@ -169,12 +163,7 @@ class Reviewer:
         The worst one is taken out and the others judged again without it, until none fails: a
         picture that does not fit spoils what it is compared with. Then each of those that were
         taken out is judged once more, beside the good ones. With fewer than 4 pictures, the
-        photograph included, none is judged.
-
-        Parameters
-        ----------
-        pictures
-            Each (H, W, 3), linear Rec.709, white = 1.
+        photograph included, none is judged. Pictures are (H, W, 3), linear Rec.709, white = 1.
         """
         from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 

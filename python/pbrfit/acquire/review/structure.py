@@ -100,12 +100,7 @@ def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> NDArr
     more the fewer they are. So 1/√(Σ w |r|²) is added to it. Returns (h, w): 1 or more for an
     honest picture, about 0 where the content is another; NaN where there is too little to judge by.
 
-    Parameters
-    ----------
-    picture, reference
-        Of one size (H, W).
-    size
-        (h, w) of the result, averaged down: the window is wide.
+    Both are of one size; `size` (h, w) is that of the result, averaged down: the window is wide.
     """
     from scipy.ndimage import gaussian_filter
 

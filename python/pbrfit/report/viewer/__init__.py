@@ -43,16 +43,9 @@ SCRIPTS = ("light.js", "panorama.js", "planes.js", "picture.js", "viewer.js")
 def fragment(result: Result, max_side: int = 1024) -> str:
     """HTML of the relight view of a result: style, markup, maps and script in one.
 
-    Returns a fragment for the body of a page in UTF-8; it refers to nothing outside. Raises
-    InputError if `max_side` is below 1.
-
-    Parameters
-    ----------
-    result
-        Whose materials and lights are shown.
-    max_side
-        Larger maps are averaged down to this many pixels on the longer side. It decides about the
-        size: 2 to 9 bytes for a pixel, times 4/3 as text.
+    Larger maps are averaged down to `max_side` pixels on the longer side. It decides about the
+    size: 2 to 9 bytes for a pixel, times 4/3 as text. Returns a fragment for the body of a page in
+    UTF-8; it refers to nothing outside. Raises InputError if `max_side` is below 1.
     """
     small = maps.of_result(result, max_side)
     height, width = small.mask.shape
