@@ -29,9 +29,9 @@ class Placement:
     """Where a network computes, resolved: nothing is "auto" any more."""
 
     device: str
-    """"cpu", "cuda" or "mps"."""
+    """One of "cpu", "cuda" and "mps"."""
     dtype: str
-    """"float32", "bfloat16" or "float16"."""
+    """One of "float32", "bfloat16" and "float16"."""
     offload: str
     """What waits in the processor's memory: "none"; "model", every part but the one that computes;
     "sequential", every layer but the one that computes, which is slow."""

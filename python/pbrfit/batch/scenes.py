@@ -60,7 +60,7 @@ class SceneOutcome:
     """What came of it."""
 
     status: Literal["done", "kept"]
-    """"done", or "kept": the result was there."""
+    """Of these "kept": the result was there."""
     stop_reason: str
     iterations: int
     metrics: Mapping[str, float] = field(default_factory=dict)

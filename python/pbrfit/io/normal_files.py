@@ -29,10 +29,10 @@ class Convention:
     """How normals are written down."""
 
     axes: str = "opengl"
-    """"opengl" (Y up) or "directx" (Y down)."""
+    """Either "opengl" (Y up) or "directx" (Y down)."""
     frame: str = "camera"
-    """"camera"; "world"; or "tangent", that of a flat card which is parallel to the picture: its X
-    and Y run along the picture's sides, and (0, 0, 1) faces the viewer."""
+    """One of "camera", "world" and "tangent", that of a flat card which is parallel to the picture:
+    its X and Y run along the picture's sides, and (0, 0, 1) faces the viewer."""
     world_to_camera: NDArray[np.float64] | None = None
     """(3, 3) rotation, needed when the frame is "world": n_camera = R n_world."""
 

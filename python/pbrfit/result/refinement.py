@@ -33,7 +33,7 @@ class Refinement:
     """What was decided about the normals of a fit."""
 
     asked: str
-    """"off", "auto" or "on", as it was asked for."""
+    """As it was asked for: "off", "auto" or "on"."""
     refined: bool
     """Whether the normals of the result are other ones than those that were given."""
     why: str

@@ -53,9 +53,9 @@ class Settings:
     color_space: ColorSpace | None = None
     """Of all pictures."""
     normals: str = "opengl"
-    """"opengl" (Y up) or "directx" (Y down)."""
+    """Either "opengl" (Y up) or "directx" (Y down)."""
     normals_frame: str = "camera"
-    """"camera" or "world"."""
+    """Either "camera" or "world"."""
     world_to_camera: NDArray[np.float64] | None = None
     """(3, 3) rotation, needed when the frame is "world"."""
     model: Model | None = None
