@@ -13,7 +13,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.display import encoded
-from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import fov_from_focal_length
 from pbrfit.result.metrics import display, white_of
 from pbrfit.scene import folder as scene_folder
@@ -138,13 +138,11 @@ def _averaged_down(
 
     Under transparent pixels is anything, often black, which must not darken an outline.
     """
-    share = averaged(valid, size)
-    small = np.empty((*size, 3), dtype=np.float32)
-    for k in range(3):
-        of_all = averaged(pixels[..., k], size)
-        of_valid = averaged(np.where(valid, pixels[..., k], 0), size)
-        small[..., k] = np.where(share > 0, of_valid / np.maximum(share, 1e-12), of_all)
-    return small, share >= 0.5
+    share = averaged(valid, size)[..., None]
+    of_all = averaged_channels(pixels, size)
+    of_valid = averaged_channels(np.where(valid[..., None], pixels, 0), size)
+    small = np.where(share > 0, of_valid / np.maximum(share, 1e-12), of_all)
+    return small.astype(np.float32), share[..., 0] >= 0.5
 
 
 def exposure_of(path: Path, pixels: NDArray[np.float32]) -> float:
