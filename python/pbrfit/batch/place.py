@@ -73,9 +73,6 @@ def of_one(output: Path) -> Iterator[Path]:
             yield place
         finally:
             _remove(place)
-            with suppress(OSError):
-                for parent in new_parents:
-                    parent.rmdir()
 
 
 def _clear(place: Path) -> None:

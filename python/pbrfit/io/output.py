@@ -33,12 +33,15 @@ def unfinished(
     aside
         What was set aside and the name it gets back, if that is free; else it goes away too.
     parents
-        Folders made for it, the deepest first; those that are empty go away.
+        Folders made for it, the deepest first; those that are empty go away, here in any case.
     """
     number = _core.unfinished(temporary, aside, list(parents))
     try:
         yield
     finally:
+        for parent in parents:
+            with suppress(OSError):  # one that is not empty stays, and so do those above it
+                parent.rmdir()
         _core.finished(number)
 
 
@@ -124,9 +127,8 @@ def new_folder(
                 temporary.mkdir()
             with naming(path, temporary):
                 yield temporary
-            check_free(
-                path, overwrite=overwrite, contains=contains
-            )  # another process may have been here meanwhile
+            # Another process may have been here meanwhile.
+            check_free(path, overwrite=overwrite, contains=contains)
             with undisturbed():
                 if target.exists():
                     # Two renames: the old folder is gone for an instant, but never half replaced.
@@ -140,9 +142,6 @@ def new_folder(
         finally:
             for leftover in (temporary, aside):
                 shutil.rmtree(leftover, ignore_errors=True)
-            with suppress(OSError):  # one that is not empty stays, and so do those above it
-                for parent in new_parents:
-                    parent.rmdir()
 
 
 @contextmanager
@@ -168,9 +167,6 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
-            with suppress(OSError):
-                for parent in new_parents:
-                    parent.rmdir()
 
 
 def digest(path: Path) -> str:
