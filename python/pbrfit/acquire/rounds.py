@@ -34,11 +34,9 @@ class Reviewer(Protocol):
 
     def picture(self, pixels: NDArray[np.float32]) -> Verdict:
         """Judge one picture by itself."""
-        ...
 
     def together(self, pictures: Sequence[NDArray[np.float32]]) -> list[Verdict]:
         """Judge each of these beside the others."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,25 +63,14 @@ def by_sam2(
 ) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Segments by SAM2 through the mask generation of transformers.
 
-    Returns ids: (H, W), 0 = in no segment, which may be so everywhere; record: how they were made,
-    as JSON. Raises InputError if a package or the weights are missing, an option cannot be used, or
-    memory runs out.
-
-    Parameters
-    ----------
-    srgb8
-        (H, W, 3), sRGB.
-    model
-        Name on the Hugging Face Hub, or a local folder.
-    points
-        A side of the grid of points that are asked about.
-    smallest
-        As for `ids_of`.
-    device
-        As for `pbrfit.acquire.weights.placement`. Always in float32: the network is small.
-    thresholds
-        ``pred_iou_thresh`` and ``stability_score_thresh`` of transformers'
-        `MaskGenerationPipeline`, which masks are trusted; its defaults are SAM2's.
+    `model` is a name on the Hugging Face Hub or a local folder, `points` a side of the grid of
+    points that are asked about, `smallest` as for `ids_of`, and `device` as for
+    `pbrfit.acquire.weights.placement`; always in float32, for the network is small. `thresholds`
+    are ``pred_iou_thresh`` and ``stability_score_thresh`` of transformers'
+    `MaskGenerationPipeline`, which masks are trusted; its defaults are SAM2's. Returns ids: (H, W),
+    0 = in no segment, which may be so everywhere; record: how they were made, as JSON. Raises
+    InputError if a package or the weights are missing, an option cannot be used, or memory runs
+    out.
     """
     _check_share(smallest)
     weights.need("segment", "torch", "torchvision", "transformers")

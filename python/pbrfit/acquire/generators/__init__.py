@@ -56,21 +56,18 @@ class Generator(Protocol):
 
     def settings(self) -> dict[str, Any]:
         """All that decides about the pictures, as JSON; no secrets."""
-        ...
 
     def check(self) -> None:
         """See that it can work, as far as that shows without making a picture.
 
         Raises InputError if something is missing: one line.
         """
-        ...
 
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
         """The pictures to ask for, with their first seeds.
 
         Raises InputError if so many cannot be had.
         """
-        ...
 
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Make one.
@@ -78,7 +75,6 @@ class Generator(Protocol):
         Raises Refused if this request was refused; InputError if the generator cannot work: one
         line.
         """
-        ...
 
 
 def requests_from(catalogue: Catalogue, count: int, seed: int) -> list[Request]:

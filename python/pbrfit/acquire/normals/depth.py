@@ -139,19 +139,10 @@ def from_depth(
     linear itself, and n ∝ (∂z/∂X, ∂z/∂Y, 1) with W/w pixels to a unit of X. Raises InputError if
     `kind` is none, or an orthographic camera comes without `view_width` or with disparity.
 
-    Returns normals, known: (H, W, 3) in camera space, and (H, W): where the depth told them.
-
-    Parameters
-    ----------
-    depth
-        (H, W). 0, negative, infinite (or beyond 1e9) and NaN: nothing was hit.
-    fov
-        Horizontal field of view in degrees, 0 = orthographic.
-    kind
-        What the numbers say.
-    view_width
-        What an orthographic camera sees from left to right, in units of the depth; without a
-        meaning for others.
+    0, negative, infinite (or beyond 1e9) and NaN say that nothing was hit. `view_width` is what an
+    orthographic camera sees from left to right, in units of the depth; it has no meaning for
+    others. Returns normals, known: (H, W, 3) in camera space, and (H, W): where the depth told
+    them.
     """
     geometry.check_fov(fov)
     if kind not in get_args(DepthKind):

@@ -50,28 +50,14 @@ def from_picture(
 ) -> tuple[Array, Array | None, dict[str, Any]]:
     """Estimate normals of one picture.
 
-    Returns normals: (H, W, 3) unit vectors in camera space; uncertainty: (H, W) degrees, see
-    `mean_and_spread`; None for an ensemble below 3; record: how they were made, as JSON. Raises
-    InputError if a package or the weights are missing, an option cannot be used, or memory runs
-    out.
-
-    Parameters
-    ----------
-    srgb8
-        (H, W, 3), sRGB.
-    model
-        Name on the Hugging Face Hub, or a local folder.
-    ensemble
-        How many predictions, from seeds `seed`, `seed` + 1, ...; their mean is the answer.
-    steps, resolution
-        Denoising steps, and longer side in pixels at which the network sees the picture (0 = that
-        of the picture); None = as the model recommends.
-    seed
-        Of the first.
-    device, dtype, offload
-        As for `pbrfit.acquire.weights.placement`.
-    progress
-        Called after each prediction.
+    `model` is a name on the Hugging Face Hub or a local folder; `device`, `dtype` and `offload` are
+    as for `pbrfit.acquire.weights.placement`. The answer is the mean of `ensemble` predictions,
+    from seeds `seed`, `seed` + 1, ...; `progress` is called after each. `steps` of denoising, and
+    the longer side in pixels (`resolution`) at which the network sees the picture (0 = that of the
+    picture), are as the model recommends where they are None. Returns normals: (H, W, 3) unit
+    vectors in camera space; uncertainty: (H, W) degrees, see `mean_and_spread`; None for an
+    ensemble below 3; record: how they were made, as JSON. Raises InputError if a package or the
+    weights are missing, an option cannot be used, or memory runs out.
     """
     weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
     import torch
