@@ -105,7 +105,8 @@ class Rounds:
             if not accepted:
                 return pictures
             self._tell("reviewing together")
-            verdicts = self.reviewer.together([self._linear(picture) for picture in accepted])
+            entries = (picture.attempts[-1].entry for picture in accepted)
+            verdicts = self.reviewer.together([linear(self.journal.pixels(e)) for e in entries])
             refused = []
             for picture, verdict in zip(accepted, verdicts, strict=True):
                 reason = "" if verdict.accepted else verdict.reason
@@ -157,9 +158,6 @@ class Rounds:
 
     def _tell(self, what: str) -> None:
         self.progress(what, self.asked, max(self.asked, self.wanted))
-
-    def _linear(self, picture: Picture) -> NDArray[np.float32]:
-        return linear(self.journal.pixels(picture.attempts[-1].entry))
 
 
 def linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:

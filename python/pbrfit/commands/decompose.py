@@ -5,15 +5,13 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
 from pbrfit._core import InputError
 from pbrfit.batch import place
 from pbrfit.batch.cluster import LOCAL
 from pbrfit.batch.driver import Attempt, drive, workers
-from pbrfit.batch.executors import Workers
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
@@ -113,11 +111,16 @@ def _run_all(
         ]
         done_by = workers(options.jobs, options.cluster, most=len(tasks))
         beside = done_by.apart and options.cluster in (None, LOCAL)
+
+        def here(task: SceneTask, threads: int) -> SceneOutcome:
+            with fit_bar(options.iterations, task.name, quiet=options.quiet, within=True) as show:
+                return decompose_scene(task, threads, show)
+
         try:
             with display:
                 drive(
                     tasks,
-                    _work(done_by, options),
+                    decompose_scene if done_by.apart else here,
                     done_by,
                     ended=display.tell,
                     meanwhile=display.show if done_by.apart else lambda _: None,
@@ -138,17 +141,6 @@ def _run_all(
     if display.failed:
         return cli.SOME_FAILED if len(display.failed) < len(tasks) else cli.UNUSABLE
     return cli.DONE
-
-
-def _decompose_here(task: SceneTask, threads: int, *, quiet: bool) -> SceneOutcome:
-    with fit_bar(task.options.iterations, task.name, quiet=quiet, within=True) as show:
-        return decompose_scene(task, threads, show)
-
-
-def _work(
-    done_by: Workers, options: argparse.Namespace
-) -> Callable[[SceneTask, int], SceneOutcome]:
-    return decompose_scene if done_by.apart else partial(_decompose_here, quiet=options.quiet)
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:

@@ -57,7 +57,8 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
 def picture_png(encoded: Values) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
     outside = np.isnan(encoded) if encoded.ndim == 2 else np.isnan(encoded).any(axis=-1)
-    codes = _codes(encoded)
+    clean = np.where(np.isnan(encoded), 0.0, np.clip(encoded, 0.0, 1.0))
+    codes = np.rint(255 * clean).astype(np.uint8)
     if not outside.any():
         return _png(Image.fromarray(codes))
     alpha = np.where(outside, 0, 255).astype(np.uint8)
@@ -71,11 +72,6 @@ def difference_png(difference: Difference) -> bytes:
     if np.isnan(difference.values).any():
         image.info["transparency"] = OUTSIDE
     return _png(image)
-
-
-def _codes(encoded: Values) -> NDArray[np.uint8]:
-    clean = np.where(np.isnan(encoded), 0.0, np.clip(encoded, 0.0, 1.0))
-    return np.asarray(np.rint(255 * clean), dtype=np.uint8)
 
 
 def _png(image: Image.Image) -> bytes:

@@ -103,7 +103,7 @@ def sheet(
     columns = max(len(row) for row in rows)
     top = MARGIN + (round(1.5 * line) if title else 0)
     whole = gutter + columns * (column + MARGIN) + MARGIN
-    below = _key_height(letters)
+    below = round(4.6 * letters) + MARGIN  # caption, bar and ticks of a key
     canvas = Image.new("RGB", (whole, top + sum(heights) + below * len(keys)), color=PAPER)
     draw = ImageDraw.Draw(canvas)
     if title:
@@ -171,11 +171,6 @@ def as_png(pixels: NDArray[np.uint8]) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
-
-
-def _key_height(letters: int) -> int:
-    """Of caption, bar and ticks."""
-    return round(4.6 * letters) + MARGIN
 
 
 def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:
