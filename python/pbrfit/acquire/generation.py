@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.generation_report import FILE, SHEET, GenerationReport
 from pbrfit.acquire.generators import Generator, Request
-from pbrfit.acquire.journal import FOLDER, Journal, write_json
+from pbrfit.acquire.journal import ESCAPED, FOLDER, Journal
 from pbrfit.acquire.normals import DEPTH, Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
@@ -28,6 +28,7 @@ from pbrfit.acquire.rounds import REGENERATE, Progress, Reviewer, Rounds
 from pbrfit.acquire.scene_output import PHOTO, PICTURES, check_place, place
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.json_files import write_json
 from pbrfit.io.normal_files import write_normals
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model import geometry
@@ -66,18 +67,10 @@ def generate(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> GenerationReport:
-    """Make a scene folder of one photograph.
+    """Make a scene folder of one photograph; docs/generate.md says what it will hold.
 
     Parameters
     ----------
-    photo_path
-        The photograph.
-    out
-        Scene folder; docs/formats.md and docs/generate.md say what it will hold.
-    generator
-        Makes the pictures.
-    catalogue
-        What they are asked for with.
     count, seed
         How many pictures, and the first one's seed. None: `COUNT`, and of pictures that are there
         already, all.
@@ -85,10 +78,9 @@ def generate(
         How often a picture that the review refused is asked for again.
     review
         Whether pictures are reviewed; by `reviewer`, or a `pbrfit.acquire.review.Reviewer`.
-    normals, normal_options
-        Source, as `pbrfit.acquire.normals.estimate` takes it.
-    segments, segment_options
-        Source, as `pbrfit.acquire.segments.segment` takes it, or "none".
+    normals, normal_options, segments, segment_options
+        Sources, as `pbrfit.acquire.normals.estimate` and `pbrfit.acquire.segments.segment` take
+        them; segments may be "none".
     fov
         Horizontal field of view in degrees, 0 = orthographic; None: EXIF, else 60 with a warning.
     color_space, max_size
@@ -100,13 +92,6 @@ def generate(
     overwrite
         Make the scene in `out` anew. Pictures in its journal are kept all the same, and taken
         where they are what is asked for.
-    progress
-        Told about every step.
-
-    Returns
-    -------
-    GenerationReport
-        What became of every picture.
 
     Raises
     ------
@@ -153,7 +138,7 @@ def generate(
             segments=None if parts is None else parts[1],
         )
         told("writing", rounds.asked, rounds.asked)
-        write_json(made / FILE, report.as_json())
+        write_json(made / FILE, report.as_json(), ESCAPED)
         (made / SHEET).write_bytes(as_png(report.sheet(journal)))
         enough = len(report.accepted) + with_photo >= PICTURES_MIN
         if enough:

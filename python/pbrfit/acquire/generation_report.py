@@ -32,40 +32,27 @@ the longest one needs."""
 
 @dataclass(frozen=True, eq=False)
 class GenerationReport:
-    """What a run did.
-
-    Attributes
-    ----------
-    out
-        The scene folder.
-    photo
-        The photograph.
-    with_photo
-        Whether it is a picture of the scene too.
-    settings
-        The generator's.
-    pictures
-        All that were asked for, with every attempt.
-    reviewed
-        Whether there was a review.
-    fov
-        Horizontal field of view in degrees.
-    assumed
-        In words, what was found or decided.
-    normals, segments
-        How they were made; the latter None if there are none.
-    """
+    """What a run did."""
 
     out: Path
+    """The scene folder."""
     photo: Photo
+    """The photograph."""
     with_photo: bool
+    """Whether it is a picture of the scene too."""
     settings: dict[str, Any]
+    """The generator's."""
     pictures: Sequence[Picture]
+    """All that were asked for, with every attempt."""
     reviewed: bool
+    """Whether there was a review."""
     fov: float
+    """Horizontal field of view in degrees."""
     assumed: dict[str, str]
+    """In words, what was found or decided."""
     normals: dict[str, Any]
     segments: dict[str, Any] | None
+    """How they were made; the latter None if there are none."""
 
     @property
     def accepted(self) -> list[Picture]:
@@ -147,19 +134,8 @@ def contact_sheet(
 ) -> NDArray[np.uint8]:
     """The photo, then accepted pictures, then a part of its own for those that were refused.
 
-    Parameters
-    ----------
-    photo
-        (H, W, 3) as it goes to the screen, as all pictures are.
-    pictures
-        In any order, which is kept within each part; those that were refused are crossed.
-    title
-        A line above all.
-
-    Returns
-    -------
-    ndarray
-        (H, W, 3) uint8.
+    All as they go to the screen; pictures that were refused are crossed, and the order of the
+    others is kept. Returns (H, W, 3) uint8.
     """
     pictures = [replace(one, caption=_shortened(one.caption)) for one in pictures]
     accepted = [Panel("the photo", photo), *(one for one in pictures if not one.crossed)]

@@ -26,7 +26,17 @@ from PIL.PngImagePlugin import PngInfo
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.photo import Photo
-from pbrfit.io.json_files import UNFIT, read_json, seed, table, text, whole
+from pbrfit.io.json_files import (
+    UNFIT,
+    json_text,
+    read_json,
+    seed,
+    table,
+    text,
+    whole,
+    words,
+    write_json,
+)
 from pbrfit.io.output import new_file
 from pbrfit.io.quoting import listed, quoted
 
@@ -38,33 +48,27 @@ TEXT = "pbrfit"
 
 ENTRY = "an entry of a generation journal"
 
+ESCAPED = "backslashreplace"
+"""How bytes in names of files that are no UTF-8 are written: in JSON they come back from it."""
+
 RUN = "run.json"
 """What the last run was about: the photo and the generator's settings."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What came of one request.
-
-    Attributes
-    ----------
-    stem
-        Of its files' names.
-    request
-        What was asked for.
-    refused
-        Why there is no picture; empty where there is one.
-    record
-        What the generator noted.
-    sha256
-        Of the picture file.
-    """
+    """What came of one request."""
 
     stem: str
+    """Of its files' names."""
     request: Request
+    """What was asked for."""
     refused: str
+    """Why there is no picture; empty where there is one."""
     record: dict[str, Any]
+    """What the generator noted."""
     sha256: str | None
+    """Of the picture file."""
 
 
 class Journal:
@@ -73,10 +77,7 @@ class Journal:
     def __init__(self, folder: Path, photo: Photo, settings: dict[str, Any]) -> None:
         """Read what is there; makes no file.
 
-        Raises
-        ------
-        InputError
-            If a file of the journal cannot be read.
+        Raises InputError if a file of the journal cannot be read.
         """
         self.folder = folder
         self._photo = photo
@@ -92,7 +93,7 @@ class Journal:
         """Make the folder, and note what this run is about."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with new_file(self.folder / RUN, overwrite=True) as path:
-            write_json(path, self._about)
+            write_json(path, self._about, ESCAPED)
 
     def find(self, request: Request) -> Entry | None:
         """What came of an equal request, if it was made."""
@@ -103,7 +104,8 @@ class Journal:
         stem = self._free(request)
         told = PngInfo()
         asked = {"request": dataclasses.asdict(request), "record": generated.record}
-        told.add_itxt(TEXT, _text({"about": self._about, **asked}), zip=True)
+        entry = json_text({"about": self._about, **asked}).encode("utf-8", ESCAPED)
+        told.add_itxt(TEXT, entry.decode(), zip=True)
         told.add(b"sRGB", b"\0")
         buffer = io.BytesIO()
         Image.fromarray(generated.pixels).save(buffer, "PNG", pnginfo=told)
@@ -120,10 +122,7 @@ class Journal:
     def pixels(self, entry: Entry) -> NDArray[np.uint8]:
         """Picture of an entry, (H, W, 3) sRGB.
 
-        Raises
-        ------
-        InputError
-            If the file is not the one that was received.
+        Raises InputError if the file is not the one that was received.
         """
         path = self.folder / f"{entry.stem}.png"
         data = path.read_bytes() if path.is_file() else b""
@@ -140,7 +139,7 @@ class Journal:
         content = {"about": self._about, **dataclasses.asdict(entry)}
         del content["stem"]
         with new_file(self.folder / f"{entry.stem}.json") as path:
-            write_json(path, content)
+            write_json(path, content, ESCAPED)
         self._entries[_key(entry.request)] = entry
         return entry
 
@@ -168,10 +167,7 @@ def about(photo: Photo, settings: dict[str, Any]) -> dict[str, Any]:
 def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[str]:
     """What the last run in a journal was about that this one is not; empty if all is the same.
 
-    Raises
-    ------
-    InputError
-        If the folder does not say.
+    Raises InputError if the folder does not say.
     """
     path = folder / RUN
     if not path.is_file():
@@ -208,10 +204,7 @@ def _key(request: Request) -> tuple[str, str, str, int]:
 def names(folder: Path) -> set[str]:
     """Names of all pictures that were ever asked for, of any photo and settings.
 
-    Raises
-    ------
-    InputError
-        If a file of the journal cannot be read.
+    Raises InputError if a file of the journal cannot be read.
     """
     return {entry.request.name for _, entry in _read(folder)}
 
@@ -224,7 +217,7 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
         content = read_json(path, ENTRY)
         try:
             request, run, sha256 = _request(content["request"]), content["about"], content["sha256"]
-            refused, record = _words(content["refused"]), table(content["record"])
+            refused, record = words(content["refused"]), table(content["record"])
             sha256 = None if sha256 is None else text(sha256)
         except UNFIT:
             raise _strange(path) from None
@@ -252,33 +245,11 @@ def _orphan(path: Path) -> Iterator[tuple[object, Entry]]:
 
 def _request(content: Any) -> Request:
     """Undo `asdict`; one of `UNFIT` if it is something else."""
-    name, prompt, negative = (_words(content[key]) for key in ("name", "prompt", "negative"))
+    name, prompt, negative = (words(content[key]) for key in ("name", "prompt", "negative"))
     if content.keys() != {"name", "prompt", "negative", "seed"}:
         raise ValueError(f"request of {listed(content)}")
     return Request(name, prompt, negative, seed(content["seed"]))
 
 
-def _words(value: Any) -> str:
-    """A text that need not be UTF-8: names of files are not on every system."""
-    if not isinstance(value, str):
-        raise ValueError(f"{quoted(value)} in place of a text")
-    value.encode("utf-8", "surrogateescape")
-    return value
-
-
 def _strange(path: Path) -> InputError:
     return InputError(f"{path}: expected {ENTRY}, found something else")
-
-
-def write_json(path: Path, content: object) -> None:
-    """Write JSON that people can read.
-
-    Names of files may hold bytes that are no UTF-8; as escapes, they come back as they were.
-    """
-    path.write_text(_text(content) + "\n", encoding="utf-8")
-
-
-def _text(content: object) -> str:
-    """JSON in UTF-8."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -27,26 +27,18 @@ from pbrfit.io.resampling import averaged
 
 @dataclass(frozen=True)
 class Limits:
-    """Sizes that a network takes, in pixels.
-
-    Attributes
-    ----------
-    multiple
-        Both sides are whole multiples of this.
-    least_side, most_side
-        Of either side.
-    least_area, most_area
-        Of both together.
-    most_aspect
-        Longer over shorter side.
-    """
+    """Sizes that a network takes, in pixels."""
 
     multiple: int = 16
+    """Both sides are whole multiples of this."""
     least_side: int = 16
     most_side: int = 1 << 20
+    """Of either side."""
     least_area: int = 1
     most_area: int = 1 << 40
+    """Of both together."""
     most_aspect: float = 1e9
+    """Longer over shorter side."""
 
 
 FLUX2_KLEIN = Limits(multiple=16, least_side=64, most_area=1024 * 1024, most_aspect=8)
@@ -68,21 +60,14 @@ least area is as those who resell it document it."""
 
 @dataclass(frozen=True)
 class Frame:
-    """How pictures of one size go to a network and come back.
-
-    Attributes
-    ----------
-    size
-        (height, width) of the picture.
-    scaled
-        (height, width) that it is scaled to; mostly `size`.
-    padded
-        (height, width) that the network gets and gives.
-    """
+    """How pictures of one size go to a network and come back."""
 
     size: tuple[int, int]
+    """(height, width) of the picture."""
     scaled: tuple[int, int]
+    """(height, width) that it is scaled to; mostly `size`."""
     padded: tuple[int, int]
+    """(height, width) that the network gets and gives."""
 
     @property
     def offset(self) -> tuple[int, int]:
@@ -92,10 +77,7 @@ class Frame:
     def to_model(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Picture (H, W, 3), sRGB, at the size that the network takes.
 
-        Raises
-        ------
-        InputError
-            If the picture is of another size than the frame is for.
+        Raises InputError if the picture is of another size than the frame is for.
         """
         self._check("picture", picture, self.size)
         if self.scaled != self.size:
@@ -109,11 +91,8 @@ class Frame:
     def from_model(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """What came back, sRGB, at the picture's size: the inverse of `to_model`.
 
-        Raises
-        ------
-        InputError
-            If it is not of the size that was asked for, so that nobody knows what became of the
-            pixels.
+        Raises InputError if it is not of the size that was asked for, so that nobody knows what
+        became of the pixels.
         """
         self._check("generated picture", picture, self.padded)
         top, left = self.offset
@@ -132,18 +111,8 @@ class Frame:
 def frame(size: tuple[int, int], limits: Limits) -> Frame:
     """Find the largest form of a picture, up to its own size, that a network takes.
 
-    Parameters
-    ----------
-    size
-        (height, width).
-    limits
-        What the network takes. A picture below the least area is scaled up, one that is too long
-        is padded until it is not.
-
-    Raises
-    ------
-    InputError
-        If no form of it is in the limits.
+    A picture of `size` (height, width) below the least area is scaled up, one that is too long is
+    padded until it is not. Raises InputError if no form of it is in the limits.
     """
     longer, shorter = max(size), min(size)
     own = _padded(longer, shorter, limits)

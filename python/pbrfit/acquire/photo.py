@@ -13,7 +13,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.display import encoded
-from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import fov_from_focal_length
 from pbrfit.result.metrics import display, white_of
 from pbrfit.scene import folder as scene_folder
@@ -27,36 +27,25 @@ WHITE_QUANTILE = 0.99
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """A photograph at the size that pictures are generated at.
-
-    Attributes
-    ----------
-    path
-        The file.
-    pixels
-        (H, W, 3), linear Rec.709, float32, upright. Finite; what the mask leaves out is as stored.
-    mask
-        (H, W), bool: what alpha and finite values leave; None = all.
-    sha256
-        Of the file, hexadecimal.
-    fov
-        Horizontal field of view in degrees, from EXIF; None if it says nothing.
-    exposure
-        In stops: `srgb8` shows pixels times 2^exposure. 0 of integer files, whose white is white.
-    full_size
-        (height, width) of the file, upright.
-    assumed
-        In words, what was found or decided about ``color``, ``size``, ``alpha``, ``exposure``.
-    """
+    """A photograph at the size that pictures are generated at."""
 
     path: Path
+    """The file."""
     pixels: NDArray[np.float32]
+    """(H, W, 3), linear Rec.709, float32, upright. Finite; what the mask leaves out is as
+    stored."""
     mask: NDArray[np.bool_] | None
+    """(H, W), bool: what alpha and finite values leave; None = all."""
     sha256: str
+    """Of the file, hexadecimal."""
     fov: float | None
+    """Horizontal field of view in degrees, from EXIF; None if it says nothing."""
     exposure: float
+    """In stops: `srgb8` shows pixels times 2^exposure. 0 of integer files, whose white is white."""
     full_size: tuple[int, int]
+    """(height, width) of the file, upright."""
     assumed: dict[str, str] = field(default_factory=dict)
+    """In words, what was found or decided about ``color``, ``size``, ``alpha``, ``exposure``."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -85,25 +74,11 @@ def read_photo(
     """Read a photograph: EXR, HDR, PNG, JPEG or TIFF, of any depth, colour or grey.
 
     The colour is decided as by `pbrfit.io.images.read_picture`, the EXIF orientation is applied,
-    and alpha below a half leaves pixels out.
-
-    Parameters
-    ----------
-    path
-        The file.
-    color_space
-        How to read the stored values, whatever the file says.
-    max_size
-        Longer side in pixels, to which larger photographs are averaged down in linear light; None
-        keeps their size.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be used, a side is below 64 pixels, before or after scaling, or nothing
-        is left by alpha.
-    OSError
-        If it cannot be read.
+    and alpha below a half leaves pixels out. `color_space` says how to read the stored values,
+    whatever the file says. Larger photographs are averaged down in linear light to a longer side of
+    `max_size` pixels; None keeps their size. Raises InputError if the file cannot be used, a side
+    is below 64 pixels, before or after scaling, or nothing is left by alpha; OSError if it cannot
+    be read.
     """
     if max_size is not None and max_size < LEAST_SIDE:
         raise InputError(f"max_size: expected at least {LEAST_SIDE} pixels, found {max_size}")
@@ -163,22 +138,17 @@ def _averaged_down(
 
     Under transparent pixels is anything, often black, which must not darken an outline.
     """
-    share = averaged(valid, size)
-    small = np.empty((*size, 3), dtype=np.float32)
-    for k in range(3):
-        of_all = averaged(pixels[..., k], size)
-        of_valid = averaged(np.where(valid, pixels[..., k], 0), size)
-        small[..., k] = np.where(share > 0, of_valid / np.maximum(share, 1e-12), of_all)
-    return small, share >= 0.5
+    share = averaged(valid, size)[..., None]
+    of_all = averaged_channels(pixels, size)
+    of_valid = averaged_channels(np.where(valid[..., None], pixels, 0), size)
+    small = np.where(share > 0, of_valid / np.maximum(share, 1e-12), of_all)
+    return small.astype(np.float32), share[..., 0] >= 0.5
 
 
 def exposure_of(path: Path, pixels: NDArray[np.float32]) -> float:
     """Stops by which `WHITE_QUANTILE` of pixels (..., 3) of a float file end up below white.
 
-    Raises
-    ------
-    InputError
-        If all is black; it names `path`.
+    Raises InputError if all is black; it names `path`.
     """
     bright = float(np.quantile(pixels.max(axis=-1), WHITE_QUANTILE))
     if bright <= 0:
@@ -196,20 +166,8 @@ def shown_to_network(
     Without a name it is the mean of all pictures, each brought to the same mean radiance. Light
     adds up, so this is a photograph of the same view with all lamps on: even light, soft shadows,
     and fewer pixels that are clipped or black than in any single one. Its 98th percentile is white.
-
-    Parameters
-    ----------
-    folder
-        Scene folder.
-    picture
-        Name of one picture, without suffix, that is shown instead.
-    color_space
-        Of all pictures; None = as `scene.toml` says, else the files.
-
-    Raises
-    ------
-    InputError, OSError
-        If there is no such picture, or one cannot be read, or all are black.
+    A `color_space` of None is as `scene.toml` says, else the files. Raises InputError or OSError if
+    there is no such picture, or one cannot be read, or all are black.
     """
     paths = scene_folder.find_pictures(folder)
     if color_space is None:

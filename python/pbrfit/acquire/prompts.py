@@ -31,21 +31,14 @@ class Prompt:
 
 @dataclass(frozen=True)
 class Catalogue:
-    """Everything a generator is asked with; all texts are in one line.
-
-    Attributes
-    ----------
-    preamble
-        What must stay as it is, before every lighting.
-    lighting
-        Lighting conditions, the most telling first.
-    negative
-        What must not appear; may be empty.
-    """
+    """Everything a generator is asked with; all texts are in one line."""
 
     preamble: str
+    """What must stay as it is, before every lighting."""
     lighting: tuple[Prompt, ...]
+    """Lighting conditions, the most telling first."""
     negative: str
+    """What must not appear; may be empty."""
 
     def full(self, prompt: Prompt) -> str:
         """The whole text of a request: preamble and lighting."""
@@ -55,13 +48,8 @@ class Catalogue:
 def read_prompts(path: Path | None = None) -> Catalogue:
     """Read a catalogue; None is the one that ships with pbrfit.
 
-    Raises
-    ------
-    InputError
-        If the file is no such catalogue: one line with the key, and with the line where TOML is
-        broken.
-    OSError
-        If it cannot be read.
+    Raises InputError if the file is no such catalogue: one line with the key, and with the line
+    where TOML is broken; OSError if it cannot be read.
     """
     name = str(path) if path is not None else SHIPPED
     data = shipped_text().encode() if path is None else path.read_bytes()

@@ -34,33 +34,23 @@ class Reviewer(Protocol):
 
     def picture(self, pixels: NDArray[np.float32]) -> Verdict:
         """Judge one picture by itself."""
-        ...
 
     def together(self, pictures: Sequence[NDArray[np.float32]]) -> list[Verdict]:
         """Judge each of these beside the others."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """One answer of the generator and what became of it.
-
-    Attributes
-    ----------
-    entry
-        What the journal holds.
-    checks
-        Of the picture by itself; empty without a review, or where there is no picture.
-    together
-        Of the picture beside the others, when it was last among those that were accepted.
-    reason
-        Why it was refused; empty for one that was accepted.
-    """
+    """One answer of the generator and what became of it."""
 
     entry: Entry
+    """What the journal holds."""
     checks: tuple[Check, ...] = ()
+    """Of the picture by itself; empty without a review, or where there is no picture."""
     together: tuple[Check, ...] = ()
+    """Of the picture beside the others, when it was last among those that were accepted."""
     reason: str = ""
+    """Why it was refused; empty for one that was accepted."""
 
 
 @dataclass(eq=False)
@@ -101,10 +91,8 @@ class Rounds:
     def make(self, requests: Iterable[Request]) -> list[Picture]:
         """Ask for all and review them.
 
-        Raises
-        ------
-        InputError, OSError, MemoryError
-            If the generator cannot go on. What had come is in the journal.
+        Raises InputError, OSError or MemoryError if the generator cannot go on. What had come is in
+        the journal.
         """
         pictures = [Picture(request) for request in requests]
         self.wanted = len(pictures)
@@ -117,7 +105,8 @@ class Rounds:
             if not accepted:
                 return pictures
             self._tell("reviewing together")
-            verdicts = self.reviewer.together([self._linear(picture) for picture in accepted])
+            entries = (picture.attempts[-1].entry for picture in accepted)
+            verdicts = self.reviewer.together([linear(self.journal.pixels(e)) for e in entries])
             refused = []
             for picture, verdict in zip(accepted, verdicts, strict=True):
                 reason = "" if verdict.accepted else verdict.reason
@@ -169,9 +158,6 @@ class Rounds:
 
     def _tell(self, what: str) -> None:
         self.progress(what, self.asked, max(self.asked, self.wanted))
-
-    def _linear(self, picture: Picture) -> NDArray[np.float32]:
-        return linear(self.journal.pixels(picture.attempts[-1].entry))
 
 
 def linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:

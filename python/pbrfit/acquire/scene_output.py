@@ -49,12 +49,9 @@ def check_place(
 ) -> None:
     """Check that a scene may be made at `out`.
 
-    Raises
-    ------
-    FileExistsError
-        If something is there that neither flag is for, or somebody put files among the pictures.
-    InputError
-        If `resume` is asked for, and what is there was of another photo or other settings.
+    Raises FileExistsError if something is there that neither flag is for, or somebody put files
+    among the pictures; InputError if `resume` is asked for, and what is there was of another photo
+    or other settings.
     """
     if not out.is_dir():
         if out.exists() or out.is_symlink():
@@ -104,13 +101,8 @@ def place(out: Path) -> Iterator[Path]:
 
     What the block leaves there under the names of `PARTS` is put in place when it ends well. The
     temporary folder goes away in any case, and so does all that was made if the journal is empty.
-
-    Raises
-    ------
-    InputError
-        If another run is at work there: both would ask for the same pictures.
-    OSError
-        If nothing can be written there.
+    Raises InputError if another run is at work there: both would ask for the same pictures; OSError
+    if nothing can be written there.
     """
     out_at = out.resolve()
     new = [folder for folder in (out_at, *out_at.parents) if not folder.exists()]

@@ -33,27 +33,11 @@ def segment(
 ) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Find the segments of a picture.
 
-    Parameters
-    ----------
-    source
-        "sam2", or a file with ids: a grey PNG or TIFF of 8 or 16 bits or a palette PNG, of the
-        picture's size or larger in the same proportion.
-    srgb8
-        (H, W, 3), sRGB: what the network is shown. Of a file only its size matters.
-    options
-        Of "sam2": those of `by_sam2`.
-
-    Returns
-    -------
-    ids
-        (H, W), 0 = in no segment.
-    record
-        How they were made, as JSON.
-
-    Raises
-    ------
-    InputError, OSError
-        One line that names the file or option, what was expected and what was found.
+    The source is "sam2", with the options of `by_sam2`, or a file with ids: a grey PNG or TIFF of 8
+    or 16 bits or a palette PNG, of the picture's size or larger in the same proportion. The network
+    is shown `srgb8` (H, W, 3); of a file only its size matters. Returns ids: (H, W), 0 = in no
+    segment; record: how they were made, as JSON. Raises InputError or OSError in one line that
+    names the file or option, what was expected and what was found.
     """
     if source == "sam2":
         return by_sam2(srgb8, **options)
@@ -79,33 +63,14 @@ def by_sam2(
 ) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Segments by SAM2 through the mask generation of transformers.
 
-    Parameters
-    ----------
-    srgb8
-        (H, W, 3), sRGB.
-    model
-        Name on the Hugging Face Hub, or a local folder.
-    points
-        A side of the grid of points that are asked about.
-    smallest
-        As for `ids_of`.
-    device
-        As for `pbrfit.acquire.weights.placement`. Always in float32: the network is small.
-    thresholds
-        ``pred_iou_thresh`` and ``stability_score_thresh`` of transformers'
-        `MaskGenerationPipeline`, which masks are trusted; its defaults are SAM2's.
-
-    Returns
-    -------
-    ids
-        (H, W), 0 = in no segment, which may be so everywhere.
-    record
-        How they were made, as JSON.
-
-    Raises
-    ------
-    InputError
-        If a package or the weights are missing, an option cannot be used, or memory runs out.
+    `model` is a name on the Hugging Face Hub or a local folder, `points` a side of the grid of
+    points that are asked about, `smallest` as for `ids_of`, and `device` as for
+    `pbrfit.acquire.weights.placement`; always in float32, for the network is small. `thresholds`
+    are ``pred_iou_thresh`` and ``stability_score_thresh`` of transformers'
+    `MaskGenerationPipeline`, which masks are trusted; its defaults are SAM2's. Returns ids: (H, W),
+    0 = in no segment, which may be so everywhere; record: how they were made, as JSON. Raises
+    InputError if a package or the weights are missing, an option cannot be used, or memory runs
+    out.
     """
     _check_share(smallest)
     weights.need("segment", "torch", "torchvision", "transformers")
@@ -166,20 +131,9 @@ def ids_of(
     Masks are laid down from the largest to the smallest, so that a smaller one lies on top: the cup
     on the table, the handle on the cup. What then shows of a mask counts: the mask of which least
     shows is taken away, and what lay below comes to light, until all that are left show enough.
-
-    Parameters
-    ----------
-    masks
-        (H, W) each, of that size, in any order: equal masks in another order give the same ids.
-    size
-        (height, width).
-    smallest
-        Share of the picture, 0 to 1, that must show of a mask.
-
-    Returns
-    -------
-    ndarray
-        (H, W): 1 is the largest mask, and so on without gaps, at most 65535; 0 = in none.
+    Masks are (H, W) = `size` each, in any order: equal masks in another order give the same ids.
+    `smallest` is the share of the picture, 0 to 1, that must show of a mask. Returns (H, W): 1 is
+    the largest mask, and so on without gaps, at most 65535; 0 = in none.
     """
     _check_share(smallest)
     least = max(1.0, smallest * size[0] * size[1])

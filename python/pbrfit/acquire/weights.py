@@ -26,22 +26,15 @@ Offload = Literal["none", "model", "sequential"]
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a network computes, resolved: nothing is "auto" any more.
-
-    Attributes
-    ----------
-    device
-        "cpu", "cuda" or "mps".
-    dtype
-        "float32", "bfloat16" or "float16".
-    offload
-        What waits in the processor's memory: "none"; "model", every part but the one that
-        computes; "sequential", every layer but the one that computes, which is slow.
-    """
+    """Where a network computes, resolved: nothing is "auto" any more."""
 
     device: str
+    """One of "cpu", "cuda" and "mps"."""
     dtype: str
+    """One of "float32", "bfloat16" and "float16"."""
     offload: str
+    """What waits in the processor's memory: "none"; "model", every part but the one that computes;
+    "sequential", every layer but the one that computes, which is slow."""
 
     @property
     def torch_dtype(self) -> Any:
@@ -53,30 +46,20 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """A network and where it came from.
-
-    Attributes
-    ----------
-    network
-        What the loader returned.
-    record
-        For records, as JSON: ``model`` as asked for, ``source`` ("folder" or "hub") and
-        ``revision``, the commit on the Hub, or None where there is none.
-    """
+    """A network and where it came from."""
 
     network: Any
+    """What the loader returned."""
     record: dict[str, Any]
+    """For records, as JSON: ``model`` as asked for, ``source`` ("folder" or "hub") and
+    ``revision``, the commit on the Hub, or None where there is none."""
 
 
 def need(extra: str, *modules: str) -> None:
     """Check that modules can be imported, without importing them, which may take seconds.
 
-    `extra` is the set of optional packages that brings them, as `pyproject.toml` names it.
-
-    Raises
-    ------
-    InputError
-        If one is missing: one line with the command that installs it.
+    `extra` is the set of optional packages that brings them, as `pyproject.toml` names it. Raises
+    InputError if one is missing: one line with the command that installs it.
     """
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     if missing:
@@ -104,13 +87,8 @@ def placement(
 
     ``auto`` takes CUDA, else Apple's MPS, else the processor with a warning; and on a GPU `half`,
     on the processor float32. Large networks are released in bfloat16; those made from Stable
-    Diffusion run in float16, whose numbers are eight times as fine.
-
-    Raises
-    ------
-    InputError
-        If an option is none of those there are, the device is not there, or there is nothing to
-        offload from.
+    Diffusion run in float16, whose numbers are eight times as fine. Raises InputError if an option
+    is none of those there are, the device is not there, or there is nothing to offload from.
     """
     for name, value, known in (
         ("device", device, get_args(Device)),
@@ -149,6 +127,9 @@ def load(
 ) -> Loaded:
     """Load a network from a local folder or by its name on the Hugging Face Hub.
 
+    Raises InputError if it is in neither place and cannot be downloaded, or cannot be loaded: one
+    line that says which and where it was looked for.
+
     Parameters
     ----------
     kind
@@ -164,12 +145,6 @@ def load(
         of a single network.
     revision
         Branch, tag or commit on the Hub.
-
-    Raises
-    ------
-    InputError
-        If it is in neither place and cannot be downloaded, or cannot be loaded: one line that says
-        which and where it was looked for.
     """
     options = {} if revision is None else {"revision": revision}
     folder = Path(model).expanduser()
@@ -219,10 +194,7 @@ def load(
 def place(network: Any, where: Placement, *, what: str) -> None:
     """Move a diffusers pipeline to its device, or set up that its parts are moved when needed.
 
-    Raises
-    ------
-    InputError
-        If it does not fit in the GPU's memory.
+    Raises InputError if it does not fit in the GPU's memory.
     """
     with memory_in_words(what):
         if where.offload == "model":
@@ -240,10 +212,7 @@ def memory_in_words(
 ) -> Iterator[None]:
     """Turn running out of memory, on a GPU or not, into one line that says what helps.
 
-    Raises
-    ------
-    InputError
-        In place of the error of PyTorch or Python.
+    Raises InputError in place of the error of PyTorch or Python.
     """
     try:
         yield

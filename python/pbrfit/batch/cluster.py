@@ -22,20 +22,9 @@ class Cluster:
     """Workers of a dask cluster, each with one task at a time.
 
     Workers that come later are used too. A task whose worker is gone is given to another by dask
-    itself, up to three times.
-
-    Parameters
-    ----------
-    address
-        Of the scheduler, such as ``tcp://host:8786``; "local" = a cluster of its own on this
-        machine.
-    jobs
-        Tasks at the same time; None = as many as there are workers.
-
-    Raises
-    ------
-    InputError
-        If dask is not installed, or nobody answers.
+    itself, up to three times. The address is that of the scheduler, such as ``tcp://host:8786``;
+    "local" is a cluster of its own on this machine. `jobs` run at the same time; None = as many as
+    there are workers. Raises InputError if dask is not installed, or nobody answers.
     """
 
     apart = True

@@ -25,45 +25,26 @@ DIED = "its process died"
 
 @dataclass(frozen=True)
 class Attempt(Generic[R]):
-    """What became of a task.
-
-    Attributes
-    ----------
-    value
-        What its function returned; None if it failed.
-    error
-        In one line why it failed, else None.
-    raised
-        The type of what its function raised, by name.
-    seconds
-        That it took.
-    said
-        What it logged in another process: level and message.
-    """
+    """What became of a task."""
 
     value: R | None
+    """What its function returned; None if it failed."""
     error: str | None
+    """In one line why it failed, else None."""
     raised: str | None = None
+    """The type of what its function raised, by name."""
     seconds: float = 0.0
+    """That it took."""
     said: tuple[tuple[int, str], ...] = ()
+    """What it logged in another process: level and message."""
 
 
 def workers(jobs: int | None, cluster: str | None, *, most: int) -> Workers:
     """Make the workers for so many tasks at the same time, of whom no more than `most` are of use.
 
-    Parameters
-    ----------
-    jobs
-        1 or None = in this process, with all processors. On a cluster None = one for each worker.
-    cluster
-        None = on this machine; else see `pbrfit.batch.cluster.Cluster`.
-    most
-        How many tasks there are.
-
-    Raises
-    ------
-    InputError
-        If there is no such cluster.
+    Without a cluster (see `pbrfit.batch.cluster.Cluster`) `jobs` of 1 or None are done in this
+    process, with all processors; on one, None is one job for each worker. Raises InputError if
+    there is no such cluster.
     """
     jobs = None if jobs is None else min(jobs, most)
     if cluster is not None:
@@ -162,7 +143,7 @@ def _one_pool(
 
 def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bool) -> Attempt[R]:
     """Do a task where it runs; whatever it raises becomes a line."""
-    from threadpoolctl import threadpool_limits
+    from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 
     if threads is None:
         threads = threads_of_worker()
@@ -170,8 +151,7 @@ def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bo
     value, error, raised = None, None, None
     with _listening(apart) as said:
         try:
-            # Small matrices: more threads only get into each other's way.
-            with threadpool_limits(1):
+            with one_blas_thread():  # of small matrices: more get into each other's way
                 value = work(task, threads)
         except Exception as failure:  # whatever it is, the other tasks are no worse for it
             error, raised = in_one_line(failure), type(failure).__name__

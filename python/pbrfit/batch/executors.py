@@ -18,25 +18,17 @@ R = TypeVar("R")
 
 
 class Workers(Protocol):
-    """Those who do tasks.
-
-    Attributes
-    ----------
-    apart
-        Whether tasks run in other processes.
-    threads
-        That a task may use: 0 = one for each processor; None = as many as its worker has.
-    deaths
-        What a future raises when the process of its task died, beside `BrokenExecutor`.
-    patience
-        Seconds to wait for a task to end before looking around: whether there are more slots, and
-        to tell that work goes on. None = until one ends.
-    """
+    """Those who do tasks."""
 
     apart: bool
+    """Whether tasks run in other processes."""
     threads: int | None
+    """That a task may use: 0 = one for each processor; None = as many as its worker has."""
     deaths: tuple[type[BaseException], ...]
+    """What a future raises when the process of its task died, beside `BrokenExecutor`."""
     patience: float | None
+    """Seconds to wait for a task to end before looking around: whether there are more slots, and to
+    tell that work goes on. None = until one ends."""
 
     def start(self) -> Executor:
         """Give an executor that works: a new one where the last one broke."""
@@ -83,11 +75,6 @@ class Processes:
 
     So nothing is inherited from a process whose threads may hold locks. Processors are shared out
     among them.
-
-    Parameters
-    ----------
-    jobs
-        How many.
     """
 
     apart = True

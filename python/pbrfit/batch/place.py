@@ -26,14 +26,9 @@ def of_batch(folder: Path) -> Iterator[Path]:
     """Give `folder/.pbrfit` for temporary folders, to this process alone; afterwards it is gone.
 
     What a killed batch left there is removed first. A result that was about to be replaced is put
-    back, then and afterwards. A new `folder` that stays empty is removed too.
-
-    Raises
-    ------
-    FileExistsError
-        If another batch works there. Where the system has no `flock` (Windows), that is not known.
-    OSError
-        If nothing can be written there.
+    back, then and afterwards. A new `folder` that stays empty is removed too. Raises
+    FileExistsError if another batch works there. Where the system has no `flock` (Windows), that is
+    not known. Raises OSError if nothing can be written there.
     """
     target = folder.resolve()
     new_parents = [parent for parent in (target, *target.parents) if not parent.exists()]
@@ -78,9 +73,6 @@ def of_one(output: Path) -> Iterator[Path]:
             yield place
         finally:
             _remove(place)
-            with suppress(OSError):
-                for parent in new_parents:
-                    parent.rmdir()
 
 
 def _clear(place: Path) -> None:

@@ -32,12 +32,8 @@ def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitM
     """What reading and fitting a scene needs at most, beside the interpreter and its libraries.
 
     Of what no head tells, the dearer is assumed: no pixel is masked, no picture is grey, integer
-    pictures have clipped samples.
-
-    Raises
-    ------
-    InputError, OSError
-        If there is no scene, or its first picture cannot be read.
+    pictures have clipped samples. Raises InputError or OSError if there is no scene, or its first
+    picture cannot be read.
     """
     paths = scene_folder.find_pictures(folder)
     full = picture_size(paths[0])
@@ -71,10 +67,7 @@ def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitM
 def picture_size(path: Path) -> tuple[int, int]:
     """(height, width) of a picture as it is stored: before it is turned as EXIF says.
 
-    Raises
-    ------
-    InputError, OSError
-        If it cannot be read.
+    Raises InputError or OSError if it cannot be read.
     """
     with path.open("rb") as file:
         head = file.read(_HEAD)

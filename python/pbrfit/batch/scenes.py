@@ -31,33 +31,23 @@ LOOK_EVERY = 0.2
 
 @dataclass(frozen=True)
 class SceneTask:
-    """A scene to decompose.
-
-    Attributes
-    ----------
-    scene, output
-        Folders.
-    reading, options
-        How.
-    threads
-        As asked for; 0 = what there are for a task.
-    resume
-        Whether a result that would come out again stays.
-    overwrite
-        Whether a result that is there is replaced, whatever it is.
-    temporaries
-        Folder for what is unfinished; None = beside the output. Whoever waits for the task removes
-        it to say that the task is no longer wanted.
-    """
+    """A scene to decompose."""
 
     scene: Path
     output: Path
+    """Folders."""
     reading: Reading
     options: FitOptions
+    """How."""
     threads: int = 0
+    """As asked for; 0 = what there are for a task."""
     resume: bool = False
+    """Whether a result that would come out again stays."""
     overwrite: bool = False
+    """Whether a result that is there is replaced, whatever it is."""
     temporaries: Path | None = None
+    """Folder for what is unfinished; None = beside the output. Whoever waits for the task removes
+    it to say that the task is no longer wanted."""
 
     @property
     def name(self) -> str:
@@ -67,27 +57,19 @@ class SceneTask:
 
 @dataclass(frozen=True)
 class SceneOutcome:
-    """What came of it.
-
-    Attributes
-    ----------
-    status
-        "done", or "kept": the result was there.
-    stop_reason, iterations, metrics
-        As in `result.json`.
-    peak_bytes
-        Memory of the process at its highest meanwhile; None where the system does not tell, and of
-        results that were kept.
-    table
-        The result in words and figures, lines for people.
-    """
+    """What came of it."""
 
     status: Literal["done", "kept"]
+    """Of these "kept": the result was there."""
     stop_reason: str
     iterations: int
     metrics: Mapping[str, float] = field(default_factory=dict)
+    """As in `result.json`."""
     peak_bytes: int | None = None
+    """Memory of the process at its highest meanwhile; None where the system does not tell, and of
+    results that were kept."""
     table: str = ""
+    """The result in words and figures, lines for people."""
 
 
 def decompose_scene(
@@ -95,19 +77,8 @@ def decompose_scene(
 ) -> SceneOutcome:
     """Read, fit, write, put in place.
 
-    Parameters
-    ----------
-    task
-        What to do.
-    threads
-        To use where the task asks for none.
-    show
-        Told how the fit goes on.
-
-    Raises
-    ------
-    InputError, OSError, MemoryError
-        If the scene cannot be used, or its result not be written. The message names the file.
+    `threads` are used where the task asks for none. Raises InputError, OSError or MemoryError if
+    the scene cannot be used, or its result not be written. The message names the file.
     """
     from pbrfit.batch import process_memory
     from pbrfit.batch.unchanged import check_model, kept

@@ -47,12 +47,8 @@ def check_model(output: Path, scene: Path, options: FitOptions) -> None:
     """See that a result, if there is one, is of the model that a scene would be fitted with now.
 
     Materials of one model are worth nothing in another, so a result of another model is no earlier
-    attempt at this one. What cannot be read is no result.
-
-    Raises
-    ------
-    InputError
-        If it is of another model.
+    attempt at this one. What cannot be read is no result. Raises InputError if it is of another
+    model.
     """
     file = output / "result.json"
     try:

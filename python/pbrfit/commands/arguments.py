@@ -10,13 +10,38 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
 
 DONE, SOME_FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 """Exit codes: done; some scenes failed; wrong usage or unusable input; Ctrl-C."""
+
+
+Flag = dict[str, Any]
+"""Arguments of `argparse.ArgumentParser.add_argument`, but for the name."""
+
+
+def switch(said: str) -> Flag:
+    """An option without a value; `said` is its help."""
+    return {"action": "store_true", "help": said}
+
+
+def value(metavar: str | None, kind: Callable[[str], Any], said: str, **more: Any) -> Flag:
+    """An option with a value that `kind` reads."""
+    return {"metavar": metavar, "type": kind, "help": said, **more}
+
+
+def choice(values: Any, said: str, **more: Any) -> Flag:
+    """An option with one of some values: a sequence of them, or a `Literal`."""
+    return {"choices": get_args(values) or values, "help": said, **more}
+
+
+def add_flags(parser: Any, **flags: Flag) -> None:
+    """Add options to a parser or to a group of one."""
+    for name, arguments in flags.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", **arguments)
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -27,48 +52,45 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
     """Add a result folder, and `--out` and `--overwrite` for what is made of it."""
     parser.add_argument("result", metavar="RESULT", type=Path, help="result folder")
-    parser.add_argument("--out", metavar=metavar, type=Path, required=True, help=what)
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier output")
+    add_out(parser, what, metavar, "replace an earlier output")
 
 
-def add_out(parser: argparse.ArgumentParser, what: str) -> None:
+def add_out(
+    parser: argparse.ArgumentParser,
+    what: str,
+    metavar: str = "DIR",
+    replaced: str = "replace existing results",
+) -> None:
     """Add `--out` and `--overwrite`."""
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help=what)
-    parser.add_argument("--overwrite", action="store_true", help="replace existing results")
+    add_flags(parser, out=value(metavar, Path, what, required=True), overwrite=switch(replaced))
 
 
 def add_quiet(
     parser: argparse.ArgumentParser, what: str = "no progress bar, no table, no warnings"
 ) -> None:
     """Add `--quiet`."""
-    parser.add_argument("--quiet", action="store_true", help=what)
+    add_flags(parser, quiet=switch(what))
 
 
 def add_jobs(parser: argparse.ArgumentParser, what: str) -> None:
     """Add `--jobs`."""
-    parser.add_argument("--jobs", metavar="J", type=positive, help=what)
+    add_flags(parser, jobs=value("J", positive, what))
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
     """Add `--cluster`."""
-    parser.add_argument(
-        "--cluster",
-        metavar="local|ADDRESS",
-        help="hand scenes to the workers of a dask scheduler, which share storage with this "
-        "machine, or to a cluster on this machine alone; --jobs limits how many at the same time; "
-        "needs pip install 'pbrfit[cluster]'",
+    said = (
+        "hand scenes to the workers of a dask scheduler, which share storage with this machine, "
+        "or to a cluster on this machine alone; --jobs limits how many at the same time; needs "
+        "pip install 'pbrfit[cluster]'"
     )
+    add_flags(parser, cluster=value("local|ADDRESS", str, said))
 
 
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add `--threads`."""
-    parser.add_argument(
-        "--threads",
-        metavar="T",
-        type=whole_number,
-        default=0,
-        help="0 = one for each processor; results do not depend on it",
-    )
+    said = "0 = one for each processor; results do not depend on it"
+    add_flags(parser, threads=value("T", whole_number, said, default=0))
 
 
 def whole_number(text: str) -> int:
@@ -120,11 +142,8 @@ def numbers(count: int, form: str) -> Callable[[str], tuple[float, ...]]:
     """Reader for `argparse` of so many finite numbers with commas between them, such as `form`."""
 
     def read(text: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(part) for part in text.split(","))
-        except ValueError:
-            values = ()
-        if len(values) != count or not all(math.isfinite(value) for value in values):
+        values = _finite(*text.split(","))
+        if len(values) != count:
             raise argparse.ArgumentTypeError(f"expected {form}, finite numbers, found {text!r}")
         return values
 
@@ -133,13 +152,18 @@ def numbers(count: int, form: str) -> Callable[[str], tuple[float, ...]]:
 
 def number(text: str) -> float:
     """Read a finite number for `argparse`."""
+    for value in _finite(text):
+        return value
+    raise argparse.ArgumentTypeError(f"expected a finite number, found {text!r}")
+
+
+def _finite(*texts: str) -> tuple[float, ...]:
+    """Numbers; none if one of the texts is no finite number."""
     try:
-        value = float(text)
+        values = tuple(map(float, texts))
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"expected a finite number, found {text!r}")
-    return value
+        return ()
+    return values if all(map(math.isfinite, values)) else ()
 
 
 def progress_bar(

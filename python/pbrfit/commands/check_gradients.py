@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from pbrfit.commands.arguments import DONE, SOME_FAILED, add_scene, whole_number
+from pbrfit.commands.arguments import DONE, SOME_FAILED, add_flags, add_scene, value, whole_number
 from pbrfit.commands.fit_options import UNKNOWNS, add_option, add_priors, given, given_priors
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit.gradient_check import check_gradients
@@ -18,9 +18,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     for name in ("model", *UNKNOWNS):
         add_option(parser, name)
     add_priors(parser)
-    parser.add_argument(
-        "--seed", type=whole_number, default=0, help="of the random point and directions"
-    )
+    said = "of the random point and directions"
+    add_flags(parser, seed=value(None, whole_number, said, default=0))
 
 
 def run(options: argparse.Namespace) -> int:

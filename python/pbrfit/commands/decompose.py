@@ -5,27 +5,15 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
 from pbrfit._core import InputError
 from pbrfit.batch import place
 from pbrfit.batch.cluster import LOCAL
 from pbrfit.batch.driver import Attempt, drive, workers
-from pbrfit.batch.executors import Workers
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of
-from pbrfit.commands.arguments import (
-    DONE,
-    SOME_FAILED,
-    UNUSABLE,
-    add_cluster,
-    add_jobs,
-    add_out,
-    add_quiet,
-    complain,
-    message_of,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
 from pbrfit.commands.scene_display import SceneDisplay
 from pbrfit.commands.scene_options import add_input, reading
@@ -40,21 +28,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "scenes", metavar="SCENE", nargs="+", type=Path, help="scene folder, or a folder of them"
     )
-    add_out(parser, "result folder; with several scenes it holds one result folder a scene")
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        help="keep results that are whole and would come out again: the same files, options and "
-        "version of pbrfit; do all others",
+    cli.add_out(parser, "result folder; with several scenes it holds one result folder a scene")
+    cli.add_flags(
+        parser,
+        resume=cli.switch(
+            "keep results that are whole and would come out again: the same files, options and "
+            "version of pbrfit; do all others"
+        ),
+        json=cli.switch("print a line of JSON a scene instead of a table"),
     )
-    parser.add_argument(
-        "--json", action="store_true", help="print a line of JSON a scene instead of a table"
-    )
-    add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
-    add_cluster(parser)
+    cli.add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
+    cli.add_cluster(parser)
     add_input(parser)
     add_fit_options(parser)
-    add_quiet(parser)
+    cli.add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -103,13 +90,13 @@ def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
             with fit_bar(options.iterations, task.name, quiet=options.quiet) as show:
                 outcome = decompose_scene(task, 0, show)
         except (InputError, OSError, MemoryError) as error:
-            message = message_of(error)
+            message = cli.message_of(error)
             if not options.json:
                 raise
             display.tell(task, Attempt(None, message, seconds=time.perf_counter() - began))
-            return UNUSABLE
+            return cli.UNUSABLE
         display.tell(task, Attempt(outcome, None, seconds=time.perf_counter() - began))
-    return DONE
+    return cli.DONE
 
 
 def _run_all(
@@ -124,11 +111,16 @@ def _run_all(
         ]
         done_by = workers(options.jobs, options.cluster, most=len(tasks))
         beside = done_by.apart and options.cluster in (None, LOCAL)
+
+        def here(task: SceneTask, threads: int) -> SceneOutcome:
+            with fit_bar(options.iterations, task.name, quiet=options.quiet, within=True) as show:
+                return decompose_scene(task, threads, show)
+
         try:
             with display:
                 drive(
                     tasks,
-                    _work(done_by, options),
+                    decompose_scene if done_by.apart else here,
                     done_by,
                     ended=display.tell,
                     meanwhile=display.show if done_by.apart else lambda _: None,
@@ -136,9 +128,9 @@ def _run_all(
                     available=memory.available(),
                 )
         except ConnectionError as error:
-            complain(message_of(error))
+            cli.complain(cli.message_of(error))
             display.summary()
-            return SOME_FAILED if display.ended > len(display.failed) else UNUSABLE
+            return cli.SOME_FAILED if display.ended > len(display.failed) else cli.UNUSABLE
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted after {display.ended} of {len(tasks)} scenes; no unfinished result "
@@ -147,19 +139,8 @@ def _run_all(
     if not one:
         display.summary()
     if display.failed:
-        return SOME_FAILED if len(display.failed) < len(tasks) else UNUSABLE
-    return DONE
-
-
-def _decompose_here(task: SceneTask, threads: int, *, quiet: bool) -> SceneOutcome:
-    with fit_bar(task.options.iterations, task.name, quiet=quiet, within=True) as show:
-        return decompose_scene(task, threads, show)
-
-
-def _work(
-    done_by: Workers, options: argparse.Namespace
-) -> Callable[[SceneTask, int], SceneOutcome]:
-    return decompose_scene if done_by.apart else partial(_decompose_here, quiet=options.quiet)
+        return cli.SOME_FAILED if len(display.failed) < len(tasks) else cli.UNUSABLE
+    return cli.DONE
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:

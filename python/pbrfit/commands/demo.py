@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from pbrfit.batch.scenes import table
-from pbrfit.commands.arguments import DONE, add_quiet
+from pbrfit.commands.arguments import DONE, add_flags, add_quiet, switch
 from pbrfit.commands.fit_options import (
     MODEL_OF_PICTURES,
     add_fit_options,
@@ -39,7 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
     add_option(parser, "sh_order", "of the lights, true and fitted")
     add_fit_options(parser, there=("seed", "model", "sh_order"))
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+    add_flags(parser, overwrite=switch("replace an existing folder"))
     add_quiet(parser)
 
 

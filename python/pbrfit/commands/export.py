@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import get_args
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import DONE, add_quiet, add_result, unread_is_no_failure
+from pbrfit.commands import arguments as cli
 from pbrfit.export import CONTAINS, Exported, export_result
 from pbrfit.export.maps import Bits, NormalConvention
 from pbrfit.export.presets import Format, PresetName
@@ -18,37 +17,32 @@ from pbrfit.result.result import Result
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
-    add_result(parser, "DIR", "folder to write")
-    parser.add_argument(
-        "--format",
-        choices=get_args(Format),
-        help="this one alone (default: those of the preset, else all)",
+    cli.add_result(parser, "DIR", "folder to write")
+    cli.add_flags(
+        parser,
+        format=cli.choice(Format, "this one alone (default: those of the preset, else all)"),
+        preset=cli.choice(
+            PresetName,
+            "textures with the names, channels and normals that a tool expects (default: a file a "
+            "map)",
+        ),
+        normals=cli.choice(
+            NormalConvention,
+            "green of normal maps upwards or downwards (default: as the preset says, else opengl)",
+        ),
+        bits=cli.choice(
+            Bits,
+            "of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
+            "glTF 16 for normals alone)",
+            type=int,
+        ),
+        geometry=cli.choice(
+            Geometry,
+            "of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
+            "for path tracers (default: card)",
+        ),
     )
-    parser.add_argument(
-        "--preset",
-        choices=get_args(PresetName),
-        help="textures with the names, channels and normals that a tool expects (default: a file "
-        "a map)",
-    )
-    parser.add_argument(
-        "--normals",
-        choices=get_args(NormalConvention),
-        help="green of normal maps upwards or downwards (default: as the preset says, else opengl)",
-    )
-    parser.add_argument(
-        "--bits",
-        type=int,
-        choices=get_args(Bits),
-        help="of PNG files and of textures in glTF (default: as the preset says, else 16, and in "
-        "glTF 16 for normals alone)",
-    )
-    parser.add_argument(
-        "--geometry",
-        choices=get_args(Geometry),
-        help="of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
-        "for path tracers (default: card)",
-    )
-    add_quiet(parser)
+    cli.add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -62,9 +56,9 @@ def run(options: argparse.Namespace) -> int:
     asked = {name: getattr(options, name) for name in names}
     exported = export_result(Result.load(options.result), options.out, **asked)
     if not options.quiet:
-        with unread_is_no_failure():
+        with cli.unread_is_no_failure():
             _print_files(exported, options.out)
-    return DONE
+    return cli.DONE
 
 
 def _print_files(exported: Exported, out: Path) -> None:

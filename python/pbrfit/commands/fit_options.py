@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
-from pbrfit.commands.arguments import add_threads, progress_bar, whole_number
+from pbrfit.commands import arguments as cli
 from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions, Priors, prior_names
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def add_fit_options(parser: argparse.ArgumentParser, *, there: Collection[str] =
         if name not in there:
             add_option(parser, name)
     add_priors(parser)
-    add_threads(parser)
+    cli.add_threads(parser)
 
 
 def add_option(
@@ -40,24 +40,19 @@ def add_option(
 ) -> None:
     """Add the flag of one option, perhaps with a help or a default of its own."""
     flag = FLAGS[name]
-    option = f"--{flag.name or name.replace('_', '-')}"
     said = said or flag.help
-    if flag.kind is bool:
-        parser.add_argument(option, dest=name, action="store_true", help=said)
-        return
     default = DEFAULTS[name] if default is None else default
-    if flag.values is None:
-        kind = whole_number if name == "seed" else flag.kind
-        parser.add_argument(
-            option, dest=name, metavar=flag.metavar, type=kind, default=default, help=said
-        )
-        return
-    if isinstance(flag.values, Mapping):
-        default = next(word for word, value in flag.values.items() if value == default)
-    kind = int if isinstance(default, int) else str
-    parser.add_argument(
-        option, dest=name, choices=tuple(flag.values), type=kind, default=default, help=said
-    )
+    if flag.kind is bool:
+        arguments = cli.switch(said)
+    elif flag.values is None:
+        kind = cli.whole_number if name == "seed" else flag.kind
+        arguments = cli.value(flag.metavar, kind, said, default=default)
+    else:
+        if isinstance(flag.values, Mapping):
+            default = next(word for word, meant in flag.values.items() if meant == default)
+        kind = int if isinstance(default, int) else str
+        arguments = cli.choice(tuple(flag.values), said, type=kind, default=default)
+    cli.add_flags(parser, **{flag.name or name: {"dest": name, **arguments}})
 
 
 def given(options: argparse.Namespace, name: str) -> Any:
@@ -74,16 +69,11 @@ def fit_options(options: argparse.Namespace) -> FitOptions:
 
 def add_priors(parser: argparse.ArgumentParser) -> None:
     """Add `--prior` and `--no-priors`; `given_priors` reads them."""
-    parser.add_argument(
-        "--prior",
-        dest="prior_weights",
-        metavar="NAME=WEIGHT",
-        type=prior_weight,
-        action="append",
-        help=f"weight of a prior ({', '.join(prior_names())}); 0 leaves it out; can be repeated",
-    )
-    parser.add_argument(
-        "--no-priors", action="store_true", help="only the priors that --prior names"
+    said = f"weight of a prior ({', '.join(prior_names())}); 0 leaves it out; can be repeated"
+    cli.add_flags(
+        parser,
+        prior=cli.value("NAME=WEIGHT", prior_weight, said, dest="prior_weights", action="append"),
+        no_priors=cli.switch("only the priors that --prior names"),
     )
 
 
@@ -119,7 +109,7 @@ def fit_bar(
     A large picture's lights take iterations; after that tiles are counted, which tell how much time
     is left.
     """
-    with progress_bar(iterations, quiet=quiet, name=name, leave=not within) as bar:
+    with cli.progress_bar(iterations, quiet=quiet, name=name, leave=not within) as bar:
 
         def show(progress: Progress) -> None:
             bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)

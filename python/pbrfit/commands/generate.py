@@ -9,7 +9,6 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import get_args
 
 from pbrfit._core import InputError
 from pbrfit.acquire.generation import generate
@@ -18,16 +17,9 @@ from pbrfit.acquire.generators import create
 from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
 from pbrfit.acquire.rounds import REGENERATE, Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.commands.arguments import (
-    DONE,
-    add_quiet,
-    number,
-    positive,
-    progress_bar,
-    unread_is_no_failure,
-    whole_number,
-)
-from pbrfit.commands.network_options import source
+from pbrfit.commands import arguments as cli
+from pbrfit.commands.network_options import NORMAL_SOURCES, normal_source, source
+from pbrfit.commands.scene_options import field_of_view
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.output import new_file
 
@@ -64,143 +56,113 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "       %(prog)s --save-prompts FILE"
     )
     parser.add_argument("photo", metavar="PHOTO", nargs="?", type=Path, help="the photograph")
-    parser.add_argument("--out", metavar="SCENE", type=Path, help="scene folder to write")
-    again = parser.add_mutually_exclusive_group()
-    again.add_argument(
-        "--resume",
-        action="store_true",
-        help="go on with a run of the same photograph and settings, or add pictures to it; what "
-        "was received is never asked for twice",
+    cli.add_flags(parser, out=cli.value("SCENE", Path, "scene folder to write"))
+    cli.add_flags(
+        parser.add_mutually_exclusive_group(),
+        resume=cli.switch(
+            "go on with a run of the same photograph and settings, or add pictures to it; what "
+            "was received is never asked for twice"
+        ),
+        overwrite=cli.switch(
+            "make an earlier scene anew, also with another photograph or other settings; "
+            "received pictures are kept and taken where they are what is asked for (of "
+            "--save-prompts: replace the file)"
+        ),
     )
-    again.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="make an earlier scene anew, also with another photograph or other settings; "
-        "received pictures are kept and taken where they are what is asked for (of "
-        "--save-prompts: replace the file)",
+    cli.add_quiet(parser, "no progress bar, no summary")
+    cli.add_flags(parser, json=cli.switch("print review.json as the summary"))
+    cli.add_flags(
+        parser.add_argument_group("the photograph"),
+        fov=field_of_view(cli.number, "EXIF"),
+        color_space=cli.choice(
+            ColorSpace,
+            "of the photograph (default: its ICC profile, else sRGB, of float files linear)",
+        ),
+        max_size=cli.value(
+            "PIXELS",
+            cli.positive,
+            "average a larger photograph down to this longer side, which all pictures then have",
+            default=MAX_SIZE,
+        ),
+        without_photo=cli.switch("leave the photograph itself out of the scene's pictures"),
     )
-    add_quiet(parser, "no progress bar, no summary")
-    parser.add_argument("--json", action="store_true", help="print review.json as the summary")
-
-    photo = parser.add_argument_group("the photograph")
-    photo.add_argument(
-        "--fov",
-        metavar="DEG",
-        type=number,
-        help="horizontal field of view, 0 = orthographic (default: EXIF, else 60)",
+    cli.add_flags(
+        parser.add_argument_group("pictures under other lights"),
+        generator=cli.value(
+            "flux2-klein|gpt-image-2|folder:DIR",
+            str,
+            "FLUX.2 Klein on this machine; GPT-Image-2 by OpenAI's service, with the key in "
+            "OPENAI_API_KEY; or pictures that are there already",
+            default="flux2-klein",
+        ),
+        count=cli.value("N", cli.positive, "how many (default: 16, of a folder all)"),
+        seed=cli.value(None, cli.whole_number, "of the first; the next has one more (default: 0)"),
+        model=cli.value(
+            "ID|FOLDER",
+            str,
+            "another checkpoint, on the Hugging Face Hub or in a folder, or another model of "
+            "OpenAI's",
+        ),
+        guidance=cli.value("G", cli.number, "flux2-klein: towards the prompt (default: 5)"),
+        steps=cli.value("N", cli.positive, "flux2-klein: of the sampler (default: 50)"),
+        dtype=cli.choice(
+            Precision, "flux2-klein: of its numbers (default: bfloat16 on a GPU, else float32)"
+        ),
+        offload=cli.choice(
+            Offload, "flux2-klein: what waits outside the GPU's memory (default: none)"
+        ),
+        quality=cli.value(
+            "low|medium|high|auto", str, "gpt-image-2: decides most of the price (default: high)"
+        ),
     )
-    photo.add_argument(
-        "--color-space",
-        choices=get_args(ColorSpace),
-        help="of the photograph (default: its ICC profile, else sRGB, of float files linear)",
-    )
-    photo.add_argument(
-        "--max-size",
-        metavar="PIXELS",
-        type=positive,
-        default=MAX_SIZE,
-        help="average a larger photograph down to this longer side, which all pictures then have",
-    )
-    photo.add_argument(
-        "--without-photo",
-        action="store_true",
-        help="leave the photograph itself out of the scene's pictures",
-    )
-
-    pictures = parser.add_argument_group("pictures under other lights")
-    pictures.add_argument(
-        "--generator",
-        metavar="flux2-klein|gpt-image-2|folder:DIR",
-        default="flux2-klein",
-        help="FLUX.2 Klein on this machine; GPT-Image-2 by OpenAI's service, with the key in "
-        "OPENAI_API_KEY; or pictures that are there already",
-    )
-    pictures.add_argument(
-        "--count",
-        metavar="N",
-        type=positive,
-        help="how many (default: 16, of a folder all)",
-    )
-    pictures.add_argument(
-        "--seed", type=whole_number, help="of the first; the next has one more (default: 0)"
-    )
-    pictures.add_argument(
-        "--model",
-        metavar="ID|FOLDER",
-        help="another checkpoint, on the Hugging Face Hub or in a folder, or another model of "
-        "OpenAI's",
-    )
-    pictures.add_argument(
-        "--guidance", metavar="G", type=number, help="flux2-klein: towards the prompt (default: 5)"
-    )
-    pictures.add_argument(
-        "--steps", metavar="N", type=positive, help="flux2-klein: of the sampler (default: 50)"
-    )
-    pictures.add_argument(
-        "--dtype",
-        choices=get_args(Precision),
-        help="flux2-klein: of its numbers (default: bfloat16 on a GPU, else float32)",
-    )
-    pictures.add_argument(
-        "--offload",
-        choices=get_args(Offload),
-        help="flux2-klein: what waits outside the GPU's memory (default: none)",
-    )
-    pictures.add_argument(
-        "--quality",
-        metavar="low|medium|high|auto",
-        help="gpt-image-2: decides most of the price (default: high)",
-    )
-
     prompts = parser.add_argument_group("prompts")
-    prompts.add_argument(
-        "--prompts", metavar="FILE", type=Path, help="catalogue (default: the one that ships)"
+    cli.add_flags(
+        prompts, prompts=cli.value("FILE", Path, "catalogue (default: the one that ships)")
     )
-    negative = prompts.add_mutually_exclusive_group()
-    negative.add_argument(
-        "--negative", metavar="TEXT", help="what must not appear (default: the catalogue's)"
+    cli.add_flags(
+        prompts.add_mutually_exclusive_group(),
+        negative=cli.value("TEXT", str, "what must not appear (default: the catalogue's)"),
+        no_negative={
+            "dest": "negative",
+            "action": "store_const",
+            "const": "",
+            "help": "no negative prompt",
+        },
     )
-    negative.add_argument(
-        "--no-negative", dest="negative", action="store_const", const="", help="no negative prompt"
+    cli.add_flags(
+        prompts,
+        list_prompts=cli.switch("print the catalogue and do nothing else"),
+        save_prompts=cli.value(
+            "FILE", Path, "write the catalogue that ships to a file to edit, and do nothing else"
+        ),
     )
-    prompts.add_argument(
-        "--list-prompts", action="store_true", help="print the catalogue and do nothing else"
+    cli.add_flags(
+        parser.add_argument_group("review"),
+        regenerate=cli.value(
+            "N",
+            cli.whole_number,
+            "ask for a refused picture again so often, with other seeds (default: 2)",
+        ),
+        no_review=cli.switch("take every picture as it comes"),
     )
-    prompts.add_argument(
-        "--save-prompts",
-        metavar="FILE",
-        type=Path,
-        help="write the catalogue that ships to a file to edit, and do nothing else",
-    )
-
-    review = parser.add_argument_group("review")
-    review.add_argument(
-        "--regenerate",
-        metavar="N",
-        type=whole_number,
-        help="ask for a refused picture again so often, with other seeds (default: 2)",
-    )
-    review.add_argument("--no-review", action="store_true", help="take every picture as it comes")
-
-    maps = parser.add_argument_group("normals and segments")
-    maps.add_argument(
-        "--normals",
-        metavar="marigold|flat|depth:FILE|FILE",
-        type=source(("marigold", "flat"), ("depth:",)),
-        default="marigold",
-        help="by a network, none (every surface faces the camera), or from a file",
-    )
-    maps.add_argument(
-        "--segments",
-        metavar="sam2|none|FILE",
-        type=source(("sam2", "none")),
-        default="sam2",
-        help="by a network, none, or from a file",
-    )
-    maps.add_argument(
-        "--device",
-        choices=get_args(Device),
-        help="where networks compute, those for pictures too (default: a GPU if there is one)",
+    cli.add_flags(
+        parser.add_argument_group("normals and segments"),
+        normals=cli.value(
+            NORMAL_SOURCES,
+            normal_source,
+            "by a network, none (every surface faces the camera), or from a file",
+            default="marigold",
+        ),
+        segments=cli.value(
+            "sam2|none|FILE",
+            source(("sam2", "none")),
+            "by a network, none, or from a file",
+            default="sam2",
+        ),
+        device=cli.choice(
+            Device,
+            "where networks compute, those for pictures too (default: a GPU if there is one)",
+        ),
     )
 
 
@@ -210,11 +172,11 @@ def run(options: argparse.Namespace) -> int:
         with new_file(options.save_prompts, overwrite=options.overwrite) as file:
             file.write_text(shipped_text(), encoding="utf-8")
         print(f"{options.save_prompts}: edit it, and pass it as --prompts")
-        return DONE
+        return cli.DONE
     catalogue = read_prompts(options.prompts)
     if options.list_prompts:
         print(listing(catalogue))
-        return DONE
+        return cli.DONE
     if options.photo is None or options.out is None:
         missing = "PHOTO" if options.photo is None else "--out SCENE"
         raise InputError(f"generate: expected {missing}, found none; see pbrfit generate --help")
@@ -248,12 +210,12 @@ def run(options: argparse.Namespace) -> int:
             overwrite=options.overwrite,
             progress=told,
         )
-    with unread_is_no_failure():
+    with cli.unread_is_no_failure():
         if options.json:
             print(json.dumps(report.as_json(), indent=1, ensure_ascii=False))
         elif not options.quiet:
             _print_summary(report)
-    return DONE
+    return cli.DONE
 
 
 def _check_belonging(options: argparse.Namespace) -> None:
@@ -276,7 +238,7 @@ def _check_belonging(options: argparse.Namespace) -> None:
 
 @contextmanager
 def _progress(options: argparse.Namespace) -> Iterator[Progress]:
-    with progress_bar(1, quiet=options.quiet, unit="picture", name="generate") as bar:
+    with cli.progress_bar(1, quiet=options.quiet, unit="picture", name="generate") as bar:
 
         def told(what: str, done: int, total: int) -> None:
             bar.total = total

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.commands.arguments import DONE, add_scene
+from pbrfit.commands.arguments import DONE, add_flags, add_scene, value
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
 from pbrfit.report import inspection
@@ -15,13 +15,11 @@ from pbrfit.result import preview
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     add_scene(parser)
-    parser.add_argument(
-        "--preview",
-        metavar="FILE",
-        type=Path,
-        help="write a PNG with a picture, the normals, which of them face the camera, and how far "
-        "off they may be, where the scene says it",
+    said = (
+        "write a PNG with a picture, the normals, which of them face the camera, and how far off "
+        "they may be, where the scene says it"
     )
+    add_flags(parser, preview=value("FILE", Path, said))
     add_input(parser)
 
 

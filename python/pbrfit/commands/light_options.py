@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import number, numbers
+from pbrfit.commands.arguments import add_flags, choice, number, numbers, value
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting, rotated
 from pbrfit.model.panorama import Window
@@ -32,50 +31,45 @@ def add_light(parser: argparse.ArgumentParser) -> None:
     """Add the options, of which one light has to be given; `choose_light` reads them."""
     lights = parser.add_argument_group("light, one of")
     one = lights.add_mutually_exclusive_group(required=True)
-    one.add_argument(
-        "--env",
-        metavar="PANORAMA",
-        type=Path,
-        help="equirectangular picture, .hdr or .exr: its centre looks along -Z, into the scene; "
-        "projected to SH light",
+    add_flags(
+        one,
+        env=value(
+            "PANORAMA",
+            Path,
+            "equirectangular picture, .hdr or .exr: its centre looks along -Z, into the scene; "
+            "projected to SH light",
+        ),
+        light=value(
+            "AZIMUTH,ELEVATION",
+            numbers(2, "AZIMUTH,ELEVATION"),
+            "hard light from far away, in degrees: 0,0 is the viewer's, 90,0 comes from the "
+            "right, 0,90 from above",
+        ),
+        sh=value("FILE", Path, "SH light of a lighting.json, such as RESULT's own"),
     )
-    one.add_argument(
-        "--light",
-        metavar="AZIMUTH,ELEVATION",
-        type=numbers(2, "AZIMUTH,ELEVATION"),
-        help="hard light from far away, in degrees: 0,0 is the viewer's, 90,0 comes from the "
-        "right, 0,90 from above",
+    add_flags(
+        lights,
+        rotate=value(
+            "DEG",
+            number,
+            "with --env, --sh: turn the light about +Y, from the viewer to the right (default: 0)",
+        ),
+        window=choice(
+            Window, "with --env: damp what rings about lamps after the projection (default: none)"
+        ),
+        color=value(
+            "R,G,B",
+            numbers(3, "R,G,B"),
+            "with --light: radiance of a white matt surface that faces it (default: 1,1,1)",
+        ),
+        picture=value("NAME", str, "with --sh: whose light of the file"),
     )
-    one.add_argument(
-        "--sh", metavar="FILE", type=Path, help="SH light of a lighting.json, such as RESULT's own"
-    )
-    lights.add_argument(
-        "--rotate",
-        metavar="DEG",
-        type=number,
-        help="with --env, --sh: turn the light about +Y, from the viewer to the right (default: 0)",
-    )
-    lights.add_argument(
-        "--window",
-        choices=get_args(Window),
-        help="with --env: damp what rings about lamps after the projection (default: none)",
-    )
-    lights.add_argument(
-        "--color",
-        metavar="R,G,B",
-        type=numbers(3, "R,G,B"),
-        help="with --light: radiance of a white matt surface that faces it (default: 1,1,1)",
-    )
-    lights.add_argument("--picture", metavar="NAME", help="with --sh: whose light of the file")
 
 
 def choose_light(options: argparse.Namespace) -> tuple[Light, Facts]:
     """Read what the options name, and what there is to say about it.
 
-    Raises
-    ------
-    InputError, OSError
-        If a file cannot be used.
+    Raises InputError or OSError if a file cannot be used.
     """
     if options.light is not None:
         azimuth, elevation = options.light

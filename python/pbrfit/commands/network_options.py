@@ -5,52 +5,39 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.io.color import ColorSpace
+from pbrfit.commands.arguments import Flag, choice, value
+from pbrfit.commands.scene_options import COLOR_SPACE
 
-Flags = Mapping[str, Mapping[str, Any]]
-"""Arguments of `add_argument` by the names of options."""
+Flags = Mapping[str, Flag]
+"""Options by their names."""
 
 SHOWN: Flags = {
-    "picture": {
-        "metavar": "NAME",
-        "help": "show this picture, named without suffix (default: the mean of all, as if all "
-        "lamps were on at once)",
-    },
-    "color_space": {
-        "choices": get_args(ColorSpace),
-        "help": "of all pictures (default: scene.toml, ICC profile, else sRGB for integer files "
-        "and linear Rec.709 for float files)",
-    },
+    "picture": value(
+        "NAME",
+        str,
+        "show this picture, named without suffix (default: the mean of all, as if all lamps were "
+        "on at once)",
+    ),
+    "color_space": COLOR_SPACE,
 }
 """Which picture is shown, and how pictures are read."""
 
-DEVICE: Flags = {
-    "device": {
-        "choices": get_args(Device),
-        "help": "where it computes (default: a GPU, else cpu)",
-    }
-}
+DEVICE: Flags = {"device": choice(Device, "where it computes (default: a GPU, else cpu)")}
 
 PRECISION: Flags = {
-    "dtype": {
-        "choices": get_args(Precision),
-        "help": "of its numbers (default: float16 on a GPU, else float32)",
-    },
-    "offload": {
-        "choices": get_args(Offload),
-        "help": "what waits outside the GPU's memory (default: none)",
-    },
+    "dtype": choice(Precision, "of its numbers (default: float16 on a GPU, else float32)"),
+    "offload": choice(Offload, "what waits outside the GPU's memory (default: none)"),
 }
 
 
 def checkpoint(default: str) -> Flags:
     """Which weights are used."""
     said = f"another checkpoint, on the Hugging Face Hub or in a folder (default: {default})"
-    return {"model": {"metavar": "ID|FOLDER", "help": said}}
+    return {"model": value("ID|FOLDER", str, said)}
 
 
 def source(names: Sequence[str], prefixes: Sequence[str] = ()) -> Callable[[str], str]:
@@ -68,16 +55,17 @@ def source(names: Sequence[str], prefixes: Sequence[str] = ()) -> Callable[[str]
     return read
 
 
-def add_flags(group: Any, flags: Flags) -> None:
-    """Add options to a parser or to a group of one."""
-    for name, arguments in flags.items():
-        group.add_argument(f"--{name.replace('_', '-')}", **arguments)
+NORMAL_SOURCES = "marigold|flat|depth:FILE|FILE"
+normal_source = source(("marigold", "flat"), ("depth:",))
+"""Reader of a source of normals, and how help shows it."""
 
 
 def asked_for(
     options: argparse.Namespace, flags: Mapping[str, Flags], kind: str, flag: str
 ) -> dict[str, Any]:
     """Options that were given, all of them for a source of this kind.
+
+    Raises InputError if an option of another kind was given: it would be ignored.
 
     Parameters
     ----------
@@ -89,11 +77,6 @@ def asked_for(
         Of the source that was asked for.
     flag
         That asked for it, with its value, for the message.
-
-    Raises
-    ------
-    InputError
-        If an option of another kind was given: it would be ignored.
     """
     for name in (name for others in flags.values() for name in others):
         if name not in flags[kind] and getattr(options, name) is not None:

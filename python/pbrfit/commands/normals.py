@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import shlex
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,86 +13,68 @@ from numpy.typing import NDArray
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, marigold
 from pbrfit.acquire.normals.depth import DepthKind
 from pbrfit.acquire.photo import shown_to_network
-from pbrfit.commands.arguments import (
-    DONE,
-    add_quiet,
-    add_scene,
-    number,
-    positive,
-    progress_bar,
-    unread_is_no_failure,
-    whole_number,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import (
     DEVICE,
+    NORMAL_SOURCES,
     PRECISION,
     SHOWN,
     Flags,
-    add_flags,
     asked_for,
     checkpoint,
-    source,
+    normal_source,
 )
+from pbrfit.commands.scene_options import field_of_view
 from pbrfit.scene import completion
 from pbrfit.scene import folder as scene_folder
 
 FLAGS: dict[str, Flags] = {
     "marigold": {
         **SHOWN,
-        "ensemble": {
-            "metavar": "E",
-            "type": positive,
-            "help": "predictions that are averaged; from 3 on, what they differ by gives the "
-            f"weights (default: {marigold.ENSEMBLE})",
-        },
-        "steps": {
-            "metavar": "N",
-            "type": positive,
-            "help": "of the sampler (default: the model's)",
-        },
-        "resolution": {
-            "metavar": "PIXELS",
-            "type": whole_number,
-            "help": "longer side at which the network sees the picture, 0 = as it is (default: "
-            "the model's)",
-        },
-        "seed": {
-            "type": whole_number,
-            "help": "of the first prediction, the next has one more (default: 0)",
-        },
+        "ensemble": cli.value(
+            "E",
+            cli.positive,
+            "predictions that are averaged; from 3 on, what they differ by gives the weights "
+            f"(default: {marigold.ENSEMBLE})",
+        ),
+        "steps": cli.value("N", cli.positive, "of the sampler (default: the model's)"),
+        "resolution": cli.value(
+            "PIXELS",
+            cli.whole_number,
+            "longer side at which the network sees the picture, 0 = as it is (default: the "
+            "model's)",
+        ),
+        "seed": cli.value(
+            None, cli.whole_number, "of the first prediction, the next has one more (default: 0)"
+        ),
         **checkpoint(marigold.MODEL),
         **DEVICE,
         **PRECISION,
     },
     "depth": {
-        "depth_kind": {
-            "choices": get_args(DepthKind),
-            "help": "what a number says, up to any factor: the distance along the optical axis, "
-            "that along the pixel's ray, or the inverse of the first (default: z)",
-        },
-        "fov": {
-            "metavar": "DEG",
-            "type": number,
-            "help": "horizontal field of view, 0 = orthographic (default: scene.toml, EXIF, else "
-            "60)",
-        },
-        "view_width": {
-            "metavar": "WIDTH",
-            "type": number,
-            "help": "what an orthographic camera sees from left to right, in units of the depth",
-        },
+        "depth_kind": cli.choice(
+            DepthKind,
+            "what a number says, up to any factor: the distance along the optical axis, that along "
+            "the pixel's ray, or the inverse of the first (default: z)",
+        ),
+        "fov": field_of_view(cli.number, "scene.toml, EXIF"),
+        "view_width": cli.value(
+            "WIDTH",
+            cli.number,
+            "what an orthographic camera sees from left to right, in units of the depth",
+        ),
     },
     "file": {
-        "convention": {
-            "choices": ("opengl", "directx"),
-            "help": "opengl: Y up; directx: Y down (default: scene.toml, else opengl)",
-        },
-        "frame": {
-            "choices": ("camera", "tangent", "world"),
-            "help": "camera: X right, Z to the viewer; tangent: the texture of a flat card that "
-            "faces the camera; world: turned by scene.toml's world_to_camera (default: "
-            "scene.toml, else camera)",
-        },
+        "convention": cli.choice(
+            ("opengl", "directx"),
+            "opengl: Y up; directx: Y down (default: scene.toml, else opengl)",
+        ),
+        "frame": cli.choice(
+            ("camera", "tangent", "world"),
+            "camera: X right, Z to the viewer; tangent: the texture of a flat card that faces the "
+            "camera; world: turned by scene.toml's world_to_camera (default: scene.toml, else "
+            "camera)",
+        ),
     },
     "flat": {},
 }
@@ -112,22 +94,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "scene.toml states, and where some are uncertain or missing weights.exr, which says how "
         "much pixels count in a fit. marigold needs the extra packages pbrfit[diffusion]."
     )
-    add_scene(parser)
+    cli.add_scene(parser)
     parser.add_argument(
         "--from",
         dest="source",
-        metavar="marigold|flat|depth:FILE|FILE",
-        type=source(("marigold", "flat"), ("depth:",)),
+        metavar=NORMAL_SOURCES,
+        type=normal_source,
         default="marigold",
         help="marigold: a network's estimate; flat: every surface faces the camera; depth:FILE: "
         "from a depth map; FILE: normals that are there already",
     )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace existing normals and weights"
-    )
-    add_quiet(parser, "no progress bar, no summary")
+    cli.add_flags(parser, overwrite=cli.switch("replace existing normals and weights"))
+    cli.add_quiet(parser, "no progress bar, no summary")
     for kind, title in TITLES.items():
-        add_flags(parser.add_argument_group(title), FLAGS[kind])
+        cli.add_flags(parser.add_argument_group(title), **FLAGS[kind])
 
 
 def run(options: argparse.Namespace) -> int:
@@ -142,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
     )
     if not options.quiet:
-        with unread_is_no_failure():
+        with cli.unread_is_no_failure():
             print(f"{paths[0]}: {said}")
             for line in _facts(found):
                 print(f"  {line}")
@@ -150,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
                 print(f"{paths[1]}: {_of_weights(found)}")
             scene = shlex.quote(str(options.scene))
             print(f"look at them: pbrfit inspect {scene} --preview normals_preview.png")
-    return DONE
+    return cli.DONE
 
 
 def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
@@ -161,7 +141,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
         space = given.pop("color_space", None)
         srgb8, what = shown_to_network(options.scene, given.pop("picture", None), space)
         total = given.get("ensemble", marigold.ENSEMBLE)
-        with progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
+        with cli.progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
             found = estimate(kind, srgb8, fov=0.0, progress=bar.update, **given)
         return found, f"{found.record['model']}, shown {what}"
     size = completion.picture_size(options.scene)

@@ -4,19 +4,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from typing import get_args
+from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import (
-    DONE,
-    add_quiet,
-    add_result,
-    add_threads,
-    number,
-    positive,
-    progress_bar,
-    unread_is_no_failure,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.light_options import Light, add_light, choose_light
 from pbrfit.io import relit_files
 from pbrfit.io.display import ToneMap
@@ -42,50 +33,45 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Render a result under a panorama, a hard light from one direction, or SH light. "
         "docs/relight.md says what each of them is good for."
     )
-    add_result(
+    cli.add_result(
         parser,
         "FILE",
         ".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or .webp",
     )
-    parser.add_argument(
-        "--model",
-        choices=MODELS,
-        help="the reflection model that the result is expected to be of; with another one it is "
-        "refused (default: whichever it is of)",
+    cli.add_flags(
+        parser,
+        model=cli.choice(
+            MODELS,
+            "the reflection model that the result is expected to be of; with another one it is "
+            "refused (default: whichever it is of)",
+        ),
     )
     add_light(parser)
-
-    files = parser.add_argument_group("output")
-    files.add_argument(
-        "--turntable",
-        metavar="N",
-        type=positive,
-        help="N frames while the light goes once around, from where it is to the right",
+    cli.add_flags(
+        parser.add_argument_group("output"),
+        turntable=cli.value(
+            "N",
+            cli.positive,
+            "N frames while the light goes once around, from where it is to the right",
+        ),
+        format=cli.choice(
+            ("exr", "png"), "with --turntable and a folder: of the frames (default: exr)"
+        ),
+        fps=cli.value(
+            "F",
+            cli.number,
+            f"with --turntable and an animation: frames a second, 1 to 50 (default: {FPS:g})",
+        ),
+        exposure=cli.value(
+            "EV", cli.number, "of files for a screen, in stops: radiance times 2^EV (default: 0)"
+        ),
+        tone_map=cli.choice(
+            ToneMap,
+            "of files for a screen: neutral compresses highlights that none clips (default: none)",
+        ),
     )
-    files.add_argument(
-        "--format",
-        choices=("exr", "png"),
-        help="with --turntable and a folder: of the frames (default: exr)",
-    )
-    files.add_argument(
-        "--fps",
-        metavar="F",
-        type=number,
-        help=f"with --turntable and an animation: frames a second, 1 to 50 (default: {FPS:g})",
-    )
-    files.add_argument(
-        "--exposure",
-        metavar="EV",
-        type=number,
-        help="of files for a screen, in stops: radiance times 2^EV (default: 0)",
-    )
-    files.add_argument(
-        "--tone-map",
-        choices=get_args(ToneMap),
-        help="of files for a screen: neutral compresses highlights that none clips (default: none)",
-    )
-    add_threads(parser)
-    add_quiet(parser)
+    cli.add_threads(parser)
+    cli.add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -103,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     light, said = choose_light(options)
     screen = Screen(options.exposure or 0.0, options.tone_map or "none")
     radiance = Range()
-    with progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
+    with cli.progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
 
         def frames() -> Iterator[Radiance]:
             for frame in radiance.take(_frames(result, light, options)):
@@ -112,11 +98,11 @@ def run(options: argparse.Namespace) -> int:
 
         _write(options, kind, frames(), screen)
     if not options.quiet:
-        with unread_is_no_failure():
+        with cli.unread_is_no_failure():
             facts = [*said, *_facts_of_output(options, kind, result, screen, radiance)]
             for topic, fact in facts:
                 print(f"{topic:<12}{fact}")
-    return DONE
+    return cli.DONE
 
 
 def _kind(options: argparse.Namespace) -> str:
@@ -124,11 +110,8 @@ def _kind(options: argparse.Namespace) -> str:
     suffix: str = options.out.suffix.lower()
     if options.turntable is None:
         if suffix not in (".exr", ".png"):
-            hint = (
-                ""
-                if suffix not in (".gif", ".webp", "")
-                else f"; {suffix or 'a folder'} needs --turntable N"
-            )
+            several = suffix in (".gif", ".webp", "")
+            hint = f"; {suffix or 'a folder'} needs --turntable N" if several else ""
             raise InputError(
                 f"{options.out}: expected a file that ends in .exr (linear) or .png (for a "
                 f"screen), found {suffix or 'no suffix'}{hint}"
@@ -148,43 +131,39 @@ def _for_screen(options: argparse.Namespace, kind: str) -> bool:
 
 def _check_belonging(options: argparse.Namespace, kind: str) -> None:
     """Refuse options that would do nothing."""
-    given = {
-        name: getattr(options, name.replace("-", "_")) is not None
-        for name in (
-            *("env", "light", "sh", "rotate", "window", "color", "picture"),
-            *("turntable", "format", "fps", "exposure", "tone-map"),
-        )
-    }
+    given = {name for name, value in vars(options).items() if value is not None}
     folder = kind == "folder"
-    animation = given["turntable"] and not folder
-    rules = (
+    for name, belongs, message in (
         (
             "rotate",
-            given["env"] or given["sh"],
+            given & {"env", "sh"},
             "goes with --env or --sh; give --light another azimuth instead",
         ),
-        ("window", given["env"], "goes with --env"),
-        ("color", given["light"], "goes with --light"),
-        ("picture", given["sh"], "goes with --sh"),
+        ("window", "env" in given, "goes with --env"),
+        ("color", "light" in given, "goes with --light"),
+        ("picture", "sh" in given, "goes with --sh"),
         ("format", folder, "goes with --turntable and a folder as --out"),
-        ("fps", animation, "goes with --turntable and .gif, .webp or .png as --out"),
-    )
-    for name, belongs, message in rules:
-        if given[name] and not belongs:
+        (
+            "fps",
+            "turntable" in given and not folder,
+            "goes with --turntable and .gif, .webp or .png as --out",
+        ),
+    ):
+        if name in given and not belongs:
             raise InputError(f"--{name}: {message}")
-    for name in ("exposure", "tone-map"):
-        if given[name] and not _for_screen(options, kind):
+    for name in ("exposure", "tone_map"):
+        if name in given and not _for_screen(options, kind):
             raise InputError(
-                f"--{name}: expected a file for a screen, such as .png"
+                f"--{name.replace('_', '-')}: expected a file for a screen, such as .png"
                 f"{' (--format png)' if folder else ''}, found EXR: it holds linear radiance, and "
                 "what it is shown with is left to who shows it"
             )
-    if given["exposure"] and not abs(options.exposure) <= EXPOSURE_MAX:
+    if "exposure" in given and not abs(options.exposure) <= EXPOSURE_MAX:
         raise InputError(
             f"--exposure: expected -{EXPOSURE_MAX:g} to {EXPOSURE_MAX:g} stops, found "
             f"{options.exposure:g}"
         )
-    if given["fps"] and not 1 <= options.fps <= 50:
+    if "fps" in given and not 1 <= options.fps <= 50:
         raise InputError(f"--fps: expected 1 to 50, found {options.fps:g}")
 
 
@@ -200,7 +179,8 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
             "the result's and the light's"
         )
     if kind == "folder":
-        check_free(options.out, overwrite=options.overwrite, contains=_contains(options))
+        first = _frame_name(0, options)
+        check_free(options.out, overwrite=options.overwrite, contains=(first,))
     else:
         check_free_file(options.out, overwrite=options.overwrite)
 
@@ -217,34 +197,29 @@ def _write(
     options: argparse.Namespace, kind: str, frames: Iterator[Radiance], screen: Screen
 ) -> None:
     if kind == "folder":
-        with new_folder(
-            options.out, overwrite=options.overwrite, contains=_contains(options)
-        ) as folder:
+        first = (_frame_name(0, options),)
+        with new_folder(options.out, overwrite=options.overwrite, contains=first) as folder:
             for k, frame in enumerate(frames):
-                path = folder / _frame_name(k, options)
-                if path.suffix == ".exr":
-                    relit_files.write_exr(path, frame)
-                else:
-                    relit_files.write_png(path, screen.shown(frame))
+                _write_picture(folder / _frame_name(k, options), frame, screen)
         return
     with new_file(options.out, overwrite=options.overwrite) as path:
-        if options.turntable is not None:
+        if options.turntable is None:
+            _write_picture(path, next(frames), screen)
+        else:
             shown = (screen.shown(frame) for frame in frames)
             relit_files.write_animation(path, kind, shown, options.fps or FPS)
-        elif kind == ".exr":
-            relit_files.write_exr(path, next(frames))
-        else:
-            relit_files.write_png(path, screen.shown(next(frames)))
+
+
+def _write_picture(path: Path, frame: Radiance, screen: Screen) -> None:
+    if path.suffix.lower() == ".exr":
+        relit_files.write_exr(path, frame)
+    else:
+        relit_files.write_png(path, screen.shown(frame))
 
 
 def _frame_name(k: int, options: argparse.Namespace) -> str:
     digits = max(4, len(str(options.turntable - 1)))
     return f"frame_{k:0{digits}}.{options.format or 'exr'}"
-
-
-def _contains(options: argparse.Namespace) -> tuple[str, ...]:
-    """What an earlier output that may be replaced holds."""
-    return (_frame_name(0, options),)
 
 
 def _facts_of_output(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.commands.arguments import DONE, add_quiet, add_result
+from pbrfit.commands.arguments import DONE, add_flags, add_quiet, add_result, value
 from pbrfit.report import write_report
 from pbrfit.result.result import Result
 
@@ -13,12 +13,8 @@ from pbrfit.result.result import Result
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     add_result(parser, "FILE", "page to write, FILE.html")
-    parser.add_argument(
-        "--scene",
-        metavar="SCENE",
-        type=Path,
-        help="scene folder that the result was made from (default: where it was then)",
-    )
+    said = "scene folder that the result was made from (default: where it was then)"
+    add_flags(parser, scene=value("SCENE", Path, said))
     add_quiet(parser)
 
 

@@ -3,41 +3,43 @@
 from __future__ import annotations
 
 import argparse
-from typing import get_args
+from collections.abc import Callable
 
 from pbrfit.batch.settings import Reading
-from pbrfit.commands.arguments import code_range
+from pbrfit.commands.arguments import Flag, add_flags, choice, code_range, value
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import CODE_RANGE
+
+COLOR_SPACE = choice(
+    ColorSpace,
+    "of all pictures (default: scene.toml, ICC profile, else sRGB for integer files and linear "
+    "Rec.709 for float files)",
+)
+
+
+def field_of_view(kind: Callable[[str], float], otherwise: str) -> Flag:
+    """`--fov`, and where it comes from without it."""
+    return value(
+        "DEG", kind, f"horizontal field of view, 0 = orthographic (default: {otherwise}, else 60)"
+    )
 
 
 def add_input(parser: argparse.ArgumentParser) -> None:
     """Add them; `reading` reads them."""
-    parser.add_argument(
-        "--fov",
-        metavar="DEG",
-        type=float,
-        help="horizontal field of view, 0 = orthographic (default: scene.toml, EXIF, else 60)",
-    )
-    parser.add_argument(
-        "--color-space",
-        choices=get_args(ColorSpace),
-        help="of all pictures (default: scene.toml, ICC profile, else sRGB for integer files and "
-        "linear Rec.709 for float files)",
-    )
-    parser.add_argument(
-        "--max-size",
-        metavar="PIXELS",
-        type=int,
-        help="average larger pictures down to this longer side (default: as they are)",
-    )
-    parser.add_argument(
-        "--code-range",
-        metavar="LOW,HIGH",
-        type=code_range,
-        default=f"{CODE_RANGE[0]},{CODE_RANGE[1]}",
-        help="leave out samples of integer pictures with a channel above HIGH, or with all below "
-        "LOW, in 8-bit codes; 0,255 keeps all",
+    add_flags(
+        parser,
+        fov=field_of_view(float, "scene.toml, EXIF"),
+        color_space=COLOR_SPACE,
+        max_size=value(
+            "PIXELS", int, "average larger pictures down to this longer side (default: as they are)"
+        ),
+        code_range=value(
+            "LOW,HIGH",
+            code_range,
+            "leave out samples of integer pictures with a channel above HIGH, or with all below "
+            "LOW, in 8-bit codes; 0,255 keeps all",
+            default=f"{CODE_RANGE[0]},{CODE_RANGE[1]}",
+        ),
     )
 
 

@@ -8,19 +8,11 @@ import numpy as np
 
 from pbrfit.acquire import segments
 from pbrfit.acquire.photo import shown_to_network
-from pbrfit.commands.arguments import (
-    DONE,
-    add_quiet,
-    add_scene,
-    number,
-    positive,
-    unread_is_no_failure,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import (
     DEVICE,
     SHOWN,
     Flags,
-    add_flags,
     asked_for,
     checkpoint,
     source,
@@ -29,17 +21,14 @@ from pbrfit.scene import completion
 
 SAM2: Flags = {
     **SHOWN,
-    "points": {
-        "metavar": "N",
-        "type": positive,
-        "help": "ask what lies at N × N points of the picture (default: 32)",
-    },
-    "smallest": {
-        "metavar": "SHARE",
-        "type": number,
-        "help": "drop segments of which less than this share of the picture shows (default: "
-        "0.0005)",
-    },
+    "points": cli.value(
+        "N", cli.positive, "ask what lies at N × N points of the picture (default: 32)"
+    ),
+    "smallest": cli.value(
+        "SHARE",
+        cli.number,
+        "drop segments of which less than this share of the picture shows (default: 0.0005)",
+    ),
     **checkpoint(segments.MODEL),
     **DEVICE,
 }
@@ -53,7 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Give segments to a folder of pictures: segments.png. Of masks that overlap the smaller "
         "lies on top. sam2 needs the extra packages pbrfit[segment]."
     )
-    add_scene(parser)
+    cli.add_scene(parser)
     parser.add_argument(
         "--from",
         dest="source",
@@ -62,9 +51,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default="sam2",
         help="sam2: a network's; FILE: a picture of ids, which may be larger",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace existing segments")
-    add_quiet(parser, "no summary")
-    add_flags(parser.add_argument_group("--from sam2"), SAM2)
+    cli.add_flags(parser, overwrite=cli.switch("replace existing segments"))
+    cli.add_quiet(parser, "no summary")
+    cli.add_flags(parser.add_argument_group("--from sam2"), **SAM2)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -81,9 +70,9 @@ def run(options: argparse.Namespace) -> int:
     path = completion.add_segments(options.scene, ids, overwrite=options.overwrite)
     if not options.quiet:
         count = record["segments"]
-        with unread_is_no_failure():
+        with cli.unread_is_no_failure():
             print(
                 f"{path}: {count} segment{'s' if count != 1 else ''}, "
                 f"{100 * np.mean(ids > 0):.0f} % of the picture"
             )
-    return DONE
+    return cli.DONE

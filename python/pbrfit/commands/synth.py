@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from pbrfit import synthetic
-from pbrfit.commands.arguments import DONE, whole_number
+from pbrfit.commands.arguments import DONE, add_flags, choice, switch, value, whole_number
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.io.output import check_free
 from pbrfit.model.reflection import DEFAULT_MODEL
@@ -21,34 +21,33 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_synthetic(parser)
     add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
     add_option(parser, "sh_order", "of the lights")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+    add_flags(parser, overwrite=switch("replace an existing folder"))
 
 
 def add_synthetic(
     parser: argparse.ArgumentParser, what_seed: str = "of scene, lights and noise"
 ) -> None:
     """Add what says which scene is made; `make_scene` reads it, `--model` and `--sh-order`."""
-    parser.add_argument(
-        "--scene",
-        dest="kind",
-        choices=(*KINDS, *ADDED_KINDS),
-        default="room",
-        help="kind of scene: plain pieces; a grid of spheres; patterned pieces; a room with "
-        "furniture; that room with fine textures and relief",
+    add_flags(
+        parser,
+        scene=choice(
+            (*KINDS, *ADDED_KINDS),
+            "kind of scene: plain pieces; a grid of spheres; patterned pieces; a room with "
+            "furniture; that room with fine textures and relief",
+            dest="kind",
+            default="room",
+        ),
+        textures=value(
+            "DIR",
+            Path,
+            "with --scene detailed: maps NAME_albedo, NAME_roughness, NAME_metallic, NAME_normal "
+            "(default: procedural detail)",
+        ),
+        size=value("PIXELS", int, "side of a picture", default=128),
+        lights=value("N", int, "number of pictures", default=16),
+        noise=value("S", float, "Gaussian; mean radiance is 0.4", default=0.0),
+        seed=value(None, whole_number, what_seed, default=0),
     )
-    parser.add_argument(
-        "--textures",
-        metavar="DIR",
-        type=Path,
-        help="with --scene detailed: maps NAME_albedo, NAME_roughness, NAME_metallic, NAME_normal "
-        "(default: procedural detail)",
-    )
-    parser.add_argument("--size", metavar="PIXELS", type=int, default=128, help="side of a picture")
-    parser.add_argument("--lights", metavar="N", type=int, default=16, help="number of pictures")
-    parser.add_argument(
-        "--noise", metavar="S", type=float, default=0.0, help="Gaussian; mean radiance is 0.4"
-    )
-    parser.add_argument("--seed", type=whole_number, default=0, help=what_seed)
 
 
 def make_scene(options: argparse.Namespace) -> Scene:

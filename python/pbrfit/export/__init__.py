@@ -13,7 +13,6 @@ docs/export.md says how tools read them.
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from pbrfit.export.maps import Bits, Maps, NormalConvention
 from pbrfit.export.presets import Format, Plan, PresetName, plan
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io import images
+from pbrfit.io.json_files import write_json
 from pbrfit.io.output import new_folder
 from pbrfit.model.materials import write_materials
 from pbrfit.result.result import Result
@@ -47,24 +47,16 @@ CONTAINS = (MANIFEST,)
 
 @dataclass(frozen=True)
 class ExportedFile:
-    """A file of an export.
-
-    Attributes
-    ----------
-    path
-        In the folder, with "/".
-    holds
-        What a channel each is, or all of it, in words.
-    color_space
-        How its values are encoded, in words.
-    size
-        Bytes.
-    """
+    """A file of an export."""
 
     path: str
+    """In the folder, with "/"."""
     holds: str
+    """What a channel each is, or all of it, in words."""
     color_space: str
+    """How its values are encoded, in words."""
     size: int
+    """Bytes."""
 
 
 @dataclass(frozen=True)
@@ -226,5 +218,4 @@ def _write_manifest(path: Path, result: Result, planned: Plan, files: list[Expor
             {"path": of.path, "holds": of.holds, "color_space": of.color_space} for of in files
         ],
     }
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_json(path, content)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 import unicodedata
 import uuid
@@ -17,6 +16,7 @@ import numpy as np
 
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
+from pbrfit.io.json_files import write_json
 from pbrfit.model.lighting import BAND_OF, Lighting
 from pbrfit.result.result import Result
 
@@ -34,28 +34,21 @@ FILES = {
 
 @dataclass(frozen=True)
 class LightPanorama:
-    """The panorama of a light.
-
-    Attributes
-    ----------
-    picture
-        Whose light it is.
-    file
-        Its name in the folder of lights.
-    difference
-        By how much the surfaces look different under it than under the SH light, which may be
-        negative in places: RMS, relative; 0 where it is not.
-    """
+    """The panorama of a light."""
 
     picture: str
+    """Whose light it is."""
     file: str
+    """Its name in the folder of lights."""
     difference: float
+    """By how much the surfaces look different under it than under the SH light, which may be
+    negative in places: RMS, relative; 0 where it is not."""
 
 
 def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     """Write all of `FILES` and a panorama a light into an existing folder."""
-    # Imported here: it looks for libraries.
-    from threadpoolctl import threadpool_limits
+    # Imported here: what only writing needs takes long to import.
+    from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 
     lighting = Lighting(result.pictures, result.lighting)
     response = surface_response(result)
@@ -66,7 +59,7 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     for picture, name, light in zip(
         lighting.pictures, file_names(lighting.pictures), lighting.coefficients, strict=True
     ):
-        with threadpool_limits(1, user_api="blas"):  # the same bits whatever the processor count
+        with one_blas_thread():  # the same bits whatever the processor count
             radiance, difference = nonnegative_radiance(light, response, HEIGHT)
         file = f"{name}.exr"
         radiance = np.minimum(radiance, np.finfo(np.float32).max)
@@ -139,8 +132,7 @@ def _write_three(path: Path, lighting: Lighting) -> None:
         },
         "object": {"uuid": _uuid("lights"), "type": "Group", "name": "lights", "children": probes},
     }
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_json(path, content)
 
 
 def _uuid(name: str) -> str:

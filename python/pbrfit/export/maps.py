@@ -22,24 +22,16 @@ Bits = Literal[8, 16]
 
 @dataclass(frozen=True)
 class Texture:
-    """What a texture file holds.
-
-    Attributes
-    ----------
-    name
-        Of the file, without suffix.
-    channels
-        Keys of `CHANNELS`, one a channel of the file.
-    color
-        Whether it is a colour: integer files then hold it sRGB-encoded, but for alpha.
-    bits
-        Of integer files, unless asked otherwise.
-    """
+    """What a texture file holds."""
 
     name: str
+    """Of the file, without suffix."""
     channels: tuple[str, ...]
+    """Keys of `CHANNELS`, one a channel of the file."""
     color: bool = False
+    """Whether it is a colour: integer files then hold it sRGB-encoded, but for alpha."""
     bits: Bits = 16
+    """Of integer files, unless asked otherwise."""
 
     @property
     def color_space(self) -> str:
@@ -49,34 +41,23 @@ class Texture:
 
 @dataclass(frozen=True)
 class Maps:
-    """The maps of a result; outside the mask they hold the values of the nearest pixel inside.
-
-    Attributes
-    ----------
-    albedo
-        (H, W, 3), linear Rec.709.
-    roughness, metallic
-        (H, W).
-    normals
-        (H, W, 3), unit vectors in camera space, Y up.
-    mask
-        (H, W) bool.
-    """
+    """The maps of a result; outside the mask they hold the values of the nearest pixel inside."""
 
     albedo: NDArray[np.float64]
+    """(H, W, 3), linear Rec.709."""
     roughness: NDArray[np.float64]
     metallic: NDArray[np.float64]
+    """(H, W)."""
     normals: NDArray[np.float64]
+    """(H, W, 3), unit vectors in camera space, Y up."""
     mask: NDArray[np.bool_]
+    """(H, W) bool."""
 
     @classmethod
     def of(cls, result: Result) -> Maps:
         """Maps of a result.
 
-        Raises
-        ------
-        InputError
-            If no pixel is in the mask, or one in it is not finite.
+        Raises InputError if no pixel is in the mask, or one in it is not finite.
         """
         if not result.mask.any():
             raise InputError("mask: expected at least one pixel in it, found none")

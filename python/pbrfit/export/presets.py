@@ -15,25 +15,17 @@ PresetName = Literal["blender", "unreal", "unity"]
 
 @dataclass(frozen=True)
 class Preset:
-    """What a tool expects.
-
-    Attributes
-    ----------
-    formats
-        Written unless one is asked for.
-    normals
-        Convention of normal maps unless one is asked for.
-    textures
-        Texture files. "{normals}" in a name becomes the convention, and green follows it.
-    opacity
-        What is added where the mask leaves pixels out: a texture, or the mask as alpha of the
-        first one.
-    """
+    """What a tool expects."""
 
     formats: tuple[Format, ...]
+    """Written unless one is asked for."""
     normals: NormalConvention
+    """Convention of normal maps unless one is asked for."""
     textures: tuple[Texture, ...]
+    """Texture files. "{normals}" in a name becomes the convention, and green follows it."""
     opacity: Texture | Literal["alpha"]
+    """What is added where the mask leaves pixels out: a texture, or the mask as alpha of the first
+    one."""
 
 
 _SEPARATE = (
@@ -79,27 +71,18 @@ PRESETS: dict[PresetName, Preset] = {
 
 @dataclass(frozen=True)
 class Plan:
-    """What an export writes, lights apart.
-
-    Attributes
-    ----------
-    formats
-        One or more.
-    normals
-        Convention of normal maps; that of glTF is fixed.
-    textures
-        Files of PNG and EXR.
-    bits
-        Of all integer textures; None = each its own.
-    geometry
-        Of glTF.
-    """
+    """What an export writes, lights apart."""
 
     formats: tuple[Format, ...]
+    """One or more."""
     normals: NormalConvention
+    """Convention of normal maps; that of glTF is fixed."""
     textures: tuple[Texture, ...]
+    """Files of PNG and EXR."""
     bits: Bits | None
+    """Of all integer textures; None = each its own."""
     geometry: Geometry = "card"
+    """Of glTF."""
 
     def bits_of(self, texture: Texture) -> Bits:
         """Of an integer file of the texture."""
@@ -117,10 +100,7 @@ def plan(
 ) -> Plan:
     """What to write, from what was asked for; `masked`: the mask leaves pixels out.
 
-    Raises
-    ------
-    InputError
-        If an option is unknown, or would have no effect beside the others.
+    Raises InputError if an option is unknown, or would have no effect beside the others.
     """
     for name, value, kind in (
         ("format", format, Format),

@@ -32,18 +32,12 @@ NEAREST, FARTHEST = 0.5, 2.0
 
 @dataclass(frozen=True)
 class ViewMesh:
-    """Triangles, counter-clockwise as seen from the camera.
-
-    Attributes
-    ----------
-    attributes
-        (V, 2 to 4) float32 by glTF name; v of texture coordinates grows downwards.
-    triangles
-        (T, 3) indices of vertices.
-    """
+    """Triangles, counter-clockwise as seen from the camera."""
 
     attributes: Mapping[str, NDArray[np.float32]]
+    """(V, 2 to 4) float32 by glTF name; v of texture coordinates grows downwards."""
     triangles: NDArray[np.uint32]
+    """(T, 3) indices of vertices."""
 
 
 def camera(height: int, width: int, fov: float) -> tuple[dict[str, Any], float]:

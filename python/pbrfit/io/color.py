@@ -67,13 +67,9 @@ def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
 def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
     """Matrix (3, 3) from linear RGB to CIE XYZ, white with Y = 1.
 
-    The columns are the primaries, XYZ = (x/y, 1, (1-x-y)/y), each scaled so that equal amounts
-    of the three give the white point.
-
-    Raises
-    ------
-    ValueError
-        If a y is zero or the primaries lie on one line.
+    The columns are the primaries, XYZ = (x/y, 1, (1-x-y)/y), each scaled so that equal amounts of
+    the three give the white point. Raises ValueError if a y is zero or the primaries lie on one
+    line.
     """
     points = np.array([primaries.red, primaries.green, primaries.blue, primaries.white])
     x, y = points.T
@@ -95,10 +91,7 @@ def bradford(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArra
 def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
     """Matrix (3, 3) from linear RGB of some primaries to linear Rec.709; rows sum to 1.
 
-    Raises
-    ------
-    ValueError
-        As `rgb_to_xyz`.
+    Raises ValueError as `rgb_to_xyz`.
     """
     to_xyz, rec709 = rgb_to_xyz(primaries), rgb_to_xyz(REC709)
     adapt = bradford(to_xyz.sum(axis=1), rec709.sum(axis=1))
@@ -117,18 +110,12 @@ def icc_to_rec709(to_xyz: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Conversion:
-    """The way from stored samples to linear Rec.709.
-
-    Attributes
-    ----------
-    curve
-        ``"srgb"``, ``"linear"``, or sampled curves of an integer file, (1 or 3, levels) float32.
-    matrix
-        (3, 3) from linear RGB to linear Rec.709, or None for the identity.
-    """
+    """The way from stored samples to linear Rec.709."""
 
     curve: Literal["srgb", "linear"] | NDArray[np.float32]
+    """``"srgb"``, ``"linear"``, or sampled curves of an integer file, (1 or 3, levels) float32."""
     matrix: NDArray[np.float64] | None = None
+    """(3, 3) from linear RGB to linear Rec.709, or None for the identity."""
 
     def __call__(self, samples: NDArray[Any]) -> NDArray[np.float32]:
         """Samples (H, W, 3), uint8, uint16 or floating, as linear Rec.709 float32, a new array."""
@@ -175,10 +162,7 @@ def _table(curve: str, levels: int) -> NDArray[np.float32]:
 def conversion(space: ColorSpace) -> Conversion:
     """Conversion from a named colour space.
 
-    Raises
-    ------
-    ValueError
-        If the name is not one of `ColorSpace`.
+    Raises ValueError if the name is not one of `ColorSpace`.
     """
     if space == "srgb":
         return Conversion("srgb")
@@ -202,14 +186,8 @@ def from_icc(curves: list[NDArray[np.float32]], to_xyz: ArrayLike | None) -> Con
     """Conversion from the curves and the colorants of an ICC profile.
 
     Colorants of Rec.709 to within the rounding that profiles have (1e-3 in the matrix) count as
-    Rec.709.
-
-    Parameters
-    ----------
-    curves
-        One curve of a grey profile or three, each (levels,), linear light per code.
-    to_xyz
-        (3, 3) colorants as columns, XYZ under D50; None of a grey profile.
+    Rec.709. There is one curve of a grey profile or three, each (levels,), linear light per code;
+    `to_xyz` (3, 3) has the colorants as columns, XYZ under D50, None of a grey profile.
     """
     matrix = None if to_xyz is None else icc_to_rec709(to_xyz)
     if matrix is not None and np.abs(matrix - np.eye(3)).max() <= 1e-3:

@@ -20,19 +20,9 @@ def encoded(
 ) -> NDArray[np.float64]:
     """Values for an sRGB screen, in [0, 1], of linear Rec.709 radiance (..., 3); NaN stays NaN.
 
-    Parameters
-    ----------
-    radiance
-        1 is white at exposure 0. Negative radiance is black.
-    exposure
-        In stops: radiance is multiplied by 2^exposure.
-    tone_map
-        ``none`` clips each channel at 1.
-
-    Raises
-    ------
-    InputError
-        If `tone_map` is another, or `exposure` is not finite.
+    1 is white at exposure 0, in stops: radiance is multiplied by 2^exposure. Negative radiance is
+    black, and the tone map ``none`` clips each channel at 1. Raises InputError if `tone_map` is
+    another, or `exposure` is not finite.
     """
     if tone_map not in TONE_MAPS:
         raise InputError(f"tone_map: expected one of {', '.join(TONE_MAPS)}, found {tone_map!r}")

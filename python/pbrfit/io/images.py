@@ -61,42 +61,29 @@ _FOCAL_LENGTH_35MM = 0xA405
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture, decoded.
-
-    Attributes
-    ----------
-    pixels
-        (H, W, 3), linear Rec.709 with D65, float32.
-    alpha
-        (H, W), coverage in [0, 1], float32, or None. The colours are as stored: not divided and
-        not multiplied by it.
-    clipped
-        (H, W), bool: some colour channel is above the code range, so that there may have been any
-        amount of light more. All False for float files.
-    dark
-        (H, W), bool: all colour channels are below the code range. All False for float files.
-    negative
-        (H, W), bool: some colour channel is below 0 in the file's own primaries. Colours outside of
-        Rec.709 are negative in `pixels` without that.
-    color
-        One sentence on how the colour was decided.
-    focal_length_35mm
-        From EXIF, millimetres, or None.
-    sha256
-        Of the file, hexadecimal.
-    bit_depth
-        Bits of a sample: 8 or 16 for integer files, 32 for float files.
-    """
+    """One picture, decoded."""
 
     pixels: NDArray[np.float32]
+    """(H, W, 3), linear Rec.709 with D65, float32."""
     alpha: NDArray[np.float32] | None
+    """(H, W), coverage in [0, 1], float32, or None. The colours are as stored: not divided and not
+    multiplied by it."""
     clipped: NDArray[np.bool_]
+    """(H, W), bool: some colour channel is above the code range, so that there may have been any
+    amount of light more. All False for float files."""
     dark: NDArray[np.bool_]
+    """(H, W), bool: all colour channels are below the code range. All False for float files."""
     negative: NDArray[np.bool_]
+    """(H, W), bool: some colour channel is below 0 in the file's own primaries. Colours outside of
+    Rec.709 are negative in `pixels` without that."""
     color: str
+    """One sentence on how the colour was decided."""
     focal_length_35mm: float | None
+    """From EXIF, millimetres, or None."""
     sha256: str
+    """Of the file, hexadecimal."""
     bit_depth: int
+    """Bits of a sample: 8 or 16 for integer files, 32 for float files."""
 
 
 def read_picture(
@@ -107,10 +94,12 @@ def read_picture(
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
-    A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile
-    and are sRGB without one; float files (EXR, HDR, float TIFF) are linear Rec.709, or linear in
-    the chromaticities that an EXR file states. Grey is repeated to three channels. The EXIF
-    orientation is applied.
+    A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile and
+    are sRGB without one; float files (EXR, HDR, float TIFF) are linear Rec.709, or linear in the
+    chromaticities that an EXR file states. Grey is repeated to three channels. The EXIF orientation
+    is applied. Raises InputError if the content cannot be used: another format, a damaged file, a
+    profile that is not made of curves and a matrix, no colour channels, an unknown `color_space`;
+    or if `code_range` is none; OSError if the file cannot be read.
 
     Parameters
     ----------
@@ -124,15 +113,6 @@ def read_picture(
     code_range
         Lowest and highest code that is data, of an 8-bit file; a 16-bit file has the same shares
         of its maximum. They mark what is `clipped` or `dark`, and do not change pixels.
-
-    Raises
-    ------
-    InputError
-        If the content cannot be used: another format, a damaged file, a profile that is not made
-        of curves and a matrix, no colour channels, an unknown `color_space`; or if `code_range` is
-        none.
-    OSError
-        If the file cannot be read.
     """
     low, high = _checked(code_range)
     path, data, kind = _load(path)
@@ -191,26 +171,11 @@ def read_picture(
 def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[np.float64]:
     """Read a mask, normals or other data: never decoded as colour.
 
-    Parameters
-    ----------
-    path
-        EXR, HDR, PNG, JPEG or TIFF file.
-    layer
-        Of an EXR file: which layer, as in `read_picture`.
-
-    Returns
-    -------
-    NDArray
-        (H, W, C), float64. Integers are divided by the maximum of their type; floats are as
-        stored. C is 1 grey, 2 grey and alpha, 3 RGB, 4 RGB and alpha. Of an EXR file: R, G, B
-        and, if there is one, A; else X, Y, Z; else Y and A; else the only channel there is.
-
-    Raises
-    ------
-    InputError
-        If the content cannot be used.
-    OSError
-        If the file cannot be read.
+    `layer` of an EXR file is as in `read_picture`. Returns (H, W, C), float64. Integers are divided
+    by the maximum of their type; floats are as stored. C is 1 grey, 2 grey and alpha, 3 RGB, 4 RGB
+    and alpha. Of an EXR file: R, G, B and, if there is one, A; else X, Y, Z; else Y and A; else the
+    only channel there is. Raises InputError if the content cannot be used; OSError if the file
+    cannot be read.
     """
     path, data, kind = _load(path)
     if kind == "EXR":
@@ -232,17 +197,9 @@ def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray
 def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
     """Read a picture of integer ids, such as segments: (H, W) uint16, as they are stored.
 
-    Parameters
-    ----------
-    path
-        Grey PNG or TIFF file of 8 or 16 bits, or palette PNG, of which the indices are taken.
-
-    Raises
-    ------
-    InputError
-        If the file has several channels, floats, or is of a lossy format.
-    OSError
-        If the file cannot be read.
+    The file is a grey PNG or TIFF of 8 or 16 bits, or a palette PNG, of which the indices are
+    taken. Raises InputError if the file has several channels, floats, or is of a lossy format;
+    OSError if the file cannot be read.
     """
     path, data, kind = _load(path)
     expected = "expected ids in a grey 8 or 16-bit PNG or TIFF"
@@ -257,14 +214,8 @@ def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
 def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     """Read all channels of an EXR file as they are: (H, W) float32 by full name, ``albedo.R``.
 
-    In a file with several parts the name of the part comes first.
-
-    Raises
-    ------
-    InputError
-        If this is not a sound EXR file of flat, full-resolution channels.
-    OSError
-        If the file cannot be read.
+    In a file with several parts the name of the part comes first. Raises InputError if this is not
+    a sound EXR file of flat, full-resolution channels; OSError if the file cannot be read.
     """
     path, data, kind = _load(path)
     if kind != "EXR":
@@ -277,23 +228,10 @@ def write_exr(
 ) -> None:
     """Write an EXR file of one part: ZIP, linear Rec.709 stated in it.
 
-    The file is there as a whole or not at all, and equal channels give equal bytes.
-
-    Parameters
-    ----------
-    path
-        File to write; an existing one is replaced.
-    channels
-        Channel name to (H, W) array, all of one shape. Values are written as given.
-    half
-        16-bit instead of 32-bit floats; beyond 65504 they become infinite.
-
-    Raises
-    ------
-    InputError
-        If there is no channel or their shapes differ.
-    OSError
-        If the file cannot be written.
+    The file is there as a whole or not at all, and equal channels give equal bytes. Channels are
+    (H, W) arrays by name, all of one shape; values are written as given, with `half` as 16-bit
+    floats, where values beyond 65504 become infinite. An existing file is replaced. Raises
+    InputError if there is no channel or their shapes differ; OSError if the file cannot be written.
     """
     planes = []
     for name, channel in channels.items():
@@ -307,24 +245,11 @@ def write_exr(
 def write_png(path: str | os.PathLike[str], image: NDArray[Any], tag: PngTag) -> None:
     """Write a PNG file.
 
-    The file is there as a whole or not at all, and equal images give equal bytes.
-
-    Parameters
-    ----------
-    path
-        File to write; an existing one is replaced.
-    image
-        (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
-    tag
-        What the file is to say about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1:
-        data, or linear light) or None (nothing).
-
-    Raises
-    ------
-    InputError
-        If the shape or type of `image` is another.
-    OSError
-        If the file cannot be written.
+    The file is there as a whole or not at all, and equal images give equal bytes. The image is (H,
+    W) or (H, W, 1 to 4), uint8 or uint16, already encoded. The tag is what the file is to say about
+    its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1: data, or linear light) or None
+    (nothing). An existing file is replaced. Raises InputError if the shape or type of `image` is
+    another; OSError if the file cannot be written.
     """
     _core.write_png(path, image, tag)
 
@@ -332,10 +257,7 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any], tag: PngTag) ->
 def encode_png(image: NDArray[Any], tag: PngTag) -> bytes:
     """Encode the PNG file that `write_png` writes.
 
-    Raises
-    ------
-    InputError
-        If the shape or type of `image` is another.
+    Raises InputError if the shape or type of `image` is another.
     """
     return _core.encode_png(image, tag)
 

@@ -25,21 +25,9 @@ MOST = 2**53
 def read_json(path: Path, expected: str, *, finite: bool = True) -> Any:
     """Content of a JSON file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    expected
-        What it should hold, for the message.
-    finite
-        Whether NaN and infinities are refused, which are no JSON but often written.
-
-    Raises
-    ------
-    InputError
-        If it is not UTF-8 or not JSON, or nested beyond reason.
-    OSError
-        If it cannot be read.
+    `expected` says for the message what it should hold. `finite` refuses NaN and infinities, which
+    are no JSON but often written. Raises InputError if it is not UTF-8 or not JSON, or nested
+    beyond reason; OSError if it cannot be read.
     """
     refuse = _refuse if finite else None
     try:
@@ -55,64 +43,77 @@ def unfit(path: Path, expected: str, error: Exception) -> InputError:
 
 def number(value: Any) -> float:
     """Check a finite number."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{quoted(value)} in place of a number")
-    if not math.isfinite(value):
+    found = float(_a(value, (int, float), "a number"))
+    if not math.isfinite(found):
         raise ValueError(f"{value} in place of a finite number")
-    return float(value)
+    return found
 
 
 def whole(value: Any, least: int = 0) -> int:
     """Check a whole number, `least` or more."""
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= MOST:
-        raise ValueError(f"{quoted(value)} in place of a whole number from {least} on")
-    return value
+    what = f"a whole number from {least} on"
+    if not least <= _a(value, int, what) <= MOST:
+        raise ValueError(f"{quoted(value)} in place of {what}")
+    return int(value)
 
 
 def seed(value: Any) -> int:
     """Check a whole number of either sign."""
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError(f"{quoted(value)} in place of a whole number")
-    return value
+    return int(_a(value, int, "a whole number"))
 
 
 def flag(value: Any) -> bool:
     """Check true or false."""
-    if not isinstance(value, bool):
-        raise ValueError(f"{quoted(value)} in place of true or false")
-    return value
+    return bool(_a(value, bool, "true or false"))
 
 
 def path_text(value: Any) -> str:
     """Check a text that can be the path of a file; bytes that are no UTF-8 are as `os` has them."""
-    if not isinstance(value, str):
+    path = words(value, "a path")
+    if "\0" in path:
         raise ValueError(f"{quoted(value)} in place of a path")
-    value.encode("utf-8", "surrogateescape")
-    if "\0" in value:
-        raise ValueError(f"{quoted(value)} in place of a path")
-    return value
+    return path
 
 
 def text(value: Any) -> str:
     """Check a text that can be written to a file in UTF-8."""
-    if not isinstance(value, str):
-        raise ValueError(f"{quoted(value)} in place of a text")
-    value.encode("utf-8")
-    return value
+    found = str(_a(value, str, "a text"))
+    found.encode("utf-8")
+    return found
+
+
+def words(value: Any, what: str = "a text") -> str:
+    """Check a text that need not be UTF-8: names of files are not on every system."""
+    found = str(_a(value, str, what))
+    found.encode("utf-8", "surrogateescape")
+    return found
 
 
 def texts(value: Any) -> tuple[str, ...]:
     """Check a list of texts."""
-    if not isinstance(value, list):
-        raise ValueError(f"{quoted(value)} in place of a list")
-    return tuple(text(one) for one in value)
+    return tuple(map(text, _a(value, list, "a list")))
 
 
 def table(value: Any) -> dict[str, Any]:
     """Check an object; its keys are texts that can be written to a file."""
-    if not isinstance(value, Mapping):
-        raise ValueError(f"{quoted(value)} in place of an object")
-    return {text(key): entry for key, entry in value.items()}
+    return {text(key): entry for key, entry in _a(value, Mapping, "an object").items()}
+
+
+def _a(value: Any, kind: type | tuple[type, ...], what: str) -> Any:
+    """Check the type; true and false are no numbers."""
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise ValueError(f"{quoted(value)} in place of {what}")
+    return value
+
+
+def write_json(path: Path, content: object, errors: str = "strict") -> None:
+    """Write JSON that people can read; `errors` as of `str.encode`, for what no UTF-8 can hold."""
+    path.write_text(json_text(content) + "\n", encoding="utf-8", errors=errors)
+
+
+def json_text(content: object) -> str:
+    """JSON as `write_json` writes it."""
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
 
 
 def _refuse(constant: str) -> NoReturn:

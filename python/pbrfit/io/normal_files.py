@@ -26,22 +26,15 @@ UNCERTAINTY = "uncertainty.Y"
 
 @dataclass(frozen=True)
 class Convention:
-    """How normals are written down.
-
-    Attributes
-    ----------
-    axes
-        "opengl" (Y up) or "directx" (Y down).
-    frame
-        "camera"; "world"; or "tangent", that of a flat card which is parallel to the picture: its
-        X and Y run along the picture's sides, and (0, 0, 1) faces the viewer.
-    world_to_camera
-        (3, 3) rotation, needed when the frame is "world": n_camera = R n_world.
-    """
+    """How normals are written down."""
 
     axes: str = "opengl"
+    """Either "opengl" (Y up) or "directx" (Y down)."""
     frame: str = "camera"
+    """One of "camera", "world" and "tangent", that of a flat card which is parallel to the picture:
+    its X and Y run along the picture's sides, and (0, 0, 1) faces the viewer."""
     world_to_camera: NDArray[np.float64] | None = None
+    """(3, 3) rotation, needed when the frame is "world": n_camera = R n_world."""
 
     def to_camera(self, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """(..., 3) normals of this convention in camera space."""
@@ -76,15 +69,8 @@ def find_normals(folder: Path) -> list[Path]:
 def read_normals(path: Path) -> NDArray[np.float64]:
     """Read a normal map: EXR channels as they are, or a PNG whose values v mean n = 2v - 1.
 
-    Returns
-    -------
-    ndarray
-        (H, W, 3), in whatever frame and of whatever length the file holds.
-
-    Raises
-    ------
-    InputError
-        If the file has other channels.
+    Returns (H, W, 3), in whatever frame and of whatever length the file holds. Raises InputError if
+    the file has other channels.
     """
     if path.suffix.lower() == ".exr":
         channels = images.read_channels(path)
@@ -112,10 +98,7 @@ def read_normals(path: Path) -> NDArray[np.float64]:
 def read_uncertainty(path: Path) -> NDArray[np.float32] | None:
     """(H, W), degrees: `UNCERTAINTY` of a file with normals as it is stored; None if it has none.
 
-    Raises
-    ------
-    InputError, OSError
-        If the file cannot be read.
+    Raises InputError or OSError if the file cannot be read.
     """
     return images.read_channels(path).get(UNCERTAINTY) if path.suffix.lower() == ".exr" else None
 
@@ -127,14 +110,7 @@ def write_normals(
 ) -> None:
     """Write `normals.exr`: channels X, Y, Z, and `UNCERTAINTY` if there is one.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    normals
-        (H, W, 3), as they are to stand in the file.
-    uncertainty
-        (H, W), degrees.
+    Normals (H, W, 3) stand in the file as they are, uncertainty (H, W) is in degrees.
     """
     channels = {name: normals[..., i] for i, name in enumerate("XYZ")}
     if uncertainty is not None:

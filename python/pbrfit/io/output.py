@@ -33,12 +33,15 @@ def unfinished(
     aside
         What was set aside and the name it gets back, if that is free; else it goes away too.
     parents
-        Folders made for it, the deepest first; those that are empty go away.
+        Folders made for it, the deepest first; those that are empty go away, here in any case.
     """
     number = _core.unfinished(temporary, aside, list(parents))
     try:
         yield
     finally:
+        for parent in parents:
+            with suppress(OSError):  # one that is not empty stays, and so do those above it
+                parent.rmdir()
         _core.finished(number)
 
 
@@ -105,14 +108,8 @@ def new_folder(
     When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
     parent folders, and a folder that was to be replaced still there. `temporaries` is a folder on
     the same file system that takes the place of that beside `path`, unless `path` is a link to
-    elsewhere; a folder that is replaced lies in it for an instant as `*-old/NAME`.
-
-    Raises
-    ------
-    FileExistsError
-        See `check_free`.
-    OSError
-        If no folder can be made there.
+    elsewhere; a folder that is replaced lies in it for an instant as `*-old/NAME`. Raises
+    FileExistsError, see `check_free`; OSError if no folder can be made there.
     """
     check_free(path, overwrite=overwrite, contains=contains)
     target = path.resolve()  # of a link to a folder, the folder is replaced and the link stays
@@ -130,9 +127,8 @@ def new_folder(
                 temporary.mkdir()
             with naming(path, temporary):
                 yield temporary
-            check_free(
-                path, overwrite=overwrite, contains=contains
-            )  # another process may have been here meanwhile
+            # Another process may have been here meanwhile.
+            check_free(path, overwrite=overwrite, contains=contains)
             with undisturbed():
                 if target.exists():
                     # Two renames: the old folder is gone for an instant, but never half replaced.
@@ -146,23 +142,14 @@ def new_folder(
         finally:
             for leftover in (temporary, aside):
                 shutil.rmtree(leftover, ignore_errors=True)
-            with suppress(OSError):  # one that is not empty stays, and so do those above it
-                for parent in new_parents:
-                    parent.rmdir()
 
 
 @contextmanager
 def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give a temporary path beside `path`, for a file that takes its name when the block ends well.
 
-    When the block raises, everything is as before.
-
-    Raises
-    ------
-    FileExistsError
-        See `check_free_file`.
-    OSError
-        If no file can be made there.
+    When the block raises, everything is as before. Raises FileExistsError, see `check_free_file`;
+    OSError if no file can be made there.
     """
     check_free_file(path, overwrite=overwrite)
     target = path.resolve()
@@ -180,9 +167,6 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
-            with suppress(OSError):
-                for parent in new_parents:
-                    parent.rmdir()
 
 
 def digest(path: Path) -> str:
@@ -194,10 +178,7 @@ def digest(path: Path) -> str:
 def check_free_file(path: Path, *, overwrite: bool) -> None:
     """Check that a file may be written at `path`.
 
-    Raises
-    ------
-    FileExistsError
-        If something is there, unless it is a file and `overwrite` is True.
+    Raises FileExistsError if something is there, unless it is a file and `overwrite` is True.
     """
     if path.is_dir():
         raise FileExistsError(f"{path}: expected a file or nothing, found a folder")
@@ -212,13 +193,9 @@ def check_free(path: Path, *, overwrite: bool, contains: Collection[str] = ()) -
     """Check that a folder may be made at `path`.
 
     Only what looks like an earlier output is replaced: an empty folder, or one that holds all the
-    names in `contains`. Pictures that somebody took are not lost to a slip of the fingers.
-
-    Raises
-    ------
-    FileExistsError
-        If something is there, unless it is a folder and `overwrite` is True. A folder that the
-        process works in is never replaced.
+    names in `contains`. Pictures that somebody took are not lost to a slip of the fingers. Raises
+    FileExistsError if something is there, unless it is a folder and `overwrite` is True. A folder
+    that the process works in is never replaced.
     """
     if path.is_dir():
         if not overwrite:

@@ -43,12 +43,8 @@ def write_png(path: Path, shown: NDArray[np.uint8]) -> None:
 def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
     """Write frames of `Screen.shown` that are repeated for ever; WebP and PNG are lossless.
 
-    Parameters
-    ----------
-    kind
-        A key of `ANIMATIONS`: what to write, whatever the path is called.
-    fps
-        Frames a second; GIF holds each frame for a whole number of hundredths of a second.
+    `kind` is a key of `ANIMATIONS`, whatever the path is called. GIF holds each frame for a whole
+    number of hundredths of a second.
     """
     pictures = (Image.fromarray(frame) for frame in frames)
     if kind == ".gif":
@@ -93,21 +89,15 @@ def _inside(radiance: Radiance) -> NDArray[np.bool_]:
 
 @dataclass
 class Screen:
-    """Encodes radiance for a screen, and keeps account of what that cost.
-
-    Attributes
-    ----------
-    exposure, tone_map
-        As for `display.encoded`.
-    clipped, black, pixels
-        Pixels so far with a channel at 255, with none above `NEARLY_BLACK`, and all.
-    """
+    """Encodes radiance for a screen, and keeps account of what that cost."""
 
     exposure: float = 0.0
     tone_map: ToneMap = "none"
+    """As for `display.encoded`."""
     clipped: int = 0
     black: int = 0
     pixels: int = 0
+    """Pixels so far with a channel at 255, with none above `NEARLY_BLACK`, and all."""
 
     def shown(self, radiance: Radiance) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB codes; (H, W, 4) where there is a mask, 0 outside it."""
@@ -132,19 +122,13 @@ class Screen:
 
 @dataclass
 class Range:
-    """Radiance of pictures so far.
-
-    Attributes
-    ----------
-    least, greatest
-        Over all channels.
-    middles
-        Median over pixels that are not black, of the mean of channels; a picture each.
-    """
+    """Radiance of pictures so far."""
 
     least: float = np.inf
     greatest: float = -np.inf
+    """Over all channels."""
     middles: tuple[float, ...] = ()
+    """Median over pixels that are not black, of the mean of channels; a picture each."""
 
     def take(self, pictures: Iterable[Radiance]) -> Iterator[Radiance]:
         """Pass pictures through."""

@@ -23,22 +23,9 @@ ALL = "Y"
 def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     """Read weights.
 
-    Parameters
-    ----------
-    path
-        The file: channel `Y`, or `NAME.Y` for each picture.
-    names
-        Of the pictures.
-
-    Returns
-    -------
-    ndarray
-        (H, W) for all pictures alike, or (N, H, W) in the order of `names`; as stored.
-
-    Raises
-    ------
-    InputError
-        If channels are missing, or the file has both kinds.
+    The file has a channel `Y`, or `NAME.Y` for each picture. Returns (H, W) for all pictures alike,
+    or (N, H, W) in the order of `names`; as stored. Raises InputError if channels are missing, or
+    the file has both kinds.
     """
     channels = images.read_channels(path)
     own = [name for name in names if f"{name}.{ALL}" in channels]

@@ -94,14 +94,8 @@ def angles_between(
 def likely_convention_error(normals: NDArray[Any], views: NDArray[Any]) -> str | None:
     """Name the flip of an axis that would turn most of the normals that face away to the camera.
 
-    Parameters
-    ----------
-    normals, views
-        (M, 3) unit vectors in camera space.
-
-    Returns
-    -------
-    A sentence fragment for a warning, or None when no flip helps clearly.
+    Both are (M, 3) unit vectors in camera space. Returns a sentence fragment for a warning, or None
+    when no flip helps clearly.
     """
     flips = {
         "Z points away from the viewer instead of towards it": (1, 1, -1),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_array, real_number
-from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit
+from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit, write_json
 from pbrfit.io.quoting import quoted, shown
 from pbrfit.model.reflection import sh_basis
 
@@ -25,18 +24,12 @@ ORDER = 3
 
 @dataclass(frozen=True)
 class Lighting:
-    """SH light of each picture.
-
-    Attributes
-    ----------
-    pictures
-        Names, one a picture.
-    coefficients
-        (N, 16, 3) float64: picture, coefficient k = l(l+1)+m, channel; linear Rec.709.
-    """
+    """SH light of each picture."""
 
     pictures: tuple[str, ...]
+    """Names, one a picture."""
     coefficients: NDArray[np.float64]
+    """(N, 16, 3) float64: picture, coefficient k = l(l+1)+m, channel; linear Rec.709."""
 
     def save(self, path: Path) -> None:
         """Write `lighting.json`."""
@@ -46,17 +39,13 @@ class Lighting:
             "pictures": list(self.pictures),
             "coefficients": self.coefficients.tolist(),
         }
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        path.write_text(text + "\n", encoding="utf-8")
+        write_json(path, content)
 
     @classmethod
     def load(cls, path: Path) -> Lighting:
         """Read `lighting.json`.
 
-        Raises
-        ------
-        InputError
-            If the file is not what `save` writes; the message names the file.
+        Raises InputError if the file is not what `save` writes; the message names the file.
         """
         parts = "JSON with basis, order, pictures and coefficients"
         content = read_json(path, parts, finite=False)  # told of below

@@ -71,22 +71,11 @@ def read(
 ) -> NDArray[np.float32]:
     """Read a panorama as linear Rec.709: (H, 2H, 3).
 
-    Parameters
-    ----------
-    path
-        EXR or Radiance HDR file; other pictures are read too, but know no light above white, which
-        is warned of where they reach it.
-    color_space
-        As for `images.read_picture`.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read as a picture, is not twice as wide as high or too small, or holds NaN,
-        infinity or negative radiance. Colours that only other primaries than Rec.709 hold are
-        negative in Rec.709 and welcome.
-    OSError
-        If the file cannot be read.
+    Other pictures than EXR and Radiance HDR files are read too, but know no light above white,
+    which is warned of where they reach it. `color_space` is as for `images.read_picture`. Raises
+    InputError if it cannot be read as a picture, is not twice as wide as high or too small, or
+    holds NaN, infinity or negative radiance. Colours that only other primaries than Rec.709 hold
+    are negative in Rec.709 and welcome. Raises OSError if the file cannot be read.
     """
     picture = images.read_picture(path, color_space)
     _check(picture, str(path))
@@ -128,16 +117,10 @@ def _refuse_where(wrong: ArrayLike, what: str, name: str) -> None:
 def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[np.float64]:
     """SH light that comes nearest to a panorama.
 
-    Parameters
-    ----------
-    pixels
-        (H, W, 3), linear Rec.709 radiance.
-    rotate
-        Degrees by which the light is turned about +Y, from +Z towards +X.
+    Returns (16, 3): L_k = ∫ E Y_k dω.
 
-    Returns
-    -------
-    (16, 3): L_k = ∫ E Y_k dω.
+    Pixels are (H, W, 3), linear Rec.709 radiance; the light is turned by `rotate` degrees about +Y,
+    from +Z towards +X.
     """
     height, width = pixels.shape[:2]
     weights = solid_angles(height, width)
@@ -174,18 +157,14 @@ def radiance(coefficients: ArrayLike, height: int) -> NDArray[np.float64]:
 def windowed(coefficients: ArrayLike, window: Window) -> NDArray[np.float64]:
     """SH light (16, 3) with less ringing: higher bands are damped, the mean light stays.
 
-    A lamp cut off at l = 3 is surrounded by rings, negative ones among them.
+    A lamp cut off at l = 3 is surrounded by rings, negative ones among them. Raises InputError if
+    `window` is another.
 
     Parameters
     ----------
     window
         ``lanczos`` multiplies band l by sin(πl/4)/(πl/4). ``nonnegative`` divides it by
         1 + λ l² (l+1)², with the smallest λ that leaves no direction and no channel negative.
-
-    Raises
-    ------
-    InputError
-        If `window` is another.
 
     Notes
     -----

@@ -45,10 +45,7 @@ def checked_model(name: Any) -> Model:
 def chosen_model(asked: Model | None, of_pictures: Model | None) -> Model:
     """Return what is asked for, else what the pictures were rendered with, else the default.
 
-    Raises
-    ------
-    InputError
-        If it is the name of no model.
+    Raises InputError if it is the name of no model.
     """
     return checked_model(asked if asked is not None else of_pictures or DEFAULT_MODEL)
 
@@ -291,20 +288,14 @@ def render_directional(
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """The pixels of a view that are rendered, and their places in the picture.
-
-    Attributes
-    ----------
-    pixels
-        Normals, views, albedo, roughness and metallic of these pixels, in rows.
-    of
-        Which of the picture's pixels they are.
-    """
+    """The pixels of a view that are rendered, and their places in the picture."""
 
     height: int
     width: int
     pixels: tuple[Array, Array, Array, Array, Array]
+    """Normals, views, albedo, roughness and metallic of these pixels, in rows."""
     of: slice | NDArray[np.bool_]
+    """Which of the picture's pixels they are."""
 
     @classmethod
     def of_maps(cls, materials: Materials, normals: ArrayLike, fov: float) -> _View:

@@ -68,17 +68,9 @@ def largest_that_fits(
 def choose(sizes: Sequence[Sequence[int]], limit: float) -> tuple[int, list[int]]:
     """Choose how large and which of many pictures are shown.
 
-    Parameters
-    ----------
-    sizes
-        Bytes of each picture, by side, the largest side first.
-    limit
-        Bytes for all that are shown.
-
-    Returns
-    -------
-    The index of the largest side at which all fit and all pictures; or the smallest side and as
-    many, evenly spread, as fit at it.
+    `sizes` are the bytes of each picture, by side, the largest side first; `limit` those of all
+    that are shown. Returns the index of the largest side at which all fit and all pictures; or the
+    smallest side and as many, evenly spread, as fit at it.
     """
     count = len(sizes)
     for side in range(len(sizes[0])):

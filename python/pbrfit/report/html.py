@@ -51,6 +51,16 @@ class Cell:
     value: float | None = None
 
 
+def number(text: str, value: float | None = None) -> Cell:
+    """A figure, and the number in full."""
+    return Cell(text, "number", value)
+
+
+def heads(first: str, *others: str) -> list[Cell]:
+    """Names of columns: of a name, and of figures."""
+    return [Cell(first, "name"), *(Cell(name, "number") for name in others)]
+
+
 @dataclass(frozen=True)
 class Table:
     """Names of the columns, and rows with a cell for each. A caption stands above."""
@@ -90,7 +100,12 @@ def table(content: Table) -> str:
 
 def png_address(png: bytes) -> str:
     """Give a picture as an address that holds it."""
-    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+    return f"data:image/png;base64,{in_base64(png)}"
+
+
+def in_base64(content: bytes) -> str:
+    """Bytes as letters."""
+    return base64.b64encode(content).decode("ascii")
 
 
 def _cell(tag: str, cell: Cell) -> str:

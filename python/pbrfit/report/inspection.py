@@ -58,14 +58,9 @@ def _normal_sigma(scene: Scene) -> str:
     return f"{middle:.1f} degrees (median), {high:.1f} (95 %), from {UNCERTAINTY}"
 
 
-def _refinable(scene: Scene) -> str:
-    reason = hindrance(scene)
-    return "possible" if reason is None else f"not possible: {reason}"
-
-
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
-    layout = ParameterLayout.of(scene)
+    layout, reason = ParameterLayout.of(scene), hindrance(scene)
     radiance = np.stack([scene.samples(i) for i in range(len(scene.images))])
     away = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
     found = [
@@ -79,11 +74,8 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
         ("facing away", f"{100 * away.mean():.1f} % of the normals"),
         ("normal error", _normal_sigma(scene)),
-        ("refine normals", _refinable(scene)),
-        (
-            "segments",
-            "none" if layout.segments is None else f"{layout.segment_count} ids",
-        ),
+        ("refine normals", f"not possible: {reason}" if reason else "possible"),
+        ("segments", "none" if layout.segments is None else f"{layout.segment_count} ids"),
         (
             "colour",
             "grey: one channel will be fitted" if layout.channels == 1 else "three channels",

@@ -32,28 +32,19 @@ HATCH = 8
 
 @dataclass(frozen=True)
 class Light:
-    """A light in numbers.
-
-    Attributes
-    ----------
-    mean
-        Radiance averaged over all directions, as luminance, in picture units.
-    azimuth, elevation
-        Of the main direction, which is that of band 1, in degrees.
-    directed
-        0 for light from all around, 1 for light from one direction.
-    color
-        Mean radiance in the channels, the largest 1.
-    negative
-        Share of the positive light (as luminance) that negative radiance takes away again.
-    """
+    """A light in numbers."""
 
     mean: float
+    """Radiance averaged over all directions, as luminance, in picture units."""
     azimuth: float
     elevation: float
+    """Of the main direction, which is that of band 1, in degrees."""
     directed: float
+    """0 for light from all around, 1 for light from one direction."""
     color: tuple[float, float, float]
+    """Mean radiance in the channels, the largest 1."""
     negative: float
+    """Share of the positive light (as luminance) that negative radiance takes away again."""
 
 
 def measure(coefficients: NDArray[np.float64]) -> Light:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from pbrfit.report import figures
-from pbrfit.report.html import Cell, Table, paragraph, table
+from pbrfit.report.html import Cell, Table, number, paragraph, table
 from pbrfit.report.maps import Block, Shown, difference_shown, normals_shown
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences
@@ -68,7 +68,7 @@ def blocks(result: Result) -> list[Block]:
 def _table(result: Result) -> str:
     """Figures of the decision; nothing where there are none."""
     rows = [
-        (Cell(LABELS.get(name, name.replace("_", " "))), Cell(_value(name, value), "number", value))
+        (Cell(LABELS.get(name, name.replace("_", " "))), number(_value(name, value), value))
         for name, value in result.refinement.figures.items()
     ]
     return f'<div class="decision">{table(Table((), rows))}</div>' if rows else ""

@@ -29,18 +29,9 @@ class Originals:
 def find(result: Result, given: Scene | str | Path | None = None) -> Originals:
     """Find the scene that a result was made from.
 
-    Parameters
-    ----------
-    result
-        The result.
-    given
-        The scene or its folder; None = where the result says that it was.
-
-    Raises
-    ------
-    InputError, OSError
-        If what was given is not that scene, or cannot be read. A scene that the result itself
-        names and that is gone or has changed is a remark, and a warning.
+    `given` is the scene or its folder; None = where the result says that it was. Raises InputError
+    or OSError if what was given is not that scene, or cannot be read. A scene that the result
+    itself names and that is gone or has changed is a remark, and a warning.
     """
     if isinstance(given, Scene):
         _check(result, given, "scene")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -15,7 +14,16 @@ from pbrfit.model.reflection import Model
 from pbrfit.report import budget, figures, maps, normals, verdict, viewer
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
-from pbrfit.report.html import Cell, Table, document, paragraph, table
+from pbrfit.report.html import (
+    Cell,
+    Table,
+    document,
+    heads,
+    in_base64,
+    number,
+    paragraph,
+    table,
+)
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
@@ -254,41 +262,31 @@ def _degrees(angle: float) -> str:
 
 
 def _light_table(pictures: Sequence[Picture]) -> Table:
-    columns = [
-        Cell("picture", "name"),
-        Cell("mean radiance", "number"),
-        Cell("azimuth", "number"),
-        Cell("elevation", "number"),
-        Cell("directed", "number"),
-        Cell("colour R, G, B", "number"),
-        Cell("negative", "number"),
+    names = ("mean radiance", "azimuth", "elevation", "directed", "colour R, G, B", "negative")
+    rows = [
+        [
+            Cell(one.name),
+            number(plain(one.light.mean), one.light.mean),
+            number(_degrees(one.light.azimuth), one.light.azimuth),
+            number(_degrees(one.light.elevation), one.light.elevation),
+            number(percent(one.light.directed), one.light.directed),
+            number(", ".join(f"{part:.2f}" for part in one.light.color)),
+            number(percent(one.light.negative), one.light.negative),
+        ]
+        for one in pictures
     ]
-    rows = []
-    for one in pictures:
-        light = one.light
-        rows.append(
-            [
-                Cell(one.name),
-                Cell(plain(light.mean), "number", light.mean),
-                Cell(_degrees(light.azimuth), "number", light.azimuth),
-                Cell(_degrees(light.elevation), "number", light.elevation),
-                Cell(percent(light.directed), "number", light.directed),
-                Cell(", ".join(f"{part:.2f}" for part in light.color), "number"),
-                Cell(percent(light.negative), "number", light.negative),
-            ]
-        )
     caption = (
         "Mean radiance over all directions, in the pictures' unit. Azimuth 0 is the viewer, "
         "positive to the right; elevation is up. Directed: 0 % for uniform light, 100 % for one "
         "direction. Negative: luminance of negative radiance as a share of that of positive "
         "radiance; 45 % for light from a single direction, cut at l = 3."
     )
-    return Table(columns, rows, caption)
+    return Table(heads("picture", *names), rows, caption)
 
 
 def _history(result: Result) -> str:
     svg = as_svg(draw_history(result.history)).encode()
-    address = f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
+    address = f"data:image/svg+xml;base64,{in_base64(svg)}"
     what = "Root mean square errors against run time and against iterations, logarithmic"
     text = "Residual of the pictures" + (
         " and errors of the maps against ground truth"
@@ -306,15 +304,11 @@ def _stages(result: Result) -> str:
     """What ran, one after the other; nothing for results of a version that did not tell."""
     if not result.stages:
         return ""
-    columns = [Cell("stage", "name"), Cell("seconds", "number"), Cell("")]
     rows = [
-        [
-            Cell(stage.name, "name"),
-            Cell(f"{stage.seconds:.2f}", "number", stage.seconds),
-            Cell(stage.note),
-        ]
-        for stage in result.stages
+        (Cell(one.name, "name"), number(f"{one.seconds:.2f}", one.seconds), Cell(one.note))
+        for one in result.stages
     ]
+    columns = [*heads("stage", "seconds"), Cell("")]
     return table(Table(columns, rows, f"Stages of solver {result.options.solver}:"))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pbrfit.model.reflection import render
 from pbrfit.report import budget, lights, raster
-from pbrfit.report.html import Cell, Table
+from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences, metrics
@@ -22,23 +22,16 @@ HIGH = 95
 
 @dataclass(frozen=True)
 class Fit:
-    """How well a picture is explained.
-
-    Attributes
-    ----------
-    rms, rmse
-        Root mean square of the picture and of (rendered − picture), in the picture's unit, with
-        the weights of the samples.
-    high
-        Percentile `HIGH` of the residuals, relative to `rms`.
-    left_out
-        Share of its samples that took no part in the fit.
-    """
+    """How well a picture is explained."""
 
     rms: float
     rmse: float
+    """Root mean square of the picture and of (rendered − picture), in the picture's unit, with the
+    weights of the samples."""
     high: float
+    """Percentile `HIGH` of the residuals, relative to `rms`."""
     left_out: float
+    """Share of its samples that took no part in the fit."""
 
     @property
     def share(self) -> float:
@@ -48,26 +41,18 @@ class Fit:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as the page shows it.
-
-    Attributes
-    ----------
-    name
-        Of the picture.
-    fit
-        None without the scene.
-    pngs
-        By side, the largest first: the picture, its reconstruction and the residual, or the
-        reconstruction alone.
-    light, light_pngs
-        Its light: in numbers; on balls, as a panorama.
-    """
+    """A picture as the page shows it."""
 
     name: str
+    """Of the picture."""
     fit: Fit | None
+    """None without the scene."""
     pngs: tuple[tuple[bytes, ...], ...]
+    """By side, the largest first: the picture, its reconstruction and the residual, or the
+    reconstruction alone."""
     light: Light
     light_pngs: tuple[bytes, bytes]
+    """Its light: in numbers; on balls, as a panorama."""
 
     @property
     def sizes(self) -> list[int]:
@@ -125,31 +110,22 @@ def _one(
 
 def table(pictures: Sequence[Picture]) -> Table:
     """Residuals by picture, in the scene's order; they all have a `fit`."""
-    with_left_out = any(one.fit is not None and one.fit.left_out > 0 for one in pictures)
-    columns = [
-        Cell("picture", "name"),
-        Cell("RMS", "number"),
-        Cell("RMSE", "number"),
-        Cell("relative to RMS", "number"),
-        Cell(f"{HIGH} % of pixels below", "number"),
-    ]
-    if with_left_out:
-        columns.append(Cell("samples left out", "number"))
+    left_out = any(one.fit is not None and one.fit.left_out > 0 for one in pictures)
+    names = ["RMS", "RMSE", "relative to RMS", f"{HIGH} % of pixels below"]
+    names += ["samples left out"] * left_out
     rows = []
     for one in pictures:
         fit = one.fit
         assert fit is not None
-        row = [
-            Cell(one.name),
-            Cell(plain(fit.rms), "number", fit.rms),
-            Cell(plain(fit.rmse), "number", fit.rmse),
-            Cell(percent(fit.share), "number", fit.share),
-            Cell(percent(fit.high), "number", fit.high),
-        ]
-        if with_left_out:
-            row.append(Cell(percent(fit.left_out), "number", fit.left_out))
-        rows.append(row)
-    return Table(columns, rows)
+        shares = [fit.share, fit.high, *([fit.left_out] if left_out else [])]
+        rows.append(
+            [
+                Cell(one.name),
+                *(number(plain(value), value) for value in (fit.rms, fit.rmse)),
+                *(number(percent(value), value) for value in shares),
+            ]
+        )
+    return Table(heads("picture", *names), rows)
 
 
 def worst(pictures: Sequence[Picture], count: int = 3) -> list[Picture]:

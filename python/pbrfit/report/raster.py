@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
 
 Values = NDArray[np.floating[Any]]
@@ -26,9 +26,9 @@ def reduced(values: Values, side: int) -> NDArray[np.float64]:
     planes = values.reshape(*values.shape[:2], -1)
     inside = np.isfinite(planes[..., 0])
     share = averaged(inside, size)
-    means = [averaged(np.where(inside, planes[..., c], 0.0), size) for c in range(planes.shape[-1])]
+    means = averaged_channels(np.where(inside[..., None], planes, 0.0), size)
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.stack(means, axis=-1, dtype=np.float64) / share[..., None]
+        found = means / share[..., None]
     found[share < 0.5] = np.nan
     return found.reshape(*size, *values.shape[2:])
 
@@ -38,11 +38,10 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
     size = reduced_size(difference.values.shape, side)
     if size == difference.values.shape:
         return difference
-    marks = [difference.white, difference.vermillion]
     values = np.array(difference.values, dtype=np.float64)
     marked = np.zeros(values.shape, bool)
     small: list[NDArray[np.bool_] | None] = []
-    for mark in marks:
+    for mark in (difference.white, difference.vermillion):
         small.append(None if mark is None else averaged(mark, size) >= 0.5)
         marked |= False if mark is None else mark
     outside = averaged(np.isnan(values), size) > 0.5
@@ -58,7 +57,8 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
 def picture_png(encoded: Values) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
     outside = np.isnan(encoded) if encoded.ndim == 2 else np.isnan(encoded).any(axis=-1)
-    codes = _codes(encoded)
+    clean = np.where(np.isnan(encoded), 0.0, np.clip(encoded, 0.0, 1.0))
+    codes = np.rint(255 * clean).astype(np.uint8)
     if not outside.any():
         return _png(Image.fromarray(codes))
     alpha = np.where(outside, 0, 255).astype(np.uint8)
@@ -72,11 +72,6 @@ def difference_png(difference: Difference) -> bytes:
     if np.isnan(difference.values).any():
         image.info["transparency"] = OUTSIDE
     return _png(image)
-
-
-def _codes(encoded: Values) -> NDArray[np.uint8]:
-    clean = np.where(np.isnan(encoded), 0.0, np.clip(encoded, 0.0, 1.0))
-    return np.asarray(np.rint(255 * clean), dtype=np.uint8)
 
 
 def _png(image: Image.Image) -> bytes:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pbrfit.report import normals
-from pbrfit.report.html import Cell, Table
+from pbrfit.report.html import Cell, Table, number
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
 from pbrfit.result.data import Status
@@ -47,19 +47,14 @@ METRICS = {
 
 def sentences(result: Result, pictures: Sequence[Picture]) -> list[str]:
     """How the fit ended, how well it explains the pictures, what is uncertain."""
-    return [
+    lines = (
         f"{_ended(result)} {_explained(result, pictures)}",
-        *(
-            line
-            for line in (
-                _truth(result),
-                normals.sentence(result),
-                _uncertain(result),
-                _doubts(result, pictures),
-            )
-            if line
-        ),
-    ]
+        _truth(result),
+        normals.sentence(result),
+        _uncertain(result),
+        _doubts(result, pictures),
+    )
+    return [line for line in lines if line]
 
 
 def _ended(result: Result) -> str:
@@ -150,11 +145,15 @@ def _doubts(result: Result, pictures: Sequence[Picture]) -> str:
     return f"Warning: {'; '.join(doubts)}." if doubts else ""
 
 
+Fact = tuple[str, str, float | None]
+"""What it is, in words, and the number in full."""
+
+
 def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
     """Two compact tables: the fit, and its errors."""
     height, width = result.mask.shape
     valid = int(np.count_nonzero(result.mask))
-    done: list[tuple[str, str, float | None]] = [
+    done: list[Fact] = [
         ("pictures", str(len(result.pictures)), len(result.pictures)),
         ("size", f"{width} × {height} pixels", None),
         ("pixels fitted", f"{valid:,} of {width * height:,}", valid),
@@ -165,34 +164,21 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
         ("evaluations", f"{result.evaluations:,}", result.evaluations),
         ("run time", f"{result.seconds:.1f} s", result.seconds),
     ]
-    well: list[tuple[str, str, float | None]] = [
-        (label, plain(result.metrics[key]), result.metrics[key])
-        for key, label in METRICS.items()
-        if key in result.metrics
-    ]
+    known = {METRICS[key]: result.metrics[key] for key in METRICS if key in result.metrics}
+    if result.uncertainty is not None and result.uncertainty.noise is not None:
+        known["noise of a sample (standard deviation)"] = result.uncertainty.noise
+        for name, value in result.uncertainty.summary()["median_marginal"].items():
+            known[f"{name}, median deviation"] = value
+    well: list[Fact] = [(label, plain(value), value) for label, value in known.items()]
     share = median_share(pictures)
     if share is not None:
         well.insert(
             1, ("median residual", f"{percent(share)} relative to the picture's RMS", share)
         )
-    if result.uncertainty is not None and result.uncertainty.noise is not None:
-        well += _of_uncertainty(result.uncertainty.summary())
-    return [_two_columns(done), _two_columns(well)]
-
-
-def _of_uncertainty(summary: dict[str, object]) -> list[tuple[str, str, float | None]]:
-    noise = summary["noise"]
-    rows: list[tuple[str, str, float | None]] = []
-    if isinstance(noise, float):
-        rows.append(("noise of a sample (standard deviation)", plain(noise), noise))
-    medians = summary["median_marginal"]
-    assert isinstance(medians, dict)
-    rows += [(f"{name}, median deviation", plain(value), value) for name, value in medians.items()]
-    return rows
-
-
-def _two_columns(rows: Sequence[tuple[str, str, float | None]]) -> Table:
-    return Table((), [(Cell(label), Cell(text, "number", value)) for label, text, value in rows])
+    return [
+        Table((), [(Cell(label), number(text, value)) for label, text, value in facts])
+        for facts in (done, well)
+    ]
 
 
 def _fov(fov: float) -> str:

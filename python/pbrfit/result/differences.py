@@ -84,19 +84,13 @@ PALETTE = np.concatenate(
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """A map of differences.
-
-    Attributes
-    ----------
-    values
-        (H, W), 0 or more; NaN outside the mask.
-    white, vermillion
-        (H, W) bool: pixels with a colour of their own instead; None = none.
-    """
+    """A map of differences."""
 
     values: Map
+    """(H, W), 0 or more; NaN outside the mask."""
     white: NDArray[np.bool_] | None = None
     vermillion: NDArray[np.bool_] | None = None
+    """(H, W) bool: pixels with a colour of their own instead; None = none."""
 
     def indices(self) -> NDArray[np.uint8]:
         """(H, W) into `PALETTE`."""
@@ -128,12 +122,8 @@ def residual(
 ) -> Difference:
     """Root mean square over channels of (rendered − picture), relative to the picture's RMS.
 
-    Parameters
-    ----------
-    rendered, picture
-        (H, W, 3); `rendered` is NaN outside the mask.
-    weights
-        (H, W); samples of weight 0, which did not take part in the fit, are white.
+    Both are (H, W, 3), and `rendered` is NaN outside the mask. Samples of weight 0 (H, W), which
+    did not take part in the fit, are white.
     """
     used = np.isfinite(rendered).all(axis=-1)
     left_out = None if weights is None else used & (weights == 0)
@@ -162,12 +152,12 @@ def rms(values: Map) -> float:
 
 def errors(found: Materials, true: Materials) -> dict[str, Difference]:
     """Absolute errors of the maps by name; of albedo the root mean square over channels."""
-    albedo = np.sqrt(np.mean(np.square(found.albedo - true.albedo), axis=-1))
-    return {
-        "albedo": Difference(albedo),
-        "roughness": Difference(np.abs(found.roughness - true.roughness)),
-        "metallic": Difference(np.abs(found.metallic - true.metallic)),
-    }
+    error = Materials(
+        found.albedo - true.albedo,
+        np.abs(found.roughness - true.roughness),
+        np.abs(found.metallic - true.metallic),
+    )
+    return {name: Difference(values) for name, values in _planes(error).items()}
 
 
 def deviations(uncertainty: Uncertainty) -> dict[str, Difference]:
@@ -175,13 +165,13 @@ def deviations(uncertainty: Uncertainty) -> dict[str, Difference]:
 
     Of albedo the root mean square over channels.
     """
-    marginal = uncertainty.marginal
-    maps = {
-        "albedo": np.sqrt(np.mean(np.square(marginal.albedo), axis=-1)),
-        "roughness": marginal.roughness,
-        "metallic": marginal.metallic,
-    }
     return {
-        name: Difference(maps[name], maps[name] == 0, uncertainty.undetermined[..., i])
-        for i, name in enumerate(PARAMETERS)
+        name: Difference(values, values == 0, uncertainty.undetermined[..., i])
+        for i, (name, values) in enumerate(_planes(uncertainty.marginal).items())
     }
+
+
+def _planes(deviations: Materials) -> dict[str, Map]:
+    """(H, W) by name, in the order of `PARAMETERS`."""
+    albedo = np.sqrt(np.mean(np.square(deviations.albedo), axis=-1))
+    return dict(zip(PARAMETERS, (albedo, deviations.roughness, deviations.metallic), strict=True))

@@ -78,10 +78,7 @@ class History:
     def load(cls, path: Path) -> History:
         """Read what `save` wrote.
 
-        Raises
-        ------
-        InputError
-            If the file has other columns, no rows, or an entry that is not a number.
+        Raises InputError if the file has other columns, no rows, or an entry that is not a number.
         """
         try:
             with path.open(newline="", encoding="utf-8") as file:

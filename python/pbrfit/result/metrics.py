@@ -28,18 +28,9 @@ def rmse(
 ) -> float:
     """Root mean square difference over the entries that are NaN in neither array.
 
-    Parameters
-    ----------
-    found, true
-        Arrays of one shape.
-    weights
-        How much each entry counts, 0 or more, of a shape that broadcasts to theirs; None = all the
-        same. Entries of weight 0 never enter, whatever they are.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, or no entry is left that is NaN in neither array and has a weight.
+    Weights are how much each entry counts, 0 or more, of a shape that broadcasts to theirs; None =
+    all the same. Entries of weight 0 never enter, whatever they are. Raises ValueError if the
+    shapes differ, or no entry is left that is NaN in neither array and has a weight.
     """
     found, true = reals("found", found), reals("true", true)
     if found.shape != true.shape:
@@ -147,12 +138,7 @@ def showable(
 def psnr(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> float:
     """Peak signal-to-noise ratio in dB, 20 log10(1 / RMSE), of values with a range of 1.
 
-    Infinite where both are equal.
-
-    Raises
-    ------
-    ValueError
-        As `rmse`.
+    Infinite where both are equal. Raises ValueError as `rmse`.
     """
     error = rmse(found, true)
     return -20 * math.log10(error) if error > 0 else math.inf
@@ -173,11 +159,7 @@ def ssim(found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]) -> f
 
     is averaged over pixels and channels. Where the window reaches over the border or over pixels
     that are NaN in either picture, its weights are those of the other pixels, made to sum to 1.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ or are not those of pictures, or no pixel is left.
+    Raises ValueError if the shapes differ or are not those of pictures, or no pixel is left.
     """
     from scipy.ndimage import correlate1d
 

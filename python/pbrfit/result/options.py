@@ -86,27 +86,18 @@ def prior_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Flag:
-    """How the command line asks for an option.
-
-    Attributes
-    ----------
-    help
-        What it does, in words.
-    name
-        Without dashes, where it is not the field's.
-    values
-        The values that it takes, or what the words that it takes stand for; None = any.
-    kind
-        How a text is read where there are no `values`; bool for a switch.
-    metavar
-        What stands for the value in the help.
-    """
+    """How the command line asks for an option."""
 
     help: str
+    """What it does, in words."""
     name: str | None = None
+    """Without dashes, where it is not the field's."""
     values: Mapping[str, Any] | Sequence[Any] | None = None
+    """The values that it takes, or what the words that it takes stand for; None = any."""
     kind: Callable[[str], Any] = int
+    """How a text is read where there are no `values`; bool for a switch."""
     metavar: str | None = None
+    """What stands for the value in the help."""
 
 
 @dataclass(frozen=True)

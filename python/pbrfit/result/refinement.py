@@ -30,26 +30,18 @@ CHANGE_DEGREES_MIN = 1e-4
 
 @dataclass(frozen=True)
 class Refinement:
-    """What was decided about the normals of a fit.
-
-    Attributes
-    ----------
-    asked
-        "off", "auto" or "on", as it was asked for.
-    refined
-        Whether the normals of the result are other ones than those that were given.
-    why
-        The reason in words: what can follow a colon, without a full stop.
-    figures
-        What the decision rests on and what it did, by name. Names that end in `_degrees` are
-        angles, those that end in `_share` shares of the valid pixels; all others are radiances in
-        the pictures' unit, or numbers. Infinite and NaN ones are null in a file.
-    """
+    """What was decided about the normals of a fit."""
 
     asked: str
+    """As it was asked for: "off", "auto" or "on"."""
     refined: bool
+    """Whether the normals of the result are other ones than those that were given."""
     why: str
+    """The reason in words: what can follow a colon, without a full stop."""
     figures: Mapping[str, float] = field(default_factory=dict)
+    """What the decision rests on and what it did, by name. Names that end in `_degrees` are angles,
+    those that end in `_share` shares of the valid pixels; all others are radiances in the pictures'
+    unit, or numbers. Infinite and NaN ones are null in a file."""
 
     def with_change(self, change: NDArray[np.floating[Any]]) -> Refinement:
         """Add how far normals changed: `change` (H, W) in degrees, NaN outside the mask."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -25,6 +24,7 @@ from pbrfit.io.json_files import (
     texts,
     unfit,
     whole,
+    write_json,
 )
 from pbrfit.io.output import digest, new_folder
 from pbrfit.io.quoting import listed, quoted
@@ -117,11 +117,8 @@ class Result(ResultData):
             "scene": None if self.source is None else _source_as_json(self.source, place or folder),
             "files": {name: digest(folder / name) for name in FILES},
         }
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         # What no UTF-8 can hold, of a path to the scene, becomes what JSON escapes it by.
-        (folder / "result.json").write_text(
-            text + "\n", encoding="utf-8", errors="backslashreplace"
-        )
+        write_json(folder / "result.json", content, errors="backslashreplace")
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
@@ -220,10 +217,7 @@ def _check_maps(
 def model_of(content: Mapping[str, Any], file: Path) -> Model:
     """Return the model of a result by what its `result.json` holds.
 
-    Raises
-    ------
-    InputError
-        If that is none; the message names the file.
+    Raises InputError if that is none; the message names the file.
     """
     name = content.get("model", FIRST_MODEL)  # earlier versions had one model and did not say so
     for model in MODELS:

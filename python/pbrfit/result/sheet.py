@@ -34,44 +34,29 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 @dataclass(frozen=True)
 class Panel:
-    """One labelled picture: (H, W, 3) values in [0, 1] as they go to the screen.
-
-    Attributes
-    ----------
-    caption
-        A line above it.
-    note
-        Below it, in as many lines as it needs.
-    crossed
-        Whether it is marked as refused: framed in red, with a cross in a corner.
-    """
+    """One labelled picture: (H, W, 3) values in [0, 1] as they go to the screen."""
 
     caption: str
+    """A line above it."""
     pixels: NDArray[np.floating[Any]]
     note: str = ""
+    """Below it, in as many lines as it needs."""
     crossed: bool = False
+    """Whether it is marked as refused: framed in red, with a cross in a corner."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """What colours mean: a bar from the left, ticks at shares of its width, and patches.
-
-    Attributes
-    ----------
-    caption
-        What the bar measures.
-    bar
-        (M, 3) colours, the lowest value first, as they go to the screen.
-    ticks
-        Labels by share of the bar's width.
-    patches
-        Colours by label, for what is not on the bar.
-    """
+    """What colours mean: a bar from the left, ticks at shares of its width, and patches."""
 
     caption: str
+    """What the bar measures."""
     bar: NDArray[np.floating[Any]]
+    """(M, 3) colours, the lowest value first, as they go to the screen."""
     ticks: Mapping[float, str]
+    """Labels by share of the bar's width."""
     patches: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    """Colours by label, for what is not on the bar."""
 
 
 Row = list[Panel | None]
@@ -92,16 +77,8 @@ def sheet(
 ) -> NDArray[np.uint8]:
     """Panels in a grid, captions above: (H, W, 3) uint8.
 
-    Parameters
-    ----------
-    rows
-        Pictures of one size. A row without any caption has no room for one.
-    title
-        A line above all.
-    labels
-        What stands at the left of each row.
-    keys
-        At the bottom, one below the other.
+    All pictures are of one size. A row without any caption has no room for one; labels stand at the
+    left of the rows, keys at the bottom, one below the other.
     """
     first = next(panel for row in rows for panel in row if panel is not None)
     height, width = first.pixels.shape[:2]
@@ -126,7 +103,7 @@ def sheet(
     columns = max(len(row) for row in rows)
     top = MARGIN + (round(1.5 * line) if title else 0)
     whole = gutter + columns * (column + MARGIN) + MARGIN
-    below = _key_height(letters)
+    below = round(4.6 * letters) + MARGIN  # caption, bar and ticks of a key
     canvas = Image.new("RGB", (whole, top + sum(heights) + below * len(keys)), color=PAPER)
     draw = ImageDraw.Draw(canvas)
     if title:
@@ -194,11 +171,6 @@ def as_png(pixels: NDArray[np.uint8]) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
-
-
-def _key_height(letters: int) -> int:
-    """Of caption, bar and ticks."""
-    return round(4.6 * letters) + MARGIN
 
 
 def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:

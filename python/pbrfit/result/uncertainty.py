@@ -25,45 +25,34 @@ class Uncertainty:
     they are. They are equal where the lights are known. Neither knows of errors in the model or the
     normals, nor of priors. Normals that were refined are held as they were found, so their own
     uncertainty is in neither.
-
-    Attributes
-    ----------
-    conditional, marginal
-        Standard deviations in place of values, at most 1; 0 for what is held (on a bound, or a
-        known metallic); NaN outside the mask.
-    undetermined
-        (H, W, 3) bool: albedo (in any channel), roughness, metallic: the pictures do not tell it,
-        because its marginal deviation is above 1/√12 or the equations are singular.
-    on_bound
-        (H, W, 3) bool, likewise: at 0 or 1, held there, and without a deviation of its own.
-    noise
-        Standard deviation of a sample of the largest weight, in picture units, from the residual
-        and its degrees of freedom; None where there are no more samples than unknowns, and then
-        nothing is determined.
-    albedo_scale
-        Relative standard deviation, by channel, of the scale of the lights, which albedo
-        undoes; 0 where they are known.
-    priors
-        Whether the fit had priors. The deviations are those of the data alone, so they are too
-        large then where priors help.
-    light_pixels, light_modes
-        How many pixels the lights' covariance is from, and how many of its modes were used; 0 where
-        they are known.
-    omitted
-        Largest share of a marginal deviation that the modes left out would add, as found in some of
-        these pixels.
     """
 
     conditional: Materials
     marginal: Materials
+    """Standard deviations in place of values, at most 1; 0 for what is held (on a bound, or a known
+    metallic); NaN outside the mask."""
     undetermined: NDArray[np.bool_]
+    """(H, W, 3) bool: albedo (in any channel), roughness, metallic: the pictures do not tell it,
+    because its marginal deviation is above 1/√12 or the equations are singular."""
     on_bound: NDArray[np.bool_]
+    """(H, W, 3) bool, likewise: at 0 or 1, held there, and without a deviation of its own."""
     noise: float | None
+    """Standard deviation of a sample of the largest weight, in picture units, from the residual and
+    its degrees of freedom; None where there are no more samples than unknowns, and then nothing is
+    determined."""
     albedo_scale: tuple[float, float, float]
+    """Relative standard deviation, by channel, of the scale of the lights, which albedo undoes; 0
+    where they are known."""
     priors: bool
+    """Whether the fit had priors. The deviations are those of the data alone, so they are too large
+    then where priors help."""
     light_pixels: int
     light_modes: int
+    """How many pixels the lights' covariance is from, and how many of its modes were used; 0 where
+    they are known."""
     omitted: float
+    """Largest share of a marginal deviation that the modes left out would add, as found in some of
+    these pixels."""
 
     def summary(self) -> dict[str, Any]:
         """What is no map, and the maps in a few numbers, for result.json."""

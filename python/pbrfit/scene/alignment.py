@@ -57,27 +57,18 @@ higher than the correlation in place. Chosen on scenes of seeds 2000 to 2104."""
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a picture lies relative to a reference.
-
-    Attributes
-    ----------
-    shift
-        Pixels (right, down) by which it is shifted as a whole.
-    agreement
-        Correlation of the edges at that shift: 1 the same, about 0 unrelated.
-    warp
-        Median displacement of tiles that can be told, in pixels: a shift, or what is bent.
-    moved
-        Share of the edges in tiles that are displaced, 0 to 1.
-    pixel
-        Pixels of the picture per pixel that was compared: errors are about 0.2 of it.
-    """
+    """How a picture lies relative to a reference."""
 
     shift: tuple[float, float]
+    """Pixels (right, down) by which it is shifted as a whole."""
     agreement: float
+    """Correlation of the edges at that shift: 1 the same, about 0 unrelated."""
     warp: float
+    """Median displacement of tiles that can be told, in pixels: a shift, or what is bent."""
     moved: float
+    """Share of the edges in tiles that are displaced, 0 to 1."""
     pixel: float
+    """Pixels of the picture per pixel that was compared: errors are about 0.2 of it."""
 
     @property
     def distance(self) -> float:
@@ -96,16 +87,8 @@ def gradient(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[An
 def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
     """Field of edges of a picture, at most `SIDE` pixels long.
 
-    Parameters
-    ----------
-    image
-        (H, W, 3) linear radiance in any unit.
-    mask
-        (H, W), False where there is no picture.
-
-    Returns
-    -------
-    (h, w) complex64, |e| ≤ 1; 0 outside the mask.
+    The image is (H, W, 3) linear radiance in any unit, the mask (H, W) False where there is no
+    picture. Returns (h, w) complex64, |e| ≤ 1; 0 outside the mask.
     """
     from scipy.ndimage import binary_erosion, gaussian_filter
 
@@ -142,16 +125,8 @@ def of_the_others(fields: Sequence[Field]) -> list[Field]:
 def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment | None:
     """Say how the picture of `field` lies relative to that of `reference`.
 
-    Parameters
-    ----------
-    reference, field
-        (h, w) fields of `edges`, of one size.
-    pixel
-        Pixels of the picture per pixel of the fields.
-
-    Returns
-    -------
-    None if there are no edges to tell by.
+    Both are fields of `edges`, of one size; `pixel` is in pixels of the picture per pixel of the
+    fields. Returns None if there are no edges to tell by.
     """
     if min(_energy(reference), _energy(field)) < _LEAST_EDGES * reference.size:
         return None
@@ -174,9 +149,7 @@ def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment 
 def of_scene(scene: Scene) -> tuple[str, dict[str, Alignment]]:
     """Say how the pictures of a scene lie relative to the one that is most like all others.
 
-    Returns
-    -------
-    The name of that picture, and the others by name: those that have edges to tell by.
+    Returns the name of that picture, and the others by name: those that have edges to tell by.
     """
     fields = [edges(image, scene.mask) for image in scene.images]
     alike = [

@@ -54,21 +54,15 @@ class Truth:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a scene was read from, and how its pictures were to be read.
-
-    Attributes
-    ----------
-    path
-        The scene folder, absolute.
-    color_space, max_size, code_range, fov
-        As given to `Scene.load`.
-    """
+    """Where a scene was read from, and how its pictures were to be read."""
 
     path: Path
+    """The scene folder, absolute."""
     color_space: ColorSpace | None = None
     max_size: int | None = None
     code_range: tuple[int, int] = CODE_RANGE
     fov: float | None = None
+    """As given to `Scene.load`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +137,7 @@ class SceneArrays:
                 "pbrfit.Scene.load decodes files"
             )
         n, height, width = images.shape[:3]
-        digits = max(2, len(str(n - 1)))
-        names = _names(self.names) or tuple(f"picture_{i:0{digits}d}" for i in range(n))
-        _check_names(names, n)
+        names = _names(self.names, n)
         fov = real_number("fov", self.fov)
         geometry.check_fov(fov)
         mask = _mask(self.mask, (height, width))
@@ -319,22 +311,20 @@ def _floats(name: str, values: Any) -> NDArray[np.float64]:
         return reals(name, values).astype(np.float64)
 
 
-def _names(names: Any) -> tuple[Any, ...]:
+def _names(given: Any, pictures: int) -> tuple[str, ...]:
+    """Names of files: different, and safe as such; made up where none are given."""
     try:
-        found = tuple(names)
+        names = tuple(given)
     except TypeError:
-        found = (names,)
-    if not all(isinstance(name, str) for name in found):
-        raise InputError(f"names: expected file names, found {of_what(names)}")
-    return found
-
-
-def _check_names(names: tuple[Any, ...], pictures: int) -> None:
-    """Names become file names: they must be different, and safe as such."""
+        names = (given,)
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(f"names: expected file names, found {of_what(given)}")
+    digits = max(2, len(str(pictures - 1)))
+    names = names or tuple(f"picture_{i:0{digits}d}" for i in range(pictures))
     if len(set(names)) != pictures or len(names) != pictures:
         raise InputError(f"names: expected {pictures} different names, found {names}")
     for name in names:
-        if not isinstance(name, str) or not name or name[0] == "." or set(name) & set("/\\\0"):
+        if not name or name[0] == "." or set(name) & set("/\\\0"):
             raise InputError(
                 f"names: expected file names without slash or leading dot, found {name!r}"
             )
@@ -342,6 +332,7 @@ def _check_names(names: tuple[Any, ...], pictures: int) -> None:
             name.encode()
         except UnicodeEncodeError:  # a file name of bytes that are no text
             raise InputError(f"names: expected names in UTF-8, found {name!a}") from None
+    return names
 
 
 def _check_finite(
@@ -356,12 +347,17 @@ def _check_finite(
             bad &= mask
         if weights is not None:
             bad &= weights[i] > 0
-        if bad.any():
-            row, column = np.argwhere(bad)[0]
-            raise InputError(
-                f"{name}: expected finite pixels, found {np.count_nonzero(bad)} that are NaN or "
-                f"infinite, the first at row {row}, column {column}; a mask can leave them out"
-            )
+        _refuse(bad, f"{name}: expected finite pixels", "NaN or infinite")
+
+
+def _refuse(bad: NDArray[np.bool_], expected: str, found: str) -> None:
+    """Raise InputError if a pixel (H, W) is bad."""
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"{expected}, found {np.count_nonzero(bad)} that are {found}, the first at row {row}, "
+            f"column {column}; a mask can leave them out"
+        )
 
 
 def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -372,12 +368,7 @@ def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.
     with np.errstate(over="ignore"):  # an infinite length is refused
         length = np.linalg.norm(normals, axis=-1)
     bad = valid & ~((length >= MIN_NORMAL_LENGTH) & np.isfinite(length))
-    if bad.any():
-        row, column = np.argwhere(bad)[0]
-        raise InputError(
-            f"normals: expected unit vectors, found {np.count_nonzero(bad)} that are zero or NaN, "
-            f"the first at row {row}, column {column}; a mask can leave them out"
-        )
+    _refuse(bad, "normals: expected unit vectors", "zero or NaN")
     # Vectors of unit length stay as they are, to the bit: a scene made from another's normals must
     # be the same scene.
     length[~valid | (np.abs(length - 1.0) < 1e-12)] = 1.0

@@ -18,10 +18,7 @@ from pbrfit.scene import folder as scene_folder
 def picture_size(folder: Path) -> tuple[int, int]:
     """(height, width) of a scene folder's pictures, as its maps must have it.
 
-    Raises
-    ------
-    InputError, OSError
-        If there is no picture that can be read.
+    Raises InputError or OSError if there is no picture that can be read.
     """
     height, width = images.read_picture(scene_folder.find_pictures(folder)[0]).pixels.shape[:2]
     return height, width
@@ -30,13 +27,9 @@ def picture_size(folder: Path) -> tuple[int, int]:
 def check_normals_can_be_added(folder: Path, *, overwrite: bool) -> None:
     """Check what can be checked before the normals are there: making them may take long.
 
-    Raises
-    ------
-    FileExistsError
-        If the folder has normals or weights and `overwrite` is False.
-    InputError, OSError
-        If there is no such folder, or its `scene.toml` states a convention that nothing can be
-        turned into.
+    Raises FileExistsError if the folder has normals or weights and `overwrite` is False; InputError
+    or OSError if there is no such folder, or its `scene.toml` states a convention that nothing can
+    be turned into.
     """
     _to_convention(folder, np.zeros(3))
     scene_folder.find_pictures(folder)
@@ -61,25 +54,11 @@ def add_normals(
 
     The normals are turned into the convention that the folder's `scene.toml` states, so that they
     are read back as they are given. Weights of earlier normals are not weights of these: with
-    `overwrite` they are replaced, or removed where there are none now.
-
-    Parameters
-    ----------
-    folder
-        Scene folder.
-    normals
-        (H, W, 3) in camera space, of the pictures' size.
-    uncertainty
-        (H, W), degrees: kept as a channel of `normals.exr`.
-    weights
-        (H, W), how much the pixels count.
-
-    Raises
-    ------
-    FileExistsError
-        If the folder has normals or weights and `overwrite` is False.
-    InputError
-        If the normals have another size than the pictures.
+    `overwrite` they are replaced, or removed where there are none now. Normals (H, W, 3) are in
+    camera space, of the pictures' size; uncertainty (H, W), in degrees, is kept as a channel of
+    `normals.exr`; weights (H, W) are how much the pixels count. Raises FileExistsError if the
+    folder has normals or weights and `overwrite` is False; InputError if the normals have another
+    size than the pictures.
     """
     check_normals_can_be_added(folder, overwrite=overwrite)
     size = picture_size(folder)
@@ -110,10 +89,7 @@ def _to_convention(folder: Path, normals: NDArray[np.floating[Any]]) -> NDArray[
 def add_flat_normals(folder: Path, *, overwrite: bool = False) -> Path:
     """Write `normals.exr` in which every surface faces the camera; returns its path.
 
-    Raises
-    ------
-    FileExistsError
-        As `add_normals`.
+    Raises FileExistsError as `add_normals`.
     """
     facing = np.broadcast_to([0.0, 0.0, 1.0], (*picture_size(folder), 3))
     return add_normals(folder, facing, overwrite=overwrite)[0]
@@ -122,12 +98,8 @@ def add_flat_normals(folder: Path, *, overwrite: bool = False) -> Path:
 def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = False) -> Path:
     """Write `segments.png`; returns its path.
 
-    Raises
-    ------
-    FileExistsError
-        If the folder has segments and `overwrite` is False.
-    InputError
-        If the ids have another size than the pictures.
+    Raises FileExistsError if the folder has segments and `overwrite` is False; InputError if the
+    ids have another size than the pictures.
     """
     check_no_segments(folder, overwrite=overwrite)
     if ids.shape != picture_size(folder):

@@ -46,31 +46,21 @@ _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
 @dataclass(frozen=True)
 class Settings:
-    """Keys of `scene.toml`.
-
-    Attributes
-    ----------
-    fov
-        Horizontal field of view in degrees, 0 = orthographic.
-    color_space
-        Of all pictures.
-    normals
-        "opengl" (Y up) or "directx" (Y down).
-    normals_frame
-        "camera" or "world".
-    world_to_camera
-        (3, 3) rotation, needed when the frame is "world".
-    model
-        The reflection model that the pictures were rendered with, "paper" or "principled"; None
-        where neither was, or nobody knows.
-    """
+    """Keys of `scene.toml`."""
 
     fov: float | None = None
+    """Horizontal field of view in degrees, 0 = orthographic."""
     color_space: ColorSpace | None = None
+    """Of all pictures."""
     normals: str = "opengl"
+    """Either "opengl" (Y up) or "directx" (Y down)."""
     normals_frame: str = "camera"
+    """Either "camera" or "world"."""
     world_to_camera: NDArray[np.float64] | None = None
+    """(3, 3) rotation, needed when the frame is "world"."""
     model: Model | None = None
+    """The reflection model that the pictures were rendered with, "paper" or "principled"; None
+    where neither was, or nobody knows."""
 
     @property
     def convention(self) -> Convention:
@@ -81,10 +71,7 @@ class Settings:
 def field_of_view(folder: Path, fov: float | None) -> float:
     """Decide about the field of view as `load` does, of the pictures reading only the first.
 
-    Raises
-    ------
-    InputError, OSError
-        As `load`.
+    Raises InputError or OSError as `load`.
     """
     if fov is not None:
         geometry.check_fov(fov)
@@ -98,12 +85,8 @@ def find_pictures(folder: Path) -> list[Path]:
     """Pictures of a scene folder, in name order.
 
     They lie under `images/`, or beside each other as `dir_*_mip*.exr|jpg` (the layout of the MIT
-    multi-illumination data; the finest mip level that is there is taken, EXR before JPEG).
-
-    Raises
-    ------
-    InputError, FileNotFoundError
-        If there is no such folder or no picture in it.
+    multi-illumination data; the finest mip level that is there is taken, EXR before JPEG). Raises
+    InputError or FileNotFoundError if there is no such folder or no picture in it.
     """
     if not folder.is_dir():
         there = "a file" if folder.exists() else "nothing of that name"
@@ -141,10 +124,7 @@ def find_pictures(folder: Path) -> list[Path]:
 def input_files(folder: Path) -> list[Path]:
     """All files of a scene folder that `load` reads, and so those that its result depends on.
 
-    Raises
-    ------
-    InputError, FileNotFoundError
-        As `find_pictures`.
+    Raises InputError or FileNotFoundError as `find_pictures`.
     """
     found = [*find_pictures(folder), *find_normals(folder), *(folder / part for part in PARTS)]
     return [*(path for path in found if path.exists()), *truth_files(folder)]
@@ -153,10 +133,7 @@ def input_files(folder: Path) -> list[Path]:
 def digests(folder: Path) -> dict[str, str]:
     """What `load` would put into `Scene.inputs`, without decoding anything.
 
-    Raises
-    ------
-    InputError, OSError
-        As `input_files`, or if a file cannot be read.
+    Raises InputError or OSError as `input_files`, or if a file cannot be read.
     """
     return {path.relative_to(folder).as_posix(): digest(path) for path in input_files(folder)}
 
@@ -180,10 +157,7 @@ def warn_of_near_misses(folder: Path) -> None:
 def read_settings(path: Path) -> Settings:
     """Read `scene.toml`, if it is there.
 
-    Raises
-    ------
-    InputError
-        If it is not TOML, or has other keys or values.
+    Raises InputError if it is not TOML, or has other keys or values.
     """
     if not path.exists():
         return Settings()

@@ -155,25 +155,17 @@ def load(
 
 @dataclass
 class _Pictures:
-    """All pictures of a scene folder.
-
-    Attributes
-    ----------
-    pixels
-        (N, H, W, 3) at the working size.
-    clipped, dark
-        (N, H, W), bool: samples with a part in what is too bright or too dark for its file.
-    mask
-        What alpha leaves, at the files' size.
-    focal_length
-        Of the first picture that has one, 35 mm equivalent, millimetres.
-    """
+    """All pictures of a scene folder."""
 
     pixels: NDArray[np.float32]
+    """(N, H, W, 3) at the working size."""
     clipped: NDArray[np.bool_]
     dark: NDArray[np.bool_]
+    """(N, H, W), bool: samples with a part in what is too bright or too dark for its file."""
     mask: NDArray[np.bool_]
+    """What alpha leaves, at the files' size."""
     focal_length: float | None = None
+    """Of the first picture that has one, 35 mm equivalent, millimetres."""
 
 
 def _read_pictures(
@@ -333,8 +325,7 @@ def _averaged(
     gets in; ids are not averaged but taken from the middle.
     """
     small_mask = averaged(mask, size) > 1 - 1e-4
-    planes = [averaged(np.where(mask, normals[..., i], 0.0), size) for i in range(3)]
-    small_normals = np.stack(planes, axis=-1).astype(np.float64)
+    small_normals = averaged_channels(np.where(mask[..., None], normals, 0.0), size)
     # Opposite normals cancel.
     small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH
     if segments is not None:

@@ -30,37 +30,20 @@ def rotation(axis: int, degrees: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Primitive(ABC):
-    """A surface placed in the scene.
-
-    Attributes
-    ----------
-    centre
-        (3,) position of the object-space origin.
-    rotation
-        (3, 3), from object space to the scene.
-    """
+    """A surface placed in the scene."""
 
     centre: Array
+    """(3,) position of the object-space origin."""
     rotation: Array = field(default_factory=lambda: np.eye(3))
+    """(3, 3), from object space to the scene."""
 
     @abstractmethod
     def enter(self, origin: Array, directions: Array) -> tuple[Array, Array]:
         """Distance at which rays enter the primitive, and the surface they enter through.
 
-        Parameters
-        ----------
-        origin
-            (3,) common origin of the rays, in object space.
-        directions
-            (P, 3) unit vectors, in object space.
-
-        Returns
-        -------
-        distance : ndarray
-            (P,); inf where the ray misses, or starts inside.
-        normals : ndarray
-            (P, 3) unit normals in object space, on the side the ray comes from; without meaning
-            where it misses.
+        Rays start at `origin` (3,), and `directions` are (P, 3) unit vectors, in object space.
+        Returns distance: (P,); inf where the ray misses, or starts inside; normals: (P, 3) unit
+        normals in object space, on the side the ray comes from; without meaning where it misses.
         """
 
 
@@ -159,41 +142,23 @@ def slabs(origin: Array, directions: Array, half: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Hits:
-    """What a bundle of rays sees.
-
-    Attributes
-    ----------
-    index
-        (P,) which primitive each ray meets first; -1 where it meets none.
-    distance
-        (P,) along the ray, in scene units; inf where it meets none.
-    normals
-        (P, 3) unit normals in scene space that face the ray's origin; 0 where it meets none.
-    local
-        (P, 3) hit points in the object space of the primitive that was met; 0 where it meets none.
-    """
+    """What a bundle of rays sees."""
 
     index: NDArray[np.int64]
+    """(P,) which primitive each ray meets first; -1 where it meets none."""
     distance: Array
+    """(P,) along the ray, in scene units; inf where it meets none."""
     normals: Array
+    """(P, 3) unit normals in scene space that face the ray's origin; 0 where it meets none."""
     local: Array
+    """(P, 3) hit points in the object space of the primitive that was met; 0 where it meets
+    none."""
 
 
 def trace(primitives: Sequence[Primitive], origin: Array, directions: Array) -> Hits:
     """Nearest hit of each ray.
 
-    Parameters
-    ----------
-    primitives
-        The scene.
-    origin
-        (3,) common origin of the rays, in scene space.
-    directions
-        (P, 3) unit vectors in scene space.
-
-    Returns
-    -------
-    Hits
+    Rays start at `origin` (3,), and `directions` are (P, 3) unit vectors, in scene space.
     """
     index = np.full(len(directions), -1, dtype=np.int64)
     distance = np.full(len(directions), np.inf)

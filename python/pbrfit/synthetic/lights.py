@@ -42,8 +42,9 @@ _MAX_CONDITION = 3000.0
 def random_lights(count: int, rng: np.random.Generator, sh_order: int = 3) -> Array:
     """Draw lightings: ambient light, one key light and a few weaker fills, each of its own colour.
 
-    The key lights of a set spread over the sphere on a lattice, the fills are independent, and
-    all lean towards +Y and +Z, where the light that visible surfaces receive comes from.
+    The key lights of a set spread over the sphere on a lattice, the fills are independent, and all
+    lean towards +Y and +Z, where the light that visible surfaces receive comes from. Raises
+    InputError when `count` is below 1 or `sh_order` is neither 2 nor 3.
 
     Parameters
     ----------
@@ -60,11 +61,6 @@ def random_lights(count: int, rng: np.random.Generator, sh_order: int = 3) -> Ar
         (N, 16, 3): lighting, coefficient, channel. Radiance in linear Rec.709, positive in every
         direction, about 1 at the peak of the key light. Real SH without Condon-Shortley phase,
         index l(l+1)+m.
-
-    Raises
-    ------
-    InputError
-        When `count` is below 1 or `sh_order` is neither 2 nor 3.
 
     Notes
     -----

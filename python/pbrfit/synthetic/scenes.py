@@ -31,6 +31,9 @@ GROUP = "pbrfit.scenes"
 def draw(kind: str, rng: np.random.Generator, textures: Any = None) -> World:
     """Draw a scene.
 
+    Raises InputError when `kind` is unknown, its package is not installed, or the textures cannot
+    be used.
+
     Parameters
     ----------
     kind
@@ -44,15 +47,6 @@ def draw(kind: str, rng: np.random.Generator, textures: Any = None) -> World:
     textures
         For kinds that take some: a folder of texture maps, or the sets that were read from one.
         None for procedural detail.
-
-    Returns
-    -------
-    World
-
-    Raises
-    ------
-    InputError
-        When `kind` is unknown, its package is not installed, or the textures cannot be used.
     """
     if kind not in KINDS:
         world = _added(kind)(rng, textures)

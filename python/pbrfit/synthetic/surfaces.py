@@ -24,40 +24,27 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Spots:
-    """P points of a primitive that pixels look at.
-
-    Attributes
-    ----------
-    points, normals
-        (P, 3) positions and unit normals in object space; lengths in metres.
-    width
-        (P,) square root of the area of surface that a pixel covers there, in metres: detail finer
-        than this may be averaged away.
-    """
+    """P points of a primitive that pixels look at."""
 
     points: Array
     normals: Array
+    """(P, 3) positions and unit normals in object space; lengths in metres."""
     width: Array
+    """(P,) square root of the area of surface that a pixel covers there, in metres: detail finer
+    than this may be averaged away."""
 
 
 @dataclass(frozen=True)
 class Finish:
-    """The material at P points of a surface.
-
-    Attributes
-    ----------
-    albedo
-        (P, 3), linear Rec.709; of a metal it is F0.
-    roughness, metallic
-        (P,), in [0, 1].
-    normals
-        (P, 3) unit normals in object space where the surface has relief, None where it is smooth.
-    """
+    """The material at P points of a surface."""
 
     albedo: Array
+    """(P, 3), linear Rec.709; of a metal it is F0."""
     roughness: Array
     metallic: Array
+    """(P,), in [0, 1]."""
     normals: Array | None = None
+    """(P, 3) unit normals in object space where the surface has relief, None where it is smooth."""
 
 
 class Surface(ABC):

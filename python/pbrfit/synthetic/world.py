@@ -18,73 +18,42 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RayCast:
-    """What the camera sees, before any light.
-
-    Attributes
-    ----------
-    normals
-        (H, W, 3) exact unit normals in camera space (X right, Y up, Z towards the viewer).
-    segments
-        (H, W) ids from 1, one for each piece and each wall.
-    materials
-        Ground truth; albedo in linear Rec.709.
-    mask
-        (H, W), or None when every pixel is valid.
-    fov
-        Horizontal field of view in degrees.
-    """
+    """What the camera sees, before any light."""
 
     normals: Array
+    """(H, W, 3) exact unit normals in camera space (X right, Y up, Z towards the viewer)."""
     segments: NDArray[np.uint16]
+    """(H, W) ids from 1, one for each piece and each wall."""
     materials: Materials
+    """Ground truth; albedo in linear Rec.709."""
     mask: NDArray[np.bool_] | None
+    """(H, W), or None when every pixel is valid."""
     fov: float
+    """Horizontal field of view in degrees."""
 
 
 @dataclass(frozen=True)
 class World:
-    """A scene before any picture of it. Scene space has Y up, in metres.
-
-    Attributes
-    ----------
-    primitives
-        The walls of a closed shell first, then the pieces inside it.
-    surfaces
-        What covers each primitive, in the same order.
-    walls
-        How many of the first primitives are the shell.
-    eye
-        (3,) position of the camera.
-    turn
-        (3, 3) the camera's axes (X right, Y up, Z towards the viewer) as columns, in scene space:
-        x_scene = turn x_camera + eye.
-    """
+    """A scene before any picture of it. Scene space has Y up, in metres."""
 
     primitives: tuple[Primitive, ...]
+    """The walls of a closed shell first, then the pieces inside it."""
     surfaces: tuple[Surface, ...]
+    """What covers each primitive, in the same order."""
     walls: int
+    """How many of the first primitives are the shell."""
     eye: Array
+    """(3,) position of the camera."""
     turn: Array
+    """(3, 3) the camera's axes (X right, Y up, Z towards the viewer) as columns, in scene space:
+    x_scene = turn x_camera + eye."""
 
     def cast(self, size: int, fov: float = 60.0) -> RayCast:
         """Cast one ray through every pixel centre.
 
-        Parameters
-        ----------
-        size
-            Width and height of the picture in pixels.
-        fov
-            Horizontal field of view in degrees, 0 < fov < 180.
-
-        Returns
-        -------
-        RayCast
-            Every pixel valid (`mask` None) and facing the camera.
-
-        Raises
-        ------
-        InputError
-            When `size` is below 1, or `fov` is outside its range.
+        Every pixel is valid (`mask` None) and faces the camera. Its `size` is width and height in
+        pixels, `fov` the horizontal field of view in degrees, 0 < fov < 180. Raises InputError when
+        `size` is below 1, or `fov` is outside its range.
         """
         if size < 1:
             raise InputError(f"size: expected at least 1 pixel, found {size}")

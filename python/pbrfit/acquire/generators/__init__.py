@@ -21,38 +21,25 @@ RETRY_STEP = 1000
 
 @dataclass(frozen=True)
 class Request:
-    """One picture that is asked for.
-
-    Attributes
-    ----------
-    name
-        Of the picture, safe in file names, unique in a run.
-    prompt, negative
-        The whole texts; a generator may not take the second.
-    seed
-        Of this attempt.
-    """
+    """One picture that is asked for."""
 
     name: str
+    """Of the picture, safe in file names, unique in a run."""
     prompt: str
     negative: str
+    """The whole texts; a generator may not take the second."""
     seed: int
+    """Of this attempt."""
 
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """One picture that came.
-
-    Attributes
-    ----------
-    pixels
-        (H, W, 3) uint8, sRGB, of the photo's size, each pixel where the photo has it.
-    record
-        How it was made, as JSON: model, revision, seed, steps, guidance, seconds, usage, cost …
-    """
+    """One picture that came."""
 
     pixels: NDArray[np.uint8]
+    """(H, W, 3) uint8, sRGB, of the photo's size, each pixel where the photo has it."""
     record: dict[str, Any]
+    """How it was made, as JSON: model, revision, seed, steps, guidance, seconds, usage, cost …"""
 
 
 class Refused(Exception):  # noqa: N818 - a refusal is an answer, not an error
@@ -60,65 +47,41 @@ class Refused(Exception):  # noqa: N818 - a refusal is an answer, not an error
 
 
 class Generator(Protocol):
-    """Makes pictures of a view under other lights.
-
-    Attributes
-    ----------
-    name
-        As the command line has it.
-    retries
-        Whether another seed gives another picture.
-    """
+    """Makes pictures of a view under other lights."""
 
     name: str
+    """As the command line has it."""
     retries: bool
+    """Whether another seed gives another picture."""
 
     def settings(self) -> dict[str, Any]:
         """All that decides about the pictures, as JSON; no secrets."""
-        ...
 
     def check(self) -> None:
         """See that it can work, as far as that shows without making a picture.
 
-        Raises
-        ------
-        InputError
-            If something is missing: one line.
+        Raises InputError if something is missing: one line.
         """
-        ...
 
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
         """The pictures to ask for, with their first seeds.
 
-        Raises
-        ------
-        InputError
-            If so many cannot be had.
+        Raises InputError if so many cannot be had.
         """
-        ...
 
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Make one.
 
-        Raises
-        ------
-        Refused
-            If this request was refused.
-        InputError
-            If the generator cannot work: one line.
+        Raises Refused if this request was refused; InputError if the generator cannot work: one
+        line.
         """
-        ...
 
 
 def requests_from(catalogue: Catalogue, count: int, seed: int) -> list[Request]:
     """The first `count` lightings, request i with seed + i; beyond the end again from the front.
 
-    A second round has other seeds, and names that end in ``_2``.
-
-    Raises
-    ------
-    InputError
-        If `count` is not 1 to 1000, beyond which seeds of attempts would meet.
+    A second round has other seeds, and names that end in ``_2``. Raises InputError if `count` is
+    not 1 to 1000, beyond which seeds of attempts would meet.
     """
     if not 1 <= count <= RETRY_STEP:
         raise InputError(f"count: expected 1 to {RETRY_STEP}, found {count}")
@@ -150,17 +113,8 @@ NAMES = ("flux2-klein", "gpt-image-2", "folder:DIR")
 def create(choice: str, **options: Any) -> Generator:
     """Make a generator by its name.
 
-    Parameters
-    ----------
-    choice
-        One of `NAMES`.
-    options
-        What its constructor takes; None stands for its default.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name.
+    `choice` is one of `NAMES`, and `options` are what its constructor takes; None stands for its
+    default. Raises InputError if there is none of that name.
     """
     name, colon, argument = choice.partition(":")
     if name not in _REGISTRY or (name == "folder") != bool(colon and argument):

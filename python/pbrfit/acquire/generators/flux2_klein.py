@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -32,56 +34,38 @@ PROMPT_TOKENS = 512
 """What the pipeline reads of a prompt; it would cut off the rest without a word."""
 
 
+@dataclass(eq=False)
 class Flux2Klein:
     """Pictures by diffusers' `Flux2KleinPipeline`; the network is loaded at the first one.
 
-    Parameters
-    ----------
-    model
-        Name on the Hugging Face Hub, or a local folder as `save_pretrained` leaves it.
-    revision
-        Branch, tag or commit on the Hub.
-    guidance
-        g above; at 1 or less there is no v₋, and so no negative prompt.
-    steps
-        Of the sampler.
-    device, dtype, offload
-        As `pbrfit.acquire.weights.placement` takes them.
-    quiet
-        No bar over the steps of a picture; there is one only where stderr is a terminal.
-
-    Raises
-    ------
-    InputError
-        If diffusers is missing, or an option is none there is.
+    Raises InputError if diffusers is missing, or an option is none there is.
     """
+
+    _: KW_ONLY
+    model: str = MODEL
+    """Name on the Hugging Face Hub, or a local folder as `save_pretrained` leaves it."""
+    revision: str | None = None
+    """Branch, tag or commit on the Hub."""
+    guidance: float = 5.0
+    """g above; at 1 or less there is no v₋, and so no negative prompt."""
+    steps: int = 50
+    """Of the sampler."""
+    device: str = "auto"
+    dtype: str = "auto"
+    offload: str = "none"
+    """As `pbrfit.acquire.weights.placement` takes them."""
+    quiet: bool = False
+    """No bar over the steps of a picture; there is one only where stderr is a terminal."""
 
     name = "flux2-klein"
     retries = True
 
-    def __init__(
-        self,
-        *,
-        model: str = MODEL,
-        revision: str | None = None,
-        guidance: float = 5.0,
-        steps: int = 50,
-        device: str = "auto",
-        dtype: str = "auto",
-        offload: str = "none",
-        quiet: bool = False,
-    ) -> None:
+    def __post_init__(self) -> None:
         weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
-        if not (math.isfinite(guidance) and guidance >= 0):
-            raise InputError(f"guidance: expected a number of 0 or more, found {guidance}")
-        if steps < 1:
-            raise InputError(f"steps: expected at least 1, found {steps}")
-        self._model = model
-        self._revision = revision
-        self._guidance = guidance
-        self._steps = steps
-        self._where = (device, dtype, offload)
-        self._quiet = quiet
+        if not (math.isfinite(self.guidance) and self.guidance >= 0):
+            raise InputError(f"guidance: expected a number of 0 or more, found {self.guidance}")
+        if self.steps < 1:
+            raise InputError(f"steps: expected at least 1, found {self.steps}")
         self._pipeline: Any = None
         self._record: dict[str, Any] = {}
         self._negative: tuple[str, Any] | None = None
@@ -91,38 +75,23 @@ class Flux2Klein:
 
         Devices differ in rounding, and so in details; records say where each picture was made.
         """
-        return {
-            "model": self._model,
-            "revision": self._revision,
-            "guidance": self._guidance,
-            "steps": self._steps,
-            "dtype": self._where[1],
-        }
+        names = ("model", "revision", "guidance", "steps", "dtype")
+        return {name: getattr(self, name) for name in names}
 
     def check(self) -> None:
         """Look for the device and the network, and what kind it is; reads no weights.
 
-        Raises
-        ------
-        InputError
-            If one of them is not there, or the network is distilled and guidance is asked for.
+        Raises InputError if one of them is not there, or the network is distilled and guidance is
+        asked for.
         """
         _ = self._placement
-
-        def loader(name: str, **options: Any) -> Any:
-            return self._check_kind(name, "", **options)
-
-        weights.load(
-            KIND, self._model, loader=loader, marker="model_index.json", revision=self._revision
-        )
+        self._load(lambda name, **options: self._check_kind(name, "", **options))
 
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
         """The first `count` lightings of the catalogue.
 
-        Raises
-        ------
-        InputError
-            If `count` is out of range, or there are negatives and no guidance to use them.
+        Raises InputError if `count` is out of range, or there are negatives and no guidance to use
+        them.
         """
         self._check_guidance(catalogue.negative)
         return requests_from(catalogue, count, seed)
@@ -130,11 +99,8 @@ class Flux2Klein:
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Make one picture; the same seed on the same machine gives the same bits.
 
-        Raises
-        ------
-        InputError
-            If the network cannot be had, is distilled and cannot do what was asked for, or runs
-            out of memory; or the prompt is too long.
+        Raises InputError if the network cannot be had, is distilled and cannot do what was asked
+        for, or runs out of memory; or the prompt is too long.
         """
         self._check_guidance(request.negative)
         pipeline = self._loaded(request.negative)
@@ -147,15 +113,15 @@ class Flux2Klein:
         began = time.perf_counter()
         with weights.memory_in_words(f"{KIND}, picture {request.name}"), torch.no_grad():
             options = {}
-            if self._guidance > 1:
+            if self.guidance > 1:
                 options["negative_prompt_embeds"] = self._embedded(request.negative)
             output = pipeline(
                 image=Image.fromarray(frame.to_model(photo.srgb8())),
                 prompt=request.prompt,
                 height=frame.padded[0],
                 width=frame.padded[1],
-                num_inference_steps=self._steps,
-                guidance_scale=self._guidance,
+                num_inference_steps=self.steps,
+                guidance_scale=self.guidance,
                 # On the processor, where a seed means the same noise on every machine.
                 generator=torch.Generator("cpu").manual_seed(request.seed),
                 max_sequence_length=PROMPT_TOKENS,
@@ -166,8 +132,8 @@ class Flux2Klein:
             pixels=frame.from_model(_in_bytes(output.images[0], self._record["dtype"])),
             record={
                 **self._record,
-                "guidance": self._guidance,
-                "steps": self._steps,
+                "guidance": self.guidance,
+                "steps": self.steps,
                 "seed": request.seed,
                 "prompt": request.prompt,
                 "negative": request.negative,
@@ -190,12 +156,10 @@ class Flux2Klein:
             self._check_kind(name, negative, **options)
             return Flux2KleinPipeline.from_pretrained(name, dtype=where.torch_dtype, **options)
 
-        loaded = weights.load(
-            KIND, self._model, loader=loader, marker="model_index.json", revision=self._revision
-        )
+        loaded = self._load(loader)
         pipeline = loaded.network
-        pipeline.set_progress_bar_config(disable=True if self._quiet else None, leave=False)
-        weights.place(pipeline, where, what=f"{KIND} {self._model}")
+        pipeline.set_progress_bar_config(disable=True if self.quiet else None, leave=False)
+        weights.place(pipeline, where, what=f"{KIND} {self.model}")
         self._record = {
             "generator": self.name,
             **loaded.record,
@@ -207,9 +171,14 @@ class Flux2Klein:
         self._pipeline = pipeline
         return pipeline
 
+    def _load(self, loader: Callable[..., Any]) -> weights.Loaded:
+        return weights.load(
+            KIND, self.model, loader=loader, marker="model_index.json", revision=self.revision
+        )
+
     @cached_property
     def _placement(self) -> weights.Placement:
-        return weights.placement(*self._where, what=KIND)
+        return weights.placement(self.device, self.dtype, self.offload, what=KIND)
 
     def _check_kind(self, name: str, negative: str, **options: Any) -> None:
         """Read what a checkpoint says about itself, a small file."""
@@ -222,18 +191,18 @@ class Flux2Klein:
         self._check_distilled(config.get("is_distilled", False), negative)
 
     def _check_guidance(self, negative: str) -> None:
-        if negative and self._guidance <= 1:
+        if negative and self.guidance <= 1:
             raise InputError(
                 f"negative prompts: expected guidance above 1, which they work through, found "
-                f"{self._guidance:g}; --no-negative leaves them out"
+                f"{self.guidance:g}; --no-negative leaves them out"
             )
 
     def _check_distilled(self, distilled: bool, negative: str) -> None:
-        if distilled and (self._guidance != 1 or negative):
-            asked = [f"guidance {self._guidance:g}"] * (self._guidance != 1)
+        if distilled and (self.guidance != 1 or negative):
+            asked = [f"guidance {self.guidance:g}"] * (self.guidance != 1)
             asked += ["negative prompts"] * bool(negative)
             raise InputError(
-                f"{self._model}: expected a base checkpoint for {' and '.join(asked)}, found a "
+                f"{self.model}: expected a base checkpoint for {' and '.join(asked)}, found a "
                 f"distilled one, which ignores both: take {MODEL}, or --guidance 1 --no-negative"
             )
 

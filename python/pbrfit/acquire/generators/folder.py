@@ -26,12 +26,7 @@ class Folder:
     """The pictures of a folder, in the order of their names.
 
     They have to show the photo's view pixel by pixel; where they are of another size, they are
-    scaled to the photo's.
-
-    Raises
-    ------
-    InputError
-        If there is no such folder, or no picture in it.
+    scaled to the photo's. Raises InputError if there is no such folder, or no picture in it.
     """
 
     name = "folder"
@@ -80,12 +75,8 @@ class Folder:
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Read one.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be used, or its shape is not the photo's.
-        OSError
-            If it cannot be read.
+        Raises InputError if the file cannot be used, or its shape is not the photo's; OSError if it
+        cannot be read.
         """
         path = self._files[request.name]
         picture = images.read_picture(path, self._color_space)

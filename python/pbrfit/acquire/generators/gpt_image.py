@@ -72,23 +72,16 @@ class GptImage:
 
     The API takes no seed and no negative prompt. Every call gives another picture, so a request's
     seed only tells calls apart; what is to be avoided is said at the end of the prompt.
-
-    Attributes
-    ----------
-    model
-        Any of the models that take free sizes.
-    quality
-        One of `QUALITIES`; decides most of the price.
-    max_retries
-        By the client, with growing pauses.
-    timeout
-        Seconds for one answer.
     """
 
     model: str = "gpt-image-2"
+    """Any of the models that take free sizes."""
     quality: str = "high"
+    """One of `QUALITIES`; decides most of the price."""
     max_retries: int = RETRIES
+    """By the client, with growing pauses."""
     timeout: float = TIMEOUT
+    """Seconds for one answer."""
 
     name = "gpt-image-2"
     retries = True
@@ -106,10 +99,8 @@ class GptImage:
     def check(self) -> None:
         """See that the client and a key are there; asks the service for nothing.
 
-        Raises
-        ------
-        InputError
-            If the extra or the key is missing, or the key or the service's address is none.
+        Raises InputError if the extra or the key is missing, or the key or the service's address is
+        none.
         """
         _ = self._client
 
@@ -124,13 +115,9 @@ class GptImage:
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Ask for one picture.
 
-        Raises
-        ------
-        Refused
-            If the service's moderation refuses the prompt, the photo or what came out.
-        InputError
-            If the key is refused, the service is out of reach or out of quota after all retries,
-            or answers with something that is no picture of the size that was asked for.
+        Raises Refused if the service's moderation refuses the prompt, the photo or what came out;
+        InputError if the key is refused, the service is out of reach or out of quota after all
+        retries, or answers with something that is no picture of the size that was asked for.
         """
         import openai
 

@@ -56,25 +56,10 @@ def from_file(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
-    Parameters
-    ----------
-    path
-        EXR (a channel Z, Y or V, or the only one there is), grey PNG or TIFF of 16 bits or
-        floats, or .npy.
-    size
-        The map has this size, or is larger in the same proportion; then normals are averaged.
-    fov, kind, view_width
-        As for `from_depth`.
-
-    Returns
-    -------
-    normals, known
-        As of `from_depth`.
-
-    Raises
-    ------
-    InputError, OSError
-        If the file holds no depth, or of another proportion.
+    The file is EXR (a channel Z, Y or V, or the only one there is), grey PNG or TIFF of 16 bits or
+    floats, or .npy. The map has the pictures' size, or is larger in the same proportion; then
+    normals are averaged. All else is as for `from_depth`. Returns normals, known: as of
+    `from_depth`. Raises InputError or OSError if the file holds no depth, or of another proportion.
     """
     depth = read_depth(path)
     if depth.shape != size:
@@ -151,29 +136,13 @@ def from_depth(
     n·P = -1 before it is normalised, whatever g is: no normal faces away.
 
     An orthographic camera that sees a width of w sees (x w/2, y w/2, -z) with t = 1, a plane's z is
-    linear itself, and n ∝ (∂z/∂X, ∂z/∂Y, 1) with W/w pixels to a unit of X.
+    linear itself, and n ∝ (∂z/∂X, ∂z/∂Y, 1) with W/w pixels to a unit of X. Raises InputError if
+    `kind` is none, or an orthographic camera comes without `view_width` or with disparity.
 
-    Parameters
-    ----------
-    depth
-        (H, W). 0, negative, infinite (or beyond 1e9) and NaN: nothing was hit.
-    fov
-        Horizontal field of view in degrees, 0 = orthographic.
-    kind
-        What the numbers say.
-    view_width
-        What an orthographic camera sees from left to right, in units of the depth; without a
-        meaning for others.
-
-    Returns
-    -------
-    normals, known
-        (H, W, 3) in camera space, and (H, W): where the depth told them.
-
-    Raises
-    ------
-    InputError
-        If `kind` is none, or an orthographic camera comes without `view_width` or with disparity.
+    0, negative, infinite (or beyond 1e9) and NaN say that nothing was hit. `view_width` is what an
+    orthographic camera sees from left to right, in units of the depth; it has no meaning for
+    others. Returns normals, known: (H, W, 3) in camera space, and (H, W): where the depth told
+    them.
     """
     geometry.check_fov(fov)
     if kind not in get_args(DepthKind):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io.normal_files import Convention, read_normals
 from pbrfit.io.quoting import shown
-from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.scene.arrays import MIN_NORMAL_LENGTH
 
 FACING = np.array([0.0, 0.0, 1.0])
@@ -28,26 +28,11 @@ def from_file(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Normals of a file in camera space, at the size (height, width) of the pictures.
 
-    Parameters
-    ----------
-    path
-        EXR (X, Y, Z or R, G, B: the components), PNG or TIFF (n = 2v - 1), or .npy of shape
-        (H, W, 3) or (3, H, W).
-    size
-        The map has this size, or is larger in the same proportion; then normals are averaged.
-    convention
-        How the file is written.
-
-    Returns
-    -------
-    normals, known
-        (H, W, 3) unit vectors, and (H, W): where the file has one. Elsewhere (zero, NaN) the
-        normal faces the viewer.
-
-    Raises
-    ------
-    InputError, OSError
-        If the file holds no normals, those of another frame, or of another proportion.
+    The file is EXR (X, Y, Z or R, G, B: the components), PNG or TIFF (n = 2v - 1), or .npy of shape
+    (H, W, 3) or (3, H, W). The map has the pictures' size, or is larger in the same proportion;
+    then normals are averaged. Returns normals, known: (H, W, 3) unit vectors, and (H, W): where the
+    file has one. Elsewhere (zero, NaN) the normal faces the viewer. Raises InputError or OSError if
+    the file holds no normals, those of another frame, or of another proportion.
     """
     stored = _stored(path)
     if stored.shape[:2] != size:
@@ -93,30 +78,15 @@ def fit_to_size(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Average unit normals over the pixels of a smaller picture, and make them unit again.
 
-    Parameters
-    ----------
-    normals, known
-        (H, W, 3), and (H, W): where they mean anything.
-    size
-        (height, width); the map has this size, or is larger in the same proportion.
-    path
-        For messages.
-
-    Returns
-    -------
-    normals, known
-        Of that size. What is not known, or cancels, faces the viewer.
-
-    Raises
-    ------
-    InputError
-        If the map is smaller, or of another proportion.
+    The map (H, W, 3), which means something where it is `known` (H, W), has the `size` (height,
+    width), or is larger in the same proportion. Returns normals, known: of that size. What is not
+    known, or cancels, faces the viewer. Raises InputError if the map is smaller, or of another
+    proportion.
     """
     if normals.shape[:2] == size:
         return normals, known
     check_reducible(path, normals.shape, size)
-    planes = [averaged(np.where(known, normals[..., i], 0.0), size) for i in range(3)]
-    small = np.stack(planes, axis=-1)
+    small = averaged_channels(np.where(known[..., None], normals, 0.0), size)
     length = np.linalg.norm(small, axis=-1)
     # A pixel of which a part is known has a normal, if only that of the part.
     share = averaged(known, size)
@@ -128,10 +98,7 @@ def fit_to_size(
 def check_reducible(path: Path, shape: tuple[int, ...], size: tuple[int, int]) -> None:
     """Check that a map of this shape becomes one of (height, width) by averaging.
 
-    Raises
-    ------
-    InputError
-        If it is smaller, or of another proportion; it names `path`.
+    Raises InputError if it is smaller, or of another proportion; it names `path`.
     """
     height, width = size
     larger = shape[0] >= height and shape[1] >= width
@@ -145,10 +112,7 @@ def check_reducible(path: Path, shape: tuple[int, ...], size: tuple[int, int]) -
 def read_npy(path: Path) -> NDArray[np.float64]:
     """Read an array of numpy's own format, without anything that could be code.
 
-    Raises
-    ------
-    InputError
-        If the file is no array of real numbers.
+    Raises InputError if the file is no array of real numbers.
     """
     expected = "expected an array of real numbers in .npy"
     try:

@@ -50,37 +50,14 @@ def from_picture(
 ) -> tuple[Array, Array | None, dict[str, Any]]:
     """Estimate normals of one picture.
 
-    Parameters
-    ----------
-    srgb8
-        (H, W, 3), sRGB.
-    model
-        Name on the Hugging Face Hub, or a local folder.
-    ensemble
-        How many predictions, from seeds `seed`, `seed` + 1, ...; their mean is the answer.
-    steps, resolution
-        Denoising steps, and longer side in pixels at which the network sees the picture (0 = that
-        of the picture); None = as the model recommends.
-    seed
-        Of the first.
-    device, dtype, offload
-        As for `pbrfit.acquire.weights.placement`.
-    progress
-        Called after each prediction.
-
-    Returns
-    -------
-    normals
-        (H, W, 3) unit vectors in camera space.
-    uncertainty
-        (H, W) degrees, see `mean_and_spread`; None for an ensemble below 3.
-    record
-        How they were made, as JSON.
-
-    Raises
-    ------
-    InputError
-        If a package or the weights are missing, an option cannot be used, or memory runs out.
+    `model` is a name on the Hugging Face Hub or a local folder; `device`, `dtype` and `offload` are
+    as for `pbrfit.acquire.weights.placement`. The answer is the mean of `ensemble` predictions,
+    from seeds `seed`, `seed` + 1, ...; `progress` is called after each. `steps` of denoising, and
+    the longer side in pixels (`resolution`) at which the network sees the picture (0 = that of the
+    picture), are as the model recommends where they are None. Returns normals: (H, W, 3) unit
+    vectors in camera space; uncertainty: (H, W) degrees, see `mean_and_spread`; None for an
+    ensemble below 3; record: how they were made, as JSON. Raises InputError if a package or the
+    weights are missing, an option cannot be used, or memory runs out.
     """
     weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
     import torch
@@ -135,19 +112,9 @@ def mean_and_spread(members: Sequence[Array]) -> tuple[Array, Array]:
 
     is the mean square angle between one member and the direction that all scatter about. It says
     how much the network's answers depend on the noise that it started from; an error that all
-    members share is not in it. The mean is itself off by σ/√E on top of that.
-
-    Parameters
-    ----------
-    members
-        E arrays (H, W, 3) of unit vectors.
-
-    Returns
-    -------
-    mean : ndarray
-        (H, W, 3) unit vectors; (0, 0, 1) where the members cancel.
-    spread : ndarray
-        (H, W) σ in degrees; 0 of a single member.
+    members share is not in it. The mean is itself off by σ/√E on top of that. Returns mean: (H, W,
+    3) unit vectors; (0, 0, 1) where the members cancel; spread: (H, W) σ in degrees; 0 of a single
+    member.
     """
     total = np.zeros_like(members[0])
     for member in members:

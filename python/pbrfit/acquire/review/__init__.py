@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -79,25 +78,17 @@ leave as much."""
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was measured of a picture.
-
-    Attributes
-    ----------
-    name
-        What was checked, in a word.
-    value, bound
-        What was found, and where it begins to be too much (or too little).
-    passed
-        Whether it is right.
-    note
-        A sentence for people.
-    """
+    """One thing that was measured of a picture."""
 
     name: str
+    """What was checked, in a word."""
     value: float
     bound: float
+    """What was found, and where it begins to be too much (or too little)."""
     passed: bool
+    """Whether it is right."""
     note: str
+    """A sentence for people."""
 
     @property
     def excess(self) -> float:
@@ -133,17 +124,8 @@ class Verdict:
 class Reviewer:
     """Judges pictures of the view of one photograph.
 
-    Parameters
-    ----------
-    photo
-        (H, W, 3) the photograph, linear Rec.709, white = 1.
-    mask
-        (H, W), False where the photograph is transparent.
-
-    Raises
-    ------
-    InputError
-        If the photograph has nothing to compare by: no edges at all.
+    The photograph is (H, W, 3), linear Rec.709, white = 1; the mask (H, W) False where it is
+    transparent. Raises InputError if the photograph has nothing to compare by: no edges at all.
     """
 
     def __init__(self, photo: NDArray[Any], *, mask: NDArray[np.bool_] | None = None) -> None:
@@ -152,6 +134,7 @@ class Reviewer:
         self._size = size
         self._pixel = max(photo.shape[:2]) / max(size)
         self._mask = None if mask is None else averaged(mask.astype(np.float64), size) > 0.999
+        self._low = reduced_size(size, illumination.SIDE)
         self._photo = self._reduced(photo)
         self._edges = alignment.edges(self._photo, self._mask)
         if alignment.compare(self._edges, self._edges) is None:
@@ -163,56 +146,40 @@ class Reviewer:
     def picture(self, pixels: NDArray[Any]) -> Verdict:
         """Judge one picture (H, W, 3), linear Rec.709, white = 1, against the photograph.
 
-        Raises
-        ------
-        InputError
-            If it is of another size.
+        Raises InputError if it is of another size.
         """
         picture = self._reduced(pixels)
-        edges = alignment.edges(picture, self._mask)
         exposure = self._exposure(picture)
         if not exposure.passed:
             return Verdict((exposure,))
+        edges = alignment.edges(picture, self._mask)
         found = alignment.compare(self._edges, edges, pixel=self._pixel)
-        return Verdict(
-            (
-                exposure,
-                self._copy(picture),
-                *_aligned(found, "the photograph", EDGE_CORRELATION_MIN, alignment.MOST_MOVED),
-            )
-        )
+        aligned = _aligned(found, "the photograph", EDGE_CORRELATION_MIN, alignment.MOST_MOVED)
+        return Verdict((exposure, self._copy(picture), *aligned))
 
     def together(self, pictures: Sequence[NDArray[Any]]) -> list[Verdict]:
         """Judge pictures by each other and the photograph: those that were accepted alone.
 
         The worst one is taken out and the others judged again without it, until none fails: a
         picture that does not fit spoils what it is compared with. Then each of those that were
-        taken out is judged once more, beside the good ones.
-
-        Parameters
-        ----------
-        pictures
-            Each (H, W, 3), linear Rec.709, white = 1.
-
-        Returns
-        -------
-        One verdict for each. With fewer than 4 pictures, the photograph included, none is judged.
+        taken out is judged once more, beside the good ones. With fewer than 4 pictures, the
+        photograph included, none is judged. Pictures are (H, W, 3), linear Rec.709, white = 1.
         """
-        from threadpoolctl import threadpool_limits
+        from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 
-        with threadpool_limits(1):  # small systems: more threads only wait for each other
-            return self._together(pictures)
+        with one_blas_thread():  # small systems: more threads only wait for each other
+            return self._together([self._reduced(pixels) for pixels in pictures])
 
-    def _together(self, pictures: Sequence[NDArray[Any]]) -> list[Verdict]:
-        members = [_Member(self._reduced(pixels), self._mask) for pixels in pictures]
-        photo = _Member(self._photo, self._mask)
-        verdicts = [Verdict(())] * len(members)
-        left = list(range(len(members)))
+    def _together(self, pictures: Sequence[NDArray[np.float32]]) -> list[Verdict]:
+        verdicts = [Verdict(())] * len(pictures)
+        left = list(range(len(pictures)))
         out: list[int] = []
+        if len(left) + 1 < illumination.FEWEST:
+            return verdicts
+        photo, *members = (self._member(picture) for picture in (self._photo, *pictures))
         while len(left) + 1 >= illumination.FEWEST:
-            for i, verdict in zip(
-                left, self._judge([photo, *(members[i] for i in left)]), strict=True
-            ):
+            judged = self._judge([photo, *(members[i] for i in left)])
+            for i, verdict in zip(left, judged, strict=True):
                 verdicts[i] = verdict
             worst = max(left, key=lambda i: verdicts[i].excess)
             if verdicts[worst].accepted:
@@ -237,11 +204,11 @@ class Reviewer:
         lasting = structure.lasting([member.gradients for member in members])
         low = np.stack([member.low for member in members])
         used = illumination.usable(low)
-        if self._low_mask is not None:
-            used &= self._low_mask
-        size = reduced_size(self._size, illumination.SIDE)
+        if self._mask is not None:
+            used &= averaged(self._mask.astype(np.float64), self._low).ravel() > 0.999
         residuals = [
-            illumination.unexplained(i, low, used).reshape(*size, 3) for i in range(1, len(members))
+            illumination.unexplained(i, low, used).reshape(*self._low, 3)
+            for i in range(1, len(members))
         ]
         brightness = [illumination.brightness(residual) for residual in residuals]
         usual = max(float(np.median([found.max() for found in brightness])), BRIGHTNESS_MIN)
@@ -254,22 +221,23 @@ class Reviewer:
             strict=True,
         ):
             found = alignment.compare(common, member.edges, pixel=self._pixel)
-            kept = structure.kept(member.gradients, lasting, size)
-            verdicts.append(
-                Verdict(
-                    (
-                        *_aligned(
-                            found,
-                            "what the others share",
-                            EDGE_CORRELATION_TOGETHER_MIN,
-                            DISPLACED_SHARE_TOGETHER_MAX,
-                        ),
-                        self._colour(residual, len(members)),
-                        self._content(kept, bright, usual, len(members)),
-                    )
-                )
+            aligned = _aligned(
+                found,
+                "what the others share",
+                EDGE_CORRELATION_TOGETHER_MIN,
+                DISPLACED_SHARE_TOGETHER_MAX,
             )
+            kept = structure.kept(member.gradients, lasting, self._low)
+            content = self._content(kept, bright, usual, len(members))
+            verdicts.append(Verdict((*aligned, self._colour(residual, len(members)), content)))
         return verdicts
+
+    def _member(self, picture: NDArray[np.float32]) -> _Member:
+        return _Member(
+            alignment.edges(picture, self._mask),
+            structure.gradients(picture, self._mask),
+            averaged_channels(picture, self._low).reshape(-1, 3),
+        )
 
     def _reduced(self, pixels: NDArray[Any]) -> NDArray[np.float32]:
         if pixels.shape != self.shape:
@@ -280,13 +248,6 @@ class Reviewer:
             return np.asarray(pixels, np.float32)
         return averaged_channels(pixels, self._size).astype(np.float32)
 
-    @cached_property
-    def _low_mask(self) -> NDArray[np.bool_] | None:
-        if self._mask is None:
-            return None
-        size = reduced_size(self._size, illumination.SIDE)
-        return np.asarray(averaged(self._mask.astype(np.float64), size).ravel() > 0.999)
-
     def _inside(self, plane: NDArray[Any]) -> NDArray[Any]:
         return plane.ravel() if self._mask is None else plane[self._mask]
 
@@ -295,13 +256,11 @@ class Reviewer:
         share = float(((bright > BLACK) & (bright < CLIPPED)).mean())
         black = float((bright <= BLACK).mean())
         what = "black" if black > 0.5 * (1 - share) else "clipped"
-        return _at_least(
-            "exposure",
-            share,
-            USABLE_SHARE_MIN,
+        note = (
             f"{100 * share:.0f} % of the picture is neither clipped nor black; the rest is mostly "
-            f"{what}",
+            f"{what}"
         )
+        return _at_least("exposure", share, USABLE_SHARE_MIN, note)
 
     def _copy(self, picture: NDArray[np.float32]) -> Check:
         """Compare with the photograph after the best tone curve a + b log I for each channel."""
@@ -319,27 +278,22 @@ class Reviewer:
                 left.append(np.std(to - np.polynomial.polynomial.polyval(from_, curve)))
             change = float(np.mean(left))
         known = float(min(change, 10.0))
-        return _at_least(
-            "copy",
-            known,
-            LOG_CHANGE_MIN,
-            f"the same light as in the photograph: beside a tone curve only {known:.3f} of the "
-            "logarithm differs"
-            if change < LOG_CHANGE_MIN
-            else f"the light differs by {known:.2f} in the logarithm beside a tone curve",
-        )
+        note = f"the light differs by {known:.2f} in the logarithm beside a tone curve"
+        if change < LOG_CHANGE_MIN:
+            note = (
+                "the same light as in the photograph: beside a tone curve only "
+                f"{known:.3f} of the logarithm differs"
+            )
+        return _at_least("copy", known, LOG_CHANGE_MIN, note)
 
     def _colour(self, residual: NDArray[np.float64], pictures: int) -> Check:
-        bound = _bound(COLOUR_RESIDUAL_MAX, pictures)
         mixed = illumination.mixed(residual)
         most = float(mixed.max())
-        return _at_most(
-            "colour",
-            most,
-            bound,
+        note = (
             f"a colour that no light of the others makes, by {most:.3f} in the logarithm, around "
-            f"{self._place(mixed)}",
+            f"{self._place(mixed)}"
         )
+        return _at_most("colour", most, _bound(COLOUR_RESIDUAL_MAX, pictures), note)
 
     def _content(
         self,
@@ -348,20 +302,17 @@ class Reviewer:
         usual: float,
         pictures: int,
     ) -> Check:
-        bound = _bound(CHANGE_EVIDENCE_MAX, pictures)
         missing = np.nan_to_num(1.05 - kept).clip(0)
         changed = brightness / (BRIGHTNESS * usual) + DETAIL * missing
-        row, column = np.unravel_index(changed.argmax(), changed.shape)
-        most = float(changed[row, column])
-        detail = 100 * float(np.clip(missing[row, column], 0, 1))
-        return _at_most(
-            "content",
-            most,
-            bound,
+        place = np.unravel_index(changed.argmax(), changed.shape)
+        detail = 100 * float(np.clip(missing[place], 0, 1))
+        note = (
             f"something else around {self._place(changed)}: {detail:.0f} % of the lasting detail "
-            f"is missing, and brightness is off by {brightness[row, column]:.2f} in the logarithm "
-            f"from what light can make ({usual:.2f} is usual here)",
+            f"is missing, and brightness is off by {brightness[place]:.2f} in the logarithm "
+            f"from what light can make ({usual:.2f} is usual here)"
         )
+        bound = _bound(CHANGE_EVIDENCE_MAX, pictures)
+        return _at_most("content", float(changed[place]), bound, note)
 
     def _place(self, found: NDArray[np.float64]) -> str:
         """Where the largest value is, in words: pixels of the full picture."""
@@ -375,25 +326,14 @@ def _bound(parts: tuple[float, float], pictures: int) -> float:
     return parts[0] + parts[1] / min(pictures, PICTURES_COUNTED_MAX)
 
 
+@dataclass(frozen=True, eq=False)
 class _Member:
-    """A picture and what is compared of it, each made when it is first asked for."""
+    """What is compared of a picture."""
 
-    def __init__(self, picture: NDArray[np.float32], mask: NDArray[np.bool_] | None) -> None:
-        self._picture, self._mask = picture, mask
-
-    @cached_property
-    def edges(self) -> alignment.Field:
-        return alignment.edges(self._picture, self._mask)
-
-    @cached_property
-    def gradients(self) -> structure.Gradients:
-        return structure.gradients(self._picture, self._mask)
-
-    @cached_property
-    def low(self) -> NDArray[np.float64]:
-        """(P, 3)."""
-        size = reduced_size(self._picture.shape, illumination.SIDE)
-        return averaged_channels(self._picture, size).reshape(-1, 3)
+    edges: alignment.Field
+    gradients: structure.Gradients
+    low: NDArray[np.float64]
+    """(P, 3)."""
 
 
 def _aligned(
@@ -402,26 +342,16 @@ def _aligned(
     if found is None:
         return (Check("edges", 0.0, least_agreement, False, "no edges to compare by"),)
     right, down = found.shift
+    edges = f"edges agree with {reference} to {max(found.agreement, 0):.2f} of 1"
+    shift = f"shifted by {found.distance:.1f} pixels ({right:+.1f}, {down:+.1f}) from {reference}"
+    warp = (
+        f"{100 * found.moved:.0f} % of the edges are displaced from {reference}, in the median "
+        f"by {found.warp:.1f} pixels"
+    )
     return (
-        _at_least(
-            "edges",
-            found.agreement,
-            least_agreement,
-            f"edges agree with {reference} to {max(found.agreement, 0):.2f} of 1",
-        ),
-        _at_most(
-            "shift",
-            found.distance,
-            alignment.MOST_SHIFT * found.pixel,
-            f"shifted by {found.distance:.1f} pixels ({right:+.1f}, {down:+.1f}) from {reference}",
-        ),
-        _at_most(
-            "warp",
-            found.moved,
-            most_moved,
-            f"{100 * found.moved:.0f} % of the edges are displaced from {reference}, in the median "
-            f"by {found.warp:.1f} pixels",
-        ),
+        _at_least("edges", found.agreement, least_agreement, edges),
+        _at_most("shift", found.distance, alignment.MOST_SHIFT * found.pixel, shift),
+        _at_most("warp", found.moved, most_moved, warp),
     )
 
 

@@ -50,14 +50,7 @@ def unexplained(
 ) -> NDArray[np.float64]:
     """Residual (P, 3) of a picture's illumination, as a logarithm; 0 where it is not usable.
 
-    Parameters
-    ----------
-    index
-        Which picture.
-    pictures
-        (N, P, 3) linear, white = 1.
-    used
-        (N, P), see `usable`.
+    Pictures are (N, P, 3), linear, white = 1; `used` (N, P), see `usable`.
     """
     lit = pictures + _FLOOR
     others = np.delete(lit, index, axis=0)

@@ -44,21 +44,14 @@ LEAST = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """Gradients of the logarithm of a picture.
-
-    Attributes
-    ----------
-    values
-        (H, W, 3) complex64: x + i y, of log(I + ε).
-    factor
-        (H, W, 3) float32: I / (I + ε).
-    sound
-        (H, W, 3) bool: neither clipped nor black.
-    """
+    """Gradients of the logarithm of a picture."""
 
     values: NDArray[np.complex64]
+    """(H, W, 3) complex64: x + i y, of log(I + ε)."""
     factor: NDArray[np.float32]
+    """(H, W, 3) float32: I / (I + ε)."""
     sound: NDArray[np.bool_]
+    """(H, W, 3) bool: neither clipped nor black."""
 
 
 def gradients(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Gradients:
@@ -104,19 +97,10 @@ def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> NDArr
     """Share of the lasting gradients that a picture keeps, at the most.
 
     The border of one shadow in a window of few lasting gradients lowers the share by chance, the
-    more the fewer they are. So 1/√(Σ w |r|²) is added to it.
+    more the fewer they are. So 1/√(Σ w |r|²) is added to it. Returns (h, w): 1 or more for an
+    honest picture, about 0 where the content is another; NaN where there is too little to judge by.
 
-    Parameters
-    ----------
-    picture, reference
-        Of one size (H, W).
-    size
-        (h, w) of the result, averaged down: the window is wide.
-
-    Returns
-    -------
-    (h, w): 1 or more for an honest picture, about 0 where the content is another; NaN where there
-    is too little to judge by.
+    Both are of one size; `size` (h, w) is that of the result, averaged down: the window is wide.
     """
     from scipy.ndimage import gaussian_filter
 

@@ -8,7 +8,6 @@ lights and `panorama.js` reads them. No part needs a server, a network or a buil
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from html import escape
@@ -20,6 +19,7 @@ import numpy as np
 
 from pbrfit.io.display import encoded
 from pbrfit.model.reflection import ggx_band_weights, render
+from pbrfit.report.html import in_base64
 from pbrfit.report.raster import picture_png, reduced
 from pbrfit.report.viewer import lobes, maps
 from pbrfit.result import metrics
@@ -43,22 +43,9 @@ SCRIPTS = ("light.js", "panorama.js", "planes.js", "picture.js", "viewer.js")
 def fragment(result: Result, max_side: int = 1024) -> str:
     """HTML of the relight view of a result: style, markup, maps and script in one.
 
-    Parameters
-    ----------
-    result
-        Whose materials and lights are shown.
-    max_side
-        Larger maps are averaged down to this many pixels on the longer side. It decides about the
-        size: 2 to 9 bytes for a pixel, times 4/3 as text.
-
-    Returns
-    -------
-    A fragment for the body of a page in UTF-8; it refers to nothing outside.
-
-    Raises
-    ------
-    InputError
-        If `max_side` is below 1.
+    Larger maps are averaged down to `max_side` pixels on the longer side. It decides about the
+    size: 2 to 9 bytes for a pixel, times 4/3 as text. Returns a fragment for the body of a page in
+    UTF-8; it refers to nothing outside. Raises InputError if `max_side` is below 1.
     """
     small = maps.of_result(result, max_side)
     height, width = small.mask.shape
@@ -81,9 +68,9 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     }
     markup = Template(_text("view.html")).substitute(
         first=escape(result.pictures[0]),
-        picture=_base64(picture_png(reduced(encoded(first, exposure), STATIC_SIDE))),
+        picture=in_base64(picture_png(reduced(encoded(first, exposure), STATIC_SIDE))),
         data=_json(data),
-        maps=_base64(maps.packed(small)),
+        maps=in_base64(maps.packed(small)),
     )
     tiny = " data-tiny" if max(height, width) < TINY_SIDE else ""
     stage = min(max(width / height, 1 / WIDEST), WIDEST)
@@ -113,7 +100,3 @@ def _json(content: Any) -> str:
     """JSON that cannot end the script element it stands in."""
     text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c")
-
-
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode("ascii")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import struct
-import zlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import lobe_table
-from pbrfit.report.viewer.maps import prediction_errors
+from pbrfit.report.html import in_base64
+from pbrfit.report.viewer.maps import deflated
 
 HEADER = struct.Struct("<8s2I4f")
 STORED = 24
@@ -33,17 +32,11 @@ def data() -> dict[str, Any]:
     planes = np.moveaxis(coefficients[..., :FUNCTIONS], -1, 0)
     low = [float(plane.min()) for plane in planes]
     step = [float(np.ptp(plane)) / CODES for plane in planes]
-    deflate = zlib.compressobj(6, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_RLE)
-    packed = b"".join(
-        deflate.compress(prediction_errors(np.rint((plane - least) / unit).astype(np.uint16)))
+    codes = deflated(
+        np.rint((plane - least) / unit).astype(np.uint16)
         for plane, least, unit in zip(planes, low, step, strict=True)
     )
-    return {
-        "axes": axes,
-        "low": low,
-        "step": step,
-        "codes": base64.b64encode(packed + deflate.flush()).decode("ascii"),
-    }
+    return {"axes": axes, "low": low, "step": step, "codes": in_base64(codes)}
 
 
 def _splines() -> tuple[list[tuple[int, float, float]], NDArray[np.float64]]:

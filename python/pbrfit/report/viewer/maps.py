@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,30 +20,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Maps:
-    """Maps of (H, W) pixels, NaN outside the mask.
-
-    Attributes
-    ----------
-    materials, normals, mask, fov
-        As of a result.
-    """
+    """Maps of (H, W) pixels, NaN outside the mask."""
 
     materials: Materials
     normals: Array
     mask: NDArray[np.bool_]
     fov: float
+    """As of a result."""
 
 
 def of_result(result: Result, max_side: int) -> Maps:
     """Maps with at most `max_side` pixels on the longer side.
 
     Larger ones are averaged over the area that falls on each new pixel, its part in the mask alone,
-    and normals made unit vectors again. A new pixel is valid if half of its area is.
-
-    Raises
-    ------
-    InputError
-        If `max_side` is below 1.
+    and normals made unit vectors again. A new pixel is valid if half of its area is. Raises
+    InputError if `max_side` is below 1.
     """
     if max_side < 1:
         raise InputError(f"max_side: expected at least 1 pixel, found {max_side}")
@@ -99,20 +91,23 @@ UNITS = {**{name: 1 / largest for name, largest in LARGEST.items()}, FACING: FAC
 
 
 def packed(maps: Maps) -> bytes:
-    """All planes of `UNITS`, each as its prediction errors, as one zlib stream.
+    """All planes of `UNITS`, packed."""
+    planes = codes(maps)
+    return deflated(planes[name] for name in UNITS)
+
+
+def deflated(planes: Iterable[NDArray[np.uint16]]) -> bytes:
+    """Planes of codes, each as its prediction errors, as one zlib stream.
 
     A code is predicted from its left (a), upper (b) and upper left (c) neighbours as the median of
     a, b and a + b − c (Weinberger et al., "LOCO-I", 1996). Errors e, modulo 2^16 and in -2^15 ...
     2^15 − 1, are stored as 2e or −2e − 1, all high bytes of a plane before all low bytes.
     """
-    planes = codes(maps)
     # Errors have no repeating strings to look for, only runs: Z_RLE is 40 times as fast as the best
     # search, and 1 to 4 % smaller.
     deflate = zlib.compressobj(6, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_RLE)
-    return (
-        b"".join(deflate.compress(prediction_errors(planes[name])) for name in UNITS)
-        + deflate.flush()
-    )
+    packed = b"".join(deflate.compress(prediction_errors(plane)) for plane in planes)
+    return packed + deflate.flush()
 
 
 def codes(maps: Maps) -> dict[str, NDArray[np.uint16]]:
