@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,11 @@ class Scores:
     def as_json(self) -> dict[str, float | None]:
         """For a record."""
         return asdict(self)
+
+
+def better(metric: str) -> Literal["low", "high"]:
+    """Which values of a metric are better."""
+    return "high" if metric.endswith(("psnr", "ssim")) else "low"
 
 
 def score(result: Result, scene: Scene, threads: int = 0) -> Scores:

@@ -440,8 +440,6 @@ class Part(Generic[C]):
         and for networks that fill a GPU.
     then
         More cases, which depend on what the first found; None if there are none.
-    then_alone
-        Whether those run as with `alone`, and the first do not.
     excused
         Whether a failed record is no failure of the run, such as where an optional network is not
         there.
@@ -457,7 +455,6 @@ class Part(Generic[C]):
     csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line]]] = _no_files
     alone: bool = False
     then: Callable[[Results[C]], Sequence[C]] | None = None
-    then_alone: bool = False
     excused: Callable[[Record], bool] = _never
 
 

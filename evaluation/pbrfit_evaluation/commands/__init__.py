@@ -133,7 +133,7 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
             measure([part], alone=True)
         if part.then is not None:
             cases[part.name] = list(part.then(_results(options, done[part.name])))
-            measure([part], alone=part.alone or part.then_alone)
+            measure([part], alone=part.alone)
 
     found = _outcome(suite, parts, options, done)
     with jobs.publish(options.out) as folder:

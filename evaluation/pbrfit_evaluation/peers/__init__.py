@@ -8,7 +8,6 @@ recover scenes of its own model to the last digit, and nothing would have been c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import get_args
 
 from pbrfit.acquire.weights import Device
@@ -16,15 +15,16 @@ from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.options import count, option
 from pbrfit_evaluation.peers import marigold, rgbx
 from pbrfit_evaluation.peers.figures import ABSENT, csvs, figures, sections
-from pbrfit_evaluation.peers.measure import METHODS, PEERS, Method, Task, work
+from pbrfit_evaluation.peers.measure import METHODS, PEERS, Task, work
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
-from pbrfit_evaluation.suite import Options, Part, Results, Suite
+from pbrfit_evaluation.suite import Options, Part, Suite
 
 FIRST_SEED = 6000
 """Seed of the first scene; nothing was tuned on seeds from there on."""
 
 
-def _tasks(options: Options, methods: Sequence[Method]) -> list[Task]:
+def cases(options: Options) -> list[Task]:
+    """Every scene by every method."""
     return [
         Task(
             method,
@@ -39,19 +39,9 @@ def _tasks(options: Options, methods: Sequence[Method]) -> list[Task]:
             model=getattr(options, method, None),
             device=options.device,
         )
-        for method in methods
+        for method in METHODS
         for i in range(options.scenes)
     ]
-
-
-def cases(options: Options) -> list[Task]:
-    """Every scene by our fit and by a guess."""
-    return _tasks(options, [method for method in METHODS if method not in PEERS])
-
-
-def of_peers(results: Results[Task]) -> list[Task]:
-    """Every scene by the peers: a network is loaded once and fills a GPU."""
-    return _tasks(results.options, PEERS)
 
 
 def is_absent(record: Record) -> bool:
@@ -77,8 +67,7 @@ SUITE = Suite(
             figures,
             sections=sections,
             csvs=csvs,
-            then=of_peers,
-            then_alone=True,
+            alone=True,
             excused=is_absent,
         )
     ],
