@@ -273,11 +273,9 @@ class Series:
     label
         In the legend; a label has one look in the whole plot.
     x, y
-        Coordinates. Of dots and bars `y` are names, and those of a panel share an axis.
+        Coordinates. Of dots `y` are names, and those of a panel share an axis.
     low, high
-        Interval of each: of y in lines, points and steps, of x in dots and bars.
-    notes
-        Text beside each.
+        Interval of each: of y in lines, points and steps, of x in dots.
     look
         Place in the palette (default: in order of appearance), to keep looks alike between plots.
     empty
@@ -290,7 +288,6 @@ class Series:
     _: KW_ONLY
     low: Sequence[float] = ()
     high: Sequence[float] = ()
-    notes: Sequence[str] = ()
     look: int | None = None
     empty: bool = False
 
@@ -310,10 +307,10 @@ class Panel:
     """One pair of axes; labels have units.
 
     `kind`: "lines" with markers, "steps" without (histograms, dense curves), "points" alone;
-    "dots" and "bars" against names.
+    "dots" against names.
     """
 
-    kind: Literal["lines", "steps", "points", "dots", "bars"]
+    kind: Literal["lines", "steps", "points", "dots"]
     series: Sequence[Series]
     x: str = ""
     y: str = ""
@@ -361,7 +358,6 @@ class Plot:
     share_x: Literal["none", "all", "row", "col"] = "none"
     share_y: Literal["none", "all", "row", "col"] = "none"
     size: tuple[float, float] | None = None
-    title: str = ""
 
 
 @dataclass(frozen=True)

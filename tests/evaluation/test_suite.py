@@ -291,13 +291,13 @@ def test_markdown_of_cells() -> None:
 # ------------------------------------------------------------------------------------------ plots
 
 SERIES = [
-    Series("a", [1, 10, 100], [1, 2, 4], low=[0.5, 1, 2], high=[2, 4, 8], notes=["", "n", ""]),
+    Series("a", [1, 10, 100], [1, 2, 4], low=[0.5, 1, 2], high=[2, 4, 8]),
     Series("b", [1, 10, 100], [4, 2, 1], empty=True, look=5),
 ]
 MARKS = [Mark(1, "bar"), Mark(2, axis="x", to=3)]
 NAMED = [
     Series("a", [1, 2], ["x", "y"], low=[0.5, 1], high=[2, 4]),
-    Series("b", [1], ["y"], notes=["1 of 2"]),
+    Series("b", [1], ["y"]),
 ]
 
 
@@ -310,7 +310,7 @@ NAMED = [
             for log in ("", "xy")
         ),
         Panel("dots", NAMED, "RMSE", log="x", marks=[Mark(1, "bar", "x")]),
-        Panel("bars", NAMED, "%", x_range=(0, 10)),
+        Panel("dots", NAMED, "%", x_range=(0, 10)),
         HeatMap([[0.0, 1.0], [4.0, 9.0]], ["a", "a long name"], ["c", "d"], ratio=True, scale="r"),
         HeatMap([[0.0, 0.5]], ["a", "b"], ["c"], span=(0.0, 0.5)),
     ],

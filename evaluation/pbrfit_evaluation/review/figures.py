@@ -128,10 +128,9 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
         Series(
             label,
             [100 * of.share for of in some.values()],
-            list(some),
+            [f"{name}, {of}" for name, of in some.items()],
             low=[100 * of.interval()[0] for of in some.values()],
             high=[100 * of.interval()[1] for of in some.values()],
-            notes=[str(of) for of in some.values()],
         )
         for label, honest in (("damaged: caught", False), ("honest: refused", True))
         for some in [{name: of for name, of in shown.items() if ("honest" in name) == honest}]
@@ -140,7 +139,7 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     plot = Plot(
         "rates",
         "With intervals of 95 %; the bars as dotted lines.",
-        [Panel("bars", series, "refused by the review, %", marks=marks, x_range=(0, 115))],
+        [Panel("dots", series, "refused by the review, %", marks=marks, x_range=(0, 100))],
         size=(8, 3.4),
     )
     columns = ("refused", "pictures", "share")
