@@ -411,10 +411,6 @@ def _no_files(*_: Any) -> dict[str, list[Line]]:
     return {}
 
 
-def _never(_: Record) -> bool:
-    return False
-
-
 def _all_rows(_: Any, rows: Sequence[Row]) -> Sequence[Section]:
     return [Section("Figures", tables=[Table.of(rows)])]
 
@@ -436,9 +432,6 @@ class Part(Generic[C]):
         and for networks that fill a GPU.
     then
         More cases, which depend on what the first found; None if there are none.
-    excused
-        Whether a failed record is no failure of the run, such as where an optional network is not
-        there.
     """
 
     name: str
@@ -451,7 +444,6 @@ class Part(Generic[C]):
     csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line]]] = _no_files
     alone: bool = False
     then: Callable[[Results[C]], Sequence[C]] | None = None
-    excused: Callable[[Record], bool] = _never
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evaluation_tasks import recorded
 from pbrfit.cli import main
 from pbrfit.fit.decompose import decompose
 from pbrfit.model.geometry import angles_between
@@ -28,12 +29,11 @@ from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import normals
-from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE, facing, smooth, turned, unit
 from pbrfit_evaluation.normals import SUITE, figures, measure
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, MEAN_OF_THETA, disturbed
 from pbrfit_evaluation.normals.measure import Case
-from pbrfit_evaluation.suite import Results, Verdict
+from pbrfit_evaluation.suite import Verdict
 
 Array = NDArray[np.float64]
 
@@ -213,13 +213,9 @@ def test_turning_back_leaves_what_no_common_turn_explains() -> None:
 # -------------------------------------------------------------------------------------- verdicts
 
 
-def recorded(case: Any, values: Any) -> tuple[Any, Record]:
-    return case, Record(case.key, values, None, 1.0)
-
-
 def room_of(
     kind: Any, degrees: float, seed: int, off: float, auto: float, angle: float = 0.0
-) -> tuple[Any, Record]:
+) -> tuple[Case, dict[str, Any]]:
     """A scene whose errors are all `off` without refinement and `auto` with it."""
 
     def scored(error: float, mean: float, refined: bool) -> dict[str, Any]:
@@ -234,12 +230,12 @@ def room_of(
         "auto": scored(auto, angle, refined=not right),
         "on": scored(auto, angle, refined=True),
     }
-    return recorded(Case("rooms", "furnished", seed, 16, kind, degrees, 1), values)
+    return Case("rooms", "furnished", seed, 16, kind, degrees, 1), values
 
 
-def judged(part: str, pairs: Sequence[tuple[Any, Record]]) -> list[Verdict]:
+def judged(part: str, *pairs: Any) -> list[Verdict]:
     [of] = [one for one in SUITE.parts if one.name == part]
-    results = Results(Namespace(), pairs)
+    results = recorded(*pairs)
     return list(of.verdicts(results, of.figures(results)))
 
 
@@ -257,7 +253,7 @@ def test_won_back_is_of_the_loss_of_means() -> None:
     ]
 
     def share(*pairs: Any, degrees: float = 5.0) -> tuple[float, float]:
-        return figures.won_back(Results(Namespace(), pairs), "biased", degrees, "albedo", "auto")
+        return figures.won_back(recorded(*pairs), "biased", degrees, "albedo", "auto")
 
     assert share(*floors, *wrong) == pytest.approx((0.7, 0.7))
     assert all(map(math.isnan, share(*floors, *wrong, degrees=10.0)))
@@ -275,8 +271,8 @@ def test_won_back_is_of_the_loss_of_means() -> None:
     ],
 )
 def test_bars_of_rooms(theta: float, auto: float, angle: float, failing: int) -> None:
-    pairs = [room_of("true", 0, 1, 0.1, 0.1), room_of("correlated", theta, 1, 0.3, auto, angle)]
-    found = [v for v in judged("rooms", pairs) if v.what.startswith("correlated")]
+    pairs = room_of("true", 0, 1, 0.1, 0.1), room_of("correlated", theta, 1, 0.3, auto, angle)
+    found = [v for v in judged("rooms", *pairs) if v.what.startswith("correlated")]
     assert len(found) == 5
     assert sum(not verdict.holds for verdict in found) == failing
     assert by_what(found, "metallic loss").holds == (failing < 5)
@@ -284,7 +280,7 @@ def test_bars_of_rooms(theta: float, auto: float, angle: float, failing: int) ->
 
 @pytest.mark.parametrize(("auto", "angle"), [(0.103, 0.29), (0.1031, 0.31)])
 def test_right_normals_must_not_be_spoilt(auto: float, angle: float) -> None:
-    found = judged("rooms", [room_of("true", 0, 1, 0.1, auto, angle)])
+    found = judged("rooms", room_of("true", 0, 1, 0.1, auto, angle))
     assert all(v.holds == (auto <= 0.103) for v in found)
     assert by_what(found, "relight with auto").value == pytest.approx(auto / 0.1)
     assert by_what(found, "introduced").value == angle
@@ -293,13 +289,14 @@ def test_right_normals_must_not_be_spoilt(auto: float, angle: float) -> None:
 def test_most_scenes_must_come_back() -> None:
     def scenes(*came_back: bool) -> Verdict:
         on = {"scores": dict.fromkeys(measure.MAPS, 0.1), "angle": {"mean": 0.1, "aligned": 0.1}}
-        [found] = judged("exact", [
-            recorded(
+        pairs = [
+            (
                 Case("exact", "furnished", seed, 16, "correlated", 10.0, 1),
                 {"on": on, "came_back": back},
             )
             for seed, back in enumerate(came_back)
-        ])  # fmt: skip
+        ]
+        [found] = judged("exact", *pairs)
         return found
 
     holds, fails = scenes(True, True, True, False, False), scenes(True, True, False, False)

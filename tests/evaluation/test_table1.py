@@ -6,35 +6,28 @@ import csv
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit.cli import main
+from evaluation_tasks import recorded
 from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import recipes
-from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE
-from pbrfit_evaluation.suite import Options, Results
 from pbrfit_evaluation.table1 import measure
 from pbrfit_evaluation.table1.figures import METRICS, figures
 from pbrfit_evaluation.table1.measure import Task
 from pbrfit_evaluation.table1.normals import disturbed
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
+from scene_files import run
 
 PAPER = ("--model", "paper")
 TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
-
-
-def run(*arguments: object) -> int:
-    try:
-        return main([str(argument) for argument in arguments])
-    except SystemExit as ended:
-        return int(ended.code or 0)
 
 
 # --------------------------------------------------------------------------------------- normals
@@ -87,13 +80,6 @@ def test_rows_repeat_the_papers_table() -> None:
     assert papers["fov90"] == (0.004, 0.091, 0.283, 0.194, 0.143)
     assert sum(len(paper) for paper in papers.values()) == 7 * 5 - 1  # no relighting of Cycles
     assert len(BY_KEY) == len(ROWS)
-
-
-def test_only_one_row_of_the_paper_has_priors() -> None:
-    with_priors = [row.key for row in ROWS if "plain" not in row.recipes]
-    assert with_priors == ["regularized"]
-    assert "paper-priors" in BY_KEY["regularized"].recipes
-    assert all("paper-priors" not in row.recipes for row in ROWS if row.key != "regularized")
 
 
 def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> None:
@@ -193,16 +179,14 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
 
 
 def test_means_are_over_finished_scenes() -> None:
-    options = Options(rows=["base", "cycles-brdf"], model="paper", quick=True)
-    pairs = []
-    for seed in range(1000, 1003):
-        task = Task("base", seed, 16, 4, 3, model="paper")
+    pairs: list[tuple[Task, Any]] = []
+    for seed in (1000, 1001):
         scores = dict.fromkeys(METRICS, 0.25) | {"albedo": 0.1 * (seed - 999)}
         values = {"facts": {}, "recipes": dict.fromkeys(BY_KEY["base"].recipes, scores)}
-        done = seed < 1002
-        error = None if done else "ValueError: no"
-        pairs.append((task, Record(task.key, values if done else None, error, 1.0)))
-    rows = figures(Results(options, pairs))
+        pairs.append((Task("base", seed, 16, 4, 3, model="paper"), values))
+    pairs.append((Task("base", 1002, 16, 4, 3, model="paper"), "ValueError: no"))
+    asked = {"rows": ["base", "cycles-brdf"], "model": "paper", "quick": True}
+    rows = figures(recorded(*pairs, **asked))
     assert [row.name for row in rows] == ["Base, paper"] * 5 + [
         "Cycles, panorama: BRDF alone, paper"
     ]

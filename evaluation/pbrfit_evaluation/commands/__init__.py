@@ -142,16 +142,11 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
         with unread_is_no_failure():
             print("\n".join(report.lines(found)))
             print(f"\nLook at {options.out / report.PAGE}")
-    counted = [
-        record
-        for part in parts
-        for _, record in done[part.name]
-        if record.error is None or not part.excused(record)
-    ]
-    failed = [record.key for record in counted if record.error is not None]
+    failed = [record.key for record in found.failed]
     if failed:
-        complain(f"{len(failed)} of {len(counted)} failed: {', '.join(failed)}")
-        return SOME_FAILED if len(failed) < len(counted) else UNUSABLE
+        total = sum(map(len, done.values()))
+        complain(f"{len(failed)} of {total} failed: {', '.join(failed)}")
+        return SOME_FAILED if len(failed) < total else UNUSABLE
     held = all(verdict.holds for verdict in found.verdicts)
     return DONE if held or not suite.binding else SOME_FAILED
 

@@ -11,11 +11,10 @@ from __future__ import annotations
 from typing import get_args
 
 from pbrfit.acquire.weights import Device
-from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.options import count, option
 from pbrfit_evaluation.peers import marigold, rgbx
-from pbrfit_evaluation.peers.figures import ABSENT, csvs, figures, sections
-from pbrfit_evaluation.peers.measure import METHODS, PEERS, Task, work
+from pbrfit_evaluation.peers.figures import csvs, figures, sections
+from pbrfit_evaluation.peers.measure import METHODS, Task, why_not, work
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -24,7 +23,7 @@ FIRST_SEED = 6000
 
 
 def cases(options: Options) -> list[Task]:
-    """Every scene by every method."""
+    """Every scene by every method that can run."""
     return [
         Task(
             method,
@@ -40,13 +39,9 @@ def cases(options: Options) -> list[Task]:
             device=options.device,
         )
         for method in METHODS
+        if not why_not(method, options)
         for i in range(options.scenes)
     ]
-
-
-def is_absent(record: Record) -> bool:
-    """Whether a peer lacks packages or weights; a broken one is a failure."""
-    return record.key.startswith(PEERS) and (record.error or "").startswith(ABSENT)
 
 
 SUITE = Suite(
@@ -68,7 +63,6 @@ SUITE = Suite(
             sections=sections,
             csvs=csvs,
             alone=True,
-            excused=is_absent,
         )
     ],
     options=(

@@ -6,7 +6,7 @@ import base64
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 
-from pbrfit_evaluation.peers.measure import METHODS, Method, Task
+from pbrfit_evaluation.peers.measure import METHODS, Method, Task, why_not
 from pbrfit_evaluation.scores import Scores, better
 from pbrfit_evaluation.suite import Column, Line, Picture, Results, Row, Section, Table
 
@@ -17,9 +17,6 @@ IN_WORDS: dict[Method, str] = {
     "rgbx": "RGB-X, one picture",
 }
 
-ABSENT = "InputError: "
-"""What the error of a task begins with whose peer lacks packages or weights."""
-
 SHOWN = (
     *("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled"),
     *("albedo_psnr", "albedo_ssim", "relight_psnr"),
@@ -28,17 +25,15 @@ SHOWN = (
 
 
 def figures(results: Results[Task]) -> list[Row]:
-    """A row for each method, with the reason where a scene has no figures."""
+    """A row for each method, with the reason where it cannot run."""
     rows = []
     for method in METHODS:
         of = results.of(method=method)
+        why = why_not(method, results.options)
         names = [field.name for field in fields(Scores)] if of.finished else []
-        errors = [record.error or "" for record in of.failed]
-        status = errors[0] if errors else "ok"
-        if status.startswith(ABSENT):
-            status = f"not run: {status.removeprefix(ABSENT)}"
         solver = "auto" if method == "pbrfit" else None
         metrics = of.metrics(names, "scores")
+        status = f"not run: {why}" if why else next((r.error or "" for r in of.failed), "ok")
         rows.append(Row(IN_WORDS[method], len(of.finished), solver, metrics, status=status))
     return rows
 

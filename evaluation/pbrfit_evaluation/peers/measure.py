@@ -21,7 +21,8 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.recipes import explain
 from pbrfit_evaluation.scores import score
-from pbrfit_evaluation.table1.normals import disturbed
+from pbrfit_evaluation.suite import Options
+from pbrfit_evaluation.table1.normals import estimated
 
 Method = Literal["pbrfit", "constant", "marigold", "rgbx"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -37,10 +38,8 @@ class Task:
 
     Attributes
     ----------
-    method, seed
-        Which, and of which scene.
-    size, lights
-        Side of the pictures in pixels; their number, and as many held out.
+    lights
+        Pictures of the scene; as many are held out.
     iterations
         Of our fit.
     samples
@@ -50,7 +49,7 @@ class Task:
     longer_side
         Of what RGB-X is shown, in pixels.
     shown
-        Whether to keep pictures.
+        Whether to keep a sheet of the result.
     model, device
         Of a peer: its checkpoint, and where it computes.
     """
@@ -78,23 +77,20 @@ Peer = Callable[[NDArray[np.uint8], Task], Materials]
 
 
 def work(task: Task, threads: int) -> dict[str, Any]:
-    """Errors of a method on a scene, and pictures of the first few.
-
-    Raises
-    ------
-    InputError
-        If a peer cannot run; it says why.
-    """
-    # A peer first: it may not be there.
-    maps = _loaded(task, threads) if task.method in PEERS else None
+    """Errors of a method on a scene, and pictures of the first few."""
     scene = given(task.seed, task.size, task.lights)
     at = evenly_lit(scene)
-    if maps is not None:
+    if task.method in PEERS:
+        import torch
+
+        torch.set_num_threads(threads)  # else the one thread that tasks leave to BLAS
+        peer = _loaded(task.method, task.model, task.device, task.longer_side)
+        assert not isinstance(peer, str)
         # Lights that fit the maps best, for the error of the pictures; materials stay.
         result = decompose(
             scene,
             iterations=0,
-            start=within(maps(shown_picture(scene, at), task), scene.valid),
+            start=within(peer(shown_picture(scene, at), task), scene.valid),
             priors=None,
             refine_normals="off",
             threads=threads,
@@ -127,10 +123,7 @@ def given(seed: int, size: int, lights: int) -> Scene:
     exact = make_scene(
         "furnished", size=size, lights=lights, held_out=lights, noise=NOISE, seed=seed
     )
-    assert exact.segments is not None
-    # A stream of its own, apart from those of the scene.
-    rng = np.random.default_rng([seed, 1])
-    return replace(exact, normals=disturbed(exact.normals, exact.views, exact.segments, rng))
+    return replace(exact, normals=estimated(exact, seed))
 
 
 def evenly_lit(scene: Scene) -> int:
@@ -153,21 +146,21 @@ def shown_picture(scene: Scene, picture: int) -> NDArray[np.uint8]:
     return np.rint(255 * metrics.display(image, white)).astype(np.uint8)
 
 
-def _loaded(task: Task, threads: int) -> Peer:
-    """A peer; raises an InputError where it cannot run."""
-    assert task.model is not None
-    peer = _once(task.method, task.model, task.device, task.longer_side)
-    if isinstance(peer, str):
-        raise InputError(peer)
-    import torch
+def why_not(method: Method, options: Options) -> str:
+    """Why a method cannot run, such as for packages or weights that are missing; empty if it can.
 
-    torch.set_num_threads(threads)  # else the one thread that tasks leave to BLAS
-    return peer
+    A peer is loaded to find out, and stays for `work` in this process.
+    """
+    if method not in PEERS:
+        return ""
+    peer = _loaded(method, getattr(options, method), options.device, options.longer_side)
+    return peer if isinstance(peer, str) else ""
 
 
 @cache
-def _once(method: Method, model: str, device: str, longer_side: int) -> Peer | str:
+def _loaded(method: Method, model: str | None, device: str, longer_side: int) -> Peer | str:
     """Load a peer once a process; the message, where that fails: it would fail again."""
+    assert model is not None
     try:
         if method == "marigold":
             from pbrfit_evaluation.peers.marigold import Marigold
