@@ -139,7 +139,7 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     plot = Plot(
         "rates",
         "With intervals of 95 %; the bars as dotted lines.",
-        [Panel("dots", series, "refused by the review, %", marks=marks, x_range=(0, 100))],
+        [Panel("dots", series, "refused by the review, %", marks=marks, x_range=(-3, 103))],
         size=(8, 3.4),
     )
     columns = ("refused", "pictures", "share")
