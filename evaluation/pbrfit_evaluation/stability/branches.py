@@ -36,7 +36,8 @@ def measure(rng: Generator, threads: int, pixels: int, points: int) -> Values:
         else:  # no slope to subtract: only the smallest step says something
             rows[sweep.branch] = {"clamp_jump": jumps[0]}
         for step in SCAN_STEPS:
-            rows[f"{sweep.branch}, steps of {scientific(step)}"] = _scan(sweep, step, points, threads)
+            name = f"{sweep.branch}, steps of {scientific(step)}"
+            rows[name] = _scan(sweep, step, points, threads)
     return {"rows": rows}
 
 
