@@ -18,7 +18,7 @@ from pbrfit_evaluation.stability.extreme_pixels import (
     random_lights,
     random_pixels,
 )
-from pbrfit_evaluation.stability.measure import Array, Rows, worst_entry
+from pbrfit_evaluation.stability.measure import Rows, worst_entry
 
 PICTURES = 8
 """Of a problem."""
@@ -205,9 +205,9 @@ def _tiny_cases(plain: Case, rng: Generator) -> dict[str, Case]:
     tiny64, tiny32 = (10.0 ** rng.uniform(*span, len(p)) for span in ((-323, -308), (-45, -38)))
     black = np.zeros_like(plain.images)
     dark = replace(p, albedo=np.stack([tiny64] * 3, axis=-1), metallic=tiny64)
-    faint: Array = 1e-40 * plain.images
+    faint = (1e-40 * plain.images).astype(np.float32)
     return {
-        "radiance and lights of 10⁻⁴⁰": Case(p, 1e-40 * plain.lighting, faint.astype(np.float32)),
+        "radiance and lights of 10⁻⁴⁰": Case(p, 1e-40 * plain.lighting, faint),
         DIM: Case(p, 1e-310 * plain.lighting, black),
         MIRROR: replace(plain, pixels=replace(p, roughness=tiny64)),
         "roughness of 10⁻⁴⁵ to 10⁻³⁸": replace(plain, pixels=replace(p, roughness=tiny32)),
