@@ -60,9 +60,6 @@ def assert_same_bits(a: pbrfit.Result, b: pbrfit.Result) -> None:
     assert a.metrics == pytest.approx(b.metrics, rel=1e-13)  # weighted means round differently
 
 
-# --- All kinds ---
-
-
 # --- Grey ---
 
 

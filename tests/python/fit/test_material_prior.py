@@ -314,6 +314,18 @@ def test_every_kind_of_problem_has_a_mixture_prior(room: Scene, kind: str, solve
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1)])
+def test_tiny_pictures(shape: tuple[int, int], solver: Solver) -> None:
+    rng = np.random.default_rng(8)
+    normals = np.zeros((*shape, 3))
+    normals[..., 2] = 1
+    images = rng.uniform(0.1, 1, (4, *shape, 3)).astype(np.float32)
+    scene = pbrfit.Scene(images=images, normals=normals)
+    result = pbrfit.decompose(scene, solver=solver, iterations=40)
+    assert np.isfinite(result.roughness).all()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_perfect_pictures_have_no_use_for_a_prior(room: Scene, solver: Solver) -> None:
     """Where the fit leaves no residual there is no noise, and the prior has nothing to say."""
     images = pbrfit.render(truth_of(room).materials, room.normals, lights_of(room), room.fov)

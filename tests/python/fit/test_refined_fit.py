@@ -20,8 +20,6 @@ from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normals.disturbances import disturbed
 from scene_files import truth_of
 
-Array = NDArray[np.float64]
-
 SIZE, PICTURES = 12, 6
 
 

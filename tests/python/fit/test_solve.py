@@ -105,6 +105,21 @@ def test_the_default_start_leaves_no_pixel_in_the_trap(
 
 
 @every_solver
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.4])
+def test_time_limit_keeps_the_best_so_far(solver: Solver, seconds: float) -> None:
+    scene = room(48, noise=0.01)
+    options: dict[str, Any] = {"solver": solver, "iterations": 100_000, "priors": None}
+    result = pbrfit.decompose(scene, time_limit=seconds, **options)
+    if result.status == pbrfit.Status.CONVERGED:  # a machine that is faster than any so far
+        assert result.seconds < seconds
+        return
+    assert result.status == pbrfit.Status.TIME_LIMIT
+    assert result.seconds >= seconds
+    assert result.metrics["recon_rmse"] <= 1.001 * result.history["recon_rmse"].min()
+    assert np.isfinite(result.lighting).all()
+
+
+@every_solver
 @pytest.mark.parametrize("iterations", [0, 1, 3, 12])
 @pytest.mark.parametrize("priors", [None, pbrfit.Priors()], ids=["alone", "priors"])
 def test_no_more_iterations_than_asked_for(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Priors
@@ -23,8 +22,6 @@ from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
 from tiled import in_tiles
-
-Array = NDArray[np.float64]
 
 NINE: dict[str, Any] = {"side": 30, "subset": 1296}
 """Of pictures of 72², a subset of every second row and column, and nine tiles."""
