@@ -32,6 +32,9 @@ LOSSES: dict[str, Callable[[float], reference.Loss]] = {
     "huber": reference.huber,
     "cauchy": reference.cauchy,
 }
+Pixel = tuple[Array, Array, Array, Array, Array]
+"""Normal, view, albedo, roughness and metallic."""
+
 PLAIN = Kind()
 
 both_models = pytest.mark.parametrize("model", MODELS)
@@ -92,7 +95,8 @@ class Seen(Example):
     ) -> tuple[float, Array]:
         """Loss and gradient by the reference."""
         kind, at = self.kind, self.material(self.truth)
-        pixel = (self.normals, self.views, *(np.ascontiguousarray(part) for part in at))
+        albedo, r, m = (np.ascontiguousarray(part) for part in at)
+        pixel = (self.normals, self.views, albedo, r, m)
         weights = reference.shade(*pixel) if model == "paper" else _core.shade(*pixel, model)
         weights = weights[:, : kind.channels, : kind.coefficients]
         loss = reference.squares if robust is None else LOSSES[robust[0]](robust[1])
@@ -109,7 +113,7 @@ class Seen(Example):
             parts.append(np.einsum("pnc,pck->nkc", scaled, weights).ravel())
         return float(np.sum(omega * value) / omega.sum()), np.concatenate(parts)
 
-    def principled_slopes(self, pixel: tuple[Array, ...], scaled: Array) -> Array:
+    def principled_slopes(self, pixel: Pixel, scaled: Array) -> Array:
         """Derivatives (D, P) of a sum over samples whose slopes by radiance are `scaled`."""
         kind = self.kind
         by_weight = np.zeros((self.pixels, 3, 16))

@@ -55,8 +55,8 @@ def fit(
     **options: Any,
 ) -> tuple[Array, Array]:
     """Best materials from x, or from nothing, of pixels, or all, and their sums of squares."""
-    single = example.targets.swapaxes(0, 1).astype(np.float32)
-    problem = example.problem(**({} if exact else {"images": single}))
+    single: dict[str, Any] = {"images": example.targets.swapaxes(0, 1).astype(np.float32)}
+    problem = example.problem(**({} if exact else single))
     x = grey(example) if x is None else x
     pixels = example.everything if pixels is None else pixels
     return problem.fit_materials(x, pixels, *nodes, **options)
@@ -112,7 +112,10 @@ def test_a_prior_is_minimised_with_the_squares(kind: Kind) -> None:
     example = noisy(kind)
     rng = np.random.default_rng(0)
     shape = 8, kind.unknowns - kind.channels
-    prior = {"mean": rng.uniform(0.1, 0.9, shape), "precision": rng.uniform(0, 0.3, shape)}
+    prior: dict[str, Any] = {
+        "mean": rng.uniform(0.1, 0.9, shape),
+        "precision": rng.uniform(0, 0.3, shape),
+    }
     found, squares = fit(example, starts=4, steps=40, exact_steps=5, **prior)
     # What is handed out is without the prior, what is least is with it.
     np.testing.assert_allclose(squares, example.squares(found), rtol=1e-11)
@@ -281,7 +284,7 @@ def degrees_off(example: Example, offsets: Array) -> Array:
     return np.asarray(np.degrees(2 * np.arcsin(apart / 2)))
 
 
-STEPS = {"starts": 2, "steps": 20, "exact_steps": 40}
+STEPS: dict[str, Any] = {"starts": 2, "steps": 20, "exact_steps": 40}
 
 
 @pytest.mark.parametrize("kind", FREE, ids=str)
@@ -307,7 +310,10 @@ def test_with_normals_it_ends_no_worse_than_it_began(kind: Kind, held: bool) -> 
     start = rng.normal(size=(300, 2)) * rng.choice([0.0, 0.1, 1.0, 30.0], (300, 1))
     x, began = example.x(values, start), example.unknowns(values, start)
     shape = 300, kind.unknowns - kind.channels
-    prior = {"mean": rng.uniform(-0.5, 1, shape), "precision": rng.uniform(0, 1, shape)}
+    prior: dict[str, Any] = {
+        "mean": rng.uniform(-0.5, 1, shape),
+        "precision": rng.uniform(0, 1, shape),
+    }
 
     def cost(unknowns: Array) -> Array:
         off = unknowns[:, kind.channels :] - prior["mean"]

@@ -43,7 +43,7 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
 
     def of_pixels(threads: int, pixels: Pixels) -> list[Array]:
         problem = example.problem(threads, model=model)
-        own = {name: values[pixels] for name, values in prior.items()}
+        own: dict[str, Any] = {name: values[pixels] for name, values in prior.items()}
         return [
             *problem.fit_materials(x, pixels, *nodes, starts=2, exact_steps=3, **own),
             *problem.normal_equations(x, pixels),

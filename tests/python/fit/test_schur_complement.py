@@ -182,7 +182,7 @@ def close(found: Array, expected: Array, share: float) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=share * np.abs(expected).max())
 
 
-def accuracy(kind: Kind) -> float:
+def accuracy(kind: System) -> float:
     """Of pixels that are nearly singular the core's ridge shows: 1e-12 of their diagonal."""
     return 1e-10 if kind.damping > 0 or kind.prior else 1e-8
 
