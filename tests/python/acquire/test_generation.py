@@ -381,12 +381,14 @@ def test_what_cannot_be_shows_before_any_picture(make: Make, tmp_path: Path) -> 
     (tmp_path / "file").write_text("")
     no_place = r"scene: expected a place where a folder can be made"
     of_photo = Catalogue("", (Prompt("photo", "Day."), Prompt("night", "Night.")), "")
-    for options, message in (
+    cases: list[tuple[dict[str, Any], str]] = [
         ({"normals": str(tmp_path / "no_such.exr")}, r"no_such\.exr"),
         ({"out": tmp_path / "file" / "scene"}, no_place),
         ({"catalogue": of_photo, "count": 2}, "photo: expected another name"),
-        *([({"out": Path("/proc/scene")}, no_place)] if Path("/proc/self").is_dir() else []),
-    ):
+    ]
+    if Path("/proc/self").is_dir():
+        cases.append(({"out": Path("/proc/scene")}, no_place))
+    for options, message in cases:
         generator = Counting()
         with pytest.raises((InputError, OSError), match=message):
             make(generator, **options)

@@ -349,7 +349,7 @@ def test_unusable_lights(
 ) -> None:
     path = tmp_path / ("pano.exr" if arguments is None else "light.json")
     make(path)
-    light = ("--env", path) if arguments is None else ("--sh", path, *arguments)
+    light: list[Argument] = ["--env", path] if arguments is None else ["--sh", path, *arguments]
     text = refused("relight", room, *light, "--out", tmp_path / "out.exr")
     assert str(path) in text
     assert message in text

@@ -9,7 +9,7 @@ import json
 import re
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -217,7 +217,7 @@ def up(result: Result) -> NDArray[Any]:
 
 
 Preset = Literal["unreal", "unity"]
-PACKED: dict[Preset, dict[str, Callable[[Result], Sequence[Any]]]] = {
+PACKED: dict[Preset, dict[str, Callable[[Result], Any]]] = {
     "unreal": {
         "T_ORM": lambda result: (1, result.roughness, result.metallic),
         "T_Normal": lambda result: np.moveaxis(down(result), -1, 0),

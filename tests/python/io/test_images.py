@@ -93,7 +93,7 @@ INTEGERS: dict[str, tuple[Callable[[Path], object], NDArray[Any]]] = {
     "grey.png": (pillow(GREY8), GREY8),
     "16-bit grey.png": (pillow(GREY16), GREY16),
     "palette.png": (PALETTE.save, np.asarray(PALETTE.convert("RGB"))),
-    "1-bit.png": (pillow(GREY8 > 99), 255 * np.uint8(GREY8 > 99)),
+    "1-bit.png": (pillow(GREY8 > 99), 255 * (GREY8 > 99).astype(np.uint8)),
     "interlaced.png": (lambda path: path.write_bytes(interlaced_png(GREY8)), GREY8),
     "deflated.tif": (tiff(RGB16, compression="deflate"), RGB16),
     "big-endian.tif": (tiff(RGB16, byteorder=">"), RGB16),

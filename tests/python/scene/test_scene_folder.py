@@ -701,6 +701,7 @@ def test_the_uncertainty_of_normals_is_read_averaged_and_saved(
     )
     small = Scene.load(folder, max_size=SIZE // 2).normal_sigma
     expected = uncertainty.reshape(SIZE // 2, 2, SIZE // 2, 2).mean(axis=(1, 3))
+    assert small is not None
     np.testing.assert_allclose(small, expected, rtol=1e-6)
 
     mask = np.ones((SIZE, SIZE), bool)
