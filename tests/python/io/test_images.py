@@ -376,6 +376,7 @@ def test_float_tiff_is_linear(
     tiff(pixels)(path)
     picture = images.read_picture(path)
     np.testing.assert_array_equal(picture.pixels, pixels)
+    np.testing.assert_array_equal(images.read_data(path), pixels)
     assert not picture.clipped.any()
     assert (picture.bit_depth, picture.color) == (32, "linear Rec.709 (float TIFF)")
     tifffile.imwrite(path, pixels[..., 0], compression="deflate")

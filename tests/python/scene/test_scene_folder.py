@@ -430,6 +430,13 @@ def test_names_in_any_script_and_other_files_beside_pictures(tmp_path: Path) -> 
     assert Scene.load(folder).names == ("light_01", "light_02", "ночь")
 
 
+def test_near_misses_are_named(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (folder / "Mask.tif").write_bytes(b"")
+    Scene.load(folder)
+    [record] = caplog.records
+    assert f"{folder / 'Mask.tif'}: not read; expected" in record.message
+
+
 # Smaller size
 
 
