@@ -31,9 +31,9 @@ def test_exact_is_exact_in_every_map() -> None:
 def test_the_mark_is_the_lower_of_lbfgsb_and_gauss_newton_from_the_truth() -> None:
     found = measure.run_noise(Case("noise", 1000, 12, 15, noise=0.01), 1)
     assert list(found) == list(measure.NOISE_FITS)
-    marks = [found[name]["recon"] for name in (measure.FROM_TRUTH, "lbfgsb")]
+    mark = min(found[name]["recon"] for name in (measure.FROM_TRUTH, "lbfgsb"))
     for scores in found.values():
-        assert scores["above_mark"] == pytest.approx((scores["recon"] / min(marks)) ** 2 - 1)
+        assert scores["above_mark"] == pytest.approx((scores["recon"] / mark) ** 2 - 1)
         assert scores["relight"] > 0
     assert found[measure.FROM_TRUTH]["recon"] < 0.01  # what the unknowns take up
 
@@ -107,7 +107,7 @@ def test_cases_have_unique_names(quick: bool) -> None:
     assert {key.split("_")[0] for key in keys} == {part.name for part in SUITE.parts}
 
 
-def test_the_command_runs_parts_and_goes_on(tmp_path: Path) -> None:
+def test_the_command_runs_parts(tmp_path: Path) -> None:
     out = tmp_path / "out"
     options = ["evaluate", "solvers", "--quick", "--quiet", "--scenes", "1", "--size", "12"]
     options += ["--iterations", "3", "--out", str(out), "--part", "exact"]
@@ -117,7 +117,3 @@ def test_the_command_runs_parts_and_goes_on(tmp_path: Path) -> None:
     assert by_name["exact: auto's residual over lbfgsb's"]["metrics"]["bar"] == 1
     assert by_name["rooms without noise"]["metrics"]["recon"] > 0
     assert "exact,exact_1000,auto/recon," in (out / "scenes.csv").read_text("utf-8")
-    assert "seed 1000" in (out / "report.html").read_text("utf-8")
-    records = {path.name: path.stat().st_mtime_ns for path in (out / "records").iterdir()}
-    assert main([*options, "--resume"]) == 1
-    assert records == {p.name: p.stat().st_mtime_ns for p in (out / "records").iterdir()}

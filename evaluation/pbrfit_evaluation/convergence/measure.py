@@ -27,7 +27,6 @@ late by as much, never early."""
 State = Callable[[], tuple[Materials, Array]]
 """Gives the maps and lights (N, 16, 3) as they are now."""
 
-
 Point = Mapping[str, float]
 """A checkpoint: what it had cost by then, as seconds of wall time without measuring, iteration and
 evaluations; and each of `QUANTITIES`."""
@@ -37,14 +36,7 @@ evaluations; and each of `QUANTITIES`."""
 class Budget:
     """How long a run may go on.
 
-    Attributes
-    ----------
-    iterations
-        Of `pbrfit.decompose`.
-    evaluations
-        Of a peer, which does not stop by itself.
-    seconds
-        Of any.
+    `iterations` are of `pbrfit.decompose`, `evaluations` of a peer, which does not stop by itself.
     """
 
     iterations: int

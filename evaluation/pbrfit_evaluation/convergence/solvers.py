@@ -34,20 +34,10 @@ Run = Callable[[Scene, Budget, Tracker, int], str]
 
 @dataclass(frozen=True)
 class Solver:
-    """One of those that are compared.
+    """One of those that are compared: a name for files and tables, a sentence, and what runs it.
 
-    Attributes
-    ----------
-    name
-        Fit for files and tables.
-    what
-        A sentence on it.
-    run
-        Does it.
-    torch
-        Whether it is one of PyTorch's, which know the paper's model alone.
-    raced
-        Whether it runs on large pictures too.
+    `torch`: whether it is one of PyTorch's, which know the paper's model alone. `raced`: whether it
+    runs on large pictures too.
     """
 
     name: str

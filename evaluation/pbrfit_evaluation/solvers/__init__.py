@@ -38,7 +38,7 @@ SUITE = Suite(
             measure.run_exact,
             figures.exact_rows,
             verdicts=figures.exact_verdicts,
-            sections=figures.exact_sections,
+            sections=figures.sections,
             csvs=figures.csvs,
         ),
         Part(
@@ -47,7 +47,7 @@ SUITE = Suite(
             measure.run_noise,
             figures.noise_rows,
             verdicts=figures.noise_verdicts,
-            sections=figures.noise_sections,
+            sections=figures.sections,
             csvs=figures.csvs,
         ),
     ],

@@ -33,13 +33,23 @@ NOISE_METRICS = ("albedo", "albedo_scaled", "roughness", "metallic", "relight")
 
 NOISE_SHOWN = ("above_mark", "recon", *NOISE_METRICS, "seconds")
 
+TITLES = {"exact": "Exact: pictures without noise", "noise": "Noise"}
+
 Of = Results[Case]
+
+
+def _part(results: Of) -> str:
+    return next((case.part for case, _ in results.pairs), "")
+
+
+def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
+    """Means; what each room has is in scenes.csv."""
+    yield Section(TITLES.get(_part(results), ""), tables=[Table.of(rows)])
 
 
 def csvs(results: Of, _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
     """Every number of every fit."""
-    part = next((case.part for case, _ in results.pairs), "")
-    return {"scenes.csv": numbers_csv(part, results)}
+    return {"scenes.csv": numbers_csv(_part(results), results)}
 
 
 def _means(name: str, of: Of, fits: Iterable[str], metrics: Sequence[str]) -> list[Row]:
@@ -84,18 +94,6 @@ def exact_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
     yield _highest("auto's residual over lbfgsb's", above, 1.0)
 
 
-def exact_sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
-    """Means, and errors of rooms that a second-order solver misses."""
-    missed = [
-        Row(f"seed {case.seed}", 0, name, {key: run[key] for key in ("recon", *measure.MAPS)})
-        for case, values in results.finished
-        for name, run in values.items()
-        if name != "lbfgsb" and not run["exact"]
-    ]
-    of_missed = [Table.of(missed, caption="Rooms that are not exact.")] if missed else []
-    yield Section("Exact: pictures without noise", "", [Table.of(rows), *of_missed])
-
-
 # ----------------------------------------------------------------------------------------- noise
 
 
@@ -132,8 +130,3 @@ def noise_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
             worst = max(ratios, key=lambda metric: ratios[metric])
             what = f"auto over lbfgsb, {level}{suffix or ', no priors'}: worst mean error"
             yield Verdict(what, ratios[worst], METRIC_RATIO, worst.replace("_", ", "))
-
-
-def noise_sections(_: Of, rows: Sequence[Row]) -> Iterator[Section]:
-    """Means."""
-    yield Section("Noise", tables=[Table.of(rows)])

@@ -82,10 +82,10 @@ def run_exact(case: Case, threads: int) -> dict[str, Any]:
     """Errors of each fit to pictures without noise, whose ground truth is a perfect fit."""
     scene = case.scene(held_out=1)
     rounded = replace(scene, images=scene.images.astype(np.float32))
-    rms = float(np.sqrt(np.mean(np.square(scene.images))))
     found = {}
     for name, (solver, bound) in EXACT_FITS.items():
         pictures = rounded if bound == RECON_FLOAT32 else scene
+        rms = float(np.sqrt(np.mean(np.square(pictures.images, dtype=np.float64))))
         result, scores = fit_and_score(
             pictures, threads, solver=solver, priors=None, iterations=case.iterations
         )
