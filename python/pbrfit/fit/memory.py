@@ -64,28 +64,19 @@ ROOT = Path("/")
 
 @dataclass(frozen=True)
 class FitMemory:
-    """Bytes that a fit needs beside the interpreter and its libraries.
-
-    Attributes
-    ----------
-    scene
-        Its arrays, which are there already.
-    core
-        Pictures and directions in the Rust core.
-    making
-        For a while, beside these, while the core is made: pictures in the unit of x.
-    solver
-        Beside scene and core while the solver runs: its vectors.
-    refining
-        Beside all of these while the solver fits refined normals: cores of the fits before and of
-        free normals, and states of all pixels; 0 where normals are held.
-    """
+    """Bytes that a fit needs beside the interpreter and its libraries."""
 
     scene: int
+    """Its arrays, which are there already."""
     core: int
+    """Pictures and directions in the Rust core."""
     making: int
+    """For a while, beside these, while the core is made: pictures in the unit of x."""
     solver: int
+    """Beside scene and core while the solver runs: its vectors."""
     refining: int = 0
+    """Beside all of these while the solver fits refined normals: cores of the fits before and of
+    free normals, and states of all pixels; 0 where normals are held."""
 
     @property
     def further(self) -> int:
@@ -201,24 +192,16 @@ def check(method: Method, needed: FitMemory) -> None:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a scene is fitted.
-
-    Attributes
-    ----------
-    tiled
-        In tiles, or all pixels at once.
-    refine_normals
-        Whether normals may be refined.
-    needed
-        What that takes.
-    hindered
-        Why normals are not refined for lack of memory; else None.
-    """
+    """How a scene is fitted."""
 
     tiled: bool
+    """In tiles, or all pixels at once."""
     refine_normals: bool
+    """Whether normals may be refined."""
     needed: FitMemory
+    """What that takes."""
     hindered: str | None = None
+    """Why normals are not refined for lack of memory; else None."""
 
 
 def plan(

@@ -41,21 +41,14 @@ SH_ORDERS = (2, 3)
 
 @dataclass(frozen=True, eq=False)
 class Normalization:
-    """What pictures and their weights are divided by before they are fitted.
-
-    Attributes
-    ----------
-    scale
-        The scene scale, in picture units.
-    exposures
-        (N,), beside it; None = nothing.
-    largest_weight
-        Of a valid sample; 1 where all are the same.
-    """
+    """What pictures and their weights are divided by before they are fitted."""
 
     scale: float
+    """The scene scale, in picture units."""
     exposures: NDArray[np.float64] | None
+    """(N,), beside it; None = nothing."""
     largest_weight: float
+    """Of a valid sample; 1 where all are the same."""
 
     @classmethod
     def of(cls, scene: Scene, equal_exposures: bool | None = None) -> Normalization:

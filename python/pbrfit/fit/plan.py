@@ -17,23 +17,16 @@ from pbrfit.scene.scene import Scene
 
 @dataclass(frozen=True)
 class FitPlan:
-    """Which parts the fit of a scene has.
-
-    Attributes
-    ----------
-    priors
-        Weights: 0 where a prior has nothing to act on. `monochrome` is None where it waits for
-        lights to be measured.
-    used
-        The parts, in words.
-    left_out
-        What a fit by default would have had, but the scene did not need or the options ruled out,
-        in words.
-    """
+    """Which parts the fit of a scene has."""
 
     priors: Priors
+    """Weights: 0 where a prior has nothing to act on. `monochrome` is None where it waits for
+    lights to be measured."""
     used: tuple[str, ...]
+    """The parts, in words."""
     left_out: tuple[str, ...]
+    """What a fit by default would have had, but the scene did not need or the options ruled out, in
+    words."""
 
     @classmethod
     def of(

@@ -85,25 +85,17 @@ def estimate(
 
 @dataclass(frozen=True, eq=False)
 class Variances:
-    """Variances of the unknowns of pixels for noise of deviation 1, (P, D).
-
-    Attributes
-    ----------
-    conditional, marginal
-        With the lights held, and with their modes.
-    singular
-        Which are not determined.
-    held
-        Which are held at a bound.
-    sum_sq_residuals
-        (P,): each pixel's sum of squared residuals.
-    """
+    """Variances of the unknowns of pixels for noise of deviation 1, (P, D)."""
 
     conditional: NDArray[np.floating[Any]]
     marginal: NDArray[np.floating[Any]]
+    """With the lights held, and with their modes."""
     singular: NDArray[np.bool_]
+    """Which are not determined."""
     held: NDArray[np.bool_]
+    """Which are held at a bound."""
     sum_sq_residuals: Array
+    """(P,): each pixel's sum of squared residuals."""
 
     @classmethod
     def empty(cls, pixels: int, unknowns: int) -> Variances:
@@ -209,27 +201,18 @@ def of_variances(
 
 @dataclass(frozen=True, eq=False)
 class LightModes:
-    """Covariance of the lights, of noise 1, as independent modes of deviation 1.
-
-    Attributes
-    ----------
-    modes
-        (R, N, K, C): those that matter to materials.
-    free
-        (F, N, K, C), as strong as the lights themselves: those that materials can make up for.
-    scale
-        (C,) or (1,): relative deviation of the scale of a channel's lights.
-    pixels
-        How many they are from.
-    omitted
-        As in `Uncertainty`.
-    """
+    """Covariance of the lights, of noise 1, as independent modes of deviation 1."""
 
     modes: Array
+    """(R, N, K, C): those that matter to materials."""
     free: Array
+    """(F, N, K, C), as strong as the lights themselves: those that materials can make up for."""
     scale: Array
+    """(C,) or (1,): relative deviation of the scale of a channel's lights."""
     pixels: int
+    """How many they are from."""
     omitted: float
+    """As in `Uncertainty`."""
 
 
 def light_modes(

@@ -85,24 +85,17 @@ class Eliminated:
 
     The M unknowns of the lights are (N, light channels, K). Each pixel's share of what is left is
     positive semidefinite: pixels are not scaled apart, so the sum is too.
-
-    Attributes
-    ----------
-    jacobian
-        (P, N, C, D): J, 0 for unknowns that are held.
-    by_light, weights
-        (P, C, K) and (P, N, C): w and ω.
-    whiten
-        (P, D, D), lower triangular: U with U A Uᵀ = 1, so that A⁻¹ = Uᵀ U; 0 for what is held.
-    rows
-        (P, D, N, C): U Jᵀ Ω. Times w they are U B, so Bᵀ A⁻¹ B is the sum of their squares.
     """
 
     jacobian: Array
+    """(P, N, C, D): J, 0 for unknowns that are held."""
     by_light: Array
     weights: Array
+    """(P, C, K) and (P, N, C): w and ω."""
     whiten: Array
+    """(P, D, D), lower triangular: U with U A Uᵀ = 1, so that A⁻¹ = Uᵀ U; 0 for what is held."""
     rows: Array
+    """(P, D, N, C): U Jᵀ Ω. Times w they are U B, so Bᵀ A⁻¹ B is the sum of their squares."""
 
     def information_alone(self, layout: ParameterLayout) -> Array:
         """(N, light channels, K, K): what the pixels say about lights if materials are known."""

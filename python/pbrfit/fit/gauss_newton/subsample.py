@@ -22,25 +22,17 @@ Visit = Callable[[Array, float], bool]
 
 @dataclass(frozen=True, eq=False)
 class LightEstimate:
-    """x with lights, and with the materials of the pixels that found and judged them.
-
-    Attributes
-    ----------
-    x
-        All other pixels are as they were.
-    fits
-        Whether only noise is left of the validation pixels.
-    validation_pixels, sum_sq_residuals
-        The pixels that judge the lights, and the sum of their squared residuals.
-    note
-        What was done, in words.
-    """
+    """x with lights, and with the materials of the pixels that found and judged them."""
 
     x: Array
+    """All other pixels are as they were."""
     fits: bool
+    """Whether only noise is left of the validation pixels."""
     validation_pixels: NDArray[np.uint64]
     sum_sq_residuals: float
+    """The pixels that judge the lights, and the sum of their squared residuals."""
     note: str
+    """What was done, in words."""
 
 
 def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> LightEstimate:

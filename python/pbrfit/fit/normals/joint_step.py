@@ -40,18 +40,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SubsetState:
-    """Where lights and pixels of a subset stand.
-
-    Attributes
-    ----------
-    x
-        Of the subset's objective.
-    cluster_offsets
-        (clusters, F): o.
-    """
+    """Where lights and pixels of a subset stand."""
 
     x: Array
+    """Of the subset's objective."""
     cluster_offsets: Array
+    """(clusters, F): o."""
 
 
 def joint_step(

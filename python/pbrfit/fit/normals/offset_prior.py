@@ -38,21 +38,14 @@ def pixel_index(layout: ParameterLayout) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """Pairs of pixels, and how far their normals' changes are expected to be alike.
-
-    Attributes
-    ----------
-    pairs
-        (E, 2) indices.
-    weights
-        (E,): w = e^(−|Δn|²/0.1) of the given normals, less where these are known to be unsure.
-    count
-        Of the pixels.
-    """
+    """Pairs of pixels, and how far their normals' changes are expected to be alike."""
 
     pairs: NDArray[np.intp]
+    """(E, 2) indices."""
     weights: Array
+    """(E,): w = e^(−|Δn|²/0.1) of the given normals, less where these are known to be unsure."""
     count: int
+    """Of the pixels."""
 
     @classmethod
     def of(
@@ -112,21 +105,14 @@ class Neighbourhood:
 
 @dataclass(frozen=True, eq=False)
 class TangentOffsetPrior:
-    """The penalty on tangent offsets (P, 2) of some pixels, for noise of variance s².
-
-    Attributes
-    ----------
-    neighbourhood
-        Which pixels are neighbours.
-    sigma
-        σ, in radians.
-    robust_weights
-        (E,): u; None = 1.
-    """
+    """The penalty on tangent offsets (P, 2) of some pixels, for noise of variance s²."""
 
     neighbourhood: Neighbourhood
+    """Which pixels are neighbours."""
     sigma: float = settings.NORMALS_OFFSET_SIGMA_START
+    """σ, in radians."""
     robust_weights: Array | None = None
+    """(E,): u; None = 1."""
 
     @property
     def _weights(self) -> Array:

@@ -56,27 +56,18 @@ class PixelFit:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What a fit leaves of the pictures.
-
-    Attributes
-    ----------
-    loss
-        Mean squared residual, or what a robust loss makes of it, in units of x.
-    rmse
-        Its square root, in picture units.
-    residual_correlation
-        Mean cosine between the residuals of neighbours.
-    samples_per_unknown
-        Of a pixel, its normal among the unknowns.
-    share_of_freedom
-        Share of the degrees of freedom that two unknowns more a pixel would leave.
-    """
+    """What a fit leaves of the pictures."""
 
     loss: float
+    """Mean squared residual, or what a robust loss makes of it, in units of x."""
     rmse: float
+    """Its square root, in picture units."""
     residual_correlation: float
+    """Mean cosine between the residuals of neighbours."""
     samples_per_unknown: float
+    """Of a pixel, its normal among the unknowns."""
     share_of_freedom: float
+    """Share of the degrees of freedom that two unknowns more a pixel would leave."""
 
     @classmethod
     def by(cls, fit: PixelFit) -> Unexplained:

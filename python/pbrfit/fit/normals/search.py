@@ -81,24 +81,16 @@ def _first_pixel(valid: NDArray[np.bool_], step: int) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class SubsetFit:
-    """What a strided subset found.
-
-    Attributes
-    ----------
-    objective
-        Of the subset, with free normals.
-    pixels
-        Which of the whole's pixels it has.
-    x
-        Of `objective`.
-    prior
-        Of its tangent offsets.
-    """
+    """What a strided subset found."""
 
     objective: Objective
+    """Of the subset, with free normals."""
     pixels: NDArray[np.uint64]
+    """Which of the whole's pixels it has."""
     x: Array
+    """Of `objective`."""
     prior: TangentOffsetPrior
+    """Of its tangent offsets."""
 
 
 def fit_subset(

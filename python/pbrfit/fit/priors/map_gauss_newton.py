@@ -168,18 +168,12 @@ def _step(
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Lights and offsets when the pixels are solved for.
-
-    Attributes
-    ----------
-    matrix
-        Of (light channels, N, K) and (clusters, F), one after the other.
-    by_offsets
-        (Q, F, F): U ∂²/∂v∂δ, rows and columns of roughness and metallic.
-    """
+    """Lights and offsets when the pixels are solved for."""
 
     matrix: Array
+    """Of (light channels, N, K) and (clusters, F), one after the other."""
     by_offsets: Array
+    """(Q, F, F): U ∂²/∂v∂δ, rows and columns of roughness and metallic."""
 
     @classmethod
     def of(

@@ -56,25 +56,17 @@ PIXELS_AT_ONCE = 8192
 
 @dataclass(frozen=True, eq=False)
 class FittedPrior:
-    """The prior as fitted to some pixels, to be held for others of the same segments and lights.
-
-    Attributes
-    ----------
-    distributions
-        Of the segments.
-    variance
-        s², of samples of weight 1, in units of x.
-    strength
-        `Priors.material`.
-    clusters, offsets
-        Numbers of the clusters, in order, and how far each was moved, (clusters, F).
-    """
+    """The prior as fitted to some pixels, to be held for others of the same segments and lights."""
 
     distributions: _Distributions
+    """Of the segments."""
     variance: float
+    """s², of samples of weight 1, in units of x."""
     strength: float
+    """`Priors.material`."""
     clusters: Labels
     offsets: Array
+    """Numbers of the clusters, in order, and how far each was moved, (clusters, F)."""
 
     def moved(self, prior: GaussianPrior, x: Array) -> FittedPrior:
         """With the offsets that the pixels' prior, made by this one, has at x."""
@@ -357,24 +349,16 @@ class _Posterior:
 
 @dataclass(frozen=True, eq=False)
 class _Distributions:
-    """Distributions over the nodes: row 0 of the whole picture, the others of large segments.
-
-    Attributes
-    ----------
-    probabilities
-        (rows, nodes), float32.
-    groups
-        (rows, nodes): which group of neighbouring nodes each belongs to, 0 = none.
-    row
-        By label: the row that a segment has.
-    nodes
-        (nodes, 2): their roughness and metallic.
-    """
+    """Distributions over the nodes: row 0 of the whole picture, the others of large segments."""
 
     probabilities: NDArray[np.float32]
+    """(rows, nodes), float32."""
     groups: Labels
+    """(rows, nodes): which group of neighbouring nodes each belongs to, 0 = none."""
     row: Labels
+    """By label: the row that a segment has."""
     nodes: NDArray[np.float32]
+    """(nodes, 2): their roughness and metallic."""
 
     @classmethod
     def of(cls, likelihood: NDArray[np.float32], labels: Labels, grid: _Grid) -> _Distributions:

@@ -80,15 +80,10 @@ def _restarted(run: Run, x: Array) -> Array:
 
 @dataclass(frozen=True)
 class Descent:
-    """Who lowers the objective: scipy's L-BFGS-B, or the bounded L-BFGS whose vectors are in Rust.
-
-    Attributes
-    ----------
-    name
-        For people.
-    """
+    """Who lowers the objective: scipy's L-BFGS-B, or the bounded L-BFGS whose vectors are in Rust."""
 
     name: str
+    """For people."""
     _method: Callable[..., tuple[float, Array]]
 
     @classmethod

@@ -59,19 +59,13 @@ def choose(size: int) -> Literal["scipy", "rust"]:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """A box in runs of equal bounds, because a number for each entry would need memory.
-
-    Attributes
-    ----------
-    ends
-        (R,) int64: where each run ends; the last is n.
-    lower, upper
-        (R,) float64: its bounds; infinite = none.
-    """
+    """A box in runs of equal bounds, because a number for each entry would need memory."""
 
     ends: NDArray[np.int64]
+    """(R,) int64: where each run ends; the last is n."""
     lower: Array
     upper: Array
+    """(R,) float64: its bounds; infinite = none."""
 
     @classmethod
     def of(cls, lower: ArrayLike, upper: ArrayLike) -> Bounds:
@@ -105,39 +99,26 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """What a callback gets.
-
-    Attributes
-    ----------
-    x
-        Where the minimisation stands. Its memory is used again: copy what is to be kept.
-    fun
-        The loss there.
-    """
+    """What a callback gets."""
 
     x: Array
+    """Where the minimisation stands. Its memory is used again: copy what is to be kept."""
     fun: float
+    """The loss there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where a minimisation ended.
-
-    Attributes
-    ----------
-    x, fun
-        The best point and its loss.
-    iterations, evaluations
-        Steps taken, and evaluations of loss and gradient.
-    reason
-        Why it ended.
-    """
+    """Where a minimisation ended."""
 
     x: Array
     fun: float
+    """The best point and its loss."""
     iterations: int
     evaluations: int
+    """Steps taken, and evaluations of loss and gradient."""
     reason: Reason
+    """Why it ended."""
 
 
 def minimize(

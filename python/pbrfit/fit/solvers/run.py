@@ -28,52 +28,35 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a running fit stands; passed to `progress` at the start and after each step.
-
-    Attributes
-    ----------
-    iteration, iterations
-        Done, and at most to be done.
-    evaluations
-        Passes over all pictures so far.
-    recon_rmse
-        In picture units; while lights are sought on some pixels, of those.
-    elapsed_s
-        Without the time that `progress` itself and comparing with ground truth have taken.
-    tiles
-        How many tiles of a large picture are done, and of how many; None while it is fitted as a
-        whole.
-    state
-        Called inside `progress`, it gives maps and lights as they are now, as `Objective.unpack`.
-    """
+    """Where a running fit stands; passed to `progress` at the start and after each step."""
 
     iteration: int
     iterations: int
+    """Done, and at most to be done."""
     evaluations: int
+    """Passes over all pictures so far."""
     recon_rmse: float
+    """In picture units; while lights are sought on some pixels, of those."""
     elapsed_s: float
+    """Without the time that `progress` itself and comparing with ground truth have taken."""
     state: Callable[[], tuple[Materials, NDArray[np.float64]]] = field(repr=False, compare=False)
+    """Called inside `progress`, it gives maps and lights as they are now, as `Objective.unpack`."""
     tiles: tuple[int, int] | None = None
+    """How many tiles of a large picture are done, and of how many; None while it is fitted as a
+    whole."""
 
 
 @dataclass(frozen=True, eq=False)
 class SharedState:
-    """What some pixels of a scene were found to have in common with all others.
-
-    Attributes
-    ----------
-    material
-        The learnt material prior; None where the fit has none.
-    robust
-        The robust loss and its scale; None = squares.
-    cohesion
-        (S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
-        each pixel is pulled to it with; None where the prior has no weight.
-    """
+    """What some pixels of a scene were found to have in common with all others."""
 
     material: FittedPrior | None = None
+    """The learnt material prior; None where the fit has none."""
     robust: tuple[str, float] | None = None
+    """The robust loss and its scale; None = squares."""
     cohesion: tuple[Array, float] | None = None
+    """(S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
+    each pixel is pulled to it with; None where the prior has no weight."""
 
     def penalties(self, layout: ParameterLayout) -> list[Penalty]:
         """Those that hold from the start."""
