@@ -16,7 +16,7 @@ PACKAGE = ROOT / "python" / "pbrfit"
 EVALUATION = ROOT / "evaluation" / "pbrfit_evaluation"
 
 FLOORS = (
-    ("lazy", "ending"),
+    ("lazy", "ending", "threads"),
     ("io",),
     ("model",),
     ("scene",),

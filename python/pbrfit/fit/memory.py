@@ -94,14 +94,7 @@ def of_fit(
 ) -> FitMemory:
     """What `decompose` needs of memory with a solver.
 
-    Parameters
-    ----------
-    scene, layout
-        What is fitted.
-    method
-        "lbfgsb", or "auto", whose largest part is the L-BFGS at its end.
-    refine_normals
-        Whether normals may be refined.
+    The largest part of "auto" is the L-BFGS at its end.
     """
     return of_layout(
         layout,
@@ -126,16 +119,9 @@ def of_layout(
     exact: bool = False,
     refine_normals: bool = False,
 ) -> FitMemory:
-    """What a fit of some layout needs of memory with a solver.
+    """As `of_fit`, for `held` bytes of the scene's arrays.
 
-    Parameters
-    ----------
-    layout, method, refine_normals
-        As of `of_fit`.
-    held
-        Bytes of the scene's arrays.
-    exact
-        Whether pictures are in float64; then the core has them in 48 bits.
+    With `exact` pictures are in float64, and the core has them in 48 bits.
     """
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
@@ -171,10 +157,7 @@ def of_tiles(
 def check(method: Method, needed: FitMemory) -> None:
     """Say how much memory a fit needs if that is much, and refuse it if there is not so much.
 
-    Raises
-    ------
-    InputError
-        If more is needed than the process may still have. Where that cannot be told, never.
+    Where nobody knows what the process may still have, it is never refused.
     """
     free = available()
     if free is not None and needed.further > free:
@@ -197,9 +180,7 @@ class Plan:
     tiled: bool
     """In tiles, or all pixels at once."""
     refine_normals: bool
-    """Whether normals may be refined."""
     needed: FitMemory
-    """What that takes."""
     hindered: str | None = None
     """Why normals are not refined for lack of memory; else None."""
 

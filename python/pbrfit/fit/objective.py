@@ -52,13 +52,7 @@ class Normalization:
 
     @classmethod
     def of(cls, scene: Scene, equal_exposures: bool | None = None) -> Normalization:
-        """Of a scene; `equal_exposures` as for `Objective`.
-
-        Raises
-        ------
-        InputError
-            If the pictures are black on the whole.
-        """
+        """Of a scene, unless it is black on the whole; `equal_exposures` as for `Objective`."""
         exposures = relative_exposures(scene, equal_exposures)
         largest = 1.0
         if scene.weights is not None and scene.weighted:
@@ -259,22 +253,15 @@ class Objective:
             lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
         return np.concatenate([maps, lights.ravel()])
 
-    def with_best_albedo(
-        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """X with the albedo of some pixels put to what fits best to the rest of x.
-
-        Returned with the weighted sum of squared residuals that each of these pixels, given by
-        indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
-        degree 4 in the albedo of each channel. Penalties take no part.
-        """
-        x = x.copy()
-        return x, self.put_best_albedo(x, pixels)
-
     def put_best_albedo(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> NDArray[np.float64]:
-        """As `with_best_albedo`, in x itself; returned are the sums alone."""
+        """Put the albedo of some pixels to what fits best to the rest of x, which changes.
+
+        Returned is the weighted sum of squared residuals that each of these pixels, given by
+        indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
+        degree 4 in the albedo of each channel. Penalties take no part.
+        """
         albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
         x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
         return squares
@@ -317,14 +304,9 @@ class Objective:
         return np.concatenate([x[:end], np.repeat(x[end:], self.channels)])
 
     def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
-        """What `robust` may be at x: a loss of this name with the scale that the residuals tell.
+        """What `robust` may be at x, a fit: a loss with the scale that the residuals tell.
 
-        Parameters
-        ----------
-        x
-            A fit.
-        name
-            "huber" or "cauchy"; "none" gives None.
+        The name is "huber" or "cauchy"; "none" gives None.
         """
         if name == "none":
             return None
@@ -587,13 +569,7 @@ def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
 
 
 def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel.
-
-    Raises
-    ------
-    InputError
-        If it has another shape, or is not finite there.
-    """
+    """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel."""
     values = real_array(name, values)
     shape = valid.shape + ((3,) if name == "albedo" else ())
     if values.shape != shape:

@@ -90,6 +90,13 @@ class ParameterLayout:
         return found
 
     @property
+    def index(self) -> NDArray[np.intp]:
+        """(H, W): the place of each valid pixel in a plane of x, −1 elsewhere."""
+        index = np.full(self.valid.shape, -1)
+        index[self.valid] = np.arange(self.pixels)
+        return index
+
+    @property
     def sh_order(self) -> int:
         """Highest band of the lights."""
         return math.isqrt(self.coefficients) - 1

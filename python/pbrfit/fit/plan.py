@@ -39,20 +39,9 @@ class FitPlan:
         uncertainty: bool = True,
         lighting: NDArray[np.float64] | None = None,
     ) -> FitPlan:
-        """Of a fit with these options.
+        """Of a fit with these options, as given to `decompose`.
 
-        Parameters
-        ----------
-        scene, layout
-            The pictures, and which unknowns they have.
-        priors
-            As given to `decompose`; None = none.
-        robust
-            Loss by which residuals count.
-        uncertainty
-            Whether deviations of the maps are computed.
-        lighting
-            (N, ..., 3) lights of a fit without priors, by which an automatic weight is chosen.
+        By `lighting` (N, ..., 3), that of a fit without priors, an automatic weight is chosen.
         """
         given = Priors.none() if priors is None else priors
         idle = _idle_priors(layout, given, lighting)

@@ -18,7 +18,6 @@ from pbrfit.fit.gauss_newton.normal_equations import (
     chunks,
     held_at_bounds,
     inverse,
-    one_blas_thread,
 )
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
@@ -34,6 +33,7 @@ from pbrfit.fit.settings import (
 )
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,7 @@ PIECES_MIN = 16
 the pictures."""
 
 
+@one_blas_thread()
 def estimate(
     objective: Objective,
     x: Array,
@@ -49,38 +50,19 @@ def estimate(
     priors: bool = False,
     light_pixels: int = LIGHT_PIXELS_MAX,
 ) -> Uncertainty:
-    """Uncertainty of a fit.
+    """Uncertainty of a fit that ended at x; the lights' covariance is from so many pixels at most.
 
-    Parameters
-    ----------
-    objective
-        What was minimised.
-    x
-        Where its minimum was found.
-    priors
-        Whether priors took part in the fit; passed on to `Uncertainty`.
-    light_pixels
-        Most pixels that the lights' covariance is taken from.
-
-    Returns
-    -------
-    Uncertainty
-        The same to the last bit at any number of threads.
+    `priors`, whether priors took part in the fit, is passed on to `Uncertainty`.
     """
-    # Here and not above: only a fit needs it. One BLAS thread: sums split over threads would round
-    # differently on a machine with another number of processors.
-
-    with one_blas_thread():
-        lights = light_modes(objective, x, light_pixels)
-        found = variances(objective, x, lights)
-        return of_variances(
-            found,
-            objective.layout,
-            lights,
-            samples=objective.samples,
-            scale=objective.scale,
-            priors=priors,
-        )
+    lights = light_modes(objective, x, light_pixels)
+    return of_variances(
+        variances(objective, x, lights),
+        objective.layout,
+        lights,
+        samples=objective.samples,
+        scale=objective.scale,
+        priors=priors,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +73,8 @@ class Variances:
     marginal: NDArray[np.floating[Any]]
     """With the lights held, and with their modes."""
     singular: NDArray[np.bool_]
-    """Which are not determined."""
     held: NDArray[np.bool_]
-    """Which are held at a bound."""
+    """Which are not determined, and which are held at a bound."""
     sum_sq_residuals: Array
     """(P,): each pixel's sum of squared residuals."""
 
@@ -153,16 +134,9 @@ def of_variances(
     scale: float,
     priors: bool,
 ) -> Uncertainty:
-    """The uncertainty with the noise that is left; the variances change.
+    """The uncertainty with the noise that is left, from those of all pixels, which change.
 
-    Parameters
-    ----------
-    found, layout
-        Of all pixels of a scene.
-    lights
-        How they may move.
-    samples, scale, priors
-        How many samples have a weight, the scene scale, and whether priors took part.
+    Of the scene are the number of samples that have a weight, and its scale.
     """
     held = found.held
     unknowns = np.count_nonzero(~held) + layout.size - layout.maps.stop

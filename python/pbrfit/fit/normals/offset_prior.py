@@ -24,16 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
-
-
-def pixel_index(layout: ParameterLayout) -> NDArray[np.intp]:
-    """(H, W): the index of each valid pixel in the order of x, −1 elsewhere."""
-    index = np.full(layout.valid.shape, -1)
-    index[layout.valid] = np.arange(layout.pixels)
-    return index
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,23 +37,15 @@ class Neighbourhood:
     weights: Array
     """(E,): w = e^(−|Δn|²/0.1) of the given normals, less where these are known to be unsure."""
     count: int
-    """Of the pixels."""
 
     @classmethod
     def of(
         cls, index: NDArray[np.intp], normals: Array, normal_sigma: Array | None
     ) -> Neighbourhood:
-        """Of pixels beside and below each other.
+        """Of pixels beside and below each other, by their `index` at row and column, or −1.
 
-        Parameters
-        ----------
-        index
-            (rows, columns): the pixel that is there, or −1.
-        normals
-            (P, 3): the given ones.
-        normal_sigma
-            (P,): their uncertainty, in any unit; None = all alike. Where both of a pair are twice
-            as unsure as the mean, their changes may differ twice as far.
+        Where the given normals (P, 3) of a pair are twice as unsure as the mean by `normal_sigma`
+        (P,), in any unit, their changes may differ twice as far.
         """
         beside = np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1)
         below = np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1)
@@ -108,7 +92,6 @@ class TangentOffsetPrior:
     """The penalty on tangent offsets (P, 2) of some pixels, for noise of variance s²."""
 
     neighbourhood: Neighbourhood
-    """Which pixels are neighbours."""
     sigma: float = settings.NORMALS_OFFSET_SIGMA_START
     """σ, in radians."""
     robust_weights: Array | None = None

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
@@ -29,7 +28,7 @@ from pbrfit.fit.normals.all_pixels import (
     start_from_subset,
     tangent_offsets_between,
 )
-from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
+from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.normals.search import fit_subset
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.solvers.run import Run
@@ -38,6 +37,7 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.result.data import Status
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class Unexplained:
     rmse: float
     """Its square root, in picture units."""
     residual_correlation: float
-    """Mean cosine between the residuals of neighbours."""
+    """Between neighbours, as `NeighbourPairs` has it."""
     samples_per_unknown: float
     """Of a pixel, its normal among the unknowns."""
     share_of_freedom: float
@@ -109,15 +109,10 @@ def keeps_given(left: Unexplained, *, cut_short: bool) -> str | None:
 def keeps_refined(
     before: Unexplained | None, after: Unexplained, change: float
 ) -> tuple[bool, str]:
-    """Whether refined normals are kept, and why.
+    """Whether refined normals are kept, and why, by what fits with given and with them leave.
 
-    Parameters
-    ----------
-    before, after
-        What the fits with given and with refined normals leave; None = "on" asks for refinement
-        whatever given ones leave.
-    change
-        Largest angle between them, in degrees.
+    Without `before` refinement was asked for whatever given ones leave. `change` is the largest
+    angle between them, in degrees.
     """
     if change < CHANGE_DEGREES_MIN:
         # All pixels were given theirs back, or found that they had been right. What the fit gained
@@ -153,16 +148,9 @@ def fit(
 ) -> tuple[PixelFit, Refinement]:
     """Fit the scene of `run` from x, and refine its normals where that is asked for and helps.
 
-    Parameters
-    ----------
-    make
-        The objective of a scene, with free normals or without.
-    asked
-        "off", "auto" or "on".
-    hindered
-        Why refinement cannot be done; None if it can.
-    normals
-        (P, 3): unit normals that pixels may start from, beside the given ones; None = none.
+    `make` gives the objective of a scene, with free normals or without; `asked` is "off", "auto"
+    or "on"; `hindered` says why refinement cannot be done. From `normals` (P, 3) pixels may start,
+    beside the given ones.
     """
 
     def fit_given() -> PixelFit:
@@ -210,6 +198,7 @@ def _with_costs_of(fit: PixelFit, later: Run, rows: int) -> PixelFit:
     return fit
 
 
+@one_blas_thread()
 def _refine(
     run: Run, x: Array, make: Callable[[Scene, bool], Objective], normals: Array | None
 ) -> tuple[PixelFit, float] | None:
@@ -217,26 +206,24 @@ def _refine(
     scene = run.scene
     free = make(scene, True)
     ended: tuple[Status, str] | None = None
-    # Sums split over threads would round differently on a machine with more processors.
-    with one_blas_thread():
-        free_x, prior = _start(run, x, free, normals)
-        roughness_metallic, starts = None, 1
-        for number in range(settings.NORMALS_PASSES):
-            before = free_x.copy()
-            with run.stage("normals of all pixels"):
-                prior, sums = refine_all(
-                    free, free_x, prior, roughness_metallic, starts, run.out_of_time
-                )
-                if sums is None:
-                    free_x = before
-                    break
-                if number == settings.NORMALS_PASSES - 1:
-                    restore_given(free, free_x, sums)
-            run, ended = _fit_held(run, scene, free, free_x, make)
-            blocks = [free_x[block] for block in free.layout.roughness_metallic]
-            roughness_metallic, starts = np.stack(blocks, axis=-1), 0
-            if run.out_of_time():
+    free_x, prior = _start(run, x, free, normals)
+    roughness_metallic, starts = None, 1
+    for number in range(settings.NORMALS_PASSES):
+        before = free_x.copy()
+        with run.stage("normals of all pixels"):
+            prior, sums = refine_all(
+                free, free_x, prior, roughness_metallic, starts, run.out_of_time
+            )
+            if sums is None:
+                free_x = before
                 break
+            if number == settings.NORMALS_PASSES - 1:
+                restore_given(free, free_x, sums)
+        run, ended = _fit_held(run, scene, free, free_x, make)
+        blocks = [free_x[block] for block in free.layout.roughness_metallic]
+        roughness_metallic, starts = np.stack(blocks, axis=-1), 0
+        if run.out_of_time():
+            break
     if ended is None:
         return None
     if run.out_of_time():  # perhaps after the fit that has ended
@@ -256,7 +243,7 @@ def _start(
     normal_sigma = None
     if scene.normal_sigma is not None:
         normal_sigma = scene.normal_sigma[scene.valid].astype(np.float64)
-    prior = TangentOffsetPrior(Neighbourhood.of(pixel_index(layout), given, normal_sigma))
+    prior = TangentOffsetPrior(Neighbourhood.of(layout.index, given, normal_sigma))
     start = free.start()
     start[layout.materials] = x[held.materials]
     start[layout.maps.stop :] = x[held.maps.stop :]

@@ -33,13 +33,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors import map_gauss_newton
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over, slices
 from pbrfit.lazy import lazy
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
@@ -98,45 +98,33 @@ class FittedPrior:
         return x, GaussianPrior(mean, precision, None, blocks, factor)
 
 
+@one_blas_thread()
 def fit_prior(
     objective: Objective, x: Array, strength: float, stop: Stop = lambda: False
 ) -> tuple[Array, GaussianPrior, FittedPrior] | None:
-    """Fit the prior around x.
+    """Fit the prior around x, a fit of the data, with the strength of `Priors.material`.
 
-    Returned are x for all pixels with the lights found, the pixels' prior, and what was fitted.
-
-    None if time ran out before all pixels had theirs.
-
-    Parameters
-    ----------
-    objective
-        The problem.
-    x
-        A fit of the data.
-    strength
-        `Priors.material`: 1 is Bayes' rule.
-    stop
-        Asked between rounds, and then between pieces of the pixels.
+    Returned are x for all pixels with the lights found, the pixels' prior, and what was fitted;
+    None if time ran out before all pixels had theirs. `stop` is asked between rounds, and then
+    between pieces of the pixels.
     """
     labels = _labels(objective)
     few = evenly_spaced_over(labels, settings.PRIOR_LIGHT_PIXELS)
-    with one_blas_thread():
-        if objective.layout.lighting is not None:
-            moved = _with_lights(objective, x, few, labels[few], strength, stop)
-            x = moved if _explains_more(objective, x, moved) else x.copy()
-            del moved  # of the size of x, which counts
-        else:
-            x = x.copy()
-
-        grid = _Grid(objective, x, few)
-        distributions = _fit_distributions(grid)
-        posterior = distributions.of_all(grid, stop)
-        if posterior is None:
-            return None
-        prior, clusters = posterior.prior(
-            settings.PRIOR_SIGMAS_MIN[-1], strength * grid.variance, objective
-        )
-        _put_all(objective, x, prior.mean)
+    if objective.layout.lighting is not None:
+        moved = _with_lights(objective, x, few, labels[few], strength, stop)
+        x = moved if _explains_more(objective, x, moved) else x.copy()
+        del moved  # of the size of x, which counts
+    else:
+        x = x.copy()
+    grid = _Grid(objective, x, few)
+    distributions = _fit_distributions(grid)
+    posterior = distributions.of_all(grid, stop)
+    if posterior is None:
+        return None
+    prior, clusters = posterior.prior(
+        settings.PRIOR_SIGMAS_MIN[-1], strength * grid.variance, objective
+    )
+    _put_all(objective, x, prior.mean)
     none = np.zeros_like(prior.mean[:0])
     return x, prior, FittedPrior(distributions, grid.variance, strength, clusters, none)
 
@@ -146,14 +134,7 @@ def prior_at(
 ) -> GaussianPrior:
     """The prior of all pixels at x, fitted to an even share of them; lights stay.
 
-    Parameters
-    ----------
-    sigma_min
-        Smallest standard deviation of a pixel's prior.
-    variance
-        s², of samples of weight 1, in units of x.
-    metallic
-        Of the nodes; not read where it is known.
+    `metallic` is that of the nodes, and not read where it is known.
     """
     grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
     posterior = _fit_distributions(grid).of_all(grid)
@@ -233,13 +214,7 @@ def _put(objective: Objective, x: Array, pixels: Pixels, values: Array) -> None:
 
 
 class _Grid:
-    """Likelihoods over the grid of nodes, (roughness, metallic) row by row, with the lights of x.
-
-    Attributes
-    ----------
-    roughness, metallic
-        Of the nodes, (nodes,).
-    """
+    """Likelihoods over the nodes, (roughness, metallic) row by row, with the lights of x."""
 
     def __init__(
         self,
@@ -269,7 +244,7 @@ class _Grid:
         if self._known_variance is not None:
             return self._known_variance
         objective, layout, pixels = self.objective, self.objective.layout, self._noise_pixels
-        _, sum_sq = objective.with_best_albedo(self._given, pixels)
+        sum_sq = objective.put_best_albedo(self._given.copy(), pixels)
         samples = objective.samples * len(pixels) / layout.pixels
         lights = 0 if layout.lighting is None else layout.lighting.stop - layout.lighting.start
         unknowns = len(pixels) * layout.maps.stop / layout.pixels + lights

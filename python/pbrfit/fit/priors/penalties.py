@@ -148,8 +148,7 @@ def tied_neighbours(layout: ParameterLayout) -> NDArray[np.int64]:
 
     Both pixels are in the same segment, or one of them is unclassified.
     """
-    index = np.zeros(layout.valid.shape, dtype=np.int64)
-    index[layout.valid] = np.arange(layout.pixels)
+    index = layout.index
     labels = np.zeros(layout.valid.shape, dtype=np.int64)
     if layout.segments is not None:
         labels[layout.valid] = layout.segments

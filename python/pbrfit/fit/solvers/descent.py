@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.settings import (
     LBFGS_PAIRS,
     LBFGS_STAGES,
@@ -24,8 +22,13 @@ from pbrfit.fit.settings import (
 from pbrfit.fit.solvers import projected_lbfgs
 from pbrfit.fit.solvers.projected_lbfgs import Bounds
 from pbrfit.fit.solvers.run import Run
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
+
+Descent = Callable[..., tuple[float, Array]]
+"""Loss and x after so many iterations from x at most, whose rows go into the history of a run; with
+`stall` it also stops where the loss fell by less than a share of itself over a number of them."""
 
 
 def staged(
@@ -78,55 +81,31 @@ def _restarted(run: Run, x: Array) -> Array:
     return x
 
 
-@dataclass(frozen=True)
-class Descent:
-    """Who lowers the objective: scipy's L-BFGS-B, or the bounded L-BFGS whose vectors are in Rust."""
-
-    name: str
-    """For people."""
-    _method: Callable[..., tuple[float, Array]]
-
-    @classmethod
-    def for_size(cls, run: Run) -> Descent:
-        """Scipy's where its own work is a small share."""
-        if projected_lbfgs.choose(run.objective.size) == "scipy":
-            return SCIPYS
-        return cls("bounded L-BFGS in Rust", rusts)
-
-    def __call__(
-        self,
-        run: Run,
-        x: Array,
-        iterations: int,
-        lowest_roughness: float = 0.0,
-        stall: tuple[int, float] | None = None,
-    ) -> tuple[float, Array]:
-        """Loss and x after so many iterations at most, whose rows go into the history.
-
-        With `stall` it also stops where the loss fell by less than a share of itself over a number
-        of iterations.
-        """
-        return self._method(run, x, iterations, lowest_roughness, stall)
+def for_size(run: Run) -> tuple[str, Descent]:
+    """Scipy's where its own work is a small share; with its name for people."""
+    if projected_lbfgs.choose(run.objective.size) == "scipy":
+        return "L-BFGS-B", by_scipy
+    return "bounded L-BFGS in Rust", in_rust
 
 
 def lowered(run: Run, x: Array, stall: tuple[int, float] | None) -> Array:
     """X with the whole objective lowered until that stalls, or the limits of the run."""
-    descent = Descent.for_size(run)
-    with run.stage(descent.name) as notes:
+    name, descent = for_size(run)
+    with run.stage(name) as notes:
         before = run.iteration
         _, x = descent(run, x, run.left, stall=stall)
         notes.append(f"{run.iteration - before} iterations")
     return x
 
 
-def rusts(
+def in_rust(
     run: Run,
     x: Array,
     iterations: int,
-    lowest_roughness: float,
-    stall: tuple[int, float] | None,
+    lowest_roughness: float = 0.0,
+    stall: tuple[int, float] | None = None,
 ) -> tuple[float, Array]:
-    """See `Descent`."""
+    """By the bounded L-BFGS whose vectors are in Rust; see `Descent`."""
     objective = run.objective
     bounds = Bounds.of_slices(
         objective.size,
@@ -170,14 +149,15 @@ def _in_time(run: Run) -> Callable[[Array], tuple[float, Array]]:
     return evaluate
 
 
-def scipys(
+@one_blas_thread()
+def by_scipy(
     run: Run,
     x: Array,
     iterations: int,
-    lowest_roughness: float,
-    stall: tuple[int, float] | None,
+    lowest_roughness: float = 0.0,
+    stall: tuple[int, float] | None = None,
 ) -> tuple[float, Array]:
-    """See `Descent`."""
+    """By scipy's L-BFGS-B; see `Descent`."""
     from scipy.optimize import Bounds, minimize
 
     lower, upper = run.objective.bounds.T.copy()
@@ -207,31 +187,25 @@ def scipys(
         if stalled or run.out_of_time():
             raise StopIteration
 
-    # One BLAS thread: dot products split over threads would round differently on a machine with
-    # another number of processors.
-    with one_blas_thread():
-        try:
-            found = minimize(
-                evaluate,
-                x,
-                jac=True,
-                method="L-BFGS-B",
-                bounds=Bounds(lower, upper),
-                callback=after_iteration,
-                options={
-                    "maxiter": iterations,
-                    "maxfun": 10**9,  # iterations and time are the limits
-                    "maxcor": LBFGS_PAIRS,
-                    # The loss is a mean, so its gradient entries are tiny: scipy's absolute
-                    # tolerances would stop at once. Run on until no step lowers the loss.
-                    "ftol": 0.0,
-                    "gtol": 0.0,
-                },
-            )
-        except StopIteration:
-            assert last is not None
-            return last
+    try:
+        found = minimize(
+            evaluate,
+            x,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=Bounds(lower, upper),
+            callback=after_iteration,
+            options={
+                "maxiter": iterations,
+                "maxfun": 10**9,  # iterations and time are the limits
+                "maxcor": LBFGS_PAIRS,
+                # The loss is a mean, so its gradient entries are tiny: scipy's absolute
+                # tolerances would stop at once. Run on until no step lowers the loss.
+                "ftol": 0.0,
+                "gtol": 0.0,
+            },
+        )
+    except StopIteration:
+        assert last is not None
+        return last
     return float(found.fun), found.x
-
-
-SCIPYS = Descent("L-BFGS-B", scipys)

@@ -69,13 +69,7 @@ class Bounds:
 
     @classmethod
     def of(cls, lower: ArrayLike, upper: ArrayLike) -> Bounds:
-        """From bounds of each entry, (n,).
-
-        Raises
-        ------
-        InputError
-            If these are no two vectors of one length.
-        """
+        """From bounds of each entry, (n,)."""
         lower, upper = _vector("lower", lower), _vector("upper", upper)
         if lower.shape != upper.shape:
             raise InputError(f"upper: expected shape {lower.shape}, found {upper.shape}")
@@ -104,7 +98,6 @@ class Iterate:
     x: Array
     """Where the minimisation stands. Its memory is used again: copy what is to be kept."""
     fun: float
-    """The loss there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +111,6 @@ class Minimum:
     evaluations: int
     """Steps taken, and evaluations of loss and gradient."""
     reason: Reason
-    """Why it ended."""
 
 
 def minimize(
@@ -141,10 +133,8 @@ def minimize(
         Loss and gradient (n,) float64 at x. The gradient has to be a new array in each call, and x
         must not be changed or kept. Where the loss or the gradient is not finite, the step is made
         shorter. May raise StopIteration.
-    x0
-        (n,) start; what is outside the box is clipped.
-    bounds
-        The box.
+    x0, bounds
+        (n,) start, and the box; what is outside is clipped.
     iterations
         At most so many.
     callback

@@ -24,8 +24,9 @@ from pbrfit.fit.settings import (
     SAME_FIT_OF_VALIDATION_PIXELS,
     STALL,
 )
-from pbrfit.fit.solvers.descent import SCIPYS, Descent, lowered, robust_around, staged
+from pbrfit.fit.solvers.descent import by_scipy, for_size, lowered, robust_around, staged
 from pbrfit.fit.solvers.run import Run
+from pbrfit.model.materials import Materials
 from pbrfit.result.data import Status
 
 Array = NDArray[np.float64]
@@ -98,8 +99,8 @@ def _by_lbfgs(
     run: Run, x: Array, loss: float, why: str, *, start_given: bool
 ) -> tuple[float, Array]:
     """Loss and x of L-BFGS from the start."""
-    descent = Descent.for_size(run)
-    with run.stage(descent.name) as notes:
+    name, descent = for_size(run)
+    with run.stage(name) as notes:
         share = DATA_SHARE_OF_ITERATIONS if has_mixture_prior(run) else 1.0
         x, loss, _ = staged(run, x, loss, share * run.left, descent, start_given=start_given)
         notes.append(why)
@@ -125,13 +126,13 @@ def lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
     """X of the fit, and why it ended."""
     with run.stage("L-BFGS-B"):
         share = DATA_SHARE_OF_ITERATIONS if has_mixture_prior(run) else 1.0
-        x, _, kept = staged(run, x, loss, share * run.left, SCIPYS, start_given=start_given)
+        x, _, kept = staged(run, x, loss, share * run.left, by_scipy, start_given=start_given)
     if has_mixture_prior(run) and not run.out_of_time():
         x, prior = fit_mixture_prior(run, x)
         kept = kept if prior is None else ""
         if run.left > 0 and not run.out_of_time():  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):
-                _, x = SCIPYS(run, x, run.left)
+                _, x = by_scipy(run, x, run.left)
     # With zero tolerances scipy stops early only where rounding hides any further descent.
     return x, *run.ended("no step lowers the loss further", kept)
 
@@ -248,10 +249,10 @@ class _Watch:
         run = self._run
         self._steps_of_few += 1
 
-        def state() -> Array:
+        def state() -> tuple[Materials, Array]:
             x = put(run.objective, self._x, pixels, materials)
             x[run.objective.layout.maps.stop :] = lights
-            return x
+            return run.objective.unpack(x)
 
         run.tell(run.objective.residual_rmse(share), state)
         return self._steps_of_few >= self._most_of_few or run.out_of_time()

@@ -30,13 +30,11 @@ class SubsetResult:
     """Whose clock goes on."""
     status: Status
     reason: str
-    """Why it ended."""
     pixels: int
     """How many there are."""
     lighting: Array
     """(N, 16, 3) in picture units."""
     refinement: Refinement
-    """What was decided about normals."""
     shared_state: SharedState
     priors: Priors
     """What tiles have in common, and the priors that they have then."""
