@@ -295,13 +295,17 @@ class Objective:
 
     def for_core(self, x: ArrayLike) -> NDArray[np.float64]:
         """X as `_core.Problem` takes it: with lights of every channel."""
-        x = real_array("x", x)
         if self.layout.light_channels == self.channels:
-            return x
-        if x.shape != (self.size,):
-            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+            return real_array("x", x)
+        x = self._of_its_size(x)
         end = self.layout.maps.stop
         return np.concatenate([x[:end], np.repeat(x[end:], self.channels)])
+
+    def _of_its_size(self, x: ArrayLike) -> NDArray[np.float64]:
+        x = real_array("x", x)
+        if x.shape != (self.size,):
+            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        return x
 
     def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
         """What `robust` may be at x, a fit: a loss with the scale that the residuals tell.
@@ -421,9 +425,7 @@ class Objective:
         Whatever x holds, there are three channels and 16 coefficients: one channel comes three
         times, and band 3 is 0 where it is left out.
         """
-        x = real_array("x", x)
-        if x.shape != (self.size,):
-            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        x = self._of_its_size(x)
         if not np.isfinite(x).all():
             raise InputError("x: expected finite numbers, found NaN or infinity")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))

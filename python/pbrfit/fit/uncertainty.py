@@ -82,13 +82,9 @@ class Variances:
     def empty(cls, pixels: int, unknowns: int) -> Variances:
         """To be filled, in float32."""
         shape = pixels, unknowns
-        return cls(
-            np.zeros(shape, np.float32),
-            np.zeros(shape, np.float32),
-            np.zeros(shape, bool),
-            np.zeros(shape, bool),
-            np.zeros(pixels),
-        )
+        conditional, marginal = np.zeros((2, *shape), np.float32)
+        singular, held = np.zeros((2, *shape), bool)
+        return cls(conditional, marginal, singular, held, np.zeros(pixels))
 
     def put(self, pixels: NDArray[np.intp], other: Variances, of_other: NDArray[np.bool_]) -> None:
         """Give some pixels what some of another's have."""

@@ -186,12 +186,8 @@ def _joint(
             return x, total, damping, True
         if 0 < before - total < settings.SUBSET_GAIN_MIN * before:
             break
-    return (
-        x,
-        total,
-        min(max(damping, settings.SUBSET_ROUND_DAMPING_MIN), settings.DAMPING_START),
-        False,
-    )
+    damping = min(max(damping, settings.SUBSET_ROUND_DAMPING_MIN), settings.DAMPING_START)
+    return x, total, damping, False
 
 
 def _scaled(few: Objective, x: Array, total: float) -> tuple[Array, float, bool]:

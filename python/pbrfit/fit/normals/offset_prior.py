@@ -63,7 +63,7 @@ class Neighbourhood:
         return cls(pairs, weights, len(normals))
 
     def sums(self, values: Array, weights: Array) -> Array:
-        """Σ over the neighbours of each pixel of `weights` (E,) times their `values` (P, 2)."""
+        """Σ over the neighbours of each pixel of `weights` (E,) times their `values` (P, ·)."""
         first, second = self.pairs.T
         found = np.zeros_like(values)
         for column in range(values.shape[1]):
@@ -71,14 +71,6 @@ class Neighbourhood:
                 first, weights * values[second, column], minlength=self.count
             ) + np.bincount(second, weights * values[first, column], minlength=self.count)
         return found
-
-    def weight_sums(self, weights: Array) -> Array:
-        """Σ of the weights (E,) of each pixel's pairs, (P,)."""
-        first, second = self.pairs.T
-        return np.asarray(
-            np.bincount(first, weights, minlength=self.count)
-            + np.bincount(second, weights, minlength=self.count)
-        )
 
     def squared_differences(self, values: Array) -> Array:
         """|v_second − v_first|² of each pair, (E,), for `values` (P, 2)."""
@@ -104,10 +96,9 @@ class TangentOffsetPrior:
 
     @property
     def _own_weights(self) -> Array:
-        return (
-            self.neighbourhood.weight_sums(self._weights)
-            + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
-        )
+        ones = np.ones((self.neighbourhood.count, 1))
+        of_pairs = self.neighbourhood.sums(ones, self._weights)[:, 0]
+        return of_pairs + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
 
     def cost(self, offsets: Array, variance: float) -> float:
         """The penalty."""

@@ -184,18 +184,13 @@ def fit(
     change = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid].max()
     kept, why = keeps_refined(before, after, change)
     if not kept and given is not None:
-        refined = _with_costs_of(given, refined.run, rows)
+        # The costs stay, of what came to nothing; its history, which the runs share, does not.
+        run.evaluations, run.unmeasured = refined.run.evaluations, refined.run.unmeasured
+        del run.rows[rows:]
+        refined = given
     elif not kept:
         refined.run.scene = run.scene
     return refined, Refinement(asked, kept, why, figures)
-
-
-def _with_costs_of(fit: PixelFit, later: Run, rows: int) -> PixelFit:
-    """A fit with what a later run that came to nothing has cost; of its history the first rows."""
-    run = fit.run
-    run.stages, run.evaluations, run.unmeasured = later.stages, later.evaluations, later.unmeasured
-    del run.rows[rows:]
-    return fit
 
 
 @one_blas_thread()

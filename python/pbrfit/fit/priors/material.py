@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -284,8 +285,7 @@ class _Grid:
         return likelihood
 
 
-@dataclass(frozen=True, eq=False)
-class _Posterior:
+class _Posterior(NamedTuple):
     """Mean and variance of roughness and metallic, (Q, 2), and the cluster, (Q,)."""
 
     mean: NDArray[np.float32]
@@ -312,14 +312,6 @@ class _Posterior:
         return GaussianPrior(
             *self.gaussian(sigma_min, variance, objective), cluster, blocks, factor
         ), clusters
-
-    @classmethod
-    def joined(cls, parts: list[_Posterior]) -> _Posterior:
-        return cls(
-            np.concatenate([part.mean for part in parts]),
-            np.concatenate([part.variance for part in parts]),
-            np.concatenate([part.cluster for part in parts]),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,7 +359,7 @@ class _Distributions:
             if stop():
                 return None
             parts.append(self.posterior(grid.likelihood(everything[chunk]), labels[chunk]))
-        return _Posterior.joined(parts)
+        return _Posterior(*map(np.concatenate, zip(*parts, strict=True)))
 
     def posterior(self, likelihood: NDArray[np.float32], labels: Labels) -> _Posterior:
         """Of pixels with these likelihoods, (Q, nodes), and labels."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.settings import (
+    DATA_SHARE_OF_ITERATIONS,
     LBFGS_PAIRS,
     LBFGS_STAGES,
     LBFGS_STAGES_GIVEN_START,
@@ -32,12 +33,13 @@ Descent = Callable[..., tuple[float, Array]]
 
 
 def staged(
-    run: Run, x: Array, loss: float, iterations: float, descent: Descent, *, start_given: bool
+    run: Run, x: Array, loss: float, descent: Descent, *, start_given: bool
 ) -> tuple[Array, float, str]:
-    """X, its loss, and which state that is, after so many iterations at most.
+    """X, its loss, and which state that is, after the iterations that the data may have.
 
     The last is empty unless the state is one from before the last restart.
     """
+    iterations = (DATA_SHARE_OF_ITERATIONS if run.has_mixture_prior else 1.0) * run.left
     best = loss, x
     trapped = False
     before = run.iteration
@@ -149,7 +151,6 @@ def _in_time(run: Run) -> Callable[[Array], tuple[float, Array]]:
     return evaluate
 
 
-@one_blas_thread()
 def by_scipy(
     run: Run,
     x: Array,
@@ -187,25 +188,26 @@ def by_scipy(
         if stalled or run.out_of_time():
             raise StopIteration
 
-    try:
-        found = minimize(
-            evaluate,
-            x,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=Bounds(lower, upper),
-            callback=after_iteration,
-            options={
-                "maxiter": iterations,
-                "maxfun": 10**9,  # iterations and time are the limits
-                "maxcor": LBFGS_PAIRS,
-                # The loss is a mean, so its gradient entries are tiny: scipy's absolute
-                # tolerances would stop at once. Run on until no step lowers the loss.
-                "ftol": 0.0,
-                "gtol": 0.0,
-            },
-        )
-    except StopIteration:
-        assert last is not None
-        return last
+    with one_blas_thread():
+        try:
+            found = minimize(
+                evaluate,
+                x,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=Bounds(lower, upper),
+                callback=after_iteration,
+                options={
+                    "maxiter": iterations,
+                    "maxfun": 10**9,  # iterations and time are the limits
+                    "maxcor": LBFGS_PAIRS,
+                    # The loss is a mean, so its gradient entries are tiny: scipy's absolute
+                    # tolerances would stop at once. Run on until no step lowers the loss.
+                    "ftol": 0.0,
+                    "gtol": 0.0,
+                },
+            )
+        except StopIteration:
+            assert last is not None
+            return last
     return float(found.fun), found.x

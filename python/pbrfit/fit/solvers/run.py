@@ -115,7 +115,10 @@ class Run:
         self.stages: list[Stage] = []
 
     def continued(self, scene: Scene, objective: Objective) -> Run:
-        """A run that goes on with another scene and objective, and has all iterations again."""
+        """A run that goes on with another scene and objective, and has all iterations again.
+
+        Both write into one history.
+        """
         later = copy.copy(self)
         later.scene, later.objective = scene, objective
         later._iteration_limit = self.iteration + self.options.iterations
@@ -135,6 +138,16 @@ class Run:
     def out_of_time(self) -> bool:
         """Whether the time limit is reached."""
         return self.options.time_limit is not None and self.elapsed >= self.options.time_limit
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether no limit is reached."""
+        return self.left > 0 and not self.out_of_time()
+
+    @property
+    def has_mixture_prior(self) -> bool:
+        """Whether the fit has a mixture prior on materials."""
+        return self.options.priors.material > 0
 
     def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
         """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""
