@@ -91,7 +91,7 @@ def fit_tiles(
     margin = settings.TILE_MARGIN_SMOOTH if smooth else settings.TILE_MARGIN
     pieces = list(tiles(scene.valid, margin, side))
     whole = Totals(scene, units, layout.channels)
-    clock, statuses = subset.found.run, list[Status]()
+    clock, statuses = subset.run, list[Status]()
     began, passes = clock.elapsed, 0.0
 
     def state() -> tuple[Materials, Array]:
@@ -136,7 +136,7 @@ def fit_tiles(
             scale=units.scale,
             priors=options.priors != Priors.none(),
         )
-    status, reason = ending(subset.found.status, subset.found.reason, statuses, options)
+    status, reason = ending(subset.status, subset.reason, statuses, options)
     return FitOutput(
         materials=maps.materials,
         lighting=subset.lighting,
@@ -198,7 +198,7 @@ def _fit_tile(
 
     objective = objective_of(part, False)
     run = setup.run(part, objective, shared_state)
-    run.unmeasured = subset.found.run.unmeasured
+    run.unmeasured = subset.run.unmeasured
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
     if run.out_of_time():

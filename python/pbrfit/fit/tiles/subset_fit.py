@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
-from pbrfit.fit.normals.refined_fit import PixelFit
 from pbrfit.fit.objective import Normalization, Objective, valid_values
-from pbrfit.fit.solvers.run import SharedState
+from pbrfit.fit.solvers.run import Run, SharedState
 from pbrfit.fit.tiles.maps import NearestMaps
 from pbrfit.fit.tiles.windows import SceneCutter, Window, cut_maps
 from pbrfit.fit.whole_picture import FitSetup, Start, fit_pixels
 from pbrfit.model.materials import Materials
+from pbrfit.result.data import Status
 from pbrfit.result.options import Priors
 from pbrfit.result.refinement import Refinement
 
@@ -26,8 +26,10 @@ Array = NDArray[np.float64]
 class SubsetResult:
     """What a subset of the pixels found."""
 
-    found: PixelFit
-    """Its run's clock goes on."""
+    run: Run
+    """Whose clock goes on."""
+    status: Status
+    reason: str
     pixels: int
     """How many there are."""
     lighting: Array
@@ -72,7 +74,9 @@ def fit_subset(
     else:  # the subset had no time or no use for the fitted prior: tiles have none either
         priors = replace(priors, material=0.0)
     return SubsetResult(
-        found=found,
+        run=run,
+        status=found.status,
+        reason=found.reason,
         pixels=objective.pixels,
         lighting=lighting,
         refinement=refinement,

@@ -38,9 +38,8 @@ class Tile:
     outer: Window
     """Pixels that are fitted, in the whole picture."""
     inner: Window
-    """Pixels that are kept, in the whole picture, and"""
     inside: Window
-    """the same in the outer window."""
+    """Pixels that are kept, in the whole picture and in the outer window."""
 
 
 def strided_window(valid: NDArray[np.bool_], at_least: int, at_most: int) -> Window:
