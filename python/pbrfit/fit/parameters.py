@@ -16,6 +16,13 @@ ORDER_2 = 9
 """Coefficients of a light of order 2; those from here on are band 3."""
 
 
+def pixel_index(layout: ParameterLayout) -> NDArray[np.intp]:
+    """(H, W): the place of each valid pixel in a plane of x, −1 elsewhere."""
+    index = np.full(layout.valid.shape, -1)
+    index[layout.valid] = np.arange(layout.pixels)
+    return index
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterLayout:
     """Where the unknowns of a scene lie in x.
@@ -88,13 +95,6 @@ class ParameterLayout:
         found = np.full(self.valid.shape + values.shape[1:], fill)
         found[self.valid] = values
         return found
-
-    @property
-    def index(self) -> NDArray[np.intp]:
-        """(H, W): the place of each valid pixel in a plane of x, −1 elsewhere."""
-        index = np.full(self.valid.shape, -1)
-        index[self.valid] = np.arange(self.pixels)
-        return index
 
     @property
     def sh_order(self) -> int:

@@ -14,6 +14,7 @@ from pbrfit import Materials, Scene, render
 from pbrfit.fit.normals.joint_step import SubsetState, joint_step
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.settings import NORMALS_OFFSET_STEP_MAX, NORMALS_ROUGHNESS_STEP_MAX
 
@@ -109,7 +110,9 @@ def case(
         rng.uniform(0.01, 1, size=(count, f_count)),
         rng.integers(CLUSTERS, size=count),
     )
-    around = Neighbourhood.of(layout.index, np.asarray(scene.normals, dtype=np.float64)[mask], None)
+    around = Neighbourhood.of(
+        pixel_index(layout), np.asarray(scene.normals, dtype=np.float64)[mask], None
+    )
     offset_prior = TangentOffsetPrior(
         around, sigma=0.5, robust_weights=rng.uniform(0.3, 1, size=len(around.pairs))
     )

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.settings import NORMALS_OFFSET_SIGMA_RANGE
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def holed(height: int, width: int) -> NDArray[np.bool_]:
 @pytest.fixture
 def prior() -> TangentOffsetPrior:
     """Of 5 × 6 pixels with holes, bent, some pairs of them half let go."""
-    found = around(layout(holed(5, 6)).index, bend=0.2)
+    found = around(pixel_index(layout(holed(5, 6))), bend=0.2)
     robust = np.random.default_rng(0).uniform(0.2, 1, len(found.pairs))
     return TangentOffsetPrior(found, sigma=0.15, robust_weights=robust)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import slices
 
@@ -212,7 +213,7 @@ def _beside(objective: Objective, pixels: Pixels) -> Iterator[tuple[Pixels, Pixe
     if not pixels.size:
         return
     valid = objective.layout.valid
-    index = objective.layout.index
+    index = pixel_index(objective.layout)
     rows, columns = (of_all[pixels] for of_all in np.nonzero(valid))
     for down, right in NEIGHBOURS:
         there = rows + down, columns + right

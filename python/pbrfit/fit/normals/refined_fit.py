@@ -31,6 +31,7 @@ from pbrfit.fit.normals.all_pixels import (
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.normals.search import fit_subset
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.solvers.run import Run
 from pbrfit.fit.solvers.strategies import solve
 from pbrfit.model.geometry import angles_between
@@ -238,7 +239,7 @@ def _start(
     normal_sigma = None
     if scene.normal_sigma is not None:
         normal_sigma = scene.normal_sigma[scene.valid].astype(np.float64)
-    prior = TangentOffsetPrior(Neighbourhood.of(layout.index, given, normal_sigma))
+    prior = TangentOffsetPrior(Neighbourhood.of(pixel_index(layout), given, normal_sigma))
     start = free.start()
     start[layout.materials] = x[held.materials]
     start[layout.maps.stop :] = x[held.maps.stop :]

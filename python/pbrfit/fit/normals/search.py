@@ -33,7 +33,7 @@ from pbrfit.fit.normals.noise import (
 )
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.material import prior_at
 
@@ -53,7 +53,7 @@ def strided_subset(
     while (first := _first_pixel(layout.valid, step))[0] > settings.STRIDED_SUBSET_EXCESS * at_most:
         step += 1
     _, row, column = first
-    found = layout.index[row::step, column::step]
+    found = pixel_index(layout)[row::step, column::step]
     inside = found >= 0
     index = np.full(found.shape, -1)
     index[inside] = np.arange(np.count_nonzero(inside))

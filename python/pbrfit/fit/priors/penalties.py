@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.result.options import Priors
 
 SMOOTHNESS_STEP = 0.01
@@ -148,7 +148,7 @@ def tied_neighbours(layout: ParameterLayout) -> NDArray[np.int64]:
 
     Both pixels are in the same segment, or one of them is unclassified.
     """
-    index = layout.index
+    index = pixel_index(layout)
     labels = np.zeros(layout.valid.shape, dtype=np.int64)
     if layout.segments is not None:
         labels[layout.valid] = layout.segments

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.tiles.windows import Tile, Window
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
@@ -26,7 +26,7 @@ class TiledMaps:
         if uncertain:
             unknowns = layout.maps.stop // layout.pixels
             self.variances = uncertainty.Variances.empty(layout.pixels, unknowns)
-            self._number = layout.index.astype(np.int32)
+            self._number = pixel_index(layout).astype(np.int32)
 
     def put(self, tile: Tile, part: Scene, materials: Materials) -> None:
         """Keep what a tile found inside: materials (h, w, ...), and the normals of its scene."""
