@@ -10,8 +10,7 @@
 # make test-cluster: the tests that need dask.distributed, in .venv-cluster; schedulers and workers are
 #   processes of this machine
 # make test-arrays: any arrays for any argument, EXAMPLES of them for each call, others in each run
-# make test-limits: Ctrl-C at random times of every command on a large scene; how long a fit goes on
-#   between two looks at its clock (an hour)
+# make test-limits: Ctrl-C at random times of every command on a large scene (an hour)
 # make test-soak: 500 small scenes in one process and in a pool: memory, open files, what is left
 # make test-reliability: batches killed a hundred times and gone on with, told to end at random times,
 #   on full disks, without rights, beside another batch (half an hour; Linux, as root all of it)
@@ -76,8 +75,7 @@ test-arrays: $(VENV)/tools
 	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/commands/test_array_interface.py
 
 test-limits: $(VENV)/tools
-	$(BIN)/python tests/limits/interrupts.py
-	$(BIN)/python tests/limits/time_limit.py
+	$(BIN)/python tests/reliability/signals.py commands --times 5
 
 test-soak: $(VENV)/tools
 	$(BIN)/python tests/soak/soak.py
@@ -85,7 +83,7 @@ test-soak: $(VENV)/tools
 
 test-reliability: $(VENV)/tools
 	$(BIN)/python tests/reliability/kills.py
-	$(BIN)/python tests/reliability/signals.py
+	$(BIN)/python tests/reliability/signals.py batches
 	$(BIN)/pytest tests/reliability
 
 lint: lint-rust lint-python

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pbrfit_evaluation.torch_loss import einsum_form, matrix_form
-from peers.case import Case
+from pbrfit_evaluation.torch_loss import Factors, matrix_form, one_hot
+from peers.case import DIFFUSE, Case
 
 
 class Torch:
@@ -42,6 +42,31 @@ class Torch:
         return np.concatenate(
             [unknown.grad.numpy().astype(np.float64).ravel() for unknown in self._unknowns]
         )
+
+
+def einsum_form(view: Case) -> Callable[..., torch.Tensor]:
+    """As one reads it from the paper: a diffuse and a specular sum over coefficients a picture.
+
+    Of the possible orders of the axes the fastest: "pnc" takes 1.2 times as long eager, 2.5 times
+    compiled.
+    """
+    factors = Factors(view)
+    diffuse_basis = torch.tensor(view.diffuse_basis.T.copy())  # (9, P)
+    mirror_basis = torch.tensor(view.mirror_basis.T.copy())  # (16, P)
+    bands = one_hot()
+    targets = torch.tensor(view.images.transpose(2, 0, 1).copy())  # (3, N, P)
+
+    def loss(
+        albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, lights: torch.Tensor
+    ) -> torch.Tensor:
+        kd, ks, h = factors(albedo, roughness, metallic)
+        diffuse = torch.einsum("kp,nkc->cnp", diffuse_basis, lights[:, :DIFFUSE])
+        specular_basis = (bands @ h) * mirror_basis
+        specular = torch.einsum("kp,nkc->cnp", specular_basis, lights)
+        image = kd[:, None] * diffuse + ks[:, None] * specular
+        return torch.mean((image - targets) ** 2)
+
+    return loss
 
 
 EagerEinsum = partial(Torch, form=einsum_form, compiled=False)

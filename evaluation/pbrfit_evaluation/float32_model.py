@@ -53,11 +53,6 @@ class View:
         """P."""
         return len(self.normals)
 
-    @property
-    def pictures(self) -> int:
-        """N."""
-        return len(self.images)
-
     @cached_property
     def cosine(self) -> Float32:
         """n·v for masking and Fresnel, (P,)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from pbrfit.result.options import Priors
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.scores import score
 
 Recipe = Literal["plain", "default", "paper", "paper-priors", "constant", "start"]
 RECIPES: tuple[Recipe, ...] = get_args(Recipe)
@@ -34,6 +35,20 @@ PAPER_PRIORS = Priors(material=0.0, cohesion=0.1, smoothness=0.03, sparsity=1e-5
 """The four priors of the paper, which gives no weights. Each alone, these lowered the errors of
 noisy rooms of seeds 2000 and 2001 with true segments; ten times the sparsity raises that of albedo.
 """
+
+
+def fit(scene: Scene, **options: Any) -> Result:
+    """`pbrfit.decompose` with the normals as they are: what comparisons of solvers and priors do.
+
+    `options` are those of `pbrfit.decompose`.
+    """
+    return decompose(scene, refine_normals="off", **options)
+
+
+def fit_and_score(scene: Scene, threads: int, **options: Any) -> tuple[Result, dict[str, Any]]:
+    """`fit`, and the errors of what it finds, with its seconds: what a record keeps."""
+    result = fit(scene, threads=threads, **options)
+    return result, score(result, scene, threads).as_json()
 
 
 def explain(

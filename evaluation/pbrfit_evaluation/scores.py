@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,10 @@ PROTOCOL = (
 
 METAL = 0.5
 """Pixels whose true metallic is at least this are metal."""
+
+
+RELIGHT = ("relight", "relight_scaled", "relight_psnr", "relight_ssim")
+"""Scores of relit pictures; PSNR and SSIM are means over pictures."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,11 @@ class Scores:
         return asdict(self)
 
 
+def better(metric: str) -> Literal["low", "high"]:
+    """Which values of a metric are better."""
+    return "high" if metric.endswith(("psnr", "ssim")) else "low"
+
+
 def score(result: Result, scene: Scene, threads: int = 0) -> Scores:
     """Compare a result with the truth of its scene; without truth it is an AssertionError."""
     truth = scene.truth
@@ -61,53 +70,45 @@ def score(result: Result, scene: Scene, threads: int = 0) -> Scores:
     valid = scene.valid
     metal = np.where(valid, true.metallic, 0.0) >= METAL
     scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
-    relight = None
+    relight: dict[str, float | None] = dict.fromkeys(RELIGHT)
     if truth.relight_images is not None and truth.relight_lighting is not None:
         rendered = render(
             *(found, result.normals, truth.relight_lighting, result.fov, threads),
             model=result.model,
         )
-        relight = _relight(rendered, np.where(valid[..., None], truth.relight_images, np.nan))
+        shown = np.where(valid[..., None], truth.relight_images, np.nan)
+        relight |= zip(RELIGHT, _relight(rendered, shown), strict=True)
     albedos = metrics.display(found.albedo, 1.0), metrics.display(true.albedo, 1.0)
     return Scores(
         recon=errors["recon_rmse"],
         albedo=metrics.rmse(found.albedo, true.albedo),
         roughness=metrics.rmse(found.roughness, true.roughness),
         metallic=metrics.rmse(found.metallic, true.metallic),
-        relight=relight.rmse if relight else None,
         roughness_on_metal=_on(metal, found.roughness, true.roughness),
         metallic_on_metal=_on(metal, found.metallic, true.metallic),
         albedo_scaled=metrics.rmse(scaled, true.albedo),
-        relight_scaled=relight.scaled if relight else None,
         albedo_psnr=metrics.psnr(*albedos),
         albedo_ssim=metrics.ssim(*albedos),
-        relight_psnr=relight.psnr if relight else None,
-        relight_ssim=relight.ssim if relight else None,
         seconds=result.seconds,
         evaluations=result.evaluations,
+        **relight,
     )
 
 
-@dataclass(frozen=True)
-class _Relight:
-    rmse: float
-    scaled: float
-    psnr: float
-    ssim: float
-
-
-def _relight(rendered: NDArray[np.float64], true: NDArray[np.float64]) -> _Relight:
-    """Relit pictures (M, H, W, 3) against the truth; PSNR and SSIM are means over pictures."""
+def _relight(
+    rendered: NDArray[np.float64], true: NDArray[np.float64]
+) -> tuple[float, float, float, float]:
+    """Relit pictures (M, H, W, 3) against the truth, in the order of `RELIGHT`."""
     pairs = [
         (metrics.display(a, white), metrics.display(b, white))
         for a, b in zip(rendered, true, strict=True)
         for white in [metrics.white_of(b)]
     ]
-    return _Relight(
-        rmse=metrics.rmse(rendered, true),
-        scaled=metrics.rmse(metrics.scaled_per_channel(rendered, true), true),
-        psnr=float(np.mean([metrics.psnr(*pair) for pair in pairs])),
-        ssim=float(np.mean([metrics.ssim(*pair) for pair in pairs])),
+    return (
+        metrics.rmse(rendered, true),
+        metrics.rmse(metrics.scaled_per_channel(rendered, true), true),
+        float(np.mean([metrics.psnr(*pair) for pair in pairs])),
+        float(np.mean([metrics.ssim(*pair) for pair in pairs])),
     )
 
 

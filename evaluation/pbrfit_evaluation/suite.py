@@ -273,11 +273,9 @@ class Series:
     label
         In the legend; a label has one look in the whole plot.
     x, y
-        Coordinates. Of dots and bars `y` are names, and those of a panel share an axis.
+        Coordinates. Of dots `y` are names, and those of a panel share an axis.
     low, high
-        Interval of each: of y in lines, points and steps, of x in dots and bars.
-    notes
-        Text beside each.
+        Interval of each: of y in lines, points and steps, of x in dots.
     look
         Place in the palette (default: in order of appearance), to keep looks alike between plots.
     empty
@@ -290,7 +288,6 @@ class Series:
     _: KW_ONLY
     low: Sequence[float] = ()
     high: Sequence[float] = ()
-    notes: Sequence[str] = ()
     look: int | None = None
     empty: bool = False
 
@@ -310,10 +307,10 @@ class Panel:
     """One pair of axes; labels have units.
 
     `kind`: "lines" with markers, "steps" without (histograms, dense curves), "points" alone;
-    "dots" and "bars" against names.
+    "dots" against names.
     """
 
-    kind: Literal["lines", "steps", "points", "dots", "bars"]
+    kind: Literal["lines", "steps", "points", "dots"]
     series: Sequence[Series]
     x: str = ""
     y: str = ""
@@ -361,7 +358,6 @@ class Plot:
     share_x: Literal["none", "all", "row", "col"] = "none"
     share_y: Literal["none", "all", "row", "col"] = "none"
     size: tuple[float, float] | None = None
-    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -415,10 +411,6 @@ def _no_files(*_: Any) -> dict[str, list[Line]]:
     return {}
 
 
-def _never(_: Record) -> bool:
-    return False
-
-
 def _all_rows(_: Any, rows: Sequence[Row]) -> Sequence[Section]:
     return [Section("Figures", tables=[Table.of(rows)])]
 
@@ -440,11 +432,6 @@ class Part(Generic[C]):
         and for networks that fill a GPU.
     then
         More cases, which depend on what the first found; None if there are none.
-    then_alone
-        Whether those run as with `alone`, and the first do not.
-    excused
-        Whether a failed record is no failure of the run, such as where an optional network is not
-        there.
     """
 
     name: str
@@ -457,8 +444,6 @@ class Part(Generic[C]):
     csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line]]] = _no_files
     alone: bool = False
     then: Callable[[Results[C]], Sequence[C]] | None = None
-    then_alone: bool = False
-    excused: Callable[[Record], bool] = _never
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The loss in PyTorch, to be differentiated automatically: two forms.
+"""The loss in PyTorch, to be differentiated automatically.
 
 Only for those who have PyTorch: this module imports it, so import this module inside functions.
 """
@@ -14,7 +14,7 @@ from pbrfit_evaluation.float32_model import BAND_OF, DIELECTRIC_F0, DIFFUSE, Vie
 
 
 class Factors:
-    """The part of the model that both forms share: kd, ks (3, P) and the band weights (4, P)."""
+    """What any form of the loss needs: kd, ks (3, P) and the band weights (4, P)."""
 
     def __init__(self, view: View) -> None:
         self._cosine = torch.tensor(view.cosine)
@@ -39,44 +39,19 @@ class Factors:
         return torch.stack(powers)
 
 
-def einsum_form(view: View) -> Callable[..., torch.Tensor]:
-    """As one reads it from the paper: a diffuse and a specular sum over coefficients a picture.
-
-    Of the possible orders of the axes the fastest: "pnc" takes 1.2 times as long eager, 2.5 times
-    compiled.
-    """
-    factors = Factors(view)
-    diffuse_basis = torch.tensor(view.diffuse_basis.T.copy())  # (9, P)
-    mirror_basis = torch.tensor(view.mirror_basis.T.copy())  # (16, P)
-    one_hot = _one_hot()
-    targets = torch.tensor(view.images.transpose(2, 0, 1).copy())  # (3, N, P)
-
-    def loss(
-        albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, lights: torch.Tensor
-    ) -> torch.Tensor:
-        kd, ks, h = factors(albedo, roughness, metallic)
-        diffuse = torch.einsum("kp,nkc->cnp", diffuse_basis, lights[:, :DIFFUSE])
-        specular_basis = (one_hot @ h) * mirror_basis
-        specular = torch.einsum("kp,nkc->cnp", specular_basis, lights)
-        image = kd[:, None] * diffuse + ks[:, None] * specular
-        return torch.mean((image - targets) ** 2)
-
-    return loss
-
-
 def matrix_form(view: View) -> Callable[..., torch.Tensor]:
     """One weight matrix W (P, 16) a channel, I = W Lᵀ. A loop over channels beats one batch."""
     factors = Factors(view)
     diffuse_basis = torch.nn.functional.pad(torch.tensor(view.diffuse_basis), (0, 16 - DIFFUSE))
     mirror_basis = torch.tensor(view.mirror_basis)  # (P, 16)
-    one_hot = _one_hot()
+    bands = one_hot()
     targets = torch.tensor(view.images.transpose(2, 1, 0).copy())  # (3, P, N)
 
     def loss(
         albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, lights: torch.Tensor
     ) -> torch.Tensor:
         kd, ks, h = factors(albedo, roughness, metallic)
-        specular_basis = (h.T @ one_hot.T) * mirror_basis
+        specular_basis = (h.T @ bands.T) * mirror_basis
         total = torch.zeros(())
         for c in range(3):
             w = kd[c, :, None] * diffuse_basis + ks[c, :, None] * specular_basis
@@ -86,6 +61,6 @@ def matrix_form(view: View) -> Callable[..., torch.Tensor]:
     return loss
 
 
-def _one_hot() -> torch.Tensor:
+def one_hot() -> torch.Tensor:
     """(16, 4), takes bands to coefficients. Indexing in its place cripples eager gradients."""
     return torch.nn.functional.one_hot(torch.tensor(BAND_OF), 4).float()

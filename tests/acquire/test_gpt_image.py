@@ -6,6 +6,7 @@ import json
 import logging
 import traceback
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,12 +109,6 @@ def test_the_upload_holds_what_the_api_asks_for(tmp_path: Path, serve: Serve) ->
     assert call.headers["authorization"] == f"Bearer {KEY}"
 
 
-def test_without_a_negative_prompt_nothing_is_added(tmp_path: Path, serve: Serve) -> None:
-    service = serve(inverted)
-    GptImage().generate(photo(tmp_path), Request("a", "Evening.", "", 0))
-    assert service.calls[0].text["prompt"] == "Evening."
-
-
 def test_usage_is_recorded_as_it_came_and_the_cost_by_the_prices(
     tmp_path: Path, serve: Serve
 ) -> None:
@@ -125,53 +120,65 @@ def test_usage_is_recorded_as_it_came_and_the_cost_by_the_prices(
     assert record["prices_as_of"] == PRICES_AS_OF
     assert record["seed"] is None
     assert json.loads(json.dumps(record)) == record
-
-
-def test_cost_is_unknown_for_another_model_or_without_usage(tmp_path: Path, serve: Serve) -> None:
     assert cost("gpt-image-9", USAGE) is None
     assert cost("gpt-image-2", {"input_tokens": 3}) is None
-    serve(lambda call: picture(call.image, usage=None))
-    record = GptImage().generate(photo(tmp_path), ASK).record
-    assert record["usage"] is None
-    assert record["cost_usd"] is None
+    service = serve(lambda call: picture(call.image, usage=None))
+    record = GptImage().generate(photo(tmp_path), Request("a", "Evening.", "", 0)).record
+    assert (record["usage"], record["cost_usd"]) == (None, None)
+    assert service.calls[0].text["prompt"] == "Evening."  # no negative prompt: nothing is added
 
 
-def test_the_client_asks_again_after_429(tmp_path: Path, serve: Serve) -> None:
-    service = serve(failure(429, "slow down"), inverted)
-    GptImage().generate(photo(tmp_path), ASK)
+@pytest.mark.parametrize("first", [failure(429, "slow down"), CUT], ids=["429", "cut"])
+def test_the_client_asks_again(tmp_path: Path, serve: Serve, first: Answer) -> None:
+    service = serve(first, inverted)
+    GptImage(max_retries=1).generate(photo(tmp_path), ASK)
     assert len(service.calls) == 2
 
 
-def test_a_lasting_429_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
-    service = serve(failure(429, "You exceeded your current quota", "insufficient_quota"))
-    message = error_of(photo(tmp_path), GptImage(max_retries=2))
-    assert "429" in message
-    assert "exceeded your current quota" in message
-    assert len(service.calls) == 3
+QUOTA = failure(429, "You exceeded your current quota", "insufficient_quota")
 
 
-def test_a_refusal_by_moderation_tells_stage_and_categories(tmp_path: Path, serve: Serve) -> None:
-    details = {"moderation_stage": "output", "categories": ["violence"]}
-    service = serve(
-        failure(
-            400, "Rejected by the safety system.", "moderation_blocked", moderation_details=details
-        )
-    )
-    with pytest.raises(Refused, match=r"moderation \(output; categories: violence\).*Rejected"):
+@pytest.mark.parametrize(
+    ("answer", "retries", "words"),
+    [
+        (QUOTA, 2, ("429", "exceeded your current quota")),
+        (failure(500, "The server had an error"), 1, ("a failure there (500), 2 times",)),
+        (CUT, 1, ("a broken connection, 2 times",)),
+        (failure(400, "Invalid size '7x7'.", "invalid"), 0, ("status 400: ", "Invalid size")),
+        (failure(403, f"No access with {KEY}"), 0, ("No access with ***",)),
+    ],
+    ids=["quota", "server", "cut", "no refusal of a prompt", "quotes the key"],
+)
+def test_a_failure_is_told_after_all_tries(
+    tmp_path: Path, serve: Serve, answer: Answer, retries: int, words: tuple[str, ...]
+) -> None:
+    service = serve(answer)
+    message = error_of(photo(tmp_path), GptImage(max_retries=retries))
+    assert all(word in message for word in words), message
+    assert len(service.calls) == 1 + retries
+
+
+MODERATION = {"moderation_stage": "output", "categories": ["violence"]}
+
+
+@pytest.mark.parametrize(
+    ("details", "told"),
+    [
+        (
+            {"moderation_details": MODERATION},
+            r"moderation \(output; categories: violence\).*Reject",
+        ),
+        ({}, "moderation: Rejected"),
+    ],
+)
+def test_a_refusal_by_moderation_tells_what_is_known(
+    tmp_path: Path, serve: Serve, details: dict[str, Any], told: str
+) -> None:
+    words = "Rejected by the safety system."
+    service = serve(failure(400, words, "moderation_blocked", **details))
+    with pytest.raises(Refused, match=told):
         GptImage().generate(photo(tmp_path), ASK)
     assert len(service.calls) == 1
-
-
-def test_a_refusal_without_details_is_a_refusal_too(tmp_path: Path, serve: Serve) -> None:
-    serve(failure(400, "Rejected by the safety system.", "moderation_blocked"))
-    with pytest.raises(Refused, match=r"moderation: Rejected"):
-        GptImage().generate(photo(tmp_path), ASK)
-
-
-def test_another_400_is_no_refusal_of_a_prompt(tmp_path: Path, serve: Serve) -> None:
-    serve(failure(400, "Invalid size '7x7'.", "invalid_value"))
-    assert "status 400: " in (message := error_of(photo(tmp_path)))
-    assert "Invalid size" in message
 
 
 def test_a_refused_key_is_named_and_not_shown(tmp_path: Path, serve: Serve) -> None:
@@ -181,31 +188,6 @@ def test_a_refused_key_is_named_and_not_shown(tmp_path: Path, serve: Serve) -> N
     assert "401" in message
     assert KEY[:8] not in message
     assert KEY[-4:] not in message
-
-
-def test_a_service_that_quotes_the_key_does_not_make_us_show_it(
-    tmp_path: Path, serve: Serve
-) -> None:
-    serve(failure(403, f"No access with {KEY}"))
-    assert "No access with ***" in error_of(photo(tmp_path))
-
-
-def test_a_service_that_always_fails_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
-    service = serve(failure(500, "The server had an error"))
-    assert "a failure there (500), 2 times" in error_of(photo(tmp_path), GptImage(max_retries=1))
-    assert len(service.calls) == 2
-
-
-def test_a_connection_that_is_cut_is_told_after_all_tries(tmp_path: Path, serve: Serve) -> None:
-    service = serve(CUT)
-    assert "a broken connection, 2 times" in error_of(photo(tmp_path), GptImage(max_retries=1))
-    assert len(service.calls) == 2
-
-
-def test_after_a_cut_connection_the_next_try_may_succeed(tmp_path: Path, serve: Serve) -> None:
-    service = serve(CUT, inverted)
-    GptImage(max_retries=1).generate(photo(tmp_path), ASK)
-    assert len(service.calls) == 2
 
 
 def test_a_service_that_is_not_there_is_told(
@@ -261,6 +243,34 @@ def test_a_picture_of_the_same_shape_is_scaled_and_said_to_be(tmp_path: Path, se
     assert generated.record["size_given"] == [504, 376]
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("OPENAI_API_KEY", ("sk-ключ", "sk-two words", "sk-two\nlines"), "expected ASCII"),
+        (
+            "OPENAI_BASE_URL",
+            (
+                "",
+                "localhost",
+                "ftp://localhost",
+                "http://",
+                "http://localhost:port/v1",
+                "http://[::",
+            ),
+            "expected http:// or https://",
+        ),
+    ],
+)
+def test_a_key_or_an_address_that_is_none_is_told_and_no_key_shown(
+    monkeypatch: pytest.MonkeyPatch, name: str, values: tuple[str, ...], expected: str
+) -> None:
+    for value in values:
+        monkeypatch.setenv(name, value)
+        with pytest.raises(InputError, match=f"^{name}: {expected}") as told:
+            GptImage().check()
+        assert "sk-" not in str(told.value)
+
+
 def test_without_a_key_nothing_is_asked(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, serve: Serve
 ) -> None:
@@ -271,29 +281,6 @@ def test_without_a_key_nothing_is_asked(
     with pytest.raises(InputError, match="OPENAI_API_KEY"):
         GptImage().generate(photo(tmp_path), ASK)
     assert service.calls == []
-
-
-@pytest.mark.parametrize("broken", ["sk-ключ", "sk-two words", "sk-two\nlines"])
-def test_a_key_that_cannot_be_sent_is_told_and_not_shown(
-    monkeypatch: pytest.MonkeyPatch, broken: str
-) -> None:
-    monkeypatch.setenv("OPENAI_API_KEY", broken)
-    with pytest.raises(InputError, match=r"^OPENAI_API_KEY: expected ASCII") as told:
-        GptImage().check()
-    assert "sk-" not in str(told.value)
-
-
-@pytest.mark.parametrize(
-    "address",
-    ["", "localhost", "ftp://localhost", "http://", "http://localhost:port/v1", "http://[::"],
-)
-def test_an_address_that_is_none_is_told(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
-    monkeypatch.setenv("OPENAI_BASE_URL", address)
-    with pytest.raises(InputError, match=r"^OPENAI_BASE_URL: expected http:// or https://"):
-        GptImage().check()
-
-
-def test_a_quality_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match=r"quality: expected one of low, .*found 'best'"):
         GptImage(quality="best")
 

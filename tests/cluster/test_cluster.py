@@ -8,8 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from pbrfit.batch.cluster import Cluster, _checked
 from pbrfit.batch.driver import Attempt, drive
 from pbrfit.cli import main
 from pbrfit.synthetic import make_scene
+from processes import until
 
 pytestmark = pytest.mark.filterwarnings("default")  # those of dask are its own
 
@@ -31,13 +31,6 @@ FEW = ("--iterations", "30", "--refine-normals", "off")
 def started(*arguments: object, **how: Any) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", *map(str, arguments)]
     return subprocess.Popen(command, text=True, **how)
-
-
-def until(condition: Callable[[], bool], seconds: float = 60) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.05)
 
 
 class Machines:
@@ -115,10 +108,17 @@ def batch(scenes: Path, out: Path, *arguments: object) -> subprocess.Popen[str]:
     )
 
 
+def finished(run: subprocess.Popen[str], code: int = 0) -> tuple[str, str]:
+    """What a batch says on stdout and on stderr until it ends."""
+    told, errors = run.communicate(timeout=300)
+    assert run.returncode == code, errors
+    return told, errors
+
+
 def test_a_local_cluster_gives_the_same_bits(scenes: Path, alone: Path, tmp_path: Path) -> None:
     run = batch(scenes, tmp_path / "out", *FEW, "--cluster", "local", "--jobs", 2)
-    told, errors = run.communicate(timeout=300)
-    assert (run.returncode, errors) == (0, "")
+    told, errors = finished(run)
+    assert errors == ""
     found = [json.loads(line) for line in told.splitlines()]
     assert [line["status"] for line in found] == ["done"] * SCENES
     assert_equal(tmp_path / "out", alone)
@@ -134,8 +134,7 @@ def test_a_worker_killed_in_the_middle_changes_no_result(
     assert run.stdout is not None
     first = json.loads(run.stdout.readline())
     os.kill(machines.workers[0].pid, signal.SIGKILL)
-    told, errors = run.communicate(timeout=300)
-    assert run.returncode == 0, errors
+    told, _ = finished(run)
     found = [first, *map(json.loads, told.splitlines())]
     assert sorted(Path(line["scene"]).name for line in found) == sorted(
         path.name for path in scenes.iterdir()
@@ -154,8 +153,7 @@ def test_workers_that_come_later_are_used(
     run.stdout.readline()
     machines.add_worker()
     os.kill(machines.workers[0].pid, signal.SIGKILL)  # then the second has to do the rest
-    _, errors = run.communicate(timeout=300)
-    assert run.returncode == 0, errors
+    finished(run)
     assert_equal(tmp_path / "out", alone)
 
 
@@ -167,8 +165,8 @@ def test_a_single_scene_and_what_was_finished(
     arguments = (*FEW, "--cluster", machines.address, "--resume")
     for status in ("done", "kept"):
         run = batch(scenes / name, tmp_path / "out" / name, *arguments)
-        told, errors = run.communicate(timeout=120)
-        assert (run.returncode, errors) == (0, "")
+        told, errors = finished(run)
+        assert errors == ""
         assert json.loads(told)["status"] == status
     assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
     first = (tmp_path / "out" / name / "materials.exr").read_bytes()
@@ -182,8 +180,7 @@ def test_a_failing_scene_is_told_of_with_its_warnings(machines: Machines, tmp_pa
     (tmp_path / "scenes" / "one" / "normals.exr").unlink()
     (tmp_path / "scenes" / "two" / "Mask.tif").touch()
     run = batch(tmp_path / "scenes", tmp_path / "out", *FEW, "--cluster", machines.address)
-    told, errors = run.communicate(timeout=120)
-    assert run.returncode == 1
+    told, errors = finished(run, 1)
     status = {Path(one["scene"]).name: one["status"] for one in map(json.loads, told.splitlines())}
     assert status == {"one": "failed", "two": "done"}
     assert f"pbrfit: {tmp_path / 'scenes' / 'one'}: expected normals.exr" in errors
@@ -226,37 +223,31 @@ def test_a_scheduler_that_goes_ends_the_batch_in_one_line(
     assert run.stdout is not None
     run.stdout.readline()
     machines.scheduler.kill()
-    _, errors = run.communicate(timeout=120)
-    assert run.returncode == 1, errors
+    _, errors = finished(run, 1)
     lines = [line for line in errors.splitlines() if line.startswith("pbrfit: ")]
     assert len(lines) == 1
     assert "expected the scheduler to stay, found it gone; --resume goes on" in lines[0]
     assert not (tmp_path / "out" / ".pbrfit").exists()
 
 
-@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize(
+    ("address", "expected"),
+    [
+        ("", "a worker that answers within 10 s"),  # a scheduler without workers
+        ("tcp://127.0.0.1:9", "a dask scheduler that answers within 10 s"),
+        ("what:is:this", "a dask scheduler"),
+    ],
+)
 def test_nobody_who_works_is_one_line(
-    scenes: Path,
-    tmp_path: Path,
-    request: pytest.FixtureRequest,
-    there: bool,
+    scenes: Path, tmp_path: Path, request: pytest.FixtureRequest, address: str, expected: str
 ) -> None:
-    address = request.getfixturevalue("machines").address if there else "tcp://127.0.0.1:9"
+    address = address or request.getfixturevalue("machines").address
     run = batch(scenes, tmp_path / "out", "--cluster", address)
-    told, errors = run.communicate(timeout=120)
-    assert (run.returncode, told) == (2, "")
-    what = "a worker" if there else "a dask scheduler"
-    assert f"pbrfit: --cluster {address}: expected {what} that answers within 10 s" in errors
+    told, errors = finished(run, 2)
+    assert told == ""
+    assert errors.startswith(f"pbrfit: --cluster {address}: expected {expected}")
     assert errors.count("\n") == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_an_address_that_is_none_is_one_line(scenes: Path, tmp_path: Path) -> None:
-    run = batch(scenes, tmp_path / "out", "--cluster", "what:is:this")
-    _, errors = run.communicate(timeout=120)
-    assert run.returncode == 2
-    assert errors.startswith("pbrfit: --cluster what:is:this: expected a dask scheduler")
-    assert errors.count("\n") == 1
 
 
 def test_workers_of_another_version_do_nothing() -> None:

@@ -1,14 +1,12 @@
 """Writes `bands.json` and `shading.json`: the model in high precision, from its definitions.
 
-    python tests/data/make_golden.py                     write both files beside this script
-    python tests/data/make_golden.py --compare FOLDER    recompute its files, show differences
+    python tests/data/make_golden.py    writes both files beside this script
 
 Needs mpmath and nothing of pbrfit. Deterministic: the same files on every machine.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import random
@@ -394,41 +392,10 @@ def write_all(folder: Path) -> None:
     )
 
 
-def compare(folder: Path) -> None:
-    """Recompute the golden files of another source and show the largest differences."""
-    largest: dict[str, tuple[mpf, int]] = {}
-
-    def note(key: str, index: int, found: list[mpf], stated: list[str]) -> None:
-        for a, b in zip(found, stated, strict=True):
-            largest[key] = max(largest.get(key, (mpf(-1), 0)), (abs(a - mpf(b)), index))
-
-    bands = json.loads((folder / "bands.json").read_text(encoding="utf-8"))
-    for index, row in enumerate(bands["rows"]):
-        h, dh_dr = band_weights(mpf(row["r"]))
-        note("bands h", index, h, row["h"])
-        note("bands dh_dr", index, dh_dr, row["dh_dr"])
-    shading = json.loads((folder / "shading.json").read_text(encoding="utf-8"))
-    for index, case in enumerate(shading["cases"]):
-        for key, value in shading_outputs(case).items():
-            if key in ROWS:
-                for found, stated in zip(value, case[key], strict=True):
-                    note(f"shading {key}", index, found, stated)
-            else:
-                note(f"shading {key}", index, value, case[key])
-    for key, (difference, index) in largest.items():
-        print(f"{key:22} {mp.nstr(difference, 3):>9} at entry {index}")
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--compare", type=Path, metavar="FOLDER")
-    arguments = parser.parse_args()
     mp.dps = WORKING_DIGITS
     check_band_weights()
-    if arguments.compare is None:
-        write_all(Path(__file__).parent)
-    else:
-        compare(arguments.compare)
+    write_all(Path(__file__).parent)
 
 
 if __name__ == "__main__":

@@ -72,10 +72,7 @@ def design(scene: Scene, channel: int) -> Array:
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-def test_light_is_that_of_least_squares(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch, weighted: bool
-) -> None:
-    monkeypatch.setattr(lights, "BLOCK", 37)
+def test_light_is_that_of_least_squares(scene: Scene, weighted: bool) -> None:
     rng = np.random.default_rng(0)
     noisy = scene.images + rng.normal(0, 0.1, scene.images.shape)
     weights = np.ones(scene.images.shape[:3])

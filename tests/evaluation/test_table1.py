@@ -6,37 +6,28 @@ import csv
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit.cli import main
+from evaluation_tasks import recorded
 from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
-from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import recipes
-from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE
-from pbrfit_evaluation.options import models
-from pbrfit_evaluation.report import markdown
-from pbrfit_evaluation.suite import Options, Results
 from pbrfit_evaluation.table1 import measure
-from pbrfit_evaluation.table1.figures import METRICS, figures, sections
+from pbrfit_evaluation.table1.figures import METRICS, figures
 from pbrfit_evaluation.table1.measure import Task
 from pbrfit_evaluation.table1.normals import disturbed
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
+from scene_files import run
 
 PAPER = ("--model", "paper")
 TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
-
-
-def run(*arguments: object) -> int:
-    try:
-        return main([str(argument) for argument in arguments])
-    except SystemExit as ended:
-        return int(ended.code or 0)
 
 
 # --------------------------------------------------------------------------------------- normals
@@ -83,20 +74,12 @@ def test_neighbours_err_alike() -> None:
 
 
 def test_rows_repeat_the_papers_table() -> None:
-    papers = {row.paper_row: tuple(row.paper.values()) for row in ROWS if row.paper}
-    assert papers["Base"] == (0.001, 0.065, 0.232, 0.186, 0.166)
-    assert papers["Pred. normals"] == (0.016, 0.160, 0.341, 0.446, 0.201)
-    assert papers["FOV=90"] == (0.004, 0.091, 0.283, 0.194, 0.143)
+    papers = {row.key: tuple(row.paper.values()) for row in ROWS if row.paper}
+    assert papers["base"] == (0.001, 0.065, 0.232, 0.186, 0.166)
+    assert papers["normals"] == (0.016, 0.160, 0.341, 0.446, 0.201)
+    assert papers["fov90"] == (0.004, 0.091, 0.283, 0.194, 0.143)
     assert sum(len(paper) for paper in papers.values()) == 7 * 5 - 1  # no relighting of Cycles
-    assert all(row.paper_row for row in ROWS if row.paper)
     assert len(BY_KEY) == len(ROWS)
-
-
-def test_only_one_row_of_the_paper_has_priors() -> None:
-    with_priors = [row.key for row in ROWS if "plain" not in row.recipes]
-    assert with_priors == ["regularized"]
-    assert "paper-priors" in BY_KEY["regularized"].recipes
-    assert all("paper-priors" not in row.recipes for row in ROWS if row.key != "regularized")
 
 
 def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> None:
@@ -195,28 +178,15 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------------------- report
 
 
-def found(options: Options, albedo: dict[Model, float]) -> Results[Task]:
-    """What would have been found if albedo alone depended on anything."""
-    pairs = []
-    for key in options.rows:
-        for model in models(options):
-            for seed in range(1000, 1002):
-                task = Task(key, seed, 16, 4, 3, model=model)
-                scores = dict.fromkeys(METRICS, 0.25) | {"albedo": albedo[model] * (seed - 999)}
-                values = {"facts": {}, "recipes": dict.fromkeys(BY_KEY[key].recipes, scores)}
-                pairs.append((task, Record(task.key, values, None, 1.0)))
-    return Results(options, pairs)
-
-
-def asked(*rows: str, model: str = "both", quick: bool = False) -> Options:
-    return Options(rows=list(rows), model=model, quick=quick)
-
-
 def test_means_are_over_finished_scenes() -> None:
-    options = asked("base", "cycles-brdf", model="paper", quick=True)
-    of_base = found(asked("base", model="paper"), {"paper": 0.1}).pairs
-    failed = (Task("base", 1002, 16, 4, 3), Record("base_paper_1002", None, "ValueError: no", 1.0))
-    rows = figures(Results(options, [*of_base, failed]))
+    pairs: list[tuple[Task, Any]] = []
+    for seed in (1000, 1001):
+        scores = dict.fromkeys(METRICS, 0.25) | {"albedo": 0.1 * (seed - 999)}
+        values = {"facts": {}, "recipes": dict.fromkeys(BY_KEY["base"].recipes, scores)}
+        pairs.append((Task("base", seed, 16, 4, 3, model="paper"), values))
+    pairs.append((Task("base", 1002, 16, 4, 3, model="paper"), "ValueError: no"))
+    asked = {"rows": ["base", "cycles-brdf"], "model": "paper", "quick": True}
+    rows = figures(recorded(*pairs, **asked))
     assert [row.name for row in rows] == ["Base, paper"] * 5 + [
         "Cycles, panorama: BRDF alone, paper"
     ]
@@ -225,18 +195,6 @@ def test_means_are_over_finished_scenes() -> None:
     assert [row.guess for row in rows] == [False, False, False, True, True, False]
     assert rows[-1].status == "not run: --quick leaves Cycles out"
     assert (rows[-1].scenes, rows[-1].metrics) == (0, {})
-
-
-def test_models_are_compared_on_pictures_that_both_have() -> None:
-    results = found(asked("base", "cycles-brdf"), {"paper": 0.2, "principled": 0.05})
-    shown = {section.title: section for section in sections(results, figures(results))}
-    text = markdown(shown["The two models on the same pictures"].tables[0])
-    assert "Cycles, panorama: BRDF alone" in text
-    assert "Base" not in text  # whose pictures are others for each model
-    assert "| 0.250 |" in text
-    alone = found(asked("cycles-brdf", model="paper"), {"paper": 0.2})
-    titles = [section.title for section in sections(alone, figures(alone))]
-    assert "The two models on the same pictures" not in titles
 
 
 # --------------------------------------------------------------------------------------- command
@@ -254,7 +212,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert f"Look at {out / 'report.html'}" in printed.out
     names = {path.name for path in out.iterdir()}
     assert names == {
-        "records", "report.html", "table1.png", "table1.csv", "table1.md", "scenes.csv",
+        "records", "report.html", "table1.png", "table1.md", "scenes.csv",
         "summary.json", "example-base-paper.png", "example-normals-paper.png",
         "example-normals-refined-paper.png", "example-regularized-paper.png",
     }  # fmt: skip

@@ -14,21 +14,7 @@ from fuzz.seeds import Seed
 
 @dataclass(frozen=True)
 class Plan:
-    """All cases of a reader.
-
-    Attributes
-    ----------
-    reader
-        Its name.
-    sound
-        Folders to begin with.
-    crafted
-        Folders with files made to deceive; the first cases.
-    count
-        Of all cases.
-    seed
-        Of the random numbers.
-    """
+    """All cases of a reader, of sound folders; those of files made to deceive (`crafted`) first."""
 
     reader: str
     sound: Sequence[Seed]

@@ -40,24 +40,10 @@ from pbrfit_evaluation import jobs
 
 @dataclass(frozen=True)
 class Reader:
-    """One way to read a file.
+    """One way to read a file: `read` is called with a folder and the damaged file in it.
 
-    Attributes
-    ----------
-    name
-        As `--readers` has it.
-    share
-        Of all cases, in relation to the others.
-    seeds
-        Makes the sound folders.
-    read
-        Called with the folder and the damaged file.
-    crafted
-        Files made to deceive, beside those that damage makes.
-    crafted_suffix
-        They take the place of the first target with this suffix; empty = of the first target.
-    per_pixel
-        Bytes of memory that are allowed for a pixel.
+    `share` is that of all cases, in relation to the others. Crafted files, made to deceive, take
+    the place of the first target with `crafted_suffix`, or else of the first one.
     """
 
     name: str

@@ -37,16 +37,8 @@ def run(
 ) -> dict[str, Tally]:
     """Run all cases in `jobs` processes; what came of them, by reader.
 
-    Parameters
-    ----------
-    plans
-        By the reader's name.
-    jobs
-        How many processes.
-    failed
-        Called with reader, number and what was wrong.
-    ended
-        Called with how many cases have ended since.
+    `failed` is called with reader, number and what was wrong, `ended` with how many cases have
+    ended since.
     """
     context = multiprocessing.get_context("spawn")
     blocks = [

@@ -12,8 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pbrfit.io.output import digest
 from pbrfit.result.result import FILES, Result
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 
 SIZE, LIGHTS = 16, 4
@@ -41,6 +45,24 @@ def make_versions(folder: Path, scenes: int, versions: int) -> list[list[Path]]:
             ).save(path)
         made.append(row)
     return made
+
+
+def tiled_scene(folder: Path, size: int, lights: int, tile: int = 250) -> Path:
+    """A scene folder of `size`² pixels, the same room of `tile`² again and again."""
+    room = make_scene("furnished", size=tile, lights=lights, held_out=1)
+    times = -(-size // tile)
+    assert room.segments is not None
+
+    def tiled(plane: NDArray[Any]) -> NDArray[Any]:
+        return np.tile(plane, (times, times, 1))[:size, :size]
+
+    Scene(
+        images=np.stack([tiled(image) for image in room.images]).astype(np.float32),
+        normals=tiled(room.normals),
+        segments=tiled(room.segments[..., None])[..., 0],
+        fov=room.fov,
+    ).save(folder)
+    return folder
 
 
 def put_version(scene: Path, version: Path) -> None:

@@ -1,12 +1,15 @@
-"""Ctrl-C and SIGTERM at random times of a batch: how long until all its processes are gone.
+"""Ctrl-C and SIGTERM at random times: how long until all processes are gone, and what is left.
 
-    python tests/reliability/signals.py [--times 12] [--scenes 8] [--seed 0] [--json FILE]
+    python tests/reliability/signals.py batches [--times 12] [--seed 0] [--only NAME] [--json FILE]
+    python tests/reliability/signals.py commands [--times 5] [--size 1000] ...
 
-`pbrfit decompose SCENES --out OUT` with one job and with two, into an empty folder and replacing
-results, told to end by either signal, sent to all its processes, as a terminal does, or to the
-first alone: `--times` each of these 16 ways, each time in another part of its run. Counted are the
-seconds until no process is left, the exit code, and what is on disk then: whole results and
-nothing else, and of results that were to be replaced none is missing.
+`batches` is `pbrfit decompose SCENES --out OUT` with one job and with two, into an empty folder and
+replacing results, told to end by either signal, sent to all its processes, as a terminal does, or
+to the first alone. `commands` is every command on a large scene, told to end by Ctrl-C. Each way
+runs once undisturbed, which tells how long it takes, and is then told to end `--times` times, each
+time in another part of its run. Counted are the seconds until no process is left, the exit code,
+and what is on disk then: whole results and nothing else, and of what was to be replaced none is
+missing.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -35,9 +39,13 @@ from batches import (
     of_session,
     seconds_until,
     started,
+    tiled_scene,
 )
 
-OPTIONS = ("--iterations", "150", "--json", "--quiet")
+SCENES, LIGHTS = 8, 8
+
+LONGEST = 50.0
+"""Seconds of a command's run in which it is told to end."""
 
 ALLOWED = 1.0
 """Seconds."""
@@ -47,121 +55,184 @@ NOT_STARTED = "init_import_site"
 
 
 @dataclass(frozen=True)
-class Shot:
-    """One signal."""
+class Way:
+    """A command that writes to `out` in a place of its own, and how it is told to end.
 
-    signal: str
-    to: str
-    jobs: int
-    replacing: bool
+    `faults` says what is wrong with what is left in the place; `earlier` is there to be replaced.
+    """
+
+    name: str
+    arguments: list[object]
+    faults: Callable[[Path], list[str]] = lambda _: []
+    number: signal.Signals = signal.SIGINT
+    to: str = "all"
+    earlier: Path | None = None
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A run that was told to end, or had ended before."""
+
+    way: str
     at: float
+    seconds: float
     latency: float
     code: int
     errors: str
     faults: list[str]
 
 
-def one(
-    folder: Path, number: signal.Signals, to: str, jobs: int, at: float, *, replacing: bool
-) -> Shot:
-    """Start a batch, tell it to end, and look."""
-    out, temporary = folder / "out", folder / "tmp"
-    for path in (out, temporary):
-        shutil.rmtree(path, ignore_errors=True)
-    temporary.mkdir()
-    arguments = ["decompose", folder / "scenes", "--out", out, *OPTIONS, "--jobs", jobs]
-    if replacing:
-        shutil.copytree(folder / "results", out)
-        arguments.append("--overwrite")
-    batch = started(
-        arguments,
+def content(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def shot(way: Way, place: Path, at: float) -> Shot:
+    """Start it afresh in the place, tell it to end, and look."""
+    shutil.rmtree(place, ignore_errors=True)
+    temporary = place / "tmp"
+    temporary.mkdir(parents=True)
+    if way.earlier is not None:
+        shutil.copytree(way.earlier, place / "out")
+    began, latency = time.monotonic(), 0.0
+    process = started(
+        way.arguments,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         env=environment(temporary),
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
-        batch.wait(at)
+        process.wait(at)
     except subprocess.TimeoutExpired:
         sent = time.monotonic()
-        if to == "all":
-            os.killpg(batch.pid, number)
-        else:
-            batch.send_signal(number)
-        batch.wait(PATIENCE)
-        seconds_until(lambda: not of_session(batch.pid))
+        (os.killpg if way.to == "all" else os.kill)(process.pid, way.number)
+        process.wait(PATIENCE)
+        seconds_until(lambda: not of_session(process.pid))
         latency = time.monotonic() - sent
-    else:
-        latency = 0.0
-    _, errors = batch.communicate(timeout=PATIENCE)
+    seconds = time.monotonic() - began - latency
+    errors, code = process.communicate(timeout=PATIENCE)[1].strip(), process.returncode
     faults = [] if latency < ALLOWED else [f"{latency:.2f} s"]
-    early = batch.returncode == -number or NOT_STARTED in errors  # by Python, not yet by us
-    if batch.returncode not in (0, 128 + number) and not early:
-        faults.append(f"exit code {batch.returncode}: {errors}")
-    if len(errors.splitlines()) != 1 and batch.returncode == 128 + number:
+    early = code == -way.number or NOT_STARTED in errors  # by Python, not yet by us
+    if code not in (0, 128 + way.number) and not early:
+        faults.append(f"exit code {code}: {errors}")
+    if code == 128 + way.number and len(errors.splitlines()) != 1:
         faults.append(f"more than a line: {errors}")
-    names = {path.name for path in (folder / "scenes").iterdir()}
-    found = {path.name for path in out.iterdir()} if out.exists() else set()
-    if out.exists() and not found:
-        faults.append("an empty folder")
-    faults += [f"left behind: {name}" for name in sorted(found - names)]
     faults += [f"left behind: {path}" for path in temporary.iterdir()]
-    for name in sorted(found & names):
-        faults += faults_of(out / name)
-    if replacing:
-        faults += [f"lost: {name}" for name in sorted(names - found)]
-    return Shot(
-        number.name, to, jobs, replacing, at, latency, batch.returncode, errors.strip(), faults
-    )
+    return Shot(way.name, at, seconds, latency, code, errors, faults + way.faults(place))
+
+
+def batches(folder: Path, _size: int) -> Iterator[Way]:
+    """All ways of a batch of small scenes."""
+    scenes, results, out = folder / "scenes", folder / "results", folder / "place" / "out"
+    make_versions(scenes, SCENES, 1)
+    options = ["--iterations", "150", "--json", "--quiet"]
+    code, _, errors = ended(["decompose", scenes, "--out", results, *options])
+    assert code == 0, errors
+    names = {path.name for path in scenes.iterdir()}
+
+    def faults(_place: Path, replacing: bool) -> list[str]:
+        found = {path.name for path in out.iterdir()} if out.exists() else set()
+        wrong = ["an empty folder"] if out.exists() and not found else []
+        wrong += [f"left behind: {name}" for name in sorted(found - names)]
+        wrong += [fault for name in sorted(found & names) for fault in faults_of(out / name)]
+        return wrong + [f"lost: {name}" for name in sorted(names - found) if replacing]
+
+    ways = product((signal.SIGINT, signal.SIGTERM), ("all", "first"), (1, 2), (False, True))
+    for number, to, jobs, replacing in ways:
+        yield Way(
+            f"{number.name} to {to}, {jobs} jobs{', replacing' if replacing else ''}",
+            ["decompose", scenes, "--out", out, *options, "--jobs", jobs]
+            + ["--overwrite"] * replacing,
+            lambda place, replacing=replacing: faults(place, replacing),  # type: ignore[misc]
+            number,
+            to,
+            results if replacing else None,
+        )
+
+
+def commands(folder: Path, size: int) -> Iterator[Way]:
+    """Every command on a scene of `size`², which ends with all or nothing new in its place."""
+    scene = tiled_scene(folder / "scene", size, LIGHTS)
+    result, out = folder / "result", folder / "place" / "out"
+    few = ["--iterations", 2, "--solver", "lbfgsb", "--quiet"]
+    code, _, errors = ended(["decompose", scene, "--out", result, *few])
+    assert code == 0, errors
+    fit = ["decompose", scene, "--out", out]
+    short = [*fit, "--time-limit", 15]  # with what comes before and after the fit
+    relight = ["relight", result, "--light", "30,20"]
+    for name, arguments in {
+        "decompose": fit,
+        "decompose, short": short,
+        "decompose, replacing": [*short, "--overwrite"],
+        "decompose lbfgsb": [*short, "--solver", "lbfgsb"],
+        "decompose gauss-newton": [*short, "--solver", "gauss-newton"],
+        "decompose, normals": [*short, "--refine-normals", "on"],
+        "decompose, huber": [*short, "--robust", "huber"],
+        "inspect": ["inspect", scene],
+        "synth": ["synth", out, "--size", size, "--lights", LIGHTS],
+        "export": ["export", result, "--out", out],
+        "report": ["report", result, "--out", f"{out}.html"],
+        "relight": [*relight, "--out", f"{out}.exr"],
+        "turntable": [*relight, "--turntable", 8, "--out", f"{out}.gif"],
+        "check-gradients": ["check-gradients", scene],
+        "demo": ["demo", out, "--size", size // 4],
+        "evaluate": ["evaluate", "ablation", "--out", out, "--jobs", 2],
+    }.items():
+        earlier = result if "--overwrite" in arguments else None
+        before = set() if earlier is None else {"out", *(f"out/{p}" for p in content(result))}
+        whole: list[set[str]] = []  # what is there when it ends undisturbed
+
+        def faults(
+            place: Path,
+            before: set[str] = before,
+            whole: list[set[str]] = whole,
+            keeps: bool = name == "evaluate",  # what is done, to go on from
+        ) -> list[str]:
+            found = content(place) - {"tmp"}
+            whole.append(found)
+            left = [] if found in (before, whole[0]) else sorted(found ^ before)
+            return [path for path in left if not keeps or ".pbrfit" in path or ".part" in path]
+
+        yield Way(name, arguments, faults, earlier=earlier)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--times", type=int, default=12)
-    parser.add_argument("--scenes", type=int, default=8)
+    parser.add_argument("what", choices=["batches", "commands"])
+    parser.add_argument("--times", type=int, default=12, help="of each way")
+    parser.add_argument("--size", type=int, default=1000, help="of the large scene")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="ways whose name holds this")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     chance = random.Random(options.seed)
     shots: list[Shot] = []
     with tempfile.TemporaryDirectory(prefix="signals-") as name:
         folder = Path(name)
-        make_versions(folder / "scenes", options.scenes, 1)
-        seconds = {}
-        for jobs in (1, 2):
-            shutil.rmtree(folder / "results", ignore_errors=True)
-            began = time.monotonic()
-            out = folder / "results"
-            code, _, errors = ended(
-                ["decompose", folder / "scenes", "--out", out, *OPTIONS, "--jobs", jobs]
-            )
-            assert code == 0, errors
-            seconds[jobs] = time.monotonic() - began
-        ways = product((signal.SIGINT, signal.SIGTERM), ("all", "first"), (1, 2), (False, True))
-        for number, to, jobs, replacing in ways:
-            for time_of_run in range(options.times):
-                at = seconds[jobs] * (time_of_run + chance.random()) / options.times
-                shot = one(folder, number, to, jobs, at, replacing=replacing)
-                shots.append(shot)
-                print(
-                    f"{shot.signal:7} to {to:5}  {jobs} jobs  {at:5.2f} s  {shot.latency:5.2f} s  "
-                    f"{shot.code:4}: {'; '.join(shot.faults) or 'ok'}",
-                    flush=True,
-                )
-    told = [shot for shot in shots if shot.code != 0]
-    for key in sorted({(shot.signal, shot.jobs) for shot in told}):
-        these = [shot for shot in told if (shot.signal, shot.jobs) == key]
-        latencies = sorted(shot.latency for shot in these)
-        codes = Counter(shot.code for shot in these)
-        print(
-            f"{key[0]}, {key[1]} jobs: {len(these)}, latency median "
-            f"{latencies[len(these) // 2]:.2f} s, at most {latencies[-1]:.2f} s, exit codes "
-            + ", ".join(f"{code} ({n})" for code, n in codes.most_common())
-        )
-    bad = [shot for shot in shots if shot.faults]
-    print(f"{len(bad)} not as they should be")
+        ways = (batches if options.what == "batches" else commands)(folder, options.size)
+        for way in ways:
+            if options.only not in way.name:
+                continue
+            seconds = shot(way, folder / "place", LONGEST).seconds
+            for number in range(options.times):
+                at = seconds * (number + chance.random()) / options.times
+                one = shot(way, folder / "place", at)
+                shots.append(one)
+                said = "; ".join(one.faults) or "ok"
+                print(f"{way.name:36} {at:6.2f} s  {one.latency:5.2f} s  {one.code:4}: {said}")
+                sys.stdout.flush()
+    told = sorted((one for one in shots if one.code != 0), key=lambda one: one.latency)
+    bad = [one for one in shots if one.faults]
+    codes = ", ".join(
+        f"{code} ({n})" for code, n in Counter(one.code for one in told).most_common()
+    )
+    print(
+        f"{len(told)} told to end, latency median {told[len(told) // 2].latency:.2f} s, at most "
+        f"{told[-1].latency:.2f} s ({told[-1].way} at {told[-1].at:.1f} s), exit codes {codes}; "
+        f"{len(bad)} not as they should be"
+    )
     if options.json:
-        options.json.write_text(json.dumps([asdict(shot) for shot in shots], indent=1))
+        options.json.write_text(json.dumps([asdict(one) for one in shots], indent=1))
     return bool(bad)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,7 +12,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from batches import (
@@ -29,22 +27,18 @@ from batches import (
     seconds_until,
     started,
     statuses,
+    tiled_scene,
 )
-from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
+from processes import NOBODY, ROOT, as_nobody_special, closed
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="made for Linux")
 
-ROOT = os.getuid() == 0
 NEEDS_ROOT = pytest.mark.skipif(not ROOT, reason="mounts a file system, which takes root")
 
 COUNT = 6
 OPTIONS = ("--iterations", 60, "--quiet")
 
-WITHOUT_RIGHTS = ("setpriv", "--bounding-set", "-all", "--inh-caps", "-all")
-"""As root without root's rights: files of others are closed to it."""
-
-NOBODY = 65534
+NO_PLACE = "expected a place where a folder can be made, found: "
 
 
 @pytest.fixture(scope="module")
@@ -75,27 +69,6 @@ def names(out: Path) -> list[str]:
 
 def contents(out: Path) -> dict[str, Any]:
     return {name: (content(out / name), mark(out / name)) for name in names(out)}
-
-
-def as_nobody_special(arguments: list[object]) -> tuple[int, str, str]:
-    """Run the command as somebody to whom the files of NOBODY are closed."""
-    command = [sys.executable, "-m", "pbrfit", *map(str, arguments)]
-    if ROOT:
-        if shutil.which("setpriv") is None:
-            pytest.skip("no setpriv")
-        command = [*WITHOUT_RIGHTS, *command]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    return found.returncode, found.stdout, found.stderr
-
-
-def closed(path: Path) -> Path:
-    """Let others do nothing with it."""
-    if ROOT:
-        os.chown(path, NOBODY, NOBODY)
-        path.chmod(0o700 if path.is_dir() else 0o600)
-    else:
-        path.chmod(0)
-    return path
 
 
 @contextmanager
@@ -183,8 +156,7 @@ def test_an_output_that_may_not_be_written_is_one_line_before_the_work(
     out = closed(tmp_path / "out")
     out.chmod(0o555)
     found = as_nobody_special(arguments(scenes, out))
-    expected = "expected a place where a folder can be made, found: Permission denied"
-    assert found == (2, "", f"pbrfit: {out}: {expected}\n")
+    assert found == (2, "", f"pbrfit: {out}: {NO_PLACE}Permission denied\n")
     assert list(out.iterdir()) == []
 
 
@@ -205,18 +177,6 @@ def test_a_result_that_may_not_be_replaced_stays(scenes: Path, tmp_path: Path) -
     assert all(after[name] != before[name] for name in before)
 
 
-@pytest.mark.parametrize("what", ["images", "images/light_00.exr", "normals.exr"])
-def test_a_scene_that_may_not_be_read_fails_alone(scenes: Path, tmp_path: Path, what: str) -> None:
-    path = closed(scenes / "s3" / what)
-    code, _, errors = as_nobody_special(arguments(scenes, tmp_path / "out"))
-    assert code == 1
-    first, last = errors.splitlines()
-    assert str(path) in first
-    assert first.endswith("Permission denied")
-    assert last == f"pbrfit: 1 of 6 scenes failed: {scenes / 's3'}"
-    assert names(tmp_path / "out") == [name for name in NAMES if name != "s3"]
-
-
 @NEEDS_ROOT
 def test_a_read_only_file_system_is_one_line_before_the_work(scenes: Path, tmp_path: Path) -> None:
     with disk(tmp_path / "disk", "1m") as remount:
@@ -224,8 +184,7 @@ def test_a_read_only_file_system_is_one_line_before_the_work(scenes: Path, tmp_p
         out = tmp_path / "disk" / "out"
         for given in (scenes, scenes / "s0"):
             found = ended(arguments(given, out))
-            expected = "expected a place where a folder can be made, found: Read-only file system"
-            assert found == (2, "", f"pbrfit: {out}: {expected}\n")
+            assert found == (2, "", f"pbrfit: {out}: {NO_PLACE}Read-only file system\n")
 
 
 # Workers that die
@@ -283,13 +242,7 @@ def test_a_scene_whose_worker_dies_again_and_again_fails_alone(
 
 
 def test_a_worker_that_gets_no_memory_costs_its_scene_alone(scenes: Path, tmp_path: Path) -> None:
-    small = make_scene("furnished", size=100, lights=4)
-    times = 12
-    Scene(
-        images=np.tile(small.images, (1, times, times, 1)),
-        normals=np.tile(small.normals, (times, times, 1)),
-        fov=small.fov,
-    ).save(scenes / "large")
+    tiled_scene(scenes / "large", 1200, 4, tile=100)
     limit = 1100 * 2**20
     code, told, errors = ended(
         arguments(scenes, tmp_path / "out", "--json"),

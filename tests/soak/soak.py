@@ -16,6 +16,7 @@ import gc
 import json
 import multiprocessing
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -26,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from pbrfit import Result, Scene, decompose
+from pbrfit.batch import process_memory
 from pbrfit.synthetic import make_scene
 
 SIZE, LIGHTS = 16, 4
@@ -54,24 +56,12 @@ class State:
     threads: int
 
 
-def state(process: int, scenes: int) -> State | None:
-    """As Linux tells it; None where the process has ended."""
-    folder = Path("/proc") / str(process)
-    try:
-        status = dict(
-            line.split(":", 1)
-            for line in (folder / "status").read_text().splitlines()
-            if ":" in line
-        )
-        return State(
-            process,
-            scenes,
-            int(status["VmRSS"].split()[0]) * 1024,
-            len(list((folder / "fd").iterdir())),
-            int(status["Threads"]),
-        )
-    except (OSError, KeyError):
-        return None
+def state(scenes: int) -> State:
+    """This process, as Linux tells it."""
+    [threads] = re.findall(r"Threads:\s+(\d+)", Path("/proc/self/status").read_text())
+    files = len(list(Path("/proc/self/fd").iterdir()))
+    resident = (process_memory.resident_kib() or 0) << 10
+    return State(os.getpid(), scenes, resident, files, int(threads))
 
 
 @dataclass(frozen=True)
@@ -97,9 +87,7 @@ def do(task: Task, threads: int) -> dict[str, Any]:
     assert np.array_equal(again.lighting, result.lighting)
     del scene, result, again
     gc.collect()
-    now = state(os.getpid(), task.number)
-    assert now is not None
-    return asdict(now)
+    return asdict(state(task.number))
 
 
 def slope(states: Sequence[State]) -> float:
@@ -153,10 +141,8 @@ def main() -> int:
             parent: list[State] = []
 
             def watch(record: jobs.Record) -> None:
-                found = state(os.getpid(), len(parent))
                 assert record.error is None, record.error
-                assert found is not None
-                parent.append(found)
+                parent.append(state(len(parent)))
 
             for record in jobs.run(tasks, do, folder, jobs=options.jobs, progress=watch):
                 assert record.values is not None

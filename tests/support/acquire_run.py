@@ -51,6 +51,12 @@ def write_photo(path: Path, size: int = SIZE, count: int = 4) -> Path:
     return path
 
 
+def pixels(path: Path) -> NDArray[Any]:
+    """Samples of a picture file."""
+    with Image.open(path) as picture:
+        return np.asarray(picture)
+
+
 @dataclass
 class Counting:
     """Pictures that differ by seed; counts what it is asked for, and fails where it is told to."""

@@ -24,28 +24,11 @@ TURN = -90.0
 
 @dataclass(frozen=True)
 class Rendering:
-    """A render of the card.
+    """A render of the card under a panorama, turned about Z by so many degrees, or mirrored.
 
-    Attributes
-    ----------
-    name
-        Of the picture.
-    panorama
-        File of the light.
-    turn
-        Z rotation of the world's Mapping node, degrees.
-    scale
-        Scale of that node; −1 mirrors.
-    distribution
-        Of the Principled BSDF; "MULTI_GGX" is Blender's default.
-    diffuse
-        A Diffuse BSDF of the base colour instead.
-    flip_green
-        Normals as if the texture had the other convention.
-    flat
-        Without the normal texture.
-    samples
-        A pixel.
+    `distribution` is that of the Principled BSDF, for which `diffuse` puts a Diffuse BSDF of the
+    base colour. The normal texture is left out (`flat`) or read in the other convention
+    (`flip_green`).
     """
 
     name: str

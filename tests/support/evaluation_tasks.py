@@ -1,12 +1,17 @@
-"""Tasks for tests of `evaluation.jobs`, in a file that worker processes can import."""
+"""Tasks for tests of `evaluation.jobs`, in a file that worker processes can import; and records."""
 
 from __future__ import annotations
 
 import os
 import time
+from argparse import Namespace
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation.suite import Results
 
 
 @dataclass(frozen=True)
@@ -45,3 +50,15 @@ def work(task: Task, threads: int) -> dict[str, Any]:
     if task.act == "no JSON":
         return {"name": {task.key}}
     return {"name": task.key, "threads": threads}
+
+
+def recorded(*pairs: tuple[Any, Mapping[str, Any] | str], **options: Any) -> Results[Any]:
+    """Cases with what they found, or the error they ended in, as a suite gets them."""
+    records = [
+        Record(case.key, None, found, 1.0)
+        if isinstance(found, str)
+        else Record(case.key, found, None, 1.0)
+        for case, found in pairs
+    ]
+    cases = [case for case, _ in pairs]
+    return Results(Namespace(**options), list(zip(cases, records, strict=True)))

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+
+import pytest
 
 
 def until(condition: Callable[[], bool]) -> None:
     """Wait for something that is bound to happen soon."""
-    for _ in range(600):
+    for _ in range(1200):
         if condition():
             return
         time.sleep(0.05)
@@ -25,3 +30,28 @@ def alive(process: int) -> bool:
         return not status.exists() or status.read_text("utf-8").rpartition(")")[2].split()[0] != "Z"
     except (ProcessLookupError, FileNotFoundError):
         return False
+
+
+ROOT = hasattr(os, "getuid") and os.getuid() == 0
+NOBODY = 65534
+
+
+def closed(path: Path) -> Path:
+    """Let nobody but NOBODY do anything with it."""
+    if ROOT:
+        os.chown(path, NOBODY, NOBODY)
+        path.chmod(0o700 if path.is_dir() else 0o600)
+    else:
+        path.chmod(0)
+    return path
+
+
+def as_nobody_special(arguments: Sequence[object]) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of `pbrfit` for somebody to whom closed files are closed."""
+    command = [sys.executable, "-m", "pbrfit", *map(str, arguments)]
+    if ROOT:  # who may read all, unless that right is given up
+        if shutil.which("setpriv") is None:
+            pytest.skip("no setpriv")
+        command = ["setpriv", "--bounding-set", "-all", "--inh-caps", "-all", *command]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    return found.returncode, found.stdout, found.stderr

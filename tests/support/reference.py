@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,6 +39,18 @@ def turned(normal: Array, tilts: RealOrComplex) -> RealOrComplex:
     rotation = np.eye(3) + cross + cross @ cross / (1 + z)[:, None, None]
     u = normal + np.einsum("tp,pit->pi", tilts, mirrored[..., None] * rotation[..., :2])
     return np.asarray(u / np.sqrt(np.sum(u * u, axis=-1, keepdims=True)))
+
+
+def tangents(normal: Array) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """t₁ and t₂ of normals (P, 3): how those turn at tilts of zero."""
+    return turned_by(normal, np.zeros((2, len(normal))))
+
+
+def turned_by(normal: Array, tilts: Array) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Derivatives of `turned` normals by both tilts, (P, 3) each."""
+    steps = 1j * STEP * np.eye(2)[:, :, None]
+    first, second = (turned(normal, tilts + step).imag / STEP for step in steps)
+    return first, second
 
 
 def unit(vectors: Array) -> NDArray[np.float64]:
@@ -214,146 +225,22 @@ def cauchy(scale: float) -> Loss:
     return lambda e: (scale**2 * np.log1p(e**2 / scale**2), 2 * e / (1 + e**2 / scale**2))
 
 
-def value_and_grad(
-    images: Array,
-    normal: Array,
-    view: Array,
-    x: Array,
-    sample_weights: Array | None = None,
-    loss: Loss = squares,
-    tilts: Array | None = None,
-) -> tuple[float, Array]:
-    """Mean over pictures, pixels and channels of φ(I − T), and its gradient.
-
-    `sample_weights`, (N, P, 3) or with one channel for all three, make it a weighted mean. With
-    `tilts`, (2, P), which turn the normals, the gradient has theirs before that of the lights.
-    """
-    given = normal
-    if tilts is not None:
-        normal = turned(given, tilts)
+def value_and_grad(images: Array, normal: Array, view: Array, x: Array) -> tuple[float, Array]:
+    """Mean over pictures, pixels and channels of (I − T)², and its gradient."""
     albedo, roughness, metallic, lighting = unpack(x, len(normal))
     residual = render(normal, view, x) - images
-    omega = np.ones_like(residual)
-    if sample_weights is not None:
-        omega = omega * sample_weights
-    value, slope = loss(residual)
-    # dloss/dw[p,c,k] = Σ_n ωφ'(I−T) L[n,k,c] / Σω, then the chain through w.
-    scaled = omega * slope / omega.sum()
-    by_weight = np.einsum("npc,nkc->pck", scaled, lighting, optimize=True)
-    d_albedo, d_roughness, d_metallic = shade_derivatives(normal, view, albedo, roughness, metallic)
-    weights = shade(normal, view, albedo, roughness, metallic)
+    # dloss/dw[p,c,k] = Σ_n 2(I−T) L[n,k,c] / samples, then the chain through w.
+    scaled = 2 * residual / residual.size
+    by_weight = np.einsum("npc,nkc->pck", scaled, lighting)
+    at = (normal, view, albedo, roughness, metallic)
+    d_albedo, d_roughness, d_metallic = shade_derivatives(*at)
     gradient = [
         np.sum(by_weight * d_albedo, axis=-1).T,
         np.sum(by_weight * d_roughness, axis=(-1, -2)),
         np.sum(by_weight * d_metallic, axis=(-1, -2)),
+        np.einsum("npc,pck->nkc", scaled, shade(*at)),
     ]
-    for tilt in range(0 if tilts is None else 2):
-        step = 1j * STEP * (np.arange(2) == tilt)[:, None]
-        direction = turned(given, tilts + step).imag / STEP
-        moved = by_turning(normal, view, albedo, roughness, metallic, direction)
-        gradient.append(np.sum(by_weight * moved, axis=(-1, -2)))
-    gradient += [
-        np.einsum("npc,pck->nkc", scaled, weights, optimize=True),
-    ]
-    return (
-        float(np.sum(omega * value) / omega.sum()),
-        np.concatenate([np.ravel(block) for block in gradient]),
-    )
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """A part of the unknowns: the rest is known, zero, or equal to one that is there.
-
-    Attributes
-    ----------
-    channels
-        With 1, all three are equal.
-    sh_order
-        With 2, band 3 is zero.
-    metallic
-        Of all pixels, where it is known.
-    lighting
-        (N, K, C), where it is known.
-    free_normals
-        Whether there are tilts.
-    """
-
-    pixels: int
-    pictures: int
-    channels: int = 3
-    sh_order: int = 3
-    metallic: float | None = None
-    lighting: Array | None = None
-    free_normals: bool = False
-
-    @property
-    def coefficients(self) -> int:
-        return (self.sh_order + 1) ** 2
-
-    @property
-    def materials(self) -> int:
-        """Unknowns of materials."""
-        return (self.channels + 1 + (self.metallic is None)) * self.pixels
-
-    @property
-    def maps(self) -> int:
-        """Unknowns that are not lights."""
-        return self.materials + 2 * self.pixels * self.free_normals
-
-    @property
-    def blocks(self) -> dict[str, slice]:
-        """Where each kind of unknown lies; a known one is not there."""
-        lights = self.pictures * self.coefficients * self.channels
-        lengths = {
-            "albedo": self.channels * self.pixels,
-            "roughness": self.pixels,
-            "metallic": self.pixels if self.metallic is None else 0,
-            "tilts": 2 * self.pixels * self.free_normals,
-            "lighting": lights if self.lighting is None else 0,
-        }
-        ends = np.cumsum([0, *lengths.values()])
-        blocks = zip(lengths, ends[:-1], ends[1:], strict=True)
-        return {name: slice(int(a), int(b)) for name, a, b in blocks if a < b}
-
-    @property
-    def size(self) -> int:
-        return max(int(block.stop) for block in self.blocks.values())
-
-    def tilts(self, x: NDArray[Any]) -> NDArray[Any] | None:
-        """(2, P), where there are."""
-        return x[self.blocks["tilts"]].reshape(2, -1) if self.free_normals else None
-
-    def expand(self, x: NDArray[Any]) -> NDArray[Any]:
-        """All unknowns but tilts, from those that there are."""
-        shape = (self.pictures, self.coefficients, self.channels)
-        lighting = x[self.maps :].reshape(shape) if self.lighting is None else self.lighting
-        whole = np.zeros((self.pictures, 16, 3))
-        whole[:, : self.coefficients] = lighting
-        metallic = np.full(self.pixels, self.metallic)
-        if self.metallic is None:
-            metallic = x[self.blocks["metallic"]]
-        albedo = x[self.blocks["albedo"]].reshape(self.channels, self.pixels)
-        parts = [np.broadcast_to(albedo, (3, self.pixels)), x[self.blocks["roughness"]], metallic]
-        return np.concatenate([np.ravel(part) for part in [*parts, whole]])
-
-    def restrict(self, gradient: NDArray[Any]) -> NDArray[Any]:
-        """Derivatives by the unknowns that there are, from those by all."""
-        ends = [5 * self.pixels, (5 + 2 * self.free_normals) * self.pixels]
-        of_materials, tilts, of_lights = np.split(gradient, ends)
-        albedo, roughness, metallic, lighting = unpack(
-            np.concatenate([of_materials, of_lights]), self.pixels
-        )
-        lighting = lighting[:, : self.coefficients]
-        if self.channels == 1:
-            albedo, lighting = albedo.sum(-1, keepdims=True), lighting.sum(-1, keepdims=True)
-        parts = [albedo.T, roughness]
-        if self.metallic is None:
-            parts.append(metallic)
-        parts.append(tilts)
-        if self.lighting is None:
-            parts.append(lighting)
-        return np.concatenate([np.ravel(part) for part in parts])
+    return float(np.mean(residual**2)), np.concatenate([np.ravel(block) for block in gradient])
 
 
 def glass(cosine: Array) -> Array:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -108,19 +107,19 @@ def write_folder(folder: Path, form: str = "float EXR", fov: str | None = "fov =
     return folder
 
 
-def run(*arguments: str | Path | int | float) -> int:
+def tree(folder: Path) -> dict[str, str]:
+    """All that is below a folder, with what text files hold."""
+    return {
+        str(p.relative_to(folder)): p.read_text() if p.is_file() else "" for p in folder.rglob("*")
+    }
+
+
+Argument = str | Path | int | float
+
+
+def run(*arguments: Argument) -> int:
     """Exit code of the command in this process."""
     try:
         return main([str(argument) for argument in arguments])
     except SystemExit as end:  # --help, --version and wrong usage
         return int(end.code or 0)
-
-
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
-    """What a refusal says: nothing on stdout, and one line on stderr."""
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("pbrfit")
-    assert captured.err.count("\n") == 1
-    assert "Traceback" not in captured.err
-    return captured.err

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene
+from scene_files import truth_of
 
 
 def weighted(scene: Scene) -> Scene:
@@ -28,8 +29,7 @@ def grey(scene: Scene) -> Scene:
 
 def known_lights(scene: Scene) -> Scene:
     """Those of the truth."""
-    assert scene.truth is not None
-    return dataclasses.replace(scene, lighting=scene.truth.lighting)
+    return dataclasses.replace(scene, lighting=truth_of(scene).lighting)
 
 
 def same(scene: Scene) -> Scene:
@@ -48,12 +48,25 @@ KINDS: dict[str, tuple[Callable[[Scene], Scene], dict[str, Any]]] = {
 }
 """How a scene is changed, and options of `Objective` and `decompose`."""
 
+ALL_KINDS = KINDS | {
+    "grey, weights, order 2, known metallic": (
+        lambda scene: weighted(grey(scene)),
+        {"sh_order": 2, "metallic": 0.0},
+    ),
+    "weights, known lights, known metallic": (
+        lambda scene: weighted(known_lights(scene)),
+        {"metallic": 0.4},
+    ),
+    "mono light, order 2": (same, {"mono_light": True, "sh_order": 2}),
+}
+"""And some of these together."""
+
 FREE_LIGHTS = tuple(kind for kind in KINDS if kind != "known lights")
 
 
 def of_kind(scene: Scene, kind: str) -> tuple[Scene, dict[str, Any]]:
     """The scene as that kind of problem, and the options."""
-    change, options = KINDS[kind]
+    change, options = ALL_KINDS[kind]
     return change(scene), options
 
 
@@ -65,9 +78,8 @@ def objective_of(scene: Scene, kind: str) -> Objective:
 
 def at_truth(objective: Objective, scene: Scene) -> NDArray[np.float64]:
     """X of the true materials and lights."""
-    assert scene.truth is not None
-    maps = scene.truth.materials
-    return objective.pack(maps.albedo, maps.roughness, maps.metallic, scene.truth.lighting)
+    maps = truth_of(scene).materials
+    return objective.pack(maps.albedo, maps.roughness, maps.metallic, truth_of(scene).lighting)
 
 
 def all_pixels(objective: Objective) -> NDArray[np.uint64]:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 from pbrfit.commands.arguments import whole_number
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit_evaluation.ablation import figures
 from pbrfit_evaluation.ablation.cases import CASES, VARIED_IN
-from pbrfit_evaluation.ablation.configurations import CONFIGURATIONS, FEW, MAIN, curves
-from pbrfit_evaluation.ablation.measure import CostTask, RealTask, RoomTask, cost, real, room
-from pbrfit_evaluation.options import count, folders, option
-from pbrfit_evaluation.real.sources import check_names, find_sources
+from pbrfit_evaluation.ablation.configurations import curves, table
+from pbrfit_evaluation.ablation.measure import RoomTask, room
+from pbrfit_evaluation.options import count, option
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -24,15 +20,15 @@ FIRST_SEED = 3000
 
 def rooms(options: Options) -> list[RoomTask]:
     """Rooms of all cases; a weight that is varied may be one of the table's, and is fitted once."""
-    table = FEW if options.quick else CONFIGURATIONS
-    varied = (*table, *curves(options.weights))
+    always = table(quick=options.quick)
+    varied = tuple(dict.fromkeys((*always, *curves(options.weights))))
     return [
         RoomTask(
             name,
             options.first_seed + i,
             options.size,
             options.iterations,
-            tuple(dict.fromkeys(varied if name in VARIED_IN else table)),
+            varied if name in VARIED_IN else always,
             picture=i == 0,
             model=options.model,
         )
@@ -41,45 +37,12 @@ def rooms(options: Options) -> list[RoomTask]:
     ]
 
 
-def sources(options: Options) -> list[RealTask]:
-    """Real pictures, of the folders that are given or that the environment names, if any.
-
-    Raises
-    ------
-    FileNotFoundError, InputError
-        If a folder is not one of pictures, or two sources have one name.
-    """
-    of_environment = os.environ.get("PBRFIT_DATA")
-    given = options.folders or ([Path(of_environment)] if of_environment else [])
-    found = [source for path in given for source in find_sources(path.absolute())]
-    check_names(found)
-    return [
-        RealTask(
-            source,
-            options.real_size,
-            options.iterations,
-            MAIN[: 2 if options.quick else None],
-            source.digest(),
-            options.model,
-        )
-        for source in found
-    ]
-
-
-def costs(options: Options) -> list[CostTask]:
-    """The one case that wants the machine for itself."""
-    fitted = MAIN[: 2 if options.quick else None]
-    return [
-        CostTask(options.cost_size, options.iterations, options.first_seed, fitted, options.model)
-    ]
-
-
 SUITE = Suite(
     name="ablation",
     title="What the priors are worth",
-    description="Fit rooms whose ground truth is known, and real pictures, with and without each "
-    "prior: with right, wrong and missing segments, and materials that keep to them or not. Writes "
-    "report.html, pictures, ablation.md, rooms.csv, real.csv and summary.json.",
+    description="Fit rooms whose ground truth is known with and without each prior: with right, "
+    "wrong and missing segments, and materials that keep to them or not. Writes report.html, "
+    "pictures, ablation.md, rooms.csv and summary.json.",
     protocol="pbrfit-ablation-1: rooms with noise of 0.01 at a mean radiance of 0.4; "
     f"{SCORES}; {{size}} pixels, {{iterations}} iterations",
     parts=[
@@ -89,24 +52,11 @@ SUITE = Suite(
             room,
             figures.rooms,
             verdicts=figures.verdicts,
-            sections=figures.room_sections,
-            csvs=figures.room_csvs,
+            sections=figures.sections,
+            csvs=figures.csvs,
         ),
-        Part(
-            "real",
-            sources,
-            real,
-            figures.real,
-            sections=figures.real_sections,
-            csvs=figures.real_csvs,
-        ),
-        Part("cost", costs, cost, figures.cost, sections=figures.cost_sections, alone=True),
     ],
     options=(
-        folders(
-            "real pictures: as for `pbrfit evaluate real` (default: the folder that the "
-            "environment variable PBRFIT_DATA names, if any)"
-        ),
         lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL),
         count("--scenes", "K", "rooms of each case"),
         count("--size", "PIXELS", "of a room's pictures"),
@@ -125,8 +75,6 @@ SUITE = Suite(
         "size": (64, 32),
         "iterations": (500, 60),
         "weights": ((0.01, 0.1, 1.0, 10.0), ()),
-        "real_size": (128, 64),
-        "cost_size": (128, 32),
     },
     quick="few configurations, small pictures",
     about=(

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, chosen_model, render
 from pbrfit.scene.scene import Scene
@@ -69,7 +68,6 @@ def case(
     *,
     size: int = 64,
     noise: float = 0.01,
-    kind: str = "room",
     model: Model = DEFAULT_MODEL,
 ) -> Scene:
     """Make a scene of a case, with its ground truth and held-out lights.
@@ -82,83 +80,41 @@ def case(
     for "shifted" by one pixel to the right and one down; "merged", where `MERGED` of them take the
     id of another, in turn of a neighbour and of any other; and "none".
 
-    Parameters
-    ----------
-    name
-        Which case.
-    seed
-        Of the scene, its lights and its noise, which are those of `make_scene`; and of what is
-        changed here, which is drawn apart from them.
-    size
-        Width and height of the pictures in pixels.
-    noise
-        Standard deviation of the noise, in radiance; the pictures have a mean of 0.4.
-    kind, model
-        As for `make_scene`.
-
-    Raises
-    ------
-    InputError
-        If there is no such case, or as for `make_scene`.
+    `seed` is of the scene, its lights and its noise, which are those of `make_scene`, and of what
+    is changed here, which is drawn apart from them. `noise` is a standard deviation in radiance.
     """
-    if name not in CASES:
-        raise InputError(f"case: expected one of {', '.join(CASES)}, found {name!r}")
-    if not 0.0 <= noise < np.inf:
-        raise InputError(f"noise: expected a finite standard deviation >= 0, found {noise}")
-    scene = make_scene(kind, size=size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model)
+    scene = make_scene(
+        "room", size=size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model
+    )
     assert scene.truth is not None
     assert scene.segments is not None
     # The first four are make_scene's own, and the fourth is its noise.
     streams = np.random.SeedSequence(seed).spawn(7)
     noise_rng, pattern_rng, merging_rng, shadow_rng = map(np.random.default_rng, streams[3:])
 
-    materials = constant(scene.truth.materials, scene.segments)
+    materials = scene.truth.materials
     if name == "varying":
         roughness = varied(materials.roughness, scene.segments, pattern_rng)
         materials = replace(materials, roughness=roughness)
-    segments: Ids | None = scene.segments
-    if name == "shifted":
-        segments = shifted(scene.segments)
-    elif name == "merged":
-        segments = merged(scene.segments, merging_rng)
-    elif name == "none":
-        segments = None
-    if name == "grey":
-        scene = _under_grey_lights(scene)
-    made = replace(_rendered(scene, materials, noise, noise_rng), segments=segments)
-    if name == "shadowed":
-        made = replace(made, images=shadowed(made.images, shadow_rng))
+    made = _rendered(scene, materials, noise, noise_rng, grey=name == "grey")
+    match name:
+        case "shifted":
+            return replace(made, segments=shifted(scene.segments))
+        case "merged":
+            return replace(made, segments=merged(scene.segments, merging_rng))
+        case "none":
+            return replace(made, segments=None)
+        case "shadowed":
+            return replace(made, images=shadowed(made.images, shadow_rng))
     return made
-
-
-def constant(materials: Materials, segments: Ids) -> Materials:
-    """Materials with the median roughness and metallic of each segment; albedo as it is."""
-    roughness, metallic = materials.roughness.copy(), materials.metallic.copy()
-    for i in np.unique(segments):
-        here = segments == i
-        for values in (roughness, metallic):
-            values[here] = np.quantile(values[here], 0.5, method="inverted_cdf")
-    return replace(materials, roughness=roughness, metallic=metallic)
 
 
 def varied(roughness: Floats, segments: Ids, rng: Generator) -> Array:
     """Roughness with a pattern of mean 0 added inside each segment.
 
     Patterns are painted on the picture. Their points are (x, y, x + y) in widths of it: a plane on
-    which a pattern along any axis varies.
-
-    Parameters
-    ----------
-    roughness, segments
-        (H, W).
-    rng
-        Source of randomness; the same state gives the same patterns at any picture size, but for
-        the smallest segments.
-
-    Returns
-    -------
-    ndarray
-        (H, W), within `RANGE`.
+    which a pattern along any axis varies. The same state of `rng` gives the same patterns at any
+    picture size, but for the smallest segments.
     """
     height, width = segments.shape
     y, x = (np.mgrid[:height, :width] + 0.5) / width
@@ -209,24 +165,6 @@ def shadowed(images: Floats, rng: Generator) -> Array:
     return np.asarray(light[..., None] * images)
 
 
-def _under_grey_lights(scene: Scene) -> Scene:
-    """The scene whose lights, held-out ones too, are their mean over channels; not rendered."""
-    truth = scene.truth
-    assert truth is not None
-    assert truth.lighting is not None
-    assert truth.relight_lighting is not None
-    lights = replace(
-        truth,
-        lighting=_grey(truth.lighting),
-        relight_lighting=_grey(truth.relight_lighting),
-    )
-    return replace(scene, truth=lights)
-
-
-def _grey(lighting: Array) -> Array:
-    return np.repeat(lighting.mean(axis=-1, keepdims=True), 3, axis=-1)
-
-
 def _maker(order: int) -> Callable[[Generator, float], Pattern]:
     smooth, *outlined = PATTERNS
     return smooth if order % 2 == 0 else outlined[order // 2 % len(outlined)]
@@ -244,29 +182,34 @@ def _neighbours(segments: Ids, i: int) -> Ids:
     return np.unique(touching[touching != i])
 
 
-def _rendered(scene: Scene, materials: Materials, noise: float, rng: Generator) -> Scene:
-    """The scene with other materials, under its lights in an exposure of the usual mean."""
+def _rendered(
+    scene: Scene, materials: Materials, noise: float, rng: Generator, *, grey: bool
+) -> Scene:
+    """The scene with other materials, under its lights in an exposure of the usual mean.
+
+    `grey` lights are the mean of theirs over channels.
+    """
     truth = scene.truth
     assert truth is not None
     assert truth.lighting is not None
     assert truth.relight_lighting is not None
+    lights = [truth.lighting, truth.relight_lighting]
+    if grey:
+        lights = [np.repeat(of.mean(axis=-1, keepdims=True), 3, axis=-1) for of in lights]
     rendered = partial(
         render, materials, scene.normals, fov=scene.fov, model=chosen_model(None, scene.model)
     )
-    images = rendered(truth.lighting)
+    images = rendered(lights[0])
     exposure = MEAN_RADIANCE / images.mean()
     images *= exposure
     if noise > 0.0:
         images += rng.normal(scale=noise, size=images.shape)
-    relight_lighting = exposure * truth.relight_lighting
-    return replace(
-        scene,
-        images=images,
-        truth=replace(
-            truth,
-            materials=materials,
-            lighting=exposure * truth.lighting,
-            relight_images=rendered(relight_lighting),
-            relight_lighting=relight_lighting,
-        ),
+    lighting, relight_lighting = (exposure * of for of in lights)
+    found = replace(
+        truth,
+        materials=materials,
+        lighting=lighting,
+        relight_images=rendered(relight_lighting),
+        relight_lighting=relight_lighting,
     )
+    return replace(scene, images=images, truth=found)

@@ -6,11 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from pbrfit.fit.decompose import decompose
-from pbrfit.model.reflection import Model
 from pbrfit.result.options import Priors, prior_names
-from pbrfit.result.result import Result
-from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.recipes import PAPER_PRIORS
 
 Robust = Literal["none", "huber", "cauchy"]
@@ -18,36 +14,15 @@ Robust = Literal["none", "huber", "cauchy"]
 
 @dataclass(frozen=True)
 class Configuration:
-    """Options of a fit that are compared.
+    """Options of a fit that are compared; `key` is for files and `title` for people.
 
-    Attributes
-    ----------
-    key, title
-        For files, and for people.
-    priors
-        None = no priors.
-    robust
-        The loss of a residual; "none" = its square.
+    `priors` None = no priors; `robust` "none" = the square of a residual.
     """
 
     key: str
     title: str
     priors: Priors | None
     robust: Robust = "none"
-
-    def fit(
-        self, scene: Scene, *, iterations: int, threads: int, model: Model | None = None
-    ) -> Result:
-        """Decompose a scene with these options and its normals as they are."""
-        return decompose(
-            scene,
-            iterations=iterations,
-            priors=self.priors,
-            robust=self.robust,
-            refine_normals="off",
-            model=model,
-            threads=threads,
-        )
 
 
 def alone(name: str, weight: float) -> Configuration:
@@ -91,13 +66,16 @@ CONFIGURATIONS: tuple[Configuration, ...] = (
     HUBER,
     CAUCHY,
 )
-"""The rows of the tables."""
+"""Those of every case."""
 
 FEW: tuple[Configuration, ...] = (NONE, DEFAULT, alone("cohesion", WEIGHTS.cohesion))
 """For a quick look; and what pictures show."""
 
-MAIN: tuple[Configuration, ...] = (NONE, DEFAULT, PAPER, HUBER, CAUCHY)
-"""For real pictures and for timing; with --quick the first two."""
+
+def table(*, quick: bool) -> tuple[Configuration, ...]:
+    """What is fitted in every case."""
+    return FEW if quick else CONFIGURATIONS
+
 
 VARIED: tuple[str, ...] = ("material", "cohesion")
 """Priors whose weight is varied, each alone."""

@@ -19,15 +19,24 @@ class Demand:
     """At most `limit` of the RMSE of `metric`; of its ratio to that without priors, if `relative`.
 
     `part`: (a) segments and prior are right, (b) materials vary inside segments, (c) segments are
-    wrong.
+    wrong, (d) what is hoped for: roughness much better, and nothing worse.
     """
 
-    part: Literal["a", "b", "c"]
+    part: Literal["a", "b", "c", "d"]
     case: CaseName
     metric: Metric
     limit: float
     relative: bool = True
 
+
+ROUGHNESS: dict[CaseName, float] = {
+    "constant": 0.5,
+    "varying": 0.8,
+    "shifted": 0.5,
+    "merged": 0.5,
+    "none": 0.5,
+}
+"""Limit of the roughness in (d)."""
 
 DEMANDS: tuple[Demand, ...] = (
     Demand("a", "constant", "roughness", 0.5),
@@ -36,6 +45,11 @@ DEMANDS: tuple[Demand, ...] = (
     *(Demand("b", "varying", metric, 1.25) for metric in METRICS),
     *(Demand("c", "shifted", metric, 1.25) for metric in METRICS),
     *(Demand("c", "merged", metric, 1.25) for metric in METRICS),
+    *(
+        Demand("d", case, metric, limit if metric == "roughness" else 1.0)
+        for case, limit in ROUGHNESS.items()
+        for metric in METRICS[1:]
+    ),
 )
 
 

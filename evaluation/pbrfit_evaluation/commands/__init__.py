@@ -133,7 +133,7 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
             measure([part], alone=True)
         if part.then is not None:
             cases[part.name] = list(part.then(_results(options, done[part.name])))
-            measure([part], alone=part.alone or part.then_alone)
+            measure([part], alone=part.alone)
 
     found = _outcome(suite, parts, options, done)
     with jobs.publish(options.out) as folder:
@@ -142,16 +142,11 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
         with unread_is_no_failure():
             print("\n".join(report.lines(found)))
             print(f"\nLook at {options.out / report.PAGE}")
-    counted = [
-        record
-        for part in parts
-        for _, record in done[part.name]
-        if record.error is None or not part.excused(record)
-    ]
-    failed = [record.key for record in counted if record.error is not None]
+    failed = [record.key for record in found.failed]
     if failed:
-        complain(f"{len(failed)} of {len(counted)} failed: {', '.join(failed)}")
-        return SOME_FAILED if len(failed) < len(counted) else UNUSABLE
+        total = sum(map(len, done.values()))
+        complain(f"{len(failed)} of {total} failed: {', '.join(failed)}")
+        return SOME_FAILED if len(failed) < total else UNUSABLE
     held = all(verdict.holds for verdict in found.verdicts)
     return DONE if held or not suite.binding else SOME_FAILED
 

@@ -8,13 +8,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.model.reflection import Model, chosen_model, render, sh_basis
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit.synthetic.lights import SHARP, even_directions, zonal
+from pbrfit_evaluation.suite import Options
 
 Array = NDArray[np.float64]
 
@@ -68,16 +68,7 @@ def make(case: Case, seed: int) -> Scene:
     "spread" lights are one white lobe a picture, evenly over the sphere: close to the best that
     positive light of l ≤ 3 allows, because the sharpest such lobe has a sixteenth of its band 0 in
     band 3.
-
-    Raises
-    ------
-    InputError
-        If the case has other lights, or a size or noise that make no picture.
     """
-    if case.lights not in LIGHTS:
-        raise InputError(f"lights: expected one of {', '.join(LIGHTS)}, found {case.lights!r}")
-    if not 0 <= case.noise < np.inf:
-        raise InputError(f"noise: expected a share of the mean radiance, found {case.noise}")
     scene = make_scene(
         "room", size=case.size, lights=PICTURES, held_out=PICTURES, seed=seed, model=case.model
     )
@@ -124,6 +115,7 @@ CASES = {
         Case("typical-32", 32, 0.0, "typical"),
         Case("typical-64", 64, 0.0, "typical"),
         Case("typical-128", 128, 0.0, "typical"),
+        Case("typical-512", 512, 0.0, "typical"),
         Case("noise-64", 64, 0.01, "typical"),
         Case("spread-64", 64, 0.0, "spread"),
         Case("nearly-one-64", 64, 0.0, "nearly one"),
@@ -133,3 +125,8 @@ CASES = {
     )
 }
 """By name; the last two are those of `--quick`."""
+
+
+def chosen(options: Options) -> list[Case]:
+    """The cases of a run."""
+    return [replace(CASES[name], model=options.model) for name in options.cases]

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pbrfit.report.notation import scientific
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
-from pbrfit_evaluation.convergence.cases import CASES, Case
+from pbrfit_evaluation.convergence.cases import chosen
 from pbrfit_evaluation.convergence.measure import (
     QUANTITIES,
-    TARGETS,
     Point,
     Quantity,
     first_reached,
     median_reached,
-    on_grid,
 )
-from pbrfit_evaluation.convergence.solvers import SOLVERS
+from pbrfit_evaluation.convergence.solvers import RACE_SIZE, SOLVERS
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.suite import (
     Column,
@@ -33,6 +30,7 @@ from pbrfit_evaluation.suite import (
     Section,
     Series,
     Table,
+    Verdict,
 )
 
 if TYPE_CHECKING:
@@ -49,21 +47,24 @@ SHOWN: tuple[tuple[Quantity, float], ...] = (
     ("relight", 0.05),
     ("relight", 0.02),
 )
-"""Times in tables and the summary; times.csv has them all."""
+"""Errors whose time is asked for. `recon` and `relight` in picture units, mean radiance 0.4."""
 
-BELOW_NOISE = 0.9
-"""Share of the noise below which a reconstruction error is out of reach: a fit of as many unknowns
-as these ends at 0.95 of it."""
+SOONEST = 1e-2
+"""Seconds at which the axis of times begins."""
 
-GRID = 16
-"""Costs at which curves are drawn."""
+SECOND_ORDER = ("gauss-newton", "auto")
+MARK = "lbfgsb-paper"
 
-FINEST = {"seconds": 1e-2, "evaluations": 1.0}
-"""Where the axes begin."""
+SOONER: tuple[tuple[str, tuple[str, ...], float], ...] = (
+    ("lbfgsb", (MARK, "lbfgsb"), 20.0),
+    ("torch", ("torch-lbfgs",), 10.0),
+)
+"""How many times sooner the second-order solvers are, at least, on large pictures where the paper's
+recipe ends: than whom, the solvers of which the soonest counts, and the bar."""
 
 
-def _cases(results: Results[Task]) -> list[Case]:
-    return [CASES[name] for name in results.options.cases]
+Runs = dict[str, Sequence[Point]]
+"""Checkpoints on one scene by solver."""
 
 
 def _ends(found: Sequence[Values]) -> dict[str, float | None]:
@@ -84,54 +85,25 @@ def _ends(found: Sequence[Values]) -> dict[str, float | None]:
 def rows(results: Results[Task]) -> list[Row]:
     """A row for each case and solver, those without a run included."""
     made = []
-    for case in _cases(results):
+    for case in chosen(results.options):
         for solver in SOLVERS:
-            of = results.of(solver=solver.name)
-            pairs = [(task, one) for task, one in of.pairs if task.case.name == case.name]
-            of = Results(results.options, pairs)
+            of = results.of(solver=solver.name, case=case)
             found = [values for _, values in of.finished]
-            status = solver.why_not(results.options.model) or of.status("runs")
+            status = solver.why_not(case.model, case.size) or of.status("runs")
             metrics = _ends(found) if found else {}
             made.append(Row(case.name, len(found), solver.name, metrics, status=status))
     return made
 
 
 def csvs(results: Results[Task], _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
-    """A line for every checkpoint, and one for every run and error asked for."""
-    curves: list[Line] = []
-    times: list[Line] = []
+    """A line for every checkpoint."""
+    lines: list[Line] = []
     for task, found in results.finished:
         case = task.case
         head = {"case": case.name, "size": case.size, "noise": case.noise, "lights": case.lights}
         head |= {"condition": found["condition"], "solver": task.solver, "seed": task.seed}
-        curves += [head | point for point in found["points"]]
-        head = {"case": case.name, "solver": task.solver, "seed": task.seed}
-        times += [
-            head | _time(found, case, quantity, target)
-            for quantity in QUANTITIES
-            for target in TARGETS[quantity]
-        ]
-    return {"curves.csv": curves, "times.csv": times}
-
-
-def _time(found: Values, case: Case, quantity: Quantity, target: float) -> dict[str, object]:
-    """When a run first had an error, and whether its last state still had it.
-
-    Errors of maps go up and down, and restarts throw a fit back: no user can see the moment at
-    which the maps were best.
-    """
-    points: Sequence[Point] = found["points"]
-    reached = first_reached(points, quantity, target)
-    floor = BELOW_NOISE * case.noise * MEAN_RADIANCE
-    below = quantity == "recon" and target < floor
-    return {
-        "quantity": quantity,
-        "target": target,
-        "status": "reached" if reached else "below the noise" if below else "not reached",
-        "seconds": reached["seconds"] if reached else None,
-        "evaluations": reached["evaluations"] if reached else None,
-        "kept": "yes" if reached and points[-1][quantity] <= target else "no",
-    }
+        lines += [head | point for point in found["points"]]
+    return {"curves.csv": lines}
 
 
 def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
@@ -168,25 +140,27 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
 
 def _plot(results: Results[Task], quantity: Quantity) -> Plot:
     panels = []
-    for case in _cases(results):
+    for case in chosen(results.options):
         floor = case.noise * MEAN_RADIANCE
         marks = [Mark(floor, "noise")] if quantity == "recon" and case.noise else []
         for cost, label in (("seconds", "wall time / s"), ("evaluations", "evaluations")):
-            series = []
-            for place, solver in enumerate(SOLVERS):
-                runs = [
-                    values["points"]
-                    for task, values in results.of(solver=solver.name).finished
-                    if task.case.name == case.name
-                ]
-                if runs:
-                    series.append(_series(runs, quantity, cost, solver.name, place))
+            series = [
+                Series(
+                    solver.name,
+                    [max(point[cost], SOONEST) for point in values["points"]],
+                    [point[quantity] for point in values["points"]],
+                    look=place,
+                    empty=solver is SOLVERS[-1],
+                )
+                for place, solver in enumerate(SOLVERS)
+                for _, values in results.of(solver=solver.name, case=case).finished
+            ]
             y = f"{quantity.replace('_', ', ')} RMSE"
             panels.append(Panel("lines", series, label, y, title=case.title, log="xy", marks=marks))
     return Plot(
         quantity,
-        f"Error of {quantity.replace('_', ', ')} against wall time and against evaluations. "
-        "Lines: medians over seeds, held where a run had ended; shaded: least to largest.",
+        f"Error of {quantity.replace('_', ', ')} against wall time and against evaluations, a line "
+        "a seed.",
         panels,
         columns=2,
         share_x="col",
@@ -195,23 +169,48 @@ def _plot(results: Results[Task], quantity: Quantity) -> Plot:
     )
 
 
-def _series(
-    runs: Sequence[Sequence[Point]], quantity: Quantity, cost: str, name: str, place: int
-) -> Series:
-    """Median of the runs' errors, from the first cost that all have to the last of any."""
-    costs = [[point[cost] for point in run] for run in runs]
-    first = max(max(of_run[0] for of_run in costs), FINEST[cost])
-    last = max(of_run[-1] for of_run in costs)
-    grid = np.geomspace(first, max(last, first * 1.01), GRID)
-    errors = np.stack(
-        [
-            on_grid(grid, of_run, [point[quantity] for point in run])
-            for of_run, run in zip(costs, runs, strict=True)
-        ]
-    )
-    shown = np.isfinite(errors).all(axis=0)
-    grid, errors = grid[shown], errors[:, shown]
-    low, high = (errors.min(axis=0), errors.max(axis=0)) if len(runs) > 1 else ((), ())
-    middle = np.median(errors, axis=0).tolist()
-    known = name == SOLVERS[-1].name
-    return Series(name, grid.tolist(), middle, low=low, high=high, look=place, empty=known)
+# ------------------------------------------------------------------------------------- the race
+
+
+def verdicts(results: Results[Task], _: Sequence[Row]) -> Iterator[Verdict]:
+    """Second-order solvers are much sooner where the paper's recipe ends, on large pictures."""
+    for case in chosen(results.options):
+        if case.size < RACE_SIZE:
+            continue
+        runs: dict[int, Runs] = {}
+        for task, values in results.of(case=case).finished:
+            runs.setdefault(task.seed, {})[task.solver] = values["points"]
+        for solver in SECOND_ORDER:
+            for other, rivals, bar in SOONER:
+                speeds = {
+                    seed: speed(of, solver, there)
+                    for seed, of in runs.items()
+                    if MARK in of and solver in of
+                    if (there := [of[name] for name in rivals if name in of])
+                }
+                if not speeds:
+                    continue
+                ratios = [ratio for ratio, _ in speeds.values()]
+                where = f"from {min(ratios):.3g} to {max(ratios):.3g}"
+                if never := [str(seed) for seed, (_, reached) in speeds.items() if not reached]:
+                    where += f"; {other} never reached it on {', '.join(never)}: at least so much"
+                what = f"{solver}: times sooner at the mark than {other}, median of {len(ratios)}"
+                yield Verdict(what, statistics.median(ratios), bar, where, at_least=True)
+
+
+def speed(of: Runs, solver: str, rivals: Sequence[Sequence[Point]]) -> tuple[float, bool]:
+    """How many times sooner a solver had reached the mark than the soonest of its rivals.
+
+    0 if it never did. False if no rival did: then the seconds after which the last gave up count.
+    """
+    mark = of[MARK][-1]["recon"]
+
+    def seconds(points: Sequence[Point]) -> float:
+        at = first_reached(points, "recon", mark)
+        return at["seconds"] if at else math.inf
+
+    soonest = min(map(seconds, rivals))
+    reached = math.isfinite(soonest)
+    if not reached:
+        soonest = max(points[-1]["seconds"] for points in rivals)
+    return soonest / seconds(of[solver]), reached

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import chosen_model, render
 from pbrfit.result import metrics
@@ -20,16 +20,6 @@ Array = NDArray[np.float64]
 Quantity = Literal["recon", "albedo", "albedo_scaled", "roughness", "metallic", "relight"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
-TARGETS: dict[Quantity, tuple[float, ...]] = {
-    "recon": (1e-2, 3e-3, 1e-3, 3e-4, 1e-4),
-    "albedo": (0.1, 0.05, 0.02, 0.01),
-    "albedo_scaled": (0.1, 0.05, 0.02, 0.01),
-    "roughness": (0.1, 0.05, 0.02, 0.01),
-    "metallic": (0.1, 0.05, 0.02, 0.01),
-    "relight": (0.1, 0.05, 0.02, 0.01),
-}
-"""Errors whose time is asked for. `recon` and `relight` in picture units, mean radiance 0.4."""
-
 CHECKPOINT_RATIO = 1.12
 """Evaluations from one checkpoint to the next: twenty a decade. Times to reach an error can be
 late by as much, never early."""
@@ -37,10 +27,21 @@ late by as much, never early."""
 State = Callable[[], tuple[Materials, Array]]
 """Gives the maps and lights (N, 16, 3) as they are now."""
 
-
 Point = Mapping[str, float]
 """A checkpoint: what it had cost by then, as seconds of wall time without measuring, iteration and
 evaluations; and each of `QUANTITIES`."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long a run may go on.
+
+    `iterations` are of `pbrfit.decompose`, `evaluations` of a peer, which does not stop by itself.
+    """
+
+    iterations: int
+    evaluations: int
+    seconds: float
 
 
 def measure(
@@ -51,15 +52,11 @@ def measure(
     `recon` is against the pictures that were fitted, noise included; `albedo_scaled` after the best
     factor a channel; `relight` of the maps under the true held-out lights. Maps of float32 solvers
     may leave [0, 1] by a rounding: they are clipped first.
-
-    Raises
-    ------
-    InputError
-        If the scene has no ground truth or no held-out pictures.
     """
     truth = scene.truth
-    if truth is None or truth.relight_images is None or truth.relight_lighting is None:
-        raise InputError("scene: expected ground truth with held-out pictures, found none")
+    assert truth is not None
+    assert truth.relight_images is not None
+    assert truth.relight_lighting is not None
     true = truth.materials
     found = Materials(
         *(np.clip(m, 0, 1) for m in (materials.albedo, materials.roughness, materials.metallic))
@@ -125,13 +122,3 @@ def median_reached(times: Sequence[float | None]) -> float | None:
     ordered = sorted(math.inf if time is None else time for time in times)
     middle = ordered[len(ordered) // 2]
     return None if math.isinf(middle) else middle
-
-
-def on_grid(grid: Array, cost: Sequence[float], error: Sequence[float]) -> Array:
-    """Errors at the costs of `grid`: NaN before the first checkpoint, the last one's after it.
-
-    Between checkpoints straight lines on logarithmic axes.
-    """
-    x = np.log(np.maximum(cost, np.finfo(np.float64).tiny))
-    y = np.log(np.maximum(error, np.finfo(np.float64).tiny))
-    return np.asarray(np.exp(np.interp(np.log(grid), x, y, left=np.nan)))

@@ -13,38 +13,20 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pbrfit.fit.decompose import Progress, decompose
+from pbrfit.fit.decompose import Progress
 from pbrfit.fit.objective import Objective
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import MODELS, Model
+from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
 from pbrfit_evaluation.convergence.cases import Case, true_lighting
-from pbrfit_evaluation.convergence.measure import Tracker
-from pbrfit_evaluation.convergence.torch_peer import Limits, Settings
-from pbrfit_evaluation.recipes import paper_start
+from pbrfit_evaluation.convergence.measure import Budget, Tracker
+from pbrfit_evaluation.recipes import fit, paper_start
 
 Start = Materials | tuple[Materials, NDArray[Any]]
 
-
-@dataclass(frozen=True)
-class Budget:
-    """How long a run may go on.
-
-    Attributes
-    ----------
-    iterations
-        Of `pbrfit.decompose`.
-    evaluations
-        Of a peer, which does not stop by itself.
-    seconds
-        Of any.
-    """
-
-    iterations: int
-    evaluations: int
-    seconds: float
-
+RACE_SIZE = 512
+"""Side of pictures from which only those run whose times are held against each other."""
 
 Run = Callable[[Scene, Budget, Tracker, int], str]
 """Fits a scene with so many threads, shows the tracker its states, returns why it ended."""
@@ -52,34 +34,26 @@ Run = Callable[[Scene, Budget, Tracker, int], str]
 
 @dataclass(frozen=True)
 class Solver:
-    """One of those that are compared.
+    """One of those that are compared: a name for files and tables, a sentence, and what runs it.
 
-    Attributes
-    ----------
-    name
-        Fit for files and tables.
-    what
-        A sentence on it.
-    run
-        Does it.
-    needs
-        Packages beyond those that this one depends on.
-    models
-        That it knows.
+    `torch`: whether it is one of PyTorch's, which know the paper's model alone. `raced`: whether it
+    runs on large pictures too.
     """
 
     name: str
     what: str
     run: Run
-    needs: tuple[str, ...] = ()
-    models: tuple[Model, ...] = MODELS
+    torch: bool = False
+    raced: bool = False
 
-    def why_not(self, model: Model) -> str:
-        """Why it cannot fit a model here; empty if it can."""
-        if model not in self.models:
+    def why_not(self, model: Model, size: int = 0) -> str:
+        """Why it does not fit pictures of a model and size here; empty if it does."""
+        if self.torch and model != "paper":
             return f"not run: it knows no model {model}"
-        absent = [package for package in self.needs if find_spec(package) is None]
-        return f"not run: {', '.join(absent)} is not installed" if absent else ""
+        if size >= RACE_SIZE and not self.raced:
+            return f"not run: too slow at {size}²"
+        absent = self.torch and find_spec("torch") is None
+        return "not run: torch is not installed" if absent else ""
 
 
 def fit_with_ours(
@@ -100,7 +74,7 @@ def fit_with_ours(
     def visit(progress: Progress) -> None:
         tracker.visit(progress.elapsed_s, progress.iteration, progress.evaluations, progress.state)
 
-    result = decompose(
+    result = fit(
         scene,
         solver=solver,
         iterations=times_iterations * budget.iterations,
@@ -108,7 +82,6 @@ def fit_with_ours(
         start=None if start is None else start(scene),
         threads=threads,
         priors=None,
-        refine_normals="off",
         progress=visit,
     )
     iterations = int(result.history["iteration"][-1])
@@ -116,14 +89,6 @@ def fit_with_ours(
         result.seconds, iterations, result.evaluations, lambda: (result.materials, result.lighting)
     )
     return result.stop_reason
-
-
-def fit_with_torch(
-    scene: Scene, budget: Budget, tracker: Tracker, threads: int, *, settings: Settings
-) -> str:
-    """Run one of PyTorch's optimisers from our default start."""
-    limits = Limits(budget.evaluations, budget.seconds)
-    return torch_peer.fit(scene, settings, limits, tracker, threads)
 
 
 def default_start(scene: Scene) -> Start:
@@ -138,6 +103,7 @@ SOLVERS: tuple[Solver, ...] = (
         "pbrfit.decompose without priors: scipy's L-BFGS-B in three stages that keep off "
         "roughness 0.",
         fit_with_ours,
+        raced=True,
     ),
     Solver(
         "lbfgsb-long",
@@ -154,32 +120,34 @@ SOLVERS: tuple[Solver, ...] = (
         "The paper's recipe as we read it: one stage from the mean picture exposed to a mean of "
         "0.4, roughness 0.5, metallic 0.1.",
         partial(fit_with_ours, start=paper_start),
+        raced=True,
     ),
     Solver(
         "gauss-newton",
         "Lights and some pixels' materials together, restarts pixel by pixel, then all pixels.",
         partial(fit_with_ours, solver="gauss-newton"),
+        raced=True,
     ),
     Solver(
         "auto",
         "Gauss–Newton first, then bounded L-BFGS on the whole objective.",
         partial(fit_with_ours, solver="auto"),
+        raced=True,
     ),
     Solver(
         "torch-lbfgs",
         "torch.optim.LBFGS with the strong Wolfe line search, maps through a sigmoid, from the "
         "default start; float32, automatic differentiation.",
-        partial(fit_with_torch, settings=torch_peer.LBFGS),
-        needs=("torch",),
-        models=("paper",),
+        partial(torch_peer.fit, optimiser="lbfgs"),
+        torch=True,
+        raced=True,
     ),
     Solver(
         "torch-adam",
         "torch.optim.Adam with a cosine of learning rates, maps through a sigmoid, from the "
         "default start; float32, automatic differentiation.",
-        partial(fit_with_torch, settings=torch_peer.ADAM),
-        needs=("torch",),
-        models=("paper",),
+        partial(torch_peer.fit, optimiser="adam"),
+        torch=True,
     ),
     Solver(
         "lbfgsb-known-lights",

@@ -10,15 +10,14 @@ at most 1e-10, a fixed number, so on a mean over many samples it would forget al
 the sum. The same factor makes no difference to Adam but for its epsilon.
 
 **Units of the lights.** Both optimisers start with a step that has no idea of curvature. Lights are
-unknowns in units of `light_unit`, so that a step moves them as far as it should beside the maps.
+unknowns in units of `LIGHT_UNIT`, so that a step moves them as far as it should beside the maps.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.objective import Objective
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.convergence.measure import State
+from pbrfit_evaluation.convergence.measure import Budget, Tracker
 from pbrfit_evaluation.float32_model import View
 
 if TYPE_CHECKING:
@@ -43,84 +42,45 @@ HISTORY = 10
 VISIT_EVERY = 5
 """L-BFGS iterations between two looks at the state; a look after each of the first few."""
 
+COMPILED_FROM = 256**2
+"""Pixels from which the loss goes through torch.compile: that takes longer than a smaller fit."""
+
 TRIED = 5
 """Evaluations by which a number of threads is judged."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """How an optimiser is run; see `torch_peer.py` for what was tried.
+LIGHT_UNIT = {"lbfgs": 0.3, "adam": 1.0}
+"""Lights are this times their unknowns, in the scaled pictures' units (mean radiance 0.4)."""
 
-    Attributes
-    ----------
-    optimiser
-        `torch.optim.LBFGS` with the strong Wolfe line search, or `torch.optim.Adam`.
-    rate
-        Learning rate; of Adam the first of a cosine that ends at 0 with the last step.
-    light_unit
-        Lights are this times their unknowns, in the scaled pictures' units (mean radiance 0.4).
-    beta2
-        Adam's second decay.
-    compiled
-        Whether the loss goes through torch.compile.
-    """
-
-    optimiser: Literal["lbfgs", "adam"]
-    rate: float
-    light_unit: float = 1.0
-    beta2: float = 0.999
-    compiled: bool = False
-
-
-LBFGS = Settings("lbfgs", rate=1.0, light_unit=0.3)
-ADAM = Settings("adam", rate=0.1, beta2=0.99)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """A run ends at the first of these."""
-
-    evaluations: int
-    seconds: float
-
-
-class Observer(Protocol):
-    """Whoever is shown the states, with the clock stopped: their cost, and how to see them."""
-
-    def visit(self, seconds: float, iteration: int, evaluations: int, state: State, /) -> None:
-        """Look at a state on the way, the start included; may raise to end the run."""
-
-    def end(self, seconds: float, iteration: int, evaluations: int, state: State, /) -> None:
-        """Look at what is handed back."""
+ADAM_RATE, ADAM_BETA2 = 0.1, 0.99
+"""Learning rate, the first of a cosine that ends at 0 with the last step; and second decay."""
 
 
 def fit(
     scene: Scene,
-    settings: Settings,
-    limits: Limits,
-    tracker: Observer,
+    budget: Budget,
+    tracker: Tracker,
     threads: int,
     *,
-    start: Materials | None = None,
+    optimiser: Literal["lbfgs", "adam"],
 ) -> str:
-    """Fit from these maps, or from the default start; returns why it ended.
+    """Fit from the default start; returns why it ended.
+
+    By `torch.optim.LBFGS` with the strong Wolfe line search, or `torch.optim.Adam`.
 
     The clock starts with the pictures as arrays. Importing PyTorch, compiling, trying numbers of
     threads, and making the start with the lights that fit it, which this package does, are not on
     it.
     """
     objective = Objective(scene, threads=threads, model="paper")  # which is what they have
-    if start is None:
-        x = objective.start()
-    else:
-        x = objective.pack(start.albedo, start.roughness, start.metallic)
-    problem = Problem(scene, objective, x, settings)
+    x, light_unit = objective.start(), LIGHT_UNIT[optimiser]
+    problem = Problem(scene, objective, x, light_unit)
     _choose_threads(problem, threads)
     clock = _Clock()
-    if not settings.compiled:  # else it would be compiled again
-        problem = Problem(scene, objective, x, settings)
-    run = _lbfgs if settings.optimiser == "lbfgs" else _adam
-    iterations, evaluations, reason = run(problem, settings, limits, tracker, clock)
+    if not problem.compiled:  # else it would be compiled again
+        problem = Problem(scene, objective, x, light_unit)
+    run = _lbfgs if optimiser == "lbfgs" else _adam
+    iterations, evaluations, reason = run(problem, budget, tracker, clock)
     clock.stop()
     tracker.end(clock.seconds, iterations, evaluations, problem.state)
     return reason
@@ -129,9 +89,7 @@ def fit(
 class Problem:
     """The objective as a function of float32 tensors without bounds."""
 
-    def __init__(
-        self, scene: Scene, objective: Objective, start: Array, settings: Settings
-    ) -> None:
+    def __init__(self, scene: Scene, objective: Objective, start: Array, light_unit: float) -> None:
         import torch
 
         from pbrfit_evaluation.torch_loss import matrix_form
@@ -141,11 +99,13 @@ class Problem:
         normals = scene.normals[valid].astype(np.float64)
         view = View(images.astype(np.float32), normals, scene.views[valid])
         loss = matrix_form(view)
+        self.compiled = view.pixels >= COMPILED_FROM
         # A shape of its own for each scene: nothing is gained by code for any shape.
-        self._loss = torch.compile(loss, dynamic=False) if settings.compiled else loss
-        self._samples = view.images.size
+        self._loss = torch.compile(loss, dynamic=False) if self.compiled else loss
+        self.samples = view.images.size
+        """Terms in the mean that the loss is."""
         self._objective = objective
-        self._light_unit = settings.light_unit
+        self._light_unit = light_unit
         p = view.pixels
         materials = np.clip(start[: 5 * p], *SIGMOID_RANGE)
         materials = np.log(materials / (1 - materials))
@@ -155,11 +115,7 @@ class Problem:
             dtype=torch.float32,
             requires_grad=True,
         )
-
-    @property
-    def unknowns(self) -> list[torch.Tensor]:
-        """What an optimiser may change."""
-        return [self.maps, self.lights]
+        self.unknowns = [self.maps, self.lights]
 
     def evaluate(self, factor: float = 1.0) -> torch.Tensor:
         """Loss times a factor; the gradient is kept in the unknowns."""
@@ -169,11 +125,6 @@ class Problem:
         loss = factor * self._loss(maps[:3], maps[3], maps[4], self._light_unit * self.lights)
         loss.backward()  # type: ignore[no-untyped-call, unused-ignore]
         return loss
-
-    @property
-    def samples(self) -> int:
-        """Terms in the mean that the loss is."""
-        return self._samples
 
     def state(self) -> tuple[Materials, Array]:
         """Maps and lights in the scene's units."""
@@ -221,17 +172,16 @@ class _Clock:
 
 
 def _adam(
-    problem: Problem, settings: Settings, limits: Limits, tracker: Observer, clock: _Clock
+    problem: Problem, budget: Budget, tracker: Tracker, clock: _Clock
 ) -> tuple[int, int, str]:
+    """Iterations, evaluations, and why it ended."""
     import torch
 
-    optimiser = torch.optim.Adam(
-        problem.unknowns, lr=settings.rate, betas=(0.9, settings.beta2), eps=1e-12
-    )
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, limits.evaluations)
-    for step in range(limits.evaluations):
-        if clock.seconds >= limits.seconds:
-            return step, step, f"time limit of {limits.seconds:g} s reached"
+    optimiser = torch.optim.Adam(problem.unknowns, lr=ADAM_RATE, betas=(0.9, ADAM_BETA2), eps=1e-12)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, budget.evaluations)
+    for step in range(budget.evaluations):
+        if clock.seconds >= budget.seconds:
+            return step, step, f"time limit of {budget.seconds:g} s reached"
         loss = problem.evaluate(problem.samples)
         if step == 0:
             _visit(problem, tracker, clock, 0, 1)
@@ -240,17 +190,18 @@ def _adam(
         optimiser.step()
         schedule.step()
         _visit(problem, tracker, clock, step + 1, step + 1)
-    return limits.evaluations, limits.evaluations, f"{limits.evaluations} steps done"
+    return budget.evaluations, budget.evaluations, f"{budget.evaluations} steps done"
 
 
 def _lbfgs(
-    problem: Problem, settings: Settings, limits: Limits, tracker: Observer, clock: _Clock
+    problem: Problem, budget: Budget, tracker: Tracker, clock: _Clock
 ) -> tuple[int, int, str]:
+    """Iterations, evaluations, and why it ended."""
     import torch
 
     optimiser = torch.optim.LBFGS(
         problem.unknowns,
-        lr=settings.rate,
+        lr=1.0,
         max_iter=VISIT_EVERY,
         max_eval=10**9,
         tolerance_grad=0.0,
@@ -278,15 +229,15 @@ def _lbfgs(
         return loss
 
     iterations = 0
-    while evaluations < limits.evaluations:
-        if clock.seconds >= limits.seconds:
-            return iterations, evaluations, f"time limit of {limits.seconds:g} s reached"
+    while evaluations < budget.evaluations:
+        if clock.seconds >= budget.seconds:
+            return iterations, evaluations, f"time limit of {budget.seconds:g} s reached"
         before = evaluations
         for group in optimiser.param_groups:
             group["max_iter"] = 1 if iterations < 2 * VISIT_EVERY else VISIT_EVERY
         optimiser.step(closure)
         repeated = True
-        iterations = int(_state(optimiser)["n_iter"])
+        iterations = int(next(iter(optimiser.state.values()))["n_iter"])
         if evaluations == before:
             return iterations, evaluations, "no step lowers the loss further"
         if not bool(torch.isfinite(problem.maps).all()):
@@ -295,12 +246,8 @@ def _lbfgs(
     return iterations, evaluations, f"{evaluations} evaluations done"
 
 
-def _state(optimiser: torch.optim.LBFGS) -> Any:
-    return next(iter(optimiser.state.values()))
-
-
 def _visit(
-    problem: Problem, tracker: Observer, clock: _Clock, iteration: int, evaluations: int
+    problem: Problem, tracker: Tracker, clock: _Clock, iteration: int, evaluations: int
 ) -> None:
     clock.stop()
     tracker.visit(clock.seconds, iteration, evaluations, problem.state)

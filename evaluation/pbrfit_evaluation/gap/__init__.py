@@ -22,13 +22,6 @@ from pbrfit_evaluation.suite import Options, Part, Suite
 
 TENTHS = tuple(round(0.1 * i, 1) for i in range(1, 11))
 
-EFFORT = {
-    "r": ((0.05, *TENTHS), (0.1, 0.3, 0.5, 0.8, 1.0)),
-    "n_dot_v": ((0.05, *TENTHS), (0.1, 0.2, 0.5, 0.8, 1.0)),
-    "rings": (20, 10),
-    "lights": (64, 16),
-}
-
 
 def cases(options: Options) -> list[Case]:
     """A case for each roughness of the table."""
@@ -54,7 +47,7 @@ SUITE = Suite(
     title="The gap of the reflection models",
     description="Compare the models that pbrfit fits with brute-force integration of BRDFs, over "
     "roughness, view angle and SH band, and with spheres rendered by Blender Cycles. Writes "
-    "report.html, heat maps, gap.csv, spheres.csv, cycles.csv and summary.json.",
+    "report.html, heat maps, gap.csv and summary.json.",
     protocol="pbrfit-gap-2: SH responses of two BRDFs by quadrature, the principled one and the "
     "paper's (eqs. 1, 3-5); spheres seen from far away under random lights turned in every way; "
     "spheres by Cycles; {effort}",
@@ -66,14 +59,18 @@ SUITE = Suite(
             spheres.run,
             figures.sphere_rows,
             sections=figures.sphere_sections,
-            csvs=figures.sphere_csvs,
         ),
     ],
     options=(
         option("--seed", type=whole_number, default=0, help="of the random lights"),
         cycles_cache,
     ),
-    effort=EFFORT,
+    effort={
+        "r": ((0.05, *TENTHS), (0.1, 0.3, 0.5, 0.8, 1.0)),
+        "n_dot_v": ((0.05, *TENTHS), (0.1, 0.2, 0.5, 0.8, 1.0)),
+        "rings": (20, 10),
+        "lights": (64, 16),
+    },
     quick="a coarser table, without Cycles",
     about=(
         "The principled integral is that of the BRDF of Blender's Principled, which glTF and game "

@@ -67,17 +67,11 @@ its ends."""
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Reflection of one (r, n·v) as coefficients of SH light, in the pixel's own frame.
+    """The paper's reflection at one (r, n·v) of SH light, in the pixel's own frame.
 
-    Attributes
-    ----------
-    base, grazing
-        (16,), a and b above: the specular response is F0 base + grazing.
-    diffuse
-        (16,), c above.
-    error
-        Largest change of any of these when the number of nodes is doubled. The values are those of
-        the finer rule, so their error is smaller.
+    `base`, `grazing`, `diffuse` are a, b and c above, (16,); the specular response is
+    F0 base + grazing. `error` is the largest change of any when the number of nodes is doubled.
+    The values are those of the finer rule, so their error is smaller.
     """
 
     base: Array
@@ -96,34 +90,35 @@ class Response:
 
 @lru_cache(maxsize=4096)
 def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> Response:
-    """Integrate the full BRDF at one roughness and view angle.
-
-    Parameters
-    ----------
-    roughness
-        r in (0, 1].
-    n_dot_v
-        In (0, 1].
-    nodes
-        Of the coarser of the two rules.
+    """Integrate the paper's BRDF at a roughness and a view angle, both in (0, 1].
 
     Raises
     ------
     InputError
         If roughness or n·v lies outside its range.
     """
-    check_point(roughness, n_dot_v)
-    coarse = _integrate(roughness, n_dot_v, nodes)
-    fine = _integrate(roughness, n_dot_v, 2 * nodes)
-    base, grazing, diffuse = fine
-    return Response(base, grazing, diffuse, float(np.abs(fine - coarse).max()))
+    (base, grazing), lobe_error = integrated_lobe(roughness, n_dot_v, nodes, _smith, schlick_parts)
+    coarse, fine = (_body(n_dot_v, count) for count in (nodes, 2 * nodes))
+    return Response(base, grazing, fine, max(lobe_error, float(np.abs(fine - coarse).max())))
 
 
-def check_point(roughness: float, n_dot_v: float) -> None:
-    """Raise InputError unless both are in (0, 1]."""
+def integrated_lobe(
+    roughness: float, n_dot_v: float, nodes: int, masking: Masking, fresnel: Fresnel
+) -> tuple[Array, float]:
+    """`integrate_lobe` by twice as many nodes, and the largest change to there.
+
+    Raises
+    ------
+    InputError
+        Unless roughness and n·v are in (0, 1].
+    """
     for name, value in (("roughness", roughness), ("n_dot_v", n_dot_v)):
         if not 0 < value <= 1:
             raise InputError(f"{name}: expected a number in (0, 1], found {value!r}")
+    coarse, fine = (
+        integrate_lobe(roughness, n_dot_v, count, masking, fresnel) for count in (nodes, 2 * nodes)
+    )
+    return fine, float(np.abs(fine - coarse).max())
 
 
 def view(n_dot_v: float) -> Array:
@@ -131,30 +126,13 @@ def view(n_dot_v: float) -> Array:
     return np.array([np.sqrt((1 - n_dot_v) * (1 + n_dot_v)), 0.0, n_dot_v])
 
 
-def _integrate(roughness: float, n_dot_v: float, nodes: int) -> Array:
-    """(3, 16): a, b, c."""
-    lobe = integrate_lobe(roughness, n_dot_v, nodes, _smith, schlick_parts)
-    return np.concatenate([lobe, _body(n_dot_v, *_tanh_sinh(nodes))[None]])
-
-
 def integrate_lobe(
     roughness: float, n_dot_v: float, nodes: int, masking: Masking, fresnel: Fresnel
 ) -> Array:
-    """∫ D G/(4 n·v) g Y dl over n·l > 0, for each of the F factors g that `fresnel` gives.
+    """∫ D G/(4 n·v) g Y dl over n·l > 0, (F, 16), for each of the F factors g of `fresnel`.
 
-    Parameters
-    ----------
-    roughness, n_dot_v
-        In (0, 1].
-    nodes
-        Of the rule, in each direction and panel.
-    masking, fresnel
-        G, and g as a stack (F, ...).
-
-    Returns
-    -------
-    (F, 16)
-        In the pixel's own frame; 0 for the functions odd in y.
+    In the pixel's own frame; 0 for the functions odd in y. `nodes` are those in each direction and
+    panel.
     """
     at, weights = _tanh_sinh(nodes)
     v = view(n_dot_v)
@@ -175,14 +153,7 @@ def integrate_lobe(
             border = -v[2] * (cosine**2 - sine**2) / np.maximum(v[0] * 2 * sine * cosine, 1e-300)
             limit = np.arccos(np.clip(border, -1, 1))
         azimuth = limit[:, None] * at
-        h = np.stack(
-            [
-                sine[:, None] * np.cos(azimuth),
-                sine[:, None] * np.sin(azimuth),
-                np.broadcast_to(cosine[:, None], azimuth.shape),
-            ],
-            axis=-1,
-        )
+        h = _directions(sine, cosine, azimuth)
         v_dot_h = h @ v
         l = 2 * v_dot_h[..., None] * h - v  # noqa: E741
         n_dot_l = np.maximum(l[..., 2], 0.0)
@@ -194,21 +165,21 @@ def integrate_lobe(
     return np.asarray(total)
 
 
-def _body(n_dot_v: float, at: Array, weights: Array) -> Array:
+def _body(n_dot_v: float, nodes: int) -> Array:
     """(16,): c."""
-    n_dot_l, azimuth = at[:, None], np.pi * at
-    sine = np.sqrt((1 - n_dot_l) * (1 + n_dot_l))
-    l = np.stack(  # noqa: E741
-        [
-            sine * np.cos(azimuth),
-            sine * np.sin(azimuth),
-            np.broadcast_to(n_dot_l, (len(at), len(at))),
-        ],
-        axis=-1,
-    )
+    n_dot_l, weights = _tanh_sinh(nodes)
+    azimuth = np.broadcast_to(np.pi * n_dot_l, (nodes, nodes))
+    l = _directions(np.sqrt((1 - n_dot_l) * (1 + n_dot_l)), n_dot_l, azimuth)  # noqa: E741
     v_dot_h = np.sqrt(np.maximum((1 + l @ view(n_dot_v)) / 2, 0.0))
-    element = 2 * np.pi * weights[:, None] * weights * n_dot_l * (1 - _schlick(v_dot_h))
+    element = 2 * np.pi * weights[:, None] * weights * n_dot_l[:, None] * (1 - _schlick(v_dot_h))
     return np.asarray(_even(l, element[None])[0])
+
+
+def _directions(sine: Array, cosine: Array, azimuth: Array) -> Array:
+    """(M, M, 3): a ring for each sine and cosine (M,), at azimuths (M, M)."""
+    ring = np.broadcast_to(cosine[:, None], azimuth.shape)
+    around = sine[:, None]
+    return np.stack([around * np.cos(azimuth), around * np.sin(azimuth), ring], axis=-1)
 
 
 def _even(directions: Array, elements: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from pbrfit_evaluation.gap.spheres import (
     SUBSTANCES,
     Sphere,
 )
-from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.suite import (
     HeatMap,
     Line,
@@ -33,23 +32,19 @@ from pbrfit_evaluation.suite import (
     Value,
 )
 
-EXACT = 0.02
-"""Relative error on spheres of all roughnesses; models below it get no heat maps, in which nearly
-all cells would say 1.00."""
+NAMES = [material.name for material in MATERIALS]
 
 
 @dataclass(frozen=True, eq=False)
 class Gap:
     """A model beside a BRDF. M materials, R roughnesses, V view angles.
 
-    `true`, `found` and `distance` are responses (M, R, V, 4); `signal` and `error` (M, R) are root
-    mean square radiance of a sphere and its error.
+    `true`, `found`, their `ratio` and `distance` are responses (M, R, V, 4); `signal` and `error`
+    (M, R) are root mean square radiance of a sphere and its error.
     """
 
     reference: str
     model: str
-    r: Sequence[float]
-    n_dot_v: Sequence[float]
     true: Array
     found: Array
     distance: Array
@@ -58,23 +53,13 @@ class Gap:
     quadrature_error: float
 
     @property
-    def name(self) -> str:
-        """What is compared with what."""
-        return f"{self.model} model / {self.reference} integral"
-
-    @property
     def ratio(self) -> Array:
-        """(M, R, V, 4): response of the model over the true one."""
+        """Response of the model over the true one."""
         return np.asarray(self.found / self.true)
 
     @property
-    def relative_rmse(self) -> Array:
-        """(M, R): error of a sphere under random lights, relative to its signal."""
-        return np.asarray(self.error / self.signal)
-
-    @property
     def overall_rmse(self) -> Array:
-        """(M,): the same over spheres of all roughnesses together."""
+        """(M,): error of spheres of all roughnesses together, relative to their signal."""
         error = np.mean(np.square(self.error), axis=-1)
         return np.asarray(np.sqrt(error / np.mean(np.square(self.signal), axis=-1)))
 
@@ -82,26 +67,17 @@ class Gap:
 def gaps(results: Results[Case]) -> Iterator[Gap]:
     """Every model against every BRDF, over the roughnesses that were finished."""
 
-    def stacked(values: Sequence[Values], name: str) -> Array:
-        return np.stack([np.asarray(of[name], np.float64) for of in values], axis=1)
+    def stacked(values: Sequence[Any], *names: str) -> list[Array]:
+        return [np.stack([np.array(of[name]) for of in values], axis=1) for name in names]
 
-    found = results.finished
-    for reference, (_, models) in COMPARED.items() if found else ():
-        values = [of[reference] for _, of in found]
+    for reference, (_, models) in COMPARED.items() if results.finished else ():
+        values = [of[reference] for _, of in results.finished]
+        true, signal = stacked(values, "true", "signal")
+        worst = max(of["quadrature_error"] for of in values)
         for model in models:
             of_model = [of["models"][model] for of in values]
-            yield Gap(
-                reference,
-                model,
-                r=[case.r for case, _ in found],
-                n_dot_v=found[0][0].n_dot_v,
-                true=stacked(values, "true"),
-                found=stacked(of_model, "found"),
-                distance=stacked(of_model, "distance"),
-                signal=stacked(values, "signal"),
-                error=stacked(of_model, "error"),
-                quadrature_error=max(of["quadrature_error"] for of in values),
-            )
+            found, distance, error = stacked(of_model, "found", "distance", "error")
+            yield Gap(reference, model, true, found, distance, signal, error, worst)
 
 
 def rows(results: Results[Case]) -> list[Row]:
@@ -116,33 +92,38 @@ def rows(results: Results[Case]) -> list[Row]:
                 metrics[f"largest_ratio_{band}"] = float(ratio[m, ..., band].max())
                 metrics[f"largest_distance_{band}"] = float(gap.distance[m, ..., band].max())
             metrics["quadrature_error"] = gap.quadrature_error
-            status = results.status("roughnesses")
-            made.append(Row(f"{gap.name}, {material.key}", 0, None, metrics, status=status))
+            name = f"{gap.model} model / {gap.reference} integral, {material.key}"
+            made.append(Row(name, 0, None, metrics, status=results.status("roughnesses")))
     return made
 
 
 def csvs(results: Results[Case], _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
-    """Every response, and every sphere."""
-    responses: list[Line] = []
-    spheres: list[Line] = []
-    for gap in gaps(results):
-        names = {"reference": gap.reference, "model": gap.model}
-        for m, i in np.ndindex(*gap.signal.shape):
-            of = {**names, "material": MATERIALS[m].key, "r": gap.r[i]}
-            sphere = {"rms_radiance": gap.signal, "rmse": gap.error}
-            sphere |= {"relative_rmse": gap.relative_rmse}
-            spheres.append(of | {name: float(at[m, i]) for name, at in sphere.items()})
-            table = {"true": gap.true, "found": gap.found, "ratio": gap.ratio}
-            table |= {"distance": gap.distance}
-            for j, band in np.ndindex(*gap.true.shape[2:]):
-                point = {"n_dot_v": gap.n_dot_v[j], "band": band}
-                numbers = {name: float(at[m, i, j, band]) for name, at in table.items()}
-                responses.append(of | point | numbers)
-    return {"gap.csv": responses, "spheres.csv": spheres}
+    """Every response."""
+    points = [(case.r, n_dot_v) for case, _ in results.finished for n_dot_v in case.n_dot_v]
+    lines = [
+        {
+            "reference": gap.reference,
+            "model": gap.model,
+            "material": MATERIALS[m].key,
+            "r": points[i][0],
+            "n_dot_v": points[i][1],
+            "band": band,
+            **{name: float(of[m, i, band]) for name, of in table.items()},
+        }
+        for gap in gaps(results)
+        for table in [
+            {
+                name: getattr(gap, name).reshape(len(MATERIALS), -1, 4)
+                for name in ("true", "found", "ratio", "distance")
+            }
+        ]
+        for m, i, band in np.ndindex(*table["true"].shape)
+    ]
+    return {"gap.csv": lines}
 
 
 def sections(results: Results[Case], rows: Sequence[Row]) -> Iterator[Section]:
-    """All figures, spheres over roughness, and heat maps of the models that are not exact."""
+    """All figures, spheres over roughness, and heat maps of the paper's model."""
     shown = ["relative_rmse", "least_ratio_0", "largest_ratio_0"]
     shown += [f"largest_distance_{band}" for band in range(4)]
     if not rows:
@@ -155,68 +136,67 @@ def sections(results: Results[Case], rows: Sequence[Row]) -> Iterator[Section]:
         "approximations of its closed form: no better form of it would come closer.",
         [Table.of(rows, [*shown, "quadrature_error"])],
     )
-    against = [gap for gap in gaps(results) if gap.reference == "principled"]
+    against = {gap.model: gap for gap in gaps(results) if gap.reference == "principled"}
+    relative = {model: (gap.error / gap.signal).tolist() for model, gap in against.items()}
+    r = [case.r for case, _ in results.finished]
     lines: list[list[Value]] = [
-        [material.name, gap.model, *map(float, gap.relative_rmse[m])]
-        for m, material in enumerate(MATERIALS)
-        for gap in against
+        [name, model, *of[m]] for m, name in enumerate(NAMES) for model, of in relative.items()
     ]
     panels = [
         Panel(
             "lines",
-            [Series(gap.model, gap.r, list(gap.relative_rmse[m])) for gap in against],
+            [Series(model, r, of[m]) for model, of in relative.items()],
             "roughness r",
             "relative RMSE",
-            title=material.name,
+            title=name,
             log="y",
         )
-        for m, material in enumerate(MATERIALS)
+        for m, name in enumerate(NAMES)
     ]
     yield Section(
         "Spheres against the principled integral",
-        tables=[Table(["material", "model", *(f"r = {r:g}" for r in against[0].r)], lines)],
+        tables=[Table(["material", "model", *(f"r = {x:g}" for x in r)], lines)],
         figures=[
             Plot("spheres", "Error of spheres over roughness.", panels, columns=4, share_y="all")
         ],
     )
-    for gap in gaps(results):
-        if gap.model != INTEGRATED and gap.overall_rmse.max() >= EXACT:
-            yield _maps(gap)
-
-
-def _maps(gap: Gap) -> Section:
-    materials = [material.name for material in MATERIALS]
-    bands = [f"l = {band}" for band in range(4)]
-    plots = [
-        ("albedo", "Directional albedo (l = 0), ratio", np.moveaxis(gap.ratio[..., 0], 0, -1)),
-        ("ratio", "The lobe alone (F = 1), ratio of responses", gap.ratio[0]),
-        ("distance", "The lobe alone (F = 1), distance of responses", gap.distance[0]),
-    ]
-    return Section(
-        f"By roughness and view angle: {gap.name}",
+    ratio, n_dot_v = against["paper"].ratio, results.finished[0][0].n_dot_v
+    yield Section(
+        "By roughness and view angle: paper model / principled integral",
         "Of dielectrics, lobe and diffuse term together, which in part make up for each other. "
         "Where the true response is small a ratio says little. Orange: too bright, purple: too "
         "dark.",
         figures=[
             Plot(
-                f"{name}-{gap.reference}",
-                f"{caption}.",
+                name,
+                caption,
                 [
                     HeatMap(
-                        values[::-1, :, i].tolist(),
-                        [f"{x:g}" for x in gap.n_dot_v],
-                        [f"{r:g}" for r in gap.r][::-1],
+                        of[::-1].tolist(),
+                        [f"{x:g}" for x in n_dot_v],
+                        [f"{x:g}" for x in r][::-1],
                         "n·v",
                         "roughness r",
                         title=title,
-                        ratio=name != "distance",
-                        scale="ratio" if name != "distance" else "a mirror's response is 1",
+                        ratio=True,
+                        scale="ratio",
                     )
-                    for i, title in enumerate(materials if name == "albedo" else bands)
+                    for title, of in maps
                 ],
                 columns=2,
             )
-            for name, caption, values in plots
+            for name, caption, maps in (
+                (
+                    "albedo",
+                    "Directional albedo (l = 0), ratio.",
+                    zip(NAMES, ratio[..., 0], strict=True),
+                ),
+                (
+                    "ratio",
+                    "The lobe alone (F = 1), ratio of responses.",
+                    [(f"l = {band}", ratio[0, ..., band]) for band in range(4)],
+                ),
+            )
         ],
     )
 
@@ -241,62 +221,50 @@ def sphere_rows(results: Results[Sphere]) -> list[Row]:
             },
             status=of.status("spheres"),
         )
-        for distribution in get_args(Distribution)
-        for substance in SUBSTANCES
-        for of in [results.of(distribution=distribution, substance=substance)]
+        for distribution, substance, of in _groups(results)
         for model in (of.finished[0][1] if of.finished else ())
     ]
 
 
-def sphere_csvs(results: Results[Sphere], _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
-    """Every error."""
-    lines = [
-        {
-            "distribution": case.distribution,
-            "substance": case.substance,
-            "model": model,
-            "r": case.r,
-            "albedo": albedo,
-            "relative_rmse": error,
-        }
-        for case, found in results.finished
-        for model, errors in found.items()
-        for albedo, error in zip(ALBEDOS, errors, strict=True)
+def _groups(results: Results[Sphere]) -> list[tuple[Distribution, str, Results[Sphere]]]:
+    return [
+        (distribution, substance, results.of(distribution=distribution, substance=substance))
+        for distribution in get_args(Distribution)
+        for substance in SUBSTANCES
     ]
-    return {"cycles.csv": lines} if lines else {}
 
 
 def sphere_sections(results: Results[Sphere], rows: Sequence[Row]) -> Iterator[Section]:
     """The errors as a table and a plot."""
     shown = ("paper", "principled", next(iter(INTEGRALS["GGX"])), NOISE)
-    panels = []
-    for distribution in get_args(Distribution):
-        for substance in SUBSTANCES:
-            found = results.of(distribution=distribution, substance=substance).finished
-            series = [
-                Series(name, [case.r for case, _ in found], [max(of[name][1:]) for _, of in found])
-                for name in (found[0][1] if found else ())
+    panels = [
+        Panel(
+            "lines",
+            [
+                Series(
+                    name,
+                    [case.r for case, _ in of.finished],
+                    [max(found[name][1:]) for _, found in of.finished],
+                )
+                for name in (of.finished[0][1] if of.finished else ())
                 if name in shown
-            ]
-            title = f"{substance}, {distribution}"
-            panels.append(
-                Panel("lines", series, "roughness r", "RMSE / mean", title=title, log="y")
-            )
-    plot = Plot(
-        "cycles",
-        "The larger error of albedos 0.5 and 0.9.",
-        panels,
-        columns=len(SUBSTANCES),
-        share_y="all",
-    )
+            ],
+            "roughness r",
+            "RMSE / mean",
+            title=f"{substance}, {distribution}",
+            log="y",
+        )
+        for distribution, substance, of in _groups(results)
+    ]
+    caption = "The larger error of albedos 0.5 and 0.9."
+    plot = Plot("cycles", caption, panels, columns=len(SUBSTANCES), share_y="all")
     yield Section(
         "Against Cycles",
         "RMSE of what a model says of spheres by Blender's Cycles, without bounces, of known "
         f"material and light, over the mean radiance; pixels with n·v > {LEAST_COSINE:g}. No "
         "figure can be below the noise of the renders. “Integrals” are by brute force, and tell "
-        "what choices are worth: Fresnel's equations or Schlick's fit in the dielectric lobe; how "
-        "much of what that lobe reflects, E_d, is held back from the body. GGX is Principled "
-        "without light between facets; MULTI_GGX is Blender's default.",
+        "what Fresnel's equations are worth in the dielectric lobe, beside Schlick's fit. GGX is "
+        "Principled without light between facets; MULTI_GGX is Blender's default.",
         [Table.of(rows)],
         [plot] if results.finished else [],
     )

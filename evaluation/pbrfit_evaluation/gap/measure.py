@@ -24,7 +24,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,30 +40,23 @@ Array = NDArray[np.float64]
 Model = Callable[[Array, Array, Array, Array, Array], Array]
 """normal (..., 3), view (..., 3), albedo (..., 3), r (...,), m (...,) -> weights (..., 3, 16)."""
 
-Reference = Callable[[float, float, Array, Array], tuple[Array, float]]
-"""r, n·v, albedo (..., 3), m (...,) -> weights (..., 3, 16) in the pixel's own frame, by brute
-force; and the largest change of any integral when the number of nodes is doubled."""
+
+class Response(Protocol):
+    """A BRDF's integrals at one roughness and n·v, and how far they are from exact."""
+
+    @property
+    def error(self) -> float:
+        """Largest change of any integral when the number of nodes is doubled."""
+
+    def weights(self, albedo: Array, metallic: Array) -> Array:
+        """(..., 3, 16) in the pixel's own frame, of albedo (..., 3) and metallic (...,)."""
+
+
+Reference = Callable[[float, float], Response]
+"""Of r and n·v: a BRDF by brute force."""
 
 MODELS: Mapping[str, Model] = {name: partial(shade, model=name) for name in MODEL_NAMES}
 """What the package fits, by the names it has everywhere."""
-
-
-def paper(r: float, n_dot_v: float, albedo: Array, m: Array) -> tuple[Array, float]:
-    """The BRDF of the paper, a `Reference`."""
-    exact = brute_force.respond(r, n_dot_v)
-    return exact.weights(albedo, m), exact.error
-
-
-def principled_brdf(
-    r: float,
-    n_dot_v: float,
-    albedo: Array,
-    m: Array,
-    choices: principled.Choices = principled.BRDF,
-) -> tuple[Array, float]:
-    """The BRDF that renderers share, a `Reference`."""
-    exact = principled.respond(r, n_dot_v)
-    return exact.weights(albedo, m, choices), exact.error
 
 
 def integrated(reference: Reference) -> Model:
@@ -73,7 +66,7 @@ def integrated(reference: Reference) -> Model:
         found = np.empty((*r.shape, 3, 16))
         n_dot_v = np.einsum("...i,...i->...", normal, view)
         for i in np.ndindex(*r.shape):
-            found[i], _ = reference(float(r[i]), float(n_dot_v[i]), albedo[i], m[i])
+            found[i] = reference(float(r[i]), float(n_dot_v[i])).weights(albedo[i], m[i])
         return found
 
     return model
@@ -84,12 +77,12 @@ INTEGRATED = "paper, integrated"
 
 COMPARED: Mapping[str, tuple[Reference, Mapping[str, Model]]] = {
     "principled": (
-        principled_brdf,
-        {"paper": MODELS["paper"], INTEGRATED: integrated(paper), **MODELS},
+        principled.respond,
+        {"paper": MODELS["paper"], INTEGRATED: integrated(brute_force.respond), **MODELS},
     ),
-    "paper": (paper, {"paper": MODELS["paper"]}),
+    "paper": (brute_force.respond, {"paper": MODELS["paper"]}),
     "tabulated": (
-        partial(principled_brdf, choices=principled.TABULATED),
+        partial(principled.respond, choices=principled.TABULATED),
         {"principled": MODELS["principled"]},
     ),
 }
@@ -147,23 +140,15 @@ def run(case: Case, _: int = 1) -> dict[str, Any]:
 
 
 def measure(
-    case: Case, reference: Reference = principled_brdf, models: Mapping[str, Model] = MODELS
+    case: Case, reference: Reference = principled.respond, models: Mapping[str, Model] = MODELS
 ) -> dict[str, Any]:
     """Compare models with brute-force integration of one BRDF. M materials, V values of n·v.
 
-    Returns
-    -------
-    dict
-        "true": (M, V, 4) responses by brute force. "signal": (M,) root mean square radiance of a
-        sphere. "models": by name "found" and "distance", (M, V, 4), and "error", (M,) root mean
-        square error of a sphere's radiance. "quadrature_error": largest change of any integral of
-        the table when the number of nodes is doubled, or of the root mean square over a sphere,
-        whichever is larger.
-
-    Raises
-    ------
-    InputError
-        If roughness or n·v is outside (0, 1].
+    "true": (M, V, 4) responses by brute force. "signal": (M,) root mean square radiance of a
+    sphere. "models": by name "found" and "distance", (M, V, 4), and "error", (M,) root mean square
+    error of a sphere's radiance. "quadrature_error": largest change of any integral of the table
+    when the number of nodes is doubled, or of the root mean square over a sphere, whichever is
+    larger.
     """
     rings, shares = _rings(case.rings)
     power = band_power(random_lights(case.lights, np.random.default_rng(case.seed)))
@@ -220,8 +205,9 @@ def _rings(count: int) -> tuple[tuple[float, ...], Array]:
 
 def _true_weights(reference: Reference, r: float, n_dot_v: Sequence[float]) -> tuple[Array, Array]:
     """(M, V, 3, 16) by brute force, and (V,) how much they change with the number of nodes."""
-    exact = [reference(r, x, ALBEDO, METALLIC) for x in n_dot_v]
-    return np.stack([weights for weights, _ in exact], axis=1), np.array([e for _, e in exact])
+    exact = [reference(r, x) for x in n_dot_v]
+    weights = [one.weights(ALBEDO, METALLIC) for one in exact]
+    return np.stack(weights, axis=1), np.array([one.error for one in exact])
 
 
 def _weights(model: Model, r: float, n_dot_v: Sequence[float]) -> Array:

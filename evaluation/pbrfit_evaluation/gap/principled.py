@@ -37,7 +37,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit_evaluation.gap.brute_force import NODES, check_point, integrate_lobe, schlick_parts
+from pbrfit_evaluation.gap.brute_force import (
+    NODES,
+    integrate_lobe,
+    integrated_lobe,
+    schlick_parts,
+)
 
 Array = NDArray[np.float64]
 
@@ -58,19 +63,11 @@ _RINGS = 32  # values of n·v in the mean over all of them
 class Choices:
     """What the BRDF might be otherwise.
 
-    Attributes
-    ----------
-    multiple
-        Light between facets. Without it, M = 1.
-    held_back
-        What does not reach the body: M E_d, "scaled"; E_d, "lobe"; or E_d/E, "full", as if all
-        light came back from a lobe of F = 1.
-    fresnel
-        Of the dielectric lobe: Fresnel's "equations"; Schlick's "fit"; or the fit "scaled" by κ.
+    `multiple`: light between facets; without it, M = 1. `fresnel` of the dielectric lobe: Fresnel's
+    "equations"; Schlick's "fit"; or the fit "scaled" by κ.
     """
 
     multiple: bool = True
-    held_back: Literal["scaled", "lobe", "full"] = "scaled"
     fresnel: Literal["equations", "fit", "scaled"] = "equations"
 
 
@@ -83,18 +80,10 @@ TABULATED = Choices(fresnel="scaled")
 
 @dataclass(frozen=True, eq=False)
 class PrincipledResponse:
-    """Reflection of one (r, n·v) as coefficients of SH light, in the pixel's own frame.
+    """Reflection of one (r, n·v) of SH light, in the pixel's own frame.
 
-    Attributes
-    ----------
-    base, grazing
-        (16,), a and b above.
-    glass
-        (16,), ∫ D G/(4 n·v) F Y dl with the Fresnel equations at an index of 1.5.
-    mean_albedo
-        Ē above.
-    error
-        Largest change of any of the integrals when the number of nodes is doubled.
+    `base`, `grazing`, `glass` are a, b and g above, (16,); `mean_albedo` is Ē. `error` is the
+    largest change of any of the integrals when the number of nodes is doubled.
     """
 
     base: Array
@@ -102,6 +91,7 @@ class PrincipledResponse:
     glass: Array
     mean_albedo: float
     error: float
+    choices: Choices
 
     @property
     def albedo(self) -> float:
@@ -110,56 +100,46 @@ class PrincipledResponse:
 
     def factor(self, f0: Array | float) -> Array:
         """M above, of lobes of any reflectance."""
+        if not self.choices.multiple:
+            return np.ones(np.shape(f0))
         mean_fresnel = f0 + (1 - np.asarray(f0)) / 21
         further = mean_fresnel * self.mean_albedo / (1 - mean_fresnel * (1 - self.mean_albedo))
         return np.asarray(1 + further * (1 - self.albedo) / self.albedo)
 
-    def _coat(self, choices: Choices) -> Array:
+    def _coat(self) -> Array:
         """(16,): the dielectric lobe without light between facets."""
-        if choices.fresnel == "equations":
+        if self.choices.fresnel == "equations":
             return self.glass
         fit = F0_DIELECTRIC * self.base + self.grazing
-        return fit * self.glass[0] / fit[0] if choices.fresnel == "scaled" else fit
+        return fit * self.glass[0] / fit[0] if self.choices.fresnel == "scaled" else fit
 
-    def weights(self, albedo: Array, metallic: Array, choices: Choices = BRDF) -> Array:
+    def weights(self, albedo: Array, metallic: Array) -> Array:
         """(..., 3, 16) as `pbrfit.shade` gives: albedo (..., 3) in [0, 1], metallic (...,)."""
         rho = np.asarray(albedo, dtype=np.float64)[..., None]
         m = np.asarray(metallic, dtype=np.float64)[..., None, None]
-        of_metal = self.factor(rho) if choices.multiple else 1.0
-        of_dielectric = self.factor(F0_DIELECTRIC) if choices.multiple else 1.0
-        coat = self._coat(choices)
-        scale = {"lobe": 1.0, "scaled": of_dielectric, "full": 1 / self.albedo}
-        held_back = _albedo(coat) * scale[choices.held_back]
-        metal = of_metal * (rho * self.base + self.grazing)
-        body = rho * (1 - held_back) / np.pi * _LAMBERT
-        return np.asarray(m * metal + (1 - m) * (of_dielectric * coat + body))
+        multiple, coat = self.factor(F0_DIELECTRIC), self._coat()
+        metal = self.factor(rho) * (rho * self.base + self.grazing)
+        body = rho * (1 - multiple * _albedo(coat)) / np.pi * _LAMBERT
+        return np.asarray(m * metal + (1 - m) * (multiple * coat + body))
 
 
-@lru_cache(maxsize=4096)
-def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> PrincipledResponse:
-    """Integrate the BRDF at one roughness and view angle.
-
-    Parameters
-    ----------
-    roughness
-        r in (0, 1].
-    n_dot_v
-        In (0, 1].
-    nodes
-        Of the coarser of the two rules.
+def respond(
+    roughness: float, n_dot_v: float, choices: Choices = BRDF, nodes: int = NODES
+) -> PrincipledResponse:
+    """Integrate the BRDF at a roughness and a view angle, both in (0, 1].
 
     Raises
     ------
     InputError
         If roughness or n·v lies outside its range.
     """
-    check_point(roughness, n_dot_v)
-    coarse, fine = (
-        integrate_lobe(roughness, n_dot_v, count, masking, _fresnel) for count in (nodes, 2 * nodes)
-    )
-    base, grazing, glass = fine
-    change = float(np.abs(fine - coarse).max())
-    return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), change)
+    (base, grazing, glass), error = _integrals(roughness, n_dot_v, nodes)
+    return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), error, choices)
+
+
+@lru_cache(maxsize=4096)
+def _integrals(roughness: float, n_dot_v: float, nodes: int) -> tuple[Array, float]:
+    return integrated_lobe(roughness, n_dot_v, nodes, masking, _fresnel)
 
 
 @lru_cache(maxsize=1024)

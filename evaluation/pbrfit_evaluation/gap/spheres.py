@@ -8,9 +8,9 @@ difference is the noise that is left.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,14 +34,10 @@ LEAST_COSINE = 0.15
 NOISE = "noise of the renders"
 
 INTEGRALS: Mapping[Distribution, Mapping[str, Choices]] = {
-    "GGX": {
-        "integral without light between facets": Choices(multiple=False),
-        "and E_d/E held back": Choices(multiple=False, held_back="full"),
-    },
+    "GGX": {"integral without light between facets": Choices(multiple=False)},
     "MULTI_GGX": {
         "integral": Choices(),
         "integral, Schlick's Fresnel": Choices(fresnel="fit"),
-        "and E_d held back, not M E_d": Choices(fresnel="fit", held_back="lobe"),
     },
 }
 """What the model might be instead, to tell what each choice is worth."""
@@ -71,13 +67,9 @@ class Sphere:
 
 
 def run(case: Sphere, threads: int = 2) -> dict[str, list[float]]:
-    """Render a sphere, or take it from the cache, and compare models and integrals with it.
+    """RMSE over the mean of Cycles' pictures, by model and albedo; `NOISE` is that of the pictures.
 
-    Returns
-    -------
-    dict
-        RMSE over the mean of Cycles' pictures, by model and albedo. Under the name `NOISE` stands
-        that of the pictures.
+    Renders a sphere, or takes it from the cache.
 
     Raises
     ------
@@ -132,6 +124,8 @@ def _pictures(
 # --------------------------------------------------------------------- the integral, on any normals
 
 _NODES = 24
+"""View angles that are integrated. A response is smooth in the angle, so a Chebyshev polynomial
+through that many is exact to 1e-6."""
 
 
 def integral(
@@ -139,41 +133,21 @@ def integral(
 ) -> Array:
     """(P, 3, 16): weights by brute force, in the frame of the camera.
 
-    Parameters
-    ----------
-    normals, views, albedo, r, m
-        As for `pbrfit.shade`, P pixels that all have one roughness.
-    choices
-        Of the BRDF.
+    Arguments as for `pbrfit.shade`, P pixels that all are of one material.
     """
     angle = np.arccos(np.clip(np.einsum("pi,pi->p", normals, views), 0.0, 1.0))
-    local = _between(float(r[0]), float(angle.max()), choices, tuple(albedo[0]), float(m[0]))(angle)
-    return np.asarray(np.einsum("pcj,pjk->pck", local, _turn(normals, views)))
-
-
-@lru_cache(maxsize=64)
-def _between(
-    r: float, widest: float, choices: Choices, albedo: tuple[float, ...], metallic: float
-) -> Callable[[Array], Array]:
-    """Weights in the pixel's frame by the view angle up to `widest`, from `_NODES` integrals.
-
-    A response is smooth in the angle, so a Chebyshev polynomial through that many is exact to 1e-6.
-    """
+    widest = float(angle.max())
     nodes = np.polynomial.chebyshev.chebpts1(_NODES)
-    angles = widest / 2 * (1 + nodes)
     values = np.stack(
         [
-            respond(r, x).weights(np.array(albedo), np.array(metallic), choices)
-            for x in np.cos(angles).tolist()
+            respond(float(r[0]), cosine, choices).weights(albedo[0], m[0])
+            for cosine in np.cos(widest / 2 * (1 + nodes)).tolist()
         ]
     )
     fit = np.polynomial.chebyshev.chebfit(nodes, values.reshape(_NODES, -1), _NODES - 1)
-
-    def at(angle: Array) -> Array:
-        found = np.polynomial.chebyshev.chebval(2 * angle / widest - 1, fit)
-        return np.asarray(found.T.reshape(len(angle), *values.shape[1:]))
-
-    return at
+    found = np.polynomial.chebyshev.chebval(2 * angle / widest - 1, fit)
+    local = found.T.reshape(len(angle), *values.shape[1:])
+    return np.asarray(np.einsum("pcj,pjk->pck", local, _turn(normals, views)))
 
 
 def _turn(normals: Array, views: Array) -> Array:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
 from pbrfit.result.refinement import RefineNormals
-from pbrfit_evaluation.normals import cost, real, rooms
-from pbrfit_evaluation.normals.fits import REFINE
-from pbrfit_evaluation.normals.pictures import draw_sheet
+from pbrfit_evaluation.normals.measure import MAPS, REFINE, Case
 from pbrfit_evaluation.suite import (
     Column,
     Line,
     Mark,
     Panel,
-    Picture,
     Plot,
     Results,
     Row,
@@ -30,7 +25,7 @@ from pbrfit_evaluation.suite import (
     numbers_csv,
 )
 
-MAPS_AND_RELIGHT = (*rooms.MAPS, "relight")
+MAPS_AND_RELIGHT = (*MAPS, "relight")
 METRICS = ("recon", *MAPS_AND_RELIGHT)
 ANGLES = ("mean", "median", "aligned")
 
@@ -63,10 +58,10 @@ INTRODUCED = 0.3
 MOST = 0.5
 """More than this share of the scenes without noise must come back."""
 
-Rooms = Results[rooms.Case]
+Rooms = Results[Case]
 
 
-def csvs(part: str, results: Results[Any]) -> dict[str, list[Line]]:
+def csvs(part: str, results: Rooms, _: object) -> dict[str, list[Line]]:
     """Every number of every case, and why it was decided so."""
     why: list[Line] = [
         {"part": part, "task": case.key, "figure": f"{refine}/decision/why", "value": text}
@@ -233,12 +228,9 @@ def exact_rows(results: Rooms) -> list[Row]:
     """A row a scene."""
     rows = []
     for case, values in results.finished:
-        wrong, on = values["wrong"], values["on"]
-        metrics = {name: on["scores"][name] for name in rooms.MAPS}
+        on = values["on"]
+        metrics = {name: on["scores"][name] for name in MAPS}
         metrics |= {f"angle_{name}": on["angle"][name] for name in ("mean", "aligned")}
-        metrics |= {f"{name}_best_95_%": value for name, value in wrong["best"].items()}
-        metrics |= {"wrong": wrong["share"]}
-        metrics |= {f"{name}_of_wrong": share for name, share in wrong["kinds"].items()}
         status = "ok" if values["came_back"] else "did not come back"
         name = f"no noise, {case.in_words}, {case.scene} {case.seed}"
         rows.append(Row(name, 1, LABELS["on"], metrics, status=status))
@@ -259,101 +251,6 @@ def exact_verdicts(results: Rooms, _: object) -> Iterator[Verdict]:
         )
 
 
-# ------------------------------------------------------------------------------------ real, cost
-
-
-def real_rows(results: Results[real.Task]) -> list[Row]:
-    """A row a set, start and fit; nothing has to hold."""
-    if not results.pairs:
-        kinds = " or ".join(real.KINDS)
-        status = f"not run: no {kinds} in the folders given, or none given"
-        return [Row("real", 0, None, {}, status=status)]
-    return [
-        Row(
-            f"{task.source.name}, {task.in_words}",
-            1,
-            LABELS[refine],
-            {f"angle_{angle}": values[refine]["angle"][angle] for angle in ANGLES}
-            | {name: values[refine][name] for name in ("recon", "seconds")},
-        )
-        for task, values in results.finished
-        for refine in REFINE
-    ]
-
-
-def real_sections(results: Results[real.Task], rows: Sequence[Row]) -> Iterator[Section]:
-    """The table, a plot, and normals before and after as pictures."""
-    panels, sheets = [], []
-    for name in dict.fromkeys(task.source.name for task, _ in results.finished):
-        of = [(task, v) for task, v in results.finished if task.source.name == name]
-        starts = [task.in_words for task, _ in of]
-        series = [
-            Series(LABELS[refine], [v[refine]["angle"]["mean"] for _, v in of], starts)
-            for refine in REFINE
-        ]
-        panels.append(Panel("dots", series, "mean angle, degrees", title=name))
-        shown = {}
-        for task, values in of:
-            given, refined = values["given"]["mean"], values["on"]["angle"]["mean"]
-            errors = f"error: {given:.1f}° in the mean", f"error: {refined:.1f}° in the mean"
-            pngs = {key: base64.b64decode(png) for key, png in values["panels"].items()}
-            shown[task.in_words] = pngs, errors
-        caption = f"{name}: normals given, refined (on), and their angles to the true ones."
-        sheets.append(Picture(f"real-{name}", caption, draw_sheet(name, shown)))
-    caption = "Mean angle to the true normals, by start."
-    plot = Plot("real", caption, panels, columns=len(panels), share_y="all")
-    title = "Pictures of others whose normals are known"
-    yield Section(title, "", [Table.of(rows)], [plot, *sheets] if panels else [])
-
-
-def cost_rows(results: Results[cost.Task]) -> list[Row]:
-    """A row a case and size; seconds are medians."""
-    rows = []
-    for task, values in results.finished:
-        off, refined = cost.medians(values)
-        metrics = {"seconds_off": off, "seconds": refined, "times": refined / off}
-        metrics |= {"fits_each": float(len(values["without"])), "refined": float(values["refined"])}
-        rows.append(Row(f"cost, {task.case}, {task.size}²", 1, None, metrics))
-    return rows
-
-
-def _refined_seconds(results: Results[cost.Task]) -> tuple[list[float], list[float]]:
-    """Pixels and median seconds of fits that refined, by size."""
-    of = sorted((v["pixels"], cost.medians(v)[1]) for _, v in results.of(case="refined").finished)
-    return [pixels for pixels, _ in of], [seconds for _, seconds in of]
-
-
-def cost_verdicts(results: Results[cost.Task], _: object) -> Iterator[Verdict]:
-    """Refining is not too slow, and linear in the pixels."""
-    for task, values in results.finished:
-        off, refined = cost.medians(values)
-        where = f"{off:.1f} s and {refined:.1f} s, medians of {len(values['without'])}"
-        times = refined / off
-        if values["refined"] != (task.case == "refined"):
-            where += "; was refined" if values["refined"] else "; nothing was refined"
-            times = times if values["refined"] else math.nan  # what was not done costs nothing
-        what = f"{task.case}, {task.size}²: seconds over those without refinement"
-        yield Verdict(what, times, cost.TIMES, where)
-    exponent = cost.exponent(*_refined_seconds(results))
-    if math.isfinite(exponent):
-        yield Verdict("refined: exponent of seconds over pixels", exponent, cost.EXPONENT)
-
-
-def cost_sections(results: Results[cost.Task], rows: Sequence[Row]) -> Iterator[Section]:
-    """The table, and seconds against pixels."""
-    series = []
-    for look, (case, normals) in enumerate((("refined", "wrong"), ("declined", "true"))):
-        of = sorted((v["pixels"], *cost.medians(v)) for _, v in results.of(case=case).finished)
-        x, off, refined = ([one[i] for one in of] for i in range(3))
-        notes = [f"{after / before:.1f} ×" for _, before, after in of]
-        fitted = cost.COMPARED["refined" if look == 0 else "declined"]
-        label = f"{normals} normals"
-        series.append(Series(f"{label}, {LABELS[fitted]}", x, refined, notes=notes, look=look))
-        series.append(Series(f"{label}, {LABELS['off']}", x, off, look=look, empty=True))
-    panel = Panel("lines", series, "pixels", "seconds of a fit", log="xy")
-    plot = Plot("cost", "Medians of fits that took turns.", [panel], size=(7.5, 4.2))
-    text = (
-        "Seconds of a fit of a furnished room, one at a time. Refined: normals off by "
-        f"{cost.DEGREES:g}° (correlated), on against off. Declined: true normals, auto against off."
-    )
-    yield Section("Cost", text, [Table.of(rows)], [plot] if results.finished else [])
+def exact_sections(_: Rooms, rows: Sequence[Row]) -> list[Section]:
+    """The table."""
+    return [Section("Without noise", tables=[Table.of(rows)])]

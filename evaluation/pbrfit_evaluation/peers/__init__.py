@@ -8,23 +8,22 @@ recover scenes of its own model to the last digit, and nothing would have been c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import get_args
 
 from pbrfit.acquire.weights import Device
-from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.options import count, option
 from pbrfit_evaluation.peers import marigold, rgbx
-from pbrfit_evaluation.peers.figures import ABSENT, csvs, figures, sections
-from pbrfit_evaluation.peers.measure import METHODS, PEERS, Method, Task, work
+from pbrfit_evaluation.peers.figures import csvs, figures, sections
+from pbrfit_evaluation.peers.measure import METHODS, Task, why_not, work
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
-from pbrfit_evaluation.suite import Options, Part, Results, Suite
+from pbrfit_evaluation.suite import Options, Part, Suite
 
 FIRST_SEED = 6000
 """Seed of the first scene; nothing was tuned on seeds from there on."""
 
 
-def _tasks(options: Options, methods: Sequence[Method]) -> list[Task]:
+def cases(options: Options) -> list[Task]:
+    """Every scene by every method that can run."""
     return [
         Task(
             method,
@@ -39,24 +38,10 @@ def _tasks(options: Options, methods: Sequence[Method]) -> list[Task]:
             model=getattr(options, method, None),
             device=options.device,
         )
-        for method in methods
+        for method in METHODS
+        if not why_not(method, options)
         for i in range(options.scenes)
     ]
-
-
-def cases(options: Options) -> list[Task]:
-    """Every scene by our fit and by a guess."""
-    return _tasks(options, [method for method in METHODS if method not in PEERS])
-
-
-def of_peers(results: Results[Task]) -> list[Task]:
-    """Every scene by the peers: a network is loaded once and fills a GPU."""
-    return _tasks(results.options, PEERS)
-
-
-def is_absent(record: Record) -> bool:
-    """Whether a peer lacks packages or weights; a broken one is a failure."""
-    return record.key.startswith(PEERS) and (record.error or "").startswith(ABSENT)
 
 
 SUITE = Suite(
@@ -77,9 +62,7 @@ SUITE = Suite(
             figures,
             sections=sections,
             csvs=csvs,
-            then=of_peers,
-            then_alone=True,
-            excused=is_absent,
+            alone=True,
         )
     ],
     options=(

@@ -6,9 +6,8 @@ import base64
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 
-from pbrfit_evaluation.peers.measure import METHODS, Method, Task
-from pbrfit_evaluation.peers.pictures import draw_sheet
-from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.peers.measure import METHODS, Method, Task, why_not
+from pbrfit_evaluation.scores import Scores, better
 from pbrfit_evaluation.suite import Column, Line, Picture, Results, Row, Section, Table
 
 IN_WORDS: dict[Method, str] = {
@@ -18,9 +17,6 @@ IN_WORDS: dict[Method, str] = {
     "rgbx": "RGB-X, one picture",
 }
 
-ABSENT = "InputError: "
-"""What the error of a task begins with whose peer lacks packages or weights."""
-
 SHOWN = (
     *("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled"),
     *("albedo_psnr", "albedo_ssim", "relight_psnr"),
@@ -29,17 +25,15 @@ SHOWN = (
 
 
 def figures(results: Results[Task]) -> list[Row]:
-    """A row for each method, with the reason where a scene has no figures."""
+    """A row for each method, with the reason where it cannot run."""
     rows = []
     for method in METHODS:
         of = results.of(method=method)
+        why = why_not(method, results.options)
         names = [field.name for field in fields(Scores)] if of.finished else []
-        errors = [record.error or "" for record in of.failed]
-        status = errors[0] if errors else "ok"
-        if status.startswith(ABSENT):
-            status = f"not run: {status.removeprefix(ABSENT)}"
         solver = "auto" if method == "pbrfit" else None
         metrics = of.metrics(names, "scores")
+        status = f"not run: {why}" if why else next((r.error or "" for r in of.failed), "ok")
         rows.append(Row(IN_WORDS[method], len(of.finished), solver, metrics, status=status))
     return rows
 
@@ -55,9 +49,7 @@ def csvs(results: Results[Task], _: Sequence[Row]) -> Mapping[str, Sequence[Line
 
 def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     """Errors, and the maps of the first scenes."""
-    columns = [
-        Column(name, best="high" if name.endswith(("psnr", "ssim")) else "low") for name in SHOWN
-    ]
+    columns = [Column(name, best=better(name)) for name in SHOWN]
     shown = [replace(row, name="mean over scenes", solver=row.name, scenes=0) for row in rows]
     yield Section(
         "Errors",
@@ -65,14 +57,14 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
         "Intervals of 95 % over scenes.",
         [Table.of(shown, columns)],
     )
-    by_seed: dict[int, dict[str, Mapping[str, bytes]]] = {}
-    for task, found in results.finished:
-        if "panels" in found:
-            panels = {name: base64.b64decode(png) for name, png in found["panels"].items()}
-            by_seed.setdefault(task.seed, {})[IN_WORDS[task.method]] = panels
     pictures = [
-        Picture(f"scene-{seed}", f"Scene of seed {seed}.", draw_sheet(panels))
-        for seed, panels in sorted(by_seed.items())
+        Picture(
+            f"scene-{task.seed}-{task.method}",
+            f"Scene of seed {task.seed}, {IN_WORDS[task.method]}.",
+            base64.b64decode(found["sheet"]),
+        )
+        for task, found in sorted(results.finished, key=lambda pair: pair[0].seed)
+        if "sheet" in found
     ]
     if pictures:
         yield Section("Maps", figures=pictures)

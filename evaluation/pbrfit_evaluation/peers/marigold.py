@@ -13,7 +13,7 @@ from pbrfit.acquire import weights
 from pbrfit.acquire.normals.marigold import seen_size
 from pbrfit.acquire.padding import resized, resized_srgb8
 from pbrfit.io.color import decode_srgb
-from pbrfit_evaluation.peers.maps import Maps
+from pbrfit.model.materials import Materials
 
 MODEL = "prs-eth/marigold-iid-appearance-v1-1"
 
@@ -48,7 +48,9 @@ class Marigold:
         self._pipeline.set_progress_bar_config(disable=True)
         self._targets = targets(model, self._pipeline.target_properties)
 
-    def maps(self, srgb8: NDArray[np.uint8], *, seed: int, samples: int, steps: int | None) -> Maps:
+    def maps(
+        self, srgb8: NDArray[np.uint8], *, seed: int, samples: int, steps: int | None
+    ) -> Materials:
         """Maps of a picture (H, W, 3): the median of some predictions, as the pipeline forms it.
 
         Parameters
@@ -81,7 +83,7 @@ class Marigold:
             name: self._plane(found.prediction[i], channel, space, (height, width))
             for name, (i, channel, space) in self._targets.items()
         }
-        return Maps(planes["albedo"], planes["roughness"], planes["metallicity"])
+        return Materials(planes["albedo"], planes["roughness"], planes["metallicity"])
 
     @staticmethod
     def _plane(

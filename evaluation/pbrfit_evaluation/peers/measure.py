@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, Literal, get_args
@@ -12,13 +13,16 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.decompose import decompose
+from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
+from pbrfit.result.preview import preview
+from pbrfit.result.sheet import as_png
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.peers.pictures import draw_panels
 from pbrfit_evaluation.recipes import explain
 from pbrfit_evaluation.scores import score
-from pbrfit_evaluation.table1.normals import disturbed
+from pbrfit_evaluation.suite import Options
+from pbrfit_evaluation.table1.normals import estimated
 
 Method = Literal["pbrfit", "constant", "marigold", "rgbx"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -34,10 +38,8 @@ class Task:
 
     Attributes
     ----------
-    method, seed
-        Which, and of which scene.
-    size, lights
-        Side of the pictures in pixels; their number, and as many held out.
+    lights
+        Pictures of the scene; as many are held out.
     iterations
         Of our fit.
     samples
@@ -47,7 +49,7 @@ class Task:
     longer_side
         Of what RGB-X is shown, in pixels.
     shown
-        Whether to keep pictures.
+        Whether to keep a sheet of the result.
     model, device
         Of a peer: its checkpoint, and where it computes.
     """
@@ -70,42 +72,50 @@ class Task:
         return f"{self.method}_{self.seed}"
 
 
-def work(task: Task, threads: int) -> dict[str, Any]:
-    """Errors of a method on a scene, and pictures of the first few.
+Peer = Callable[[NDArray[np.uint8], Task], Materials]
+"""Finds maps in a picture."""
 
-    Raises
-    ------
-    InputError
-        If a peer cannot run; it says why.
-    """
-    peer = _opened(task, threads)  # first: it may not be there
+
+def work(task: Task, threads: int) -> dict[str, Any]:
+    """Errors of a method on a scene, and pictures of the first few."""
     scene = given(task.seed, task.size, task.lights)
     at = evenly_lit(scene)
-    if task.method == "pbrfit":
-        # As people run it: the normals are those of an estimator, and may be refined.
-        result = explain(
-            scene, "default", iterations=task.iterations, refine_normals="auto", threads=threads
-        )
-    elif task.method == "constant":
-        result = explain(scene, "constant", threads=threads)
-    else:
-        maps = peer(shown_picture(scene, at), task)
+    if task.method in PEERS:
+        import torch
+
+        torch.set_num_threads(threads)  # else the one thread that tasks leave to BLAS
+        peer = _loaded(task.method, task.model, task.device, task.longer_side)
+        assert not isinstance(peer, str)
         # Lights that fit the maps best, for the error of the pictures; materials stay.
         result = decompose(
             scene,
             iterations=0,
-            start=maps.materials(scene.valid),
+            start=within(peer(shown_picture(scene, at), task), scene.valid),
             priors=None,
             refine_normals="off",
             threads=threads,
         )
+    elif task.method == "constant":
+        result = explain(scene, "constant", threads=threads)
+    else:
+        # As people run it: the normals are those of an estimator, and may be refined.
+        result = explain(
+            scene, "default", iterations=task.iterations, refine_normals="auto", threads=threads
+        )
     found: dict[str, Any] = {"scores": score(result, scene, threads).as_json(), "picture": at}
     if task.shown:
-        panels = draw_panels(scene, result, at, threads)
-        found["panels"] = {
-            name: base64.b64encode(png).decode("ascii") for name, png in panels.items()
-        }
+        found["sheet"] = base64.b64encode(as_png(preview(result, scene))).decode("ascii")
     return found
+
+
+def within(maps: Materials, valid: NDArray[np.bool_]) -> Materials:
+    """Maps that a peer found as the materials of a scene: in [0, 1], NaN outside of `valid`."""
+
+    def kept(plane: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        where = valid if plane.ndim == 2 else valid[..., None]
+        return np.where(where, np.clip(plane.astype(np.float64), 0, 1), np.nan)
+
+    return Materials(kept(maps.albedo), kept(maps.roughness), kept(maps.metallic))
 
 
 def given(seed: int, size: int, lights: int) -> Scene:
@@ -113,10 +123,7 @@ def given(seed: int, size: int, lights: int) -> Scene:
     exact = make_scene(
         "furnished", size=size, lights=lights, held_out=lights, noise=NOISE, seed=seed
     )
-    assert exact.segments is not None
-    # A stream of its own, apart from those of the scene.
-    rng = np.random.default_rng([seed, 1])
-    return replace(exact, normals=disturbed(exact.normals, exact.views, exact.segments, rng))
+    return replace(exact, normals=estimated(exact, seed))
 
 
 def evenly_lit(scene: Scene) -> int:
@@ -139,40 +146,32 @@ def shown_picture(scene: Scene, picture: int) -> NDArray[np.uint8]:
     return np.rint(255 * metrics.display(image, white)).astype(np.uint8)
 
 
-def _opened(task: Task, threads: int) -> Any:
-    """A peer as a function of picture and task; None for what is none."""
-    if task.method not in PEERS:
-        return None
-    assert task.model is not None
-    peer = _loaded(task.method, task.model, task.device, task.longer_side, threads)
-    if isinstance(peer, str):
-        raise InputError(peer)
-    return peer
+def why_not(method: Method, options: Options) -> str:
+    """Why a method cannot run, such as for packages or weights that are missing; empty if it can.
+
+    A peer is loaded to find out, and stays for `work` in this process.
+    """
+    if method not in PEERS:
+        return ""
+    peer = _loaded(method, getattr(options, method), options.device, options.longer_side)
+    return peer if isinstance(peer, str) else ""
 
 
 @cache
-def _loaded(method: Method, model: str, device: str, longer_side: int, threads: int) -> Any:
+def _loaded(method: Method, model: str | None, device: str, longer_side: int) -> Peer | str:
     """Load a peer once a process; the message, where that fails: it would fail again."""
+    assert model is not None
     try:
         if method == "marigold":
             from pbrfit_evaluation.peers.marigold import Marigold
 
             marigold = Marigold(model, device=device)
-            _use_threads(threads)
             return lambda picture, task: marigold.maps(
                 picture, seed=task.seed, samples=task.samples, steps=task.steps
             )
         from pbrfit_evaluation.peers.rgbx import RgbToX
 
         rgbx = RgbToX(model, device=device, longer_side=longer_side)
-        _use_threads(threads)
         return lambda picture, task: rgbx.maps(picture, seed=task.seed, steps=task.steps)
     except InputError as error:
         return str(error)
-
-
-def _use_threads(threads: int) -> None:
-    """PyTorch would take the one thread that tasks leave to BLAS."""
-    import torch
-
-    torch.set_num_threads(threads)

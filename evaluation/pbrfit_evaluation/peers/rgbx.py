@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pbrfit.acquire import weights
 from pbrfit.acquire.padding import resized
 from pbrfit.io.color import decode_srgb
-from pbrfit_evaluation.peers.maps import Maps
+from pbrfit.model.materials import Materials
 
 MODEL = "zheng95z/rgb-to-x"
 
@@ -86,7 +86,7 @@ class RgbToX:
             for network in (self._parts.text_encoder, self._parts.autoencoder, self._parts.unet):
                 network.to(self._device).eval()
 
-    def maps(self, srgb8: NDArray[np.uint8], *, seed: int, steps: int | None) -> Maps:
+    def maps(self, srgb8: NDArray[np.uint8], *, seed: int, steps: int | None) -> Materials:
         """Maps of a picture (H, W, 3); `seed` of the noise, `steps` of the sampler (None = 50)."""
         height, width = srgb8.shape[:2]
         factor = self._longer_side / max(height, width)
@@ -98,7 +98,7 @@ class RgbToX:
                 name: resized(self._map(linear, prompt, seed, steps or STEPS), (height, width))
                 for name, prompt in PROMPTS.items()
             }
-        return Maps(found["albedo"], found["roughness"][..., 0], found["metallic"][..., 0])
+        return Materials(found["albedo"], found["roughness"][..., 0], found["metallic"][..., 0])
 
     def _map(
         self, linear: NDArray[np.float32], prompt: str, seed: int, steps: int

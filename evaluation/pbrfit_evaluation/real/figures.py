@@ -30,10 +30,13 @@ from pbrfit_evaluation.suite import (
     Section,
     Series,
     Table,
+    Value,
     digits,
 )
 
 SOLVERS = {"default": "auto", "plain": "auto", "paper": "lbfgsb"}
+
+COLUMNS = ("relative_rmse", "psnr", "ssim", "kept_relative_rmse", "seconds")
 
 
 def _groups(results: Results[Task]) -> Iterator[tuple[Source, Model, Results[Task]]]:
@@ -105,7 +108,7 @@ def csvs(results: Results[Task], _: Sequence[Row]) -> dict[str, list[Line]]:
 
 
 def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
-    """All sources together, and each with its figures and a sheet of pictures."""
+    """All sources side by side, all figures, and what the sources are."""
     by_name = {row.name: row for row in rows}
     errors = {
         (source.name, model): {
@@ -123,20 +126,21 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
             [_overview(errors)],
             [_plot(errors)],
         )
-    columns = ("relative_rmse", "psnr", "ssim", "kept_relative_rmse", "seconds")
-    for source, model, of in _groups(results):
-        name = f"{source.name}, {model}"
-        own = [row for row in rows if row.name == name or row.name.startswith(f"{name}, ")]
-        tables = [Table.of(own, columns)] if of.finished else []
-        yield Section(name, _about(source, of), tables, list(_sheets(of)))
-    if missing := _not_there(results):
-        text = "Public sets that the folder does not hold, and where they come from."
-        table = Table(["set", "origin"], [[one.kind, one.origin] for one in missing])
-        yield Section("Not there", text, [table])
+    yield Section("All figures", tables=[Table.of(rows, COLUMNS)])
+    sheets = [
+        Picture(
+            f"sheet-{task.source.name}-{task.model}",
+            f"{task.source.name}, {task.model}: maps, and a held-out picture as explained by them.",
+            base64.b64decode(values["sheet"]),
+        )
+        for task, values in results.finished
+        if values["sheet"] is not None
+    ]
+    yield Section("The sets", tables=[_sets(results)], figures=sheets)
 
 
 def _overview(errors: dict[tuple[str, Model], dict[Explanation, float]]) -> Table:
-    lines: list[list[str | float | Cell | None]] = []
+    lines: list[list[Value]] = []
     for (source, model), of in errors.items():
         least = min(error for name, error in of.items() if name != "combination")
         cells = [
@@ -159,27 +163,16 @@ def _plot(errors: dict[tuple[str, Model], dict[Explanation, float]]) -> Plot:
     return Plot("held_out", caption, [panel], size=(8, 1 + 0.9 * len(names)))
 
 
-def _about(source: Source, of: Results[Task]) -> str:
-    about = f"{source.about[0].upper()}{source.about[1:]}."
-    if not of.finished:
-        return about
-    found = [values for _, values in of.finished]
-    first = found[0]
-    width, height = first["size"]
-    held_out = sum(len(one["explanations"]["default"]["scores"]) for one in found)
-    return (
-        f"{about} {source.pictures} pictures of {width} × {height}, {first['pixels']} pixels used, "
-        f"{100 * first['clipped']:.2g} % of the samples clipped; {len(found)} folds, {held_out} "
-        f"held-out pictures in all, {first['kept']} kept each time."
-    )
-
-
-def _sheets(of: Results[Task]) -> Iterator[Picture]:
-    caption = (
-        "First row: a kept picture and the maps of our default. Second: a held-out picture and how "
-        "it is explained. Third: errors."
-    )
-    for task, values in of.finished:
-        if values["sheet"] is not None:
-            name = f"sheet-{task.source.name}-{task.model}"
-            yield Picture(name, caption, base64.b64decode(values["sheet"]))
+def _sets(results: Results[Task]) -> Table:
+    """What was used of each source."""
+    lines: list[list[Value]] = []
+    for source in dict.fromkeys(task.source for task, _ in results.pairs):
+        of = results.of(source=source)
+        used: list[Value] = [None] * 4
+        if of.finished:
+            first = of.finished[0][1]
+            width, height = first["size"]
+            used = [f"{width} × {height}", first["pixels"], 100 * first["clipped"], first["kept"]]
+        lines.append([source.name, source.about, float(source.pictures), *used])
+    head = ["set", "what it is", "pictures", "size", "pixels used", "% of samples clipped", "kept"]
+    return Table(head, lines)

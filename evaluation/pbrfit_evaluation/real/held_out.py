@@ -38,6 +38,9 @@ IN_WORDS: dict[Explanation, str] = {
 }
 """The constant guess is the start's mean albedo with r = 0.5 and m = 0."""
 
+FITTED: tuple[Literal["default", "plain", "paper"], ...] = ("default", "plain", "paper")
+"""Recipes that are fitted; the others only change what these found or begin with."""
+
 SHARE = 4
 """One picture in so many is held out."""
 
@@ -155,16 +158,16 @@ def relative_error(scores: tuple[PictureScore, ...]) -> float:
 def part(scene: Scene, pictures: tuple[int, ...]) -> Scene:
     """Scene of some of the pictures."""
     of = list(pictures)
-    return Scene(
+    return replace(
+        scene,
         images=scene.images[of],
-        normals=scene.normals,
-        fov=scene.fov,
-        mask=scene.mask,
-        segments=scene.segments,
         weights=None if scene.weights is None else scene.weights[of],
-        normal_sigma=scene.normal_sigma,
         names=tuple(scene.names[i] for i in of),
-        model=scene.model,
+        lighting=None,
+        truth=None,
+        assumed={},
+        inputs={},
+        source=None,
     )
 
 
@@ -192,21 +195,17 @@ def explain_held_out(
         0 = one for each processor.
     """
     kept = part(scene, which.kept)
-    found = []
     by = partial(explain, kept, model=model, threads=threads)
-    fitted = by("default", iterations=iterations)
-    plain = by("plain", iterations=iterations)
-    of_paper = by("paper", iterations=iterations)
-    start = by("start")
-    candidates: tuple[tuple[Explanation, Materials, Result, float], ...] = (
-        ("default", fitted.materials, fitted, fitted.seconds),
-        ("plain", plain.materials, plain, plain.seconds),
-        ("paper", of_paper.materials, of_paper, of_paper.seconds),
-        ("lambertian", _same(fitted.materials, roughness=1.0), fitted, 0.0),
-        ("start", start.materials, start, 0.0),
-        ("constant", _constant(start.materials), start, 0.0),
-    )
-    for name, materials, fit, seconds in candidates:
+    fitted = {name: by(name, iterations=iterations) for name in FITTED}
+    default, start = fitted["default"], by("start")
+    maps: dict[Explanation, tuple[Materials, Result, float]] = {
+        **{name: (fit.materials, fit, fit.seconds) for name, fit in fitted.items()},
+        "lambertian": (_same(default.materials, roughness=1.0), default, 0.0),
+        "start": (start.materials, start, 0.0),
+        "constant": (_constant(start.materials), start, 0.0),
+    }
+    found = []
+    for name, (materials, fit, seconds) in maps.items():
         rendered, of_kept = (
             explained_by(materials, scene, pictures, threads, model=fit.model, normals=fit.normals)
             for pictures in (which.held_out, which.kept)
@@ -228,8 +227,7 @@ def explain_held_out(
         ]
     )
     scores = picture_scores(scene, which.held_out, combined)
-    found.append(Explained("combination", scores, None, 0.0, None, combined))
-    return tuple(found)
+    return (*found, Explained("combination", scores, None, 0.0, None, combined))
 
 
 def explained_by(

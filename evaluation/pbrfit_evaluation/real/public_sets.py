@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,7 +97,7 @@ def _write_arrays(source: Source, folder: Path) -> None:
     _write_rest(folder, np.where(valid[..., None], normals, 0.0), valid, "fov = 0\n")
 
 
-# Shrek, ball: numbered pictures
+# Shrek, ball, brick sphere: one set of PNG files, seen by an orthographic camera
 
 
 # Shrek's stored normals are not (n+1)/2: beside a least-squares fit of the eight known lights, v is
@@ -105,33 +105,45 @@ def _write_arrays(source: Source, folder: Path) -> None:
 NORMAL_SCALE = np.array([0.559, 0.561, 0.555])
 NORMAL_OFFSET = np.array([0.412, 0.412, 0.447])
 
-
-def _numbered(folder: Path) -> list[Path]:
-    """Pictures whose names end in a digit."""
-    return sorted(path for path in folder.glob("*.png") if path.stem[-1].isdigit())
+Normals = Callable[[Path, Sequence[Path]], tuple[Array, NDArray[np.bool_]]]
+"""Normals of a set and the pixels that have one, from its folder and its pictures."""
 
 
-def _find_numbered(about: str) -> Callable[[Path], list[Source]]:
+def _files(
+    kind: str, origin: str, about: str, pattern: str, normals: Normals, settings: str = ""
+) -> PublicSet:
+    """A set of one source, whose pictures are files."""
+
     def find(folder: Path) -> list[Source]:
         name = folder.resolve().name
-        return [Source(name, folder, name, len(_numbered(folder)), about)]
+        return [Source(name, folder, name, len(list(folder.glob(pattern))), about)]
 
-    return find
+    def write(source: Source, folder: Path) -> None:
+        paths = sorted(source.folder.glob(pattern))
+        found, valid = normals(source.folder, paths)
+        (folder / "images").mkdir()
+        for path in paths:
+            shutil.copy(path, folder / "images")
+        _write_rest(folder, found, valid, f"fov = 0\n{settings}")
+
+    return PublicSet(kind, origin, find, write)
 
 
-def _write_shrek(source: Source, folder: Path) -> None:
-    stored = images.read_data(source.folder / "normal.png")[..., :3]
+def _shrek_normals(folder: Path, _: Sequence[Path]) -> tuple[Array, NDArray[np.bool_]]:
+    stored = images.read_data(folder / "normal.png")[..., :3]
     normals = (stored - NORMAL_OFFSET) / NORMAL_SCALE
-    valid = _inside(source.folder / "mask.png") & has_normal(normals)
-    _copy(_numbered(source.folder), folder)
-    _write_rest(folder, normals, valid, "fov = 0\n")
+    return normals, _inside(folder / "mask.png") & has_normal(normals)
 
 
-def _write_ball(source: Source, folder: Path) -> None:
-    path = source.folder / "mask.png"
+def _ball_normals(folder: Path, _: Sequence[Path]) -> tuple[Array, NDArray[np.bool_]]:
+    path = folder / "mask.png"
     normals, valid = sphere_normals(images.read_data(path)[..., 0] >= 0.5, str(path))
-    _copy(_numbered(source.folder), folder)
-    _write_rest(folder, normals, valid & _inside(path), "fov = 0\n")
+    return normals, valid & _inside(path)
+
+
+def _brick_normals(folder: Path, paths: Sequence[Path]) -> tuple[Array, NDArray[np.bool_]]:
+    seen = np.any([images.read_data(path).max(axis=-1) > 0 for path in paths], axis=0)
+    return sphere_normals(seen, str(folder))
 
 
 def _inside(path: Path) -> NDArray[np.bool_]:
@@ -139,30 +151,6 @@ def _inside(path: Path) -> NDArray[np.bool_]:
     from scipy.ndimage import binary_erosion
 
     return np.asarray(binary_erosion(images.read_data(path)[..., 0] == 1.0))
-
-
-# Brick sphere: linear pictures on black
-
-
-def _lit(folder: Path) -> list[Path]:
-    return sorted(folder.glob("Sphere_*.png"))
-
-
-def _find_bricks(folder: Path) -> list[Source]:
-    about = (
-        "8 bits, linear (known lamps fit better so); normals of a sphere, found as what is not "
-        "black in some picture; camera taken as orthographic"
-    )
-    name = folder.resolve().name
-    return [Source(name, folder, name, len(_lit(folder)), about)]
-
-
-def _write_bricks(source: Source, folder: Path) -> None:
-    paths = _lit(source.folder)
-    seen = np.any([images.read_data(path).max(axis=-1) > 0 for path in paths], axis=0)
-    normals, valid = sphere_normals(seen, str(source.folder))
-    _copy(paths, folder)
-    _write_rest(folder, normals, valid, 'fov = 0\ncolor_space = "linear"\n')
 
 
 # Multi-illumination: photographs of rooms
@@ -199,12 +187,6 @@ def has_normal(normals: Array) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(length) & (length >= 0.5))
 
 
-def _copy(paths: list[Path], folder: Path) -> None:
-    (folder / "images").mkdir()
-    for path in paths:
-        shutil.copy(path, folder / "images")
-
-
 def _write_rest(folder: Path, normals: Array, valid: NDArray[np.bool_], settings: str) -> None:
     planes = {name: normals[..., i].astype(np.float32) for i, name in enumerate("XYZ")}
     images.write_exr(folder / "normals.exr", planes)
@@ -226,36 +208,39 @@ SETS: dict[str, PublicSet] = {
             _find_arrays,
             _write_arrays,
         ),
-        PublicSet(
+        _files(
             "visiont3lab_shrek",
             "rendered figure: 8 pictures under 8 lights, mask, estimated normals; "
             "github.com/visiont3lab/photometric_stereo commit "
             "9ded70dfbbe409dd2e0a2a6946c71c180d47a926, photostereo_py/samples/shrek.zip; MIT "
             "(stated in its README); its .bmp files as shrek0.png ... shrek7.png, mask.png, "
             "normal.png",
-            _find_numbered("8 bits; normals estimated by its authors; camera orthographic"),
-            _write_shrek,
+            "8 bits; normals estimated by its authors; camera orthographic",
+            "*[0-9].png",
+            _shrek_normals,
         ),
-        PublicSet(
+        _files(
             "visiont3lab_ball3",
             "rendered glossy ball: 8 pictures under 8 lights, mask; "
             "github.com/visiont3lab/photometric_stereo commit "
             "9ded70dfbbe409dd2e0a2a6946c71c180d47a926, photostereo_py/samples/ball3.zip; MIT "
             "(stated in its README); its .bmp files as ball0.png ... ball7.png, mask.png",
-            _find_numbered(
-                "8 bits, taken as sRGB (the known lamps fit neither that nor linear values "
-                "exactly); normals of a sphere, found from the mask; camera taken as orthographic"
-            ),
-            _write_ball,
+            "8 bits, taken as sRGB (the known lamps fit neither that nor linear values exactly); "
+            "normals of a sphere, found from the mask; camera taken as orthographic",
+            "*[0-9].png",
+            _ball_normals,
         ),
-        PublicSet(
+        _files(
             "maxcrous_sphere_color",
             "rendered matt brick sphere: 25 pictures under 25 lights; "
             "github.com/maxcrous/photometric-stereo commit "
             "08eb113eca55f28934146d2fd60b589ec8dd0916, photometrics_images/SphereColor; MIT; as "
             "PNG",
-            _find_bricks,
-            _write_bricks,
+            "8 bits, linear (known lamps fit better so); normals of a sphere, found as what is not "
+            "black in some picture; camera taken as orthographic",
+            "Sphere_*.png",
+            _brick_normals,
+            'color_space = "linear"\n',
         ),
         PublicSet(
             "mit_multi_illumination",

@@ -1,14 +1,15 @@
 """Pictures of other people, from photographs and other renderers, as scene folders.
 
 A *source* is a scene folder that somebody made, or one of the public sets below as it was
-published. The latter hold pictures and normals in forms of their own; `scene_folder_of` turns one
-into a scene folder (docs/formats.md).
+published. The latter hold pictures and normals in forms of their own; `write_scene` makes a scene
+folder of one (docs/formats.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from pbrfit._core import InputError
@@ -94,17 +95,6 @@ def absent(path: Path, found: Sequence[Source]) -> list[PublicSet]:
     return [one for kind, one in SETS.items() if kind not in kinds] if kinds & set(SETS) else []
 
 
-@contextmanager
-def scene_folder_of(source: Source) -> Iterator[Path]:
-    """Give a scene folder for as long as the block lasts; that of the user where it is one."""
-    if source.kind == "scene":
-        yield source.folder
-        return
-    with scratch_folder() as folder:
-        write_scene(source, folder)
-        yield folder
-
-
 def write_scene(source: Source, folder: Path) -> None:
     """Write a public set as a scene folder, into a folder that exists and is empty."""
     SETS[source.kind].write(source, folder)
@@ -120,20 +110,14 @@ def load(source: Source, max_size: int | None = None) -> Scene:
     Such a sample says that there was at least so much light, not how much. Where several pixels
     are averaged down to one, one of them is enough.
     """
-    with scene_folder_of(source) as folder:
-        scene = Scene.load(folder, max_size=max_size, code_range=CODE_RANGE)
-    return Scene(
-        images=scene.images,
-        normals=scene.normals,
-        segments=scene.segments,
-        fov=scene.fov,
-        mask=scene.mask,
-        weights=scene.weights,
-        normal_sigma=scene.normal_sigma,
-        names=scene.names,
-        assumed=scene.assumed,
-        inputs=scene.inputs,
-    )
+    read = partial(Scene.load, max_size=max_size, code_range=CODE_RANGE)
+    if source.kind == "scene":
+        scene = read(source.folder)
+    else:
+        with scratch_folder() as folder:
+            write_scene(source, folder)
+            scene = read(folder)
+    return replace(scene, lighting=None, truth=None, source=None, model=None)
 
 
 def _sources_at(path: Path) -> list[Source]:

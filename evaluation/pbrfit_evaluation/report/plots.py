@@ -67,8 +67,6 @@ def draw(plot: Plot) -> bytes:
             axes.set_xlabel(panel.x)
         if plot.share_y in ("none", "col") or axes in grid[::columns]:
             axes.set_ylabel(panel.y)
-    if plot.title:
-        figure.suptitle(plot.title)
     if len(handles) > 1:
         each = max(2.2, 0.7 + 0.08 * max(map(len, handles)))  # inches of the longest label
         figure.legend(
@@ -85,7 +83,7 @@ def _size(plot: Plot) -> tuple[float, float]:
     first = plot.panels[0]
     if isinstance(first, HeatMap):
         return 1.6 + CELL * len(first.columns), 1.0 + 0.7 * CELL * len(first.rows)
-    if first.kind in ("dots", "bars"):
+    if first.kind == "dots":
         alike = max(1, len({one.label for one in first.series}))
         each = max(ROW, 0.14 * alike)
         return WIDTH, 0.8 + each * max(len(_names(p)) for p in plot.panels if isinstance(p, Panel))
@@ -103,7 +101,7 @@ def _looks(plot: Plot) -> dict[str, tuple[str, str, Any]]:
 
 
 def _names(panel: Panel) -> list[str]:
-    """Of what dots and bars stand for, in order."""
+    """Of what dots stand for, in order."""
     return list(dict.fromkeys(str(name) for series in panel.series for name in series.y))
 
 
@@ -113,7 +111,7 @@ def _panel(
     looks: dict[str, tuple[str, str, Any]],
     handles: dict[str, Any],
 ) -> None:
-    named = panel.kind in ("dots", "bars")
+    named = panel.kind == "dots"
     names = _names(panel)
     for mark in panel.marks:
         _mark(axes, mark)
@@ -122,38 +120,21 @@ def _panel(
         color, marker, dash = looks[series.label]
         x = np.asarray(series.x, dtype=np.float64)
         if named:
-            step = 0.7 / len(labels)
-            shift = step * (labels.index(series.label) - (len(labels) - 1) / 2)
+            shift = 0.7 * ((labels.index(series.label) + 0.5) / len(labels) - 0.5)
             y = np.array([names.index(str(name)) + shift for name in series.y])
         else:
             y = np.asarray(series.y, dtype=np.float64)
-        look: dict[str, Any] = {"color": color, "markersize": 5, "linewidth": 1.5}
-        if series.empty:
-            look |= {"markerfacecolor": "white"}
-        shown: dict[str, Any] = {
-            "lines": {"marker": marker, "linestyle": ":" if series.empty else dash},
-            "steps": {"linestyle": ":" if series.empty else dash},
-            "points": {"marker": marker, "linestyle": "none"},
-            "dots": {"marker": marker, "linestyle": "none"},
-            "bars": {},
-        }[panel.kind]
-        handle: Any
-        if panel.kind == "bars":
-            handle = axes.barh(y, x, height=0.8 * step, color=color)
-        else:
-            [handle] = axes.plot(x, y, **look, **shown)
-        _interval(axes, series, x, y, panel.kind, BLACK if panel.kind == "bars" else color)
-        ends = series.high if named and len(series.high) else x
-        for note, to, up in zip(series.notes, ends, y, strict=False):
-            axes.annotate(
-                note,
-                (to, up),
-                xytext=(6, 0) if named else (0, 7),
-                textcoords="offset points",
-                ha="left" if named else "center",
-                va="center" if named else "bottom",
-                fontsize=8,
-            )
+        [handle] = axes.plot(
+            x,
+            y,
+            color=color,
+            marker="" if panel.kind == "steps" else marker,
+            markersize=5,
+            markerfacecolor="white" if series.empty else color,
+            linewidth=1.5,
+            linestyle="none" if panel.kind in ("points", "dots") else ":" if series.empty else dash,
+        )
+        _interval(axes, series, x, y, panel.kind, color)
         if series.label:
             handles.setdefault(series.label, handle)
     axes.set(**{f"{letter}scale": "log" for letter in panel.log})
@@ -176,7 +157,7 @@ def _panel(
 def _interval(axes: Axes, series: Series, x: Any, y: Any, kind: str, color: str) -> None:
     if not len(series.low):
         return
-    if kind in ("dots", "bars"):
+    if kind == "dots":
         axes.hlines(y, series.low, series.high, color=color, linewidth=1.3)
     elif kind != "points" and len(x) > 1:
         axes.fill_between(x, series.low, series.high, color=color, alpha=0.12, linewidth=0)

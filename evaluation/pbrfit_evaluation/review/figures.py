@@ -7,25 +7,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from pbrfit.io.color import encode_srgb
-from pbrfit.report.html import Cell
-from pbrfit.result import sheet
-from pbrfit_evaluation.review.damage import KINDS, REPAINTS, WHAT, damaged
+from pbrfit_evaluation.review.damage import REPAINTS, WHAT
 from pbrfit_evaluation.review.measure import Task
-from pbrfit_evaluation.review.pictures import relights
 from pbrfit_evaluation.suite import (
     Line,
     Mark,
     Panel,
-    Picture,
     Plot,
     Results,
     Row,
     Section,
     Series,
     Table,
+    Value,
     Verdict,
 )
 
@@ -46,8 +40,6 @@ IN_WORDS: dict[str, str] = {
     **{str(kind): what for kind, what in WHAT.items()},
     "swap": "a picture of another room",
 }
-
-EXAMPLE_SIZE = 256
 
 
 @dataclass(frozen=True)
@@ -70,6 +62,10 @@ class Rate:
         middle = (p + z * z / (2 * n)) / (1 + z * z / n)
         half = z / (1 + z * z / n) * (p * (1 - p) / n + z * z / (4 * n * n)) ** 0.5
         return max(0.0, middle - half), min(1.0, middle + half)
+
+    def __str__(self) -> str:
+        """For people."""
+        return f"{self.refused} of {self.pictures}"
 
 
 def _pictures(results: Results[Task]) -> Iterator[tuple[Task, Mapping[str, Any]]]:
@@ -94,34 +90,35 @@ def _rates(results: Results[Task]) -> dict[str, Rate]:
     }
 
 
+def _judged(results: Results[Task]) -> Iterator[tuple[str, Rate, Verdict]]:
+    """What is counted, how many, and what the share has to be; of no pictures, nothing holds."""
+    for name, of in {"all damage": rate(results, *EVERY), **_rates(results)}.items():
+        honest = name.startswith("honest")
+        bar = MOST_REFUSED if honest else LEAST_CAUGHT
+        what = f"{name}: share refused"
+        yield name, of, Verdict(what, of.share, bar, f"{of} pictures", at_least=not honest)
+
+
 def figures(results: Results[Task]) -> list[Row]:
     """A row for all damage, each group of damages, and honest pictures."""
     rows = []
-    for name, of in {"all damage": rate(results, *EVERY), **_rates(results)}.items():
-        honest = name.startswith("honest")
+    for name, of, verdict in _judged(results):
         low, high = of.interval()
-        metrics = {"refused": of.refused, "pictures": of.pictures, "share": of.share}
-        metrics |= {"share_low": low, "share_high": high}
-        metrics |= {"most": MOST_REFUSED} if honest else {"least": LEAST_CAUGHT}
-        status = "ok" if _verdict(name, metrics).holds else "not held"
-        rows.append(Row(name, len(results.finished), None, metrics, status=status))
+        metrics = {
+            "refused": of.refused,
+            "pictures": of.pictures,
+            "share": of.share,
+            "share_low": low,
+            "share_high": high,
+            "least" if verdict.at_least else "most": verdict.bar,
+        }
+        rows.append(Row(name, len(results.finished), None, metrics, status=verdict.row.status))
     return rows
 
 
-def _verdict(name: str, metrics: Mapping[str, Any]) -> Verdict:
-    honest = "most" in metrics
-    return Verdict(
-        f"{name}: share refused",
-        metrics["share"],
-        metrics["most" if honest else "least"],
-        f"{metrics['refused']:.0f} of {metrics['pictures']:.0f} pictures",
-        at_least=not honest,
-    )
-
-
-def verdicts(_: Results[Task], rows: Sequence[Row]) -> list[Verdict]:
-    """What the shares have to be; of no pictures, nothing holds."""
-    return [_verdict(row.name, row.metrics) for row in rows]
+def verdicts(results: Results[Task], _: Sequence[Row]) -> list[Verdict]:
+    """What the shares have to be."""
+    return [verdict for _, _, verdict in _judged(results)]
 
 
 def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
@@ -131,10 +128,9 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
         Series(
             label,
             [100 * of.share for of in some.values()],
-            list(some),
+            [f"{name}, {of}" for name, of in some.items()],
             low=[100 * of.interval()[0] for of in some.values()],
             high=[100 * of.interval()[1] for of in some.values()],
-            notes=[f"{of.refused} of {of.pictures}" for of in some.values()],
         )
         for label, honest in (("damaged: caught", False), ("honest: refused", True))
         for some in [{name: of for name, of in shown.items() if ("honest" in name) == honest}]
@@ -143,43 +139,24 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     plot = Plot(
         "rates",
         "With intervals of 95 %; the bars as dotted lines.",
-        [Panel("bars", series, "refused by the review, %", marks=marks, x_range=(0, 115))],
+        [Panel("dots", series, "refused by the review, %", marks=marks, x_range=(-3, 103))],
         size=(8, 3.4),
     )
     columns = ("refused", "pictures", "share")
     yield Section("Rates", tables=[Table.of(rows, columns)], figures=[plot] if shown else [])
-    damages: list[list[str | float | Cell | None]] = [
+    damages: list[list[Value]] = [
         [kind, what, of.share, float(of.pictures)]
         for kind, what in IN_WORDS.items()
         for of in [rate(results, kind)]
     ]
     table = Table(["damage", "what it is", "share caught", "of"], damages)
-    yield Section("By damage", tables=[table], figures=_examples(results))
-    sources: list[list[str | float | Cell | None]] = []
+    yield Section("By damage", tables=[table])
+    sources: list[list[Value]] = []
     for name in dict.fromkeys(task.source for task, _ in results.finished):
         some = results.of(source=name)
-        counts = [f"{of.refused} of {of.pictures}" for of in _rates(some).values()]
-        sources.append([name, float(len(some.finished)), *counts])
+        sources.append([name, float(len(some.finished)), *map(str, _rates(some).values())])
     table = Table(["source", "scenes", *_rates(results)], sources)
     yield Section("By source", "Caught or refused of how many.", [table])
-
-
-def _examples(results: Results[Task]) -> list[Picture]:
-    """An honest picture of the first scene and its damages."""
-    if not results.finished:
-        return []
-    task, _ = results.finished[0]
-    view = relights(task.kind, "own", task.seed, size=EXAMPLE_SIZE, count=2)
-    rng = np.random.default_rng(task.seed)
-    shown = {"photograph": view.pictures[0], "honest relight": view.pictures[1]}
-    for damage in KINDS:
-        shown[damage] = damaged(view.pictures[1], damage, view.segments, rng)[0]
-    panels: list[sheet.Panel | None] = [
-        sheet.Panel(name, encode_srgb(picture.clip(0, 1))) for name, picture in shown.items()
-    ]
-    caption = f"The damages, on a scene of {task.kind} by our own renderer."
-    png = sheet.as_png(sheet.sheet([panels[:5], panels[5:]]))
-    return [Picture("damage", caption, png)]
 
 
 def csvs(results: Results[Task], _: Sequence[Row]) -> dict[str, list[Line]]:

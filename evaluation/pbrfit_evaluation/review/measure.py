@@ -55,8 +55,8 @@ def work(task: Task, threads: int) -> Values:
     -------
     `judged`, of each picture: its `damage` ("honest" is none, "swap" another room); whether it is
     `among_damaged`; names of the checks that `refused` it; whether it was refused against the
-    photograph `alone`; the `amount` of damage (pixels of a shift or warp, share of the area of a
-    repaint, else 0); and the `values` that the checks found.
+    photograph `alone`; and the `amount` of damage (pixels of a shift or warp, share of the area of
+    a repaint, else 0).
     """
     view = relights(
         task.kind,
@@ -82,11 +82,6 @@ def work(task: Task, threads: int) -> Values:
                     "refused": [c.name for v in verdicts for c in v.checks if not c.passed],
                     "alone": not alone.accepted,
                     "amount": amount,
-                    "values": {
-                        prefix + check.name: check.value
-                        for prefix, verdict in zip(("", "all "), verdicts, strict=False)
-                        for check in verdict.checks
-                    },
                 }
             )
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
+from pbrfit_evaluation.stability.measure import Array, ratio, worst_entry
 
 PIECE = 4096
 """Pixels at a time."""
@@ -32,8 +33,6 @@ MODEL: Model = "paper"
 
 DIELECTRIC_F0 = 0.04
 MIN_COSINE = 1e-4
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,19 +108,22 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Loss and gradient, each with its natural scale.
+    """Loss and gradient in float64, each with its natural scale.
 
     The scale is the same sum with every term replaced by its size, down to the single products
     that make up a weight; each residual I − T by Σ_k |w_k L_k| + |T|; and each basis function by
-    the largest value in its band. However floating-point
-    arithmetic orders the terms, its error is a small multiple of its precision times that scale;
-    relative to the sum itself it can be anything, because terms cancel.
+    the largest value in its band. However floating-point arithmetic orders the terms, its error is
+    a small multiple of its precision times that scale; relative to the sum itself it can be
+    anything, because terms cancel.
+
+    `lights_terms` is a tighter scale of the last block: with residuals as large as they are.
     """
 
     loss: float
     gradient: Array
     loss_scale: float
     gradient_scale: Array
+    lights_terms: Array
 
 
 def evaluate(case: Case) -> Evaluation:
@@ -150,50 +152,49 @@ def evaluate(case: Case) -> Evaluation:
         materials[0, 3, rows] = d_roughness
         materials[0, 4, rows] = d_metallic
         materials[1, :, rows] = sizes.by_material(factor * (size @ np.abs(lights)))
-        by_lights.append(
-            factor
-            * np.stack(
-                [residual.transpose(0, 2, 1) @ weights, size.transpose(0, 2, 1) @ sizes.weights]
-            )
-        )
-    lights_sum = _exact_sum(by_lights).transpose(0, 2, 3, 1)  # (2, N, 16, 3)
+        of_lights = ((residual, weights), (size, sizes.weights), (np.abs(residual), sizes.weights))
+        by_lights.append(factor * np.stack([a.transpose(0, 2, 1) @ b for a, b in of_lights]))
+    lights_sum = _exact_sum(by_lights).transpose(0, 2, 3, 1)  # (3, N, 16, 3)
     return Evaluation(
         math.fsum(losses) * factor / 2,
         np.concatenate([materials[0].ravel(), lights_sum[0].ravel()]),
         math.fsum(loss_scales) * factor,
         np.concatenate([materials[1].ravel(), lights_sum[1].ravel()]),
+        lights_sum[2].ravel(),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Sums:
-    """What is summed over all samples: the loss, and the gradient by the lights.
-
-    Here the scale takes residuals as they are, because this is about the summation.
-    """
+class Compared:
+    """Loss and gradient of a case by the fast objective, beside those in float64."""
 
     loss: float
-    by_lights: Array
-    by_lights_scale: Array
+    gradient: Array
+    true: Evaluation
+
+    @property
+    def loss_error(self) -> float:
+        """Relative to the loss."""
+        return ratio(abs(self.loss - self.true.loss), self.true.loss)
+
+    def block_error(self, block: slice) -> float:
+        """Of a block of the gradient, relative to its norm."""
+        true = self.true.gradient[block]
+        return ratio(_norm(self.gradient[block] - true), _norm(true))
+
+    def entry_error(self, block: slice, least: float = 0.0) -> float:
+        """Worst entry of a block, relative to its natural scale plus `least`."""
+        errors = self.gradient[block] - self.true.gradient[block]
+        return worst_entry(errors, self.true.gradient_scale[block] + least)
 
 
-def sums(case: Case) -> Sums:
-    """The part of `evaluate` that accumulates, without the material gradients."""
-    count = len(case.pixels)
-    lights = np.ascontiguousarray(case.lighting.transpose(2, 0, 1))
-    factor = 2.0 / (3 * count * len(case.lighting))
-    losses, by_lights = [], []
-    for start in range(0, count, PIECE):
-        piece = case.pixels[start : start + PIECE]
-        weights = piece.shade().transpose(1, 0, 2)
-        targets = case.images[:, start : start + PIECE].transpose(2, 0, 1).astype(np.float64)
-        residual = lights @ weights.transpose(0, 2, 1) - targets  # (3, N, P)
-        losses.append(float(np.sum(residual * residual)))
-        by_lights.append(
-            factor * np.stack([residual @ weights, np.abs(residual) @ _Sizes(piece).weights])
-        )
-    total = _exact_sum(by_lights).transpose(0, 2, 3, 1)
-    return Sums(math.fsum(losses) * factor / 2, total[0].ravel(), total[1].ravel())
+def compare(case: Case, threads: int) -> Compared:
+    """Evaluate a case both ways."""
+    return Compared(*case.problem(threads).value_and_grad(case.x), evaluate(case))
+
+
+def _norm(values: Array) -> float:
+    return float(np.linalg.norm(values))
 
 
 def _exact_sum(parts: list[Array]) -> Array:

@@ -86,7 +86,7 @@ SUITE = Suite(
     title="Table 1 on scenes whose ground truth is known",
     description="Render scenes, decompose them with and without priors and by the paper's recipe, "
     "and compare with the ground truth, in the setups of the paper's Table 1. Writes report.html, "
-    "table1.csv, table1.md, scenes.csv and summary.json.",
+    "table1.md, scenes.csv and summary.json.",
     protocol=PROTOCOL,
     parts=[Part("table1", cases, work, figures, sections=sections, csvs=csvs)],
     options=(

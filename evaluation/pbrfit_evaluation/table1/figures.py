@@ -6,12 +6,11 @@ import base64
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from typing import Literal
 
-from pbrfit.model.reflection import MODELS, Model
+from pbrfit.model.reflection import Model
 from pbrfit_evaluation.options import models
 from pbrfit_evaluation.recipes import IN_WORDS, Recipe
-from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.scores import Scores, better
 from pbrfit_evaluation.suite import (
     Column,
     Line,
@@ -84,28 +83,21 @@ def figures(results: Results[Task]) -> list[Figures]:
     return rows
 
 
-def csvs(results: Results[Task], rows: Sequence[Figures]) -> Mapping[str, Sequence[Line]]:
-    """Means with intervals, and every scene."""
-    means = [
-        {"row": row.key, "model": model, "recipe": recipe, "metric": metric}
-        | {"mean": of.metrics[metric], "low": of.metrics[f"{metric}_low"]}
-        | {"high": of.metrics[f"{metric}_high"], "scenes": of.scenes}
-        for (row, model, recipe, _), of in zip(_lines(results), rows, strict=True)
-        for metric in METRICS
-        if recipe is not None and not math.isnan(of.metrics[metric] or 0.0)
-    ]
+def csvs(results: Results[Task], _: Sequence[Figures]) -> Mapping[str, Sequence[Line]]:
+    """Every scene."""
     scenes = [
         {"scene": task.key, "model": task.model, "recipe": recipe, **values}
         for task, found in results.finished
         for recipe, values in found["recipes"].items()
     ]
-    return {"table1.csv": means, "scenes.csv": scenes}
+    return {"scenes.csv": scenes}
 
 
 def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Section]:
     """Tables, the plot, the setups and the first scene of each."""
+    effort = ("seconds", "evaluations")
     rest = [
-        Column(name, best=None if name in ("seconds", "evaluations") else _better(name))
+        Column(name, best=None if name in effort else better(name))
         for name in METRICS
         if name not in COLUMNS
     ]
@@ -122,12 +114,6 @@ def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Sectio
         "which pictures barely fix; PSNR in dB and SSIM; and the effort.",
         [Table.of([row for row in rows if row.scenes], rest)],
     )
-    if ratios := _ratios(results, rows):
-        yield Section(
-            "The two models on the same pictures",
-            f"Ratio of the mean errors, {MODELS[1]} over {MODELS[0]}, on pictures by Cycles.",
-            [Table.of(ratios)],
-        )
     yield Section("The setups", tables=[_setups(results)])
     examples = [
         Picture(
@@ -141,26 +127,6 @@ def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Sectio
     ]
     if examples:
         yield Section("Examples", "The first scene of each setup.", figures=examples)
-
-
-def _better(metric: str) -> Literal["low", "high"]:
-    return "high" if metric.endswith(("psnr", "ssim")) else "low"
-
-
-def _ratios(results: Results[Task], rows: Sequence[Figures]) -> list[Figures]:
-    """A row a setup and recipe whose pictures are the same for both models."""
-    shown = (*COLUMNS, "albedo_scaled")
-    of: dict[tuple[str, Recipe], dict[Model, Figures]] = {}
-    for (row, model, recipe, _), figure in zip(_lines(results), rows, strict=True):
-        if row.renderer == "cycles" and recipe in ("plain", "default"):
-            of.setdefault((row.name, recipe), {})[model] = figure
-    return [
-        Figures(name, both[MODELS[0]].scenes, SOLVERS[recipe], ratios)
-        for (name, recipe), both in of.items()
-        if len(both) == len(MODELS)
-        for one, other in [(both[model].metrics for model in MODELS)]
-        for ratios in [{m: (other[m] or math.nan) / (one[m] or math.nan) for m in shown}]
-    ]
 
 
 def _setups(results: Results[Task]) -> Table:

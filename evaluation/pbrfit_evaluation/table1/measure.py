@@ -24,7 +24,7 @@ from pbrfit_evaluation.recipes import explain
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.scores import METAL, score
 from pbrfit_evaluation.suite import Options
-from pbrfit_evaluation.table1.normals import disturbed
+from pbrfit_evaluation.table1.normals import estimated
 from pbrfit_evaluation.table1.rows import BY_KEY, OTHER, Row
 
 TRUE_FOV = 60.0
@@ -182,10 +182,7 @@ def predicted_files(folder: Path, seed: int) -> list[Path]:
 def _predicted(scene: Scene, task: Task) -> NDArray[np.float64]:
     folder = task.predicted_normals
     if folder is None:
-        assert scene.segments is not None
-        # A stream of its own, apart from those of the scene.
-        rng = np.random.default_rng([task.seed, 1])
-        return disturbed(scene.normals, scene.views, scene.segments, rng)
+        return estimated(scene, task.seed)
     paths = predicted_files(folder, task.seed)
     for path in paths:
         if path.exists():

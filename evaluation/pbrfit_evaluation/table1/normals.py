@@ -24,6 +24,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.normal_errors import Array, Floats, facing, smooth, turned, unit
 
 BLUR = 0.025
@@ -74,3 +75,11 @@ def disturbed(
         fields = [smooth(segments.shape, scale, rng) for _ in range(3)]
         omega += strength * degrees * np.stack(fields, axis=-1)
     return facing(turned(unit(blurred), omega), views)
+
+
+def estimated(scene: Scene, seed: int) -> Array:
+    """Normals of a synthetic scene as an estimator would give them, by the scene's seed."""
+    assert scene.segments is not None
+    # A stream of its own, apart from those of the scene.
+    rng = np.random.default_rng([seed, 1])
+    return disturbed(scene.normals, scene.views, scene.segments, rng)

@@ -55,8 +55,6 @@ class Row:
         Ways to explain its scenes.
     paper
         The paper's RMSE, on the paper's scenes.
-    paper_row
-        What the paper calls its row.
     """
 
     key: str
@@ -73,7 +71,6 @@ class Row:
     swapped: bool = False
     recipes: tuple[Recipe, ...] = PLAIN
     paper: Mapping[str, float] = field(default_factory=dict)
-    paper_row: str = ""
 
 
 def _paper(*errors: float) -> dict[str, float]:
@@ -86,7 +83,6 @@ ROWS = (
         "Base",
         "Our renderer, SH3 lights, true normals, true field of view.",
         paper=_paper(0.001, 0.065, 0.232, 0.186, 0.166),
-        paper_row="Base",
     ),
     Row(
         "sh2",
@@ -94,7 +90,6 @@ ROWS = (
         "The base pictures, explained by lights of order 2.",
         sh_order=2,
         paper=_paper(0.002, 0.064, 0.242, 0.147, 0.154),
-        paper_row="SH2 decomp",
     ),
     Row(
         "normals",
@@ -102,7 +97,6 @@ ROWS = (
         "The base pictures with normals as a learned estimator gives them.",
         normals="predicted",
         paper=_paper(0.016, 0.160, 0.341, 0.446, 0.201),
-        paper_row="Pred. normals",
     ),
     Row(
         "normals-refined",
@@ -118,7 +112,6 @@ ROWS = (
         "The base pictures, with a field of view of 90 degrees where 60 is true.",
         fov=90.0,
         paper=_paper(0.004, 0.091, 0.283, 0.194, 0.143),
-        paper_row="FOV=90",
     ),
     Row(
         "other-model",
@@ -168,7 +161,6 @@ ROWS = (
         light="points",
         transport="shadows",
         paper=_paper(0.040, 0.386, 0.408, 0.630),
-        paper_row="Cycles (point lights)",
     ),
     Row(
         "cycles-detailed",
@@ -177,7 +169,6 @@ ROWS = (
         scene="detailed",
         renderer="cycles",
         paper=_paper(0.043, 0.222, 0.334, 0.435, 0.210),
-        paper_row="NFINITE",
     ),
     Row(
         "regularized",
@@ -186,7 +177,6 @@ ROWS = (
         "true segments.",
         recipes=REGULARIZED,
         paper=_paper(0.010, 0.066, 0.241, 0.248, 0.160),
-        paper_row="Regularized",
     ),
 )
 

@@ -37,8 +37,8 @@ SUITE = Suite(
     title="Are the deviations right?",
     description="Fit pictures of known materials many times under synthetic noise, with the lights "
     "known and free, and compare the standard deviations of what is found with those that pbrfit "
-    "predicts. Writes report.html, its plot, uncertainty.md and summary.json. Exit code 1 if a bar "
-    "is not reached.",
+    "predicts. Writes report.html, uncertainty.md and summary.json. Exit code 1 if a bar is not "
+    "reached.",
     protocol="pbrfit-uncertainty-1: standard deviations over refits under Gaussian noise by "
     f"predicted ones; rooms of the model itself, materials in [{INSIDE[0]}, {INSIDE[1]}], mean "
     "radiance 0.4",

@@ -1,24 +1,14 @@
-"""The calibration as rows, verdicts, a table and a plot."""
+"""The calibration as rows, verdicts and a table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from pbrfit_evaluation.suite import (
-    Column,
-    Mark,
-    Panel,
-    Plot,
-    Results,
-    Row,
-    Section,
-    Series,
-    Table,
-    Verdict,
-)
+from pbrfit_evaluation.suite import Column, Results, Row, Section, Table, Verdict
 from pbrfit_evaluation.uncertainty.measure import LIGHTS, Array, Lights, Task
 
 WITHIN = 0.2
@@ -29,9 +19,6 @@ BARS: dict[Lights, tuple[float, float, float]] = {"known": (0.9, 1.1, 0.9), "fre
 
 PARAMETERS = {"albedo": slice(0, 3), "roughness": slice(3, 4), "metallic": slice(4, 5)}
 
-EDGES = np.linspace(0.5, 1.6, 111)
-"""Edges of the bins of the histograms; ratios beyond are in the outermost bins."""
-
 COLUMNS: tuple[Column | str, ...] = (
     *(Column("draws", "refits"), Column("compared", "share of\npixels"), "converged", "median"),
     *(Column("within", "within 20 %"), *(Column(f"median_{name}", name) for name in PARAMETERS)),
@@ -39,10 +26,8 @@ COLUMNS: tuple[Column | str, ...] = (
     *(Column("median_bias", "bias"), Column("albedo_scale", "scale")),
 )
 
-Group = tuple[str, Lights, Results[Task]]
 
-
-def _groups(results: Results[Task]) -> Iterator[Group]:
+def _groups(results: Results[Task]) -> Iterator[tuple[str, Lights, Results[Task]]]:
     """Scenes with the same lights (known or free) and noise, together."""
     levels = sorted(
         {(task.lights, task.noise) for task, _ in results.finished},
@@ -63,12 +48,12 @@ def _ratios(of: Results[Task], above: str = "found", below: str = "predicted") -
         return np.concatenate([columns(v[above]) / columns(v[below]) for _, v in of.finished])
 
 
-def _median(values: Array) -> float | None:
-    return float(np.median(values)) if values.size else None
+def _median(values: Array) -> float:
+    return float(np.median(values)) if values.size else math.nan
 
 
-def _share_within(ratios: Array) -> float | None:
-    return float(np.mean(np.abs(ratios - 1) <= WITHIN)) if ratios.size else None
+def _share_within(ratios: Array) -> float:
+    return float(np.mean(np.abs(ratios - 1) <= WITHIN)) if ratios.size else math.nan
 
 
 def figures(results: Results[Task]) -> list[Row]:
@@ -92,7 +77,7 @@ def figures(results: Results[Task]) -> list[Row]:
             "largest_median": largest,
             "least_within": share,
         }
-        held = all(one.holds for one in _judged(title, metrics))
+        held = all(verdict.holds for verdict in _judged(title, metrics))
         status = "ok" if held else "not held"
         rows.append(Row(title, len(of.finished), None, metrics, status=status))
     return rows
@@ -103,50 +88,22 @@ def verdicts(_: Results[Task], rows: Sequence[Row]) -> list[Verdict]:
     return [verdict for row in rows for verdict in _judged(row.name, row.metrics)]
 
 
-def _judged(name: str, metrics: Any) -> list[Verdict]:
-    median, within = (
-        np.nan if metrics[key] is None else metrics[key] for key in ("median", "within")
-    )
-    found = [
-        Verdict(f"{name}: median", median, metrics["least_median"], at_least=True),
-        Verdict(f"{name}: median", median, metrics["largest_median"]),
-    ]
-    if metrics["least_within"]:
-        share = metrics["least_within"]
-        found.append(Verdict(f"{name}: share within 20 % of 1", within, share, at_least=True))
-    return found
+def _judged(name: str, metrics: Mapping[str, Any]) -> Iterator[Verdict]:
+    median, share = metrics["median"], metrics["least_within"]
+    yield Verdict(f"{name}: median", median, metrics["least_median"], at_least=True)
+    yield Verdict(f"{name}: median", median, metrics["largest_median"])
+    if share:
+        what = f"{name}: share within 20 % of 1"
+        yield Verdict(what, metrics["within"], share, at_least=True)
 
 
-def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
-    """The table and histograms of the ratios."""
-    panels = [
-        Panel(
-            "steps",
-            [_histogram(name, ratios[:, at].ravel()) for name, at in PARAMETERS.items()],
-            "found / predicted",
-            "% of values",
-            title=title,
-            marks=[Mark(1 - WITHIN, axis="x", to=1 + WITHIN), Mark(1, axis="x")],
-            y_range=(0, None),
-        )
-        for title, _, of in _groups(results)
-        for ratios in [_ratios(of)]
-    ]
-    caption = "Ratios of found to predicted deviations. Grey: within 20 %."
-    plots = [Plot("ratios", caption, panels, columns=2, share_x="all")] if panels else []
-    yield Section(
-        "Found by predicted",
+def sections(_: Results[Task], rows: Sequence[Row]) -> list[Section]:
+    """The table."""
+    text = (
         "Predicted is the formula at the true materials, lights and noise. By a fit: what is "
         "predicted from one noisy set of pictures and its fit, which know neither; no bar. "
         "Variance: of the residual over its degrees of freedom, by the true one. Bias: median of "
         "the mean error, in predicted deviations. Scale: largest predicted relative deviation of "
-        "the scale between albedo and light.",
-        [Table.of(rows, COLUMNS)],
-        plots,
+        "the scale between albedo and light."
     )
-
-
-def _histogram(name: str, values: Array) -> Series:
-    counts, _ = np.histogram(np.clip(values, EDGES[0], EDGES[-1]), EDGES)
-    heights = 100 * counts / max(1, values.size)
-    return Series(name, np.repeat(EDGES, 2)[1:-1].tolist(), np.repeat(heights, 2).tolist())
+    return [Section("Found by predicted", text, [Table.of(rows, COLUMNS)])]

@@ -11,27 +11,16 @@ from pbrfit.acquire import weights
 from pbrfit.acquire.generators import create
 
 
-def without(missing: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let Python find all modules but these."""
+def test_a_missing_extra_is_named_with_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    weights.need("diffusion", "numpy", "PIL")  # which are there
     found = importlib.util.find_spec
+    missing = ("torch", "diffusers", "transformers", "accelerate")
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: None if name in missing else found(name)
     )
-
-
-def test_a_missing_extra_is_named_with_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    without(("torch",), monkeypatch)
     expected = r"expected the Python package torch, found none: pip install 'pbrfit\[segment\]'$"
     with pytest.raises(InputError, match=expected):
         weights.need("segment", "numpy", "torch")
-
-
-def test_what_is_there_is_not_asked_for() -> None:
-    weights.need("diffusion", "numpy", "PIL")
-
-
-def test_flux_without_diffusers_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    without(("torch", "diffusers", "transformers", "accelerate"), monkeypatch)
     with pytest.raises(InputError, match=r"pip install 'pbrfit\[diffusion\]'"):
         create("flux2-klein")
 

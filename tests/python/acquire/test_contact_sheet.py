@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from pbrfit.acquire import generation_report
@@ -51,15 +50,6 @@ def test_only_refused_pictures_are_marked() -> None:
     assert marked.max() > picture.max()
 
 
-@pytest.mark.parametrize("count", [1, 4, 5, 16, 24])
-def test_two_dozen_pictures_are_five_rows_wide_enough_to_see(count: int) -> None:
-    pictures = [shown(f"light_{k}", GREY) for k in range(count)]
-    height, width, _ = contact_sheet(GREY, pictures).shape
-    columns = min(5, count + 1)
-    assert width >= columns * 180
-    assert height < (-(-(count + 1) // columns)) * 200
-
-
 def test_a_long_reason_is_wrapped_and_stays_in_its_column() -> None:
     reason = "edges do not lie where the photograph has them, " * 4 + "x" * 300
     pictures = [shown("a", GREY), shown("b", GREY, reason), shown("c", GREY)]
@@ -78,15 +68,3 @@ def test_a_title_stands_above_all() -> None:
     above = with_title[: rows_of(with_title, 128, 128, 128).min()]
     assert (above == INK).all(axis=-1).any()
     assert tuple(with_title[0, 0]) == PAPER
-
-
-def test_a_long_name_does_not_make_all_captions_too_small_to_read() -> None:
-    large = np.full((256, 384, 3), (0, 255, 255), dtype=np.uint8)
-
-    def height_of_letters(neighbour: str) -> int:
-        sheet = contact_sheet(large, [shown("HHH", large), shown(neighbour, large)])
-        first = int(rows_of(sheet, 0, 255, 255).min())
-        second = slice(2 * MARGIN + 384, 2 * MARGIN + 2 * 384)
-        return int((sheet[:first, second] < 128).any(axis=(1, 2)).sum())
-
-    assert height_of_letters("window_" * 30) >= 0.6 * height_of_letters("b")

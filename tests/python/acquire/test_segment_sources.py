@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from command_runs import done, refused
 from pbrfit._core import InputError
 from pbrfit.acquire.segments import ids_of, segment
 from pbrfit.io import images
 from pbrfit.scene.scene import Scene
-from scene_files import SIZE, run, write_folder
+from scene_files import SIZE, write_folder
 
 ALL = (20, 30)
 
@@ -88,20 +89,15 @@ def test_ids_of_a_file_are_taken_at_centres(tmp_path: Path) -> None:
         segment("sam", np.zeros((5, 10, 3), np.uint8))
 
 
-def test_the_command_puts_them_beside_the_pictures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_puts_them_beside_the_pictures(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "scene")
     ids = np.zeros((SIZE, SIZE), np.uint16)
     ids[:4] = 500
     images.write_png(tmp_path / "ids.png", ids, tag=None)
-    assert run("segments", folder, "--from", tmp_path / "ids.png") == 0
-    assert "segments.png: 1 segment, 25 % of the picture" in capsys.readouterr().out
+    command = ("segments", folder, "--from", tmp_path / "ids.png")
+    assert "segments.png: 1 segment, 25 % of the picture" in done(*command)
     np.testing.assert_array_equal(Scene.load(folder).segments, ids)
-    assert run("segments", folder, "--from", tmp_path / "ids.png") == 2
-    assert "segments.png: expected no segments yet" in capsys.readouterr().err
-    assert run("segments", folder, "--from", tmp_path / "ids.png", "--overwrite") == 0
-    assert (
-        run("segments", folder, "--from", tmp_path / "ids.png", "--overwrite", "--points", 3) == 2
-    )
-    assert "--points: has no meaning with --from" in capsys.readouterr().err
+    assert "segments.png: expected no segments yet" in refused(*command)
+    done(*command, "--overwrite")
+    said = refused(*command, "--overwrite", "--points", 3)
+    assert "--points: has no meaning with --from" in said

@@ -8,24 +8,25 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from multiprocessing import util
 from pathlib import Path
 
 import pytest
 
+from command_runs import Ran, ran
 from pbrfit.batch import place
 from pbrfit.batch.executors import Processes
 from pbrfit.io.output import new_folder
 from pbrfit.result.result import CONTAINS
-from processes import alive, until
-from scene_files import run, write_folder
+from processes import alive, as_nobody_special, closed, until
+from scene_files import write_folder
 
 FEW = ("--iterations", 2, "--refine-normals", "off")
 
@@ -46,30 +47,20 @@ def set_aside(temporaries: Path, result: Path) -> None:
     result.rename(temporaries / "1234-old" / result.name)
 
 
-def test_a_worker_that_ends_between_two_renames_loses_no_result(tmp_path: Path) -> None:
+@pytest.mark.parametrize("of", [place.of_batch, place.of_one])
+@pytest.mark.parametrize("there", ["old", "new"])
+def test_a_worker_that_ends_between_two_renames_loses_no_result(
+    tmp_path: Path, of: Callable[[Path], AbstractContextManager[Path]], there: str
+) -> None:
     """Told to end, a batch kills its workers whatever they are doing."""
-    old = result_folder(tmp_path / "out" / "one", "old")
-    with place.of_batch(tmp_path / "out") as temporaries:
+    out = tmp_path / "out"
+    old = result_folder(out / "one" if of == place.of_batch else out, "old")
+    with of(out) as temporaries:
         set_aside(temporaries, old)
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
-    assert (old / "result.json").read_text() == "old"
-
-
-def test_of_one_output_too(tmp_path: Path) -> None:
-    old = result_folder(tmp_path / "out", "old")
-    with place.of_one(old) as temporaries:
-        set_aside(temporaries, old)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    assert (old / "result.json").read_text() == "old"
-
-
-def test_what_has_a_new_result_in_its_place_is_not_put_back(tmp_path: Path) -> None:
-    old = result_folder(tmp_path / "out" / "one", "old")
-    with place.of_batch(tmp_path / "out") as temporaries:
-        set_aside(temporaries, old)
-        result_folder(old, "new")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
-    assert (old / "result.json").read_text() == "new"
+        if there == "new":  # then nothing is put back
+            result_folder(old, "new")
+    assert [path.name for path in old.parent.iterdir()] == [old.name]
+    assert (old / "result.json").read_text() == there
 
 
 def test_what_a_straggler_sets_aside_meanwhile_is_put_back(
@@ -159,37 +150,30 @@ def test_a_result_that_is_a_link_is_replaced_where_it_lies(tmp_path: Path) -> No
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="rights are of another kind there")
-def test_a_scene_that_may_not_be_read_is_not_passed_over(tmp_path: Path) -> None:
-    scenes, closed = tmp_path / "scenes", tmp_path / "scenes" / "two"
+@pytest.mark.parametrize("what", ["", "images", "images/light_00.exr", "normals.exr"])
+def test_a_scene_that_may_not_be_read_fails_alone(tmp_path: Path, what: str) -> None:
+    scenes = tmp_path / "scenes"
     for name in ("one", "two"):
         write_folder(scenes / name)
     (scenes / "lost+found").mkdir()
+    closed(scenes / "lost+found")
+    path = closed(scenes / "two" / what)
     arguments = ["decompose", scenes, "--out", tmp_path / "out", *FEW, "--quiet"]
-    command = [sys.executable, "-m", "pbrfit", *map(str, arguments)]
-    if os.getuid() == 0:  # who may read all, unless that right is given up
-        if shutil.which("setpriv") is None:
-            pytest.skip("no setpriv")
-        command = ["setpriv", "--bounding-set", "-all", "--inh-caps", "-all", *command]
-        for path in (closed, scenes / "lost+found"):
-            os.chown(path, 65534, 65534)
-    for path in (closed, scenes / "lost+found"):
-        path.chmod(0o700 if os.getuid() == 0 else 0)
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    closed.chmod(0o755)
-    assert found.returncode == 1
-    assert found.stderr == (
-        f"pbrfit: {closed / 'images'}: Permission denied\npbrfit: 1 of 2 scenes failed: {closed}\n"
+    code, _, errors = as_nobody_special(arguments)
+    path.chmod(0o755)
+    assert code == 1
+    assert errors == (
+        f"pbrfit: {path if what else path / 'images'}: Permission denied\n"
+        f"pbrfit: 1 of 2 scenes failed: {scenes / 'two'}\n"
     )
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
 
 
-def test_a_folder_of_the_file_system_is_no_scene(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_the_file_system_is_no_scene(tmp_path: Path) -> None:
     write_folder(tmp_path / "scenes" / "one")
     (tmp_path / "scenes" / "lost+found" / "images").mkdir(parents=True)
-    assert run("decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW, "--quiet") == 0
-    assert capsys.readouterr().err == ""
+    command = ("decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW, "--quiet")
+    assert ran(*command) == Ran(0, "", "")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")

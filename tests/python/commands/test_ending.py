@@ -14,6 +14,7 @@ import pytest
 
 from pbrfit import _core
 from pbrfit.io.output import new_folder, scratch_folder
+from scene_files import tree
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 
@@ -94,12 +95,6 @@ def here(tmp_path: Path) -> Path:
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "old.txt").write_text("old")
     return tmp_path
-
-
-def tree(folder: Path) -> dict[str, str]:
-    return {
-        str(p.relative_to(folder)): p.read_text() if p.is_file() else "" for p in folder.rglob("*")
-    }
 
 
 @pytest.mark.parametrize("work", UNFINISHED)

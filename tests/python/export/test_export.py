@@ -13,7 +13,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import OpenEXR
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import glb_reader
+from command_runs import done, refused
 from pbrfit import InputError, Result, Scene, decompose, relight, sh_basis, view_directions
 from pbrfit.export import export_result
 from pbrfit.export.gltf import glb
@@ -29,13 +30,13 @@ from pbrfit.export.lights import file_names
 from pbrfit.export.maps import Maps
 from pbrfit.export.nonnegative import RIDGE, nonnegative_radiance
 from pbrfit.export.view_mesh import Geometry, camera, facets
+from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
-from scene_files import one_line, run
 
 HEIGHT, WIDTH = 10, 12
 MAPS = ["base_color", "mask", "metallic", "normal_opengl", "roughness"]
@@ -207,40 +208,50 @@ def test_a_png_a_map_is_the_map_to_the_last_code(result: Result, tmp_path: Path,
             assert struct.unpack(">I", parts[b"gAMA"]) == (100000,)
 
 
-def test_unreal_packs_occlusion_roughness_metallic(result: Result, tmp_path: Path) -> None:
-    export_result(result, tmp_path / "out", preset="unreal")
-    folder, inside = tmp_path / "out" / "png", result.mask
-    assert names(folder) == ["T_BaseColor.png", "T_Normal.png", "T_ORM.png", "T_OpacityMask.png"]
-    packed = png(folder / "T_ORM.png")
-    assert packed.shape[-1] == 3
-    assert (packed[..., 0] == 255).all()
-    np.testing.assert_array_equal(packed[inside][:, 1], codes(result.roughness[inside], 8))
-    np.testing.assert_array_equal(packed[inside][:, 2], codes(result.metallic[inside], 8))
-    down = result.normals[inside] * (1, -1, 1)
-    np.testing.assert_array_equal(png(folder / "T_Normal.png")[inside], codes(0.5 + 0.5 * down, 8))
-    assert b"sRGB" in chunks((folder / "T_BaseColor.png").read_bytes())
-    assert b"sRGB" not in chunks((folder / "T_ORM.png").read_bytes())
+def down(result: Result) -> NDArray[Any]:
+    return 0.5 + 0.5 * result.normals * (1, -1, 1)
+
+
+def up(result: Result) -> NDArray[Any]:
+    return 0.5 + 0.5 * result.normals
+
+
+Preset = Literal["unreal", "unity"]
+PACKED: dict[Preset, dict[str, Callable[[Result], Any]]] = {
+    "unreal": {
+        "T_ORM": lambda result: (1, result.roughness, result.metallic),
+        "T_Normal": lambda result: np.moveaxis(down(result), -1, 0),
+    },
+    "unity": {
+        "MaskMap": lambda result: (result.metallic, 1, 0, 1 - result.roughness),
+        "NormalMap": lambda result: np.moveaxis(up(result), -1, 0),
+    },
+}
+"""Channels of the textures of a preset; its colours are left out."""
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-def test_unity_packs_metallic_occlusion_detail_smoothness(
-    result: Result, tmp_path: Path, bits: Any
+@pytest.mark.parametrize("preset", PACKED)
+def test_presets_pack_maps_into_channels(
+    result: Result, tmp_path: Path, preset: Preset, bits: Any
 ) -> None:
-    export_result(result, tmp_path / "out", preset="unity", bits=bits)
+    export_result(result, tmp_path / "out", preset=preset, bits=bits)
     folder, inside = tmp_path / "out" / "png", result.mask
-    assert names(folder) == ["BaseMap.png", "MaskMap.png", "NormalMap.png"]
-    packed = png(folder / "MaskMap.png")
-    assert packed.shape[-1] == 4
-    np.testing.assert_array_equal(packed[inside][:, 0], codes(result.metallic[inside], bits))
-    assert (packed[..., 1] == 2**bits - 1).all()
-    assert (packed[..., 2] == 0).all()
-    np.testing.assert_array_equal(packed[inside][:, 3], codes(1 - result.roughness[inside], bits))
-    up = codes(0.5 + 0.5 * result.normals[inside], bits)
-    np.testing.assert_array_equal(png(folder / "NormalMap.png")[inside], up)
-    base = png(folder / "BaseMap.png")
-    np.testing.assert_array_equal(base[..., 3], codes(inside, bits))
-    export_result(whole(result), tmp_path / "whole", preset="unity", bits=bits)
-    assert png(tmp_path / "whole" / "png" / "BaseMap.png").shape[-1] == 3
+    colors = {"unreal": ["T_BaseColor", "T_OpacityMask"], "unity": ["BaseMap"]}[preset]
+    assert names(folder) == sorted(f"{name}.png" for name in (*colors, *PACKED[preset]))
+    for name, channels in PACKED[preset].items():
+        packed = png(folder / f"{name}.png")
+        assert b"sRGB" not in chunks((folder / f"{name}.png").read_bytes())
+        assert packed.shape[-1] == len(channels(result))
+        for found, expected in zip(np.moveaxis(packed, -1, 0), channels(result), strict=True):
+            whole_map = np.broadcast_to(expected, inside.shape)
+            np.testing.assert_array_equal(found[inside], codes(whole_map[inside], bits))
+    base = folder / f"{colors[0]}.png"
+    assert b"sRGB" in chunks(base.read_bytes())
+    if preset == "unity":
+        np.testing.assert_array_equal(png(base)[..., 3], codes(inside, bits))
+        export_result(whole(result), tmp_path / "whole", preset=preset, bits=bits)
+        assert png(tmp_path / "whole" / "png" / "BaseMap.png").shape[-1] == 3
 
 
 def test_blender_gets_the_card_and_a_16_bit_file_a_map(result: Result, tmp_path: Path) -> None:
@@ -696,15 +707,10 @@ def folder(result: Result, tmp_path: Path) -> Path:
     return saved(result, tmp_path / "résultat 1")
 
 
-def test_export_prints_what_it_wrote(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_prints_what_it_wrote(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "出力"
-    assert run("export", folder, "--out", out) == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
+    lines = done("export", folder, "--out", out).splitlines()
     found = [name for name in names(out) if name != "export.json"]
-    lines = captured.out.splitlines()
     total = sum((out / name).stat().st_size for name in found)
     assert lines[0] == f"{out}: {len(found) + 1} files, {total / 1e6:.2f} MB"
     # Panoramas, a file a picture, share the last line.
@@ -720,95 +726,58 @@ def test_export_prints_what_it_wrote(
     assert re.fullmatch(
         rf"{start}; without negative light, at most \d+\.\d% different \(.*\)", lines[-1]
     )
-    assert run("export", folder, "--out", out, "--quiet", "--overwrite") == 0
-    assert capsys.readouterr().out == ""
+    assert done("export", folder, "--out", out, "--quiet", "--overwrite") == ""
     assert sorted(path.name for path in tmp_path.iterdir()) == ["résultat 1", "出力"]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("options", "message"),
     [
-        (("--format", "gltf", "--preset", "unreal"), "preset: expected none with format gltf"),
-        (("--format", "gltf", "--normals", "directx"), "normals: expected opengl, the convention"),
-        (("--format", "exr", "--bits", 8), "bits: expected none with format exr"),
-        (("--preset", "unity", "--geometry", "facets"), "geometry: expected none where no glTF"),
+        ({"format": "gltf", "preset": "unreal"}, "preset: expected none with format gltf"),
+        ({"format": "gltf", "normals": "directx"}, "normals: expected opengl, the convention"),
+        ({"format": "exr", "bits": 8}, "bits: expected none with format exr"),
+        ({"preset": "unity", "geometry": "facets"}, "geometry: expected none where no glTF"),
+        *(
+            ({name: "tiff"}, f"{name}: expected one of .*, found 'tiff'")
+            for name in ("format", "preset", "normals", "bits", "geometry")
+        ),
     ],
 )
-def test_options_without_effect_are_refused(
-    folder: Path,
-    tmp_path: Path,
-    arguments: tuple[str | int, ...],
-    message: str,
-    capsys: pytest.CaptureFixture[str],
+def test_options_that_are_none_or_without_effect_are_refused(
+    result: Result, tmp_path: Path, options: Any, message: str
 ) -> None:
-    assert run("export", folder, "--out", tmp_path / "out", *arguments) == 2
-    assert one_line(capsys).startswith(f"pbrfit: {message}")
+    with pytest.raises(InputError, match=message):
+        export_result(result, tmp_path / "out", **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_no_result_is_refused_in_one_line(folder: Path, tmp_path: Path) -> None:
+    materials, command = folder / "materials.exr", ("export", folder, "--out", tmp_path / "out")
+    option = refused(*command, "--format", "exr", "--bits", 8)
+    assert option.startswith("pbrfit: bits: expected none with format exr")
+    channels = images.read_channels(materials)
+    images.write_exr(materials, {name: channels[name] for name in channels if name[0] != "r"})
+    assert "materials.exr: expected channel roughness.Y" in refused(*command)
+    materials.unlink()
+    assert "expected a result folder, as pbrfit decompose writes it" in refused(*command)
     assert list(tmp_path.iterdir()) == [folder]
 
 
-@pytest.mark.parametrize("option", ["format", "preset", "normals", "bits", "geometry"])
-def test_unknown_options_are_named(result: Result, tmp_path: Path, option: str) -> None:
-    wrong: Any = {option: "tiff"}
-    with pytest.raises(InputError, match=f"{option}: expected one of .*, found 'tiff'"):
-        export_result(result, tmp_path / "out", **wrong)
-
-
-def _not_a_result(folder: Path) -> None:
-    (folder / "materials.exr").unlink()
-
-
-def _no_lights(folder: Path) -> None:
-    (folder / "lighting.json").write_text("{}", encoding="utf-8")
-
-
-def _a_channel_missing(folder: Path) -> None:
-    from pbrfit.io import images
-
-    channels = images.read_channels(folder / "materials.exr")
-    del channels["roughness.Y"]
-    images.write_exr(folder / "materials.exr", channels)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (_not_a_result, "expected a result folder, as pbrfit decompose writes it"),
-        (_no_lights, "lighting.json: expected JSON with basis"),
-        (_a_channel_missing, "materials.exr: expected channel roughness.Y"),
-    ],
-)
-def test_what_is_no_result_is_refused_in_one_line(
-    folder: Path,
-    tmp_path: Path,
-    spoil: Callable[[Path], None],
-    message: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    spoil(folder)
-    assert run("export", folder, "--out", tmp_path / "out") == 2
-    assert message in one_line(capsys)
-    assert list(tmp_path.iterdir()) == [folder]
-
-
-def test_what_is_there_stays(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_there_stays(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run("export", folder, "--out", out, "--format", "png") == 0
+    done("export", folder, "--out", out, "--format", "png")
     before = {name: (out / name).read_bytes() for name in names(out)}
-    capsys.readouterr()
-    assert run("export", folder, "--out", out) == 2
-    assert "out: expected a folder that does not exist yet" in capsys.readouterr().err
+    said = refused("export", folder, "--out", out)
+    assert "out: expected a folder that does not exist yet" in said
     assert {name: (out / name).read_bytes() for name in names(out)} == before
-    assert run("export", folder, "--out", out, "--overwrite") == 0
+    done("export", folder, "--out", out, "--overwrite")
     assert (out / "material.glb").exists()
-    capsys.readouterr()
     inside = saved(Result.load(folder), out / "result")
-    for place in (out, inside):
-        assert run("export", inside, "--out", place, "--overwrite") == 2
-        assert "expected a folder apart from the result" in capsys.readouterr().err
-    assert run("export", inside, "--out", folder, "--overwrite") == 2
-    assert "expected an earlier output to replace" in capsys.readouterr().err
+    for of, place, message in (
+        (inside, out, "expected a folder apart from the result"),
+        (inside, inside, "expected a folder apart from the result"),
+        (inside, folder, "expected an earlier output to replace"),
+        (folder, out / "export.json", "expected a folder or nothing, found a file"),
+    ):
+        assert message in refused("export", of, "--out", place, "--overwrite")
     assert Result.load(inside).pictures == Result.load(folder).pictures
-    assert run("export", folder, "--out", out / "export.json", "--overwrite") == 2
-    assert "expected a folder or nothing, found a file" in capsys.readouterr().err

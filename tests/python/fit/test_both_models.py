@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from pbrfit import Objective, Priors, Scene, decompose
 from pbrfit.fit import uncertainty
 from pbrfit.fit.gauss_newton.pixels import schur_options
-from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
-from scene_kinds import all_pixels, known_lights, of_kind
+from scene_files import truth_of
+from scene_kinds import all_pixels, known_lights
 from tiled import in_tiles
 
 MAPS = ("albedo_rmse", "roughness_rmse", "metallic_rmse")
@@ -29,33 +29,10 @@ def room(model: Model, size: int = 16, noise: float = 0.0) -> Scene:
 
 
 @both_models
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"sh_order": 2}, {"metallic": 0.3}, {"mono_light": True}, {"free_normals": True}],
-    ids=["all free", "order 2", "metallic known", "grey lights", "free normals"],
-)
-def test_the_gradient_agrees_with_finite_differences(
-    model: Model, options: dict[str, object]
-) -> None:
-    objective = Objective(room(model, noise=0.02), priors=None, **options)  # type: ignore[arg-type]
-    assert [check for check in check_gradients(objective) if not check.passed] == []
-
-
-@both_models
-@pytest.mark.parametrize("kind", ["known lights", "grey", "weights"])
-def test_the_gradient_agrees_where_there_is_less_or_more_than_pictures(
-    model: Model, kind: str
-) -> None:
-    scene, _ = of_kind(room(model, noise=0.02), kind)
-    assert [check for check in check_gradients(Objective(scene)) if not check.passed] == []
-
-
-@both_models
 def test_mirrors_do_not_move_with_the_lights(model: Model) -> None:
     scene = room(model)
-    assert scene.truth is not None
     objective = Objective(scene, model=model, priors=None)
-    true = scene.truth.materials
+    true = truth_of(scene).materials
     x = objective.pack(true.albedo, np.zeros_like(true.roughness), true.metallic)
     pixels = all_pixels(objective)
     how = schur_options(objective, x, pixels, None, 1e-3)
@@ -100,8 +77,7 @@ def test_the_default_fit_learns_a_material_prior_and_comes_near_the_truth() -> N
 def test_the_true_materials_explain_pictures_of_their_model_alone(model: Model) -> None:
     [other] = set(MODELS) - {model}
     scene = room(model)
-    assert scene.truth is not None
-    true = scene.truth.materials
+    true = truth_of(scene).materials
 
     def left(of: Model) -> float:
         objective = Objective(scene, model=of)
@@ -115,8 +91,7 @@ def test_the_true_materials_explain_pictures_of_their_model_alone(model: Model) 
 @both_models
 def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     scene = room(model, size=16, noise=0.01)
-    assert scene.truth is not None
-    true = scene.truth.materials
+    true = truth_of(scene).materials
     result = decompose(known_lights(scene), priors=None)
     found = result.uncertainty
     assert found is not None
@@ -158,19 +133,6 @@ def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None
     assert "tiles" in tiled.stages[-1].name
     for name in ("albedo", "roughness", "metallic"):
         np.testing.assert_allclose(getattr(tiled, name), getattr(whole, name), atol=1e-4)
-
-
-@both_models
-def test_results_do_not_depend_on_the_number_of_threads(model: Model) -> None:
-    one, other = (
-        decompose(room(model, noise=0.01), iterations=5, threads=threads) for threads in (1, 2)
-    )
-    for name in ("albedo", "roughness", "metallic", "lighting"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert one.uncertainty is not None
-    assert other.uncertainty is not None
-    of_one, of_other = one.uncertainty.marginal, other.uncertainty.marginal
-    np.testing.assert_array_equal(of_one.roughness, of_other.roughness)
 
 
 @both_models

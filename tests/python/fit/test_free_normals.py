@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 import pbrfit
 import reference
 from pbrfit import InputError
-from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.robust import irls_weights
 from pbrfit.synthetic import make_scene
+from scene_files import truth_of
 
 Array = NDArray[np.float64]
 
@@ -31,11 +29,6 @@ def room(**options: Any) -> pbrfit.Scene:
     return make_scene("room", size=24, lights=6, **options)
 
 
-def truth(scene: pbrfit.Scene) -> pbrfit.Truth:
-    assert scene.truth is not None
-    return scene.truth
-
-
 def changed_scene(scene: pbrfit.Scene, offsets: Array) -> pbrfit.Scene:
     """The same pictures with normals changed by tangent offsets (2, P)."""
     normals = np.array(scene.normals, dtype=np.float64)
@@ -45,32 +38,8 @@ def changed_scene(scene: pbrfit.Scene, offsets: Array) -> pbrfit.Scene:
 
 def offsets_between(given: Array, wanted: Array) -> Array:
     """Tangent offsets (2, P) of other normals (P, 3): parts along the tangents over n₀'s."""
-    step = 1e-6
-    tangents = [
-        (reference.turned(given, step * axis) - reference.turned(given, -step * axis)) / (2 * step)
-        for axis in np.eye(2)[:, :, None] * np.ones(len(given))
-    ]
     along = np.sum(wanted * given, axis=-1)
-    return np.stack([np.sum(wanted * t, axis=-1) / along for t in tangents])
-
-
-@pytest.mark.parametrize("options", OPTIONS, ids=str)
-def test_tangent_offsets_lie_between_materials_and_lights(options: dict[str, Any]) -> None:
-    scene = room()
-    known, free = (Objective(scene, **options, free_normals=f) for f in (False, True))
-    p = free.pixels
-    assert known.tangent_offsets is None
-    assert free.tangent_offsets is not None
-    assert free.lighting is not None
-    assert known.lighting is not None
-    assert free.tangent_offsets == slice(known.layout.maps.stop, known.layout.maps.stop + 2 * p)
-    assert free.layout.materials == known.layout.maps
-    assert free.layout.maps.stop == free.tangent_offsets.stop == free.lighting.start
-    assert free.size == known.size + 2 * p
-    assert free.problem.size == known.problem.size + 2 * p
-    bounds = free.bounds
-    assert (bounds[free.layout.materials] == (0, 1)).all()
-    assert np.isinf(bounds[free.layout.materials.stop :]).all()
+    return np.stack([np.sum(wanted * t, axis=-1) / along for t in reference.tangents(given)])
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=str)
@@ -84,8 +53,8 @@ def test_the_start_has_the_given_normals(options: dict[str, Any]) -> None:
     np.testing.assert_array_equal(known.normals(x), given)
     np.testing.assert_allclose(free.normals(start), given, rtol=0, atol=1e-6)
     assert free.value_and_grad(start)[0] == pytest.approx(known.value_and_grad(x)[0], rel=1e-5)
-    lighting = truth(scene).lighting
-    materials = truth(scene).materials
+    lighting = truth_of(scene).lighting
+    materials = truth_of(scene).materials
     packed = free.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
     assert packed.shape == (free.size,)
     assert not packed[free.tangent_offsets].any()
@@ -113,9 +82,9 @@ def test_the_tangent_offsets_to_the_true_normals_explain_the_pictures() -> None:
     given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
     disturbed = changed_scene(scene, 0.2 * rng.normal(size=(2, len(given))))
     objective = Objective(disturbed, free_normals=True)
-    materials = truth(scene).materials
+    materials = truth_of(scene).materials
     x = objective.pack(
-        materials.albedo, materials.roughness, materials.metallic, truth(scene).lighting
+        materials.albedo, materials.roughness, materials.metallic, truth_of(scene).lighting
     )
     wrong, gradient = objective.value_and_grad(x)
     x[objective.tangent_offsets] = offsets_between(
@@ -129,58 +98,6 @@ def test_the_tangent_offsets_to_the_true_normals_explain_the_pictures() -> None:
     np.testing.assert_allclose(again[objective.lighting], x[objective.lighting], atol=1e-3)
 
 
-def test_a_part_keeps_its_tangent_offsets() -> None:
-    scene = room()
-    objective = Objective(scene, free_normals=True)
-    rng = np.random.default_rng(2)
-    x = objective.start()
-    x[objective.tangent_offsets] = 0.3 * rng.normal(size=2 * objective.pixels)
-    pixels = np.sort(rng.choice(objective.pixels, 100, replace=False)).astype(np.uint64)
-    part, of_part = objective.restricted(pixels), objective.part_of(x, pixels)
-    assert part.size == of_part.size
-    np.testing.assert_array_equal(part.normals(of_part), objective.normals(x)[pixels])
-    np.testing.assert_array_equal(
-        part.problem.residuals(of_part, np.arange(100, dtype=np.uint64)),
-        objective.problem.residuals(x, pixels),
-    )
-    again = objective.start()
-    objective.put_part(again, pixels, of_part)
-    planes = again[objective.tangent_offsets].reshape(2, -1)
-    np.testing.assert_array_equal(
-        planes[:, pixels], x[objective.tangent_offsets].reshape(2, -1)[:, pixels]
-    )
-    assert np.count_nonzero(planes) == 200
-
-
-@pytest.mark.parametrize("loss", ["none", "huber", "cauchy"])
-@pytest.mark.parametrize("options", OPTIONS, ids=str)
-def test_gradients_are_those_of_the_loss(options: dict[str, Any], loss: str) -> None:
-    objective = Objective(room(noise=0.05), **options, free_normals=True)
-    objective.robust = objective.robust_around(objective.start(), loss)
-    checks = check_gradients(objective, seed=1)
-    assert {"tangent_offsets", "roughness"} <= {check.unknowns for check in checks}
-    failed = [check for check in checks if not check.passed]
-    assert not failed, failed
-
-
-@pytest.mark.parametrize("loss", ["huber", "cauchy"])
-def test_reweighted_squares_have_the_gradient_of_the_robust_loss(loss: str) -> None:
-    objective = Objective(room(noise=0.05), free_normals=True)
-    x = objective.start()
-    x[objective.tangent_offsets] = 0.1 * np.random.default_rng(3).normal(size=2 * objective.pixels)
-    objective.robust = objective.robust_around(x, loss)
-    _, gradient = objective.value_and_grad(x)
-    _, of_squares = objective.reweighted(x).value_and_grad(x)
-    # Each is a mean, over sums of weights of its own.
-    assert objective.robust is not None
-    every = np.arange(objective.pixels, dtype=np.uint64)
-    factors = irls_weights(objective.robust, objective.problem.residuals(x, every))
-    factor = factors.sum(dtype=float) / objective.total_weight
-    np.testing.assert_allclose(
-        factor * of_squares, gradient, rtol=0, atol=1e-5 * np.abs(gradient).max()
-    )
-
-
 def test_refused_tangent_offsets_are_named() -> None:
     objective = Objective(room(), free_normals=True)
     x = objective.start()
@@ -191,10 +108,3 @@ def test_refused_tangent_offsets_are_named() -> None:
             objective.value_and_grad(x)
         with pytest.raises(InputError, match=r"^maps \(tangent offset\): expected"):
             objective.normals(x)
-
-
-def test_without_free_normals_nothing_is_laid_out_for_them() -> None:
-    layout = ParameterLayout.of(room())
-    assert not layout.free_normals
-    assert layout.tangent_offsets is None
-    assert layout.maps == layout.materials

@@ -268,23 +268,6 @@ def test_the_joint_step_solves_the_whole_system(kind: str) -> None:
     )
 
 
-def test_a_share_of_a_step_is_on_its_way() -> None:
-    made = case(sh_order=2)
-    layout = made.subset.layout
-    start, half, whole = made.state, taken(made, share=0.5), taken(made)
-    smooth = slice(layout.materials.stop, None)
-    np.testing.assert_allclose(
-        2 * (half.x - start.x)[smooth], (whole.x - start.x)[smooth], rtol=0, atol=1e-12
-    )
-    np.testing.assert_allclose(
-        2 * (half.cluster_offsets - start.cluster_offsets),
-        whole.cluster_offsets - start.cluster_offsets,
-        rtol=0,
-        atol=1e-12,
-    )
-    np.testing.assert_array_equal(taken(made, share=0.0).x, start.x)
-
-
 @pytest.mark.parametrize("damping", [0.0, 1e-3, 1.0])
 def test_a_step_from_far_away_stays_within_reach(damping: float) -> None:
     made = case(away=0.3, sh_order=2)
@@ -301,17 +284,6 @@ def test_a_step_from_far_away_stays_within_reach(damping: float) -> None:
     if damping == 0:
         assert lengths.max() == pytest.approx(NORMALS_OFFSET_STEP_MAX)
     assert np.abs((found.x - x)[layout.roughness]).max() <= NORMALS_ROUGHNESS_STEP_MAX + 1e-12
-
-
-def test_damping_shortens_the_step() -> None:
-    made = case(sh_order=2)
-    layout = made.subset.layout
-    lengths = [
-        np.linalg.norm((taken(made, damping).x - made.state.x)[layout.tangent_offsets])
-        for damping in (0.0, 1e-2, 1.0, 100.0)
-    ]
-    assert lengths == sorted(lengths, reverse=True)
-    assert lengths[-1] < 0.1 * lengths[0]
 
 
 def test_pixels_that_no_picture_shows_stay_where_neighbours_are() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
-from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
+from scene_files import lights_of, truth_of
+from scene_kinds import known_lights
 
 SIZE, N = 16, 5
-BAND_3 = "band 3 of the lights: order 2 was asked for"
-NO_BAND_3 = "band 3 of the lights: the known lights have none"
-CHANNELS = "second and third colour channel: equal to the first"
-METALLIC = "metallic: given, so it was not fitted"
-LIGHTS = "lights and their gradient: known, so only materials were fitted"
 
 
 def in_color(**options: Any) -> pbrfit.Scene:
@@ -32,33 +27,18 @@ def in_color(**options: Any) -> pbrfit.Scene:
 def in_grey() -> pbrfit.Scene:
     """The first channel of everything."""
     scene = in_color()
-    known = truth(scene)
+    known = truth_of(scene)
     maps = dataclasses.replace(known.materials, albedo=grey(known.materials.albedo))
     return pbrfit.Scene(
         images=grey(scene.images),
         normals=scene.normals,
         fov=scene.fov,
-        truth=pbrfit.Truth(maps, grey(lights(scene))),
+        truth=pbrfit.Truth(maps, grey(lights_of(scene))),
     )
 
 
 def grey(values: NDArray[Any]) -> NDArray[Any]:
     return np.repeat(values[..., :1], 3, axis=-1)
-
-
-def truth(scene: pbrfit.Scene) -> pbrfit.Truth:
-    assert scene.truth is not None
-    return scene.truth
-
-
-def lights(scene: pbrfit.Scene) -> NDArray[np.float64]:
-    lighting = truth(scene).lighting
-    assert lighting is not None
-    return lighting
-
-
-def known_lights(scene: pbrfit.Scene) -> pbrfit.Scene:
-    return dataclasses.replace(scene, lighting=lights(scene))
 
 
 def some_weights(seed: int = 0) -> NDArray[np.float32]:
@@ -80,133 +60,6 @@ def assert_same_bits(a: pbrfit.Result, b: pbrfit.Result) -> None:
     assert a.metrics == pytest.approx(b.metrics, rel=1e-13)  # weighted means round differently
 
 
-# --- All kinds ---
-
-SCENES: dict[str, Callable[[], pbrfit.Scene]] = {
-    "colour": in_color,
-    "grey": in_grey,
-    "weighted": lambda: dataclasses.replace(in_color(), weights=some_weights()),
-    "grey, weighted": lambda: dataclasses.replace(in_grey(), weights=some_weights()[0]),
-    "known lights": lambda: known_lights(in_color(sh_order=2)),
-    "grey, weighted, known lights": lambda: dataclasses.replace(
-        known_lights(in_grey()), weights=some_weights()
-    ),
-}
-
-every_kind = pytest.mark.parametrize(
-    ("kind", "sh_order", "metallic"),
-    [
-        (kind, sh_order, metallic)
-        for kind in SCENES
-        for sh_order in (2, 3)
-        for metallic in (None, 0.0, 0.4)
-        if (kind, sh_order) != ("grey, weighted, known lights", 2)  # these lights have band 3
-    ],
-)
-
-
-@every_kind
-def test_x_has_what_is_unknown(kind: str, sh_order: int, metallic: float | None) -> None:
-    scene = SCENES[kind]()
-    objective = Objective(scene, sh_order=sh_order, metallic=metallic)
-    channels = 1 if "grey" in kind else 3
-    pixels = int(np.count_nonzero(scene.valid))
-    lights = 0 if "known" in kind else N * (sh_order + 1) ** 2 * channels
-    assert (objective.channels, objective.pixels) == (channels, pixels)
-    # These known lights are of order 2.
-    assert objective.coefficients == (9 if kind == "known lights" else (sh_order + 1) ** 2)
-    assert objective.size == (channels + 1 + (metallic is None)) * pixels + lights
-    assert (objective.metallic is None) == (metallic is not None)
-    assert (objective.lighting is None) == ("known" in kind)
-    parts = [objective.albedo, objective.roughness, objective.metallic, objective.lighting]
-    slices = [part for part in parts if part is not None]
-    assert [part.start for part in slices] == [0, *(part.stop for part in slices[:-1])]
-    assert slices[-1].stop == objective.size
-    assert objective.bounds.shape == (objective.size, 2)
-    free = np.isinf(objective.bounds).all(axis=1)
-    assert np.flatnonzero(free).tolist() == list(range(objective.size - lights, objective.size))
-
-
-@every_kind
-def test_pack_and_unpack_are_inverse(kind: str, sh_order: int, metallic: float | None) -> None:
-    scene = SCENES[kind]()
-    objective = Objective(scene, sh_order=sh_order, metallic=metallic)
-    rng = np.random.default_rng(3)
-    x = rng.random(objective.size)
-    materials, lighting = objective.unpack(x)
-    assert materials.albedo.shape == (SIZE, SIZE, 3)
-    assert lighting.shape == (N, 16, 3)
-    np.testing.assert_array_equal(np.isnan(materials.roughness), ~scene.valid)
-    if metallic is not None:
-        assert (materials.metallic[scene.valid] == metallic).all()
-    if objective.channels == 1:
-        np.testing.assert_array_equal(materials.albedo, grey(materials.albedo))
-        np.testing.assert_array_equal(lighting, grey(lighting))
-    if objective.lighting is not None and sh_order == 2:
-        assert not lighting[:, 9:].any()
-    back = objective.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
-    np.testing.assert_allclose(back, x, rtol=1e-15)
-
-
-@every_kind
-def test_gradients_agree_with_differences(kind: str, sh_order: int, metallic: float | None) -> None:
-    objective = Objective(SCENES[kind](), sh_order=sh_order, metallic=metallic)
-    checks = check_gradients(objective)
-    unknowns = {"albedo", "roughness"}
-    unknowns |= {"metallic"} if metallic is None else set()
-    unknowns |= set() if "known" in kind else {"lighting"}
-    assert {check.unknowns for check in checks} == unknowns
-    for check in checks:
-        assert check.passed, check
-
-
-@every_kind
-def test_the_start_has_the_best_lights(kind: str, sh_order: int, metallic: float | None) -> None:
-    objective = Objective(SCENES[kind](), sh_order=sh_order, metallic=metallic)
-    x = objective.start()
-    assert x.shape == (objective.size,)
-    assert np.isfinite(x).all()
-    if objective.lighting is None:
-        return
-    loss, gradient = objective.value_and_grad(x)
-    rng = np.random.default_rng(4)
-    for _ in range(5):
-        other = x.copy()
-        lights = other[objective.lighting]
-        lights *= rng.uniform(0.95, 1.05, lights.size)
-        other_loss, other_gradient = objective.value_and_grad(other)
-        assert other_loss > loss
-        by_lights = np.linalg.norm(gradient[objective.lighting])
-        assert by_lights < 1e-2 * np.linalg.norm(other_gradient[objective.lighting])
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-@every_kind
-def test_the_fit_says_what_it_left_out(
-    kind: str, sh_order: int, metallic: float | None, solver: Solver
-) -> None:
-    scene = SCENES[kind]()
-    result = pbrfit.decompose(
-        scene, solver=solver, iterations=12, sh_order=sh_order, metallic=metallic
-    )
-    expected = [
-        *([CHANNELS] if "grey" in kind else []),
-        *([NO_BAND_3] if kind == "known lights" else [BAND_3] if sh_order == 2 else []),
-        *([METALLIC] if metallic is not None else []),
-        *([LIGHTS] if "known" in kind else []),
-    ]
-    found = without_priors(result)
-    assert [entry for entry in found if "weight" not in entry] == expected
-    assert any("of weight 0" in entry for entry in found) == ("weighted" in kind)
-    assert (result.options.sh_order, result.options.metallic) == (sh_order, metallic)
-    assert result.metrics["recon_rmse"] < result.history["recon_rmse"][0]
-    # The last row, if the best state was not before a restart.
-    if "kept the better" not in result.stop_reason:
-        last = result.history["recon_rmse"][-1]
-        # The history's is of pictures divided by the scene scale and rounded to float32.
-        assert last == pytest.approx(result.metrics["recon_rmse"], rel=1e-4, abs=5e-8)
-
-
 # --- Grey ---
 
 
@@ -217,12 +70,12 @@ def test_grey_pictures_are_fitted_like_colour_pictures_of_equal_channels() -> No
     colored = dataclasses.replace(scene, images=scene.images.astype(np.float64) * tint)
     one, three = Objective(scene), Objective(colored)
     assert (one.channels, three.channels) == (1, 3)
-    maps = truth(scene).materials
-    for lighting in (None, 0.9 * lights(scene)):
+    maps = truth_of(scene).materials
+    for lighting in (None, 0.9 * lights_of(scene)):
         arguments = (maps.albedo**2, 0.5 * maps.roughness, maps.metallic, lighting)
         losses = [o.value_and_grad(o.pack(*arguments))[0] for o in (one, three)]
         assert losses[0] == pytest.approx(losses[1], rel=1e-5)
-    result = pbrfit.decompose(scene, start=(maps, lights(scene)), iterations=5, priors=None)
+    result = pbrfit.decompose(scene, start=(maps, lights_of(scene)), iterations=5, priors=None)
     assert result.metrics["albedo_rmse"] <= 1e-6
     assert result.metrics["recon_rmse"] <= 1e-7
 
@@ -242,21 +95,10 @@ def test_one_sample_in_colour_makes_three_channels() -> None:
 
 def test_known_lights_in_colour_make_three_channels() -> None:
     scene = in_grey()
-    lighting = lights(scene).copy()
+    lighting = lights_of(scene).copy()
     assert Objective(dataclasses.replace(scene, lighting=lighting)).channels == 1
     lighting[0, 15, 1] *= 1 + 1e-15
     assert Objective(dataclasses.replace(scene, lighting=lighting)).channels == 3
-
-
-def test_the_mean_of_channels_is_packed() -> None:
-    scene = in_grey()
-    objective = Objective(scene)
-    rng = np.random.default_rng(5)
-    albedo, lighting = rng.random((SIZE, SIZE, 3)), rng.random((N, 16, 3))
-    flat = np.full((SIZE, SIZE), 0.5)
-    materials, lights = objective.unpack(objective.pack(albedo, flat, flat, lighting))
-    np.testing.assert_allclose(materials.albedo[..., 1], albedo.mean(axis=-1), rtol=1e-14)
-    np.testing.assert_allclose(lights[..., 2], lighting.mean(axis=-1), rtol=1e-14)
 
 
 # --- Order 2, metallic, known lights ---
@@ -264,14 +106,14 @@ def test_the_mean_of_channels_is_packed() -> None:
 
 def test_scenes_of_order_two_are_explained_without_band_three() -> None:
     scene = in_color(sh_order=2)
-    start = (truth(scene).materials, lights(scene))
+    start = (truth_of(scene).materials, lights_of(scene))
     options: dict[str, Any] = {"sh_order": 2, "iterations": 5, "priors": None}
     result = pbrfit.decompose(scene, start=start, **options)
     assert result.metrics["recon_rmse"] <= 1e-7
     assert not result.lighting[:, 9:].any()
     known_order_2 = pbrfit.decompose(known_lights(scene), start=start[0], **options)
     assert known_order_2.metrics["recon_rmse"] <= 1e-7
-    np.testing.assert_array_equal(known_order_2.lighting, lights(scene))
+    np.testing.assert_array_equal(known_order_2.lighting, lights_of(scene))
 
 
 def test_known_lights_of_order_three_are_refused_at_order_two() -> None:
@@ -284,9 +126,9 @@ def test_known_lights_of_order_three_are_refused_at_order_two() -> None:
 @pytest.mark.parametrize("metallic", [0.0, 0.7])
 def test_given_metallic_explains_pictures_of_it(metallic: float) -> None:
     scene = in_color()
-    lighting = lights(scene)
+    lighting = lights_of(scene)
     flat = np.full((SIZE, SIZE), metallic)
-    maps = dataclasses.replace(truth(scene).materials, metallic=flat)
+    maps = dataclasses.replace(truth_of(scene).materials, metallic=flat)
     images = pbrfit.render(maps, scene.normals, lighting, scene.fov)
     scene = dataclasses.replace(scene, images=images, truth=pbrfit.Truth(maps, lighting))
     options: dict[str, Any] = {"start": (maps, lighting), "iterations": 5, "priors": None}
@@ -296,26 +138,6 @@ def test_given_metallic_explains_pictures_of_it(metallic: float) -> None:
     assert result.metrics["recon_rmse"] <= 1e-7
     wrong = pbrfit.decompose(scene, **options, metallic=1 - metallic)
     assert wrong.metrics["recon_rmse"] > 1e-3
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        *(("sh_order", value) for value in (1, 4, -2, 2.5, "2", None)),
-        *(("metallic", value) for value in (-0.1, 1.1, np.nan, "0", "free", True, [0.0, 0.0], 1j)),
-    ],
-)
-def test_unusable_options_are_named(option: str, value: Any) -> None:
-    with pytest.raises(pbrfit.InputError, match=f"^{option}: expected"):
-        pbrfit.decompose(in_color(), **{option: value})
-
-
-def test_numpy_numbers_are_options() -> None:
-    options: dict[str, Any] = {"sh_order": np.int64(2), "metallic": np.float32(0.5)}
-    result = pbrfit.decompose(in_color(), iterations=1, **options)
-    assert (result.options.sh_order, result.options.metallic) == (2, 0.5)
-    assert type(result.options.sh_order) is int
-    assert type(result.options.metallic) is float
 
 
 # --- Weights ---

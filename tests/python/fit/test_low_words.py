@@ -8,34 +8,29 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import pbrfit
-import reference
 from pbrfit import Objective, Scene, _core
 from pbrfit._core import InputError
 from pbrfit.model import reflection as model
 from pbrfit.synthetic import make_scene
-
-Array = NDArray[np.float64]
+from random_pixels import Array, Example, Kind
+from scene_files import lights_of, truth_of
 
 
 @pytest.fixture(scope="module")
 def room() -> Scene:
     """Pictures rendered in float64 from what is known."""
     scene = make_scene("room", size=24, lights=6, seed=3, held_out=1)
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    pictures = model.render(scene.truth.materials, scene.normals, scene.truth.lighting, scene.fov)
+    pictures = model.render(truth_of(scene).materials, scene.normals, lights_of(scene), scene.fov)
     return dataclasses.replace(scene, images=pictures)
 
 
 def squares_at_truth(scene: Scene) -> float:
     objective = Objective(scene)
-    assert scene.truth is not None
-    materials = scene.truth.materials
+    materials = truth_of(scene).materials
     x = objective.pack(
-        materials.albedo, materials.roughness, materials.metallic, scene.truth.lighting
+        materials.albedo, materials.roughness, materials.metallic, truth_of(scene).lighting
     )
     pixels = np.arange(objective.pixels, dtype=np.uint64)
     _, _, squares = objective.problem.normal_equations(objective.for_core(x), pixels)
@@ -66,84 +61,63 @@ def test_pictures_that_float32_holds_need_no_remainders(
     assert given == [np.float32, np.float32, np.float64]
 
 
-class Example:
-    """Random pixels and pictures, with a random point that explains nothing."""
-
-    def __init__(self, channels: int = 3, weights: bool = False) -> None:
-        rng = np.random.default_rng(4)
-        p, n, c = 150, 4, channels
-        self.normals = reference.unit(rng.normal(size=(p, 3)) * 0.5 + (0, 0, 1))
-        self.views = reference.unit(rng.normal(size=(p, 3)) * 0.2 + (0, 0, 1))
-        self.targets = rng.random((n, p, c))
-        self.images = self.targets.astype(np.float32)
-        self.weights = rng.random((n, p)).astype(np.float32) if weights else None
-        albedo, r, m = rng.random((p, c)), rng.random(p), rng.random(p)
-        lights = rng.normal(size=(n, 16, c))
-        self.x = np.concatenate([albedo.T.ravel(), r, m, lights.ravel()])
-        self.by_light = reference.shade(
-            self.normals, self.views, np.broadcast_to(albedo, (p, 3)), r, m
-        )[:, :c]
-        self.radiance = np.einsum("pck,nkc->npc", self.by_light, lights)
-        self.omega = np.ones((n, p)) if self.weights is None else self.weights.astype(np.float64)
-
-    def problem(self, images: Any = None) -> _core.Problem:
-        """Of 48 bits, or of these pictures."""
-        if images is None:
-            images = list(self.targets)
-        return _core.Problem(images, self.normals, self.views, weights=self.weights)
+def example_of(channels: int = 3, weights: int | None = None) -> Example:
+    """Pixels whose pictures nothing explains."""
+    return Example(Kind(channels=channels, weights=weights), 150, 4, noise=0.3)
 
 
 PIXELS = np.random.default_rng(0).permutation(150)[:140].astype(np.uint64)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("weights", [False, True])
-def test_float64_paths_take_notice(channels: int, weights: bool) -> None:
-    example = Example(channels, weights)
-    problem, x = example.problem(), example.x
-    residual = example.radiance - example.targets
-    omega = example.omega
-    _, _, squares = problem.normal_equations(x, PIXELS)
-    expected = np.einsum("np,npc->p", omega, residual**2)[PIXELS]
-    np.testing.assert_allclose(squares, expected, rtol=1e-12)
+@pytest.mark.parametrize("weights", [None, 2])
+def test_float64_paths_take_notice(channels: int, weights: int | None) -> None:
+    example = example_of(channels, weights)
+    problem, x = example.problem(), example.x()
+    expected = example.squares(example.unknowns(example.truth))[PIXELS]
+    np.testing.assert_allclose(problem.normal_equations(x, PIXELS)[2], expected, rtol=1e-12)
     # From products at the very material, and so to fewer digits.
     _, squares = problem.fit_materials(x, PIXELS, *2 * (np.empty(0),), steps=0, exact_steps=0)
     np.testing.assert_allclose(squares, expected, rtol=1e-10)
-    np.testing.assert_array_equal(problem.residuals(x, PIXELS).shape, (4, len(PIXELS), channels))
-    np.testing.assert_allclose(problem.residuals(x, PIXELS), residual[:, PIXELS], rtol=1e-7)
-    _, right = problem.light_equations(x[: -4 * 16 * channels])
-    expected = np.einsum("np,npc,pck->cnk", omega, example.targets, example.by_light)
+    residual = (example.radiance(example.truth) - example.targets)[PIXELS].swapaxes(0, 1)
+    np.testing.assert_allclose(problem.residuals(x, PIXELS), residual, rtol=1e-7)
+    _, right = problem.light_equations(x[: example.kind.unknowns * 150])
+    weighted = example.omega * example.targets
+    expected = np.einsum("pnc,pck->cnk", weighted, example.slopes()[1])
     np.testing.assert_allclose(right, expected, rtol=1e-11, atol=1e-11)
 
 
 def test_small_residuals_keep_their_digits() -> None:
-    example = Example()
+    example = example_of()
     small = 1e-12 * np.random.default_rng(1).normal(size=example.targets.shape)
-    targets = example.radiance - small
-    problem = example.problem(list(targets))
-    found = problem.residuals(example.x, PIXELS)
-    np.testing.assert_allclose(found, small[:, PIXELS], atol=3e-14)
+    example.targets = example.radiance(example.truth) - small
+    found = example.problem().residuals(example.x(), PIXELS)
+    np.testing.assert_allclose(found, small[PIXELS].swapaxes(0, 1), atol=3e-14)
 
 
 def test_the_fast_evaluation_takes_no_notice() -> None:
-    example = Example()
-    with_them, gradient = example.problem().value_and_grad(example.x)
-    without, same = example.problem(example.images).value_and_grad(example.x)
+    example = example_of()
+    with_them, gradient = example.problem().value_and_grad(example.x())
+    single = example.targets.swapaxes(0, 1).astype(np.float32)
+    without, same = example.problem(images=single).value_and_grad(example.x())
     assert with_them == without
     np.testing.assert_array_equal(gradient, same)
 
 
 def test_single_pictures_are_double_ones_without_remainders() -> None:
-    example = Example()
-    single = example.images
+    example = example_of()
+    single = np.ascontiguousarray(example.targets.swapaxes(0, 1).astype(np.float32))
     double = list(single.astype(np.float64))
     mixed = [double[0], single[1], double[2], single[3]]
-    whole = example.problem(single).normal_equations(example.x, PIXELS)
+    whole = example.problem(images=single).normal_equations(example.x(), PIXELS)
     for images in (list(single), double, mixed):
-        for a, b in zip(
-            whole, example.problem(images).normal_equations(example.x, PIXELS), strict=True
-        ):
+        found = example.problem(images=images).normal_equations(example.x(), PIXELS)
+        for a, b in zip(whole, found, strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+def pictures() -> list[Array]:
+    return list(np.ascontiguousarray(example_of().targets.swapaxes(0, 1)))
 
 
 class Told:
@@ -160,7 +134,7 @@ class Told:
 
 
 def changed(picture: Any) -> list[Any]:
-    images: list[Any] = list(Example().targets)
+    images: list[Any] = [*pictures()]
     images[2] = picture
     return images
 
@@ -175,19 +149,19 @@ def changed(picture: Any) -> list[Any]:
         (changed(np.zeros((3, 50, 3))), r"expected an array of float64 in 2 dim.*\[3, 50, 3\]"),
         (changed(np.full((150, 3), np.nan)), "expected finite numbers, found NaN at 900"),
         (changed(np.full((150, 3), 1e20)), "expected numbers up to 1e16 in size, .* at 900"),
-        (Told(list(Example().targets), 3), "expected 3 pictures, found 4"),
-        (Told(list(Example().targets), 5), "expected 5 pictures, found 4"),
-        (Told(list(Example().targets), 1 << 40), "expected at most 2147483648 pixels times"),
+        (Told(pictures(), 3), "expected 3 pictures, found 4"),
+        (Told(pictures(), 5), "expected 5 pictures, found 4"),
+        (Told(pictures(), 1 << 40), "expected at most 2147483648 pixels times"),
     ],
 )
 def test_bad_series_are_refused(images: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^images: {message}"):
-        Example().problem(images)
+        example_of().problem(images=images)
 
 
 def test_an_error_of_a_series_is_its_own() -> None:
     def images() -> Iterator[Array]:
-        yield Example().targets[0]
+        yield pictures()[0]
         raise OSError("no more")
 
     class Broken(Told):
@@ -195,7 +169,7 @@ def test_an_error_of_a_series_is_its_own() -> None:
             return images()
 
     with pytest.raises(OSError, match="no more"):
-        Example().problem(Broken([], 4))
+        example_of().problem(images=Broken([], 4))
 
 
 def test_pictures_beyond_float32_are_no_warning() -> None:

@@ -18,6 +18,7 @@ from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
 from pbrfit.fit.settings import NOISE_PIXELS_MAX, OFFSET_PRECISION_SHARE
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
+from scene_files import lights_of, truth_of
 from scene_kinds import FREE_LIGHTS, KINDS, all_pixels, of_kind
 
 Array = NDArray[np.float64]
@@ -224,20 +225,6 @@ def test_gauss_newton_ends_in_a_minimum(
             assert total_of(objective, found + step * direction, pixels, prior) > least
 
 
-def test_gauss_newton_leaves_other_pixels(room: Scene) -> None:
-    objective = Objective(room)
-    pixels = evenly_spaced(objective.pixels, 40)
-    prior = some_prior(objective, pixels, np.random.default_rng(4))
-    start = objective.start()
-    found, _ = map_gauss_newton.minimize(objective, start, pixels, prior, steps=2)
-    others = np.setdiff1d(np.arange(objective.pixels), pixels)
-    maps = objective.layout.maps
-    before, after = (x[maps].reshape(-1, objective.pixels)[:, others] for x in (start, found))
-    np.testing.assert_array_equal(before, after)
-    assert (found[maps] >= 0).all()
-    assert (found[maps] <= 1).all()
-
-
 def test_the_prior_has_the_right_gradient(room: Scene) -> None:
     objective = Objective(room)
     rng = np.random.default_rng(5)
@@ -339,51 +326,11 @@ def test_tiny_pictures(shape: tuple[int, int], solver: Solver) -> None:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("pictures", [1, 2, 3])
-def test_few_pictures(room: Scene, pictures: int, solver: Solver) -> None:
-    """Hardly more samples than unknowns, or fewer."""
-    assert room.truth is not None
-    assert room.truth.lighting is not None
-    truth = dataclasses.replace(room.truth, lighting=room.truth.lighting[:pictures])
-    few = dataclasses.replace(
-        room,
-        images=room.images[:pictures],
-        names=room.names[:pictures],
-        truth=truth,
-        lighting=truth.lighting if pictures == 1 else None,
-    )
-    result = pbrfit.decompose(few, solver=solver, iterations=40)
-    assert np.isfinite(result.albedo).all()
-    assert np.isfinite(result.lighting).all()
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_odd_segments(room: Scene, solver: Solver) -> None:
-    """Single pixels, ids that are large and negative, a segment outside the mask, none at all."""
-    segments = np.full(room.images.shape[1:3], -5)
-    segments[3, 4] = 10**9
-    segments[8:, :] = 0
-    segments[:2] = 77
-    mask = np.ones(segments.shape, bool)
-    mask[:2] = False
-    scene = dataclasses.replace(room, segments=segments, mask=mask)
-    result = pbrfit.decompose(scene, solver=solver, iterations=60, refine_normals="off")
-    assert np.isfinite(result.roughness[mask]).all()
-    assert np.isnan(result.roughness[~mask]).all()
-    every = np.arange(segments.size).reshape(segments.shape)
-    scene = dataclasses.replace(room, segments=every)
-    result = pbrfit.decompose(scene, solver=solver, iterations=60, refine_normals="off")
-    assert np.isfinite(result.roughness).all()
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
 def test_perfect_pictures_have_no_use_for_a_prior(room: Scene, solver: Solver) -> None:
     """Where the fit leaves no residual there is no noise, and the prior has nothing to say."""
-    assert room.truth is not None
-    assert room.truth.lighting is not None
-    images = pbrfit.render(room.truth.materials, room.normals, room.truth.lighting, room.fov)
+    images = pbrfit.render(truth_of(room).materials, room.normals, lights_of(room), room.fov)
     scene = dataclasses.replace(room, images=images)
-    truth = room.truth.materials, room.truth.lighting
+    truth = truth_of(room).materials, lights_of(room)
     result = pbrfit.decompose(scene, solver=solver, iterations=10, start=truth)
     assert result.metrics["roughness_rmse"] < 0.02
     assert result.metrics["recon_rmse"] < 1e-3

@@ -16,6 +16,7 @@ from pbrfit.fit.plan import FitPlan, color_deviation
 from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
 from pbrfit.result.options import Priors, prior_names
 from pbrfit.synthetic import make_scene
+from scene_files import truth_of
 
 SIZE, N = 8, 3
 ALL = Priors(material=1.0, cohesion=1.0, smoothness=1.0, sparsity=1.0, monochrome=1.0)
@@ -28,8 +29,7 @@ def scene(**changes: Any) -> pbrfit.Scene:
 
 def known_lights(sh_order: int = 3) -> pbrfit.Scene:
     made = make_scene("room", size=SIZE, lights=N, held_out=1, sh_order=sh_order)
-    assert made.truth is not None
-    return dataclasses.replace(made, lighting=made.truth.lighting)
+    return dataclasses.replace(made, lighting=truth_of(made).lighting)
 
 
 def grey() -> pbrfit.Scene:

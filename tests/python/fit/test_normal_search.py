@@ -21,6 +21,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import NORMALS_LIGHT_SCALE_STARTS, NORMALS_MEAN_OVER_MEDIAN_MAX
 from pbrfit.synthetic import make_scene
+from scene_files import truth_of
 
 Array = NDArray[np.float64]
 
@@ -94,10 +95,9 @@ def test_a_mask_with_a_pattern_of_its_own_still_has_pixels_in_the_subset() -> No
 
 def true_x() -> Array:
     """Materials and lights of the scene, and tangent offsets of 0."""
-    assert SCENE.truth is not None
-    maps = SCENE.truth.materials
+    maps = truth_of(SCENE).materials
     held = Objective(SCENE, priors=None)
-    packed = held.pack(maps.albedo, maps.roughness, maps.metallic, SCENE.truth.lighting)
+    packed = held.pack(maps.albedo, maps.roughness, maps.metallic, truth_of(SCENE).lighting)
     x = FREE.start()
     x[FREE.layout.materials] = packed[held.layout.materials]
     x[FREE.layout.maps.stop :] = packed[held.layout.maps.stop :]

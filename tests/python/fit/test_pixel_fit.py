@@ -1,167 +1,75 @@
-"""Best materials with known lights: against scipy on a slow model, and at every extreme."""
+"""Best materials, and normals, with known lights: against scipy on a slow model, at extremes."""
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import reference
-from pbrfit import _core
 from pbrfit._core import InputError
-
-Array = NDArray[np.float64]
-Pixels = NDArray[np.uint64]
+from random_pixels import Array, Example, Kind, Pixels
 
 ROUGHNESS = np.linspace(0.05, 1, 12)
 METALLIC = np.linspace(0, 1, 6)
 NODES = ROUGHNESS, METALLIC
 NONE = np.empty(0), np.empty(0)
 
-
-@dataclasses.dataclass(frozen=True)
-class Kind:
-    """A kind of problem; weights of each sample, of each pixel of each picture, or none."""
-
-    channels: int = 3
-    sh_order: int = 3
-    metallic: float | None = None
-    weights: int | None = None
-    free_lights: bool = False
-
-    @property
-    def unknowns(self) -> int:
-        return self.channels + (2 if self.metallic is None else 1)
-
-
+known = partial(Kind, known_lights=True)
 KINDS = (
+    known(),
     Kind(),
-    Kind(free_lights=True),
-    Kind(sh_order=2),
-    Kind(channels=1),
-    Kind(metallic=0.3, weights=2),
-    Kind(channels=1, sh_order=2, metallic=0.0),
-    Kind(weights=3),
+    known(sh_order=2),
+    known(channels=1),
+    known(metallic=0.3, weights=2),
+    known(channels=1, sh_order=2, metallic=0.0),
+    known(weights=3),
+)
+free = partial(known, free_normals=True)
+FREE = (
+    free(),
+    free(weights=3),
+    free(metallic=0.3, weights=2),
+    free(channels=1, sh_order=2),
+    free(channels=1, metallic=0.0),
 )
 
 
-class Example:
-    """Random pixels under random lights, rendered by the reference; `truth` may be changed."""
-
-    def __init__(
-        self,
-        kind: Kind = KINDS[0],
-        pixels: int = 60,
-        pictures: int = 16,
-        noise: float = 0.0,
-        change: Callable[[Array], None] | None = None,
-        brightness: float = 1.0,
-    ) -> None:
-        rng = np.random.default_rng(3)
-        self.kind, self.pixels = kind, pixels
-        p, n, c, k = pixels, pictures, kind.channels, (kind.sh_order + 1) ** 2
-        self.normals = reference.unit(rng.normal(size=(p, 3)) * 0.4 + (0, 0, 1))
-        self.views = reference.unit(rng.normal(size=(p, 3)) * 0.1 + (0, 0, 1))
-        self.truth = rng.uniform(0.1, 0.9, (p, 5))  # three albedos, roughness, metallic
-        if change is not None:
-            change(self.truth)
-        if kind.metallic is not None:
-            self.truth[:, 4] = kind.metallic
-        self.truth = np.delete(self.truth, np.s_[c:3], axis=1)
-        self.lights = brightness * rng.normal(size=(n, k, c)) * 0.4
-        self.lights[:, 0] = brightness * rng.uniform(1, 3, (n, c))
-        self.omega = np.ones((p, n, c))
-        self.weights = None
-        if kind.weights is not None:
-            weights = rng.uniform(0.2, 1, (n, p, c)[: kind.weights]).astype(np.float32)
-            self.weights = weights
-            self.omega[:] = (weights if weights.ndim == 3 else weights[..., None]).swapaxes(0, 1)
-        self.targets = self.radiance(self.truth, slice(None))
-        self.targets += noise * rng.normal(size=self.targets.shape)
-
-    def radiance(self, materials: Array, pixels: Any) -> Array:
-        """(P, N, C) by the reference; `materials` (P, C + 2)."""
-        c, k = self.kind.channels, (self.kind.sh_order + 1) ** 2
-        colour = np.broadcast_to(materials[:, :c], (len(materials), 3))
-        roughness_metallic = materials[:, c], materials[:, c + 1]
-        weights = reference.shade(
-            self.normals[pixels], self.views[pixels], colour, *roughness_metallic
-        )
-        return np.asarray(np.einsum("pck,nkc->pnc", weights[:, :c, :k], self.lights))
-
-    def problem(self, threads: int = 1, *, exact: bool = True) -> _core.Problem:
-        """With all digits of the targets, or those that float32 holds."""
-        targets = np.ascontiguousarray(self.targets.swapaxes(0, 1))
-        return _core.Problem(
-            list(targets) if exact else targets.astype(np.float32),
-            self.normals,
-            self.views,
-            threads,
-            weights=self.weights,
-            sh_order=self.kind.sh_order,
-            metallic=self.kind.metallic,
-            lighting=None if self.kind.free_lights else self.lights,
-        )
-
-    def x(self, materials: Array) -> Array:
-        """X with materials (P, C + 2)."""
-        maps = materials[:, : self.kind.unknowns].T.ravel()
-        return np.concatenate([maps, self.lights.ravel()]) if self.kind.free_lights else maps
-
-    def grey(self) -> Array:
-        """X that knows nothing."""
-        return self.x(np.broadcast_to([0.5] * (self.kind.channels + 2), self.truth.shape))
-
-    def whole(self, found: Array) -> Array:
-        """Materials with metallic, known or not."""
-        if self.kind.metallic is None:
-            return found
-        return np.column_stack([found, np.full(len(found), self.kind.metallic)])
-
-    def fit(
-        self,
-        x: Array | None = None,
-        pixels: Pixels | None = None,
-        nodes: tuple[Array, Array] | None = None,
-        *,
-        threads: int = 1,
-        exact: bool = True,
-        **options: Any,
-    ) -> tuple[Array, Array]:
-        """Best materials from x, or from nothing, of pixels, or all, and their sums of squares."""
-        return self.problem(threads, exact=exact).fit_materials(
-            self.grey() if x is None else x,
-            self.everything if pixels is None else pixels,
-            *(NODES if nodes is None else nodes),
-            **options,
-        )
-
-    @property
-    def everything(self) -> Pixels:
-        return np.arange(self.pixels, dtype=np.uint64)
-
-    def squares(self, materials: Array, pixels: Any = slice(None)) -> Array:
-        """Σ ω (I − T)² of each pixel, by the reference."""
-        residuals = self.radiance(self.whole(materials), pixels) - self.targets[pixels]
-        return np.asarray((self.omega[pixels] * residuals**2).sum(axis=(1, 2)))
+def grey(example: Example) -> Array:
+    """X that knows nothing of materials."""
+    return example.x(np.full_like(example.truth, 0.5))
 
 
-def explicit(example: Example, found: Array) -> Array:
-    """Σ ω (I − T)² at materials of all pixels, by the core's other path."""
-    x = example.x(example.whole(found))
+def fit(
+    example: Example,
+    x: Array | None = None,
+    pixels: Pixels | None = None,
+    nodes: tuple[Array, Array] = NODES,
+    *,
+    exact: bool = True,
+    **options: Any,
+) -> tuple[Array, Array]:
+    """Best materials from x, or from nothing, of pixels, or all, and their sums of squares."""
+    single: dict[str, Any] = {"images": example.targets.swapaxes(0, 1).astype(np.float32)}
+    problem = example.problem(**({} if exact else single))
+    x = grey(example) if x is None else x
+    pixels = example.everything if pixels is None else pixels
+    return problem.fit_materials(x, pixels, *nodes, **options)
+
+
+def explicit(example: Example, x: Array) -> Array:
+    """Σ ω (I − T)² at x of all pixels, by the core's other path."""
     return example.problem().normal_equations(x, example.everything)[2]
 
 
 @cache
 def noisy(kind: Kind) -> Example:
-    return Example(kind, pixels=8, pictures=8, noise=0.03)
+    return Example(kind, 8, 8, noise=0.03)
 
 
 def best_of_scipy(
@@ -172,8 +80,9 @@ def best_of_scipy(
     root = np.sqrt(example.omega[p])
 
     def residuals(v: Array) -> Array:
-        materials = example.whole(v[None])
-        parts = [root * (example.radiance(materials, slice(p, p + 1))[0] - example.targets[p])]
+        values = v[None] if kind.metallic is None else np.append(v, kind.metallic)[None]
+        radiance = example.radiance(values, pixels=slice(p, p + 1))[0]
+        parts = [root * (radiance - example.targets[p])]
         if mean is not None and precision is not None:
             parts.append(np.sqrt(precision[p]) * (v[kind.channels :] - mean[p]))
         return np.concatenate([part.ravel() for part in parts])
@@ -191,7 +100,7 @@ def best_of_scipy(
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_no_start_of_scipys_ends_lower(kind: Kind) -> None:
     example = noisy(kind)
-    found, squares = example.fit(starts=4, steps=40, exact_steps=5)
+    found, squares = fit(example, starts=4, steps=40, exact_steps=5)
     assert found.shape == (8, kind.unknowns)
     np.testing.assert_allclose(squares, example.squares(found), rtol=1e-11)
     for p in range(8):
@@ -203,23 +112,27 @@ def test_a_prior_is_minimised_with_the_squares(kind: Kind) -> None:
     example = noisy(kind)
     rng = np.random.default_rng(0)
     shape = 8, kind.unknowns - kind.channels
-    mean, precision = rng.uniform(0.1, 0.9, shape), rng.uniform(0, 0.3, shape)
-    found, squares = example.fit(starts=4, steps=40, exact_steps=5, mean=mean, precision=precision)
+    prior: dict[str, Any] = {
+        "mean": rng.uniform(0.1, 0.9, shape),
+        "precision": rng.uniform(0, 0.3, shape),
+    }
+    found, squares = fit(example, starts=4, steps=40, exact_steps=5, **prior)
     # What is handed out is without the prior, what is least is with it.
     np.testing.assert_allclose(squares, example.squares(found), rtol=1e-11)
-    total = squares + (precision * (found[:, kind.channels :] - mean) ** 2).sum(axis=1)
+    off = found[:, kind.channels :] - prior["mean"]
+    total = squares + (prior["precision"] * off**2).sum(axis=1)
     for p in range(8):
-        assert total[p] <= best_of_scipy(example, p, mean, precision) * (1 + 1e-7)
-    stiff, _ = example.fit(mean=mean, precision=np.full(shape, 1e12))
-    np.testing.assert_allclose(stiff[:, kind.channels :], mean, atol=1e-9)
+        assert total[p] <= best_of_scipy(example, p, **prior) * (1 + 1e-7)
+    stiff, _ = fit(example, mean=prior["mean"], precision=np.full(shape, 1e12))
+    np.testing.assert_allclose(stiff[:, kind.channels :], prior["mean"], atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_noise_free_materials_are_found_from_nothing(kind: Kind) -> None:
-    example = Example(kind)
-    truth = example.truth[:, : kind.unknowns]
+    example = Example(kind, 60, 16)
+    truth = example.unknowns(example.truth)
     for exact, median, most in ((False, 1e-7, 2e-6), (True, 1e-14, 1e-12)):
-        found, squares = example.fit(exact=exact, starts=2, exact_steps=2)
+        found, squares = fit(example, exact=exact, starts=2, exact_steps=2)
         error = np.abs(found - truth).max(axis=1)
         assert np.median(error) < median
         assert error.max() < most
@@ -229,18 +142,13 @@ def test_noise_free_materials_are_found_from_nothing(kind: Kind) -> None:
 
 def test_rounded_targets_move_materials_as_far_as_they_say() -> None:
     """To first order by A⁻¹JᵀΩ times what was rounded away."""
-    example = Example()
-    problem, x = example.problem(), example.x(example.truth)
-    by_material, _, _ = problem.derivatives(x, example.everything)
-    matrices, _, _ = problem.normal_equations(x, example.everything)
-    jacobian = np.zeros((60, 16, 3, 5))
-    for c in range(3):
-        jacobian[:, :, c, c] = by_material[:, :, c, 0]
-    jacobian[..., 3:] = by_material[..., 1:]
+    example = Example(known(), 60, 16)
+    jacobian, _ = example.jacobian()
+    matrices, _, _ = example.problem().normal_equations(example.x(), example.everything)
     rounding = example.targets.astype(np.float32) - example.targets
     right = np.einsum("pncj,pnc->pj", jacobian, rounding)
     expected = np.linalg.solve(matrices, right[..., None])[..., 0]
-    found, _ = example.fit(exact=False, starts=2, exact_steps=2)
+    found, _ = fit(example, exact=False, starts=2, exact_steps=2)
     np.testing.assert_allclose(found - example.truth, expected, atol=1e-11)
 
 
@@ -261,22 +169,20 @@ def test_materials_on_bounds_are_found(unknown: int, value: float, tolerance: fl
     def change(truth: Array) -> None:
         truth[:, unknown] = value
 
-    example = Example(change=change)
-    found, squares = example.fit(starts=3, steps=40, exact_steps=6)
-    assert (found >= 0).all()
-    assert (found <= 1).all()
+    example = Example(known(), 60, 16, change=change)
+    found, squares = fit(example, starts=3, steps=40, exact_steps=6)
+    assert ((found >= 0) & (found <= 1)).all()
     assert np.abs(found[:, unknown] - value).max() < tolerance
     assert squares.max() < 1e-16
 
 
 def test_roughness_0_is_left() -> None:
     """Nothing depends on roughness there, so no gradient says that the pixel should go."""
-    example = Example()
+    example = Example(known(), 60, 16)
     given = example.truth.copy()
     given[:, 3] = 0
-    found, squares = example.fit(example.x(given), nodes=NONE, steps=60)
-    before = example.squares(given)
-    assert (squares < before).all()
+    found, squares = fit(example, example.x(given), nodes=NONE, steps=60)
+    assert (squares < example.squares(given)).all()
     # Most get to the bottom; a few may end in another minimum.
     assert np.mean(np.abs(found - example.truth).max(axis=1) < 1e-9) > 0.9
 
@@ -285,8 +191,8 @@ def test_roughness_0_stays_where_it_is_best() -> None:
     def change(truth: Array) -> None:
         truth[:, 3] = 0
 
-    example = Example(change=change)
-    found, squares = example.fit(example.x(example.truth), nodes=NONE)
+    example = Example(known(), 60, 16, change=change)
+    found, squares = fit(example, example.x(), nodes=NONE)
     assert squares.max() < 1e-27
     assert np.abs(found - example.truth).max() < 2e-3
 
@@ -303,7 +209,6 @@ def blind(example: Example) -> None:
     """Half of the pixels count in no picture."""
     assert example.weights is not None
     example.weights[:, ::2] = 0
-    example.omega[::2] = 0
 
 
 @pytest.mark.parametrize("brightness", [1e-12, 1.0, 1e12])
@@ -312,17 +217,16 @@ def blind(example: Example) -> None:
 def test_whatever_the_pictures_show_it_ends_no_worse(
     change: Callable[[Example], None] | None, pictures: int, brightness: float
 ) -> None:
-    kind = KINDS[6] if change is blind else KINDS[0]
-    noise = 0.05 * brightness
-    example = Example(kind, pixels=40, pictures=pictures, noise=noise, brightness=brightness)
+    kind = known(weights=3) if change is blind else known()
+    example = Example(kind, 40, pictures, noise=0.05 * brightness, brightness=brightness)
     if change is not None:
         change(example)
     rng = np.random.default_rng(1)
     given = rng.uniform(0, 1, (40, 5))
     given[rng.random((40, 5)) < 0.2] = 0
     given[rng.random((40, 5)) < 0.2] = 1
-    before = explicit(example, given)
     x = example.x(given)
+    before = explicit(example, x)
     every: tuple[dict[str, Any], ...] = (
         {},
         {"starts": 3, "exact_steps": 4},
@@ -330,64 +234,138 @@ def test_whatever_the_pictures_show_it_ends_no_worse(
         {"starts": 0},
     )
     for options in every:
-        found, squares = example.fit(x, **options)
+        found, squares = fit(example, x, **options)
         assert ((found >= 0) & (found <= 1)).all()
         assert (squares <= before).all()
         # To the last bit what the normal equations say there.
-        np.testing.assert_array_equal(squares, explicit(example, found))
+        np.testing.assert_array_equal(squares, explicit(example, example.x(found)))
         if change is unlit:
             np.testing.assert_array_equal(squares, before)
     scale = (example.omega * example.targets**2).sum(axis=(1, 2))
-    found, squares = example.fit(x, nodes=NONE, exact_steps=0)
+    found, squares = fit(example, x, nodes=NONE, exact_steps=0)
     assert (squares <= before + 1e-13 * scale + 1e-13 * before).all()
-    np.testing.assert_allclose(squares, explicit(example, found), atol=1e-13 * scale.max())
+    ends = explicit(example, example.x(found))
+    np.testing.assert_allclose(squares, ends, atol=1e-13 * scale.max())
 
 
 def test_the_best_is_left_alone() -> None:
-    example = Example()
-    given = example.truth.copy()
-    found, squares = example.fit(example.x(given))
+    example = Example(known(), 60, 16)
+    found, squares = fit(example, example.x())
     assert squares.max() < 1e-28
-    assert np.abs(found - given).max() < 1e-12
+    assert np.abs(found - example.truth).max() < 1e-12
 
 
 def test_more_starts_never_end_higher() -> None:
-    example = Example(pixels=300, pictures=4, noise=0.05)
-    ends = [example.fit(starts=starts, exact_steps=0)[1] for starts in (0, 1, 2, 5)]
+    example = Example(known(), 300, 4, noise=0.05)
+    ends = [fit(example, starts=starts, exact_steps=0)[1] for starts in (0, 1, 2, 5)]
     for fewer, more in itertools.pairwise(ends):
         assert (more <= fewer).all()
     assert (ends[-1] < ends[0] * (1 - 1e-3)).any()
 
 
-@pytest.mark.parametrize("kind", [KINDS[0], KINDS[4]], ids=str)
-def test_bits_do_not_depend_on_threads_or_other_pixels(kind: Kind) -> None:
-    example = Example(kind, pixels=700, pictures=5, noise=0.02)
-    rng = np.random.default_rng(2)
-    shape = 700, kind.unknowns - kind.channels
-    mean, precision = rng.uniform(0, 1, shape), rng.uniform(0, 0.1, shape)
-    given = np.clip(example.truth + rng.normal(0, 0.2, example.truth.shape), 0, 1)
+# --- With normals ---
 
-    def fit(threads: int, pixels: Pixels) -> tuple[Array, Array]:
-        prior: dict[str, Any] = {"mean": mean[pixels], "precision": precision[pixels]}
-        return example.fit(
-            example.x(given), pixels, threads=threads, starts=2, exact_steps=2, **prior
-        )
 
-    found, squares = fit(1, example.everything)
-    for threads in (2, 3, 4):
-        again, squares_again = fit(threads, example.everything)
-        np.testing.assert_array_equal(again, found)
-        np.testing.assert_array_equal(squares_again, squares)
-    order = rng.permutation(700).astype(np.uint64)
-    for pixels in (order, order[:37], order[:1], np.repeat(order[:2], 200)):
-        again, squares_again = fit(2, pixels)
-        np.testing.assert_array_equal(again, found[pixels])
-        np.testing.assert_array_equal(squares_again, squares[pixels])
+def away(example: Example, degrees: float) -> Array:
+    """Tangent offsets (P, 2) at which normals are so far from the true ones."""
+    angle = np.random.default_rng(1).uniform(0, 2 * np.pi, (example.pixels, 1))
+    first, second = reference.tangents(example.normals)
+    aside = np.cos(angle) * first + np.sin(angle) * second
+    wrong = example.normals + np.tan(np.radians(degrees)) * aside
+    along = np.sum(wrong * example.given, axis=1)
+    axes = reference.tangents(example.given)
+    return np.column_stack([np.sum(wrong * axis, axis=1) / along for axis in axes])
+
+
+def degrees_off(example: Example, offsets: Array) -> Array:
+    """Between normals at offsets and the true ones."""
+    found = reference.turned(example.given, offsets.T)
+    apart = np.linalg.norm(found - example.normals, axis=1)
+    return np.asarray(np.degrees(2 * np.arcsin(apart / 2)))
+
+
+STEPS: dict[str, Any] = {"starts": 2, "steps": 20, "exact_steps": 40}
+
+
+@pytest.mark.parametrize("kind", FREE, ids=str)
+def test_materials_and_normals_are_found_from_normals_5_degrees_off(kind: Kind) -> None:
+    example = Example(kind)
+    start = away(example, 5)
+    np.testing.assert_allclose(degrees_off(example, start), 5, atol=1e-9)
+    found, squares = fit(example, example.x(np.full_like(example.truth, 0.5), start), **STEPS)
+    assert found.shape == (300, kind.unknowns)
+    np.testing.assert_allclose(squares, example.squares(found), rtol=1e-6, atol=1e-24)
+    error = np.abs(found - example.unknowns(example.truth))
+    assert np.mean(error.max(axis=1) < 1e-7) > 0.95
+    assert np.median(degrees_off(example, found[:, -2:])) < 1e-9
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("kind", FREE, ids=str)
+def test_with_normals_it_ends_no_worse_than_it_began(kind: Kind, held: bool) -> None:
+    """Squared residuals and prior, from any materials and normals, however few steps."""
+    example = Example(kind, noise=0.05, grazing=True)
+    rng = np.random.default_rng(3)
+    values = np.clip(rng.uniform(-0.2, 1.2, example.truth.shape), 0, 1)
+    start = rng.normal(size=(300, 2)) * rng.choice([0.0, 0.1, 1.0, 30.0], (300, 1))
+    x, began = example.x(values, start), example.unknowns(values, start)
+    shape = 300, kind.unknowns - kind.channels
+    prior: dict[str, Any] = {
+        "mean": rng.uniform(-0.5, 1, shape),
+        "precision": rng.uniform(0, 1, shape),
+    }
+
+    def cost(unknowns: Array) -> Array:
+        off = unknowns[:, kind.channels :] - prior["mean"]
+        return np.asarray((prior["precision"] * off**2).sum(axis=1))
+
+    before = explicit(example, x)
+    for steps in ({}, {"starts": 0, "exact_steps": 1}, {"steps": 0}):
+        options: dict[str, Any] = STEPS | steps | {"held_normals": held}
+        found, squares = fit(example, x, **options)
+        assert (squares <= before).all()
+        np.testing.assert_array_equal(squares, explicit(example, found.T.ravel()))
+        found, squares = fit(example, x, **prior, **options)
+        assert (squares + cost(found) <= (before + cost(began)) * (1 + 1e-12)).all()
+        lengths = np.linalg.norm(found[:, -2:], axis=1)
+        longest = np.maximum(np.sqrt(3), np.linalg.norm(start, axis=1))
+        assert (lengths <= longest * (1 + 1e-12)).all()
+        assert ((found[:, :-2] >= 0) & (found[:, :-2] <= 1)).all()
+        if held:
+            np.testing.assert_array_equal(found[:, -2:], start)
+
+
+@pytest.mark.parametrize("kind", FREE, ids=str)
+def test_held_normals_leave_the_fit_of_materials(kind: Kind) -> None:
+    """To the rounding of normals, of a problem that was given the changed ones."""
+    example = Example(kind, noise=0.02)
+    steps = STEPS | {"exact_steps": 3}
+    found, squares = fit(example, held_normals=True, **steps)
+    held = example.problem(normals=example.normals, free_normals=False)
+    maps = np.full(kind.of_material * example.pixels, 0.5)
+    expected, least = held.fit_materials(maps, example.everything, *NODES, **steps)
+    np.testing.assert_allclose(squares, least, rtol=1e-8)
+    same = np.abs(found[:, :-2] - expected).max(axis=1) < 1e-6
+    assert np.mean(same) > 0.98
+    # Without steps on residuals normals stay as well.
+    found, _ = fit(example, **(STEPS | {"exact_steps": 0}))
+    np.testing.assert_array_equal(found[:, -2:], example.offsets)
+
+
+def test_a_stiff_prior_draws_tangent_offsets_to_its_mean() -> None:
+    example = Example(free(), noise=0.02)
+    mean = np.hstack([np.zeros((300, 2)), 0.5 * example.offsets])
+    precision = np.hstack([np.zeros((300, 2)), np.full((300, 2), 1e12)])
+    found, _ = fit(example, example.x(), mean=mean, precision=precision, **STEPS)
+    # A decrease of 1e-14 of what there was to begin with is taken for rounding.
+    np.testing.assert_allclose(found[:, -2:], 0.5 * example.offsets, atol=1e-7)
+
+
+# --- Arguments ---
 
 
 def test_no_pixels_give_no_materials() -> None:
-    example = noisy(KINDS[0])
-    found, squares = example.fit(pixels=np.empty(0, np.uint64))
+    found, squares = fit(noisy(KINDS[0]), pixels=np.empty(0, np.uint64))
     assert found.shape == (0, 5)
     assert squares.shape == (0,)
 
@@ -414,7 +392,14 @@ TWO = np.full((3, 2), 0.5)
 )
 def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
     example = noisy(KINDS[0])
-    arguments: dict[str, Any] = {"x": example.grey(), "pixels": np.arange(3, dtype=np.uint64)}
+    arguments: dict[str, Any] = {"x": grey(example), "pixels": np.arange(3, dtype=np.uint64)}
     arguments |= {"roughness": ROUGHNESS, "metallic": METALLIC} | change
     with pytest.raises(InputError, match=message):
         example.problem().fit_materials(**arguments)
+
+
+def test_a_prior_without_tangent_offsets_is_refused() -> None:
+    example = Example(free(), 3)
+    message = r"^mean: expected shape \[3, 4\], found shape \[3, 2\]$"
+    with pytest.raises(InputError, match=message):
+        fit(example, mean=TWO, precision=TWO)

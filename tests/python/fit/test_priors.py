@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 import pbrfit
 import scene_kinds
 from pbrfit import InputError, _core
-from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors.penalties import Penalty, penalties, tied_neighbours
+from pbrfit.fit.priors.penalties import penalties, tied_neighbours
 from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.arrays import consecutive_labels
 from pbrfit.synthetic import make_scene
+from scene_files import lights_of, truth_of
 
 Array = NDArray[np.float64]
 
@@ -199,14 +199,6 @@ def test_a_weight_of_zero_is_not_evaluated() -> None:
         assert [penalty.name for penalty in penalties(of, only)] == [name]
 
 
-def test_a_segment_of_one_pixel_is_its_own_mean() -> None:
-    of = LAYOUTS["single-pixel segments"]
-    gradient = np.zeros(of.size)
-    (cohesion,) = penalties(of, dataclasses.replace(Priors.none(), cohesion=1.0))
-    assert cohesion.value_and_grad(random_x(of), gradient) == 0.0
-    assert not gradient.any()
-
-
 def test_neighbours_are_tied_unless_in_two_segments() -> None:
     pairs = tied_neighbours(layout([[1, 1, 1], [0, 1, 1]], [[1, 2, 0], [1, 2, 2]]))
     # In row order: 0 1 2 / (masked) 3 4. First below one another, then side by side.
@@ -251,9 +243,7 @@ def test_smoothness_is_the_change_over_a_hundredth_of_the_side() -> None:
 
 def test_exposure_and_number_of_pictures_do_not_change_monochrome() -> None:
     made = scene_of()
-    assert made.truth is not None
-    assert made.truth.lighting is not None
-    maps, lights = made.truth.materials, made.truth.lighting
+    maps, lights = truth_of(made).materials, lights_of(made)
     scene = dataclasses.replace(made, truth=None)
     brighter = dataclasses.replace(scene, images=7 * scene.images)
     twice = dataclasses.replace(scene, images=np.concatenate([scene.images] * 2), names=())
@@ -368,108 +358,7 @@ def test_penalties_may_change_between_evaluations() -> None:
     np.testing.assert_array_equal(after[1], gradient)
 
 
-@pytest.mark.parametrize("kind", ["colour", "order 2", "known metallic", "mono light"])
-@pytest.mark.parametrize("grey", [False, True])
-def test_gradients_of_all_terms(kind: str, grey: bool) -> None:
-    scene = scene_kinds.grey(scene_of()) if grey else scene_of()
-    objective = Objective(scene, priors=ALL, **scene_kinds.KINDS[kind][1])
-    checks = check_gradients(objective)
-    assert {check.function for check in checks} == {
-        "loss",
-        *(penalty.name for penalty in objective.penalties),
-    }
-    for check in checks:
-        assert check.passed, check
-
-
-class Wrong:
-    """A penalty whose gradient misses one part and has a sign too many in another."""
-
-    def __init__(self, right: Penalty, part: slice, factor: float) -> None:
-        self.name = right.name
-        self.right, self.part, self.factor = right, part, factor
-
-    def value_and_grad(self, x: Array, gradient: Array) -> float:
-        own = np.zeros_like(gradient)
-        value = self.right.value_and_grad(x, own)
-        own[self.part] *= self.factor
-        gradient += own
-        return value
-
-
-@pytest.mark.parametrize("factor", [0.0, 1.001])
-def test_the_check_finds_a_wrong_gradient(factor: float) -> None:
-    objective = Objective(scene_of(), priors=dataclasses.replace(Priors.none(), cohesion=1e-9))
-    objective.penalties = [Wrong(objective.penalties[0], objective.roughness, factor)]
-    failed = {(c.function, c.unknowns) for c in check_gradients(objective) if not c.passed}
-    assert failed == {("cohesion", "roughness")}
-
-
-def test_threads_do_not_change_a_bit() -> None:
-    scene = make_scene("room", size=40, lights=3, held_out=1)
-    results = [Objective(scene, priors=ALL, threads=threads) for threads in (1, 2)]
-    x = results[0].start()
-    (loss, gradient), other = (objective.value_and_grad(x) for objective in results)
-    assert other[0] == loss
-    np.testing.assert_array_equal(other[1], gradient)
-
-
 # --- One light for all channels ---
-
-
-@pytest.mark.parametrize("sh_order", [2, 3])
-@pytest.mark.parametrize("metallic", [None, 0.3])
-def test_mono_light_is_a_third_of_the_lights(sh_order: int, metallic: float | None) -> None:
-    scene = scene_of()
-    objective = Objective(scene, mono_light=True, sh_order=sh_order, metallic=metallic)
-    lights = 3 * (sh_order + 1) ** 2
-    assert objective.lighting == slice(objective.size - lights, objective.size)
-    assert objective.size == (5 - (metallic is not None)) * objective.pixels + lights
-    assert np.isinf(objective.bounds[-lights:]).all()
-    assert not np.isinf(objective.bounds[:-lights]).any()
-    x = random_x(objective.layout)
-    materials, lighting = objective.unpack(x)
-    np.testing.assert_array_equal(lighting, np.repeat(lighting[..., :1], 3, axis=-1))
-    back = objective.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
-    np.testing.assert_allclose(back, x, rtol=1e-15)
-    # The colour problem at the same maps and lights.
-    colour = Objective(scene, sh_order=sh_order, metallic=metallic)
-    same = colour.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
-    assert objective.value_and_grad(x)[0] == pytest.approx(colour.value_and_grad(same)[0])
-
-
-def test_coloured_lights_are_packed_as_their_mean() -> None:
-    objective = Objective(scene_of(), mono_light=True)
-    flat = np.full((12, 12), 0.5)
-    lighting = np.random.default_rng(3).random((3, 16, 3))
-    x = objective.pack(flat[..., None].repeat(3, -1), flat, flat, lighting)
-    _, back = objective.unpack(x)
-    np.testing.assert_allclose(back[..., 1], lighting.mean(axis=-1), rtol=1e-14)
-
-
-@pytest.mark.parametrize("sample_weights", [False, True])
-def test_the_best_light_for_all_channels_is_a_minimum(sample_weights: bool) -> None:
-    scene = scene_kinds.weighted(scene_of()) if sample_weights else scene_of()
-    objective = Objective(scene, mono_light=True)
-    x = objective.start()
-    loss, gradient = objective.value_and_grad(x)
-    assert objective.lighting is not None
-    rng = np.random.default_rng(4)
-    for _ in range(5):
-        other = x.copy()
-        other[objective.lighting] *= rng.uniform(0.95, 1.05, 48)
-        other_loss, other_gradient = objective.value_and_grad(other)
-        assert other_loss > loss
-        by_lights = np.linalg.norm(gradient[objective.lighting])
-        assert by_lights < 1e-2 * np.linalg.norm(other_gradient[objective.lighting])
-
-
-def test_mono_light_changes_nothing_where_there_is_one_channel() -> None:
-    scene = scene_kinds.grey(scene_of())
-    one, other = Objective(scene), Objective(scene, mono_light=True)
-    x = one.start()
-    np.testing.assert_array_equal(other.start(), x)
-    assert one.value_and_grad(x)[0] == other.value_and_grad(x)[0]
 
 
 def test_known_lights_in_colour_are_refused_by_mono_light() -> None:

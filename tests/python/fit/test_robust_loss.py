@@ -1,9 +1,8 @@
-"""Robust losses in the core, and their scale from residuals."""
+"""The scale of robust losses from residuals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,165 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 import reference
-from finite_differences import ridders
-from pbrfit import InputError, _core
+from pbrfit import InputError
 from pbrfit.fit.robust import SCALES, loss_scale, noise_sigma, weighted_median
 
-PIXELS, PICTURES = 40, 5
 LOSSES: dict[str, Callable[[float], reference.Loss]] = {
     "huber": reference.huber,
     "cauchy": reference.cauchy,
 }
-
-
-@dataclass(frozen=True)
-class Case:
-    """Pictures that a point x explains but for noise and, in a tenth of the samples, shadows."""
-
-    images: NDArray[np.float32]
-    normals: NDArray[np.float64]
-    views: NDArray[np.float64]
-    x: NDArray[np.float64]
-    weights: NDArray[np.float32]
-
-    def core(self, weighted: bool = True) -> _core.Problem:
-        weights = self.weights if weighted else None
-        return _core.Problem(self.images, self.normals, self.views, 1, weights=weights)
-
-    def residuals(self) -> NDArray[np.float64]:
-        rendered = reference.render(self.normals, self.views, self.x)
-        return np.asarray(rendered - self.images, dtype=np.float64)
-
-
-@pytest.fixture(scope="module")
-def case() -> Case:
-    rng = np.random.default_rng(8)
-    normals = reference.unit(rng.normal((0, 0, 2), 1.0, (PIXELS, 3)))
-    views = reference.unit(rng.normal((0, 0, 1), 0.3, (PIXELS, 3)))
-    maps = rng.uniform(0.1, 0.9, 5 * PIXELS)
-    lights = rng.normal(0, 0.2, (PICTURES, 16, 3)) + np.eye(16)[:1, :, None] * 1.5
-    x = np.concatenate([maps, lights.ravel()])
-    images = reference.render(normals, views, x)
-    images *= np.where(rng.random(images.shape) < 0.1, 0.3, 1.0)
-    images += rng.normal(0, 0.02, images.shape)
-    weights = rng.uniform(0, 1, (PICTURES, PIXELS))
-    weights[rng.random(weights.shape) < 0.1] = 0
-    return Case(images.astype(np.float32), normals, views, x, weights.astype(np.float32))
-
-
-def assert_agrees(case: Case, name: str, scale: float, weighted: bool = True) -> None:
-    loss, gradient = case.core(weighted).value_and_grad(case.x, (name, scale))
-    weights = case.weights[..., None] if weighted else None
-    expected, expected_gradient = reference.value_and_grad(
-        case.images, case.normals, case.views, case.x, weights, LOSSES[name](scale)
-    )
-    assert loss == pytest.approx(expected, rel=1e-6)
-    for part in reference.Unknowns(PIXELS, PICTURES).blocks.values():
-        off = np.linalg.norm(gradient[part] - expected_gradient[part])
-        assert off < 1e-5 * np.linalg.norm(expected_gradient[part])
-
-
-@pytest.mark.parametrize("weighted", [False, True])
-@pytest.mark.parametrize("scale", [0.003, 0.03, 100.0])
-@pytest.mark.parametrize("name", LOSSES)
-def test_core_agrees_with_reference(case: Case, name: str, scale: float, weighted: bool) -> None:
-    assert_agrees(case, name, scale, weighted)
-
-
-@pytest.mark.parametrize("name", LOSSES)
-def test_core_agrees_where_all_residuals_are_the_scale(case: Case, name: str) -> None:
-    """In float32, so that some fall on either side of Huber's corner."""
-    images = reference.render(case.normals, case.views, case.x) - 0.05
-    corner = Case(images.astype(np.float32), case.normals, case.views, case.x, case.weights)
-    sizes = corner.residuals()
-    assert (sizes > 0.05).any()
-    assert (sizes < 0.05).any()
-    assert_agrees(corner, name, 0.05)
-
-
-@pytest.mark.parametrize("name", LOSSES)
-def test_slope_is_the_derivative(name: str) -> None:
-    """At 0, beside and at the corner from both sides, and far out."""
-    scale = 0.3
-    at = np.array([0.0, 0.1, 0.29, 0.3, 0.31, 5.0])
-    at = np.concatenate([-at, at])
-    loss = LOSSES[name](scale)
-    for sign in (-1.0, 1.0):
-
-        def aside(h: float, sign: float = sign) -> reference.Array:
-            return loss(at + sign * h)[0]
-
-        value, error = ridders(aside, 1e-3, one_sided=True)
-        assert (error < 1e-8).all()
-        np.testing.assert_allclose(sign * value, loss(at)[1], atol=1e-8)
-
-
-@pytest.mark.parametrize("name", LOSSES)
-def test_gradient_is_that_of_the_loss(case: Case, name: str) -> None:
-    """Along random directions, of the core's own loss, as far as float32 lets see."""
-    problem = case.core()
-    _, gradient = problem.value_and_grad(case.x, (name, 0.05))
-    rng = np.random.default_rng(3)
-    for part in reference.Unknowns(PIXELS, PICTURES).blocks.values():
-        direction = np.zeros_like(case.x)
-        direction[part] = rng.choice([-1.0, 1.0], direction[part].shape)
-
-        def along(h: float, direction: NDArray[np.float64] = direction) -> float:
-            return problem.value_and_grad(case.x + h * direction, (name, 0.05))[0]
-
-        value, error = ridders(along, 2e-2)
-        found = gradient @ direction
-        assert abs(value - found) < 3 * error + 1e-3 * abs(found)
-
-
-@pytest.mark.parametrize("name", LOSSES)
-def test_wide_scale_gives_squares(case: Case, name: str) -> None:
-    plain, gradient = case.core().value_and_grad(case.x)
-    wide, wide_gradient = case.core().value_and_grad(case.x, (name, 1e6))
-    assert wide == pytest.approx(plain, rel=1e-6)
-    np.testing.assert_allclose(wide_gradient, gradient, rtol=1e-5, atol=1e-6 * abs(gradient).max())
-
-
-@pytest.mark.parametrize("scale", [1e-15, 1e15])
-@pytest.mark.parametrize("name", LOSSES)
-def test_extreme_pictures_stay_finite(case: Case, name: str, scale: float) -> None:
-    bright = Case(case.images * np.float32(1e15), case.normals, case.views, case.x, case.weights)
-    loss, gradient = bright.core().value_and_grad(case.x, (name, scale))
-    assert 0 < loss < np.inf
-    assert np.isfinite(gradient).all()
-
-
-@pytest.mark.parametrize(
-    ("robust", "message"),
-    [
-        (("huber", 0.0), "robust: expected a scale from 1e-15 to 1e15, found 0e0"),
-        (("cauchy", -1.0), "robust: expected a scale from 1e-15 to 1e15, found -1e0"),
-        (("cauchy", np.nan), "robust: expected a scale from 1e-15 to 1e15, found NaN"),
-        (("huber", np.inf), "robust: expected a scale from 1e-15 to 1e15, found inf"),
-        (("tukey", 1.0), "robust: expected huber or cauchy, found tukey"),
-    ],
-)
-def test_refuses_other_losses(case: Case, robust: tuple[str, float], message: str) -> None:
-    with pytest.raises(InputError) as error:
-        case.core().value_and_grad(case.x, robust)
-    assert str(error.value) == message
-
-
-def test_residuals_of_chosen_pixels(case: Case) -> None:
-    chosen = np.array([39, 0, 7, 7], dtype=np.uint64)
-    found = case.core().residuals(case.x, chosen)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found, case.residuals()[:, chosen], atol=1e-7)
-    assert case.core().residuals(case.x, chosen[:0]).shape == (PICTURES, 0, 3)
-    with pytest.raises(InputError, match="pixels: expected indices below 40, found 40"):
-        case.core().residuals(case.x, np.array([40], dtype=np.uint64))
-    with pytest.raises(InputError, match="pixels: expected an array of uint64"):
-        case.core().residuals(case.x, np.array([1.5]))
-    with pytest.raises(InputError, match="x: expected"):
-        case.core().residuals(case.x[1:], chosen)
-
-
-# --- The scale ---
 
 
 @pytest.mark.parametrize("name", SCALES)

@@ -21,7 +21,7 @@ from pbrfit import Result, Scene, decompose
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 from result_files import FILES
-from scene_files import room, run, write_folder
+from scene_files import room, run
 
 PBRFIT = (sys.executable, "-m", "pbrfit")
 PATIENCE = 60.0
@@ -225,26 +225,3 @@ def test_workers_of_a_process_that_used_the_library(tmp_path: Path, method: str,
         check=False,
     )
     assert (done.stdout, done.returncode) == ("same results\n", 0), done.stderr
-
-
-# Light to import
-
-HEAVY = ("matplotlib", "scipy", "threadpoolctl", "torch", "tqdm")
-
-
-def test_importing_is_light() -> None:
-    code = "import sys, pbrfit; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = {name.partition(".")[0] for name in done.stdout.split()}
-    assert "pbrfit" in loaded
-    assert loaded.isdisjoint(HEAVY)
-
-
-def test_a_folder_of_a_scene_is_loaded_without_the_solver(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene")
-    code = "import sys, pbrfit; pbrfit.Scene.load(sys.argv[1]); print(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code, folder], capture_output=True, text=True, check=True
-    )
-    assert "scipy.optimize" not in done.stdout.split()
-    assert "matplotlib" not in done.stdout.split()

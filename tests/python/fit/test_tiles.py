@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Priors
@@ -17,14 +16,12 @@ from pbrfit.cli import main
 from pbrfit.fit import memory
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.solvers.run import Progress
-from pbrfit.fit.tiles.fit import SUBSET_PIXELS, Totals, ending
-from pbrfit.fit.tiles.maps import NearestMaps
-from pbrfit.fit.tiles.windows import SceneCutter, Window, strided_window, tiles
+from pbrfit.fit.tiles.fit import SUBSET_PIXELS, ending
+from pbrfit.fit.tiles.windows import strided_window, tiles
 from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
+from scene_files import truth_of
 from tiled import in_tiles
-
-Array = NDArray[np.float64]
 
 NINE: dict[str, Any] = {"side": 30, "subset": 1296}
 """Of pictures of 72², a subset of every second row and column, and nine tiles."""
@@ -91,44 +88,6 @@ class TestCutting:
         valid = np.zeros((90, 90), bool)
         valid[:30] = True
         assert len(list(tiles(valid, 2, 30))) == 3
-
-    def test_a_part_is_seen_from_where_the_whole_is(self, noisy: pbrfit.Scene) -> None:
-        window = Window(slice(3, 50, 4), slice(10, 60, 3))
-        part = SceneCutter(noisy).cut(window)
-        np.testing.assert_array_equal(part.views, window.of(noisy.views))
-        np.testing.assert_array_equal(part.images[2], window.of(noisy.images[2]))
-
-    def test_segments_keep_their_labels_in_a_part(self, noisy: pbrfit.Scene) -> None:
-        segments = np.zeros(noisy.valid.shape, int)
-        segments[:, 30:] = 900
-        segments[50:, 60:] = -7
-        whole = replace(noisy, segments=segments)
-        assert whole.labels is not None
-        part = SceneCutter(whole).cut(Window(slice(0, 40), slice(20, 40)))
-        assert part.labels is not None
-        labels, count = part.labels
-        assert count == 2
-        of_whole = whole.labels[0].reshape(noisy.valid.shape)[:40, 20:40]
-        np.testing.assert_array_equal(labels, of_whole.ravel())
-
-    def test_the_nearest_pixel_of_a_subset_is_found(self) -> None:
-        valid = np.ones((20, 33), bool)
-        valid[7:12, 5:9] = False
-        rows, columns = (one.astype(float) for one in np.indices(valid.shape))
-        window = strided_window(valid, 1, 60)
-        step = window.rows.step
-        chosen = window.of(np.stack([rows, columns], axis=-1)) / 40
-        materials = pbrfit.Materials(
-            np.stack([chosen[..., 0], chosen[..., 1], chosen[..., 1]], axis=-1),
-            chosen[..., 0],
-            chosen[..., 1],
-        )
-        normals = np.zeros((*chosen.shape[:2], 3))
-        found, _ = NearestMaps(window, np.ones_like(valid), materials, normals).at(
-            Window(slice(2, 19), slice(4, 30))
-        )
-        assert np.abs(40 * found.roughness - rows[2:19, 4:30]).max() <= step
-        assert np.abs(40 * found.metallic - columns[2:19, 4:30]).max() <= step
 
 
 @pytest.mark.usefixtures("nine_tiles")
@@ -226,10 +185,9 @@ class TestFit:
         assert result.uncertainty.noise == pytest.approx(0.01, rel=0.2)
 
     def test_known_lights_are_held(self, noisy: pbrfit.Scene) -> None:
-        assert noisy.truth is not None
-        scene = replace(noisy, lighting=noisy.truth.lighting)
+        scene = replace(noisy, lighting=truth_of(noisy).lighting)
         result = held(scene)
-        np.testing.assert_array_equal(result.lighting, noisy.truth.lighting)
+        np.testing.assert_array_equal(result.lighting, truth_of(noisy).lighting)
         assert result.metrics["recon_rmse"] < 0.0105
 
     def test_grey_pictures_stay_grey(self, noisy: pbrfit.Scene) -> None:
@@ -237,26 +195,6 @@ class TestFit:
         result = held(replace(noisy, images=images, truth=None))
         assert (result.albedo == result.albedo[..., :1]).all()
         assert result.metrics["recon_rmse"] < 0.0105
-
-    @pytest.mark.parametrize("loss", ["huber", "cauchy"])
-    def test_robust_losses_have_the_scale_of_the_subset(
-        self, noisy: pbrfit.Scene, loss: Any, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        images = noisy.images.copy()
-        images[0, 20:40, 20:40] *= 3.0  # tiles with and without outliers
-        losses, add = [], Totals.add
-
-        def noted(totals: Totals, objective: pbrfit.Objective, x: Array) -> None:
-            losses.append(objective.robust)
-            add(totals, objective, x)
-
-        monkeypatch.setattr(Totals, "add", noted)
-        result = held(replace(noisy, images=images), robust=loss, iterations=60)
-        assert len(losses) == 9
-        assert losses[0] is not None
-        assert losses[0][0] == loss
-        assert set(losses) == {losses[0]}
-        assert np.isfinite(result.albedo).all()
 
     @pytest.mark.parametrize(
         ("fault", "message"),
@@ -268,15 +206,14 @@ class TestFit:
     def test_a_start_is_checked_off_the_subset_too(
         self, noisy: pbrfit.Scene, fault: str, message: str
     ) -> None:
-        assert noisy.truth is not None
-        true = noisy.truth.materials
+        true = truth_of(noisy).materials
         albedo, roughness, metallic = true.albedo, true.roughness.copy(), true.metallic
         if fault == "wider":
             albedo = np.pad(albedo, ((0, 0), (0, 1), (0, 0)))
         else:
             roughness[0, 0] = np.nan
         start = pbrfit.Materials(albedo, roughness, metallic)
-        for given in (start, (start, noisy.truth.lighting)):
+        for given in (start, (start, truth_of(noisy).lighting)):
             with pytest.raises(pbrfit.InputError, match=message):
                 held(noisy, start=given)
 
@@ -311,12 +248,11 @@ class TestFit:
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """As in a fit of all at once, which knows lights from the start."""
-        assert noisy.truth is not None
         weights = np.ones(noisy.images.shape[:3], np.float32)
         weights[:, :40, :40] = 0.05
         segments = np.ones(noisy.valid.shape, int)
         scene = replace(
-            noisy, weights=weights, lighting=noisy.truth.lighting, segments=segments, truth=None
+            noisy, weights=weights, lighting=truth_of(noisy).lighting, segments=segments, truth=None
         )
         priors = replace(Priors.none(), cohesion=1e-3)
         tiled = held(scene, priors=priors, uncertainty=False)

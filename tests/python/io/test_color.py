@@ -50,20 +50,30 @@ def test_the_curve_is_odd_and_increasing(value: float) -> None:
     assert color.decode_srgb(np.nextafter(value, np.inf) + 1e-9) > color.decode_srgb(value)
 
 
-def test_rec709_to_xyz_equals_the_published_matrix() -> None:
-    # IEC 61966-2-1:1999, equation 7, four digits.
-    published = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    np.testing.assert_allclose(color.rgb_to_xyz(color.REC709), published, atol=6e-5)
-
-
-def test_acescg_to_rec709_equals_the_published_matrix() -> None:
-    # As in the ACES 1.0.3 OpenColorIO configuration (Bradford from D60 to D65).
-    published = [
-        [1.70505, -0.62179, -0.08326],
-        [-0.13026, 1.14080, -0.01055],
-        [-0.02400, -0.12897, 1.15297],
-    ]
-    np.testing.assert_allclose(color.to_rec709(color.ACES_AP1), published, atol=1e-5)
+@pytest.mark.parametrize(
+    ("found", "published", "error"),
+    [
+        # IEC 61966-2-1:1999, equation 7, four digits.
+        (
+            color.rgb_to_xyz(color.REC709),
+            [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]],
+            6e-5,
+        ),
+        # As in the ACES 1.0.3 OpenColorIO configuration (Bradford from D60 to D65).
+        (
+            color.to_rec709(color.ACES_AP1),
+            [
+                [1.70505, -0.62179, -0.08326],
+                [-0.13026, 1.14080, -0.01055],
+                [-0.02400, -0.12897, 1.15297],
+            ],
+            1e-5,
+        ),
+        (color.to_rec709(color.REC709), np.eye(3), 1e-14),
+    ],
+)
+def test_matrices_are_those_that_are_published(found: Any, published: Any, error: float) -> None:
+    np.testing.assert_allclose(found, published, atol=error)
 
 
 def test_display_p3_red_lies_outside_rec709() -> None:
@@ -75,10 +85,6 @@ def test_display_p3_red_lies_outside_rec709() -> None:
 @pytest.mark.parametrize("primaries", [color.REC709, color.DISPLAY_P3, color.ACES_AP1])
 def test_white_stays_white(primaries: color.Primaries) -> None:
     np.testing.assert_allclose(color.to_rec709(primaries) @ np.ones(3), np.ones(3), rtol=1e-13)
-
-
-def test_rec709_to_rec709_is_the_identity() -> None:
-    np.testing.assert_allclose(color.to_rec709(color.REC709), np.eye(3), atol=1e-14)
 
 
 def test_unusable_primaries_are_refused() -> None:

@@ -29,6 +29,7 @@ RGB8: NDArray[np.uint8] = RNG.integers(0, 256, (6, 9, 3), dtype=np.uint8)
 RGB8[0, 0], RGB8[0, 1] = (255, 0, 0), (254, 254, 254)
 RGB16: NDArray[np.uint16] = RNG.integers(0, 65536, (6, 9, 3), dtype=np.uint16)
 RGB16[0, 0], RGB16[0, 1] = (0, 65535, 0), (65534, 0, 0)
+GREY8, GREY16 = RGB8[..., 0], RGB16[..., 1]
 FLOAT: NDArray[np.float32] = (RNG.random((6, 9, 3), dtype=np.float32) * 4 - 1).astype(np.float32)
 
 
@@ -58,38 +59,71 @@ def png_of_chunks(*chunks: bytes, size: tuple[int, int] = (1, 1), interlaced: in
     return b"".join([b"\x89PNG\r\n\x1a\n", header, *chunks, chunk(b"IEND", b"")])
 
 
-def png_with_chunk(kind: bytes, body: bytes) -> bytes:
-    """A PNG of one pixel with one more chunk before its data."""
-    return png_of_chunks(chunk(kind, body), chunk(b"IDAT", zlib.compress(b"\0\x80")))
+def interlaced_png(grey: NDArray[np.uint8]) -> bytes:
+    """Adam7, which Pillow reads but does not write: passes made by hand."""
+    passes = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2))
+    raw = b"".join(
+        b"\0" + row.tobytes()
+        for x, y, dx, dy in (*passes, (0, 1, 1, 2))
+        for row in grey[y::dy, x::dx]
+        if row.size
+    )
+    idat = chunk(b"IDAT", zlib.compress(raw))
+    return png_of_chunks(idat, size=grey.shape[::-1], interlaced=1)
 
 
 # Integer pictures
 
 
-def test_8_bit_png_is_srgb(tmp_path: Path) -> None:
-    path = save_png(tmp_path / "a.png", RGB8)
+def tiff(pixels: NDArray[Any], **options: Any) -> Callable[[Path], object]:
+    """Write a TIFF by tifffile."""
+    return lambda path: tifffile.imwrite(path, pixels, **{"photometric": "rgb", **options})
+
+
+def pillow(pixels: NDArray[Any], **options: Any) -> Callable[[Path], object]:
+    """Write a file by Pillow."""
+    return lambda path: Image.fromarray(pixels).save(path, **options)
+
+
+PALETTE = Image.fromarray(RGB8).quantize(7)
+TILED = np.tile(RGB8, (8, 8, 1))
+INTEGERS: dict[str, tuple[Callable[[Path], object], NDArray[Any]]] = {
+    "8-bit.png": (pillow(RGB8), RGB8),
+    "16-bit.png": (lambda path: images.write_png(path, RGB16, tag="srgb"), RGB16),
+    "grey.png": (pillow(GREY8), GREY8),
+    "16-bit grey.png": (pillow(GREY16), GREY16),
+    "palette.png": (PALETTE.save, np.asarray(PALETTE.convert("RGB"))),
+    "1-bit.png": (pillow(GREY8 > 99), 255 * (GREY8 > 99).astype(np.uint8)),
+    "interlaced.png": (lambda path: path.write_bytes(interlaced_png(GREY8)), GREY8),
+    "deflated.tif": (tiff(RGB16, compression="deflate"), RGB16),
+    "big-endian.tif": (tiff(RGB16, byteorder=">"), RGB16),
+    "planar.tif": (tiff(np.moveaxis(RGB16, -1, 0), planarconfig="separate"), RGB16),
+    "tiled.tif": (tiff(TILED, tile=(16, 16)), TILED),
+    "big.tif": (tiff(RGB8, bigtiff=True), RGB8),
+    "white is zero.tif": (tiff(GREY8, photometric="miniswhite"), 255 - GREY8),
+    "lzw.tif": (pillow(RGB8, compression="tiff_lzw", tiffinfo={317: 2}), RGB8),
+    "a PNG by content.jpg": (pillow(RGB8, format="PNG"), RGB8),
+}
+
+
+@pytest.mark.parametrize("name", INTEGERS)
+def test_integer_files_are_read_to_the_last_bit(tmp_path: Path, name: str) -> None:
+    write, codes = INTEGERS[name]
+    path = tmp_path / name
+    write(path)
     picture = images.read_picture(path)
-    np.testing.assert_array_equal(picture.pixels, linear(RGB8))
+    rgb = codes if codes.ndim == 3 else np.repeat(codes[..., None], 3, axis=-1)
+    np.testing.assert_array_equal(picture.pixels, linear(rgb))
     assert picture.pixels.dtype == np.float32
     assert picture.pixels.flags.c_contiguous
-    np.testing.assert_array_equal(picture.clipped, (RGB8 > 250).any(axis=-1))
-    assert not picture.dark.any()
+    clipped = rgb > 250 * (np.iinfo(codes.dtype).max // 255)
+    np.testing.assert_array_equal(picture.clipped, clipped.any(axis=-1))
     assert picture.alpha is None
-    assert picture.color == "sRGB (8-bit PNG without a profile)"
+    assert picture.bit_depth == 8 * codes.itemsize
     assert picture.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert picture.bit_depth == 8
     assert picture.focal_length_35mm is None
-
-
-def test_16_bit_files_keep_all_bits(tmp_path: Path) -> None:
-    images.write_png(tmp_path / "a.png", RGB16, tag="srgb")
-    tifffile.imwrite(tmp_path / "a.tif", RGB16, photometric="rgb", compression="deflate")
-    tifffile.imwrite(tmp_path / "b.tif", RGB16, photometric="rgb", byteorder=">")
-    for name in ("a.png", "a.tif", "b.tif"):
-        picture = images.read_picture(tmp_path / name)
-        np.testing.assert_array_equal(picture.pixels, linear(RGB16))
-        np.testing.assert_array_equal(picture.clipped, (RGB16 > 250 * 257).any(axis=-1))
-        assert picture.bit_depth == 16
+    if name == "8-bit.png":
+        assert picture.color == "sRGB (8-bit PNG without a profile)"
 
 
 @pytest.mark.parametrize(("low", "high"), [(1, 250), (0, 255), (17, 18), (254, 255)])
@@ -118,63 +152,19 @@ def test_a_code_range_that_is_none_is_refused(tmp_path: Path, codes: Any) -> Non
         images.read_picture(path, code_range=codes)
 
 
-def test_grey_is_repeated_and_alpha_is_straight(tmp_path: Path) -> None:
-    grey = RGB8[..., 0]
-    picture = images.read_picture(save_png(tmp_path / "l.png", grey))
-    np.testing.assert_array_equal(picture.pixels, np.repeat(linear(grey)[..., None], 3, axis=-1))
-
-    with_alpha = np.dstack([RGB8, grey])
+def test_alpha_is_straight(tmp_path: Path) -> None:
+    with_alpha = np.dstack([RGB8, GREY8])
     for name in ("rgba.png", "rgba.tif"):
         Image.fromarray(with_alpha).save(tmp_path / name)
         picture = images.read_picture(tmp_path / name)
         np.testing.assert_array_equal(picture.pixels, linear(RGB8))
-        assert picture.alpha is not None
-        np.testing.assert_array_equal(picture.alpha, np.float32(grey) / np.float32(255))
+        np.testing.assert_array_equal(picture.alpha, np.float32(GREY8) / np.float32(255))
         np.testing.assert_array_equal(picture.clipped, (RGB8 > 250).any(axis=-1))
 
     la = np.ascontiguousarray(RGB8[..., :2])
     picture = images.read_picture(save_png(tmp_path / "la.png", la))
     np.testing.assert_array_equal(picture.pixels[..., 1], linear(la[..., 0]))
-    assert picture.alpha is not None
     np.testing.assert_array_equal(picture.alpha, np.float32(la[..., 1]) / np.float32(255))
-
-
-def test_16_bit_grey_png_of_another_writer(tmp_path: Path) -> None:
-    grey = RGB16[..., 1]
-    picture = images.read_picture(save_png(tmp_path / "a.png", grey))
-    np.testing.assert_array_equal(picture.pixels[..., 2], linear(grey))
-
-
-def test_palette_and_low_bit_pngs_are_resolved(tmp_path: Path) -> None:
-    palette = Image.fromarray(RGB8).quantize(7)
-    palette.save(tmp_path / "p.png")
-    expected = linear(np.asarray(palette.convert("RGB")))
-    np.testing.assert_array_equal(images.read_picture(tmp_path / "p.png").pixels, expected)
-    Image.fromarray(RGB8[..., 0] > 99).save(tmp_path / "one.png")
-    expected = (RGB8[..., 0] > 99).astype(np.float32)
-    np.testing.assert_array_equal(
-        images.read_picture(tmp_path / "one.png").pixels[..., 0], expected
-    )
-
-
-def test_interlaced_png(tmp_path: Path) -> None:
-    # Adam7, of a PNG that Pillow can read but not write: passes made by hand.
-    grey = RGB8[..., 0]
-    height, width = grey.shape
-    passes = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2))
-    raw = b"".join(
-        b"\0" + row.tobytes()
-        for x, y, dx, dy in (*passes, (0, 1, 1, 2))
-        for row in grey[y::dy, x::dx]
-        if row.size
-    )
-    idat = chunk(b"IDAT", zlib.compress(raw))
-    data = png_of_chunks(idat, size=(width, height), interlaced=1)
-    (tmp_path / "i.png").write_bytes(data)
-    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "i.png")), grey)
-    np.testing.assert_array_equal(
-        images.read_picture(tmp_path / "i.png").pixels[..., 0], linear(grey)
-    )
 
 
 @pytest.mark.parametrize("options", [{}, {"progressive": True}, {"subsampling": 0}])
@@ -191,25 +181,6 @@ def test_jpeg_agrees_with_another_decoder(tmp_path: Path, options: dict[str, Any
     grey = images.read_data(tmp_path / "g.jpg")
     assert grey.shape == (64, 96, 1)
     assert np.abs(grey[..., 0] * 255 - theirs).max() <= 1.01
-
-
-def test_tiffs_of_all_layouts(tmp_path: Path) -> None:
-    planar = np.moveaxis(RGB16, -1, 0)
-    tifffile.imwrite(tmp_path / "planar.tif", planar, photometric="rgb", planarconfig="separate")
-    tiled = np.tile(RGB8, (8, 8, 1))
-    tifffile.imwrite(tmp_path / "tiled.tif", tiled, photometric="rgb", tile=(16, 16))
-    tifffile.imwrite(tmp_path / "big.tif", RGB8, photometric="rgb", bigtiff=True)
-    tifffile.imwrite(tmp_path / "white.tif", RGB8[..., 0], photometric="miniswhite")
-    Image.fromarray(RGB8).save(tmp_path / "lzw.tif", compression="tiff_lzw", tiffinfo={317: 2})
-
-    def pixels(name: str) -> NDArray[np.float32]:
-        return images.read_picture(tmp_path / name).pixels
-
-    np.testing.assert_array_equal(pixels("planar.tif"), linear(RGB16))
-    np.testing.assert_array_equal(pixels("tiled.tif"), linear(tiled))
-    np.testing.assert_array_equal(pixels("big.tif"), linear(RGB8))
-    np.testing.assert_array_equal(pixels("lzw.tif"), linear(RGB8))
-    np.testing.assert_array_equal(pixels("white.tif")[..., 0], linear(255 - RGB8[..., 0]))
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
@@ -254,6 +225,9 @@ def test_damaged_exif_is_not_used(tmp_path: Path) -> None:
 
 
 # Colour
+
+
+ONE_PIXEL = chunk(b"IDAT", zlib.compress(b"\0\x80"))
 
 
 def srgb_profile() -> bytes:
@@ -382,7 +356,7 @@ def test_png_colour_chunks_that_are_not_followed_are_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: bytes, body: bytes, note: str | None
 ) -> None:
     path = tmp_path / "a.png"
-    path.write_bytes(png_with_chunk(kind, body))
+    path.write_bytes(png_of_chunks(chunk(kind, body), ONE_PIXEL))
     with caplog.at_level(logging.WARNING, logger="pbrfit"):
         picture = images.read_picture(path)
         images.read_picture(path, color_space="linear")  # the user knows: no word about it
@@ -394,27 +368,23 @@ def test_png_colour_chunks_that_are_not_followed_are_logged(
 # Float pictures
 
 
-def test_float_tiff_is_linear(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    tifffile.imwrite(tmp_path / "a.tif", FLOAT, photometric="rgb")
-    tifffile.imwrite(tmp_path / "y.tif", FLOAT[..., 0], compression="deflate")
-    tifffile.imwrite(tmp_path / "h.tif", FLOAT.astype(np.float16), photometric="rgb")
-    tifffile.imwrite(tmp_path / "d.tif", FLOAT.astype(np.float64), photometric="rgb")
-    picture = images.read_picture(tmp_path / "a.tif")
-    np.testing.assert_array_equal(picture.pixels, FLOAT)
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64])
+def test_float_tiff_is_linear(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: type[np.floating[Any]]
+) -> None:
+    path, pixels = tmp_path / "a.tif", FLOAT.astype(kind)
+    tiff(pixels)(path)
+    picture = images.read_picture(path)
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    np.testing.assert_array_equal(images.read_data(path), pixels)
     assert not picture.clipped.any()
     assert (picture.bit_depth, picture.color) == (32, "linear Rec.709 (float TIFF)")
-    np.testing.assert_array_equal(
-        images.read_picture(tmp_path / "y.tif").pixels[..., 2], FLOAT[..., 0]
-    )
-    np.testing.assert_array_equal(
-        images.read_picture(tmp_path / "h.tif").pixels, FLOAT.astype(np.float16)
-    )
-    np.testing.assert_array_equal(images.read_picture(tmp_path / "d.tif").pixels, FLOAT)
+    tifffile.imwrite(path, pixels[..., 0], compression="deflate")
+    np.testing.assert_array_equal(images.read_picture(path).pixels[..., 2], pixels[..., 0])
     assert not caplog.records
-
-    tifffile.imwrite(tmp_path / "p.tif", FLOAT, photometric="rgb", iccprofile=srgb_profile())
+    tiff(pixels, iccprofile=srgb_profile())(path)
     with caplog.at_level(logging.WARNING, logger="pbrfit"):
-        np.testing.assert_array_equal(images.read_picture(tmp_path / "p.tif").pixels, FLOAT)
+        np.testing.assert_array_equal(images.read_picture(path).pixels, pixels)
     assert "ICC profile is ignored because it is a float file" in caplog.text
 
 
@@ -433,10 +403,7 @@ def test_radiance_hdr_of_both_signatures_and_encodings(tmp_path: Path) -> None:
             assert picture.color == "linear Rec.709 (float HDR)"
 
 
-@pytest.mark.parametrize(
-    "compression",
-    ["NO", "RLE", "ZIPS", "ZIP", "PIZ"],
-)
+@pytest.mark.parametrize("compression", ["NO", "RLE", "ZIPS", "ZIP", "PIZ"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])
 def test_exr_compressions(tmp_path: Path, compression: str, dtype: Any) -> None:
     value = getattr(OpenEXR, f"{compression}_COMPRESSION")
@@ -459,11 +426,16 @@ def test_lossy_exr_compressions_agree_with_openexr(tmp_path: Path, compression: 
     np.testing.assert_allclose(images.read_picture(path).pixels, theirs, atol=1e-3)
 
 
-def test_exr_tiles_and_mip_levels(tmp_path: Path) -> None:
+def tiles() -> dict[str, Any]:
+    """The header of a tiled file."""
+    of_16 = OpenEXR.TileDescription()
+    of_16.xSize = of_16.ySize = 16
+    return {"type": OpenEXR.tiledimage, "tiles": of_16}
+
+
+def test_exr_tiles(tmp_path: Path) -> None:
     pixels = np.tile(FLOAT, (6, 4, 1))
-    tiles = OpenEXR.TileDescription()
-    tiles.xSize = tiles.ySize = 16
-    path = save_exr(tmp_path / "a.exr", {"RGB": pixels}, type=OpenEXR.tiledimage, tiles=tiles)
+    path = save_exr(tmp_path / "a.exr", {"RGB": pixels}, **tiles())
     np.testing.assert_array_equal(images.read_picture(path).pixels, pixels)
 
 
@@ -612,15 +584,6 @@ def test_ids_are_the_stored_integers(tmp_path: Path) -> None:
     Image.fromarray(RGB8[..., 0] > 99).save(tmp_path / "one.png")
     np.testing.assert_array_equal(images.read_ids(tmp_path / "one.png"), RGB8[..., 0] > 99)
 
-    with pytest.raises(InputError, match=r"expected ids in a grey .* found 3 channels uint8"):
-        images.read_ids(save_png(tmp_path / "rgb.png", RGB8))
-    tifffile.imwrite(tmp_path / "f.tif", FLOAT[..., 0])
-    with pytest.raises(InputError, match=r"expected ids in a grey .* found 1 channels float32"):
-        images.read_ids(tmp_path / "f.tif")
-    Image.fromarray(RGB8[..., 0]).save(tmp_path / "a.jpg")
-    with pytest.raises(InputError, match=r"expected ids in a grey .* found a JPEG file"):
-        images.read_ids(tmp_path / "a.jpg")
-
 
 # Writing
 
@@ -673,22 +636,34 @@ def test_pillow_reads_what_is_written(tmp_path: Path) -> None:
         assert "srgb" not in picture.info
 
 
-def test_unwritable_arrays_are_refused_and_leave_no_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="channels: expected 6 x 9 values in b, found 5 x 9"):
-        images.write_exr(tmp_path / "a.exr", {"a": FLOAT[..., 0], "b": FLOAT[:5, :, 0]})
-    with pytest.raises(InputError, match=r"channels: expected \(H, W\) in a, found \(6, 9, 3\)"):
-        images.write_exr(tmp_path / "a.exr", {"a": FLOAT})
-    with pytest.raises(InputError, match="channels: expected at least one channel"):
-        images.write_exr(tmp_path / "a.exr", {})
-    with pytest.raises(InputError, match="image: expected uint8 or uint16, found float32"):
-        images.write_png(tmp_path / "a.png", FLOAT, tag="srgb")
-    with pytest.raises(InputError, match="image: expected"):
-        images.write_png(tmp_path / "a.png", np.zeros((2, 2, 5), np.uint8), tag="srgb")
-    with pytest.raises(InputError, match="image: expected"):
-        images.write_png(tmp_path / "a.png", np.zeros(4, np.uint8), tag="srgb")
-    wrong: Any = "rgb"
-    with pytest.raises(InputError, match='tag: expected srgb, linear or None, found "rgb"'):
-        images.write_png(tmp_path / "a.png", RGB8, tag=wrong)
+@pytest.mark.parametrize(
+    ("channels", "message"),
+    [
+        ({"a": FLOAT[..., 0], "b": FLOAT[:5, :, 0]}, "expected 6 x 9 values in b, found 5 x 9"),
+        ({"a": FLOAT}, r"expected \(H, W\) in a, found \(6, 9, 3\)"),
+        ({}, "expected at least one channel"),
+    ],
+)
+def test_unwritable_channels_leave_no_file(tmp_path: Path, channels: Any, message: str) -> None:
+    with pytest.raises(InputError, match=f"channels: {message}"):
+        images.write_exr(tmp_path / "a.exr", channels)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("pixels", "tag", "message"),
+    [
+        (FLOAT, "srgb", "image: expected uint8 or uint16, found float32"),
+        (np.zeros((2, 2, 5), np.uint8), "srgb", "image: expected"),
+        (np.zeros(4, np.uint8), "srgb", "image: expected"),
+        (RGB8, "rgb", 'tag: expected srgb, linear or None, found "rgb"'),
+    ],
+)
+def test_unwritable_pictures_leave_no_file(
+    tmp_path: Path, pixels: NDArray[Any], tag: Any, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        images.write_png(tmp_path / "a.png", pixels, tag=tag)
     with pytest.raises(FileNotFoundError):
         images.write_png(tmp_path / "none" / "a.png", RGB8, tag="srgb")
     assert not list(tmp_path.iterdir())
@@ -731,37 +706,47 @@ def test_other_formats_say_what_to_do(tmp_path: Path, name: str, data: bytes, me
     assert str(tmp_path / name) in str(caught.value)
 
 
-def test_the_content_counts_and_not_the_name(tmp_path: Path) -> None:
-    path = save_png(tmp_path / "a.jpg", RGB8)
-    np.testing.assert_array_equal(images.read_picture(path).pixels, linear(RGB8))
-    path = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}).rename(tmp_path / "a.png")
-    np.testing.assert_array_equal(images.read_picture(path).pixels, FLOAT)
+def as_ids(path: Path) -> object:
+    return images.read_ids(path)
 
 
-def test_unsupported_variants_are_refused(tmp_path: Path) -> None:
-    cmyk = Image.fromarray(RGB8).convert("CMYK")
-    cmyk.save(tmp_path / "a.jpg")
-    with pytest.raises(InputError, match="expected a grey or RGB JPEG, found CMYK"):
-        images.read_picture(tmp_path / "a.jpg")
-    cmyk.save(tmp_path / "a.tif")
-    with pytest.raises(InputError, match="expected a grey or RGB TIFF, found CMYK"):
-        images.read_picture(tmp_path / "a.tif")
-    Image.fromarray(RGB8).quantize(5).save(tmp_path / "p.tif")
-    with pytest.raises(InputError, match=r"expected a grey or RGB TIFF, found: .*RGBPalette"):
-        images.read_picture(tmp_path / "p.tif")
-    tifffile.imwrite(tmp_path / "i.tif", RGB8[..., 0].astype(np.int16))
-    with pytest.raises(
-        InputError, match="expected 8 or 16-bit unsigned integers or floats, found 16"
-    ):
-        images.read_picture(tmp_path / "i.tif")
-    Image.fromarray(RGB8[..., 0] > 99).save(tmp_path / "one.tif")
-    with pytest.raises(InputError, match="expected 8 bits or more a sample, found 1"):
-        images.read_picture(tmp_path / "one.tif")
-    path = save_png(tmp_path / "a.png", RGB8)
-    with pytest.raises(InputError, match="expected an EXR file with layer x, found a PNG"):
-        images.read_picture(path, layer="x")
-    with pytest.raises(InputError, match="expected an EXR file, found a PNG"):
-        images.read_channels(path)
+def as_layer(path: Path) -> object:
+    return images.read_picture(path, layer="x")
+
+
+CMYK = Image.fromarray(RGB8).convert("CMYK")
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "read", "message"),
+    [
+        ("a.jpg", CMYK.save, None, "expected a grey or RGB JPEG, found CMYK"),
+        ("a.tif", CMYK.save, None, "expected a grey or RGB TIFF, found CMYK"),
+        ("p.tif", PALETTE.save, None, "expected a grey or RGB TIFF, found: .*RGBPalette"),
+        (
+            "i.tif",
+            lambda path: tifffile.imwrite(path, GREY8.astype(np.int16)),
+            None,
+            "expected 8 or 16-bit unsigned integers or floats, found 16",
+        ),
+        ("one.tif", pillow(GREY8 > 99), None, "expected 8 bits or more a sample, found 1"),
+        ("a.png", pillow(RGB8), as_layer, "expected an EXR file with layer x, found a PNG"),
+        ("a.png", pillow(RGB8), images.read_channels, "expected an EXR file, found a PNG"),
+        ("a.png", pillow(RGB8), as_ids, "expected ids in a grey .* found 3 channels uint8"),
+        ("f.tif", tiff(FLOAT), as_ids, "expected ids in a grey .* found 3 channels float32"),
+        ("a.jpg", pillow(GREY8), as_ids, "expected ids in a grey .* found a JPEG file"),
+    ],
+)
+def test_unsupported_variants_are_refused(
+    tmp_path: Path,
+    name: str,
+    write: Callable[[Path], object],
+    read: Callable[[Path], object] | None,
+    message: str,
+) -> None:
+    write(tmp_path / name)
+    with pytest.raises(InputError, match=message):
+        (read or images.read_picture)(tmp_path / name)
 
 
 def whole_files() -> dict[str, Callable[[Path], object]]:
@@ -776,27 +761,25 @@ def whole_files() -> dict[str, Callable[[Path], object]]:
     exif[0x8769] = {0xA405: 28}
     profile = srgb_profile()
     picture = Image.fromarray(big)
-    tiles = OpenEXR.TileDescription()
-    tiles.xSize = tiles.ySize = 16
-    zip_, piz, dwaa = (getattr(OpenEXR, f"{n}_COMPRESSION") for n in ("ZIP", "PIZ", "DWAA"))
     floats = np.tile(FLOAT, (4, 4, 1))
+
+    def exr(compression: str, dtype: Any = np.float32) -> Callable[[Path], object]:
+        kind = getattr(OpenEXR, f"{compression}_COMPRESSION")
+        return lambda path: save_exr(path, {"RGB": floats.astype(dtype)}, compression=kind)
+
     return {
-        "zip.exr": lambda p: save_exr(p, {"RGB": floats}, compression=zip_),
-        "piz.exr": lambda p: save_exr(p, {"RGB": floats.astype(np.float16)}, compression=piz),
-        "dwaa.exr": lambda p: save_exr(p, {"RGB": floats}, compression=dwaa),
-        "b44.exr": lambda p: save_exr(
-            p, {"RGB": floats.astype(np.float16)}, compression=OpenEXR.B44_COMPRESSION
-        ),
-        "pxr.exr": lambda p: save_exr(p, {"RGB": floats}, compression=OpenEXR.PXR24_COMPRESSION),
-        "tiled.exr": lambda p: save_exr(
-            p, {"Y": floats[..., 0].copy()}, type=OpenEXR.tiledimage, tiles=tiles
-        ),
+        "zip.exr": exr("ZIP"),
+        "piz.exr": exr("PIZ", np.float16),
+        "dwaa.exr": exr("DWAA"),
+        "b44.exr": exr("B44", np.float16),
+        "pxr.exr": exr("PXR24"),
+        "tiled.exr": lambda p: save_exr(p, {"Y": floats[..., 0].copy()}, **tiles()),
         "a.png": lambda p: picture.save(p, exif=exif, icc_profile=profile),
         "p.png": lambda p: picture.quantize(9).save(p),
         "a.jpg": lambda p: picture.save(p, exif=exif, icc_profile=profile),
         "p.jpg": lambda p: picture.save(p, progressive=True),
         "a.tif": lambda p: picture.save(p, compression="tiff_lzw", icc_profile=profile),
-        "f.tif": lambda p: tifffile.imwrite(p, floats, photometric="rgb", compression="deflate"),
+        "f.tif": tiff(floats, compression="deflate"),
         "a.hdr": hdr,
     }
 
@@ -822,29 +805,6 @@ def strips_end(data: bytes) -> int:
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         page = file.pages[0]
         return max(o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True))
-
-
-@pytest.mark.parametrize("name", sorted(whole_files()))
-def test_damaged_files_give_a_picture_or_an_error(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    whole_files()[name](path)
-    data = path.read_bytes()
-    rng = np.random.default_rng(len(data))
-    for trial in range(400):
-        damaged = bytearray(data)
-        # Most of the structure stands in the first bytes.
-        reach = len(data) if trial % 2 else min(len(data), 700)
-        for _ in range(1 + trial % 3):
-            damaged[int(rng.integers(reach))] ^= 1 << int(rng.integers(8))
-        path.write_bytes(damaged)
-        for read in (images.read_picture, images.read_data, images.read_ids, images.read_channels):
-            message = f"{path}: a picture"
-            try:
-                read(path)
-            except InputError as error:
-                message = str(error)
-            assert message.startswith(str(path))
-            assert "\n" not in message
 
 
 # Pictures of the world

@@ -11,12 +11,9 @@ from typing import NoReturn
 import pytest
 
 from pbrfit.io.output import new_file, new_folder
+from scene_files import tree
 
-
-def tree(folder: Path) -> dict[str, str]:
-    return {
-        str(p.relative_to(folder)): p.read_text() if p.is_file() else "" for p in folder.rglob("*")
-    }
+New = Callable[..., AbstractContextManager[Path]]
 
 
 @pytest.fixture
@@ -37,18 +34,6 @@ def test_appears_when_done_with_new_parents(tmp_path: Path) -> None:
     assert path.stat().st_mode & 0o777 == path.parent.stat().st_mode & 0o777
 
 
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_nothing_is_left_of_a_failure(tmp_path: Path, error: type[BaseException]) -> None:
-    def fail() -> None:
-        with new_folder(tmp_path / "a" / "b" / "out") as folder:
-            (folder / "half.txt").write_text("half")
-            raise error
-
-    with pytest.raises(error):
-        fail()
-    assert tree(tmp_path) == {}
-
-
 def test_an_existing_folder_is_refused(old: Path) -> None:
     with pytest.raises(FileExistsError, match="out: expected a folder that does not exist yet"):
         new_folder(old).__enter__()
@@ -60,17 +45,6 @@ def test_an_existing_folder_is_replaced_when_asked(old: Path) -> None:
         (folder / "new.txt").write_text("new")
         assert (old / "old.txt").exists()
     assert tree(old.parent) == {"out": "", "out/new.txt": "new"}
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_failure_leaves_the_old_folder(old: Path, error: type[BaseException]) -> None:
-    def fail() -> None:
-        with new_folder(old, overwrite=True):
-            raise error
-
-    with pytest.raises(error):
-        fail()
-    assert tree(old.parent) == {"out": "", "out/old.txt": "old"}
 
 
 @pytest.mark.parametrize("at", [1, 2])
@@ -97,24 +71,23 @@ def test_an_interrupt_between_the_renames_leaves_the_old_folder(
     assert tree(old.parent) == {"out": "", "out/old.txt": "old"}
 
 
-def test_a_folder_that_another_process_made_meanwhile_stays(tmp_path: Path) -> None:
+@pytest.mark.parametrize("new", [new_file, new_folder])
+def test_what_another_process_made_meanwhile_stays(tmp_path: Path, new: New) -> None:
+    path = tmp_path / "out"
+
     def make() -> None:
-        with new_folder(tmp_path / "out"):
-            (tmp_path / "out").mkdir()
-            (tmp_path / "out" / "theirs.txt").write_text("theirs")
+        with new(path) as temporary:
+            if new is new_folder:
+                path.mkdir()
+                (path / "theirs.txt").write_text("theirs")
+            else:
+                temporary.write_text("ours")
+                path.write_text("theirs")
 
     with pytest.raises(FileExistsError):
         make()
-    assert tree(tmp_path) == {"out": "", "out/theirs.txt": "theirs"}
-
-
-def test_of_a_link_to_a_folder_the_folder_is_replaced(old: Path) -> None:
-    link = old.parent / "link"
-    link.symlink_to(old)
-    with new_folder(link, overwrite=True) as folder:
-        (folder / "new.txt").write_text("new")
-    assert link.is_symlink()
-    assert tree(old) == {"new.txt": "new"}
+    assert "theirs" in tree(tmp_path).values()
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_the_folder_in_use_is_never_replaced(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,20 +127,22 @@ def test_a_file_appears_when_done_with_new_parents(tmp_path: Path) -> None:
     assert tree(tmp_path) == {"a": "", "a/b": "", "a/b/out.txt": "new"}
 
 
+@pytest.mark.parametrize("new", [new_file, new_folder])
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
 @pytest.mark.parametrize("there", [True, False])
-def test_a_failure_leaves_files_as_they_were(
-    tmp_path: Path, error: type[BaseException], there: bool
+def test_a_failure_leaves_all_as_it_was(
+    tmp_path: Path, new: New, error: type[BaseException], there: bool
 ) -> None:
-    path = tmp_path / "a" / "out.txt"
+    path = tmp_path / "a" / "b" / "out"
     if there:
-        path.parent.mkdir()
-        path.write_text("old")
+        held = path / "old.txt" if new is new_folder else path
+        held.parent.mkdir(parents=True)
+        held.write_text("old")
     before = tree(tmp_path)
 
     def fail() -> None:
-        with new_file(path, overwrite=True) as file:
-            file.write_text("half")
+        with new(path, overwrite=True) as temporary:
+            (temporary / "half.txt" if new is new_folder else temporary).write_text("half")
             raise error
 
     with pytest.raises(error):
@@ -188,24 +163,12 @@ def test_an_existing_file_is_replaced_only_when_asked(old: Path) -> None:
     assert tree(old) == {"old.txt": "new"}
 
 
-def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path: Path) -> None:
-    path = tmp_path / "out.txt"
-
-    def late() -> None:
-        with new_file(path) as file:
-            file.write_text("ours")
-            path.write_text("theirs")
-
-    with pytest.raises(FileExistsError):
-        late()
-    assert tree(tmp_path) == {"out.txt": "theirs"}
-
-
-def test_a_link_to_a_file_stays_one(old: Path) -> None:
-    link = old.parent / "link.txt"
-    link.symlink_to(old / "old.txt")
-    with new_file(link, overwrite=True) as file:
-        file.write_text("new")
+@pytest.mark.parametrize("name", ["old.txt", ""])
+def test_a_link_stays_one_and_what_it_leads_to_is_replaced(old: Path, name: str) -> None:
+    link = old.parent / "link"
+    link.symlink_to(old / name)
+    with (new_file if name else new_folder)(link, overwrite=True) as temporary:
+        (temporary if name else temporary / "old.txt").write_text("new")
     assert link.is_symlink()
     assert tree(old) == {"old.txt": "new"}
 
@@ -219,7 +182,7 @@ def test_a_place_where_no_file_can_be_made(old: Path) -> None:
 @pytest.mark.parametrize("new", [new_file, new_folder])
 @pytest.mark.parametrize("named", [False, True])
 def test_a_full_disk_is_told_by_the_name_of_the_output(
-    tmp_path: Path, new: Callable[[Path], AbstractContextManager[Path]], named: bool
+    tmp_path: Path, new: New, named: bool
 ) -> None:
     def write_to(temporary: Path) -> NoReturn:
         names = (str(temporary / "part" if new is new_folder else temporary),) if named else ()

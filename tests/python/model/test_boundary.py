@@ -6,7 +6,6 @@ would end the run.
 
 from __future__ import annotations
 
-import itertools
 import re
 import subprocess
 import sys
@@ -439,20 +438,3 @@ for mib in (10, 60, 120):
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )
     assert ran.stdout.split() == ["MemoryError", "MemoryError", "ok"], ran.stderr
-
-
-def test_every_pair_of_layouts_of_pictures_and_weights() -> None:
-    """All of them, because a mistake here would be silent."""
-    kind = Kind(130, 3, 3, 3, "channel", known_lights=True, metallic=None)
-    arguments = problem_of(kind, np.random.default_rng(0))
-    expected = outcome(FUNCTIONS["Problem"], kind, arguments)
-    layouts = [layout for name, layout in LAYOUTS.items() if name != "zero stride"]
-    for of_images, of_weights in itertools.product(layouts, repeat=2):
-        changed = {
-            "images": of_images(arguments["images"]),
-            "weights": of_weights(arguments["weights"]),
-            "lighting": of_weights(arguments["lighting"]),
-        }
-        found = outcome(FUNCTIONS["Problem"], kind, arguments | changed)
-        for a, b in zip(found, expected, strict=True):
-            np.testing.assert_array_equal(a, b)

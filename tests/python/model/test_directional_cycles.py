@@ -64,30 +64,3 @@ def test_a_sun_of_irradiance_pi_is_a_light_of_color_one(
     assert inside.sum() > 1000
     error = np.sqrt(np.mean((found - expected)[inside] ** 2) / np.mean(expected[inside] ** 2))
     assert error < BOUNDS[name], f"{name} is off by {error:.4f}"
-
-
-def test_the_white_matt_part_of_our_model_is_lamberts_less_fresnel(
-    rendered: dict[str, NDArray[np.float32]],
-) -> None:
-    expected = rendered["matt"][..., 0].astype(np.float64)
-    at = (2 * np.arange(SIDE) + 1 - SIDE) / SIDE
-    x, y = np.meshgrid(at, -at)
-    inside = x**2 + y**2 < 0.85
-    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
-    normals = np.where(inside[..., None], np.stack([x, y, z], axis=-1), np.nan)
-    grey = np.where(inside, 1.0, np.nan)
-    white, black = (
-        render_directional(
-            Materials(np.full((SIDE, SIDE, 3), rho) * grey[..., None], grey, 0 * grey),
-            normals,
-            LIGHT.direction,
-            np.ones(3),
-            0.0,
-        )[..., 0]
-        for rho in (1.0, 0.0)
-    )
-    half = LIGHT.direction + np.array([0, 0, 1])
-    fresnel = 0.04 + 0.96 * (1 - half[2] / np.linalg.norm(half)) ** 5
-    error = (white - black) - (1 - fresnel) * expected
-    assert np.abs(error[inside]).max() < 0.02
-    assert np.sqrt(np.mean(error[inside] ** 2)) < 0.003

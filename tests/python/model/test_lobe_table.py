@@ -232,12 +232,6 @@ def test_a_mirror_shows_the_harmonics_of_its_direction() -> None:
     schlick = 0.04 + 0.96 * grazing[:, 0]
     expected = glass(cosine) / schlick
     np.testing.assert_allclose(value[:, KAPPA], expected, rtol=0, atol=4e-5)
-    assert (np.abs(by_r) < 1e-5).all()
-
-
-def test_slopes_by_roughness_are_nothing_at_all_at_a_mirror() -> None:
-    cosine = np.linspace(LEAST_COSINE, 1, 200)
-    _, by_r, _ = _core.lobe_functions(np.zeros_like(cosine), cosine)
     assert not by_r.any()
 
 

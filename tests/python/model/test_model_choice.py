@@ -204,23 +204,6 @@ def test_errors_of_a_result_are_those_of_its_own_model(model: Model) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_parts_of_an_objective_have_its_model(model: Model) -> None:
-    scene = dataclasses.replace(room(model), model=OTHER[model])  # what is asked for counts
-    objective = Objective(scene, model=model)
-    x, some = objective.start(), np.arange(3, 60, 7, dtype=np.uint64)
-    everywhere = np.arange(len(some), dtype=np.uint64)
-    expected = objective.problem.residuals(objective.for_core(x), some)
-    few = objective.restricted(some)
-    found = few.problem.residuals(few.for_core(objective.part_of(x, some)), everywhere)
-    np.testing.assert_array_equal(found, expected)
-    objective.robust = objective.robust_around(x, "cauchy")
-    again = objective.reweighted(x)
-    found = again.problem.residuals(again.for_core(x), some)
-    np.testing.assert_array_equal(found, expected)
-    assert few.model == again.model == model
-
-
-@pytest.mark.parametrize("model", MODELS)
 def test_a_result_to_start_from_is_of_the_same_model(model: Model) -> None:
     found = result(model)
     again = decompose(room(model), iterations=0, start=found, refine_normals="off", priors=None)

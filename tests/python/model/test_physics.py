@@ -1,4 +1,4 @@
-"""Facts of the image formation, each under its own name, and the known gaps of the model."""
+"""Facts of the image formation, each under its own name, and known gaps of the paper's model."""
 
 from __future__ import annotations
 
@@ -9,21 +9,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.polynomial.legendre import Legendre, leggauss
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
-from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 import pbrfit
 from pbrfit.fit.objective import Objective
+from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
 from reference import smith_g1, unit
+from scene_files import truth_of
 
 # Whatever the default is.
-render = partial(pbrfit.render, model="paper")
 shade = partial(pbrfit.shade, model="paper")
 
 Array = NDArray[np.floating[Any]]
+
+both_models = pytest.mark.parametrize("model", MODELS)
 
 # The light whose radiance is 1 from everywhere: Y_00 = 1/(2√π).
 CONSTANT_LIGHT = 2 * math.sqrt(math.pi)
@@ -79,7 +81,8 @@ def test_sh_index_and_sign_convention() -> None:
     )
 
 
-def test_radiance_is_equivariant_under_rotation() -> None:
+@both_models
+def test_radiance_is_equivariant_under_rotation(model: Model) -> None:
     # Turn normal, view and light together: nothing changes. If L'(d) = L(R⁻¹d), its coefficients
     # are L' = M L with M = ∫ Y(Rd) Y(d)ᵀ dd.
     rotation = Rotation.from_euler("zyx", [0.7, -1.1, 2.3]).as_matrix()
@@ -90,37 +93,20 @@ def test_radiance_is_equivariant_under_rotation() -> None:
     normal, view = frames(200, 2)
     albedo, (roughness, metallic) = rng.random((200, 3)), rng.random((2, 200))
     lighting = rng.normal(size=(16, 3))
-    before = shade(normal, view, albedo, roughness, metallic)
-    after = shade(unit(normal @ rotation.T), unit(view @ rotation.T), albedo, roughness, metallic)
+    view[:20] = normal[:20]
+    material = albedo, roughness, metallic
+    before = pbrfit.shade(normal, view, *material, model=model)
+    turned_pixels = unit(normal @ rotation.T), unit(view @ rotation.T)
+    after = pbrfit.shade(*turned_pixels, *material, model=model)
     np.testing.assert_allclose(
         np.einsum("pck,kc->pc", after, M @ lighting),
         np.einsum("pck,kc->pc", before, lighting),
         rtol=0,
-        atol=1e-13,
+        atol=1e-13 if model == "paper" else 1e-11,
     )
 
 
 # --- Band weights ---
-
-
-@pytest.mark.parametrize("r", [0.05, 0.2, 0.39, 0.4, 0.41, 0.6, 0.8, 0.95, 0.9997, 0.99976, 1.0])
-def test_band_weights_are_the_zonal_moments_of_ggx(r: float) -> None:
-    # h_l = 2π ∫₀¹ D P_l(u) du with D of eq. 4, where u is the cosine of the angle between light
-    # and mirror direction and (n·h)² = (1+u)/2 = 1 − s/2, s = 1 − u.
-    e = r**4
-
-    def integrand(s: float, degree: int) -> float:
-        distribution = e / (math.pi * (e + (1 - e) * s / 2) ** 2)
-        return 2 * math.pi * distribution * float(Legendre.basis(degree)(1 - s))
-
-    h, _ = pbrfit.ggx_band_weights(np.array(r))
-    # The peak at s = 0 is of width e: split the interval on the way to it.
-    splits = [e * 8.0**i for i in range(8) if e * 8.0**i < 1]
-    for degree in range(4):
-        moment, _ = quad(
-            integrand, 0, 1, args=(degree,), points=splits or None, epsabs=1e-13, epsrel=1e-13
-        )
-        assert h[degree] == pytest.approx(moment, abs=1e-12), f"h_{degree}({r})"
 
 
 def test_band_weights_fall_with_roughness_between_known_ends() -> None:
@@ -210,13 +196,15 @@ def test_white_furnace_gap_is_as_tabled(
 # --- The two terms ---
 
 
-def test_a_perfect_mirror_shows_the_light() -> None:
-    # White metal of roughness 0: F = G1 = 1 and h_l = 4, so the weights are Y(mirror).
+@both_models
+def test_a_perfect_mirror_shows_the_light(model: Model) -> None:
+    # White metal of roughness 0: the weights are Y(mirror), as exact as a table of lobes has them.
     normal, view = frames(100, 5)
     mirror = 2 * np.sum(normal * view, axis=-1, keepdims=True) * normal - view
-    weights = shade(normal, view, WHITE, np.array(0.0), np.array(1.0))
+    weights = pbrfit.shade(normal, view, WHITE, np.array(0.0), np.array(1.0), model=model)
     expected = np.broadcast_to(pbrfit.sh_basis(unit(mirror))[:, None], (100, 3, 16))
-    np.testing.assert_allclose(weights, expected, rtol=0, atol=1e-14)
+    bar = 1e-14 if model == "paper" else 1e-5
+    np.testing.assert_allclose(weights, expected, rtol=0, atol=bar)
 
 
 def test_diffuse_term_is_the_cosine_weighted_integral_of_the_light() -> None:
@@ -260,21 +248,21 @@ def test_metals_have_no_diffuse_term_and_dielectrics_reflect_four_percent() -> N
     np.testing.assert_allclose(black, np.tile(0.04 * at_normal, (3, 1)), rtol=0, atol=1e-15)
 
 
-def test_radiance_is_linear_in_the_light() -> None:
+@both_models
+def test_radiance_is_linear_in_the_light(model: Model) -> None:
     rng = np.random.default_rng(6)
     materials = pbrfit.Materials(rng.random((5, 7, 3)), rng.random((5, 7)), rng.random((5, 7)))
     normals = unit(rng.normal(size=(5, 7, 3)) + np.array([0, 0, 2]))
     first, second = rng.normal(size=(2, 16, 3))
     lights = np.stack([first, second, 2 * first - 0.5 * second])
-    a, b, mixed = render(materials, normals, lights, 60.0)
+    a, b, mixed = pbrfit.render(materials, normals, lights, 60.0, model=model)
     np.testing.assert_allclose(mixed, 2 * a - 0.5 * b, rtol=0, atol=1e-13)
 
 
 def test_exposure_of_a_picture_is_its_light() -> None:
     """One picture four times as bright: its light is too, and the same materials explain it."""
     scene = make_scene("spheres", size=24, lights=4, seed=3)
-    assert scene.truth is not None
-    known = scene.truth.materials
+    known = truth_of(scene).materials
     brighter = np.array(scene.images)
     brighter[2] *= 4
     lights = []

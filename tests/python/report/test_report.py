@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 from browser import launched, visit
+from command_runs import done, refused
 from page_reader import Page, decoded
 from pbrfit import InputError, Materials, Result, Scene, decompose, sh_basis
-from pbrfit.cli import main
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import Model, render
 from pbrfit.report import budget, lights, originals, write_report
@@ -40,18 +40,13 @@ SIZE = 20
 AWKWARD = "a <b> & \"c\" 'd'"
 
 
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `scene`, which has ground truth, and its `result`."""
     base = tmp_path_factory.mktemp("report")
     made = make_scene("room", size=SIZE, lights=3, noise=0.01, held_out=1)
     made.save(base / "scene")
-    options = ("--iterations", 12, "--quiet")
-    assert run("decompose", base / "scene", "--out", base / "result", *options) == 0
+    done("decompose", base / "scene", "--out", base / "result", "--iterations", 12)
     return base
 
 
@@ -228,7 +223,6 @@ def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
 def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
     folder: Path,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
     caplog: pytest.LogCaptureFixture,
     what: str,
 ) -> None:
@@ -249,8 +243,7 @@ def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
 
     # Whoever names it gets no page with something else instead.
     out = tmp_path / "other.html"
-    assert run("report", tmp_path / "result", "--out", out, "--scene", scene) == 2
-    [line] = capsys.readouterr().err.strip().splitlines()
+    line = refused("report", tmp_path / "result", "--out", out, "--scene", scene)
     named = "images/light_09.exr" if what == "more" else what
     assert line.startswith(f"pbrfit: {scene}: expected the scene that the result was made from")
     assert named in line
@@ -276,8 +269,7 @@ def test_a_scene_that_may_not_be_looked_at_is_said(
 def test_a_scene_can_be_named(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "result", tmp_path / "result")
     out = tmp_path / "page.html"
-    arguments = ("report", tmp_path / "result", "--out", out, "--quiet")
-    assert run(*arguments, "--scene", folder / "scene") == 0
+    done("report", tmp_path / "result", "--out", out, "--scene", folder / "scene")
     assert "Picture light_00" in out.read_text("utf-8")
 
 
@@ -415,41 +407,27 @@ def test_lights_that_are_mostly_negative_are_doubted(tmp_path: Path) -> None:
     assert f"negative light is {100 * share:.0f} % of the positive" in text
 
 
-def test_an_existing_page_needs_overwrite(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_existing_page_needs_overwrite(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     out.write_text("mine")
-    assert run("report", folder / "result", "--out", out) == 2
-    [line] = capsys.readouterr().err.strip().splitlines()
+    line = refused("report", folder / "result", "--out", out)
     assert line.startswith(f"pbrfit: {out}: expected a file that does not exist yet")
     assert out.read_text() == "mine"
-    assert run("report", folder / "result", "--out", out, "--overwrite") == 0
-    assert capsys.readouterr().out.startswith(f"{out}: ")
+    said = done("report", folder / "result", "--out", out, "--overwrite")
+    assert said.startswith(f"{out}: ")
     assert out.read_text("utf-8").startswith("<!doctype html>")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
 
 
-@pytest.mark.parametrize("name", ["page.png", "page", "folder.html"])
-def test_a_name_that_is_no_page_is_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_what_is_no_result_and_no_page_is_refused(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "folder.html").mkdir()
-    out = tmp_path / name
-    assert run("report", folder / "result", "--out", out, "--overwrite") == 2
-    [line] = capsys.readouterr().err.strip().splitlines()
-    assert f"{out}: expected" in line
-    assert [path.name for path in tmp_path.iterdir()] == ["folder.html"]
-
-
-def test_a_folder_that_is_no_result_is_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    for name in ("page.png", "page", "folder.html"):
+        out = tmp_path / name
+        line = refused("report", folder / "result", "--out", out, "--overwrite")
+        assert f"{out}: expected" in line
     for wrong in (folder / "scene", tmp_path / "nothing"):
-        assert run("report", wrong, "--out", tmp_path / "page.html") == 2
-        [line] = capsys.readouterr().err.strip().splitlines()
-        assert str(wrong) in line
-    assert not list(tmp_path.iterdir())
+        assert str(wrong) in refused("report", wrong, "--out", tmp_path / "page.html")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.html"]
 
 
 def test_nothing_is_left_behind_when_a_page_fails(

@@ -17,10 +17,12 @@ from pbrfit import Result, sh_basis
 from pbrfit.io.display import ToneMap, encoded
 from pbrfit.model import panorama
 from pbrfit.model.lighting import rotated
+from pbrfit.model.reflection import Model
 from pbrfit.report.viewer import fragment, maps
 from relight_view import (
     PAGE,
     READY,
+    View,
     coded,
     difference,
     expected,
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 AT_MOST = 2
 """Largest difference from the package's own 8-bit picture, in 1/255."""
 
+MODELS: tuple[Model, ...] = ("paper", "principled")
+
 BAND_MASK = np.arange(37 * 23).reshape(23, 37) % 5 > 0
 
 
@@ -50,6 +54,35 @@ def furnished() -> Result:
     return room()
 
 
+def of_model(result: Result, model: Model) -> Result:
+    return dataclasses.replace(result, model=model)
+
+
+def test_the_models_differ_by_more_than_the_bound(furnished: Result) -> None:
+    """Else a view with the wrong model would pass."""
+    light = furnished.lighting[0]
+    paper, principled = (expected(of_model(furnished, model), light) for model in MODELS)
+    assert difference(paper, principled)[0] > 5 * AT_MOST
+
+
+def test_a_page_holds_the_shader_and_the_table_of_its_own_model(furnished: Result) -> None:
+    paper, principled = (fragment(of_model(furnished, model)) for model in MODELS)
+    for page, other, words in (
+        (paper, principled, ('"bands":', "bandWeights")),
+        (principled, paper, ('"lobes":', "slope3")),
+    ):
+        for word in words:
+            assert word in page
+            assert word not in other
+    assert abs(len(paper) - len(principled)) < 60_000
+
+
+def shown_off(view: View, address: str, true: NDArray[np.uint8]) -> int:
+    """By how much, at most, what the view shows at an address is off, in 1/255."""
+    view.go(address)
+    return difference(view.saved(), true)[0]
+
+
 def tilted(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]:
     """The light turned about X, from +Z towards +Y."""
     b = np.radians(degrees)
@@ -60,15 +93,21 @@ def tilted(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]:
     return np.asarray(solved, np.float64)
 
 
+@pytest.mark.parametrize("model", MODELS)
 def test_every_recovered_light_gives_the_pixels_of_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path
+    browser: Browser, furnished: Result, tmp_path: Path, model: Model
 ) -> None:
-    with opened(browser, furnished, tmp_path) as view:
-        for name, light in zip(furnished.pictures, furnished.lighting, strict=True):
+    result = of_model(furnished, model)
+    with opened(browser, result, tmp_path) as view:
+        for name, light in zip(result.pictures, result.lighting, strict=True):
             view.go(f"light={name}&exposure=0")
-            largest, mean = difference(view.saved(), expected(furnished, light))
+            largest, mean = difference(view.saved(), expected(result, light))
             assert largest <= AT_MOST, name
             assert mean < 0.1
+        turned = rotated(result.lighting[1], -130)
+        true = expected(result, turned, exposure=0.5, tone_map="neutral")
+        address = f"light={result.pictures[1]}&rotate=-130&exposure=0.5&tone=neutral"
+        assert shown_off(view, address, true) <= AT_MOST
 
 
 @pytest.mark.parametrize("degrees", [25.0, -170.5, 90.0])
@@ -76,12 +115,12 @@ def test_turned_lights_give_the_pixels_of_the_package(
     browser: Browser, furnished: Result, tmp_path: Path, degrees: float
 ) -> None:
     light = rotated(furnished.lighting[1], degrees)
+    here = f"light={furnished.pictures[1]}&rotate={degrees}"
     with opened(browser, furnished, tmp_path) as view:
-        view.go(f"light={furnished.pictures[1]}&rotate={degrees}&exposure=0.25")
-        found = view.saved()
-        assert difference(found, expected(furnished, light, exposure=0.25))[0] <= AT_MOST
-        view.go(f"light={furnished.pictures[1]}&rotate={degrees}&tilt=-35&exposure=0")
-        assert difference(view.saved(), expected(furnished, tilted(light, -35)))[0] <= AT_MOST
+        true = expected(furnished, light, exposure=0.25)
+        assert shown_off(view, f"{here}&exposure=0.25", true) <= AT_MOST
+        true = expected(furnished, tilted(light, -35))
+        assert shown_off(view, f"{here}&tilt=-35&exposure=0", true) <= AT_MOST
 
 
 @pytest.mark.parametrize("tone_map", ["none", "neutral"])
@@ -91,8 +130,7 @@ def test_exposure_and_tone_map_are_those_of_the_package(
 ) -> None:
     true = expected(furnished, furnished.lighting[0], exposure=exposure, tone_map=tone_map)
     with opened(browser, furnished, tmp_path) as view:
-        view.go(f"exposure={exposure}&tone={tone_map}")
-        assert difference(view.saved(), true)[0] <= AT_MOST
+        assert shown_off(view, f"exposure={exposure}&tone={tone_map}", true) <= AT_MOST
 
 
 @pytest.mark.parametrize(
@@ -107,46 +145,40 @@ def test_exposure_and_tone_map_are_those_of_the_package(
     ],
     ids=["one pixel", "holes", "orthographic", "wide angle", "grey", "mirrors and metals"],
 )
+@pytest.mark.parametrize("model", MODELS)
 def test_any_size_camera_and_material_gives_the_pixels_of_the_package(
-    browser: Browser, tmp_path: Path, options: dict[str, Any]
+    browser: Browser, tmp_path: Path, options: dict[str, Any], model: Model
 ) -> None:
-    result = made(**options)
+    result = of_model(made(**options), model)
     with opened(browser, result, tmp_path) as view:
         for name, light in zip(result.pictures, result.lighting, strict=True):
-            view.go(f"light={name}&exposure=0")
-            largest, _ = difference(view.saved(), expected(result, light))
-            assert largest <= AT_MOST, name
+            assert shown_off(view, f"light={name}&exposure=0", expected(result, light)) <= AT_MOST
 
 
-@pytest.mark.parametrize(("roughness", "metallic"), [(1, 0), (-1, 0), (0, 1), (0.3, -1)])
+@pytest.mark.parametrize("model", MODELS)
 def test_roughness_and_metallic_are_added_and_kept_in_range(
-    browser: Browser, tmp_path: Path, roughness: float, metallic: float
+    browser: Browser, tmp_path: Path, model: Model
 ) -> None:
-    result = made(23, 37)
-    true = expected(result, result.lighting[0], roughness=roughness, metallic=metallic)
+    result = of_model(made(23, 37), model)
     with opened(browser, result, tmp_path) as view:
-        view.go(f"exposure=0&roughness={roughness}&metallic={metallic}")
-        assert difference(view.saved(), true)[0] <= AT_MOST
+        for roughness, metallic in ((1, 0), (-1, 0), (0, 1), (0.3, -1)):
+            true = expected(result, result.lighting[0], roughness=roughness, metallic=metallic)
+            address = f"exposure=0&roughness={roughness}&metallic={metallic}"
+            assert shown_off(view, address, true) <= AT_MOST, address
 
 
 def test_large_maps_are_averaged_down(browser: Browser, tmp_path: Path) -> None:
-    result = made(150, 211, mask=np.arange(150 * 211).reshape(150, 211) % 7 > 0, fov=40.0)
-    with opened(browser, result, tmp_path, max_side=100) as view:
-        view.go("exposure=0")
-        found = view.saved()
-    assert found.shape == (71, 100, 4)
-    assert difference(found, expected(result, result.lighting[0], max_side=100))[0] <= AT_MOST
-
-
-def test_the_largest_maps_have_1024_pixels_a_side(browser: Browser, tmp_path: Path) -> None:
-    result = made(700, 1400)
-    with opened(browser, result, tmp_path) as view:
-        view.go("exposure=0")
-        found = view.saved()
-    assert found.shape == (512, 1024, 4)
-    largest, mean = difference(found, expected(result, result.lighting[0]))
-    assert largest <= AT_MOST
-    assert mean < 0.1
+    holes = np.arange(150 * 211).reshape(150, 211) % 7 > 0
+    for result, max_side, shape in (
+        (made(150, 211, mask=holes, fov=40.0), 100, (71, 100, 4)),
+        (made(700, 1400), 1024, (512, 1024, 4)),  # the largest there are
+    ):
+        with opened(browser, result, tmp_path, max_side=max_side) as view:
+            view.go("exposure=0")
+            found = view.saved()
+        assert found.shape == shape
+        true = expected(result, result.lighting[0], max_side=max_side)
+        assert difference(found, true)[0] <= AT_MOST
 
 
 def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
@@ -178,14 +210,22 @@ def test_the_picture_can_be_saved(browser: Browser, furnished: Result, tmp_path:
         assert difference(found, true)[0] <= AT_MOST
 
 
+@pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("name", ["studio_small_03_1k", "kloppenheim_05_1k"])
 def test_a_panorama_from_a_file_lights_as_the_package_has_it(
-    browser: Browser, furnished: Result, tmp_path: Path, shared_data: Path, name: str
+    browser: Browser,
+    furnished: Result,
+    tmp_path: Path,
+    shared_data: Path,
+    name: str,
+    model: Model,
 ) -> None:
+    furnished = of_model(furnished, model)
     file = shared_data / "hdri" / f"{name}.hdr"
     pixels = panorama.read(file)
     light = panorama.project(pixels)
     with opened(browser, furnished, tmp_path) as view:
+        assert not view.control("window").is_visible()
         message = view.open(file)
         lost = panorama.lost_energy(pixels, light)
         assert message == (
@@ -205,23 +245,13 @@ def test_a_panorama_from_a_file_lights_as_the_package_has_it(
         np.testing.assert_array_equal(view.light(), furnished.lighting[2])
         view.control("light").select_option(f"{name}.hdr")
         np.testing.assert_allclose(view.light(), light, atol=1e-6 * np.abs(light).max())
-
-
-@pytest.mark.parametrize("name", ["studio_small_03_1k", "kloppenheim_05_1k"])
-def test_windows_against_ringing_are_those_of_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path, shared_data: Path, name: str
-) -> None:
-    file = shared_data / "hdri" / f"{name}.hdr"
-    light = panorama.project(panorama.read(file))
-    with opened(browser, furnished, tmp_path) as view:
-        assert not view.control("window").is_visible()
-        view.open(file)
-        for window in panorama.WINDOWS:
+        view.control("rotate").fill("0")
+        for window in panorama.WINDOWS:  # against ringing, as the package has them
             view.control("window").select_option(window)
-            true = panorama.windowed(light, window)
-            np.testing.assert_allclose(view.light(), true, atol=1e-6 * np.abs(light).max())
-            exposure = view.state()["exposure"]
-            assert difference(view.saved(), expected(furnished, true, exposure=exposure))[0] <= 2
+            windowed = panorama.windowed(light, window)
+            np.testing.assert_allclose(view.light(), windowed, atol=1e-6 * np.abs(light).max())
+            true = expected(furnished, windowed, exposure=view.state()["exposure"])
+            assert difference(view.saved(), true)[0] <= AT_MOST
         # Recovered lights stay as they were found.
         view.control("light").select_option(furnished.pictures[1])
         np.testing.assert_array_equal(view.light(), furnished.lighting[1])

@@ -81,6 +81,7 @@ def test_smaller_maps_are_means_over_areas() -> None:
     result = made(10, 15, mask=mask)
     small = maps.of_result(result, 6)
     assert small.mask.shape == (4, 6)
+    assert small.materials.albedo.shape == (4, 6, 3)
     # Every old pixel as 4 × 2 equal parts: whole numbers of them fall on each new pixel.
     normals = result.normals
     for plane, found in (
@@ -100,24 +101,6 @@ def test_smaller_maps_are_means_over_areas() -> None:
     mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
     np.testing.assert_allclose(small.normals[small.mask], mean, atol=1e-12)
     assert np.isnan(small.normals[~small.mask]).all()
-
-
-@pytest.mark.parametrize(
-    ("shape", "max_side", "smaller"),
-    [
-        ((1, 1), 1, (1, 1)),
-        ((24, 24), 24, (24, 24)),
-        ((24, 24), 23, (23, 23)),
-        ((2, 300), 100, (1, 100)),
-        ((300, 2), 100, (100, 1)),
-    ],
-)
-def test_the_longer_side_is_at_most_what_was_asked_for(
-    shape: tuple[int, int], max_side: int, smaller: tuple[int, int]
-) -> None:
-    small = maps.of_result(made(*shape), max_side)
-    assert small.mask.shape == smaller
-    assert small.materials.albedo.shape == (*smaller, 3)
 
 
 def test_normals_that_cancel_each_other_are_left_out() -> None:

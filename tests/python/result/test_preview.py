@@ -82,18 +82,14 @@ def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() ->
         assert np.ptp(columns) < PANEL_SIDE[0]
 
 
-def test_truth_and_errors_add_rows() -> None:
+def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
     scene = part(24, 24, truth=True)
-    result = decompose(scene, iterations=1, uncertainty=False)
-    without = preview(result, dataclasses.replace(scene, truth=None))
-    assert preview(result, scene).shape[0] == without.shape[0] + 2 * (PANEL_SIDE[0] + MARGIN)
-
-
-def test_uncertainty_adds_a_row() -> None:
-    scene = part(24, 24)
     result = decompose(scene, iterations=1)
-    without = preview(dataclasses.replace(result, uncertainty=None), scene)
-    assert preview(result, scene).shape[0] == without.shape[0] + PANEL_SIDE[0] + MARGIN
+    row = PANEL_SIDE[0] + MARGIN
+    whole = preview(result, scene).shape[0]
+    without_truth = preview(result, dataclasses.replace(scene, truth=None)).shape[0]
+    unsure = preview(dataclasses.replace(result, uncertainty=None), scene).shape[0]
+    assert (whole - without_truth, whole - unsure) == (2 * row, row)
 
 
 def test_refined_normals_add_a_row_and_a_key() -> None:

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from pbrfit.cli import main
+from command_runs import done
 from pbrfit.scene import alignment
 from pbrfit.scene.alignment import Alignment
 from pbrfit.scene.scene import Scene
@@ -154,31 +154,24 @@ def test_small_pictures_are_not_judged() -> None:
     assert alignment.complaints(dataclasses.replace(scene, images=images)) == []
 
 
+def test_inspect_says_whether_pictures_line_up(tmp_path: Path) -> None:
+    small = make_scene("furnished", size=32, lights=3, held_out=1, seed=1)
+    for name, scene, said in (
+        ("shaken", shaken(), "aligned           NO: light_02 is shifted"),
+        ("sound", room(), "aligned           yes"),
+        ("small", small, "aligned           not checked: pictures below 64"),
+    ):
+        scene.save(tmp_path / name)
+        assert said in done("inspect", tmp_path / name)
+
+
 @pytest.mark.slow
-def test_inspect_and_decompose_say_what_does_not_line_up(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+def test_decompose_says_what_does_not_line_up(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     shaken().save(tmp_path / "shaken")
-    assert main(["inspect", str(tmp_path / "shaken")]) == 0
-    assert "aligned" in (told := capsys.readouterr().out)
-    assert "NO: light_02 is shifted" in told
+    options = ("--iterations", 1, "--solver", "lbfgsb", "--quiet")
+    out = tmp_path / "out"
     with caplog.at_level(logging.WARNING, "pbrfit"):
-        options = "--iterations 1 --solver lbfgsb --quiet"
-        main(f"decompose {tmp_path}/shaken --out {tmp_path}/out {options}".split())
-    assert "light_02 is shifted" in caplog.text + capsys.readouterr().err
-
-
-def test_inspect_says_that_sound_pictures_line_up(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    room().save(tmp_path / "sound")
-    assert main(["inspect", str(tmp_path / "sound")]) == 0
-    assert "aligned           yes" in capsys.readouterr().out
-
-
-def test_inspect_does_not_say_that_small_pictures_line_up(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    make_scene("furnished", size=32, lights=3, held_out=1, seed=1).save(tmp_path / "small")
-    assert main(["inspect", str(tmp_path / "small")]) == 0
-    assert "aligned           not checked: pictures below 64" in capsys.readouterr().out
+        done("decompose", tmp_path / "shaken", "--out", out, *options)
+    assert "light_02 is shifted" in caplog.text

@@ -175,27 +175,31 @@ LIGHT: dict[str, Any] = {
         ({"pictures": "a"}, "'a' in place of a list"),
         ({"pictures": ["\ud800"]}, "UnicodeEncodeError"),
         ({"basis": "x" * 10_000}, "expected basis"),
+        ({"order": 2}, "expected basis .* of order 3, found .* of order 2"),
+        ({"coefficients": [[[1]]]}, r"coefficients of shape \(1, 16, 3\).* found shape"),
+        ({"coefficients": np.full((1, 16, 3), np.nan).tolist()}, "finite coefficients, found NaN"),
+        ("{", "expected JSON with basis"),
+        ("[]", "expected JSON with basis"),
+        (DEEP, "RecursionError"),
     ],
 )
-def test_lights_that_are_none(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
+def test_lights_that_are_none(tmp_path: Path, changed: Any, message: str) -> None:
     path = tmp_path / "lighting.json"
-    path.write_text(json.dumps(LIGHT | changed))
+    path.write_text(changed if isinstance(changed, str) else json.dumps(LIGHT | changed))
     refused(Lighting.load, path, message)
-
-
-def test_nested_files_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "lighting.json"
-    path.write_text(DEEP)
-    refused(Lighting.load, path, "RecursionError")
-    path = tmp_path / "scene.toml"
-    path.write_text(f"fov = {DEEP}")
-    refused(lambda path: scene_folder.read_settings(path), path, "expected TOML")
-    refused(read_prompts, path, "expected TOML")
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (f"fov = {DEEP}", "expected TOML"),
+        ("fov = ", "expected TOML, found"),
+        ("fow = 60", "expected keys fov, color_space, .*, found fow"),
+        ('fov = "wide"', "fov: expected a number, found 'wide'"),
+        ("fov = 180", r"fov: expected degrees in \[0, 180\), found 180"),
+        ('color_space = "log"', "color_space: expected one of srgb, linear, .*, found 'log'"),
+        ('normals = "vulkan"', "normals: expected one of opengl, directx, found 'vulkan'"),
+        ("world_to_camera = [[2, 0, 0], [0, 2, 0], [0, 0, 2]]", "3 × 3 rotation"),
         ("fov = " + "9" * 5000, "expected TOML"),
         ("fov = " + "9" * 400, "fov"),
         ('"a\\nb" = 1', r"found a\\nb"),
@@ -207,7 +211,9 @@ def test_nested_files_are_refused(tmp_path: Path) -> None:
 def test_settings_that_are_none(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(text)
-    refused(lambda path: scene_folder.read_settings(path), path, message)
+    refused(scene_folder.read_settings, path, message)
+    if DEEP in text:
+        refused(read_prompts, path, message)
 
 
 @pytest.mark.parametrize("entry", ["inf", "nan", "-inf", "1e301"])
@@ -256,17 +262,9 @@ def test_a_result_of_other_types_is_refused(
     path = result / "result.json"
     content = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(content | {key: value}), encoding="utf-8")
-    with pytest.raises(InputError, match=message) as caught:
-        Result.load(result)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert str(caught.value).isprintable()
-    assert len(str(caught.value)) < 1000
-
-
-def test_a_result_whose_json_is_nested_is_refused(result: Path) -> None:
-    (result / "result.json").write_text(DEEP)
-    with pytest.raises(InputError, match=r"result\.json: .*RecursionError"):
-        Result.load(result)
+    refused(lambda path: Result.load(path.parent), path, message)
+    path.write_text(DEEP)
+    refused(lambda path: Result.load(path.parent), path, "RecursionError")
 
 
 def test_a_result_with_maps_that_are_not_finite_is_refused(result: Path) -> None:
@@ -375,7 +373,7 @@ def test_a_few_hundred_damaged_files(
 ) -> None:
     # `make test-fuzz` does the same on 100,000.
     monkeypatch.setenv("PYTHONPATH", str(REPOSITORY / "tests"), prepend=":")
-    command = [sys.executable, "-m", "fuzz", "--cases", "300", "--jobs", "1", "--seed", "7"]
+    command = [sys.executable, "-m", "fuzz", "--cases", "1000", "--jobs", "1", "--seed", "7"]
     with caplog.at_level(logging.WARNING):
         done = subprocess.run(
             [*command, "--out", str(tmp_path)], capture_output=True, text=True, check=False

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 import reference
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import render, sh_basis
-from pbrfit.scene.arrays import Truth
+from pbrfit.model.reflection import render
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import RayCast, draw, make_scene, random_lights
 from pbrfit.synthetic.geometry import (
@@ -26,6 +25,7 @@ from pbrfit.synthetic.geometry import (
 )
 from pbrfit.synthetic.stages import case_stage, room_stage
 from pbrfit_evaluation.rooms.frustum import Frustum
+from scene_files import held_out_of, lights_of, truth_of
 
 Array = NDArray[np.float64]
 KINDS: tuple[str, ...] = ("room", "spheres", "textured")
@@ -400,37 +400,18 @@ def test_bad_scene_arguments() -> None:
 # -------------------------------------------------------------------------------------- pictures
 
 
-def truth(scene: Scene) -> Truth:
-    assert scene.truth is not None
-    return scene.truth
-
-
-def lights(scene: Scene) -> NDArray[np.float64]:
-    lighting = truth(scene).lighting
-    assert lighting is not None
-    return lighting
-
-
-def relight(scene: Scene) -> tuple[NDArray[Any], Array]:
-    """Held-out pictures and their lights."""
-    images, lighting = truth(scene).relight_images, truth(scene).relight_lighting
-    assert images is not None
-    assert lighting is not None
-    return images, lighting
-
-
 def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
     assert scene.segments is not None
     return {
         "images": scene.images,
         "normals": scene.normals,
         "segments": scene.segments,
-        "albedo": truth(scene).materials.albedo,
-        "roughness": truth(scene).materials.roughness,
-        "metallic": truth(scene).materials.metallic,
-        "lighting": lights(scene),
-        "relight_lighting": relight(scene)[1],
-        "relight_images": relight(scene)[0],
+        "albedo": truth_of(scene).materials.albedo,
+        "roughness": truth_of(scene).materials.roughness,
+        "metallic": truth_of(scene).materials.metallic,
+        "lighting": lights_of(scene),
+        "relight_lighting": held_out_of(scene)[1],
+        "relight_images": held_out_of(scene)[0],
     }
 
 
@@ -448,9 +429,9 @@ def test_streams_are_separate() -> None:
     base = make_scene("room", size=24, lights=4, held_out=3)
     more = make_scene("room", size=24, lights=6, held_out=3, noise=0.01)
     np.testing.assert_array_equal(base.segments, more.segments)
-    np.testing.assert_array_equal(truth(base).materials.albedo, truth(more).materials.albedo)
+    np.testing.assert_array_equal(truth_of(base).materials.albedo, truth_of(more).materials.albedo)
     # The held-out lights are the same up to the exposure.
-    ratio = relight(more)[1][:, 0] / relight(base)[1][:, 0]
+    ratio = held_out_of(more)[1][:, 0] / held_out_of(base)[1][:, 0]
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
 
 
@@ -460,7 +441,7 @@ def test_exposure(kind: str) -> None:
         scene = make_scene(kind, size=32, seed=seed)
         assert scene.images.mean() == pytest.approx(0.4, rel=1e-12)
         assert scene.images.min() > 0.0
-        for pictures in (scene.images, relight(scene)[0]):
+        for pictures in (scene.images, held_out_of(scene)[0]):
             means = pictures.mean(axis=(1, 2, 3)) / 0.4
             assert means.min() >= 0.5
             assert means.max() <= 2.0
@@ -471,18 +452,13 @@ def test_exposure(kind: str) -> None:
 def test_pictures_are_the_model_of_their_truth(kind: str) -> None:
     scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2, model="paper")
     for images, lighting in (
-        (scene.images, lights(scene)),
-        relight(scene),
+        (scene.images, lights_of(scene)),
+        held_out_of(scene),
     ):
-        again = render(truth(scene).materials, scene.normals, lighting, scene.fov, model="paper")
+        again = render(truth_of(scene).materials, scene.normals, lighting, scene.fov, model="paper")
         np.testing.assert_allclose(images, again, rtol=1e-13, atol=1e-15)
-        slow = slow_render(truth(scene).materials, scene.normals, lighting, scene.fov)
+        slow = slow_render(truth_of(scene).materials, scene.normals, lighting, scene.fov)
         np.testing.assert_allclose(images, slow, rtol=1e-11, atol=1e-12)
-
-
-def test_harmonics_are_those_of_the_reference() -> None:
-    directions = sphere_samples(200)
-    np.testing.assert_allclose(sh_basis(directions), reference.sh_basis(directions), atol=1e-14)
 
 
 def test_noise_has_its_size_and_leaves_the_rest_alone() -> None:
@@ -493,5 +469,5 @@ def test_noise_has_its_size_and_leaves_the_rest_alone() -> None:
     assert abs(added.mean()) < 5 * 0.2 / np.sqrt(count)
     assert abs(added.std() / 0.2 - 1) < 5 / np.sqrt(2 * count)
     assert noisy.images.min() < 0.0
-    np.testing.assert_array_equal(relight(noisy)[0], relight(clean)[0])
-    np.testing.assert_array_equal(truth(noisy).lighting, truth(clean).lighting)
+    np.testing.assert_array_equal(held_out_of(noisy)[0], held_out_of(clean)[0])
+    np.testing.assert_array_equal(truth_of(noisy).lighting, truth_of(clean).lighting)

@@ -1,12 +1,21 @@
-"""What each section of the stability suite is about, what its figures may be, and why."""
+"""The sections of the stability suite: what measures each, what its figures may be, and why.
+
+Bounds hold for float32 arithmetic in any order with sums in blocks of up to about a thousand terms
+and float64 beyond; they name nothing of how it is done.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from pbrfit_evaluation.stability.measure import ONE_SIGN, RANDOM, ROUNDING
-from pbrfit_evaluation.stability.objective import ALIKE, MANY, QUANTITIES, THREADS
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.stability import bands, branches, objective, stiff_fits
+from pbrfit_evaluation.stability.measure import ROUNDING, Figure, worst
+from pbrfit_evaluation.stability.objective import ALIKE, MANY, ONE_SIGN, RANDOM
 
 # Of band weights and slopes, of the loss relative to itself, of entries of the gradient relative to
 # their natural scale, of blocks of it relative to their norm, of sums of equal terms.
@@ -17,16 +26,23 @@ ENTRY_BOUND = 2e-6
 BLOCK_BOUND = 1e-6
 EQUAL_TERMS_BOUND = 256 * ROUNDING
 
+_BLOCK = "error over norm of the block"
 _ENTRY = "worst entry over its natural scale"
 _TERMS = "worst entry over its terms"
 _NOISE = "fast objective, noise of the"
 _STEPS = "largest change from step to step"
 
 
+Measure = Callable[..., Values]
+"""Random numbers, threads and the section's sizes -> `rows`: what was found, by case and key;
+or `figures`: by key the worst of all."""
+
+
 @dataclass(frozen=True)
 class Section:
     """`bounds`, by key: a figure in words, and at most what it may be (None = reported only)."""
 
+    measure: Measure
     text: str
     why: str
     bounds: Mapping[str, tuple[str, float | None]]
@@ -34,10 +50,9 @@ class Section:
 
 SECTIONS = {
     "band weights": Section(
+        bands.measure,
         "The GGX band weights h_l(r), l = 0 to 3, and their slopes dh_l/dr, in float64, against "
-        "the closed form with 150 digits over all of [0, 1]. Beside them what the package would do "
-        "with the rule of the paper whose model this is (closed form, and a Taylor series where "
-        "1 − r⁴ < 10⁻³), in float64 and float32.",
+        "the closed form with 150 digits over all of [0, 1].",
         "Weights are at most 4, whose float64 spacing is 9·10⁻¹⁶: a dozen roundings. Slopes reach "
         "10, and 25 terms of a series with its roundings make a few 10⁻¹⁴. Below 0.4 terms hardly "
         "cancel, though slopes fall like r³: some dozens of roundings of 10⁻¹⁶ each.",
@@ -45,13 +60,10 @@ SECTIONS = {
             "value_error": ("h, absolute error", BAND_BOUND),
             "slope_error": ("dh/dr, absolute error", SLOPE_BOUND),
             "slope_relative_error": ("dh/dr for r < 0.4, relative error", 1e-14),
-            "paper_float64_value_error": ("for comparison, paper's rule, float64: h", None),
-            "paper_float32_value_error": ("for comparison, paper's rule, float32: h", None),
-            "paper_float64_slope_error": ("for comparison, paper's rule, float64: dh/dr", None),
-            "paper_float32_slope_error": ("for comparison, paper's rule, float32: dh/dr", None),
         },
     ),
     "fast objective": Section(
+        objective.kernel,
         "Loss and gradient of random and extreme pixels, against the same objective in float64 "
         "throughout; residuals are as large as the signal. Errors are relative to the loss or the "
         "norm of a block, and entry by entry to the natural scale: the same sum with every term "
@@ -62,13 +74,10 @@ SECTIONS = {
         "many pixels, in which roundings average out.",
         {
             "loss_error": ("loss, relative error", BLOCK_BOUND),
-            **{
-                f"{name}_block_error": (
-                    f"gradient by {name}: error over norm of the block",
-                    BLOCK_BOUND,
-                )
-                for name in QUANTITIES[1:]
-            },
+            "albedo_block_error": (f"gradient by albedo: {_BLOCK}", BLOCK_BOUND),
+            "roughness_block_error": (f"gradient by roughness: {_BLOCK}", BLOCK_BOUND),
+            "metallic_block_error": (f"gradient by metallic: {_BLOCK}", BLOCK_BOUND),
+            "lights_block_error": (f"gradient by lights: {_BLOCK}", BLOCK_BOUND),
             "albedo_entry_error": (f"gradient by albedo: {_ENTRY}", ENTRY_BOUND),
             "roughness_entry_error": (f"gradient by roughness: {_ENTRY}", ENTRY_BOUND),
             "metallic_entry_error": (f"gradient by metallic: {_ENTRY}", ENTRY_BOUND),
@@ -76,15 +85,15 @@ SECTIONS = {
         },
     ),
     "branch points": Section(
+        branches.measure,
         "Formulas change at r = 0.4, at the ends r = 0 and 1, and where n·v is clamped, at 10⁻⁴. "
         "Here all pixels cross such a point together. A jump in value or slope there would stop a "
         "line search.",
         "Bands may jump by twice their error, weights by no more than the bands' own errors, "
         "relative to the sum of the terms' sizes. At the clamp weights may go with the cosine, of "
         "which the step is 10⁻¹¹ and the rounding some 10⁻¹²; a jump would stay as the step "
-        "shrinks. The central difference is of fourth order with step 10⁻⁴: truncation and "
-        "rounding both stay near 10⁻¹². Float32 makes the objective a staircase whose steps no "
-        "smaller change of x can resolve: 8 u, as away from branch points.",
+        "shrinks. Float32 makes the objective a staircase whose steps no smaller change of x can "
+        "resolve: 8 u, as away from branch points.",
         {
             "band_jump": ("h across r = 0.4, jump beyond the true change", 2 * BAND_BOUND),
             "band_slope_jump": ("dh/dr across r = 0.4, likewise", 2 * SLOPE_BOUND),
@@ -93,14 +102,6 @@ SECTIONS = {
                 BAND_BOUND,
             ),
             "clamp_jump": ("float64 weights across n·v = 10⁻⁴: change", 2e-11),
-            "slope_against_difference": (
-                "analytic slope, float64, against a central difference",
-                1e-11,
-            ),
-            "fast_slope_against_difference": (
-                "analytic slope, fast objective, against the same difference",
-                LOSS_BOUND,
-            ),
             "fast_loss_noise": (f"{_NOISE} loss, relative", LOSS_BOUND),
             "fast_loss_jump": (f"{_NOISE} loss, relative: {_STEPS}", LOSS_BOUND),
             "fast_gradient_noise": (f"{_NOISE} slope, over its natural scale", LOSS_BOUND),
@@ -108,6 +109,7 @@ SECTIONS = {
         },
     ),
     "cancellation": Section(
+        objective.cancellation,
         "Pictures equal what the point renders, but for residuals of 10⁻¹ to 10⁻⁹ of the signal. "
         "Pictures are float32 too: the comparison is with the true residual of the rounded "
         "pictures.",
@@ -137,6 +139,7 @@ SECTIONS = {
         },
     ),
     "accumulated error": Section(
+        objective.accumulation,
         "Sums over samples (pixels times pictures; times three channels) against float64 sums over "
         "short pieces, themselves added without rounding. The hard case is residuals of one sign, "
         "hardest when all pixels are alike, so that every addition rounds the same way.",
@@ -159,36 +162,25 @@ SECTIONS = {
         },
     ),
     "tiny numbers": Section(
+        objective.tiny,
         "Radiance, lights, roughness, albedo and metallic in the subnormal ranges of float32 "
         "(below 1.2·10⁻³⁸) and float64 (below 2.2·10⁻³⁰⁸), and the range of exposures over which "
         "the loss is right. The solver scales pictures to a mean of 0.4 first.",
         "Entries as for other pixels; below the smallest normal float32 an error of that size "
-        "times the same bound is allowed. Nothing depends on materials without light, r³ "
-        "underflows for r below 10⁻¹⁰⁸, and r⁴ with it, so that such r is a mirror to the last "
-        "bit. Squares of 10⁻¹⁵ and 10¹⁵ lie well inside float32's range. Some processors take a "
-        "hundred cycles for a subnormal operand; a clock decides no verdict.",
+        "times the same bound is allowed. Nothing depends on materials without light, and r³ "
+        "underflows for r below 10⁻¹⁰⁸. Squares of 10⁻¹⁵ and 10¹⁵ lie well inside float32's range.",
         {
             "not_finite": ("results that are infinite or not a number", 0),
             "entry_error": ("worst entry, error over natural scale + 10⁻³⁸", ENTRY_BOUND),
             "nonzero": ("entries of the gradient that should be 0 and are not", 0),
-            "differs_from_mirror": ("numbers that differ between r = 0 and subnormal r", 0),
             "exposure_error": (
                 "loss for exposures from 10⁻¹⁵ to 10¹⁵, relative error",
                 LOSS_BOUND,
             ),
-            "time_ratio": ("time of an evaluation over that with ordinary numbers", None),
-        },
-    ),
-    "determinism": Section(
-        "Loss and gradient bit for bit, of problems large and small.",
-        "Sums are taken in an order that does not depend on the threads, and an evaluation depends "
-        "on its input alone.",
-        {
-            "differs_between_threads": (f"numbers that differ by threads, of {THREADS}", 0),
-            "differs_between_calls": ("numbers that differ between calls", 0),
         },
     ),
     "stiff fits": Section(
+        stiff_fits.measure,
         "Whole fits of small rooms without noise, without priors where none are named: lights that "
         "hardly differ, too few pictures, materials at the ends of their ranges, samples that the "
         "model cannot explain. The answer may be poor where the pictures do not tell it, but it "
@@ -197,7 +189,7 @@ SECTIONS = {
         "and no loop is without an end, however singular the equations are. With equal lights, or "
         "with one picture, a pixel has three numbers for five unknowns. auto ends no higher than "
         "lbfgsb, but for what float32 sums can differ by; residuals below 3·10⁻⁷ of the pictures "
-        "count as that. With no time left at most the evaluation that was under way is made.",
+        "count as that.",
         {
             "fits_not_finite": ("numbers of fits that are infinite or not a number", 0),
             "fits_beyond": ("numbers of maps beyond [0, 1]", 0),
@@ -207,11 +199,40 @@ SECTIONS = {
                 0,
             ),
             "fits_above_lbfgsb": ("residual of auto over that of lbfgsb, less 1", 1e-6),
-            "fits_limit_over": ("iterations beyond a limit of 0, 1, 3", 0),
-            "fits_time_evaluations": ("evaluations after the start with a time limit of 0", 1),
-            "fits_late": ("time beyond a limit of a fifth of a fit, over the whole fit's", None),
-            "fits_threads": ("numbers of a fit that differ between 1 and 3 threads", 0),
         },
     ),
 }
 """By name, in the order of the report."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One section; each draws its own pixels, lights and pictures, whatever the others do."""
+
+    section: str
+    sizes: tuple[int, ...]
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        return self.section.replace(" ", "-")
+
+
+def run(task: Task, threads: int) -> Values:
+    """Measure one section; a figure is the worst of its key in all rows."""
+    section = SECTIONS[task.section]
+    rng = np.random.default_rng([task.seed, 1 + list(SECTIONS).index(task.section)])
+    # Small matrices: more BLAS threads only get into each other's way, and change the last bits.
+    with threadpool_limits(1):
+        values = section.measure(rng, threads, *task.sizes)
+    return {"figures": worst_of(task.section, values.get("rows", {})), **values}
+
+
+def worst_of(section: str, rows: Mapping[str, Mapping[str, float]]) -> Mapping[str, Figure]:
+    """The worst of each key that has a bound, over all rows that have it."""
+    found = {
+        key: {name: row[key] for name, row in rows.items() if key in row}
+        for key in SECTIONS[section].bounds
+    }
+    return {key: worst(of) for key, of in found.items() if of}

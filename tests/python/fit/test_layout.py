@@ -1,0 +1,109 @@
+"""What x holds for every kind of problem, and the way there and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pbrfit import Objective, Scene
+from pbrfit.synthetic import make_scene
+from scene_kinds import ALL_KINDS, of_kind
+
+SIZE, PICTURES = 12, 5
+PIXELS = SIZE**2
+
+every_kind = pytest.mark.parametrize("kind", ALL_KINDS)
+
+
+def scene_of(kind: str) -> tuple[Scene, dict[str, Any]]:
+    sh_order = 2 if kind == "known lights" else 3
+    made = make_scene("textured", size=SIZE, lights=PICTURES, held_out=1, sh_order=sh_order)
+    return of_kind(made, kind)
+
+
+@pytest.mark.parametrize("free_normals", [False, True])
+@every_kind
+def test_x_has_what_is_unknown(kind: str, free_normals: bool) -> None:
+    scene, options = scene_of(kind)
+    objective = Objective(scene, **options, free_normals=free_normals)
+    channels = 1 if "grey" in kind else 3
+    light_channels = 1 if "mono" in kind else channels
+    # The known lights alone have none of band 3.
+    coefficients = 9 if "order 2" in kind or kind == "known lights" else 16
+    lights = 0 if "known lights" in kind else PICTURES * coefficients * light_channels
+    materials = (channels + 1 + ("metallic" not in options)) * PIXELS
+    assert (objective.channels, objective.coefficients) == (channels, coefficients)
+    assert objective.layout.materials == slice(0, materials)
+    assert objective.layout.maps.stop == materials + 2 * PIXELS * free_normals
+    assert objective.size == objective.layout.maps.stop + lights
+    parts = {
+        "albedo": objective.albedo,
+        "roughness": objective.roughness,
+        "metallic": objective.metallic,
+        "tangent offsets": objective.tangent_offsets,
+        "lights": objective.lighting,
+    }
+    known = {"metallic": "metallic" in options, "tangent offsets": not free_normals}
+    known["lights"] = "known lights" in kind
+    slices = []
+    for name, part in parts.items():
+        assert (part is None) == known.get(name, False), name
+        slices += [part] if part is not None else []
+    assert [part.start for part in slices] == [0, *(part.stop for part in slices[:-1])]
+    assert slices[-1].stop == objective.size
+    np.testing.assert_array_equal(
+        np.isinf(objective.bounds[:, 0]), np.arange(objective.size) >= materials
+    )
+    assert (objective.bounds[:materials] == (0, 1)).all()
+
+
+@every_kind
+def test_pack_and_unpack_are_inverse(kind: str) -> None:
+    scene, options = scene_of(kind)
+    objective = Objective(scene, **options)
+    x = np.random.default_rng(3).random(objective.size)
+    materials, lighting = objective.unpack(x)
+    assert materials.albedo.shape == (SIZE, SIZE, 3)
+    assert lighting.shape == (PICTURES, 16, 3)
+    np.testing.assert_array_equal(np.isnan(materials.roughness), ~scene.valid)
+    if "metallic" in options:
+        assert (materials.metallic[scene.valid] == options["metallic"]).all()
+    if "grey" in kind:
+        assert (materials.albedo == materials.albedo[..., :1])[scene.valid].all()
+    if "grey" in kind or "mono" in kind:
+        assert (lighting == lighting[..., :1]).all()
+    if "order 2" in kind:
+        assert not lighting[:, 9:].any()
+    maps = materials.roughness, materials.metallic
+    back = objective.pack(materials.albedo, *maps, lighting)
+    np.testing.assert_allclose(back, x, rtol=1e-15)
+    # Of channels that differ the mean is packed.
+    tint = np.array([0.5, 1.0, 1.5])
+    if objective.channels == 1:
+        back = objective.pack(materials.albedo * tint, *maps, lighting)
+        np.testing.assert_allclose(back, x, rtol=1e-14)
+    if "grey" in kind or "mono" in kind:
+        back = objective.pack(materials.albedo, *maps, lighting * tint)
+        np.testing.assert_allclose(back, x, rtol=1e-14)
+
+
+@every_kind
+def test_the_start_has_the_best_lights(kind: str) -> None:
+    scene, options = scene_of(kind)
+    objective = Objective(scene, **options)
+    x = objective.start()
+    assert x.shape == (objective.size,)
+    assert np.isfinite(x).all()
+    if objective.lighting is None:
+        return
+    loss, gradient = objective.value_and_grad(x)
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        other = x.copy()
+        other[objective.lighting] *= rng.uniform(0.95, 1.05, x[objective.lighting].size)
+        other_loss, other_gradient = objective.value_and_grad(other)
+        assert other_loss > loss
+        by_lights = np.linalg.norm(gradient[objective.lighting])
+        assert by_lights < 1e-2 * np.linalg.norm(other_gradient[objective.lighting])

@@ -1,0 +1,105 @@
+"""What a problem says has the same bits at any number of threads and beside any other pixels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pbrfit import Objective, Priors, decompose
+from pbrfit.fit.solvers.projected_lbfgs import Bounds, minimize
+from pbrfit.model.reflection import MODELS, Model
+from pbrfit.synthetic import make_scene
+from random_pixels import Array, Example, Kind, Pixels
+
+both_models = pytest.mark.parametrize("model", MODELS)
+
+KINDS = (
+    Kind(),
+    Kind(mono=True, weights=2, metallic=0.3),
+    Kind(channels=1, sh_order=2, known_lights=True),
+    Kind(free_normals=True),
+    Kind(free_normals=True, metallic=0.3, weights=3),
+)
+
+
+@both_models
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+def test_of_a_problem(kind: Kind, model: Model) -> None:
+    count = 1500
+    example = Example(kind, count, 5, noise=0.02)
+    rng = np.random.default_rng(4)
+    x = example.x(np.clip(example.truth + rng.normal(0, 0.1, example.truth.shape), 0, 1))
+    maps = x[: kind.unknowns * count]
+    shape = count, kind.unknowns - kind.channels
+    prior = {"mean": rng.uniform(0, 1, shape), "precision": rng.uniform(0, 0.1, shape)}
+    channels = 1 if kind.mono else kind.channels
+    moves = 0.05 * rng.normal(size=channels * 5 * kind.coefficients)
+    modes = rng.normal(size=(2, *example.lights.shape))
+    covariances = rng.normal(size=(count, kind.unknowns, kind.unknowns))
+    nodes = np.linspace(0.05, 1, 6), np.linspace(0, 1, 4)
+    lights: dict[str, Any] = {"damping": 1e-3, "mono": kind.mono}
+
+    def of_pixels(threads: int, pixels: Pixels) -> list[Array]:
+        problem = example.problem(threads, model=model)
+        own: dict[str, Any] = {name: values[pixels] for name, values in prior.items()}
+        return [
+            *problem.fit_materials(x, pixels, *nodes, starts=2, exact_steps=3, **own),
+            *problem.normal_equations(x, pixels),
+            *problem.derivatives(x, pixels),
+            problem.moves_with_lights(x, pixels, covariances[pixels], modes),
+            problem.back_substitute(x, pixels, moves, **lights),
+        ]
+
+    def of_all(threads: int) -> list[Any]:
+        problem = example.problem(threads, model=model)
+        return [
+            *problem.value_and_grad(x),
+            *problem.value_and_grad(x, ("cauchy", 0.1)),
+            *problem.light_equations(maps),
+            problem.residuals(x, example.everything),
+            *problem.schur_complement(x, example.everything, **lights),
+            *problem.schur_product(x, example.everything, moves, **lights),
+        ]
+
+    pixels, whole = of_pixels(1, example.everything), of_all(1)
+    for threads in (2, 3, 5):
+        again = [*of_pixels(threads, example.everything), *of_all(threads)]
+        for one, other in zip(again, [*pixels, *whole], strict=True):
+            np.testing.assert_array_equal(one, other)
+    order = rng.permutation(count).astype(np.uint64)
+    for chosen in (order, order[:37], order[:1], np.repeat(order[:2], 200)):
+        for one, other in zip(of_pixels(2, chosen), pixels, strict=True):
+            np.testing.assert_array_equal(one, other[chosen])
+
+
+def test_of_a_search_for_the_minimum() -> None:
+    scene = make_scene("room", size=48, lights=4, held_out=1, seed=1)
+    found = []
+    for threads in (1, 2, 3, 4):
+        objective = Objective(scene, threads=threads)
+        bounds = Bounds.of_slices(objective.size, (objective.layout.maps, 0.0, 1.0))
+        start = objective.start()
+        how: dict[str, Any] = {"iterations": 25, "threads": threads}
+        found.append(minimize(objective.value_and_grad, start, bounds, **how))
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.x, found[0].x)
+        assert (other.fun, other.evaluations) == (found[0].fun, found[0].evaluations)
+
+
+@both_models
+def test_of_a_fit_with_all_priors_and_its_uncertainty(model: Model) -> None:
+    scene = make_scene("room", size=40, lights=6, held_out=1, seed=3, model=model, noise=0.01)
+    priors = Priors(cohesion=1e-3, smoothness=1e-3, sparsity=1e-4, monochrome=1e-3)
+    one, other = (
+        decompose(scene, iterations=5, priors=priors, refine_normals="off", threads=threads)
+        for threads in (1, 2)
+    )
+    for name in ("albedo", "roughness", "metallic", "lighting"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert one.uncertainty is not None
+    assert other.uncertainty is not None
+    assert one.uncertainty.summary() == other.uncertainty.summary()
+    for name, layer in one.uncertainty.layers().items():
+        np.testing.assert_array_equal(layer, other.uncertainty.layers()[name], err_msg=name)
