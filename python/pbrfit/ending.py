@@ -31,11 +31,8 @@ class Terminated(SystemExit):
 def unwinding_when_told(*, watched: bool) -> Iterator[None]:
     """Let SIGTERM unwind the stack as Ctrl-C does, so that nothing half written stays behind.
 
-    Parameters
-    ----------
-    watched
-        Whether `watch` was called: then only the first signal unwinds. Another one would interrupt
-        what the first has brought about; the watcher ends the process at once.
+    If `watched`, by `watch`, only the first signal unwinds. Another one would interrupt what the
+    first has brought about; the watcher ends the process at once.
     """
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread is told

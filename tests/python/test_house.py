@@ -16,7 +16,7 @@ PACKAGE = ROOT / "python" / "pbrfit"
 EVALUATION = ROOT / "evaluation" / "pbrfit_evaluation"
 
 FLOORS = (
-    ("lazy", "ending"),
+    ("lazy", "ending", "threads"),
     ("io",),
     ("model",),
     ("scene",),
@@ -108,9 +108,16 @@ def lines(folder: Path, *suffixes: str) -> int:
     )
 
 
-@pytest.mark.xfail(reason="not reached yet; remove this mark where it is", strict=True)
+NOT_YET = pytest.mark.xfail(reason="not reached yet; remove this mark where it is", strict=True)
+
+
 @pytest.mark.parametrize(
-    ("folder", "most"), [("python/pbrfit", 26_000), ("evaluation", 12_000), ("tests", 33_000)]
+    ("folder", "most"),
+    [
+        ("python/pbrfit", 26_000),
+        pytest.param("evaluation", 12_000, marks=NOT_YET),
+        pytest.param("tests", 33_000, marks=NOT_YET),
+    ],
 )
 def test_code_stays_small_enough_to_read(folder: str, most: int) -> None:
     assert lines(ROOT / folder, ".py", ".rs") <= most

@@ -143,7 +143,7 @@ def _one_pool(
 
 def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bool) -> Attempt[R]:
     """Do a task where it runs; whatever it raises becomes a line."""
-    from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
+    from pbrfit.threads import one_blas_thread
 
     if threads is None:
         threads = threads_of_worker()

@@ -48,7 +48,7 @@ class LightPanorama:
 def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     """Write all of `FILES` and a panorama a light into an existing folder."""
     # Imported here: what only writing needs takes long to import.
-    from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
+    from pbrfit.threads import one_blas_thread
 
     lighting = Lighting(result.pictures, result.lighting)
     response = surface_response(result)

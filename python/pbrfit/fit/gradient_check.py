@@ -33,25 +33,17 @@ the next, and how many."""
 
 @dataclass(frozen=True)
 class GradientCheck:
-    """One derivative along a direction, both ways.
-
-    Attributes
-    ----------
-    function
-        What is derived: "loss", with all its penalties, or the name of a penalty on its own.
-    unknowns
-        The kind that the direction lies in.
-    analytic, numeric
-        By the gradient, and by finite differences.
-    tolerance
-        Relative error that is none.
-    """
+    """One derivative along a direction, both ways."""
 
     function: str
+    """What is derived: "loss", with all its penalties, or the name of a penalty on its own."""
     unknowns: str
+    """The kind that the direction lies in."""
     analytic: float
     numeric: float
+    """By the gradient, and by finite differences."""
     tolerance: float = TOLERANCE
+    """Relative error that is none."""
 
     @property
     def relative_error(self) -> float:

@@ -64,28 +64,19 @@ ROOT = Path("/")
 
 @dataclass(frozen=True)
 class FitMemory:
-    """Bytes that a fit needs beside the interpreter and its libraries.
-
-    Attributes
-    ----------
-    scene
-        Its arrays, which are there already.
-    core
-        Pictures and directions in the Rust core.
-    making
-        For a while, beside these, while the core is made: pictures in the unit of x.
-    solver
-        Beside scene and core while the solver runs: its vectors.
-    refining
-        Beside all of these while the solver fits refined normals: cores of the fits before and of
-        free normals, and states of all pixels; 0 where normals are held.
-    """
+    """Bytes that a fit needs beside the interpreter and its libraries."""
 
     scene: int
+    """Its arrays, which are there already."""
     core: int
+    """Pictures and directions in the Rust core."""
     making: int
+    """For a while, beside these, while the core is made: pictures in the unit of x."""
     solver: int
+    """Beside scene and core while the solver runs: its vectors."""
     refining: int = 0
+    """Beside all of these while the solver fits refined normals: cores of the fits before and of
+    free normals, and states of all pixels; 0 where normals are held."""
 
     @property
     def further(self) -> int:
@@ -103,14 +94,7 @@ def of_fit(
 ) -> FitMemory:
     """What `decompose` needs of memory with a solver.
 
-    Parameters
-    ----------
-    scene, layout
-        What is fitted.
-    method
-        "lbfgsb", or "auto", whose largest part is the L-BFGS at its end.
-    refine_normals
-        Whether normals may be refined.
+    The largest part of "auto" is the L-BFGS at its end.
     """
     return of_layout(
         layout,
@@ -135,16 +119,9 @@ def of_layout(
     exact: bool = False,
     refine_normals: bool = False,
 ) -> FitMemory:
-    """What a fit of some layout needs of memory with a solver.
+    """As `of_fit`, for `held` bytes of the scene's arrays.
 
-    Parameters
-    ----------
-    layout, method, refine_normals
-        As of `of_fit`.
-    held
-        Bytes of the scene's arrays.
-    exact
-        Whether pictures are in float64; then the core has them in 48 bits.
+    With `exact` pictures are in float64, and the core has them in 48 bits.
     """
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
@@ -180,10 +157,7 @@ def of_tiles(
 def check(method: Method, needed: FitMemory) -> None:
     """Say how much memory a fit needs if that is much, and refuse it if there is not so much.
 
-    Raises
-    ------
-    InputError
-        If more is needed than the process may still have. Where that cannot be told, never.
+    Where nobody knows what the process may still have, it is never refused.
     """
     free = available()
     if free is not None and needed.further > free:
@@ -201,24 +175,14 @@ def check(method: Method, needed: FitMemory) -> None:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a scene is fitted.
-
-    Attributes
-    ----------
-    tiled
-        In tiles, or all pixels at once.
-    refine_normals
-        Whether normals may be refined.
-    needed
-        What that takes.
-    hindered
-        Why normals are not refined for lack of memory; else None.
-    """
+    """How a scene is fitted."""
 
     tiled: bool
+    """In tiles, or all pixels at once."""
     refine_normals: bool
     needed: FitMemory
     hindered: str | None = None
+    """Why normals are not refined for lack of memory; else None."""
 
 
 def plan(

@@ -14,13 +14,7 @@ Array = NDArray[np.float64]
 
 
 class NeighbourPairs:
-    """Some pairs of neighbouring pixels of a scene.
-
-    Attributes
-    ----------
-    pixels
-        (Q,) indices of those that are in a pair; none where no two pixels are neighbours.
-    """
+    """Some pairs of neighbouring pixels of a scene; `pixels` (Q,) are those that are in one."""
 
     def __init__(self, objective: Objective) -> None:
         pairs = tied_neighbours(objective.layout)

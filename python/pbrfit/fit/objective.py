@@ -41,31 +41,18 @@ SH_ORDERS = (2, 3)
 
 @dataclass(frozen=True, eq=False)
 class Normalization:
-    """What pictures and their weights are divided by before they are fitted.
-
-    Attributes
-    ----------
-    scale
-        The scene scale, in picture units.
-    exposures
-        (N,), beside it; None = nothing.
-    largest_weight
-        Of a valid sample; 1 where all are the same.
-    """
+    """What pictures and their weights are divided by before they are fitted."""
 
     scale: float
+    """The scene scale, in picture units."""
     exposures: NDArray[np.float64] | None
+    """(N,), beside it; None = nothing."""
     largest_weight: float
+    """Of a valid sample; 1 where all are the same."""
 
     @classmethod
     def of(cls, scene: Scene, equal_exposures: bool | None = None) -> Normalization:
-        """Of a scene; `equal_exposures` as for `Objective`.
-
-        Raises
-        ------
-        InputError
-            If the pictures are black on the whole.
-        """
+        """Of a scene, unless it is black on the whole; `equal_exposures` as for `Objective`."""
         exposures = relative_exposures(scene, equal_exposures)
         largest = 1.0
         if scene.weights is not None and scene.weighted:
@@ -266,22 +253,15 @@ class Objective:
             lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
         return np.concatenate([maps, lights.ravel()])
 
-    def with_best_albedo(
-        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """X with the albedo of some pixels put to what fits best to the rest of x.
-
-        Returned with the weighted sum of squared residuals that each of these pixels, given by
-        indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
-        degree 4 in the albedo of each channel. Penalties take no part.
-        """
-        x = x.copy()
-        return x, self.put_best_albedo(x, pixels)
-
     def put_best_albedo(
         self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
     ) -> NDArray[np.float64]:
-        """As `with_best_albedo`, in x itself; returned are the sums alone."""
+        """Put the albedo of some pixels to what fits best to the rest of x, which changes.
+
+        Returned is the weighted sum of squared residuals that each of these pixels, given by
+        indices below P, is left with. Given its other unknowns, a pixel's loss is a polynomial of
+        degree 4 in the albedo of each channel. Penalties take no part.
+        """
         albedo, squares = self.problem.best_albedo(self.for_core(x), pixels)
         x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
         return squares
@@ -315,23 +295,22 @@ class Objective:
 
     def for_core(self, x: ArrayLike) -> NDArray[np.float64]:
         """X as `_core.Problem` takes it: with lights of every channel."""
-        x = real_array("x", x)
         if self.layout.light_channels == self.channels:
-            return x
-        if x.shape != (self.size,):
-            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+            return real_array("x", x)
+        x = self._of_its_size(x)
         end = self.layout.maps.stop
         return np.concatenate([x[:end], np.repeat(x[end:], self.channels)])
 
-    def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
-        """What `robust` may be at x: a loss of this name with the scale that the residuals tell.
+    def _of_its_size(self, x: ArrayLike) -> NDArray[np.float64]:
+        x = real_array("x", x)
+        if x.shape != (self.size,):
+            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        return x
 
-        Parameters
-        ----------
-        x
-            A fit.
-        name
-            "huber" or "cauchy"; "none" gives None.
+    def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
+        """What `robust` may be at x, a fit: a loss with the scale that the residuals tell.
+
+        The name is "huber" or "cauchy"; "none" gives None.
         """
         if name == "none":
             return None
@@ -446,9 +425,7 @@ class Objective:
         Whatever x holds, there are three channels and 16 coefficients: one channel comes three
         times, and band 3 is 0 where it is left out.
         """
-        x = real_array("x", x)
-        if x.shape != (self.size,):
-            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
+        x = self._of_its_size(x)
         if not np.isfinite(x).all():
             raise InputError("x: expected finite numbers, found NaN or infinity")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
@@ -594,13 +571,7 @@ def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
 
 
 def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel.
-
-    Raises
-    ------
-    InputError
-        If it has another shape, or is not finite there.
-    """
+    """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel."""
     values = real_array(name, values)
     shape = valid.shape + ((3,) if name == "albedo" else ())
     if values.shape != shape:

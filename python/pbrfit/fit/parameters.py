@@ -16,45 +16,41 @@ ORDER_2 = 9
 """Coefficients of a light of order 2; those from here on are band 3."""
 
 
+def pixel_index(layout: ParameterLayout) -> NDArray[np.intp]:
+    """(H, W): the place of each valid pixel in a plane of x, −1 elsewhere."""
+    index = np.full(layout.valid.shape, -1)
+    index[layout.valid] = np.arange(layout.pixels)
+    return index
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterLayout:
     """Where the unknowns of a scene lie in x.
 
     x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tilts
     (two planes) | lighting (N, K, light_channels)], without what is known.
-
-    Attributes
-    ----------
-    valid
-        (H, W) bool: the pixels that are fitted; their row order is the order in x.
-    segments
-        (P,) labels of the valid pixels: 0 = unclassified, 1 … `segment_count` in the order of the
-        scene's ids, without gaps; None where the scene has no segments.
-    segment_count
-        Number of segments that have valid pixels.
-    pictures, channels, coefficients
-        N; C of albedo; K of one light in one channel.
-    light_channels
-        C, or 1 where the lights are the same in all channels.
-    metallic_known, lighting_known
-        Whether these are no unknowns.
-    weighted
-        Whether samples of valid pixels have different weights.
-    free_normals
-        Whether the normals are unknowns: then x has a tilt (a, b) for each pixel.
     """
 
     valid: NDArray[np.bool_]
+    """(H, W) bool: the pixels that are fitted; their row order is the order in x."""
     segments: NDArray[np.intp] | None
+    """(P,) labels of the valid pixels: 0 = unclassified, 1 … `segment_count` in the order of the
+    scene's ids, without gaps; None where the scene has no segments."""
     segment_count: int
+    """Number of segments that have valid pixels."""
     pictures: int
     channels: int
     coefficients: int
+    """N; C of albedo; K of one light in one channel."""
     light_channels: int
+    """C, or 1 where the lights are the same in all channels."""
     metallic_known: bool
     lighting_known: bool
+    """Whether these are no unknowns."""
     weighted: bool = False
+    """Whether samples of valid pixels have different weights."""
     free_normals: bool = False
+    """Whether the normals are unknowns: then x has a tilt (a, b) for each pixel."""
 
     @classmethod
     def of(

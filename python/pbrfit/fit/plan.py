@@ -17,23 +17,16 @@ from pbrfit.scene.scene import Scene
 
 @dataclass(frozen=True)
 class FitPlan:
-    """Which parts the fit of a scene has.
-
-    Attributes
-    ----------
-    priors
-        Weights: 0 where a prior has nothing to act on. `monochrome` is None where it waits for
-        lights to be measured.
-    used
-        The parts, in words.
-    left_out
-        What a fit by default would have had, but the scene did not need or the options ruled out,
-        in words.
-    """
+    """Which parts the fit of a scene has."""
 
     priors: Priors
+    """Weights: 0 where a prior has nothing to act on. `monochrome` is None where it waits for
+    lights to be measured."""
     used: tuple[str, ...]
+    """The parts, in words."""
     left_out: tuple[str, ...]
+    """What a fit by default would have had, but the scene did not need or the options ruled out, in
+    words."""
 
     @classmethod
     def of(
@@ -46,20 +39,9 @@ class FitPlan:
         uncertainty: bool = True,
         lighting: NDArray[np.float64] | None = None,
     ) -> FitPlan:
-        """Of a fit with these options.
+        """Of a fit with these options, as given to `decompose`.
 
-        Parameters
-        ----------
-        scene, layout
-            The pictures, and which unknowns they have.
-        priors
-            As given to `decompose`; None = none.
-        robust
-            Loss by which residuals count.
-        uncertainty
-            Whether deviations of the maps are computed.
-        lighting
-            (N, ..., 3) lights of a fit without priors, by which an automatic weight is chosen.
+        By `lighting` (N, ..., 3), that of a fit without priors, an automatic weight is chosen.
         """
         given = Priors.none() if priors is None else priors
         idle = _idle_priors(layout, given, lighting)

@@ -41,20 +41,7 @@ LARGEST_RATIO = np.float32(1e19)
 
 
 def loss_scale(loss: str, sigma: float) -> float:
-    """Scale δ of a loss for noise of standard deviation `sigma`.
-
-    Parameters
-    ----------
-    loss
-        "huber" or "cauchy".
-    sigma
-        In the unit of the residuals, above 0.
-
-    Raises
-    ------
-    InputError
-        If the loss is another, or sigma is not a positive number.
-    """
+    """Scale δ of a loss, "huber" or "cauchy", for noise of standard deviation `sigma` above 0."""
     if loss not in SCALES:
         raise InputError(f"robust: expected {' or '.join(SCALES)}, found {loss}")
     if not 0 < sigma < np.inf:
@@ -65,14 +52,7 @@ def loss_scale(loss: str, sigma: float) -> float:
 def irls_weights(loss: tuple[str, float], residuals: NDArray[np.float32]) -> NDArray[np.float32]:
     """φ'(e)/2e: the weight of a residual beside its square, 1 for small ones.
 
-    Squares with these weights have the slopes that the loss has.
-
-    Parameters
-    ----------
-    loss
-        "huber" or "cauchy", and its scale δ.
-    residuals
-        e, any shape.
+    Squares with these weights have the slopes that the loss, given with its scale δ, has.
     """
     name, scale = loss
     sizes = np.minimum(np.abs(residuals), LARGEST_RATIO * np.float32(scale)) / np.float32(scale)
@@ -86,26 +66,10 @@ def noise_sigma(
 ) -> float:
     """Standard deviation of the noise, from residuals of which some may be outliers.
 
-    Parameters
-    ----------
-    residuals
-        (N, P, C): e of N pictures, P pixels, C channels.
-    weights
-        (N, P): how much each sample counts, 0 or more; None = all the same. Those of weight 0 are
-        no samples.
-    unknowns
-        p: how many unknowns were fitted to these residuals. Of a few pixels' residuals it is their
-        own unknowns and their share of the lights'. More than 90 % of the samples count as 90 %.
-
-    Returns
-    -------
-    float
-        σ in the unit of the residuals; 0 if half of them are 0.
-
-    Raises
-    ------
-    InputError
-        If weights do not go with the residuals, or no sample has weight.
+    Of residuals (N, P, C) samples of weight (N, P) 0 are no samples, and others count by theirs.
+    p, how many `unknowns` were fitted to them, is of a few pixels' residuals their own unknowns and
+    their share of the lights'; more than 90 % of the samples count as 90 %. If half of the
+    residuals are 0, so is σ.
     """
     sizes = np.abs(np.asarray(residuals, dtype=np.float64))
     if sizes.ndim != 3:

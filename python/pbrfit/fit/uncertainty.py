@@ -18,7 +18,6 @@ from pbrfit.fit.gauss_newton.normal_equations import (
     chunks,
     held_at_bounds,
     inverse,
-    one_blas_thread,
 )
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
@@ -34,6 +33,7 @@ from pbrfit.fit.settings import (
 )
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,7 @@ PIECES_MIN = 16
 the pictures."""
 
 
+@one_blas_thread()
 def estimate(
     objective: Objective,
     x: Array,
@@ -49,73 +50,41 @@ def estimate(
     priors: bool = False,
     light_pixels: int = LIGHT_PIXELS_MAX,
 ) -> Uncertainty:
-    """Uncertainty of a fit.
+    """Uncertainty of a fit that ended at x; the lights' covariance is from so many pixels at most.
 
-    Parameters
-    ----------
-    objective
-        What was minimised.
-    x
-        Where its minimum was found.
-    priors
-        Whether priors took part in the fit; passed on to `Uncertainty`.
-    light_pixels
-        Most pixels that the lights' covariance is taken from.
-
-    Returns
-    -------
-    Uncertainty
-        The same to the last bit at any number of threads.
+    `priors`, whether priors took part in the fit, is passed on to `Uncertainty`.
     """
-    # Here and not above: only a fit needs it. One BLAS thread: sums split over threads would round
-    # differently on a machine with another number of processors.
-
-    with one_blas_thread():
-        lights = light_modes(objective, x, light_pixels)
-        found = variances(objective, x, lights)
-        return of_variances(
-            found,
-            objective.layout,
-            lights,
-            samples=objective.samples,
-            scale=objective.scale,
-            priors=priors,
-        )
+    lights = light_modes(objective, x, light_pixels)
+    return of_variances(
+        variances(objective, x, lights),
+        objective.layout,
+        lights,
+        samples=objective.samples,
+        scale=objective.scale,
+        priors=priors,
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Variances:
-    """Variances of the unknowns of pixels for noise of deviation 1, (P, D).
-
-    Attributes
-    ----------
-    conditional, marginal
-        With the lights held, and with their modes.
-    singular
-        Which are not determined.
-    held
-        Which are held at a bound.
-    sum_sq_residuals
-        (P,): each pixel's sum of squared residuals.
-    """
+    """Variances of the unknowns of pixels for noise of deviation 1, (P, D)."""
 
     conditional: NDArray[np.floating[Any]]
     marginal: NDArray[np.floating[Any]]
+    """With the lights held, and with their modes."""
     singular: NDArray[np.bool_]
     held: NDArray[np.bool_]
+    """Which are not determined, and which are held at a bound."""
     sum_sq_residuals: Array
+    """(P,): each pixel's sum of squared residuals."""
 
     @classmethod
     def empty(cls, pixels: int, unknowns: int) -> Variances:
         """To be filled, in float32."""
         shape = pixels, unknowns
-        return cls(
-            np.zeros(shape, np.float32),
-            np.zeros(shape, np.float32),
-            np.zeros(shape, bool),
-            np.zeros(shape, bool),
-            np.zeros(pixels),
-        )
+        conditional, marginal = np.zeros((2, *shape), np.float32)
+        singular, held = np.zeros((2, *shape), bool)
+        return cls(conditional, marginal, singular, held, np.zeros(pixels))
 
     def put(self, pixels: NDArray[np.intp], other: Variances, of_other: NDArray[np.bool_]) -> None:
         """Give some pixels what some of another's have."""
@@ -161,16 +130,9 @@ def of_variances(
     scale: float,
     priors: bool,
 ) -> Uncertainty:
-    """The uncertainty with the noise that is left; the variances change.
+    """The uncertainty with the noise that is left, from those of all pixels, which change.
 
-    Parameters
-    ----------
-    found, layout
-        Of all pixels of a scene.
-    lights
-        How they may move.
-    samples, scale, priors
-        How many samples have a weight, the scene scale, and whether priors took part.
+    Of the scene are the number of samples that have a weight, and its scale.
     """
     held = found.held
     unknowns = np.count_nonzero(~held) + layout.size - layout.maps.stop
@@ -209,27 +171,18 @@ def of_variances(
 
 @dataclass(frozen=True, eq=False)
 class LightModes:
-    """Covariance of the lights, of noise 1, as independent modes of deviation 1.
-
-    Attributes
-    ----------
-    modes
-        (R, N, K, C): those that matter to materials.
-    free
-        (F, N, K, C), as strong as the lights themselves: those that materials can make up for.
-    scale
-        (C,) or (1,): relative deviation of the scale of a channel's lights.
-    pixels
-        How many they are from.
-    omitted
-        As in `Uncertainty`.
-    """
+    """Covariance of the lights, of noise 1, as independent modes of deviation 1."""
 
     modes: Array
+    """(R, N, K, C): those that matter to materials."""
     free: Array
+    """(F, N, K, C), as strong as the lights themselves: those that materials can make up for."""
     scale: Array
+    """(C,) or (1,): relative deviation of the scale of a channel's lights."""
     pixels: int
+    """How many they are from."""
     omitted: float
+    """As in `Uncertainty`."""
 
 
 def light_modes(

@@ -29,27 +29,18 @@ Start = Materials | tuple[Materials, Array] | None
 
 @dataclass(frozen=True, eq=False)
 class FitSetup:
-    """The options of a fit, and what belongs to this call alone.
-
-    Attributes
-    ----------
-    options
-        With the reflection model that was decided for.
-    threads
-        0 = one for each processor.
-    progress
-        Called as the fit goes on; None = nobody.
-    began
-        When the fit began, by `time.perf_counter`.
-    normals_hindrance
-        Why normals cannot be refined; None if they can.
-    """
+    """The options of a fit, and what belongs to this call alone."""
 
     options: FitOptions
+    """With the reflection model that was decided for."""
     threads: int
+    """0 = one for each processor."""
     progress: Callable[[Progress], None] | None
+    """Called as the fit goes on; None = nobody."""
     began: float
+    """When the fit began, by `time.perf_counter`."""
     normals_hindrance: str | None
+    """Why normals cannot be refined; None if they can."""
 
     def layout(self, scene: Scene) -> ParameterLayout:
         """Which unknowns a scene has."""
@@ -94,40 +85,29 @@ class FitSetup:
 
 @dataclass(frozen=True, eq=False)
 class FitOutput:
-    """What a fit found: arrays of whole pictures, and nothing of the core.
-
-    Attributes
-    ----------
-    materials, lighting, normals
-        As in `Result`.
-    uncertainty
-        None where it was not asked for.
-    status, reason, rows, evaluations, iterations, stages
-        How it went.
-    seconds
-        Since it began, without those of the uncertainty and of `progress`.
-    refinement
-        What was decided about normals.
-    exposures
-        As in `Objective`.
-    measured_lighting
-        Lights by which the monochrome weight was chosen; None = it was not.
-    """
+    """What a fit found: arrays of whole pictures, and nothing of the core."""
 
     materials: Materials
     lighting: Array
     normals: Array
+    """As in `Result`."""
     uncertainty: Uncertainty | None
+    """None where it was not asked for."""
     status: Status
     reason: str
     rows: tuple[HistoryRow, ...]
     evaluations: int
     iterations: int
     stages: tuple[Stage, ...]
+    """How it went."""
     seconds: float
+    """Since it began, without those of the uncertainty and of `progress`."""
     refinement: Refinement
+    """What was decided about normals."""
     exposures: Array | None
+    """As in `Objective`."""
     measured_lighting: Array | None
+    """Lights by which the monochrome weight was chosen; None = it was not."""
 
 
 def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:

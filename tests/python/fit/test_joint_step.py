@@ -12,8 +12,9 @@ from scipy.linalg import solve_triangular
 
 from pbrfit import Materials, Scene, render
 from pbrfit.fit.normals.joint_step import SubsetState, joint_step
-from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
+from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.settings import NORMALS_OFFSET_STEP_MAX, NORMALS_ROUGHNESS_STEP_MAX
 

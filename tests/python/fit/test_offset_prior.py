@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.settings import NORMALS_OFFSET_SIGMA_RANGE
 
 Array = NDArray[np.float64]

@@ -165,7 +165,7 @@ class Reviewer:
         taken out is judged once more, beside the good ones. With fewer than 4 pictures, the
         photograph included, none is judged. Pictures are (H, W, 3), linear Rec.709, white = 1.
         """
-        from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
+        from pbrfit.threads import one_blas_thread
 
         with one_blas_thread():  # small systems: more threads only wait for each other
             return self._together([self._reduced(pixels) for pixels in pictures])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, one_blas_thread
+from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x
 from pbrfit.fit.gauss_newton.pixels import (
     Pixels,
     Watch,
@@ -26,6 +26,7 @@ from pbrfit.fit.gauss_newton.pixels import (
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 Stop = Callable[[], bool]
@@ -34,34 +35,35 @@ Visit = Callable[[Array, Array], bool]
 """Called with x and the pixels' sums of squares after each step; whether to stop."""
 
 
+@one_blas_thread()
 def fit_materials(objective: Objective, x: Array, watch: Watch) -> Array | None:
     """All pixels' materials for the lights of x, then both together; x changes.
 
     Returns the pixels' sums of squared residuals (P,), or None if time ran out before all pixels
     had materials.
     """
-    with one_blas_thread():
-        sum_sq = fit_all(objective, x, starts=1, stop=watch.stop)
-        if sum_sq is None:
-            return None
+    sum_sq = fit_all(objective, x, starts=1, stop=watch.stop)
+    if sum_sq is None:
+        return None
+    retry_outliers(objective, x, sum_sq, watch.stop)
+    stop = watch.visit(x, sum_sq)
+    if objective.lighting is None:
+        return sum_sq
+    for _ in range(settings.GLOBAL_ROUNDS_MAX):
+        if stop:
+            break
+        minimize(objective, x, sum_sq, watch.visit, watch.stop)
+        before = float(sum_sq.sum())
         retry_outliers(objective, x, sum_sq, watch.stop)
-        stop = watch.visit(x, sum_sq)
-        if objective.lighting is None:
-            return sum_sq
-        for _ in range(settings.GLOBAL_ROUNDS_MAX):
-            if stop:
-                break
-            minimize(objective, x, sum_sq, watch.visit, watch.stop)
-            before = float(sum_sq.sum())
-            retry_outliers(objective, x, sum_sq, watch.stop)
-            left = float(sum_sq.sum())
-            if left < before:
-                stop = watch.visit(x, sum_sq)
-            if left >= (1 - settings.RETRY_GAIN_MIN) * before:
-                break
+        left = float(sum_sq.sum())
+        if left < before:
+            stop = watch.visit(x, sum_sq)
+        if left >= (1 - settings.RETRY_GAIN_MIN) * before:
+            break
     return sum_sq
 
 
+@one_blas_thread()
 def fit_with_prior(objective: Objective, x: Array, prior: GaussianPrior, watch: Watch) -> None:
     """Squares and prior together as low as they get from x, which changes.
 
@@ -69,22 +71,21 @@ def fit_with_prior(objective: Objective, x: Array, prior: GaussianPrior, watch: 
     before all pixels have had their turn, x is as it was before it.
     """
     data = np.inf
-    with one_blas_thread():
-        for turn in range(settings.PRIOR_TURNS_MAX):
-            fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
-            starts = 1 if turn == 0 else 0
-            before_turn = x.copy()
-            sum_sq = fit_all(objective, x, starts=starts, prior=fixed, stop=watch.stop)
-            if sum_sq is None:
-                x[:] = before_turn
-                break
-            del before_turn  # of the size of x, which counts
-            if objective.lighting is not None:
-                minimize(objective, x, sum_sq, lambda *_: watch.stop(), watch.stop, fixed)
-            stop = watch.visit(x, sum_sq)
-            before, data = data, float(sum_sq.sum())
-            if stop or abs(before - data) < settings.PRIOR_TURN_CHANGE_MIN * data:
-                break
+    for turn in range(settings.PRIOR_TURNS_MAX):
+        fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
+        starts = 1 if turn == 0 else 0
+        before_turn = x.copy()
+        sum_sq = fit_all(objective, x, starts=starts, prior=fixed, stop=watch.stop)
+        if sum_sq is None:
+            x[:] = before_turn
+            break
+        del before_turn  # of the size of x, which counts
+        if objective.lighting is not None:
+            minimize(objective, x, sum_sq, lambda *_: watch.stop(), watch.stop, fixed)
+        stop = watch.visit(x, sum_sq)
+        before, data = data, float(sum_sq.sum())
+        if stop or abs(before - data) < settings.PRIOR_TURN_CHANGE_MIN * data:
+            break
 
 
 def minimize(

@@ -35,25 +35,17 @@ SUBSPACE_ITERATIONS = 2
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Directions of the light by how much the pixels tell about them, the least known first.
-
-    Attributes
-    ----------
-    left
-        (R,): λ, rising.
-    vectors
-        (M, R): their directions, of length 1 in units in which G is 1.
-    rest
-        Σ (1 − λ) of the directions that were not computed is at most this; 0 where all were.
-    to_units, from_units
-        (lights, K, K), a light in a channel each: T⁻¹ and T with Tᵀ G T = 1; T is 0 where G is.
-    """
+    """Directions of the light by how much the pixels tell about them, the least known first."""
 
     left: Array
+    """(R,): λ, rising."""
     vectors: Array
+    """(M, R): their directions, of length 1 in units in which G is 1."""
     rest: float
+    """Σ (1 − λ) of the directions that were not computed is at most this; 0 where all were."""
     to_units: Array
     from_units: Array
+    """(lights, K, K), a light in a channel each: T⁻¹ and T with Tᵀ G T = 1; T is 0 where G is."""
 
 
 def spectrum(

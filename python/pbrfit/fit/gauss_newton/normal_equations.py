@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +67,14 @@ def _scaled(matrices: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
     return scaled, scale
 
 
+def whitening(matrices: Array, held: NDArray[np.bool_], damping: float) -> Array:
+    """U with U A Uᵀ = 1 for A (P, D, D) with a share of its diagonal more; 0 for what is held."""
+    scaled, scale = _scaled(matrices, held)
+    np.einsum("pii->pi", scaled)[:] += damping
+    # A⁻¹ = S (L Lᵀ)⁻¹ S with Cholesky's L, so U = L⁻¹ S.
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)) * scale[:, None, :])
+
+
 def held_at_bounds(x: Array, layout: ParameterLayout) -> NDArray[np.bool_]:
     """(P, D): unknowns of pixels that lie on a bound."""
     materials = x[layout.maps].reshape(-1, layout.pixels).T
@@ -85,24 +92,15 @@ class Eliminated:
 
     The M unknowns of the lights are (N, light channels, K). Each pixel's share of what is left is
     positive semidefinite: pixels are not scaled apart, so the sum is too.
-
-    Attributes
-    ----------
-    jacobian
-        (P, N, C, D): J, 0 for unknowns that are held.
-    by_light, weights
-        (P, C, K) and (P, N, C): w and ω.
-    whiten
-        (P, D, D), lower triangular: U with U A Uᵀ = 1, so that A⁻¹ = Uᵀ U; 0 for what is held.
-    rows
-        (P, D, N, C): U Jᵀ Ω. Times w they are U B, so Bᵀ A⁻¹ B is the sum of their squares.
     """
 
-    jacobian: Array
     by_light: Array
     weights: Array
+    """(P, C, K) and (P, N, C): w and ω."""
     whiten: Array
+    """(P, D, D), lower triangular: U with U A Uᵀ = 1, so that A⁻¹ = Uᵀ U; 0 for what is held."""
     rows: Array
+    """(P, D, N, C): U Jᵀ Ω. Times w they are U B, so Bᵀ A⁻¹ B is the sum of their squares."""
 
     def information_alone(self, layout: ParameterLayout) -> Array:
         """(N, light channels, K, K): what the pixels say about lights if materials are known."""
@@ -180,26 +178,15 @@ def eliminate(
     matrices = _products(jacobian, weights)
     if precision is not None:
         np.einsum("pii->pi", matrices)[:] += precision
-    scaled, scale = _scaled(matrices, held)
-    np.einsum("pii->pi", scaled)[:] += damping
-    # A⁻¹ = S (L Lᵀ)⁻¹ S with Cholesky's L, so U = L⁻¹ S.
-    whiten = np.linalg.inv(np.linalg.cholesky(scaled)) * scale[:, None, :]
+    whiten = whitening(matrices, held, damping)
     weighted = (jacobian * weights[..., None]).reshape(len(jacobian), -1, held.shape[1])
     rows = (whiten @ weighted.transpose(0, 2, 1)).reshape(len(weighted), -1, *weights.shape[1:])
-    return Eliminated(jacobian, by_light, weights, whiten, rows)
+    return Eliminated(by_light, weights, whiten, rows)
 
 
 def chunks(count: int, bytes_each: int) -> list[slice]:
     """Ranges of pixels that need no more than the working set; at least one pixel each."""
     return slices(count, max(1, WORKING_SET // bytes_each))
-
-
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Sums split over threads would round differently on a machine with more processors."""
-    from threadpoolctl import threadpool_limits
-
-    limits: AbstractContextManager[object] = threadpool_limits(1, user_api="blas")
-    return limits
 
 
 def _by_unknowns(by_material: Array, layout: ParameterLayout) -> Array:
@@ -228,17 +215,9 @@ def as_in_x(moves: Array, layout: ParameterLayout) -> Array:
 
 
 class Cholesky:
-    """Solves with the matrix of some pixels, damped by a share of its diagonal.
+    """Solves with the matrix of some pixels, damped by a share of its `diagonal`.
 
-    Attributes
-    ----------
-    diagonal
-        Of the matrix without damping.
-
-    Raises
-    ------
-    LinAlgError
-        If the matrix is not positive definite, which rounding can do to it.
+    Raises LinAlgError if the matrix is not positive definite, which rounding can do to it.
     """
 
     def __init__(self, matrix: Array, damping: float) -> None:

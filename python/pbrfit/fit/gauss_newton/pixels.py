@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import slices
 
@@ -63,12 +64,6 @@ def schur_options(
     return found
 
 
-def start_nodes(objective: Objective, nodes: Nodes = NODES) -> Nodes:
-    """Roughness and metallic of the nodes; the latter as it is known, where it is."""
-    known = objective.known_metallic
-    return nodes[0], nodes[1] if known is None else np.array([known])
-
-
 def taken(objective: Objective, x: Array, pixels: Pixels | slice) -> Array:
     """Materials (Q, D) of some pixels."""
     return x[objective.layout.maps].reshape(-1, objective.pixels)[:, pixels].T
@@ -92,36 +87,38 @@ def descended(
     pixels: Pixels,
     *,
     steps: int,
+    exact_steps: int | None = None,
     starts: int = 0,
     nodes: Nodes = NODES,
     prior: GaussianPrior | None = None,
+    held_normals: bool = False,
 ) -> tuple[Array, Array]:
     """Materials (Q, D) of some pixels, no worse than those of x, and their sums of squares (Q,).
 
-    Parameters
-    ----------
-    steps
-        Of Levenberg and Marquardt's method on sums over pictures that are made once, which know
-        squares to half their digits; a few on residuals follow.
-    starts
-        Beside their own material, pixels start from so many of the best `nodes`.
-    prior
-        With rows of `pixels`; its cost counts when materials are compared, and is no part of what
-        is returned.
+    `steps` are of Levenberg and Marquardt's method on sums over pictures that are made once, which
+    know squares to half their digits; `exact_steps` on residuals follow. Beside their own material,
+    pixels start from so many of the best `nodes`. The cost of `prior`, with rows of `pixels`,
+    counts when materials are compared, and is no part of what is returned.
     """
-    free_normals = objective.tangent_offsets is not None
-    nodes = start_nodes(objective, nodes) if starts else (np.empty(0), np.empty(0))
+    if exact_steps is None:
+        exact_steps = (
+            settings.DESCENT_EXACT_STEPS
+            if objective.tangent_offsets is None
+            else settings.DESCENT_EXACT_STEPS_FREE_NORMALS
+        )
+    none, known = np.empty(0), objective.known_metallic
+    roughness, metallic = nodes if starts else (none, none)
     return objective.problem.fit_materials(
         objective.for_core(x),
         pixels,
-        *nodes,
+        roughness,
+        metallic if known is None or not starts else np.array([known]),
         starts=starts,
         steps=steps,
-        exact_steps=settings.DESCENT_EXACT_STEPS_FREE_NORMALS
-        if free_normals
-        else settings.DESCENT_EXACT_STEPS,
+        exact_steps=exact_steps,
         mean=None if prior is None else prior.mean,
         precision=None if prior is None else prior.precision,
+        held_normals=held_normals,
     )
 
 
@@ -216,8 +213,7 @@ def _beside(objective: Objective, pixels: Pixels) -> Iterator[tuple[Pixels, Pixe
     if not pixels.size:
         return
     valid = objective.layout.valid
-    index = np.full(valid.shape, -1)
-    index[valid] = np.arange(objective.pixels)
+    index = pixel_index(objective.layout)
     rows, columns = (of_all[pixels] for of_all in np.nonzero(valid))
     for down, right in NEIGHBOURS:
         there = rows + down, columns + right

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, one_blas_thread
+from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x
 from pbrfit.fit.gauss_newton.pixels import Watch, descended, place, put, schur_options, taken
 from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.objective import Objective
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -22,27 +23,20 @@ Visit = Callable[[Array, float], bool]
 
 @dataclass(frozen=True, eq=False)
 class LightEstimate:
-    """x with lights, and with the materials of the pixels that found and judged them.
-
-    Attributes
-    ----------
-    x
-        All other pixels are as they were.
-    fits
-        Whether only noise is left of the validation pixels.
-    validation_pixels, sum_sq_residuals
-        The pixels that judge the lights, and the sum of their squared residuals.
-    note
-        What was done, in words.
-    """
+    """x with lights, and with the materials of the pixels that found and judged them."""
 
     x: Array
+    """All other pixels are as they were."""
     fits: bool
+    """Whether only noise is left of the validation pixels."""
     validation_pixels: NDArray[np.uint64]
     sum_sq_residuals: float
+    """The pixels that judge the lights, and the sum of their squared residuals."""
     note: str
+    """What was done, in words."""
 
 
+@one_blas_thread()
 def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> LightEstimate:
     """Lights that explain some pixels, from those of x; where they are known, they are left.
 
@@ -54,22 +48,19 @@ def find_lights(objective: Objective, x: Array, watch: Watch, seed: int) -> Ligh
     if objective.lighting is None:
         return LightEstimate(x.copy(), True, validation.pixels, 0.0, "lights known")
     subsets = _Subsets(objective, validation, watch, np.random.default_rng(seed))
-    with one_blas_thread():
-        best = subsets.lights(settings.LIGHT_PIXELS, x)
-        most = best.sum_sq_residuals
-        for _ in range(settings.LIGHT_PIXELS_TRIES - 1):
-            if subsets.stopped or best.fits:
-                break
-            found = subsets.lights(settings.LIGHT_PIXELS, x)
-            most = max(most, found.sum_sq_residuals)
-            best = _better(best, found)
-        if best.fits or best.sum_sq_residuals <= settings.SAME_MINIMUM_RATIO * most:
-            for size in settings.LIGHT_PIXELS_MORE:
-                done = best.fits and (
-                    size < settings.LIGHT_PIXELS_MORE[-1] or subsets.is_exact(best)
-                )
-                if not (subsets.stopped or done):
-                    best = _better(best, subsets.lights(size, best.x))
+    best = subsets.lights(settings.LIGHT_PIXELS, x)
+    most = best.sum_sq_residuals
+    for _ in range(settings.LIGHT_PIXELS_TRIES - 1):
+        if subsets.stopped or best.fits:
+            break
+        found = subsets.lights(settings.LIGHT_PIXELS, x)
+        most = max(most, found.sum_sq_residuals)
+        best = _better(best, found)
+    if best.fits or best.sum_sq_residuals <= settings.SAME_MINIMUM_RATIO * most:
+        for size in settings.LIGHT_PIXELS_MORE:
+            done = best.fits and (size < settings.LIGHT_PIXELS_MORE[-1] or subsets.is_exact(best))
+            if not (subsets.stopped or done):
+                best = _better(best, subsets.lights(size, best.x))
     counts = ", ".join(map(str, subsets.used))
     return replace(best, note=f"lights from {counts} pixels")
 
@@ -81,12 +72,7 @@ def _better(before: LightEstimate, found: LightEstimate) -> LightEstimate:
 class _Subsets:
     """Subsets of the pixels, one after the other, that look for lights.
 
-    Attributes
-    ----------
-    used
-        Their sizes.
-    stopped
-        Whether the watch has had enough.
+    `used` are their sizes; `stopped`, whether the watch has had enough.
     """
 
     def __init__(
@@ -137,16 +123,9 @@ class _Subsets:
 
 
 def minimize(few: Objective, x: Array, visit: Visit) -> tuple[Array, float]:
-    """Lights, and materials of these pixels, with their sum of squares.
+    """Lights, and materials of these pixels, with their sum of squares, from x.
 
-    Parameters
-    ----------
-    few
-        The objective of the pixels, with unknown lights.
-    x
-        Where to start.
-    visit
-        Watches.
+    `few` is the objective of the pixels, with unknown lights.
     """
     pixels = np.arange(few.pixels, dtype=np.uint64)
     damping, last = settings.DAMPING_START, np.inf
@@ -207,12 +186,8 @@ def _joint(
             return x, total, damping, True
         if 0 < before - total < settings.SUBSET_GAIN_MIN * before:
             break
-    return (
-        x,
-        total,
-        min(max(damping, settings.SUBSET_ROUND_DAMPING_MIN), settings.DAMPING_START),
-        False,
-    )
+    damping = min(max(damping, settings.SUBSET_ROUND_DAMPING_MIN), settings.DAMPING_START)
+    return x, total, damping, False
 
 
 def _scaled(few: Objective, x: Array, total: float) -> tuple[Array, float, bool]:

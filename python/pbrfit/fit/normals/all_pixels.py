@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.gauss_newton.global_gauss_newton import minimize
-from pbrfit.fit.gauss_newton.pixels import chunks, fit_all, taken
+from pbrfit.fit.gauss_newton.pixels import chunks, descended, fit_all, taken
 from pbrfit.fit.normals.noise import (
     degrees_of_freedom,
     noise_variance,
@@ -93,23 +93,10 @@ def refine_all(
 ) -> tuple[TangentOffsetPrior, Array | None]:
     """Change the normals of all pixels, with their materials and the lights; x changes.
 
-    Parameters
-    ----------
-    objective
-        With free normals.
-    prior
-        Of the tangent offsets.
-    roughness_metallic
-        (P, F): the mean of a prior on these; None = none.
-    starts
-        Nodes from which pixels start, in the first round.
-
-    Returns
-    -------
-    prior
-        With the σ that was found.
-    sum_sq_residuals
-        (P,); None if time ran out before all pixels had been refined.
+    `prior` is returned with the σ that was found, and the sums of squared residuals (P,), or None
+    if time ran out before all pixels had been refined. A prior on roughness and metallic has the
+    mean `roughness_metallic` (P, F), if there is one. In the first round pixels start from so many
+    nodes.
     """
     layout = objective.layout
     assert layout.tangent_offsets is not None
@@ -159,17 +146,10 @@ def restore_given(objective: Objective, x: Array, sum_sq_residuals: Array) -> No
     given_x[layout.tangent_offsets] = 0.0
     sums = np.empty(objective.pixels)
     unknowns = np.empty((objective.pixels, layout.maps.stop // objective.pixels))
-    empty = np.empty(0)
+    steps = settings.NORMALS_PIXEL_STEPS
     for chunk in chunks(objective.pixels):
-        unknowns[chunk], sums[chunk] = objective.problem.fit_materials(
-            objective.for_core(given_x),
-            chunk,
-            empty,
-            empty,
-            starts=0,
-            steps=settings.NORMALS_PIXEL_STEPS,
-            exact_steps=2,
-            held_normals=True,
+        unknowns[chunk], sums[chunk] = descended(
+            objective, given_x, chunk, steps=steps, exact_steps=2, held_normals=True
         )
     gain = (sums - sum_sq_residuals) / noise_variance(objective, sum_sq_residuals)
     gain = np.minimum(gain, 10 * degrees_of_freedom(objective))

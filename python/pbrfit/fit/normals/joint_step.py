@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.normal_equations import RIDGE, Cholesky, as_in_x
+from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, whitening
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -40,18 +40,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SubsetState:
-    """Where lights and pixels of a subset stand.
-
-    Attributes
-    ----------
-    x
-        Of the subset's objective.
-    cluster_offsets
-        (clusters, F): o.
-    """
+    """Where lights and pixels of a subset stand."""
 
     x: Array
     cluster_offsets: Array
+    """(clusters, F): o."""
 
 
 def joint_step(
@@ -66,18 +59,9 @@ def joint_step(
 ) -> Callable[[float], SubsetState]:
     """The step at `state`, as a function of the share of it that is taken.
 
-    Parameters
-    ----------
-    subset
-        The objective of the pixels, with free normals and unknown lights.
-    material_prior, offset_prior, variance
-        Of roughness and metallic, of the tangent offsets, and the noise's.
-    weights
-        (P,): w.
-    offset_precision
-        (F,): s of roughness and, where it is free, metallic.
-    damping
-        Share of their diagonals that is added to the pixels' matrices.
+    `subset` has free normals and unknown lights, `variance` is the noise's, `weights` (P,) are w,
+    `offset_precision` (F,) is s of roughness and, where it is free, metallic. The share `damping`
+    of their diagonals is added to the pixels' matrices.
     """
     layout, x, prior = subset.layout, state.x, material_prior
     assert layout.tangent_offsets is not None
@@ -109,7 +93,7 @@ def joint_step(
     values = x[layout.materials].reshape(unknowns, count).T
     offsets = x[layout.tangent_offsets].reshape(2, count).T
     root_precision = np.sqrt(prior.precision * weights[:, None])
-    deviation = values[:, channels:] - prior.mean - state.cluster_offsets[prior.cluster]
+    deviation = prior.deviation(values[:, channels:], state.cluster_offsets)
     for f in range(f_count):
         materials[:, samples + f, channels + f] = root_precision[:, f]
         others[:, samples + f, 2 + f] = -root_precision[:, f]
@@ -119,7 +103,7 @@ def joint_step(
     slope = np.einsum("psd,ps->pd", materials, residuals)
     held = ((values <= 0) & (slope > 0)) | ((values >= 1) & (slope < 0))
     materials *= ~held[:, None, :]
-    whiten = _whitened(materials, damping)
+    whiten = whitening(materials.transpose(0, 2, 1) @ materials, held, damping)
     rows = whiten @ materials.transpose(0, 2, 1)
     explained = np.einsum("pds,ps->pd", rows, residuals)
     crossed = rows @ others
@@ -192,18 +176,6 @@ def joint_step(
         return SubsetState(moved, state.cluster_offsets + share * cluster_moves)
 
     return after
-
-
-def _whitened(materials: Array, damping: float) -> Array:
-    """U with U A Uᵀ = 1, A = J_mᵀ J_m of each pixel, (P, D, D); 0 for what nothing depends on."""
-    matrices = materials.transpose(0, 2, 1) @ materials
-    diagonal = np.einsum("pii->pi", matrices)
-    used = diagonal > np.finfo(np.float64).tiny
-    scale = np.zeros_like(diagonal)
-    np.divide(1, np.sqrt(diagonal, where=used, out=scale), where=used, out=scale)
-    scaled = matrices * scale[:, :, None] * scale[:, None, :]
-    np.einsum("pii->pi", scaled)[:] = 1 + RIDGE + damping
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)) * scale[:, None, :])
 
 
 def _onto_lights(values: Array, by_light: Array, subset: Objective) -> Array:

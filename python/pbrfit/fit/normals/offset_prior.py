@@ -24,51 +24,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
 
 
-def pixel_index(layout: ParameterLayout) -> NDArray[np.intp]:
-    """(H, W): the index of each valid pixel in the order of x, −1 elsewhere."""
-    index = np.full(layout.valid.shape, -1)
-    index[layout.valid] = np.arange(layout.pixels)
-    return index
-
-
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """Pairs of pixels, and how far their normals' changes are expected to be alike.
-
-    Attributes
-    ----------
-    pairs
-        (E, 2) indices.
-    weights
-        (E,): w = e^(−|Δn|²/0.1) of the given normals, less where these are known to be unsure.
-    count
-        Of the pixels.
-    """
+    """Pairs of pixels, and how far their normals' changes are expected to be alike."""
 
     pairs: NDArray[np.intp]
+    """(E, 2) indices."""
     weights: Array
+    """(E,): w = e^(−|Δn|²/0.1) of the given normals, less where these are known to be unsure."""
     count: int
 
     @classmethod
     def of(
         cls, index: NDArray[np.intp], normals: Array, normal_sigma: Array | None
     ) -> Neighbourhood:
-        """Of pixels beside and below each other.
+        """Of pixels beside and below each other, by their `index` at row and column, or −1.
 
-        Parameters
-        ----------
-        index
-            (rows, columns): the pixel that is there, or −1.
-        normals
-            (P, 3): the given ones.
-        normal_sigma
-            (P,): their uncertainty, in any unit; None = all alike. Where both of a pair are twice
-            as unsure as the mean, their changes may differ twice as far.
+        Where the given normals (P, 3) of a pair are twice as unsure as the mean by `normal_sigma`
+        (P,), in any unit, their changes may differ twice as far.
         """
         beside = np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1)
         below = np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1)
@@ -86,7 +63,7 @@ class Neighbourhood:
         return cls(pairs, weights, len(normals))
 
     def sums(self, values: Array, weights: Array) -> Array:
-        """Σ over the neighbours of each pixel of `weights` (E,) times their `values` (P, 2)."""
+        """Σ over the neighbours of each pixel of `weights` (E,) times their `values` (P, ·)."""
         first, second = self.pairs.T
         found = np.zeros_like(values)
         for column in range(values.shape[1]):
@@ -94,14 +71,6 @@ class Neighbourhood:
                 first, weights * values[second, column], minlength=self.count
             ) + np.bincount(second, weights * values[first, column], minlength=self.count)
         return found
-
-    def weight_sums(self, weights: Array) -> Array:
-        """Σ of the weights (E,) of each pixel's pairs, (P,)."""
-        first, second = self.pairs.T
-        return np.asarray(
-            np.bincount(first, weights, minlength=self.count)
-            + np.bincount(second, weights, minlength=self.count)
-        )
 
     def squared_differences(self, values: Array) -> Array:
         """|v_second − v_first|² of each pair, (E,), for `values` (P, 2)."""
@@ -112,21 +81,13 @@ class Neighbourhood:
 
 @dataclass(frozen=True, eq=False)
 class TangentOffsetPrior:
-    """The penalty on tangent offsets (P, 2) of some pixels, for noise of variance s².
-
-    Attributes
-    ----------
-    neighbourhood
-        Which pixels are neighbours.
-    sigma
-        σ, in radians.
-    robust_weights
-        (E,): u; None = 1.
-    """
+    """The penalty on tangent offsets (P, 2) of some pixels, for noise of variance s²."""
 
     neighbourhood: Neighbourhood
     sigma: float = settings.NORMALS_OFFSET_SIGMA_START
+    """σ, in radians."""
     robust_weights: Array | None = None
+    """(E,): u; None = 1."""
 
     @property
     def _weights(self) -> Array:
@@ -135,10 +96,9 @@ class TangentOffsetPrior:
 
     @property
     def _own_weights(self) -> Array:
-        return (
-            self.neighbourhood.weight_sums(self._weights)
-            + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
-        )
+        ones = np.ones((self.neighbourhood.count, 1))
+        of_pairs = self.neighbourhood.sums(ones, self._weights)[:, 0]
+        return of_pairs + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
 
     def cost(self, offsets: Array, variance: float) -> float:
         """The penalty."""

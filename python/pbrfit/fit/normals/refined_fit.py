@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
@@ -29,15 +28,17 @@ from pbrfit.fit.normals.all_pixels import (
     start_from_subset,
     tangent_offsets_between,
 )
-from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
+from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.normals.search import fit_subset
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.solvers.run import Run
 from pbrfit.fit.solvers.strategies import solve
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.data import Status
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -56,27 +57,18 @@ class PixelFit:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What a fit leaves of the pictures.
-
-    Attributes
-    ----------
-    loss
-        Mean squared residual, or what a robust loss makes of it, in units of x.
-    rmse
-        Its square root, in picture units.
-    residual_correlation
-        Mean cosine between the residuals of neighbours.
-    samples_per_unknown
-        Of a pixel, its normal among the unknowns.
-    share_of_freedom
-        Share of the degrees of freedom that two unknowns more a pixel would leave.
-    """
+    """What a fit leaves of the pictures."""
 
     loss: float
+    """Mean squared residual, or what a robust loss makes of it, in units of x."""
     rmse: float
+    """Its square root, in picture units."""
     residual_correlation: float
+    """Between neighbours, as `NeighbourPairs` has it."""
     samples_per_unknown: float
+    """Of a pixel, its normal among the unknowns."""
     share_of_freedom: float
+    """Share of the degrees of freedom that two unknowns more a pixel would leave."""
 
     @classmethod
     def by(cls, fit: PixelFit) -> Unexplained:
@@ -118,15 +110,10 @@ def keeps_given(left: Unexplained, *, cut_short: bool) -> str | None:
 def keeps_refined(
     before: Unexplained | None, after: Unexplained, change: float
 ) -> tuple[bool, str]:
-    """Whether refined normals are kept, and why.
+    """Whether refined normals are kept, and why, by what fits with given and with them leave.
 
-    Parameters
-    ----------
-    before, after
-        What the fits with given and with refined normals leave; None = "on" asks for refinement
-        whatever given ones leave.
-    change
-        Largest angle between them, in degrees.
+    Without `before` refinement was asked for whatever given ones leave. `change` is the largest
+    angle between them, in degrees.
     """
     if change < CHANGE_DEGREES_MIN:
         # All pixels were given theirs back, or found that they had been right. What the fit gained
@@ -162,16 +149,9 @@ def fit(
 ) -> tuple[PixelFit, Refinement]:
     """Fit the scene of `run` from x, and refine its normals where that is asked for and helps.
 
-    Parameters
-    ----------
-    make
-        The objective of a scene, with free normals or without.
-    asked
-        "off", "auto" or "on".
-    hindered
-        Why refinement cannot be done; None if it can.
-    normals
-        (P, 3): unit normals that pixels may start from, beside the given ones; None = none.
+    `make` gives the objective of a scene, with free normals or without; `asked` is "off", "auto"
+    or "on"; `hindered` says why refinement cannot be done. From `normals` (P, 3) pixels may start,
+    beside the given ones.
     """
 
     def fit_given() -> PixelFit:
@@ -205,20 +185,16 @@ def fit(
     change = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid].max()
     kept, why = keeps_refined(before, after, change)
     if not kept and given is not None:
-        refined = _with_costs_of(given, refined.run, rows)
+        # The costs stay, of what came to nothing; its history, which the runs share, does not.
+        run.evaluations, run.unmeasured = refined.run.evaluations, refined.run.unmeasured
+        del run.rows[rows:]
+        refined = given
     elif not kept:
         refined.run.scene = run.scene
     return refined, Refinement(asked, kept, why, figures)
 
 
-def _with_costs_of(fit: PixelFit, later: Run, rows: int) -> PixelFit:
-    """A fit with what a later run that came to nothing has cost; of its history the first rows."""
-    run = fit.run
-    run.stages, run.evaluations, run.unmeasured = later.stages, later.evaluations, later.unmeasured
-    del run.rows[rows:]
-    return fit
-
-
+@one_blas_thread()
 def _refine(
     run: Run, x: Array, make: Callable[[Scene, bool], Objective], normals: Array | None
 ) -> tuple[PixelFit, float] | None:
@@ -226,26 +202,24 @@ def _refine(
     scene = run.scene
     free = make(scene, True)
     ended: tuple[Status, str] | None = None
-    # Sums split over threads would round differently on a machine with more processors.
-    with one_blas_thread():
-        free_x, prior = _start(run, x, free, normals)
-        roughness_metallic, starts = None, 1
-        for number in range(settings.NORMALS_PASSES):
-            before = free_x.copy()
-            with run.stage("normals of all pixels"):
-                prior, sums = refine_all(
-                    free, free_x, prior, roughness_metallic, starts, run.out_of_time
-                )
-                if sums is None:
-                    free_x = before
-                    break
-                if number == settings.NORMALS_PASSES - 1:
-                    restore_given(free, free_x, sums)
-            run, ended = _fit_held(run, scene, free, free_x, make)
-            blocks = [free_x[block] for block in free.layout.roughness_metallic]
-            roughness_metallic, starts = np.stack(blocks, axis=-1), 0
-            if run.out_of_time():
+    free_x, prior = _start(run, x, free, normals)
+    roughness_metallic, starts = None, 1
+    for number in range(settings.NORMALS_PASSES):
+        before = free_x.copy()
+        with run.stage("normals of all pixels"):
+            prior, sums = refine_all(
+                free, free_x, prior, roughness_metallic, starts, run.out_of_time
+            )
+            if sums is None:
+                free_x = before
                 break
+            if number == settings.NORMALS_PASSES - 1:
+                restore_given(free, free_x, sums)
+        run, ended = _fit_held(run, scene, free, free_x, make)
+        blocks = [free_x[block] for block in free.layout.roughness_metallic]
+        roughness_metallic, starts = np.stack(blocks, axis=-1), 0
+        if run.out_of_time():
+            break
     if ended is None:
         return None
     if run.out_of_time():  # perhaps after the fit that has ended

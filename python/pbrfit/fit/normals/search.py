@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.pixels import place, start_nodes, taken
+from pbrfit.fit.gauss_newton.pixels import descended, place, put, taken
 from pbrfit.fit.normals.joint_step import SubsetState, joint_step
 from pbrfit.fit.normals.noise import (
     mean_over_median,
@@ -31,9 +31,9 @@ from pbrfit.fit.normals.noise import (
     offset_variances,
     pixel_sums,
 )
-from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior, pixel_index
+from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.material import prior_at
 
@@ -43,14 +43,10 @@ Array = NDArray[np.float64]
 def strided_subset(
     layout: ParameterLayout, at_most: int
 ) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
-    """Valid pixels in every s-th row and column, and where they stand.
+    """Valid pixels in every s-th row and column, about `at_most` at most, and where they stand.
 
-    Returns
-    -------
-    pixels
-        (Q,) indices in the order of x, about `at_most` at most, and at least one.
-    index
-        (rows, columns): position in `pixels`, or −1 where the pixel there is not valid.
+    The latter is by row and column the position in the former, or −1 where the pixel there is not
+    valid.
     """
     step = max(1, math.ceil(math.sqrt(layout.pixels / at_most)))
     # A long and narrow picture or mask has more pixels in every s-th row and column than a square.
@@ -81,22 +77,12 @@ def _first_pixel(valid: NDArray[np.bool_], step: int) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class SubsetFit:
-    """What a strided subset found.
-
-    Attributes
-    ----------
-    objective
-        Of the subset, with free normals.
-    pixels
-        Which of the whole's pixels it has.
-    x
-        Of `objective`.
-    prior
-        Of its tangent offsets.
-    """
+    """What a strided subset found."""
 
     objective: Objective
+    """Of the subset, with free normals."""
     pixels: NDArray[np.uint64]
+    """Which of the whole's pixels it has."""
     x: Array
     prior: TangentOffsetPrior
 
@@ -112,18 +98,9 @@ def fit_subset(
 ) -> SubsetFit:
     """Lights, tangent offsets and materials of a strided subset, from the lights of x.
 
-    Parameters
-    ----------
-    objective
-        With free normals and unknown lights.
-    x
-        Where to start.
-    given, normal_sigma
-        (P, 3) and (P,): the given normals, and their uncertainty in any unit; None = all alike.
-    stop
-        Whether time is up: asked after each joint step, and what is left of a round is left out.
-    rounds
-        At most so many from each start.
+    `given` (P, 3) are the given normals, with their uncertainty (P,) in any unit; None = all alike.
+    `stop` is asked after each joint step, and what is left of a round is left out. From each start
+    there are at most so many rounds.
     """
     pixels, index = strided_subset(objective.layout, settings.NORMALS_SUBSET_PIXELS_MAX)
     subset, x = objective.restricted(pixels), objective.part_of(x, pixels)
@@ -257,7 +234,7 @@ class NormalSearch:
         prior = self._material_prior
         layout = self.subset.layout
         values = np.stack([state.x[block] for block in layout.roughness_metallic], axis=-1)
-        deviation = values - prior.mean - state.cluster_offsets[prior.cluster]
+        deviation = prior.deviation(values, state.cluster_offsets)
         return np.asarray(sums + (prior.precision * deviation**2).sum(axis=1))
 
     def _pixel_prior(self, state: SubsetState, x: Array, variance: float) -> tuple[Array, Array]:
@@ -278,21 +255,17 @@ class NormalSearch:
         mean, precision = self._pixel_prior(state, x, self._variance if free_normals else 0.0)
         if not free_normals:
             mean[:, -2:], precision[:, -2:] = 0.0, 0.0
-        nodes = start_nodes(subset) if starts else (np.empty(0), np.empty(0))
-        found, sums = subset.problem.fit_materials(
-            subset.for_core(x),
+        found, sums = descended(
+            subset,
+            x,
             self._pixels,
-            *nodes,
-            starts=starts,
             steps=settings.NORMALS_PIXEL_STEPS if starts else 0,
             exact_steps=exact_steps,
-            mean=mean,
-            precision=precision,
+            starts=starts,
+            prior=GaussianPrior(mean, precision),
             held_normals=not free_normals,
         )
-        x = x.copy()
-        place(subset, x, self._pixels, found)
-        return x, sums
+        return put(subset, x, self._pixels, found), sums
 
     def _try_materials(self, *, free_normals: bool) -> None:
         """Start each pixel by itself from nodes: normals held, then free where they may be."""

@@ -21,25 +21,18 @@ class GaussianPrior:
     known. The offset δ of a cluster g lets its pixels move together; s is `OFFSET_PRECISION_SHARE`.
     As a penalty it has the best offsets for x, δ = Σ a (v − c) / ((1 + s) Σ a), so that x alone
     decides; the derivative by them vanishes there, and ∂/∂v = 2 a (v − c − δ).
-
-    Attributes
-    ----------
-    mean, precision
-        (P, F): c, and a in units of squared residuals.
-    cluster
-        (P,): which offset a pixel has, from 0; None = there are no offsets.
-    blocks, factor
-        As a penalty: where v lies in x, by f, and what the sum is multiplied by.
-    name
-        Of the prior that it belongs to.
     """
 
     mean: Array
     precision: Array
+    """(P, F): c, and a in units of squared residuals."""
     cluster: NDArray[np.intp] | None = None
+    """(P,): which offset a pixel has, from 0; None = there are no offsets."""
     blocks: tuple[slice, ...] = ()
     factor: float = 1.0
+    """As a penalty: where v lies in x, by f, and what the sum is multiplied by."""
     name: str = "material"
+    """Of the prior that it belongs to."""
 
     @lazy
     def clusters(self) -> int:

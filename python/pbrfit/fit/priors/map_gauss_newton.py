@@ -12,7 +12,7 @@ against their priors.
 
 Pixels are solved for first, which leaves a dense system in lights and offsets (Schur complement,
 as in `normal_equations`). After each step albedo is put to its best value for the new lights,
-roughness and metallic, which needs no iteration (`Objective.with_best_albedo`): given these, each
+roughness and metallic, which needs no iteration (`Objective.put_best_albedo`): given these, each
 channel of a pixel is a polynomial in its albedo. Without this, steps overshoot, since albedo times
 light is not linear.
 """
@@ -51,20 +51,10 @@ class _State:
 def minimize(
     objective: Objective, x: Array, pixels: NDArray[np.uint64], prior: GaussianPrior, steps: int
 ) -> tuple[Array, int]:
-    """Steps from x that lower the sum; returns x and how many they were.
+    """At most so many steps from x that lower the sum; returns x and how many they were.
 
-    Parameters
-    ----------
-    objective
-        The problem, with unknown lights; its penalties take no part.
-    x
-        Where to start. Other pixels' materials stay.
-    pixels
-        (Q,) indices of the pixels that take part.
-    prior
-        Of these pixels, (Q, F).
-    steps
-        At most so many.
+    `pixels` (Q,) with their prior (Q, F) take part, and materials of others stay. Lights are
+    unknown; penalties of the objective take no part.
     """
     x = x.copy()
     offsets = np.zeros_like(prior.cluster_precision)
@@ -168,18 +158,12 @@ def _step(
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Lights and offsets when the pixels are solved for.
-
-    Attributes
-    ----------
-    matrix
-        Of (light channels, N, K) and (clusters, F), one after the other.
-    by_offsets
-        (Q, F, F): U ∂²/∂v∂δ, rows and columns of roughness and metallic.
-    """
+    """Lights and offsets when the pixels are solved for."""
 
     matrix: Array
+    """Of (light channels, N, K) and (clusters, F), one after the other."""
     by_offsets: Array
+    """(Q, F, F): U ∂²/∂v∂δ, rows and columns of roughness and metallic."""
 
     @classmethod
     def of(

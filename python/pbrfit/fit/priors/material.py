@@ -28,18 +28,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.misfit import NeighbourPairs
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors import map_gauss_newton
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over, slices
 from pbrfit.lazy import lazy
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
@@ -56,25 +57,17 @@ PIXELS_AT_ONCE = 8192
 
 @dataclass(frozen=True, eq=False)
 class FittedPrior:
-    """The prior as fitted to some pixels, to be held for others of the same segments and lights.
-
-    Attributes
-    ----------
-    distributions
-        Of the segments.
-    variance
-        s², of samples of weight 1, in units of x.
-    strength
-        `Priors.material`.
-    clusters, offsets
-        Numbers of the clusters, in order, and how far each was moved, (clusters, F).
-    """
+    """The prior as fitted to some pixels, to be held for others of the same segments and lights."""
 
     distributions: _Distributions
+    """Of the segments."""
     variance: float
+    """s², of samples of weight 1, in units of x."""
     strength: float
+    """`Priors.material`."""
     clusters: Labels
     offsets: Array
+    """Numbers of the clusters, in order, and how far each was moved, (clusters, F)."""
 
     def moved(self, prior: GaussianPrior, x: Array) -> FittedPrior:
         """With the offsets that the pixels' prior, made by this one, has at x."""
@@ -106,45 +99,33 @@ class FittedPrior:
         return x, GaussianPrior(mean, precision, None, blocks, factor)
 
 
+@one_blas_thread()
 def fit_prior(
     objective: Objective, x: Array, strength: float, stop: Stop = lambda: False
 ) -> tuple[Array, GaussianPrior, FittedPrior] | None:
-    """Fit the prior around x.
+    """Fit the prior around x, a fit of the data, with the strength of `Priors.material`.
 
-    Returned are x for all pixels with the lights found, the pixels' prior, and what was fitted.
-
-    None if time ran out before all pixels had theirs.
-
-    Parameters
-    ----------
-    objective
-        The problem.
-    x
-        A fit of the data.
-    strength
-        `Priors.material`: 1 is Bayes' rule.
-    stop
-        Asked between rounds, and then between pieces of the pixels.
+    Returned are x for all pixels with the lights found, the pixels' prior, and what was fitted;
+    None if time ran out before all pixels had theirs. `stop` is asked between rounds, and then
+    between pieces of the pixels.
     """
     labels = _labels(objective)
     few = evenly_spaced_over(labels, settings.PRIOR_LIGHT_PIXELS)
-    with one_blas_thread():
-        if objective.layout.lighting is not None:
-            moved = _with_lights(objective, x, few, labels[few], strength, stop)
-            x = moved if _explains_more(objective, x, moved) else x.copy()
-            del moved  # of the size of x, which counts
-        else:
-            x = x.copy()
-
-        grid = _Grid(objective, x, few)
-        distributions = _fit_distributions(grid)
-        posterior = distributions.of_all(grid, stop)
-        if posterior is None:
-            return None
-        prior, clusters = posterior.prior(
-            settings.PRIOR_SIGMAS_MIN[-1], strength * grid.variance, objective
-        )
-        _put_all(objective, x, prior.mean)
+    if objective.layout.lighting is not None:
+        moved = _with_lights(objective, x, few, labels[few], strength, stop)
+        x = moved if _explains_more(objective, x, moved) else x.copy()
+        del moved  # of the size of x, which counts
+    else:
+        x = x.copy()
+    grid = _Grid(objective, x, few)
+    distributions = _fit_distributions(grid)
+    posterior = distributions.of_all(grid, stop)
+    if posterior is None:
+        return None
+    prior, clusters = posterior.prior(
+        settings.PRIOR_SIGMAS_MIN[-1], strength * grid.variance, objective
+    )
+    _put_all(objective, x, prior.mean)
     none = np.zeros_like(prior.mean[:0])
     return x, prior, FittedPrior(distributions, grid.variance, strength, clusters, none)
 
@@ -154,14 +135,7 @@ def prior_at(
 ) -> GaussianPrior:
     """The prior of all pixels at x, fitted to an even share of them; lights stay.
 
-    Parameters
-    ----------
-    sigma_min
-        Smallest standard deviation of a pixel's prior.
-    variance
-        s², of samples of weight 1, in units of x.
-    metallic
-        Of the nodes; not read where it is known.
+    `metallic` is that of the nodes, and not read where it is known.
     """
     grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
     posterior = _fit_distributions(grid).of_all(grid)
@@ -241,13 +215,7 @@ def _put(objective: Objective, x: Array, pixels: Pixels, values: Array) -> None:
 
 
 class _Grid:
-    """Likelihoods over the grid of nodes, (roughness, metallic) row by row, with the lights of x.
-
-    Attributes
-    ----------
-    roughness, metallic
-        Of the nodes, (nodes,).
-    """
+    """Likelihoods over the nodes, (roughness, metallic) row by row, with the lights of x."""
 
     def __init__(
         self,
@@ -277,7 +245,7 @@ class _Grid:
         if self._known_variance is not None:
             return self._known_variance
         objective, layout, pixels = self.objective, self.objective.layout, self._noise_pixels
-        _, sum_sq = objective.with_best_albedo(self._given, pixels)
+        sum_sq = objective.put_best_albedo(self._given.copy(), pixels)
         samples = objective.samples * len(pixels) / layout.pixels
         lights = 0 if layout.lighting is None else layout.lighting.stop - layout.lighting.start
         unknowns = len(pixels) * layout.maps.stop / layout.pixels + lights
@@ -317,8 +285,7 @@ class _Grid:
         return likelihood
 
 
-@dataclass(frozen=True, eq=False)
-class _Posterior:
+class _Posterior(NamedTuple):
     """Mean and variance of roughness and metallic, (Q, 2), and the cluster, (Q,)."""
 
     mean: NDArray[np.float32]
@@ -346,35 +313,19 @@ class _Posterior:
             *self.gaussian(sigma_min, variance, objective), cluster, blocks, factor
         ), clusters
 
-    @classmethod
-    def joined(cls, parts: list[_Posterior]) -> _Posterior:
-        return cls(
-            np.concatenate([part.mean for part in parts]),
-            np.concatenate([part.variance for part in parts]),
-            np.concatenate([part.cluster for part in parts]),
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class _Distributions:
-    """Distributions over the nodes: row 0 of the whole picture, the others of large segments.
-
-    Attributes
-    ----------
-    probabilities
-        (rows, nodes), float32.
-    groups
-        (rows, nodes): which group of neighbouring nodes each belongs to, 0 = none.
-    row
-        By label: the row that a segment has.
-    nodes
-        (nodes, 2): their roughness and metallic.
-    """
+    """Distributions over the nodes: row 0 of the whole picture, the others of large segments."""
 
     probabilities: NDArray[np.float32]
+    """(rows, nodes), float32."""
     groups: Labels
+    """(rows, nodes): which group of neighbouring nodes each belongs to, 0 = none."""
     row: Labels
+    """By label: the row that a segment has."""
     nodes: NDArray[np.float32]
+    """(nodes, 2): their roughness and metallic."""
 
     @classmethod
     def of(cls, likelihood: NDArray[np.float32], labels: Labels, grid: _Grid) -> _Distributions:
@@ -408,7 +359,7 @@ class _Distributions:
             if stop():
                 return None
             parts.append(self.posterior(grid.likelihood(everything[chunk]), labels[chunk]))
-        return _Posterior.joined(parts)
+        return _Posterior(*map(np.concatenate, zip(*parts, strict=True)))
 
     def posterior(self, likelihood: NDArray[np.float32], labels: Labels) -> _Posterior:
         """Of pixels with these likelihoods, (Q, nodes), and labels."""

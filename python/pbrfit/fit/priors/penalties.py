@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.result.options import Priors
 
 SMOOTHNESS_STEP = 0.01
-"""Differences of neighbours are measured over this share of the picture's side; see `Smoothness`.
+"""Differences of neighbours are measured over this share of the picture's side; see `smoothness`.
 """
 
 
@@ -35,9 +36,9 @@ def penalties(layout: ParameterLayout, priors: Priors) -> list[Penalty]:
     """
     found: list[Penalty] = []
     if priors.cohesion and layout.segment_count:
-        found.append(Cohesion(layout, priors.cohesion))
+        found.append(cohesion(layout, priors.cohesion))
     if priors.smoothness and (pairs := tied_neighbours(layout)).size:
-        found.append(Smoothness(layout, pairs, priors.smoothness))
+        found.append(smoothness(layout, pairs, priors.smoothness))
     if priors.sparsity and layout.metallic is not None:
         found.append(Sparsity(layout, priors.sparsity))
     if priors.monochrome and layout.lighting is not None and layout.light_channels > 1:
@@ -45,7 +46,23 @@ def penalties(layout: ParameterLayout, priors: Priors) -> list[Penalty]:
     return found
 
 
-class Cohesion:
+@dataclass(frozen=True)
+class _OnMaps:
+    """A sum over roughness and metallic, which the core computes."""
+
+    name: str
+    factor: float
+    blocks: tuple[slice, ...]
+    core: _core.Neighbours | _core.Groups
+
+    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+        """See `Penalty`."""
+        return sum(
+            self.core.add_penalty(x[block], self.factor, gradient[block]) for block in self.blocks
+        )
+
+
+def cohesion(layout: ParameterLayout, weight: float) -> Penalty:
     """Roughness and metallic near the mean of their segment.
 
     w/P Σ_i (v_i − v̄_s(i))² for v = r and v = m, over the classified pixels i. P counts all valid
@@ -58,21 +75,12 @@ class Cohesion:
 
     A segment of one pixel is its own mean and gives 0.
     """
-
-    name = "cohesion"
-
-    def __init__(self, layout: ParameterLayout, weight: float) -> None:
-        assert layout.segments is not None
-        self._factor = weight / layout.pixels
-        self._blocks = layout.roughness_metallic
-        self._groups = _core.Groups(layout.segments.astype(np.int64))
-
-    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
-        """See `Penalty`."""
-        return _on_maps(self._groups, self._blocks, x, self._factor, gradient)
+    assert layout.segments is not None
+    groups = _core.Groups(layout.segments.astype(np.int64))
+    return _OnMaps("cohesion", weight / layout.pixels, layout.roughness_metallic, groups)
 
 
-class Smoothness:
+def smoothness(layout: ParameterLayout, pairs: NDArray[np.int64], weight: float) -> Penalty:
     """Little change of roughness and metallic between neighbours.
 
     In the plane, ∫ |∇v|² dA has no unit of length, and its discrete form is Σ_edges (v_i − v_j)²
@@ -91,17 +99,9 @@ class Smoothness:
     Neighbours in different segments are not tied; an unclassified pixel is tied to all of its
     neighbours. Pixels outside the mask have no edges.
     """
-
-    name = "smoothness"
-
-    def __init__(self, layout: ParameterLayout, pairs: NDArray[np.int64], weight: float) -> None:
-        self._factor = weight * SMOOTHNESS_STEP**2
-        self._blocks = layout.roughness_metallic
-        self._neighbours = _core.Neighbours(layout.pixels, *pairs)
-
-    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
-        """See `Penalty`."""
-        return _on_maps(self._neighbours, self._blocks, x, self._factor, gradient)
+    neighbours = _core.Neighbours(layout.pixels, *pairs)
+    factor = weight * SMOOTHNESS_STEP**2
+    return _OnMaps("smoothness", factor, layout.roughness_metallic, neighbours)
 
 
 class Sparsity:
@@ -124,7 +124,7 @@ class Monochrome:
     """Grey lights: w/(N K C) Σ (L_nkc − L̄_nk)², with the mean L̄ over the channels.
 
     Lights are in units of the scene scale, as in x, so that exposure does not matter. The mean
-    drops out of the gradient as in `Cohesion`.
+    drops out of the gradient as in `cohesion`.
     """
 
     name = "monochrome"
@@ -148,8 +148,7 @@ def tied_neighbours(layout: ParameterLayout) -> NDArray[np.int64]:
 
     Both pixels are in the same segment, or one of them is unclassified.
     """
-    index = np.zeros(layout.valid.shape, dtype=np.int64)
-    index[layout.valid] = np.arange(layout.pixels)
+    index = pixel_index(layout)
     labels = np.zeros(layout.valid.shape, dtype=np.int64)
     if layout.segments is not None:
         labels[layout.valid] = layout.segments
@@ -159,14 +158,3 @@ def tied_neighbours(layout: ParameterLayout) -> NDArray[np.int64]:
         tied = layout.valid[first] & layout.valid[second] & ((a == b) | (a == 0) | (b == 0))
         found.append(np.stack([index[first][tied], index[second][tied]]))
     return np.concatenate(found, axis=1)
-
-
-def _on_maps(
-    penalty: _core.Neighbours | _core.Groups,
-    blocks: tuple[slice, ...],
-    x: NDArray[np.float64],
-    weight: float,
-    gradient: NDArray[np.float64],
-) -> float:
-    """Sum of a penalty over maps, each a block of x; see `Penalty`."""
-    return sum(penalty.add_penalty(x[block], weight, gradient[block]) for block in blocks)

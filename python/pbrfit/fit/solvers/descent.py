@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.settings import (
+    DATA_SHARE_OF_ITERATIONS,
     LBFGS_PAIRS,
     LBFGS_STAGES,
     LBFGS_STAGES_GIVEN_START,
@@ -24,17 +23,23 @@ from pbrfit.fit.settings import (
 from pbrfit.fit.solvers import projected_lbfgs
 from pbrfit.fit.solvers.projected_lbfgs import Bounds
 from pbrfit.fit.solvers.run import Run
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
+Descent = Callable[..., tuple[float, Array]]
+"""Loss and x after so many iterations from x at most, whose rows go into the history of a run; with
+`stall` it also stops where the loss fell by less than a share of itself over a number of them."""
+
 
 def staged(
-    run: Run, x: Array, loss: float, iterations: float, descent: Descent, *, start_given: bool
+    run: Run, x: Array, loss: float, descent: Descent, *, start_given: bool
 ) -> tuple[Array, float, str]:
-    """X, its loss, and which state that is, after so many iterations at most.
+    """X, its loss, and which state that is, after the iterations that the data may have.
 
     The last is empty unless the state is one from before the last restart.
     """
+    iterations = (DATA_SHARE_OF_ITERATIONS if run.has_mixture_prior else 1.0) * run.left
     best = loss, x
     trapped = False
     before = run.iteration
@@ -78,60 +83,31 @@ def _restarted(run: Run, x: Array) -> Array:
     return x
 
 
-@dataclass(frozen=True)
-class Descent:
-    """Who lowers the objective: scipy's L-BFGS-B, or the bounded L-BFGS whose vectors are in Rust.
-
-    Attributes
-    ----------
-    name
-        For people.
-    """
-
-    name: str
-    _method: Callable[..., tuple[float, Array]]
-
-    @classmethod
-    def for_size(cls, run: Run) -> Descent:
-        """Scipy's where its own work is a small share."""
-        if projected_lbfgs.choose(run.objective.size) == "scipy":
-            return SCIPYS
-        return cls("bounded L-BFGS in Rust", rusts)
-
-    def __call__(
-        self,
-        run: Run,
-        x: Array,
-        iterations: int,
-        lowest_roughness: float = 0.0,
-        stall: tuple[int, float] | None = None,
-    ) -> tuple[float, Array]:
-        """Loss and x after so many iterations at most, whose rows go into the history.
-
-        With `stall` it also stops where the loss fell by less than a share of itself over a number
-        of iterations.
-        """
-        return self._method(run, x, iterations, lowest_roughness, stall)
+def for_size(run: Run) -> tuple[str, Descent]:
+    """Scipy's where its own work is a small share; with its name for people."""
+    if projected_lbfgs.choose(run.objective.size) == "scipy":
+        return "L-BFGS-B", by_scipy
+    return "bounded L-BFGS in Rust", in_rust
 
 
 def lowered(run: Run, x: Array, stall: tuple[int, float] | None) -> Array:
     """X with the whole objective lowered until that stalls, or the limits of the run."""
-    descent = Descent.for_size(run)
-    with run.stage(descent.name) as notes:
+    name, descent = for_size(run)
+    with run.stage(name) as notes:
         before = run.iteration
         _, x = descent(run, x, run.left, stall=stall)
         notes.append(f"{run.iteration - before} iterations")
     return x
 
 
-def rusts(
+def in_rust(
     run: Run,
     x: Array,
     iterations: int,
-    lowest_roughness: float,
-    stall: tuple[int, float] | None,
+    lowest_roughness: float = 0.0,
+    stall: tuple[int, float] | None = None,
 ) -> tuple[float, Array]:
-    """See `Descent`."""
+    """By the bounded L-BFGS whose vectors are in Rust; see `Descent`."""
     objective = run.objective
     bounds = Bounds.of_slices(
         objective.size,
@@ -175,14 +151,14 @@ def _in_time(run: Run) -> Callable[[Array], tuple[float, Array]]:
     return evaluate
 
 
-def scipys(
+def by_scipy(
     run: Run,
     x: Array,
     iterations: int,
-    lowest_roughness: float,
-    stall: tuple[int, float] | None,
+    lowest_roughness: float = 0.0,
+    stall: tuple[int, float] | None = None,
 ) -> tuple[float, Array]:
-    """See `Descent`."""
+    """By scipy's L-BFGS-B; see `Descent`."""
     from scipy.optimize import Bounds, minimize
 
     lower, upper = run.objective.bounds.T.copy()
@@ -212,8 +188,6 @@ def scipys(
         if stalled or run.out_of_time():
             raise StopIteration
 
-    # One BLAS thread: dot products split over threads would round differently on a machine with
-    # another number of processors.
     with one_blas_thread():
         try:
             found = minimize(
@@ -237,6 +211,3 @@ def scipys(
             assert last is not None
             return last
     return float(found.fun), found.x
-
-
-SCIPYS = Descent("L-BFGS-B", scipys)

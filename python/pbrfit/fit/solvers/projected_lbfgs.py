@@ -59,29 +59,17 @@ def choose(size: int) -> Literal["scipy", "rust"]:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """A box in runs of equal bounds, because a number for each entry would need memory.
-
-    Attributes
-    ----------
-    ends
-        (R,) int64: where each run ends; the last is n.
-    lower, upper
-        (R,) float64: its bounds; infinite = none.
-    """
+    """A box in runs of equal bounds, because a number for each entry would need memory."""
 
     ends: NDArray[np.int64]
+    """(R,) int64: where each run ends; the last is n."""
     lower: Array
     upper: Array
+    """(R,) float64: its bounds; infinite = none."""
 
     @classmethod
     def of(cls, lower: ArrayLike, upper: ArrayLike) -> Bounds:
-        """From bounds of each entry, (n,).
-
-        Raises
-        ------
-        InputError
-            If these are no two vectors of one length.
-        """
+        """From bounds of each entry, (n,)."""
         lower, upper = _vector("lower", lower), _vector("upper", upper)
         if lower.shape != upper.shape:
             raise InputError(f"upper: expected shape {lower.shape}, found {upper.shape}")
@@ -105,38 +93,23 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """What a callback gets.
-
-    Attributes
-    ----------
-    x
-        Where the minimisation stands. Its memory is used again: copy what is to be kept.
-    fun
-        The loss there.
-    """
+    """What a callback gets."""
 
     x: Array
+    """Where the minimisation stands. Its memory is used again: copy what is to be kept."""
     fun: float
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where a minimisation ended.
-
-    Attributes
-    ----------
-    x, fun
-        The best point and its loss.
-    iterations, evaluations
-        Steps taken, and evaluations of loss and gradient.
-    reason
-        Why it ended.
-    """
+    """Where a minimisation ended."""
 
     x: Array
     fun: float
+    """The best point and its loss."""
     iterations: int
     evaluations: int
+    """Steps taken, and evaluations of loss and gradient."""
     reason: Reason
 
 
@@ -160,10 +133,8 @@ def minimize(
         Loss and gradient (n,) float64 at x. The gradient has to be a new array in each call, and x
         must not be changed or kept. Where the loss or the gradient is not finite, the step is made
         shorter. May raise StopIteration.
-    x0
-        (n,) start; what is outside the box is clipped.
-    bounds
-        The box.
+    x0, bounds
+        (n,) start, and the box; what is outside is clipped.
     iterations
         At most so many.
     callback

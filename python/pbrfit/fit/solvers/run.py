@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -58,22 +59,15 @@ class Progress:
 
 @dataclass(frozen=True, eq=False)
 class SharedState:
-    """What some pixels of a scene were found to have in common with all others.
-
-    Attributes
-    ----------
-    material
-        The learnt material prior; None where the fit has none.
-    robust
-        The robust loss and its scale; None = squares.
-    cohesion
-        (S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
-        each pixel is pulled to it with; None where the prior has no weight.
-    """
+    """What some pixels of a scene were found to have in common with all others."""
 
     material: FittedPrior | None = None
+    """The learnt material prior; None where the fit has none."""
     robust: tuple[str, float] | None = None
+    """The robust loss and its scale; None = squares."""
     cohesion: tuple[Array, float] | None = None
+    """(S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
+    each pixel is pulled to it with; None where the prior has no weight."""
 
     def penalties(self, layout: ParameterLayout) -> list[Penalty]:
         """Those that hold from the start."""
@@ -91,21 +85,8 @@ class SharedState:
 class Run:
     """One fit: counts iterations and passes, keeps the history, watches the clock.
 
-    Attributes
-    ----------
-    scene, objective, options
-        What is fitted and how.
-    shared_state
-        What a subset of the scene's pixels has found, where this is another part of it; None = the
-        whole scene, which finds it itself.
-    measured_lighting
-        Lights when the material prior was fitted, by which the monochrome weight is chosen.
-    fitted_prior
-        The material prior as it was fitted last, and its penalty; None until then.
-    iteration, evaluations, rows, stages
-        What was done.
-    unmeasured
-        Seconds spent on comparing with the ground truth and in `progress`.
+    `shared_state` is what a subset of the scene's pixels has found, where this is another part of
+    it; None = the whole scene, which finds it itself.
     """
 
     def __init__(
@@ -122,31 +103,26 @@ class Run:
         self.scene, self.objective, self.options = scene, objective, options
         self._iteration_limit = options.iterations
         self.measured_lighting: Array | None = None
+        """When the material prior was fitted: the monochrome weight is chosen by it."""
         self.fitted_prior: tuple[FittedPrior, GaussianPrior] | None = None
-        self._truth = None if scene.truth is None else scene.truth.materials
-        self._progress = progress
-        self._began = began
+        """The material prior as it was fitted last, and its penalty."""
+        self._progress, self._began = progress, began
         self.unmeasured = 0.0
+        """Seconds spent on comparing with the ground truth and in `progress`."""
         self.evaluations = self.iteration = 0
         self._last = math.nan, math.nan  # loss and its data term, of the last evaluation
         self.rows: list[HistoryRow] = []
         self.stages: list[Stage] = []
 
     def continued(self, scene: Scene, objective: Objective) -> Run:
-        """A run that goes on with another scene and objective, and has all iterations again."""
-        later = Run(
-            scene,
-            objective,
-            self.options,
-            progress=self._progress,
-            began=self._began,
-            shared_state=self.shared_state,
-        )
+        """A run that goes on with another scene and objective, and has all iterations again.
+
+        Both write into one history.
+        """
+        later = copy.copy(self)
+        later.scene, later.objective = scene, objective
         later._iteration_limit = self.iteration + self.options.iterations
-        later.measured_lighting, later.fitted_prior = self.measured_lighting, self.fitted_prior
-        later.iteration, later.evaluations = self.iteration, self.evaluations
-        later.unmeasured = self.unmeasured
-        later.rows, later.stages = self.rows, self.stages
+        later._last = math.nan, math.nan
         return later
 
     @property
@@ -162,6 +138,16 @@ class Run:
     def out_of_time(self) -> bool:
         """Whether the time limit is reached."""
         return self.options.time_limit is not None and self.elapsed >= self.options.time_limit
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether no limit is reached."""
+        return self.left > 0 and not self.out_of_time()
+
+    @property
+    def has_mixture_prior(self) -> bool:
+        """Whether the fit has a mixture prior on materials."""
+        return self.options.priors.material > 0
 
     def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
         """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""
@@ -205,53 +191,33 @@ class Run:
                 data = self.objective.data_value_and_grad(x)[0]
         recon = self.objective.residual_rmse(data)
         errors = {}
-        if self._truth is not None:
+        if self.scene.truth is not None:
             found, _ = self.objective.unpack(x)
-            errors = material_errors(found, self._truth)
+            errors = material_errors(found, self.scene.truth.materials)
         self.rows.append(
             HistoryRow(elapsed, self.iteration, self.evaluations, loss, recon, **errors)
         )
-        self._tell(recon, elapsed, lambda: self.objective.unpack(x))
+        self.tell(recon, lambda: self.objective.unpack(x), elapsed=elapsed)
 
-    def tell(self, recon_rmse: float, state: Callable[[], Array]) -> None:
-        """Call `progress` with a state of which only a subset of the pixels is fitted."""
-        self._tell(recon_rmse, self.elapsed, lambda: self.objective.unpack(state()))
-
-    def tell_tile(
+    def tell(
         self,
-        tiles: tuple[int, int],
         recon_rmse: float,
         state: Callable[[], tuple[Materials, Array]],
-    ) -> None:
-        """Call `progress` with a large picture of which some tiles are done."""
-        self._tell(recon_rmse, self.elapsed, state, tiles)
-
-    def _tell(
-        self,
-        recon: float,
-        elapsed: float,
-        state: Callable[[], tuple[Materials, Array]],
+        *,
         tiles: tuple[int, int] | None = None,
+        elapsed: float | None = None,
     ) -> None:
+        """Call `progress`, whose fields these are; what is done since `elapsed` is unmeasured."""
+        elapsed = self.elapsed if elapsed is None else elapsed
         if self._progress is not None:
-            self._progress(
-                Progress(
-                    self.iteration,
-                    self._iteration_limit,
-                    self.evaluations,
-                    recon,
-                    elapsed,
-                    state,
-                    tiles,
-                )
-            )
+            done = self.iteration, self._iteration_limit, self.evaluations
+            self._progress(Progress(*done, recon_rmse, elapsed, state, tiles))
         self.unmeasured += self.elapsed - elapsed
 
 
 def material_errors(found: Materials, true: Materials) -> dict[str, float]:
     """Root mean square errors of the maps."""
+    names = ("albedo", "roughness", "metallic")
     return {
-        "albedo_rmse": metrics.rmse(found.albedo, true.albedo),
-        "roughness_rmse": metrics.rmse(found.roughness, true.roughness),
-        "metallic_rmse": metrics.rmse(found.metallic, true.metallic),
+        f"{name}_rmse": metrics.rmse(getattr(found, name), getattr(true, name)) for name in names
     }

@@ -17,15 +17,15 @@ from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.material import fit_prior
 from pbrfit.fit.priors.penalties import Penalty, penalties
 from pbrfit.fit.settings import (
-    DATA_SHARE_OF_ITERATIONS,
     EXACT_RMSE,
     FAR_BETTER,
     SAME_FIT,
     SAME_FIT_OF_VALIDATION_PIXELS,
     STALL,
 )
-from pbrfit.fit.solvers.descent import SCIPYS, Descent, lowered, robust_around, staged
+from pbrfit.fit.solvers.descent import by_scipy, for_size, lowered, robust_around, staged
 from pbrfit.fit.solvers.run import Run
+from pbrfit.model.materials import Materials
 from pbrfit.result.data import Status
 
 Array = NDArray[np.float64]
@@ -74,15 +74,15 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
         x, by_gauss_newton = with_material_prior(run, found), True
     else:
         x, by_gauss_newton = least[1], False
-        if has_mixture_prior(run) and _goes_on(run):
+        if run.has_mixture_prior and run.goes_on:
             x, _ = fit_mixture_prior(run, x)
     only_squares = run.options.robust == "none" and not run.objective.penalties
     done = by_gauss_newton and only_squares
-    if not done and _goes_on(run):
-        if not has_mixture_prior(run):  # else it is robust already
+    if not done and run.goes_on:
+        if not run.has_mixture_prior:  # else it is robust already
             robust_around(run, (loss, x))
         x = lowered(run, x, stall=STALL if by_gauss_newton else None)
-    comparable = not has_mixture_prior(run) and run.options.robust == "none"
+    comparable = not run.has_mixture_prior and run.options.robust == "none"
     if comparable and run.rows[-1].loss > least[0]:
         # Squares know nothing of penalties, and there was no time to lower these.
         return least[1], *run.ended("", "; kept an earlier state, whose loss is lower")
@@ -90,18 +90,13 @@ def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, 
     return x, *run.ended(f"{why} further")
 
 
-def _goes_on(run: Run) -> bool:
-    return run.left > 0 and not run.out_of_time()
-
-
 def _by_lbfgs(
     run: Run, x: Array, loss: float, why: str, *, start_given: bool
 ) -> tuple[float, Array]:
     """Loss and x of L-BFGS from the start."""
-    descent = Descent.for_size(run)
-    with run.stage(descent.name) as notes:
-        share = DATA_SHARE_OF_ITERATIONS if has_mixture_prior(run) else 1.0
-        x, loss, _ = staged(run, x, loss, share * run.left, descent, start_given=start_given)
+    name, descent = for_size(run)
+    with run.stage(name) as notes:
+        x, loss, _ = staged(run, x, loss, descent, start_given=start_given)
         notes.append(why)
     return loss, x
 
@@ -113,7 +108,7 @@ def _may_be_better(run: Run, lights: LightEstimate, by_lbfgs: Array) -> bool:
     *_, squares = objective.problem.normal_equations(x, pixels)
     share = lights.sum_sq_residuals / max(float(squares.sum()), np.finfo(np.float64).tiny)
     least, most = SAME_FIT_OF_VALIDATION_PIXELS
-    return _goes_on(run) and (share <= FAR_BETTER or least <= share <= most)
+    return run.goes_on and (share <= FAR_BETTER or least <= share <= most)
 
 
 def _is_better(run: Run, found: Array, by_lbfgs: Array) -> bool:
@@ -124,14 +119,13 @@ def _is_better(run: Run, found: Array, by_lbfgs: Array) -> bool:
 def lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
     with run.stage("L-BFGS-B"):
-        share = DATA_SHARE_OF_ITERATIONS if has_mixture_prior(run) else 1.0
-        x, _, kept = staged(run, x, loss, share * run.left, SCIPYS, start_given=start_given)
-    if has_mixture_prior(run) and not run.out_of_time():
+        x, _, kept = staged(run, x, loss, by_scipy, start_given=start_given)
+    if run.has_mixture_prior and not run.out_of_time():
         x, prior = fit_mixture_prior(run, x)
         kept = kept if prior is None else ""
-        if run.left > 0 and not run.out_of_time():  # scipy takes a step even where none is left
+        if run.goes_on:  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):
-                _, x = SCIPYS(run, x, run.left)
+                _, x = by_scipy(run, x, run.left)
     # With zero tolerances scipy stops early only where rounding hides any further descent.
     return x, *run.ended("no step lowers the loss further", kept)
 
@@ -167,7 +161,7 @@ def with_material_prior(run: Run, x: Array) -> Array:
     Where there is none, or no time, x is as it was; so it is where nothing is left of the pictures
     but rounding: the prior is as strong as the noise.
     """
-    if not has_mixture_prior(run) or run.left <= 0 or run.out_of_time():
+    if not run.has_mixture_prior or not run.goes_on:
         return x
     if run.objective.data_value_and_grad(x)[0] <= EXACT_RMSE**2:
         with run.stage("material prior") as notes:
@@ -179,11 +173,6 @@ def with_material_prior(run: Run, x: Array) -> Array:
     with run.stage("all pixels by Gauss-Newton, with the material prior"):
         joint.fit_with_prior(run.objective, x, prior, _Watch(run, x))
     return x
-
-
-def has_mixture_prior(run: Run) -> bool:
-    """Whether the fit has a mixture prior on materials."""
-    return run.options.priors.material > 0
 
 
 def fit_mixture_prior(run: Run, x: Array) -> tuple[Array, GaussianPrior | None]:
@@ -248,10 +237,10 @@ class _Watch:
         run = self._run
         self._steps_of_few += 1
 
-        def state() -> Array:
+        def state() -> tuple[Materials, Array]:
             x = put(run.objective, self._x, pixels, materials)
             x[run.objective.layout.maps.stop :] = lights
-            return x
+            return run.objective.unpack(x)
 
         run.tell(run.objective.residual_rmse(share), state)
         return self._steps_of_few >= self._most_of_few or run.out_of_time()

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings, uncertainty
-from pbrfit.fit.gauss_newton.normal_equations import one_blas_thread
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.solvers.run import Run, SharedState, material_errors
@@ -23,6 +22,7 @@ from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions, Priors
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -32,11 +32,8 @@ SUBSET_PIXELS = (settings.TILES_SUBSET_PIXELS_MIN, settings.TILES_SUBSET_PIXELS_
 class Totals:
     """Samples of a whole scene, and what is left of the tiles so far.
 
-    Attributes
-    ----------
-    channels, pixels, samples, weight
-        How many channels are fitted, pixels are valid and samples have a weight, and the sum of the
-        weights, of which the largest is 1.
+    `samples` are those of some weight, `weight` is the sum of the weights, of which the largest
+    is 1.
     """
 
     def __init__(self, scene: Scene, units: Normalization, channels: int) -> None:
@@ -69,6 +66,7 @@ class Totals:
         return math.sqrt(self.mean) * self._scale
 
 
+@one_blas_thread()
 def fit_tiles(
     scene: Scene,
     setup: FitSetup,
@@ -79,21 +77,9 @@ def fit_tiles(
 ) -> FitOutput:
     """Fit a scene: some of its pixels together, then all of them in tiles.
 
-    Parameters
-    ----------
-    subset_pixels
-        Pixels that find the lights, at least and at most.
-    side
-        Rows and columns of a tile, at most.
+    `subset_pixels` find the lights, at least and at most; tiles have at most `side` rows and
+    columns.
     """
-    # Sums split over threads would round differently on a machine with more processors.
-    with one_blas_thread():
-        return _fit_tiles(scene, setup, start, subset_pixels, side)
-
-
-def _fit_tiles(
-    scene: Scene, setup: FitSetup, start: Start, subset_pixels: tuple[int, int], side: int
-) -> FitOutput:
     options = setup.options
     units = Normalization.of(scene, options.equal_exposures)
     cutter = SceneCutter(scene)
@@ -111,7 +97,7 @@ def _fit_tiles(
     def state() -> tuple[Materials, Array]:
         return maps.materials, subset.lighting
 
-    clock.tell_tile((0, len(pieces)), clock.rows[-1].recon_rmse, state)
+    clock.tell(clock.rows[-1].recon_rmse, state, tiles=(0, len(pieces)))
     for tile in pieces:
         run, x, status = _fit_tile(tile, subset, cutter, setup, units, whole)
         statuses.append(status)
@@ -124,7 +110,7 @@ def _fit_tiles(
             maps.put_variances(tile, run.scene, variances)
             clock.unmeasured += time.perf_counter() - before
         del run, x  # before the next tile has its own
-        clock.tell_tile((len(statuses), len(pieces)), whole.rmse, state)
+        clock.tell(whole.rmse, state, tiles=(len(statuses), len(pieces)))
     of_pixels = f"{subset.pixels} of {layout.pixels} pixels"
     clock.stages.append(
         Stage(

@@ -6,22 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.tiles.windows import Tile, Window
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
 
 
 class TiledMaps:
-    """Maps of a picture, NaN until their tile is done.
-
-    Attributes
-    ----------
-    materials, normals
-        (H, W, ...).
-    variances
-        Of the valid pixels; None where nobody asked.
-    """
+    """Maps of a picture, NaN until their tile is done, with `variances` if somebody asked."""
 
     def __init__(self, scene: Scene, layout: ParameterLayout, *, uncertain: bool) -> None:
         shape = scene.valid.shape
@@ -34,18 +26,15 @@ class TiledMaps:
         if uncertain:
             unknowns = layout.maps.stop // layout.pixels
             self.variances = uncertainty.Variances.empty(layout.pixels, unknowns)
-            self._number = np.zeros(shape, np.int32)
-            self._number[scene.valid] = np.arange(layout.pixels)
+            self._number = pixel_index(layout).astype(np.int32)
 
     def put(self, tile: Tile, part: Scene, materials: Materials) -> None:
         """Keep what a tile found inside: materials (h, w, ...), and the normals of its scene."""
-        for kept, found in (
-            (self.materials.albedo, materials.albedo),
-            (self.materials.roughness, materials.roughness),
-            (self.materials.metallic, materials.metallic),
-            (self.normals, part.normals),
-        ):
-            tile.inner.of(kept)[...] = tile.inside.of(found)
+        for name in ("albedo", "roughness", "metallic"):
+            tile.inner.of(getattr(self.materials, name))[...] = tile.inside.of(
+                getattr(materials, name)
+            )
+        tile.inner.of(self.normals)[...] = tile.inside.of(part.normals)
 
     def put_variances(self, tile: Tile, part: Scene, found: uncertainty.Variances) -> None:
         """The same of variances."""
@@ -59,14 +48,8 @@ class TiledMaps:
 class NearestMaps:
     """Materials and normals of a strided subset, looked up from anywhere in the picture.
 
-    Parameters
-    ----------
-    subset
-        Which pixels of the picture they are of.
-    valid
-        (H, W): the pixels of the picture that are fitted.
-    materials, normals
-        Of the subset; where it has none, the nearest pixel that has some is taken.
+    Where the subset has none, those of its nearest pixel that has some are taken. `valid` (H, W)
+    are the pixels of the picture that are fitted.
     """
 
     def __init__(

@@ -24,38 +24,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SubsetResult:
-    """What a subset of the pixels found.
-
-    Attributes
-    ----------
-    run
-        Whose clock goes on.
-    status, reason
-        Why it ended.
-    pixels
-        How many there are.
-    lighting
-        (N, 16, 3) in picture units.
-    refinement
-        What was decided about normals.
-    shared_state, priors
-        What tiles have in common, and the priors that they have then.
-    light_modes
-        How the lights may move; None where they are known or nobody asked.
-    nearest
-        Materials and normals to start from.
-    """
+    """What a subset of the pixels found."""
 
     run: Run
+    """Whose clock goes on."""
     status: Status
     reason: str
     pixels: int
+    """How many there are."""
     lighting: Array
+    """(N, 16, 3) in picture units."""
     refinement: Refinement
     shared_state: SharedState
     priors: Priors
+    """What tiles have in common, and the priors that they have then."""
     light_modes: uncertainty.LightModes | None
+    """How the lights may move; None where they are known or nobody asked."""
     nearest: NearestMaps
+    """Materials and normals to start from."""
 
 
 def fit_subset(

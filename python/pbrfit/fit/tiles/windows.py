@@ -33,21 +33,13 @@ class Window:
 
 @dataclass(frozen=True)
 class Tile:
-    """A tile: the pixels that are fitted, and those of them that are kept.
-
-    Attributes
-    ----------
-    outer
-        Pixels that are fitted, in the whole picture.
-    inner
-        Pixels that are kept, in the whole picture, and
-    inside
-        the same in the outer window.
-    """
+    """A tile: the pixels that are fitted, and those of them that are kept."""
 
     outer: Window
+    """Pixels that are fitted, in the whole picture."""
     inner: Window
     inside: Window
+    """Pixels that are kept, in the whole picture and in the outer window."""
 
 
 def strided_window(valid: NDArray[np.bool_], at_least: int, at_most: int) -> Window:
