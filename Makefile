@@ -1,5 +1,5 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
-# make test-slow: the tests that take more than five seconds each, which make test leaves out
+# make test-slow: the tests that take more than two seconds each, which make test leaves out
 # make bench-needs: what leaving out parts of a fit saves
 # make bench-lbfgs: our bounded L-BFGS beside scipy's
 # make bench-growth: time and memory of a fit from 0.25 to 16 MP, 4 to 64 pictures (an hour, 13 GiB)
@@ -57,7 +57,7 @@ test:
 	$(PYTEST) -m "not slow"
 
 test-rust: lint-rust
-	cargo test --profile test-optimized
+	cargo test
 
 test-slow: $(VENV)/tools
 	$(PYTEST) -m slow

@@ -237,6 +237,7 @@ def test_the_default_is_judged_and_failures_are_named() -> None:
     assert not list(figures.sections(nothing, []))
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     command = ("evaluate", "ablation", "--out", out, "--quick", "--jobs", "1",

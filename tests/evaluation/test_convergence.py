@@ -296,6 +296,7 @@ def test_speed_is_against_the_sooner_of_ours_and_against_the_peer() -> None:
     assert not raced(auto=CURVE)
 
 
+@pytest.mark.slow
 def test_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -112,6 +112,7 @@ def test_light_comes_through_the_ceiling_and_walls_out_of_sight() -> None:
     assert all(light_blockers(of, 60.0, "open")[of.walls :])
 
 
+@pytest.mark.slow
 def test_maps_are_sent_only_where_a_material_varies() -> None:
     assert not export(world("room"), SIZE, 60.0).maps
     of = world("textured")

@@ -369,6 +369,7 @@ def test_recipes(scene: Scene) -> None:
 # ------------------------------------------------------------------------------- the truth stays
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["room", "spheres", "textured", "furnished"])
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_fit_that_starts_at_the_truth_stays_there(kind: str, seed: int) -> None:

@@ -255,6 +255,7 @@ def test_points_outside_the_range_are_named(r: float, n_dot_v: float) -> None:
             of(r, n_dot_v)
 
 
+@pytest.mark.slow
 def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "gap"
     command = ("evaluate", "gap", "--out", out, "--quick", "--jobs", 1)

@@ -162,6 +162,7 @@ def test_cases_have_names_of_their_own_and_seeds_that_nothing_was_tuned_on(
     assert true.count("detailed") == len(true) // 4
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("half_way")
 def test_rooms_are_told_wrong_normals_and_measured_at_the_true_ones() -> None:
     found = measure.run(Case("rooms", "furnished", 2003, 16, "correlated", 10.0, 2), 1)
@@ -308,6 +309,7 @@ def test_most_scenes_must_come_back() -> None:
 # --------------------------------------------------------------------------------------- command
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("half_way")
 def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     out = tmp_path / "out"

@@ -28,6 +28,7 @@ def test_exact_is_exact_in_every_map() -> None:
         assert not measure.is_exact(bad, [0.0])
 
 
+@pytest.mark.slow
 def test_the_mark_is_the_lower_of_lbfgsb_and_gauss_newton_from_the_truth() -> None:
     found = measure.run_noise(Case("noise", 1000, 12, 15, noise=0.01), 1)
     assert list(found) == list(measure.NOISE_FITS)

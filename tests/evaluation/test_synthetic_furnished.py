@@ -97,6 +97,7 @@ def test_rooms_differ() -> None:
     assert len({len(room) for room in parts}) > 2
 
 
+@pytest.mark.slow
 def test_every_piece_is_in_the_room() -> None:
     for seed in range(5):
         meshes = export(draw("furnished", np.random.default_rng(seed)), 8, 60.0).meshes

@@ -262,6 +262,7 @@ def test_scene_from_a_folder_of_maps(two_sets: Path) -> None:
     assert np.mean(changed > 0.01) > 0.5
 
 
+@pytest.mark.slow
 def test_scenes_from_real_maps(shared_data: Path) -> None:
     folder = shared_data / "pbr_ambientcg"
     if not folder.is_dir():

@@ -155,6 +155,7 @@ def test_given_normals_are_used(tmp_path: Path) -> None:
         measure.work(Task("normals", 1001, 24, 4, 1, predicted_normals=tmp_path), 1)
 
 
+@pytest.mark.slow
 def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
     normals, out = tmp_path / "normals", tmp_path / "out"
     normals.mkdir()
@@ -200,6 +201,7 @@ def test_means_are_over_finished_scenes() -> None:
 # --------------------------------------------------------------------------------------- command
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     rows = ("--rows", "base", "normals", "normals-refined", "regularized", "cycles-panorama")
@@ -235,6 +237,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert all(math.isfinite(float(scene["relight"])) for scene in scenes)
 
 
+@pytest.mark.slow
 def test_command_goes_on_and_reports_failures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

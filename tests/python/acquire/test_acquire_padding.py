@@ -79,6 +79,7 @@ def test_a_network_that_changes_nothing_gives_the_same_bytes_back(size: tuple[in
     np.testing.assert_array_equal(found.from_model(found.to_model(photo)), photo)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "limits"),
     [

@@ -116,6 +116,7 @@ def test_a_bend_is_found() -> None:
     assert any("warp" in failed(verdict) for verdict in verdicts)
 
 
+@pytest.mark.slow
 def test_verdicts_do_not_depend_on_the_order() -> None:
     members = list(pictures()[1:])
     members[2] = camera(repainted(view().pictures[3], "removed"))
@@ -132,6 +133,7 @@ def test_too_few_pictures_are_not_judged_together() -> None:
     assert all(v.checks for v in reviewer().together(pictures()[1:4]))
 
 
+@pytest.mark.slow
 def test_what_the_mask_leaves_out_is_not_reviewed() -> None:
     mask = np.ones((SIZE, SIZE), bool)
     mask[:, : SIZE // 2] = False

@@ -150,6 +150,7 @@ def run(*arguments: str | Path, without: Path | None = None) -> subprocess.Compl
     return subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, check=False, **how)
 
 
+@pytest.mark.slow
 def test_command_reports_a_missing_peer(tmp_path: Path) -> None:
     hidden = tmp_path / "hidden"
     hidden.mkdir()

@@ -405,6 +405,7 @@ def test_grey_pictures_are_fitted_in_one_channel(tmp_path: Path) -> None:
     np.testing.assert_array_equal(albedo[..., 0], albedo[..., 2])
 
 
+@pytest.mark.slow
 def test_demo(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     assert "roughness" in done("demo", out, "--size", 8, "--lights", 3, *FEW)

@@ -297,6 +297,7 @@ def total(objective: Objective, x: Array, prior: GaussianPrior) -> float:
     return float(sum_sq_at(objective, x).sum()) / objective.total_weight + cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in FREE_LIGHTS if kind != "order 2"])
 def test_squares_and_prior_together_are_lowered(noisy: Scene, kind: str) -> None:
     objective = objective_of(noisy, kind)

@@ -221,6 +221,7 @@ def test_the_reconstruction_error_is_weighted() -> None:
     assert result.metrics["recon_rmse"] != pytest.approx(np.sqrt(np.mean(squares)), rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_weights_keep_bad_samples_out_of_the_maps(solver: Solver) -> None:
     """A tenth of the samples is ten times too bright, as in a highlight that the model lacks."""

@@ -107,6 +107,7 @@ def test_no_start_of_scipys_ends_lower(kind: Kind) -> None:
         assert squares[p] <= best_of_scipy(example, p) * (1 + 1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [KINDS[0], KINDS[4]], ids=str)
 def test_a_prior_is_minimised_with_the_squares(kind: Kind) -> None:
     example = noisy(kind)

@@ -352,6 +352,7 @@ def test_the_page_shows_given_and_refined_normals_and_the_decision(
     assert set(result.refinement.figures.values()) <= values
 
 
+@pytest.mark.slow
 def test_the_page_says_why_normals_are_as_given(result: Result, tmp_path: Path) -> None:
     figures = {"noise": 0.01, "something_new": 3.0, "residual_before": math.nan}
     left = Refinement("auto", False, "the pictures are explained to their noise", figures)

@@ -53,6 +53,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
 """Options, and the share of the errors by squares that is left at most."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("loss", ROBUST)
 def test_outliers_do_less_harm_than_to_squares(loss: str, case: str) -> None:

@@ -62,6 +62,7 @@ def test_pictures_without_noise_are_explained_to_their_last_bit(seed: int, solve
     assert names_of(result) == ["lights by Gauss-Newton", "all pixels by Gauss-Newton"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SECOND_ORDER)
 @pytest.mark.parametrize("seed", [2000, 2001])
 def test_pictures_in_float64_are_explained_as_far_as_that_goes(seed: int, solver: Solver) -> None:
@@ -119,6 +120,7 @@ GAPS: dict[str, Callable[[], tuple[Scene, dict[str, Any]]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", GAPS)
 def test_auto_notices_that_the_model_does_not_fit(gap: str) -> None:
     scene, options = GAPS[gap]()
@@ -236,6 +238,7 @@ def test_the_command_says_what_ran(
         assert stage.note in line
 
 
+@pytest.mark.slow
 def test_demo_draws_all_from_one_seed(tmp_path: Path) -> None:
     options = ("--size", 8, "--lights", 3, "--iterations", 2, "--seed", 9, "--quiet")
     assert run("demo", tmp_path / "out", *options) == 0

@@ -168,6 +168,7 @@ class TestFit:
         assert after < 0.75 * before  # as a fit of all pixels, to a tenth
         assert result.metrics["recon_rmse"] < 0.012
 
+    @pytest.mark.slow
     def test_masks_and_weights_are_kept(self, noisy: pbrfit.Scene) -> None:
         mask = np.ones(noisy.valid.shape, bool)
         mask[:40, :45] = mask[60:, 66:] = False
@@ -217,6 +218,7 @@ class TestFit:
             with pytest.raises(pbrfit.InputError, match=message):
                 held(noisy, start=given)
 
+    @pytest.mark.slow
     def test_passes_over_a_tile_count_by_its_pixels(
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -244,6 +246,7 @@ class TestFit:
         assert found[0] is Status(status)
         assert found[1].startswith(reason)
 
+    @pytest.mark.slow
     def test_penalties_are_as_strong_where_all_weights_are_small(
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -282,6 +285,7 @@ class TestFit:
         assert np.isfinite(result.lighting).all()
         assert result.uncertainty is not None
 
+    @pytest.mark.slow
     def test_time_that_runs_out_says_how_many_tiles_are_unfinished(
         self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -307,6 +311,7 @@ class TestFit:
 
 @pytest.mark.usefixtures("nine_tiles")
 class TestCommand:
+    @pytest.mark.slow
     @pytest.mark.parametrize("options", [[], ["--quiet"]])
     def test_shows_tiles_or_nothing(
         self,

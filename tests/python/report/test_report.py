@@ -382,6 +382,7 @@ def test_grey_pictures_and_one_picture_of_known_light(tmp_path: Path) -> None:
     assert len([e for e in found.all("img") if e.attributes["alt"].startswith("Panorama")]) == 1
 
 
+@pytest.mark.slow
 def test_doubts_about_the_field_of_view_and_flat_normals_are_said(tmp_path: Path) -> None:
     flat = np.zeros((SIZE, SIZE, 3))
     flat[..., 2] = 1.0
@@ -487,6 +488,7 @@ def test_a_page_of_large_noisy_pictures_stays_below_the_limit(tmp_path: Path) ->
     assert len(pictures) == 16
 
 
+@pytest.mark.slow
 def test_pictures_that_do_not_fit_are_left_out_evenly_and_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

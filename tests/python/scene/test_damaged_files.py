@@ -367,6 +367,7 @@ def test_a_damaged_record_is_made_again(tmp_path: Path, text: str) -> None:
     assert again[0].values == first[0].values == {"answer": 42}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="limits on processes are those of Unix")
 def test_a_few_hundred_damaged_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
