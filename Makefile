@@ -123,18 +123,20 @@ wheel: $(VENV)/tools
 clean:
 	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) $(CLUSTER) $(FUZZ) target dist out
 
-$(VENV)/installed: $(SOURCES)
+$(VENV)/bin/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pbrfit needs Python 3.11 or later; set PYTHON=...")'
 	@command -v cargo >/dev/null || { echo "pbrfit needs a Rust toolchain: https://rustup.rs"; exit 1; }
-	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv $(VENV)
 	@echo "building pbrfit; the first time takes a few minutes"
+
+$(VENV)/installed: $(SOURCES) | $(VENV)/bin/pip
 	$(BIN)/pip install --quiet --editable .
 	touch $@
 
-# Without the core's own rules about when to rebuild, but with everything that tests need.
-$(VENV)/tools: $(VENV)/installed
+# The package too, with everything that tests need.
+$(VENV)/tools: $(SOURCES) | $(VENV)/bin/pip
 	$(BIN)/pip install --quiet --editable '.[test,lint]' --editable evaluation
-	touch $@
+	touch $(VENV)/installed $@
 
 # Peers one by one: what cannot be installed is left out, with a message here and in the results.
 $(PEERS)/installed: $(SOURCES) $(PYTHON_SOURCES) benches/peers/requirements.txt

@@ -15,6 +15,7 @@ from pbrfit_evaluation.peers.figures import IN_WORDS
 from scene_files import room, run
 
 
+@pytest.mark.slow
 def test_what_cannot_run_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     nowhere = tmp_path / "nowhere"

@@ -326,6 +326,7 @@ def test_facts_of_a_broken_fit() -> None:
 # The command
 
 
+@pytest.mark.slow
 def test_the_command_holds_every_bound_and_writes_its_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -97,6 +97,7 @@ def here(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("work", UNFINISHED)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_what_is_unfinished_goes_away_while_a_call_keeps_the_interpreter(

@@ -143,6 +143,7 @@ def test_given_metallic_explains_pictures_of_it(metallic: float) -> None:
 # --- Weights ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("shape", [(SIZE, SIZE), (N, SIZE, SIZE)])
 @pytest.mark.parametrize("value", [1.0, 1e-30, 1e30, 3])

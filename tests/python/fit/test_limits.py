@@ -129,6 +129,7 @@ def test_whenever_time_is_up_little_is_done_from_there_on(
     assert max(done.values()) <= passes < undisturbed.done / SIZE**2 / 3, done
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("refine_normals", ["off", "on"])
 @pytest.mark.parametrize("iterations", [0, 1, 2])

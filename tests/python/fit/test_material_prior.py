@@ -300,6 +300,7 @@ def test_the_prior_halves_the_error_of_roughness(solver: Solver) -> None:
     assert default.metrics["albedo_rmse"] < without.metrics["albedo_rmse"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_problem_has_a_mixture_prior(room: Scene, kind: str, solver: Solver) -> None:

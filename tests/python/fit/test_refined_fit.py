@@ -270,6 +270,7 @@ def test_noise_is_less_than_half_of_what_given_normals_left_in_common() -> None:
         assert keeps_refined(before, after, 5.0)[0] == refined
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [{}, {"priors": None}, {"robust": "huber"}, {"priors": Priors(monochrome=1e-3)}],
@@ -306,6 +307,7 @@ def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
 # --------------------------------------------------------------------------------- other options
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", ["on", "auto"])
 @pytest.mark.parametrize(
     "options",
@@ -407,6 +409,7 @@ HOW: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", HOW)
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_of_all_kinds_have_a_finite_answer(name: str, how: str) -> None:

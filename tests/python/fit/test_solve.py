@@ -164,6 +164,7 @@ def test_few_iterations_with_strong_penalties_do_no_harm(
     assert objective.value_and_grad(x)[0] <= result.history["loss"][0] * (1 + 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "factor"),
     [
