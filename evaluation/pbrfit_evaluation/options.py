@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pbrfit.commands.arguments import positive
+from pbrfit.commands.arguments import positive, whole_number
 from pbrfit.model.reflection import MODELS, Model
 
 Add = Callable[[argparse.ArgumentParser], object]
@@ -25,6 +25,18 @@ def option(*flags: str, **settings: Any) -> Add:
 def count(flag: str, metavar: str, what: str, **settings: Any) -> Add:
     """A whole number above 0; without a default it is that of the suite's `effort`."""
     return option(flag, metavar=metavar, type=positive, help=what, **settings)
+
+
+def first_seed(of: str, untuned: int | None = None) -> Add:
+    """`--first-seed`, that of the first `of`.
+
+    The default is `untuned`, from which on no seed served to choose anything; without it, that of
+    the suite's `effort`.
+    """
+    said = f"of the first {of}"
+    if untuned is not None:
+        said += " (default: %(default)s; nothing was tuned on seeds from there on)"
+    return option("--first-seed", metavar="SEED", type=whole_number, default=untuned, help=said)
 
 
 def model_option(what: str) -> Add:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pbrfit.commands.arguments import whole_number
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit_evaluation.ablation import figures
 from pbrfit_evaluation.ablation.cases import CASES, VARIED_IN
 from pbrfit_evaluation.ablation.configurations import curves, table
 from pbrfit_evaluation.ablation.measure import RoomTask, room
-from pbrfit_evaluation.options import count, option
+from pbrfit_evaluation.options import count, first_seed
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -61,14 +60,7 @@ SUITE = Suite(
         count("--scenes", "K", "rooms of each case"),
         count("--size", "PIXELS", "of a room's pictures"),
         count("--iterations", "N", "of each fit"),
-        option(
-            "--first-seed",
-            metavar="SEED",
-            type=whole_number,
-            default=FIRST_SEED,
-            help="of the first room (default: %(default)s; nothing was tuned on seeds from there "
-            "on)",
-        ),
+        first_seed("room", FIRST_SEED),
     ),
     effort={
         "scenes": (5, 1),

@@ -6,11 +6,11 @@ import argparse
 from functools import partial
 from typing import Literal
 
-from pbrfit.commands.arguments import add_threads, whole_number
+from pbrfit.commands.arguments import add_threads
 from pbrfit_evaluation.normals import figures
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, Disturbance
 from pbrfit_evaluation.normals.measure import FIRST_SEED, Case, Name, room_kind, run
-from pbrfit_evaluation.options import count, option
+from pbrfit_evaluation.options import count, first_seed, option
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 LARGEST = 45.0
@@ -102,14 +102,7 @@ SUITE = Suite(
         count("--scenes", "K", "rooms"),
         count("--size", "PIXELS", "of the rooms' pictures"),
         count("--iterations", "K", "of a fit"),
-        option(
-            "--first-seed",
-            metavar="SEED",
-            type=whole_number,
-            default=FIRST_SEED,
-            help="of the first room (default: %(default)s; nothing was tuned on seeds from there "
-            "on)",
-        ),
+        first_seed("room", FIRST_SEED),
     ),
     effort={
         "disturbances": (DISTURBANCES, DISTURBANCES),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pbrfit.commands.arguments import whole_number
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.options import absolute, cycles_cache, option
+from pbrfit_evaluation.options import absolute, cycles_cache, first_seed, option
 from pbrfit_evaluation.review import figures
 from pbrfit_evaluation.review.measure import Task, work
 from pbrfit_evaluation.review.pictures import Renderer
@@ -60,9 +59,7 @@ SUITE = Suite(
     ],
     options=(
         # Nothing was tuned on seeds from 6000 on.
-        option(
-            "--first-seed", metavar="SEED", type=whole_number, help="of the first scene of a source"
-        ),
+        first_seed("scene of a source"),
         cycles_cache,
         option(
             "--no-cycles", action="store_true", help="only our own renders, even with Cycles there"

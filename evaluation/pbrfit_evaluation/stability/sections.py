@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from pbrfit.threads import one_blas_thread
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.stability import bands, branches, objective, stiff_fits
 from pbrfit_evaluation.stability.measure import ROUNDING, Figure, worst
@@ -224,7 +224,7 @@ def run(task: Task, threads: int) -> Values:
     section = SECTIONS[task.section]
     rng = np.random.default_rng([task.seed, 1 + list(SECTIONS).index(task.section)])
     # Small matrices: more BLAS threads only get into each other's way, and change the last bits.
-    with threadpool_limits(1):
+    with one_blas_thread():
         values = section.measure(rng, threads, *task.sizes)
     return {"figures": worst_of(task.section, values.get("rows", {})), **values}
 
