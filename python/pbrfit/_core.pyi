@@ -229,13 +229,15 @@ class Problem:
         mono: bool = False,
         precision: NDArray[np.float64] | None = None,
         deviation: NDArray[np.float64] | None = None,
+        cluster: tuple[NDArray[np.uint64], int] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Schur complement S (M, M) and gradient s (M,) of the lights, some pixels eliminated.
 
         The M unknowns are (light channel, picture, coefficient); one light channel if `mono`. A
         share `damping` of its diagonal is added to the matrix of each pixel. precision a and
-        deviation v − c, both (P', F), are those of a Gaussian prior Σ a (v − c)² of the F unknowns
-        of a pixel after albedo.
+        deviation v − c − o, both (P', F), are those of a Gaussian prior Σ a (v − c − o)² of the F
+        unknowns of a pixel after albedo. With `cluster`, the number (P',) that each has and
+        how many clusters G there are, their offsets o (G, F) are shared unknowns too, the last.
         """
     def schur_product(
         self,
@@ -247,6 +249,7 @@ class Problem:
         mono: bool = False,
         precision: NDArray[np.float64] | None = None,
         deviation: NDArray[np.float64] | None = None,
+        cluster: tuple[NDArray[np.uint64], int] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """S v (M,) and s (M,) of `schur_complement`, without making S."""
     def back_substitute(
@@ -259,6 +262,7 @@ class Problem:
         mono: bool = False,
         precision: NDArray[np.float64] | None = None,
         deviation: NDArray[np.float64] | None = None,
+        cluster: tuple[NDArray[np.uint64], int] | None = None,
     ) -> NDArray[np.float64]:
         """Unknowns (P', D) that a Gauss-Newton step leads to when the lights move by v (M,).
 

@@ -16,7 +16,7 @@ use crate::pixel::pixel_fit::{GaussianPrior, Search};
 use crate::problem::robust::Robust;
 use crate::problem::{Options, Pictures, Problem};
 use crate::runtime::{Error, check, pool};
-use crate::schur::{Elimination, PriorTerm};
+use crate::schur::{Clusters, Elimination, PriorTerm};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProblem>()
@@ -171,7 +171,7 @@ impl PyProblem {
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let residuals = py.detach(|| self.problem.residuals(x, &pixels))?;
         let shape = [
@@ -229,7 +229,7 @@ impl PyProblem {
         roughness: &Bound<'py, PyAny>,
         metallic: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
         let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
@@ -261,7 +261,7 @@ impl PyProblem {
         precision: Option<&Bound<'py, PyAny>>,
         held_normals: bool,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
         let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
@@ -304,7 +304,7 @@ impl PyProblem {
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let best = py.detach(|| self.problem.best_albedo(x, &pixels))?;
         let shape = [pixels.len(), self.problem.channels()];
@@ -325,7 +325,7 @@ impl PyProblem {
         Bound<'py, PyArray2<f64>>,
         Bound<'py, PyArray1<f64>>,
     )> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let found = py.detach(|| self.problem.normal_equations(x, &pixels))?;
         let (p, d) = (pixels.len(), self.problem.unknowns_of_pixel());
@@ -347,7 +347,7 @@ impl PyProblem {
         Bound<'py, PyArray3<f64>>,
         Bound<'py, PyArray3<f64>>,
     )> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let found = py.detach(|| self.problem.derivatives(x, &pixels))?;
         let problem = &self.problem;
@@ -371,7 +371,7 @@ impl PyProblem {
         covariances: &Bound<'py, PyAny>,
         modes: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let problem = &self.problem;
         let (p, d) = (pixels.len(), problem.unknowns_of_pixel());
@@ -391,7 +391,7 @@ impl PyProblem {
         Ok(matrix(moves, [p, d]).into_pyarray(py))
     }
 
-    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, deviation = None))]
+    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
     #[expect(clippy::type_complexity, clippy::too_many_arguments)]
     fn schur_complement<'py>(
         &self,
@@ -402,10 +402,11 @@ impl PyProblem {
         mono: bool,
         precision: Option<&Bound<'py, PyAny>>,
         deviation: Option<&Bound<'py, PyAny>>,
+        cluster: Option<(Bound<'py, PyAny>, usize)>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
-        let prior = self.prior(pixels.len(), precision, deviation)?;
+        let prior = self.prior(pixels.len(), precision, deviation, cluster)?;
         let how = elimination(damping, mono, prior.as_ref());
         let found = py.detach(|| self.problem.schur_complement(x, &pixels, &how))?;
         let size = found.gradient.len();
@@ -415,7 +416,7 @@ impl PyProblem {
         ))
     }
 
-    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None))]
+    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
     #[expect(clippy::type_complexity, clippy::too_many_arguments)]
     fn schur_product<'py>(
         &self,
@@ -427,11 +428,12 @@ impl PyProblem {
         mono: bool,
         precision: Option<&Bound<'py, PyAny>>,
         deviation: Option<&Bound<'py, PyAny>>,
+        cluster: Option<(Bound<'py, PyAny>, usize)>,
     ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
-        let prior = self.prior(pixels.len(), precision, deviation)?;
+        let prior = self.prior(pixels.len(), precision, deviation, cluster)?;
         let how = elimination(damping, mono, prior.as_ref());
         let found = py.detach(|| self.problem.schur_product(x, &pixels, &v, &how))?;
         Ok((
@@ -440,7 +442,7 @@ impl PyProblem {
         ))
     }
 
-    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None))]
+    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
     #[expect(clippy::too_many_arguments)]
     fn back_substitute<'py>(
         &self,
@@ -452,11 +454,12 @@ impl PyProblem {
         mono: bool,
         precision: Option<&Bound<'py, PyAny>>,
         deviation: Option<&Bound<'py, PyAny>>,
+        cluster: Option<(Bound<'py, PyAny>, usize)>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let (x, pixels) = (self.x(x)?, indices(pixels)?);
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
         let x = x.values();
         let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
-        let prior = self.prior(pixels.len(), precision, deviation)?;
+        let prior = self.prior(pixels.len(), precision, deviation, cluster)?;
         let how = elimination(damping, mono, prior.as_ref());
         let materials = py.detach(|| self.problem.back_substitute(x, &pixels, &v, &how))?;
         let shape = [pixels.len(), self.problem.unknowns_of_pixel()];
@@ -464,15 +467,24 @@ impl PyProblem {
     }
 }
 
-fn elimination<'a>(damping: f64, mono: bool, prior: Option<&'a [Vec<f64>; 2]>) -> Elimination<'a> {
+fn elimination(damping: f64, mono: bool, prior: Option<&Prior>) -> Elimination<'_> {
     Elimination {
         damping,
         mono,
-        prior: prior.map(|[precision, deviation]| PriorTerm {
-            precision,
-            deviation,
+        prior: prior.map(|prior| PriorTerm {
+            precision: &prior.precision,
+            deviation: &prior.deviation,
+            clusters: (prior.cluster.as_ref())
+                .map(|&(ref of_pixels, count)| Clusters { of_pixels, count }),
         }),
     }
+}
+
+/// A Gaussian prior of some pixels: (pixels, unknowns without albedo), and their clusters.
+struct Prior {
+    precision: Vec<f64>,
+    deviation: Vec<f64>,
+    cluster: Option<(Vec<usize>, usize)>,
 }
 
 /// See [`PyProblem::copied`].
@@ -516,18 +528,19 @@ impl PyProblem {
         Ok(copied)
     }
 
-    /// Precision and deviation of a prior, both (pixels, unknowns without albedo), or none.
     fn prior(
         &self,
         pixels: usize,
         precision: Option<&Bound<'_, PyAny>>,
         deviation: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Option<[Vec<f64>; 2]>> {
+        cluster: Option<(Bound<'_, PyAny>, usize)>,
+    ) -> PyResult<Option<Prior>> {
         let (precision, deviation) = match (precision, deviation) {
-            (None, None) => return Ok(None),
+            (None, None) if cluster.is_none() => return Ok(None),
             (Some(precision), Some(deviation)) => (precision, deviation),
             (Some(_), None) => return Err(missing("deviation", "precision")),
             (None, Some(_)) => return Err(missing("precision", "deviation")),
+            (None, None) => return Err(missing("precision", "cluster")),
         };
         let shared = self.problem.unknowns_of_pixel() - self.problem.channels();
         let values = |name, argument| {
@@ -535,10 +548,13 @@ impl PyProblem {
             shape(name, &[pixels, shared], values.shape())?;
             PyResult::Ok(copied(&values))
         };
-        Ok(Some([
-            values("precision", precision)?,
-            values("deviation", deviation)?,
-        ]))
+        Ok(Some(Prior {
+            precision: values("precision", precision)?,
+            deviation: values("deviation", deviation)?,
+            cluster: cluster
+                .map(|(of_pixels, count)| PyResult::Ok((indices("cluster", &of_pixels)?, count)))
+                .transpose()?,
+        }))
     }
 }
 
@@ -546,8 +562,8 @@ fn missing(name: &'static str, other: &str) -> PyErr {
     Error::argument(name, format!("an array beside {other}"), "None").into()
 }
 
-/// Pixels by number.
-fn indices(pixels: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
-    let pixels = array::<u64, numpy::Ix1>("pixels", pixels)?;
-    Ok(copied(&pixels).into_iter().map(|p| p as usize).collect())
+/// Pixels, or clusters, by number.
+fn indices(name: &'static str, given: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+    let given = array::<u64, numpy::Ix1>(name, given)?;
+    Ok(copied(&given).into_iter().map(|p| p as usize).collect())
 }

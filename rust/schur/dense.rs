@@ -36,6 +36,9 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
             for dense_rows in &dense_rows {
                 add(&mut found.gradient, &dense_rows.gradient);
                 self.add_grams(&dense_rows.grams, &mut found.matrix);
+                for (i, a) in dense_rows.diagonal.iter().enumerate() {
+                    found.matrix[(self.of_lights() + i) * (size + 1)] += a;
+                }
             }
             let tiles = pool::map(self.problem.threads(), self.tiles(), |tile| {
                 let mut values = vec![0.0; tile.rows.1 * tile.columns.1];
@@ -59,12 +62,18 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
         Ok(found)
     }
 
-    /// Pieces of the lower triangle of S; none crosses a border of channels.
+    /// Pieces of the lower triangle of S; none crosses a border of channels, of which offsets count
+    /// as one more.
     fn tiles(&self) -> Vec<Tile> {
         let of_channel = self.of_channel();
-        let pieces: Vec<_> = (0..self.channels)
-            .flat_map(|c| (0..of_channel).step_by(TILE).map(move |first| (c, first)))
-            .map(|(c, first)| (c, c * of_channel + first, TILE.min(of_channel - first)))
+        let mut parts = vec![of_channel; self.channels];
+        parts.push(self.offsets());
+        let pieces: Vec<_> = (parts.iter().enumerate())
+            .flat_map(|(c, &count)| {
+                (0..count)
+                    .step_by(TILE)
+                    .map(move |first| (c, c * of_channel + first, TILE.min(count - first)))
+            })
             .collect();
         let mut tiles = Vec::new();
         for (i, &(channel, row, rows)) in pieces.iter().enumerate() {
@@ -72,7 +81,7 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
                 tiles.push(Tile {
                     rows: (row, rows),
                     columns: (column, columns),
-                    channel: (channel == other).then_some(channel),
+                    channel: (channel == other && channel < self.channels).then_some(channel),
                 });
             }
         }
@@ -105,7 +114,7 @@ struct Tile {
 
 /// A block's rows times its weights, R W, and its share of G and s.
 struct DenseRows {
-    /// R W of the unknowns that all channels share: (M, unknown, pixel).
+    /// R W, and −U a of offsets, of the unknowns that all channels share: (M, unknown, pixel).
     shared: Vec<f64>,
     /// How many unknowns are shared.
     unknowns: usize,
@@ -113,6 +122,8 @@ struct DenseRows {
     albedo: Vec<f64>,
     /// (channel, 1 or picture, K, K)
     grams: Vec<f64>,
+    /// Σ a by offset.
+    diagonal: Vec<f64>,
     /// (M)
     gradient: Vec<f64>,
 }
@@ -138,14 +149,19 @@ impl DenseRows {
                 shared: shared.as_chunks_mut().0,
             });
         }
+        let mut diagonal = vec![0.0; lights.offsets()];
+        let columns = &mut shared[lights.of_lights() * unknowns * BLOCK..];
+        eliminated.fill_offset_columns(columns, &mut diagonal);
         let mut gradient = vec![Lanes::default(); C * n];
-        eliminated.add_gradient(&mut gradient);
+        let mut by_offsets = vec![0.0; lights.offsets()];
+        eliminated.add_gradient(&mut gradient, &mut by_offsets);
         Self {
             shared,
             unknowns,
             albedo,
             grams: eliminated.grams(),
-            gradient: lights.collected(&gradient),
+            diagonal,
+            gradient: lights.collected(&gradient, by_offsets),
         }
     }
 

@@ -13,6 +13,8 @@ use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::Instructions;
 
+use super::PriorTerm;
+
 /// A block of pixels that are solved for. Samples are (channel, picture).
 pub(super) struct EliminatedBlock<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 {
@@ -33,8 +35,17 @@ pub(super) struct EliminatedBlock<'a, M: Reflection, const C: usize, const D: us
     whiten: [[Doubles; U]; U],
     /// U g
     whitened: [Doubles; U],
+    /// The prior whose offsets clusters share: a and a (v − c − o) by unknown, and the cluster of
+    /// each pixel.
+    tied: Option<Tied<U>>,
     /// R, in the same order as J.
     pub(super) rows: Vec<[Doubles; D]>,
+}
+
+struct Tied<const U: usize> {
+    precision: [Doubles; U],
+    pull: [Doubles; U],
+    clusters: Vec<usize>,
 }
 
 impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
@@ -53,6 +64,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             sums: Sums::default(),
             whiten: [[Doubles::default(); U]; U],
             whitened: [Doubles::default(); U],
+            tied: None,
             rows: vec![[Doubles::default(); D]; samples],
         }
     }
@@ -62,7 +74,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         maps: &[f64],
         lights: &[[f64; COEFFICIENTS]],
         pixels: &[usize],
-        prior: Option<[&[f64]; 2]>,
+        prior: Option<PriorTerm>,
         damping: f64,
     ) {
         let isa = self.problem.instructions();
@@ -90,13 +102,23 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
                 }
             }
         });
-        if let Some([precision, deviation]) = prior {
-            let shared = precision.len() / pixels.len();
-            for (i, (a, deviation)) in precision.iter().zip(deviation).enumerate() {
+        self.tied = None;
+        if let Some(prior) = prior {
+            let shared = prior.precision.len() / pixels.len();
+            let mut precision = [Doubles::default(); U];
+            let mut pull = [Doubles::default(); U];
+            for (i, (a, deviation)) in prior.precision.iter().zip(prior.deviation).enumerate() {
                 let (x, unknown) = (i / shared, self.unknowns[C + i % shared]);
                 self.sums.matrix[unknown][unknown].0[x] += a;
                 self.sums.gradient[unknown].0[x] += a * deviation;
+                precision[unknown].0[x] = *a;
+                pull[unknown].0[x] = a * deviation;
             }
+            self.tied = prior.clusters.map(|clusters| Tied {
+                precision,
+                pull,
+                clusters: clusters.of_pixels.to_vec(),
+            });
         }
         self.whiten(damping);
         for (sample, weighted) in self.weighted.iter().enumerate() {
@@ -148,8 +170,12 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         });
     }
 
-    /// Adds Wᵀ (Ω (I − T) − Rᵀ U g).
-    pub(super) fn add_gradient(&mut self, sums: &mut [Lanes]) {
+    /// Adds Wᵀ (Ω (I − T) − Rᵀ U g), and by the offsets of clusters a (Uᵀ U g − (v − c − o)).
+    pub(super) fn add_gradient(&mut self, sums: &mut [Lanes], by_offsets: &mut [f64]) {
+        self.each_offset(|unknown, offset, x, tied| {
+            let moved = self.unwhitened(unknown, x, &self.whitened);
+            by_offsets[offset] += tied.precision[unknown].0[x] * moved - tied.pull[unknown].0[x];
+        });
         let n = self.problem.pictures();
         for (sample, sums) in sums.iter_mut().enumerate() {
             let c = sample / n;
@@ -163,12 +189,23 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         }
     }
 
-    /// Adds Wᵀ (Ω − Rᵀ R) W v.
-    pub(super) fn add_product(&mut self, light_step: &[[f64; COEFFICIENTS]], sums: &mut [Lanes]) {
+    /// Adds Wᵀ (Ω − Rᵀ R) W v, and what offsets have to do with it.
+    pub(super) fn add_product(
+        &mut self,
+        light_step: &[[f64; COEFFICIENTS]],
+        offset_step: &[f64],
+        sums: &mut [Lanes],
+        by_offsets: &mut [f64],
+    ) {
         let n = self.problem.pictures();
         let radiance = self.moved_radiance(light_step);
         let mut projected = [Doubles::default(); U];
         self.add_rows(&radiance, &mut projected);
+        self.add_offset_rows(offset_step, &mut projected);
+        self.each_offset(|unknown, offset, x, tied| {
+            let moved = offset_step[offset] + self.unwhitened(unknown, x, &projected);
+            by_offsets[offset] += tied.precision[unknown].0[x] * moved;
+        });
         for (sample, sums) in sums.iter_mut().enumerate() {
             let c = sample / n;
             let mut left = Doubles::default();
@@ -185,10 +222,16 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// θ − Uᵀ (U g + R W v), within bounds and reach: (pixel, D).
-    pub(super) fn back_substitute(&mut self, light_step: &[[f64; COEFFICIENTS]], out: &mut [f64]) {
+    pub(super) fn back_substitute(
+        &mut self,
+        light_step: &[[f64; COEFFICIENTS]],
+        offset_step: &[f64],
+        out: &mut [f64],
+    ) {
         let radiance = self.moved_radiance(light_step);
         let mut whitened = self.whitened;
         self.add_rows(&radiance, &mut whitened);
+        self.add_offset_rows(offset_step, &mut whitened);
         let count = self.unknowns.len();
         if D > DERIVATIVES {
             let offsets = &self.unknowns[count - OFFSETS..];
@@ -211,6 +254,47 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
                 out[i] = value.clamp(0.0, 1.0);
             }
         }
+    }
+
+    /// Calls with each unknown of the prior, the place of its cluster's offset, and the pixel.
+    fn each_offset(&self, mut visit: impl FnMut(usize, usize, usize, &Tied<U>)) {
+        let Some(tied) = &self.tied else { return };
+        let of_prior = &self.unknowns[C..];
+        for (f, &unknown) in of_prior.iter().enumerate() {
+            for (x, cluster) in tied.clusters.iter().enumerate() {
+                visit(unknown, cluster * of_prior.len() + f, x, tied);
+            }
+        }
+    }
+
+    /// Subtracts U a o, for offsets o that move by `step`.
+    fn add_offset_rows(&self, step: &[f64], sums: &mut [Doubles; U]) {
+        self.each_offset(|unknown, offset, x, tied| {
+            let moved = tied.precision[unknown].0[x] * step[offset];
+            for row in unknown..U {
+                sums[row].0[x] -= self.whiten[row][unknown].0[x] * moved;
+            }
+        });
+    }
+
+    /// Uᵀ `whitened` of one kind and pixel.
+    fn unwhitened(&self, unknown: usize, x: usize, whitened: &[Doubles; U]) -> f64 {
+        (unknown..U)
+            .map(|row| self.whiten[row][unknown].0[x] * whitened[row].0[x])
+            .sum()
+    }
+
+    /// Puts −U a of the offsets, in the columns of their clusters, into `columns` (offset, unknown
+    /// that all channels share, pixel), and adds a to `diagonal`.
+    pub(super) fn fill_offset_columns(&self, columns: &mut [f64], diagonal: &mut [f64]) {
+        self.each_offset(|unknown, offset, x, tied| {
+            let a = tied.precision[unknown].0[x];
+            diagonal[offset] += a;
+            for row in unknown..C + D - 1 {
+                let place = (offset * (D - 1) + row - C) * BLOCK + x;
+                columns[place] = -self.whiten[row][unknown].0[x] * a;
+            }
+        });
     }
 
     /// θ − Uᵀ `whitened` of one kind.

@@ -4,7 +4,7 @@ use std::marker::PhantomData;
 
 use super::eliminated_block::EliminatedBlock;
 use super::kernels::Lanes;
-use super::{Elimination, SchurProduct};
+use super::{Clusters, Elimination, PriorTerm, SchurProduct};
 use crate::problem::{Problem, add};
 use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
@@ -54,6 +54,13 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             check::moderate("precision", prior.precision, check::LARGEST_F64)?;
             check::not_negative("precision", prior.precision)?;
             check::moderate("deviation", prior.deviation, check::LARGEST_F64)?;
+            if let Some(clusters) = prior.clusters {
+                check::length("cluster", pixels.len(), clusters.of_pixels.len())?;
+                if let Some(&found) = clusters.of_pixels.iter().find(|&&g| g >= clusters.count) {
+                    let expected = format!("numbers below {}", clusters.count);
+                    return Err(Error::argument("cluster", expected, found));
+                }
+            }
         }
         Ok(Self {
             problem,
@@ -70,7 +77,23 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 
     /// M
     pub(super) fn size(&self) -> usize {
+        self.of_lights() + self.offsets()
+    }
+
+    /// How many of the shared unknowns are lights.
+    pub(super) fn of_lights(&self) -> usize {
         self.channels * self.of_channel()
+    }
+
+    /// How many of the shared unknowns are offsets of the prior.
+    pub(super) fn offsets(&self) -> usize {
+        let clusters = self.elimination.prior.and_then(|prior| prior.clusters);
+        clusters.map_or(0, |clusters| clusters.count * self.of_prior())
+    }
+
+    /// F
+    pub(super) fn of_prior(&self) -> usize {
+        self.problem.unknowns_of_pixel() - C
     }
 
     /// Unknowns of a light channel.
@@ -96,10 +119,15 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     pub(super) fn eliminate(&self, block: usize, eliminated: &mut EliminatedBlock<'a, M, C, D, U>) {
         let first = block * BLOCK;
         let pixels = &self.pixels[first..self.pixels.len().min(first + BLOCK)];
-        let shared = self.problem.unknowns_of_pixel() - C;
-        let prior = self.elimination.prior.map(|prior| {
-            [prior.precision, prior.deviation]
-                .map(|of_all| &of_all[first * shared..][..pixels.len() * shared])
+        let shared = self.of_prior();
+        let range = first * shared..(first + pixels.len()) * shared;
+        let prior = self.elimination.prior.map(|prior| PriorTerm {
+            precision: &prior.precision[range.clone()],
+            deviation: &prior.deviation[range.clone()],
+            clusters: prior.clusters.map(|clusters| Clusters {
+                of_pixels: &clusters.of_pixels[first..][..pixels.len()],
+                ..clusters
+            }),
         });
         eliminated.take(
             self.maps,
@@ -116,17 +144,24 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 
     pub(super) fn product(&self, v: &[f64]) -> Result<SchurProduct> {
         let light_step = self.padded(v)?;
+        let offset_step = &v[self.of_lights()..];
         let pieces = (0..self.blocks()).step_by(CHUNK).collect();
         let parts = pool::map(self.problem.threads(), pieces, |first: usize| {
             let mut eliminated = EliminatedBlock::new(self.problem);
             let mut product = vec![Lanes::default(); C * self.pictures];
             let mut gradient = product.clone();
+            let mut of_offsets = [vec![0.0; self.offsets()], vec![0.0; self.offsets()]];
             for block in first..self.blocks().min(first + CHUNK) {
                 self.eliminate(block, &mut eliminated);
-                eliminated.add_gradient(&mut gradient);
-                eliminated.add_product(&light_step, &mut product);
+                let [by_offsets, offset_product] = &mut of_offsets;
+                eliminated.add_gradient(&mut gradient, by_offsets);
+                eliminated.add_product(&light_step, offset_step, &mut product, offset_product);
             }
-            [self.collected(&product), self.collected(&gradient)]
+            let [by_offsets, offset_product] = of_offsets;
+            [
+                self.collected(&product, offset_product),
+                self.collected(&gradient, by_offsets),
+            ]
         });
         let mut found = SchurProduct {
             product: zeros("normal equations", self.size())?,
@@ -139,9 +174,9 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         Ok(found)
     }
 
-    /// Sums by light (channel, picture) as the unknown lights are.
-    pub(super) fn collected(&self, sums: &[Lanes]) -> Vec<f64> {
-        let mut collected = vec![0.0; self.size()];
+    /// Sums by light (channel, picture) as the unknown lights are, and then those by offsets.
+    pub(super) fn collected(&self, sums: &[Lanes], offsets: Vec<f64>) -> Vec<f64> {
+        let mut collected = vec![0.0; self.of_lights()];
         for (i, lanes) in sums.iter().enumerate() {
             let first = i % (self.channels * self.pictures) * self.coefficients;
             for (to, lanes) in collected[first..][..self.coefficients]
@@ -151,11 +186,13 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
                 *to += lanes.iter().sum::<f64>();
             }
         }
+        collected.extend(offsets);
         collected
     }
 
     pub(super) fn back_substitute(&self, v: &[f64]) -> Result<Vec<f64>> {
         let light_step = self.padded(v)?;
+        let offset_step = &v[self.of_lights()..];
         let unknowns = self.problem.unknowns_of_pixel();
         let mut materials = zeros("normal equations", self.pixels.len() * unknowns)?;
         let pieces = materials
@@ -169,7 +206,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
                 let mut eliminated = EliminatedBlock::new(self.problem);
                 for (i, out) in out.chunks_mut(BLOCK * unknowns).enumerate() {
                     self.eliminate(piece * CHUNK + i, &mut eliminated);
-                    eliminated.back_substitute(&light_step, out);
+                    eliminated.back_substitute(&light_step, offset_step, out);
                 }
             },
         );

@@ -19,16 +19,28 @@ pub struct Elimination<'a> {
     pub prior: Option<PriorTerm<'a>>,
 }
 
-/// A Gaussian prior where the unknowns stand: Σ a (v − c)² beside the squared residuals.
+/// A Gaussian prior where the unknowns stand: Σ a (v − c − o)² beside the squared residuals.
 #[derive(Clone, Copy, Debug)]
 pub struct PriorTerm<'a> {
     /// a: (pixel, F), for the F unknowns that are not albedo.
     pub precision: &'a [f64],
-    /// v − c: (pixel, F)
+    /// v − c − o: (pixel, F)
     pub deviation: &'a [f64],
+    /// Offsets o that the pixels of a cluster share, unknowns beside the lights.
+    pub clusters: Option<Clusters<'a>>,
 }
 
-/// What is left for the lights, M unknowns (light channel, picture, coefficient).
+/// Which pixels share an offset of their prior's mean.
+#[derive(Clone, Copy, Debug)]
+pub struct Clusters<'a> {
+    /// (pixel): from 0, below `count`.
+    pub of_pixels: &'a [usize],
+    /// How many clusters there are.
+    pub count: usize,
+}
+
+/// What is left for the M shared unknowns: lights (light channel, picture, coefficient), then the
+/// offsets (cluster, F) of the prior, if there are any.
 #[derive(Clone, Debug)]
 pub struct SchurComplement {
     /// S: (M, M).

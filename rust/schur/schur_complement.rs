@@ -21,6 +21,10 @@
 //! products of R W. The row of an albedo has entries in its own channel alone, so of five rows three
 //! cost a ninth. Where normals are free two more rows are dense, those of the tangent offsets.
 //!
+//! Offsets o that pixels of a cluster share in a Gaussian prior Σ a (v − c − o)² are shared unknowns
+//! too, with B = −diag(a) in the columns of their own cluster: their rows of S v are
+//! Σ_p a (o + Uᵀ (R W v − U a o)), and those of s are Σ_p a (Uᵀ U g − (v − c − o)).
+//!
 //! Damping adds a share of its diagonal to A. An unknown on a bound that its slope pushes against
 //! is held: its row is 0, and it does not move. So is one on which no radiance depends. Tangent
 //! offsets have no bounds; they move no further than 0.3 at once. They are the last unknowns, and U
@@ -46,7 +50,7 @@ impl Problem {
         })
     }
 
-    /// S v and s of some pixels at x, for v (light channel, picture, coefficient).
+    /// S v and s of some pixels at x, for v as the shared unknowns are.
     pub fn schur_product(
         &self,
         x: &[f64],
@@ -59,8 +63,7 @@ impl Problem {
         })
     }
 
-    /// Where the unknowns of some pixels go when the lights move by v (light channel, picture,
-    /// coefficient): (pixel, D). Materials are clipped to \[0, 1\]; tangent offsets move by 0.3 at
+    /// Where the unknowns of some pixels go when the shared unknowns move by v: (pixel, D). Materials are clipped to \[0, 1\]; tangent offsets move by 0.3 at
     /// most, and grow no longer than tan 60°.
     pub fn back_substitute(
         &self,

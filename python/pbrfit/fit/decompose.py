@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.fit import memory
 from pbrfit.fit.plan import FitPlan
+from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
-from pbrfit.fit.solvers.run import Progress, material_errors
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, fit_whole
 from pbrfit.model.geometry import angles_between

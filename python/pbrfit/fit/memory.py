@@ -13,12 +13,11 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import LBFGS_PAIRS, TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
-from pbrfit.fit.solvers.projected_lbfgs import choose
 from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
 
-Method = Literal["auto", "gauss-newton", "lbfgsb"]
+Method = Literal["gauss-newton", "lbfgsb"]
 """Solvers whose memory is known."""
 
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -126,8 +125,7 @@ def of_layout(
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
     blocks = BLOCK * -(-pixels // BLOCK)
-    driver = "scipy" if method == "lbfgsb" else choose(layout.size)
-    of_unknown = SCIPY_BYTES if driver == "scipy" else PROJECTED_BYTES
+    of_unknown = SCIPY_BYTES if method == "lbfgsb" else PROJECTED_BYTES
     samples = 4 * (planes + exact * pictures * channels)
     core = (samples + DIRECTION_BYTES) * blocks
     refining = 0
@@ -150,7 +148,7 @@ def of_tiles(
     """The same where the scene is fitted in tiles: as of a subset, and maps of all pixels."""
     pixels = min(TILES_SUBSET_PIXELS_MAX, layout.pixels)
     few = replace(layout, valid=np.ones((1, pixels), dtype=bool), segments=None)
-    subset = of_layout(few, "auto", held=held, exact=exact, refine_normals=refine_normals)
+    subset = of_layout(few, "gauss-newton", held=held, exact=exact, refine_normals=refine_normals)
     return replace(subset, solver=subset.solver + MAPS_BYTES * layout.pixels)
 
 
@@ -203,10 +201,10 @@ def plan(
     """
     ways = []
     for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
-        if solver != "auto" or layout.pixels <= WHOLE_PIXELS_MAX:
+        if solver != "gauss-newton" or layout.pixels <= WHOLE_PIXELS_MAX:
             needed = of_layout(layout, solver, held=held, exact=exact, refine_normals=refining)
             ways.append(Plan(False, refining, needed))
-        if solver == "auto":
+        if solver == "gauss-newton":
             needed = of_tiles(layout, held=held, exact=exact, refine_normals=refining)
             ways.append(Plan(True, refining, needed))
     free = available()

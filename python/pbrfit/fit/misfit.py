@@ -1,44 +1,104 @@
-"""Whether what a fit leaves of the pictures is noise, or something that the model does not have."""
+"""What a fit leaves of the pictures: how much of it is noise, and what the rest does to a fit.
+
+Pictures are never the model plus independent noise. What the model does not have (shadows, bounces,
+wrong normals, another field of view) leaves residuals that neighbours, channels and pictures share.
+As many squares that fall together say less than as many that are independent, and lights are far
+less certain than the residuals' variance says. Three figures of a level of pixels tell how far:
+
+- the variance s² of a residual, by the degrees of freedom;
+- the **design effect** on the lights, κ: how much larger their variance is than with independent
+  residuals. With the score of a patch of pixels s_b = Σ_p Bᵀ (1 − P) r, its pixels solved for, and
+  S as in `pbrfit.fit.joint`,
+
+      κ = Σ_b s_bᵀ S⁻¹ s_b / (s² M)
+
+  over the patches, their mean removed: the mean diagonal of the sandwich S⁻¹ (Σ_b s_b s_bᵀ) S⁻¹
+  against s² S⁻¹ (P. J. Huber, 1967; the name is L. Kish's, 1965). Noise gives 0.6 to 1;
+- the **independent share** τ of a pixel's samples: (tr C)²/‖C‖² of the covariance C of its samples
+  over pixels, residuals of a pixel scaled to length 1, over its degrees of freedom. ‖C‖² is taken
+  less what so many pixels leave of it by chance. Noise gives 1.
+
+κ s² is what the prior on lights weighs (`pbrfit.fit.light_prior`), s²/τ the variance in a pixel's
+likelihood, which the mixture prior rests on. No threshold tells misfit from noise.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
+from pbrfit.fit.levels import Level
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.penalties import tied_neighbours
-from pbrfit.fit.sampling import evenly_spaced
-from pbrfit.fit.settings import NEIGHBOUR_CORRELATION_MAX, NEIGHBOUR_PAIRS_MAX
 
 Array = NDArray[np.float64]
+Inverse = Callable[[Array], Array]
 
 
-class NeighbourPairs:
-    """Some pairs of neighbouring pixels of a scene; `pixels` (Q,) are those that are in one."""
+@dataclass(frozen=True)
+class Misfit:
+    """What is left of a level, in units of x."""
 
-    def __init__(self, objective: Objective) -> None:
-        pairs = tied_neighbours(objective.layout)
-        if pairs.shape[1] > NEIGHBOUR_PAIRS_MAX:
-            pairs = pairs[:, evenly_spaced(pairs.shape[1], NEIGHBOUR_PAIRS_MAX)]
-        pairs = pairs.astype(np.uint64)
-        self.pixels = np.unique(pairs).astype(np.uint64)
-        self._first, self._second = np.searchsorted(self.pixels, pairs)
-        self._objective = objective
+    variance: float
+    """s², of samples of weight 1."""
+    design_effect: float = 1.0
+    independent_share: float = 1.0
+    """κ and τ."""
 
-    def residual_correlation(self, x: Array) -> float:
-        """Mean cosine between the residuals of neighbours at x; 0 where nothing is left of any.
+    @property
+    def of_likelihood(self) -> float:
+        """s²/τ: the variance in the likelihood of a pixel."""
+        return self.variance / self.independent_share
 
-        Each pair counts as much as any other: a few pixels that are still in a wrong minimum do not
-        decide. 0 where no two pixels are neighbours, too.
-        """
-        if not self.pixels.size:
-            return 0.0
-        residuals = self._objective.problem.residuals(self._objective.for_core(x), self.pixels)
-        of_pixels = residuals.transpose(1, 0, 2).reshape(len(self.pixels), -1).astype(np.float64)
-        size = np.sqrt(np.einsum("ps,ps->p", of_pixels, of_pixels))
-        of_pixels /= np.maximum(size, np.finfo(np.float64).tiny)[:, None]
-        return float(np.einsum("ps,ps->p", of_pixels[self._first], of_pixels[self._second]).mean())
 
-    def are_noise(self, x: Array) -> bool:
-        """Whether the residuals at x are noise: neighbours do not share them."""
-        return self.residual_correlation(x) <= NEIGHBOUR_CORRELATION_MAX
+def variance(objective: Objective, sum_sq: Array) -> float:
+    """s², from the sums of squared residuals (P,)."""
+    return max(float(sum_sq.sum()) / degrees_of_freedom(objective), settings.NOISE_VARIANCE_MIN)
+
+
+def degrees_of_freedom(objective: Objective) -> float:
+    """Of what all pixels and the lights leave."""
+    least = settings.DEGREES_OF_FREEDOM_SHARE_MIN * objective.samples
+    return max(objective.samples - objective.size, least)
+
+
+def independent_share(objective: Objective, x: Array) -> float:
+    """τ."""
+    count = objective.pixels
+    everything = np.arange(count, dtype=np.uint64)
+    residuals = objective.problem.residuals(objective.for_core(x), everything)
+    of_pixels = residuals.transpose(1, 0, 2).reshape(count, -1).astype(np.float64)
+    if objective.weights is not None:
+        of_pixels *= np.repeat(np.sqrt(objective.weights.T), objective.channels, axis=1)
+    samples = of_pixels.shape[1]
+    size = np.sqrt(np.square(of_pixels).mean(axis=1))
+    of_pixels /= np.maximum(size, np.finfo(np.float64).tiny)[:, None]
+    covariance = of_pixels.T @ of_pixels / count
+    trace = float(np.trace(covariance))
+    by_chance = float(np.square(np.square(of_pixels).sum(axis=1)).sum()) / count**2
+    square = max(float(np.square(covariance).sum()) - by_chance, trace**2 / samples)
+    freedom = max(1.0, samples - objective.layout.maps.stop / count)
+    if not square > 0:
+        return 1.0
+    return float(np.clip(trace**2 / square / freedom, 1 / freedom, 1.0))
+
+
+def design_effect(level: Level, x: Array, sum_sq: Array, inverse: Inverse) -> float:
+    """κ; `inverse` gives S⁻¹ v for v (M,)."""
+    objective, layout = level.objective, level.objective.layout
+    patches = level.patches()
+    if len(patches) < settings.PATCHES_MIN:
+        return 1.0
+    nowhere = np.zeros(layout.light_channels * layout.pictures * layout.coefficients)
+    for_core = objective.for_core(x)
+    mono = layout.light_channels < layout.channels
+    scores = np.array(
+        [objective.problem.schur_product(for_core, p, nowhere, mono=mono)[1] for p in patches]
+    )
+    scores -= scores.mean(axis=0)
+    sizes = sum(float(score @ inverse(score)) for score in scores)
+    unbiased = len(patches) / (len(patches) - 1)
+    return unbiased * sizes / (variance(objective, sum_sq) * len(nowhere))

@@ -141,6 +141,35 @@ LIGHT_SCALE_TRIALS = (1.2, 1 / 1.2, 1.05, 1 / 1.05)
 flat along this scale, and curved."""
 
 
+# --- Levels, misfit ---
+
+COARSE_PIXELS = 1024
+"""Pixels of the level that finds lights, misfit and prior."""
+
+COARSE_ROUNDS_MAX = 12
+COARSE_STEPS = 6
+"""Rounds of that level, each a search of the nodes for each pixel and at most so many joint steps."""
+
+ROBUST_ROUND = 2
+"""Round from which on a robust loss weighs samples: before, residuals are those of wrong lights."""
+
+COARSE_GAIN_MIN = 10.0
+GAIN_MIN = 1.0
+"""By how much a joint step has to promise to lower the sum, in variances of a residual, that is in
+units of χ²: 1 is one standard deviation of one direction of the lights. The coarse level's lights
+are only a start."""
+
+COARSE_ROUND_GAIN_MIN = 0.02
+COARSE_WEIGHT_FALL = 0.1
+"""A round that lowers the sum by a smaller share, and leaves more than this share of the light
+prior's weight, is the last."""
+
+PATCH_SIDE = 8
+PATCHES_MIN = 4
+"""Rows and columns of a level's pixels in a patch, and how many patches tell a design effect. It
+hardly depends on their size."""
+
+
 # --- Gauss-Newton: all pixels -----------------------------------------------------------------
 
 DESCENT_ROUGHNESS_NODES = (0.08, 1.0, 12)
@@ -202,6 +231,10 @@ WORSE_RATIO = 1.02
 """Ratio of a pixel's sum of squared residuals after a joint step to that before, above which it may
 have fallen into another minimum and starts again."""
 
+PRODUCT_PIXELS = 4096
+"""Pixels that products with the lights' system are from: with the gradient of all pixels, steps end
+where those of all would."""
+
 PRECONDITIONER_PIXELS = 1024
 """Pixels whose system is the preconditioner. With two and four times as many, fits of 512² with
 noise took longer."""
@@ -209,12 +242,16 @@ noise took longer."""
 PRECONDITIONER_DAMPING = 1e-6
 """Share of the preconditioner's diagonal that is added to it."""
 
-CG_ITERATIONS_MAX = 12
-"""Products with the lights' system in a joint step, each a pass over all pictures."""
+CG_ITERATIONS_MAX = 20
+"""Products with the lights' system in a joint step."""
 
-CG_ERROR_RATIO = 0.3
+CG_ERROR_RATIO = 0.1
 """Ratio of the remaining error to the first, in the norm of the preconditioner, at which conjugate
-gradients stop. With 0.1 fits of 512² with noise took twice as long and ended the same."""
+gradients stop: a step of lights goes with a descent of all pixels, which costs more than the few
+products between 0.3 and this."""
+
+CG_RENEW = 10
+"""Iterations of conjugate gradients from which on the preconditioner is made anew."""
 
 CG_GAIN_SHARE = 0.1
 """Share of `GLOBAL_PREDICTED_GAIN_MIN` at which they stop too, because less is left to gain."""

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.gauss_newton.light_spectrum import spectrum
-from pbrfit.fit.gauss_newton.normal_equations import (
+from pbrfit.fit.light_spectrum import spectrum
+from pbrfit.fit.normal_equations import (
     WORKING_SET,
     chunks,
     held_at_bounds,

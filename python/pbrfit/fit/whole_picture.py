@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.solvers.run import Progress, Run, SharedState
+from pbrfit.fit.run import Progress, Run, SharedState
 from pbrfit.fit.uncertainty import estimate
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Stage, Status

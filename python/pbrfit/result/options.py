@@ -17,7 +17,7 @@ from pbrfit.io.quoting import listed
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model, checked_model, whole_number
 from pbrfit.result.refinement import CHOICES, RefineNormals
 
-Solver = Literal["auto", "gauss-newton", "lbfgsb"]
+Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
 Loss = Literal["none", "huber", "cauchy"]
@@ -153,7 +153,7 @@ class FitOptions:
         If a value is none of the above; one line that names the option.
     """
 
-    solver: Solver = "auto"
+    solver: Solver = "gauss-newton"
     iterations: int = 500
     time_limit: float | None = None
     sh_order: int = 3

@@ -1,7 +1,7 @@
 """All pixels' normals, from lights that a subset found, or that a fit with held normals had.
 
 Each pixel changes its normal by itself, with a prior around where its neighbours are; then joint
-steps of all pixels and the lights (`pbrfit.fit.gauss_newton.global_gauss_newton`). Neighbours are
+steps of all pixels and the lights (`pbrfit.fit.joint`). Neighbours are
 seen where they were before, so the prior is made anew a few times: at the end that is the same as
 all together.
 """
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.global_gauss_newton import minimize
-from pbrfit.fit.gauss_newton.pixels import chunks, descended, fit_all, taken
+from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.normals.noise import (
     degrees_of_freedom,
     noise_variance,
@@ -25,6 +25,7 @@ from pbrfit.fit.normals.noise import (
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
 from pbrfit.fit.normals.search import SubsetFit
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.pixels import chunks, descended, fit_all, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
@@ -125,7 +126,9 @@ def refine_all(
         if sums is None:
             return prior, None
         if objective.lighting is not None:
-            minimize(objective, x, sums, lambda *_: stop(), stop, pixel_prior)
+            shared = SharedFit(LightPrior.around(objective, x))
+            fit = shared.joint_fit(objective, x, sums, prior=pixel_prior, stop=stop)
+            minimize(fit, settings.GLOBAL_STEPS_MAX, settings.GAIN_MIN)
         prior = prior.fitted(
             x[layout.tangent_offsets].reshape(2, -1).T,
             offset_variances(objective, x, pixel_prior.precision, variance),

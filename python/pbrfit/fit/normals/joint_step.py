@@ -5,7 +5,7 @@ What is lowered, over lights, and over tangent offsets and materials of a subset
     Σ_p ρ_p(Σ ω (I − T)² + Σ_f a_pf (v_pf − m_pf − o_gf)²) + s Σ_gf A_gf o_gf² + offset prior
 
 with a Gaussian prior of mean m and precision a on v = roughness and metallic (f), fitted before
-(`pbrfit.fit.priors.material`), a common offset o of each cluster g of pixels, which is free but for
+(`pbrfit.fit.priors.mixture`), a common offset o of each cluster g of pixels, which is free but for
 a small share s of the summed precision A, and a bounded loss ρ of each pixel, which is in the
 weights here: w_p = ρ'.
 
@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.gauss_newton.normal_equations import Cholesky, as_in_x, whitening
+from pbrfit.fit.normal_equations import Cholesky, as_in_x, whitening
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.misfit import NeighbourPairs
+from pbrfit.fit.estimator import solve
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
     restore_given,
@@ -28,12 +28,12 @@ from pbrfit.fit.normals.all_pixels import (
     start_from_subset,
     tangent_offsets_between,
 )
+from pbrfit.fit.normals.noise import NeighbourPairs
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.normals.search import fit_subset
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import pixel_index
-from pbrfit.fit.solvers.run import Run
-from pbrfit.fit.solvers.strategies import solve
+from pbrfit.fit.run import Run
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.data import Status
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings, uncertainty
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
-from pbrfit.fit.solvers.run import Run, SharedState, material_errors
+from pbrfit.fit.run import Run, SharedState, material_errors
 from pbrfit.fit.tiles.maps import TiledMaps
 from pbrfit.fit.tiles.subset_fit import SubsetResult, fit_subset
 from pbrfit.fit.tiles.windows import SceneCutter, Tile, strided_window, tiles

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import uncertainty
 from pbrfit.fit.objective import Normalization, Objective, valid_values
-from pbrfit.fit.solvers.run import Run, SharedState
+from pbrfit.fit.run import Run, SharedState
 from pbrfit.fit.tiles.maps import NearestMaps
 from pbrfit.fit.tiles.windows import SceneCutter, Window, cut_maps
 from pbrfit.fit.whole_picture import FitSetup, Start, fit_pixels

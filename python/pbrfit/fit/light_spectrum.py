@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.gauss_newton.normal_equations import Eliminated, chunks, eliminate
+from pbrfit.fit.normal_equations import Eliminated, chunks, eliminate
 from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.material import FittedPrior
+from pbrfit.fit.priors.mixture import FittedPrior
 from pbrfit.fit.priors.penalties import Penalty
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics

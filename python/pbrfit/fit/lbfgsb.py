@@ -9,32 +9,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.run import Run
 from pbrfit.fit.settings import (
     DATA_SHARE_OF_ITERATIONS,
     LBFGS_PAIRS,
     LBFGS_STAGES,
     LBFGS_STAGES_GIVEN_START,
-    LOSS_RESOLUTION,
     ROBUST_STAGES_GIVEN_START,
     START_ROUGHNESS,
     TRAP_ROUGHNESS,
     TRAPPED_MARGIN,
 )
-from pbrfit.fit.solvers import projected_lbfgs
-from pbrfit.fit.solvers.projected_lbfgs import Bounds
-from pbrfit.fit.solvers.run import Run
 from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
-Descent = Callable[..., tuple[float, Array]]
-"""Loss and x after so many iterations from x at most, whose rows go into the history of a run; with
-`stall` it also stops where the loss fell by less than a share of itself over a number of them."""
 
-
-def staged(
-    run: Run, x: Array, loss: float, descent: Descent, *, start_given: bool
-) -> tuple[Array, float, str]:
+def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, float, str]:
     """X, its loss, and which state that is, after the iterations that the data may have.
 
     The last is empty unless the state is one from before the last restart.
@@ -51,7 +42,7 @@ def staged(
             best = robust_around(run, best)
         if trapped:
             x = _restarted(run, x)
-        loss, x = descent(run, x, left, lowest_roughness)
+        loss, x = by_scipy(run, x, left, lowest_roughness)
         trapped = lowest_roughness > 0
         # A restart raises the loss at first, and time may run out before it pays.
         best = min(best, (loss, x), key=lambda pair: pair[0])
@@ -83,57 +74,6 @@ def _restarted(run: Run, x: Array) -> Array:
     return x
 
 
-def for_size(run: Run) -> tuple[str, Descent]:
-    """Scipy's where its own work is a small share; with its name for people."""
-    if projected_lbfgs.choose(run.objective.size) == "scipy":
-        return "L-BFGS-B", by_scipy
-    return "bounded L-BFGS in Rust", in_rust
-
-
-def lowered(run: Run, x: Array, stall: tuple[int, float] | None) -> Array:
-    """X with the whole objective lowered until that stalls, or the limits of the run."""
-    name, descent = for_size(run)
-    with run.stage(name) as notes:
-        before = run.iteration
-        _, x = descent(run, x, run.left, stall=stall)
-        notes.append(f"{run.iteration - before} iterations")
-    return x
-
-
-def in_rust(
-    run: Run,
-    x: Array,
-    iterations: int,
-    lowest_roughness: float = 0.0,
-    stall: tuple[int, float] | None = None,
-) -> tuple[float, Array]:
-    """By the bounded L-BFGS whose vectors are in Rust; see `Descent`."""
-    objective = run.objective
-    bounds = Bounds.of_slices(
-        objective.size,
-        (objective.layout.materials, 0.0, 1.0),
-        (objective.roughness, lowest_roughness, 1.0),
-    )
-
-    def after_iteration(iterate: projected_lbfgs.Iterate) -> None:
-        run.iteration += 1
-        run.record(iterate.x, iterate.fun)
-        if run.out_of_time():
-            raise StopIteration
-
-    found = projected_lbfgs.minimize(
-        _in_time(run),
-        x,
-        bounds,
-        iterations=iterations,
-        callback=after_iteration,
-        threads=objective.threads,
-        stall=stall,
-        resolution=LOSS_RESOLUTION,
-    )
-    return found.fun, found.x
-
-
 def _in_time(run: Run) -> Callable[[Array], tuple[float, Array]]:
     """`run.evaluate`, which ends a search along a line by StopIteration where time is up.
 
@@ -158,7 +98,11 @@ def by_scipy(
     lowest_roughness: float = 0.0,
     stall: tuple[int, float] | None = None,
 ) -> tuple[float, Array]:
-    """By scipy's L-BFGS-B; see `Descent`."""
+    """Loss and x after so many iterations of scipy's L-BFGS-B at most, which go into the history.
+
+    With `stall` it also stops where the loss fell by less than a share of itself over a number of
+    iterations.
+    """
     from scipy.optimize import Bounds, minimize
 
     lower, upper = run.objective.bounds.T.copy()

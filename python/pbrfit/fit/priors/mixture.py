@@ -21,7 +21,8 @@ group of neighbouring nodes, and free: so the prior gathers pixels without holdi
 were gathered while lights were still wrong.
 
 Lights and prior depend on each other. They are found together on a few pixels, in rounds of EM and
-joint Gauss-Newton steps (`map_gauss_newton`), and then applied to all.
+joint steps (`pbrfit.fit.joint`), and then applied to all. s² is that in the likelihood of a pixel,
+larger than the residuals' variance where these are no noise (`pbrfit.fit.misfit`).
 """
 
 from __future__ import annotations
@@ -34,12 +35,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.misfit import NeighbourPairs
+from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors import map_gauss_newton
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over, slices
-from pbrfit.lazy import lazy
 from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
@@ -80,7 +79,7 @@ class FittedPrior:
 
         None if stopped before all pixels had theirs.
         """
-        grid = _Grid(objective, x, np.empty(0, np.uint64), self.variance)
+        grid = _Grid(objective, x, self.variance)
         posterior = self.distributions.of_all(grid, stop)
         if posterior is None:
             return None
@@ -101,33 +100,30 @@ class FittedPrior:
 
 @one_blas_thread()
 def fit_prior(
-    objective: Objective, x: Array, strength: float, stop: Stop = lambda: False
+    objective: Objective,
+    x: Array,
+    strength: float,
+    variance: float,
+    shared: SharedFit | None,
+    stop: Stop = lambda: False,
 ) -> tuple[Array, GaussianPrior, FittedPrior] | None:
     """Fit the prior around x, a fit of the data, with the strength of `Priors.material`.
 
-    Returned are x for all pixels with the lights found, the pixels' prior, and what was fitted;
+    `variance` is s² in the likelihood of a pixel. With `shared` lights are found together with the
+    prior. Returned are x for all pixels with these lights, the pixels' prior, and what was fitted;
     None if time ran out before all pixels had theirs. `stop` is asked between rounds, and then
     between pieces of the pixels.
     """
-    labels = _labels(objective)
-    few = evenly_spaced_over(labels, settings.PRIOR_LIGHT_PIXELS)
-    if objective.layout.lighting is not None:
-        moved = _with_lights(objective, x, few, labels[few], strength, stop)
-        x = moved if _explains_more(objective, x, moved) else x.copy()
-        del moved  # of the size of x, which counts
-    else:
-        x = x.copy()
-    grid = _Grid(objective, x, few)
+    x = x.copy() if shared is None else _with_lights(objective, x, strength, variance, shared, stop)
+    grid = _Grid(objective, x, variance)
     distributions = _fit_distributions(grid)
     posterior = distributions.of_all(grid, stop)
     if posterior is None:
         return None
-    prior, clusters = posterior.prior(
-        settings.PRIOR_SIGMAS_MIN[-1], strength * grid.variance, objective
-    )
+    prior, clusters = posterior.prior(settings.PRIOR_SIGMAS_MIN[-1], strength * variance, objective)
     _put_all(objective, x, prior.mean)
     none = np.zeros_like(prior.mean[:0])
-    return x, prior, FittedPrior(distributions, grid.variance, strength, clusters, none)
+    return x, prior, FittedPrior(distributions, variance, strength, clusters, none)
 
 
 def prior_at(
@@ -137,7 +133,7 @@ def prior_at(
 
     `metallic` is that of the nodes, and not read where it is known.
     """
-    grid = _Grid(objective, x, np.empty(0, np.uint64), variance, metallic)
+    grid = _Grid(objective, x, variance, metallic)
     posterior = _fit_distributions(grid).of_all(grid)
     assert posterior is not None
     return posterior.prior(sigma_min, variance, objective)[0]
@@ -159,46 +155,30 @@ def _fit_distributions(grid: _Grid) -> _Distributions:
 def _with_lights(
     objective: Objective,
     x: Array,
-    pixels: Pixels,
-    labels: Labels,
     strength: float,
+    variance: float,
+    shared: SharedFit,
     stop: Stop,
 ) -> Array:
-    """X with the lights, and materials of some pixels, that were found with their prior."""
-    x = x.copy()
+    """X with the lights that some pixels, with their prior, found."""
+    labels = _labels(objective)
+    pixels = evenly_spaced_over(labels, settings.COARSE_PIXELS)
+    few, part = objective.restricted(pixels), objective.part_of(x, pixels)
+    everything, labels = np.arange(few.pixels, dtype=np.uint64), labels[pixels]
     for sigma_min in settings.PRIOR_SIGMAS_MIN:
-        grid = _Grid(objective, x, pixels)
-        likelihood = grid.likelihood(pixels)
+        grid = _Grid(few, part, variance)
+        likelihood = grid.likelihood(everything)
         posterior = _Distributions.of(likelihood, labels, grid).posterior(likelihood, labels)
-        prior, _ = posterior.prior(sigma_min, strength * grid.variance, objective)
-        _put(objective, x, pixels, prior.mean)
-        del grid  # which holds x
-        x, _ = map_gauss_newton.minimize(objective, x, pixels, prior, settings.PRIOR_STEPS)
+        prior, _ = posterior.prior(sigma_min, strength * variance, few)
+        _put(few, part, everything, prior.mean)
+        sum_sq = few.put_best_albedo(part, everything)
+        fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
+        minimize(fit, settings.PRIOR_STEPS, settings.GAIN_MIN)
         if stop():
             break
+    x = x.copy()
+    x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
     return x
-
-
-def _explains_more(objective: Objective, before: Array, after: Array) -> bool:
-    """Whether the lights of `after` are to be preferred, judged by pixels and their neighbours.
-
-    Where the model is right, better lights leave only noise, which neighbours do not share, or
-    much less than before. Where it is wrong (normals, shadows, field of view) residuals stay, and
-    neighbours share them; lights that lower such residuals by a little bend the materials to the
-    error, and are worse ones.
-    """
-    neighbours = NeighbourPairs(objective)
-    pixels = neighbours.pixels
-    if not pixels.size:
-        return False
-    sum_sq, best = [], np.empty_like(before)
-    for x in (before, after):
-        best[:] = x
-        _put(objective, best, pixels, _Grid(objective, x, pixels).best(pixels))
-        sum_sq.append(float(objective.put_best_albedo(best, pixels).sum()))
-    if sum_sq[1] <= settings.PRIOR_LIGHTS_FAR_BETTER * sum_sq[0]:
-        return True
-    return sum_sq[1] <= settings.PRIOR_LIGHTS_NOT_WORSE * sum_sq[0] and neighbours.are_noise(best)
 
 
 def _put_all(objective: Objective, x: Array, values: Array) -> None:
@@ -218,51 +198,20 @@ class _Grid:
     """Likelihoods over the nodes, (roughness, metallic) row by row, with the lights of x."""
 
     def __init__(
-        self,
-        objective: Objective,
-        x: Array,
-        pixels: Pixels,
-        variance: float | None = None,
-        metallic: Array = METALLIC_NODES,
+        self, objective: Objective, x: Array, variance: float, metallic: Array = METALLIC_NODES
     ) -> None:
-        layout = objective.layout
-        self._known_variance = variance
-        self._planes = len(layout.roughness_metallic)
-        self._problem = objective.problem
-        self._given, self._x = x, objective.for_core(x)
+        self._planes = len(objective.layout.roughness_metallic)
+        self._problem, self._x = objective.problem, objective.for_core(x)
+        self.objective, self._variance = objective, variance
         known = objective.known_metallic
         self._metallic = metallic if known is None else np.array([known])
-        roughness, metallic = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
-        self.roughness, self.metallic = roughness.ravel(), metallic.ravel()
-        self.objective, self._noise_pixels = objective, pixels
-
-    @lazy
-    def variance(self) -> float:
-        """s², of samples of weight 1, in units of x.
-
-        From the residuals that are left at the given pixels and their degrees of freedom.
-        """
-        if self._known_variance is not None:
-            return self._known_variance
-        objective, layout, pixels = self.objective, self.objective.layout, self._noise_pixels
-        sum_sq = objective.put_best_albedo(self._given.copy(), pixels)
-        samples = objective.samples * len(pixels) / layout.pixels
-        lights = 0 if layout.lighting is None else layout.lighting.stop - layout.lighting.start
-        unknowns = len(pixels) * layout.maps.stop / layout.pixels + lights
-        degrees = max(samples - unknowns, settings.DEGREES_OF_FREEDOM_SHARE_MIN * samples)
-        variance: float = max(float(sum_sq.sum()) / degrees, settings.NOISE_VARIANCE_MIN)
-        return variance
+        nodes = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
+        self.roughness, self.metallic = (of_nodes.ravel() for of_nodes in nodes)
 
     def likelihood(self, pixels: Pixels) -> NDArray[np.float32]:
         """A, (Q, nodes); 1 at the best node of each pixel."""
         parts = [self._of_piece(pixels[chunk]) for chunk in slices(len(pixels), PIXELS_AT_ONCE)]
         return np.concatenate(parts)
-
-    def best(self, pixels: Pixels) -> Array:
-        """Roughness and metallic, if it is free, of each pixel's best node: (Q, F)."""
-        nodes = np.stack([self.roughness, self.metallic], axis=-1)[:, : self._planes]
-        chunks = [pixels[chunk] for chunk in slices(len(pixels), PIXELS_AT_ONCE)]
-        return np.concatenate([nodes[self._sum_sq(c).argmin(axis=1)] for c in chunks])
 
     def _sum_sq(self, pixels: Pixels) -> NDArray[np.float32]:
         """Least Σ ω (I − T)² of each node, (Q, nodes)."""
@@ -272,7 +221,7 @@ class _Grid:
     def _of_piece(self, pixels: Pixels) -> NDArray[np.float32]:
         excess = self._sum_sq(pixels)
         excess -= excess.min(axis=1, keepdims=True)
-        excess /= np.float32(2 * self.variance)
+        excess /= np.float32(2 * self._variance)
         # σ of roughness, from the curvature of its profile at the best node.
         profile = excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1).min(axis=2)
         best = np.clip(profile.argmin(axis=1), 1, len(ROUGHNESS_NODES) - 2)[:, None]

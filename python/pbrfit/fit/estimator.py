@@ -1,0 +1,352 @@
+"""The fit, from a start to its end: the order of its stages.
+
+1. **Lights** (`find_lights`): about a thousand pixels, every s-th row and column, find the lights of
+   all pictures. In rounds each pixel by itself tries a grid of roughness and metallic under the
+   lights so far, then joint steps move lights and materials (`joint`). What is left of the pixels
+   tells how far it is from independent noise (`misfit`), and that how much the prior on lights
+   weighs (`light_prior`): much at first, which keeps lights where radiance can be; where there is
+   only noise next to nothing in the end.
+2. **Material prior** (`priors.mixture`): what roughness and metallic each segment is made of, found
+   together with the lights by as many pixels, evenly spread over the segments.
+3. **All pixels**: each by itself under these lights, from the grid and around its prior; then joint
+   steps of all pixels, lights and what clusters of pixels share.
+
+A scene that the model fits and one that it does not go the same way. Where lights are known, steps
+that move them are left out. A robust loss is lowered as squares with the weights that it gives to
+residuals, which are renewed from round to round (iteratively reweighted least squares).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import lbfgsb, misfit, settings
+from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.levels import Level
+from pbrfit.fit.light_prior import LightPrior
+from pbrfit.fit.misfit import Misfit
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.pixels import descended, fit_all, place, put, retry_outliers, taken
+from pbrfit.fit.plan import FitPlan
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.mixture import fit_prior
+from pbrfit.fit.priors.penalties import penalties
+from pbrfit.fit.run import Run
+from pbrfit.model.materials import Materials
+from pbrfit.result.data import Status
+from pbrfit.threads import one_blas_thread
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Lights:
+    """What a level found."""
+
+    x: Array
+    """With its lights, and the materials of its pixels."""
+    misfit: Misfit
+    exact: bool
+    """Whether nothing is left of its pixels but rounding."""
+    shared: SharedFit | None
+    """None where lights are known."""
+
+
+def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]:
+    """X of a fit from x by the solver of the options, and why it ended.
+
+    `start_given` tells L-BFGS-B to trust the start: it has no stages then.
+    """
+    loss = run.evaluate(x)[0]  # not the gradient, which is as large as x
+    run.record(x, loss)
+    if run.left <= 0:
+        return x, Status.ITERATION_LIMIT, "0 iterations asked for"
+    if run.options.solver == "gauss-newton":
+        return gauss_newton(run, x)
+    return by_lbfgsb(run, x, loss, start_given=start_given)
+
+
+def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
+    """X of the fit, and why it ended."""
+    with one_blas_thread():
+        lights = find_lights(run, x)
+        x = lights.x
+        prior = None
+        if run.has_mixture_prior and run.goes_on:
+            if lights.exact:
+                with run.stage("material prior") as notes:
+                    notes.append("left out: the pictures are explained to the last digit")
+            else:
+                x, prior = fit_mixture_prior(run, x, lights)
+        if run.goes_on:
+            x = fit_all_pixels(run, x, lights.shared, prior)
+    if _beyond_squares(run, prior) and run.goes_on:
+        with run.stage("L-BFGS-B, for penalties") as notes:
+            before = run.iteration
+            _, x = lbfgsb.by_scipy(run, x, run.left, stall=settings.STALL)
+            notes.append(f"{run.iteration - before} iterations")
+        return x, *run.ended("the loss falls no further")
+    return x, *run.ended("no joint step lowers the sum further")
+
+
+def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
+    """X of the fit, and why it ended."""
+    with run.stage("L-BFGS-B"):
+        x, _, kept = lbfgsb.staged(run, x, loss, start_given=start_given)
+    if run.has_mixture_prior and not run.out_of_time():
+        x, prior = fit_mixture_prior(run, x, judged(run.objective.reweighted(x), x))
+        kept = kept if prior is None else ""
+        if run.goes_on:  # scipy takes a step even where none is left
+            with run.stage("L-BFGS-B with the material prior"):
+                _, x = lbfgsb.by_scipy(run, x, run.left)
+    # With zero tolerances scipy stops early only where rounding hides any further descent.
+    return x, *run.ended("no step lowers the loss further", kept)
+
+
+def find_lights(run: Run, x: Array) -> Lights:
+    """Lights that explain a level of pixels, from those of x."""
+    objective = run.objective
+    if run.shared_state is not None:  # a tile, which is told all that pixels share
+        return Lights(x, Misfit(0.0), False, None)
+    with run.stage("lights") as notes:
+        level = Level.of(objective, settings.COARSE_PIXELS)
+        notes.append(f"{len(level.pixels)} pixels")
+        if objective.lighting is None:
+            return judged(objective, x, level)
+        watch, x = _Watch(run, x, level), x.copy()
+        part = objective.part_of(x, level.pixels)
+        found = _rounds(run, level, part, watch)
+        objective.put_part(x, level.pixels, part)
+        left = found.misfit
+        notes.append(
+            f"design effect {left.design_effect:.2g}, "
+            f"independent share {left.independent_share:.2f}"
+        )
+    return replace(found, x=x)
+
+
+def _rounds(run: Run, level: Level, x: Array, watch: _Watch) -> Lights:
+    """Rounds of materials and joint steps of a level's pixels, whose x changes."""
+    objective = level.objective
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    shared = SharedFit(LightPrior.around(objective, x))
+    left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
+    for number in range(settings.COARSE_ROUNDS_MAX):
+        if number >= settings.ROBUST_ROUND:
+            level = replace(level, objective=_robust(run, level.objective, x))
+        objective = level.objective
+        found, sum_sq = descended(
+            objective, x, everything, steps=settings.DESCENT_STEPS, starts=settings.SUBSET_STARTS
+        )
+        place(objective, x, everything, found)
+        if number:
+            retry_outliers(objective, x, sum_sq)
+        exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
+        left, before = _left(level, x, sum_sq, shared), weight
+        weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
+        shared.lights = replace(shared.lights, weight=weight / objective.pixels)
+        fit = shared.joint_fit(objective, x, sum_sq, stop=run.out_of_time)
+        minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit_few)
+        total = fit.total(x, fit.sum_sq, None)
+        settled = (
+            weight > settings.COARSE_WEIGHT_FALL * before
+            and total > (1 - settings.COARSE_ROUND_GAIN_MIN) * last
+        )
+        last = total
+        if settled or exact or watch.stopped:
+            break
+    return Lights(x, left, exact, shared)
+
+
+def _left(level: Level, x: Array, sum_sq: Array, shared: SharedFit) -> Misfit:
+    """What is left of a level at x."""
+    objective = level.objective
+    variance = misfit.variance(objective, sum_sq)
+    if shared.inverse is None:
+        first = replace(shared.lights, weight=variance / objective.pixels)
+        shared.lights = first
+        shared.joint_fit(objective, x, sum_sq).renew_preconditioner()
+    inverse = shared.inverse
+    assert inverse is not None
+    return Misfit(
+        variance,
+        misfit.design_effect(level, x, sum_sq, lambda v: inverse(v) / objective.pixels),
+        misfit.independent_share(objective, x),
+    )
+
+
+def judged(objective: Objective, x: Array, level: Level | None = None) -> Lights:
+    """What x leaves of a level, its pixels' materials put to their best."""
+    level = level or Level.of(objective, settings.COARSE_PIXELS)
+    few, part = level.objective, objective.part_of(x, level.pixels)
+    everything = np.arange(few.pixels, dtype=np.uint64)
+    found, sum_sq = descended(
+        few, part, everything, steps=settings.DESCENT_STEPS, starts=settings.SUBSET_STARTS
+    )
+    place(few, part, everything, found)
+    exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * few.total_weight
+    if objective.lighting is None:
+        left = Misfit(misfit.variance(few, sum_sq), 1.0, misfit.independent_share(few, part))
+        return Lights(x, left, exact, None)
+    shared = SharedFit(LightPrior.around(few, part))
+    left = _left(level, part, sum_sq, shared)
+    weight = left.design_effect * left.variance / few.pixels
+    shared.lights = replace(shared.lights, weight=weight)
+    return Lights(x, left, exact, shared)
+
+
+def fit_mixture_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, GaussianPrior | None]:
+    """X with the material prior fitted around it, which is a penalty from here on; one iteration.
+
+    Where time runs out before, x is as it was and there is no prior. Weights that are chosen by
+    rule are chosen by the lights that were found with it.
+    """
+    objective = run.objective
+    others = []
+    with run.stage("material prior") as notes:
+        found = _fitted_prior(run, x, lights)
+        if found is None:
+            notes.append("stopped before all pixels had theirs")
+            return x, None
+        x, prior = found
+        if run.shared_state is not None:
+            others = run.shared_state.penalties(objective.layout)
+        run.measured_lighting = objective.unpack(x)[1]
+        plan = FitPlan.of(
+            run.scene, objective.layout, priors=run.options.priors, lighting=run.measured_lighting
+        )
+        objective.penalties = [*penalties(objective.layout, plan.priors), *others, prior]
+        if lights.shared is not None:
+            _make_grey(lights.shared, objective, plan.priors.monochrome)
+        objective.robust = run.robust_around(x)
+        loss = run.evaluate(x)[0]
+        run.iteration += 1
+        run.record(x, loss)
+    return x, prior
+
+
+def _fitted_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, GaussianPrior] | None:
+    """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
+    reweighted = _robust(run, run.objective, x)
+    if run.shared_state is not None:
+        assert run.shared_state.material is not None
+        return run.shared_state.material.applied(reweighted, x, run.out_of_time)
+    found = fit_prior(
+        reweighted,
+        x,
+        run.options.priors.material,
+        lights.misfit.of_likelihood,
+        lights.shared,
+        stop=run.out_of_time,
+    )
+    if found is None:
+        return None
+    x, prior, fitted = found
+    run.fitted_prior = fitted, prior
+    return x, prior
+
+
+def _make_grey(shared: SharedFit, objective: Objective, weight: float | None) -> None:
+    """Give the lights the monochrome prior of `Priors`."""
+    of_sum = (weight or 0.0) * objective.total_weight / objective.pixels
+    shared.lights = replace(shared.lights, grey=of_sum / shared.lights.mean.size)
+
+
+def fit_all_pixels(
+    run: Run, x: Array, shared: SharedFit | None, prior: GaussianPrior | None
+) -> Array:
+    """X with all pixels, and all that they share, fitted with the prior.
+
+    Where time runs out before all pixels have had their turn, x is as it was before.
+    """
+    watch = _Watch(run, x)
+    with run.stage("all pixels") as notes:
+        for number in range(settings.GLOBAL_ROUNDS_MAX):
+            objective = _robust(run, run.objective, x)
+            before, fixed = x.copy(), prior
+            if prior is not None:
+                fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
+            starts = 1 if number == 0 else 0
+            sum_sq = fit_all(objective, x, starts=starts, prior=fixed, stop=run.out_of_time)
+            if sum_sq is None:
+                notes.append("stopped before all pixels had their turn")
+                return before
+            del before  # of the size of x, which counts
+            if prior is None:
+                retry_outliers(objective, x, sum_sq, run.out_of_time)
+            total = float(sum_sq.sum())
+            if watch.visit(x, sum_sq):
+                break
+            if shared is not None:
+                fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
+                minimize(fit, settings.GLOBAL_STEPS_MAX, settings.GAIN_MIN, watch.visit)
+            more = prior is None and shared is not None
+            if run.options.robust != "none" and number < settings.ROBUST_ROUND:
+                more = True  # whose weights settle
+            elif total - float(sum_sq.sum()) <= settings.GAIN_MIN * misfit.variance(objective, sum_sq):
+                more = False
+            if not more or not run.goes_on:
+                break
+    return x
+
+
+def _robust(run: Run, objective: Objective, x: Array) -> Objective:
+    """Squares with the weights of the robust loss at x; without one the objective as it is."""
+    if run.options.robust == "none":
+        return objective
+    objective.robust = (
+        run.robust_around(x)
+        if objective is run.objective
+        else (objective.robust_around(x, run.options.robust))
+    )
+    return objective.reweighted(x)
+
+
+def _beyond_squares(run: Run, prior: GaussianPrior | None) -> bool:
+    """Whether the objective has penalties that joint steps do not know."""
+    known = ("monochrome",)
+    return any(one is not prior and one.name not in known for one in run.objective.penalties)
+
+
+class _Watch:
+    """Turns joint steps into iterations and rows of the history."""
+
+    def __init__(self, run: Run, x: Array, level: Level | None = None) -> None:
+        self._run, self._x, self._level = run, x, level
+        self._steps_of_few, self._most_of_few = 0, run.left
+        self.stopped = False
+
+    def visit_few(self, part: Array, sum_sq: Array) -> bool:
+        """A step of the level's pixels is done; whether to stop.
+
+        Such steps do not count as iterations, for they cost little. But there are no more of them,
+        so that few iterations take little time.
+        """
+        run, level = self._run, self._level
+        assert level is not None
+        self._steps_of_few += 1
+
+        def state() -> tuple[Materials, Array]:
+            x = put(run.objective, self._x, level.pixels, taken(level.objective, part, slice(None)))
+            x[run.objective.layout.maps.stop :] = part[level.objective.layout.maps.stop :]
+            return run.objective.unpack(x)
+
+        mean = float(sum_sq.sum()) / level.objective.total_weight
+        run.tell(run.objective.residual_rmse(mean), state)
+        self.stopped = self._steps_of_few >= self._most_of_few or run.out_of_time()
+        return self.stopped
+
+    def visit(self, x: Array, sum_sq: Array) -> bool:
+        """All pixels have new materials; whether to stop."""
+        run = self._run
+        # Pixels that are freed after the last iteration belong to that.
+        run.iteration += run.left > 0
+        # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
+        loss = data = float(sum_sq.sum()) / run.objective.total_weight
+        if run.objective.penalties:
+            loss += run.objective.add_penalties(x, np.zeros(run.objective.size))
+        run.record(x, loss, data)
+        return run.left <= 0 or run.out_of_time()

@@ -1,0 +1,316 @@
+"""Levenberg–Marquardt for lights and materials together.
+
+The problem has the structure of bundle adjustment: five unknowns a pixel, 48 a picture, and pixels
+that touch the lights only. With J the derivatives of the residuals r by a pixel's own unknowns, B
+those by the lights, and both with the priors' rows, pixels are solved for first, which leaves
+
+    S = Σ_p Bᵀ (1 − J (JᵀJ)⁻¹ Jᵀ) B + Q        s = Σ_p Bᵀ (1 − J (JᵀJ)⁻¹ Jᵀ) r + Q (L − μ)
+
+with the prior on lights Q. S δ = −s is solved by conjugate gradients: products with S cost a pass
+over the pictures, S itself the square of the lights' number for each pixel. What makes them few is
+a preconditioner, the S of some pixels, which is kept while it serves; and of many pixels products
+are those of some, scaled up, with the s of all. After each step every pixel descends by itself
+under its new lights, and those that are worse off start again.
+
+Offsets that clusters of pixels share in a prior are shared unknowns like the lights: without them
+each step would have to be won against the priors of many pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.light_prior import LightPrior, as_in_core
+from pbrfit.fit.misfit import variance
+from pbrfit.fit.normal_equations import Cholesky, as_in_x
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.pixels import (
+    Pixels,
+    chunks,
+    fit_all,
+    pieces,
+    place,
+    taken,
+    try_from,
+)
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.sampling import evenly_spaced
+
+Array = NDArray[np.float64]
+Stop = Callable[[], bool]
+
+Visit = Callable[[Array, Array], bool]
+
+
+@dataclass(eq=False)
+class SharedFit:
+    """What all pixels share, handed from one joint fit to the next."""
+
+    lights: LightPrior
+    """For one pixel."""
+    inverse: Callable[[Array], Array] | None = None
+    """S⁻¹ v for S of one pixel, the preconditioner; None = not made yet."""
+    stale: bool = True
+    """Whether it is to be made anew."""
+
+    def joint_fit(
+        self,
+        objective: Objective,
+        x: Array,
+        sum_sq: Array,
+        *,
+        prior: GaussianPrior | None = None,
+        stop: Stop = lambda: False,
+    ) -> JointFit:
+        """Of some pixels with their prior."""
+        self.stale |= prior is not None  # whose clusters are others each time
+        return JointFit(objective, x, sum_sq, self, prior, stop)
+
+
+@dataclass(eq=False)
+class JointFit:
+    """Some pixels and what they share at x, and the sums of squares (P,) that pixels have there.
+
+    Shared unknowns are the lights, as the core has them, and then the offsets (clusters, F) of a
+    prior that has clusters.
+    """
+
+    objective: Objective
+    x: Array
+    sum_sq: Array
+    shared: SharedFit
+    prior: GaussianPrior | None
+    stop: Stop
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.lights = self.shared.lights.of_pixels(self.objective.pixels)
+        self.offsets = None
+        if self.prior is not None and self.prior.cluster is not None:
+            self.offsets = self.prior.offsets(self.x)
+        self._few = evenly_spaced(self.objective.pixels, settings.PRODUCT_PIXELS)
+        self._objective_of_few = self.objective
+        if len(self._few) < self.objective.pixels:
+            self._objective_of_few = self.objective.restricted(self._few)
+
+    def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
+        """The prior of each pixel by itself, with these offsets of the clusters."""
+        prior = self.prior
+        if prior is None or offsets is None:
+            return prior
+        return GaussianPrior(prior.mean + offsets[prior.cluster], prior.precision)
+
+    def total(self, x: Array, sum_sq: Array, offsets: Array | None) -> float:
+        """What is lowered, priors included."""
+        total = float(sum_sq.sum()) + self.lights.cost(self._lights(x))
+        prior = self.pixel_prior(offsets)
+        if prior is not None:
+            total += prior.cost(taken(self.objective, x, slice(None))[:, self.objective.channels :])
+        if offsets is not None:
+            total += float((self._offset_precision * offsets**2).sum())
+        return total
+
+    @property
+    def _offset_precision(self) -> Array:
+        assert self.prior is not None
+        return settings.OFFSET_PRECISION_SHARE * self.prior.cluster_precision
+
+    def _lights(self, x: Array) -> Array:
+        return as_in_core(x[self.objective.layout.lighting], self.objective).ravel()
+
+    def _options(
+        self, objective: Objective, x: Array, pixels: Pixels, of_all: Pixels
+    ) -> dict[str, Any]:
+        """For the core, of pixels of an objective that are `of_all` in this one."""
+        layout = objective.layout
+        found: dict[str, Any] = {
+            "mono": layout.light_channels < layout.channels,
+            "damping": self.damping,
+        }
+        if self.prior is not None:
+            mean = self.prior.mean[of_all]
+            if self.offsets is not None:
+                cluster = self.prior.cluster[of_all]
+                mean = mean + self.offsets[cluster]
+                found["cluster"] = cluster.astype(np.uint64), len(self.offsets)
+            values = taken(objective, x, pixels)[:, layout.channels :]
+            found |= {"precision": self.prior.precision[of_all], "deviation": values - mean}
+        return found
+
+    def renew_preconditioner(self) -> None:
+        """Make it anew, from some pixels."""
+        few = self._objective_of_few
+        part = self._part_of_few()
+        pixels = evenly_spaced(few.pixels, settings.PRECONDITIONER_PIXELS)
+        options = self._options(few, part, pixels, self._few[pixels])
+        matrix, _ = few.problem.schur_complement(few.for_core(part), pixels, **options)
+        matrix /= len(pixels)
+        end = self.lights.mean.size
+        matrix[:end, :end] += self.shared.lights.matrix()
+        if self.offsets is not None:
+            own = self._offset_precision.ravel() / self.objective.pixels
+            np.einsum("ii->i", matrix)[end:] += own + np.finfo(float).tiny
+        self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
+        self.shared.stale = False
+
+    def _part_of_few(self) -> Array:
+        whole = self._objective_of_few is self.objective
+        return self.x if whole else self.objective.part_of(self.x, self._few)
+
+    def _solved(self, v: Array) -> Array:
+        """S⁻¹ v by the preconditioner."""
+        assert self.shared.inverse is not None
+        return self.shared.inverse(v) / self.objective.pixels
+
+    def gradient(self) -> Array | None:
+        """s, summed over pixels in order; None if stopped."""
+        end = self.lights.mean.size
+        nowhere = np.zeros(end if self.offsets is None else end + self.offsets.size)
+        total = np.zeros_like(nowhere)
+        for chunk in chunks(self.objective.pixels):
+            if self.stop():
+                return None
+            _, of_chunk = self.objective.problem.schur_product(
+                self.objective.for_core(self.x),
+                chunk,
+                nowhere,
+                **self._options(self.objective, self.x, chunk, chunk),
+            )
+            total += of_chunk
+        total[:end] += self.lights.half_gradient(self._lights(self.x))
+        if self.offsets is not None:
+            total[end:] += (self._offset_precision * self.offsets).ravel()
+        return total
+
+    def _product(self, part: Array, options: dict[str, Any], v: Array) -> Array:
+        """S v."""
+        few = self._objective_of_few
+        everything = np.arange(few.pixels, dtype=np.uint64)
+        product, _ = few.problem.schur_product(few.for_core(part), everything, v, **options)
+        product *= self.objective.pixels / few.pixels
+        end = self.lights.mean.size
+        product[:end] += self.lights.product(v[:end])
+        if self.offsets is not None:
+            product[end:] += self._offset_precision.ravel() * v[end:]
+        return product
+
+    def shared_moves(self, enough: float) -> tuple[Array, float]:
+        """δ with (S + damping) δ ≈ −s by preconditioned conjugate gradients, and what it gains.
+
+        The latter is by how much the sum falls in the quadratic model; if it cannot exceed
+        `enough`, no product is made.
+        """
+        gradient = self.gradient()
+        if gradient is None:
+            return np.zeros(0), 0.0
+        if self.shared.stale:
+            self.renew_preconditioner()
+        residual, moves = -gradient, np.zeros_like(gradient)
+        direction = preconditioned = self._solved(residual)
+        first = size_now = float(residual @ preconditioned)
+        if not first >= enough:
+            return moves, first
+        part, everything = self._part_of_few(), np.arange(len(self._few), dtype=np.uint64)
+        options = self._options(self._objective_of_few, part, everything, self._few)
+        predicted, number = 0.0, 0
+        while number < settings.CG_ITERATIONS_MAX and not self.stop():
+            number += 1
+            along = self._product(part, options, direction)
+            curvature = float(direction @ along)
+            if not curvature > 0:
+                break
+            length = size_now / curvature
+            moves += length * direction
+            residual -= length * along
+            predicted += length * size_now
+            preconditioned = self._solved(residual)
+            size_before, size_now = size_now, float(residual @ preconditioned)
+            if size_now <= max(settings.CG_ERROR_RATIO**2 * first, settings.CG_GAIN_SHARE * enough):
+                break
+            direction = preconditioned + size_now / size_before * direction
+        self.shared.stale = number >= settings.CG_RENEW
+        return moves, predicted
+
+    def step(self, moves: Array, total: float) -> float | None:
+        """The sum after the longest step of a few that lowers it, which is taken; None if none."""
+        objective, trial = self.objective, np.empty_like(self.x)
+        end = self.lights.mean.size
+        for share in settings.GLOBAL_STEP_SHARES:
+            moved = share * moves
+            trial[:] = self.x
+            trial[objective.layout.lighting] += as_in_x(moved[:end], objective.layout)
+            offsets = self.offsets
+            if offsets is not None:
+                offsets = offsets + moved[end:].reshape(offsets.shape)
+            for chunk in chunks(objective.pixels):
+                if self.stop():
+                    return None
+                followed = objective.problem.back_substitute(
+                    objective.for_core(self.x),
+                    chunk,
+                    moved,
+                    **self._options(objective, self.x, chunk, chunk),
+                )
+                place(objective, trial, chunk, followed)
+            prior = self.pixel_prior(offsets)
+            left = fit_all(
+                objective,
+                trial,
+                starts=0,
+                steps=settings.DESCENT_STEPS_AFTER_JOINT,
+                prior=prior,
+                stop=self.stop,
+            )
+            if left is None:
+                return None
+            self._restart_worse(trial, left, prior)
+            lower = self.total(trial, left, offsets)
+            if lower < total:
+                self.x[:], self.sum_sq[:], self.offsets = trial, left, offsets
+                return lower
+        return None
+
+    def _restart_worse(self, trial: Array, left: Array, prior: GaussianPrior | None) -> None:
+        """Let pixels that a step to `trial` left worse off start again; it and the sums change."""
+        worse = np.flatnonzero(left > settings.WORSE_RATIO * self.sum_sq).astype(np.uint64)
+        steps = 2 * settings.DESCENT_STEPS_AFTER_JOINT
+        objective = self.objective
+        for chunk in pieces(worse):
+            if self.stop():
+                return
+            own = taken(objective, self.x, chunk)
+            rows = None if prior is None else prior.rows(chunk)
+            try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)
+
+
+def minimize(fit: JointFit, steps: int, gain: float, visit: Visit | None = None) -> int:
+    """At most so many joint steps from x, which changes; returns how many.
+
+    Until one promises to lower the sum by less than `gain` times the residuals' variance. `visit`
+    is called after each step, with x and the pixels' sums, and says whether to stop.
+    """
+    done, total = 0, fit.total(fit.x, fit.sum_sq, fit.offsets)
+    while done < steps and total > 0:
+        worth = gain * variance(fit.objective, fit.sum_sq)
+        moves, predicted = fit.shared_moves(worth)
+        if not predicted >= worth or fit.stop():
+            break
+        lower = fit.step(moves, total)
+        if lower is None:
+            if fit.damping >= settings.GLOBAL_DAMPING_MAX or fit.stop():
+                break
+            fit.damping = max(settings.GLOBAL_DAMPING_FACTOR * fit.damping, settings.DAMPING_START)
+            continue
+        fit.damping /= settings.GLOBAL_DAMPING_FACTOR
+        if fit.damping < settings.DAMPING_START:
+            fit.damping = 0.0
+        done, total = done + 1, lower
+        if visit is not None and visit(fit.x, fit.sum_sq):
+            break
+    return done

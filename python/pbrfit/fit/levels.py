@@ -1,0 +1,75 @@
+"""Levels: nested subsets of the pixels that find what all pixels share, at a cost of their own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Pixels in every s-th row and column, and where they stand."""
+
+    objective: Objective
+    """Of these pixels alone."""
+    pixels: NDArray[np.uint64]
+    """Which of the whole's pixels they are."""
+    index: NDArray[np.intp]
+    """By row and column of the subset, the position in `pixels`; −1 where there is none."""
+
+    @classmethod
+    def of(cls, objective: Objective, at_most: int) -> Level:
+        """About so many of an objective's pixels at most."""
+        pixels, index = strided_subset(objective.layout, at_most)
+        return cls(objective.restricted(pixels), pixels, index)
+
+    def patches(self) -> list[NDArray[np.uint64]]:
+        """Positions in `pixels` of square pieces of the picture."""
+        side = settings.PATCH_SIDE
+        rows, columns = np.nonzero(self.index >= 0)
+        patch = rows // side * (self.index.shape[1] // side + 1) + columns // side
+        order = np.argsort(patch, kind="stable").astype(np.uint64)
+        starts = np.flatnonzero(np.diff(patch[order], prepend=-1))
+        return [np.sort(of_patch) for of_patch in np.split(order, starts[1:])]
+
+
+def strided_subset(
+    layout: ParameterLayout, at_most: int
+) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+    """Valid pixels in every s-th row and column, about `at_most` at most, and where they stand.
+
+    The latter is by row and column the position in the former, or −1 where the pixel there is not
+    valid.
+    """
+    step = max(1, math.ceil(math.sqrt(layout.pixels / at_most)))
+    # A long and narrow picture or mask has more pixels in every s-th row and column than a square.
+    while (first := _first_pixel(layout.valid, step))[0] > settings.STRIDED_SUBSET_EXCESS * at_most:
+        step += 1
+    _, row, column = first
+    found = pixel_index(layout)[row::step, column::step]
+    inside = found >= 0
+    index = np.full(found.shape, -1)
+    index[inside] = np.arange(np.count_nonzero(inside))
+    return found[inside].astype(np.uint64), index
+
+
+def _first_pixel(valid: NDArray[np.bool_], step: int) -> tuple[int, int, int]:
+    """How many valid pixels a strided subset has, and its first row and column.
+
+    It begins half a step from the border, unless a mask with a pattern of its own (every other
+    row, say) leaves it less than half of its share there.
+    """
+    rows, columns = np.nonzero(valid)
+    counts = np.bincount(rows % step * step + columns % step, minlength=step**2)
+    middle = [min(step // 2, size - 1) for size in valid.shape]
+    first = middle[0] * step + middle[1]
+    if 2 * step**2 * counts[first] < len(rows):
+        first = int(counts.argmax())
+    return int(counts[first]), first // step, first % step

@@ -1,1 +1,0 @@
-"""From a start to a fit: the strategies, a running fit with its clock, the two L-BFGS."""
