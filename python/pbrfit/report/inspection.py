@@ -35,8 +35,10 @@ def _needed(scene: Scene, layout: ParameterLayout) -> str:
         f"{', in tiles' if way.tiled else ''}"
         for solver, way in of_solver.items()
     )
-    if of_solver["auto"].needed.refining:
-        found += f"; {memory.size(of_solver['auto'].needed.refining)} less with normals held"
+    if of_solver["gauss-newton"].needed.refining:
+        found += (
+            f"; {memory.size(of_solver['gauss-newton'].needed.refining)} less with normals held"
+        )
     return found
 
 

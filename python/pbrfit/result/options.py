@@ -17,7 +17,7 @@ from pbrfit.io.quoting import listed
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model, checked_model, whole_number
 from pbrfit.result.refinement import CHOICES, RefineNormals
 
-Solver = Literal["auto", "gauss-newton", "lbfgsb"]
+Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
 Loss = Literal["none", "huber", "cauchy"]
@@ -107,12 +107,11 @@ class FitOptions:
     Attributes
     ----------
     solver
-        `"auto"`: Gauss-Newton, then L-BFGS on the whole objective where it has more than squares;
-        where the model does not fit the pictures, L-BFGS from the start; above 2 MP, or where
-        memory is short, lights from a subset of the pixels and then tiles. `"gauss-newton"`:
-        squares and the mixture prior alone. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the
-        paper's recipe), in stages that keep off roughness 0; in one stage when `start` is given.
-        docs/solver.md has more.
+        `"gauss-newton"`: joint steps of lights and materials, then L-BFGS-B on the whole objective
+        where it has other penalties than the mixture prior; with a robust loss, L-BFGS-B from the
+        start; above 2 MP, or where memory is short, lights from a subset of the pixels and then
+        tiles. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the paper's recipe), in stages
+        that keep off roughness 0; in one stage when `start` is given. docs/solver.md has more.
     iterations
         Largest number of iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these
         at most as many steps on a subset of the pixels, which find the lights and do not count.
@@ -153,7 +152,7 @@ class FitOptions:
         If a value is none of the above; one line that names the option.
     """
 
-    solver: Solver = "auto"
+    solver: Solver = "gauss-newton"
     iterations: int = 500
     time_limit: float | None = None
     sh_order: int = 3
@@ -219,9 +218,8 @@ class FitOptions:
 
 FLAGS: dict[str, Flag] = {
     "solver": Flag(
-        "auto: Gauss-Newton, then L-BFGS where there is more to minimise than squares; "
-        "gauss-newton: squares and the material prior; lbfgsb: the paper's recipe "
-        "(default: %(default)s)",
+        "gauss-newton: joint steps of lights and materials; lbfgsb: scipy's L-BFGS-B, the paper's "
+        "recipe (default: %(default)s)",
         values=SOLVERS,
     ),
     "iterations": Flag("at most so many", metavar="K"),

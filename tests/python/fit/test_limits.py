@@ -20,8 +20,7 @@ from pbrfit.synthetic import make_scene
 SIZE, LIGHTS = 12, 3
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {
-    "auto": {},
-    "gauss-newton": {"solver": "gauss-newton"},
+    "gauss-newton": {},
     "lbfgsb": {"solver": "lbfgsb", "iterations": 60},
     "no priors": {"priors": Priors.none()},
     "huber": {"robust": "huber", "iterations": 60},

@@ -1,1 +1,1 @@
-"""From a start to a fit: the strategies, a running fit with its clock, the two L-BFGS."""
+"""From a start to a fit: the strategies, a running fit with its clock, L-BFGS-B."""

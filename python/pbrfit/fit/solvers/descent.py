@@ -14,14 +14,11 @@ from pbrfit.fit.settings import (
     LBFGS_PAIRS,
     LBFGS_STAGES,
     LBFGS_STAGES_GIVEN_START,
-    LOSS_RESOLUTION,
     ROBUST_STAGES_GIVEN_START,
     START_ROUGHNESS,
     TRAP_ROUGHNESS,
     TRAPPED_MARGIN,
 )
-from pbrfit.fit.solvers import projected_lbfgs
-from pbrfit.fit.solvers.projected_lbfgs import Bounds
 from pbrfit.fit.solvers.run import Run
 from pbrfit.threads import one_blas_thread
 
@@ -83,55 +80,13 @@ def _restarted(run: Run, x: Array) -> Array:
     return x
 
 
-def for_size(run: Run) -> tuple[str, Descent]:
-    """Scipy's where its own work is a small share; with its name for people."""
-    if projected_lbfgs.choose(run.objective.size) == "scipy":
-        return "L-BFGS-B", by_scipy
-    return "bounded L-BFGS in Rust", in_rust
-
-
 def lowered(run: Run, x: Array, stall: tuple[int, float] | None) -> Array:
     """X with the whole objective lowered until that stalls, or the limits of the run."""
-    name, descent = for_size(run)
-    with run.stage(name) as notes:
+    with run.stage("L-BFGS-B") as notes:
         before = run.iteration
-        _, x = descent(run, x, run.left, stall=stall)
+        _, x = by_scipy(run, x, run.left, stall=stall)
         notes.append(f"{run.iteration - before} iterations")
     return x
-
-
-def in_rust(
-    run: Run,
-    x: Array,
-    iterations: int,
-    lowest_roughness: float = 0.0,
-    stall: tuple[int, float] | None = None,
-) -> tuple[float, Array]:
-    """By the bounded L-BFGS whose vectors are in Rust; see `Descent`."""
-    objective = run.objective
-    bounds = Bounds.of_slices(
-        objective.size,
-        (objective.layout.materials, 0.0, 1.0),
-        (objective.roughness, lowest_roughness, 1.0),
-    )
-
-    def after_iteration(iterate: projected_lbfgs.Iterate) -> None:
-        run.iteration += 1
-        run.record(iterate.x, iterate.fun)
-        if run.out_of_time():
-            raise StopIteration
-
-    found = projected_lbfgs.minimize(
-        _in_time(run),
-        x,
-        bounds,
-        iterations=iterations,
-        callback=after_iteration,
-        threads=objective.threads,
-        stall=stall,
-        resolution=LOSS_RESOLUTION,
-    )
-    return found.fun, found.x
 
 
 def _in_time(run: Run) -> Callable[[Array], tuple[float, Array]]:

@@ -1,7 +1,7 @@
 """The solvers of `decompose`: from a start to a fit.
 
-`lbfgsb` is the paper's recipe and the reference, `gauss-newton` the fast one for squares and the
-material prior, `auto` puts them together.
+`gauss-newton`, the default, takes joint steps of lights and materials for squares and the material
+prior, and lowers other penalties from there. `lbfgsb` is the paper's recipe and the reference.
 """
 
 from __future__ import annotations
@@ -16,23 +16,13 @@ from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.material import fit_prior
 from pbrfit.fit.priors.penalties import Penalty, penalties
-from pbrfit.fit.settings import (
-    EXACT_RMSE,
-    FAR_BETTER,
-    SAME_FIT,
-    SAME_FIT_OF_VALIDATION_PIXELS,
-    STALL,
-)
-from pbrfit.fit.solvers.descent import by_scipy, for_size, lowered, robust_around, staged
+from pbrfit.fit.settings import EXACT_RMSE, STALL
+from pbrfit.fit.solvers.descent import by_scipy, lowered, staged
 from pbrfit.fit.solvers.run import Run
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Status
 
 Array = NDArray[np.float64]
-
-MISFIT = "the model does not fit the pictures: residuals of neighbours are alike"
-ROBUST = "for a robust loss"
-"""Why L-BFGS takes all pixels from the start."""
 
 
 def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]:
@@ -44,76 +34,31 @@ def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]
     run.record(x, loss)
     if run.left <= 0:
         return x, Status.ITERATION_LIMIT, "0 iterations asked for"
-    if run.options.solver == "gauss-newton":
-        return gauss_newton(run, x)
-    method = auto if run.options.solver == "auto" else lbfgsb
+    method = gauss_newton if run.options.solver == "gauss-newton" else lbfgsb
     return method(run, x, loss, start_given=start_given)
 
 
-def auto(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
+def gauss_newton(
+    run: Run, x: Array, loss: float, *, start_given: bool
+) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended.
 
-    Where neighbouring pixels have something in common in what Gauss-Newton leaves of them, the
-    model is wrong somewhere: normals, field of view, shadows, order of the lights. A lower loss can
-    mean worse materials there, because lights that fit some pixels closely bend their materials to
-    the error. Then L-BFGS takes all pixels from the start, and its fit stays unless Gauss-Newton's
-    is the same or far better. It takes them with a robust loss too: squares of outliers lead far
-    from where that is least, and the material prior would be fitted there.
+    With a robust loss L-BFGS-B takes all pixels from the start: squares of outliers lead far from
+    where that is least, and the material prior would be fitted there.
     """
-    least, by_lbfgs, lights = (loss, x), None, None
-    if run.options.robust == "none":
-        lights = find_lights(run, x)
-    if lights is None or not lights.fits:
-        why = ROBUST if lights is None else MISFIT
-        least = _by_lbfgs(run, x, loss, why, start_given=start_given)
-        by_lbfgs = least[1]
-    found = None
-    if lights is not None and (by_lbfgs is None or _may_be_better(run, lights, by_lbfgs)):
-        found = fit_materials(run, lights)
-    if found is not None and (by_lbfgs is None or _is_better(run, found, by_lbfgs)):
-        x, by_gauss_newton = with_material_prior(run, found), True
-    else:
-        x, by_gauss_newton = least[1], False
-        if run.has_mixture_prior and run.goes_on:
-            x, _ = fit_mixture_prior(run, x)
-    only_squares = run.options.robust == "none" and not run.objective.penalties
-    done = by_gauss_newton and only_squares
-    if not done and run.goes_on:
-        if not run.has_mixture_prior:  # else it is robust already
-            robust_around(run, (loss, x))
-        x = lowered(run, x, stall=STALL if by_gauss_newton else None)
-    comparable = not run.has_mixture_prior and run.options.robust == "none"
-    if comparable and run.rows[-1].loss > least[0]:
+    if run.options.robust != "none":
+        return lbfgsb(run, x, loss, start_given=start_given)
+    start = x
+    found = fit_materials(run, find_lights(run, x))
+    if found is not None:
+        x = with_material_prior(run, found)
+    why = "no joint step lowers the sum further"
+    if run.goes_on and any(penalty.name != "material" for penalty in run.objective.penalties):
+        x, why = lowered(run, x, stall=STALL), "the loss falls no further"
+    if not run.has_mixture_prior and run.rows[-1].loss > loss:
         # Squares know nothing of penalties, and there was no time to lower these.
-        return least[1], *run.ended("", "; kept an earlier state, whose loss is lower")
-    why = "no joint step lowers the squares" if done else "the loss falls no"
-    return x, *run.ended(f"{why} further")
-
-
-def _by_lbfgs(
-    run: Run, x: Array, loss: float, why: str, *, start_given: bool
-) -> tuple[float, Array]:
-    """Loss and x of L-BFGS from the start."""
-    name, descent = for_size(run)
-    with run.stage(name) as notes:
-        x, loss, _ = staged(run, x, loss, descent, start_given=start_given)
-        notes.append(why)
-    return loss, x
-
-
-def _may_be_better(run: Run, lights: LightEstimate, by_lbfgs: Array) -> bool:
-    """Whether all pixels need be fitted to tell, judged by the validation pixels."""
-    objective = run.objective
-    x, pixels = objective.for_core(by_lbfgs), lights.validation_pixels
-    *_, squares = objective.problem.normal_equations(x, pixels)
-    share = lights.sum_sq_residuals / max(float(squares.sum()), np.finfo(np.float64).tiny)
-    least, most = SAME_FIT_OF_VALIDATION_PIXELS
-    return run.goes_on and (share <= FAR_BETTER or least <= share <= most)
-
-
-def _is_better(run: Run, found: Array, by_lbfgs: Array) -> bool:
-    squares, left = (run.objective.data_value_and_grad(x)[0] for x in (found, by_lbfgs))
-    return squares <= FAR_BETTER * left or SAME_FIT * left <= squares <= left
+        return start, *run.ended(why, "; kept the start, whose loss is lower")
+    return x, *run.ended(why)
 
 
 def lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
@@ -128,14 +73,6 @@ def lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
                 _, x = by_scipy(run, x, run.left)
     # With zero tolerances scipy stops early only where rounding hides any further descent.
     return x, *run.ended("no step lowers the loss further", kept)
-
-
-def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
-    """X of the fit, and why it ended."""
-    found = fit_materials(run, find_lights(run, x))
-    if found is not None:
-        x = with_material_prior(run, found)
-    return x, *run.ended("no joint step lowers the sum further")
 
 
 def find_lights(run: Run, x: Array) -> LightEstimate:
@@ -231,9 +168,8 @@ class _Watch:
     def visit_few(
         self, pixels: NDArray[np.uint64], materials: Array, lights: Array, share: float
     ) -> bool:
-        # Steps on a subset do not count as iterations: they cost little, and where they fail L-BFGS
-        # is to have all iterations. But there are no more of them, so that few iterations take
-        # little time.
+        # Steps on a subset do not count as iterations, because they cost little. But there are no
+        # more of them, so that few iterations take little time.
         run = self._run
         self._steps_of_few += 1
 
