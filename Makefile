@@ -1,7 +1,6 @@
 # make demo, make test, make bench: each sets up what it needs in .venv
 # make test-slow: the tests that take more than two seconds each, which make test leaves out
 # make bench-needs: what leaving out parts of a fit saves
-# make bench-lbfgs: our bounded L-BFGS beside scipy's
 # make bench-growth: time and memory of a fit from 0.25 to 16 MP, 4 to 64 pictures (an hour, 13 GiB)
 # make test-acquire: the tests that need PyTorch, diffusers, transformers and openai, in .venv-acquire
 #   (5 GB); they download no weights
@@ -46,7 +45,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dis
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint lint-rust lint-python bench bench-growth bench-lbfgs bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-peers cycles-env wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -106,9 +105,6 @@ bench-needs: $(VENV)/installed
 
 bench-growth: $(VENV)/installed
 	$(BIN)/python benches/growth.py
-
-bench-lbfgs: $(VENV)/installed
-	$(BIN)/python benches/lbfgs.py --out docs/benchmarks/lbfgs.md
 
 bench-peers: $(PEERS)/installed
 	mkdir -p out

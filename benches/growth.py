@@ -142,7 +142,7 @@ def page(rows: Sequence[dict[str, Any]], beside: str) -> str:
 
 {on["processor"]}, {on["cores"]} cores, Python {on["python"]}. `make bench-growth` writes this page:
 the command `pbrfit decompose SCENE --out RESULT` with its defaults, one run each in a
-process of its own, float32 EXR read and the result written. Above 2 MP `auto` fits in tiles.
+process of its own, float32 EXR read and the result written. Above 2 MP a scene is fitted in tiles.
 {beside}
 
 ![Time and memory over megapixels, for 4, 16 and 64 pictures](growth.png)

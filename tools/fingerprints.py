@@ -116,7 +116,6 @@ CASES = {
     "paper textured": Case(
         lambda: make_scene("textured", size=24, lights=8, held_out=1, noise=0.01, seed=2)
     ),
-    "paper gauss-newton": Case(partial(room, noise=0.01), {"solver": "gauss-newton"}),
     "paper lbfgsb": Case(partial(room, noise=0.01), {"solver": "lbfgsb", "iterations": 60}),
     "paper lbfgsb without priors": Case(
         room, {"solver": "lbfgsb", "iterations": 60, "priors": Priors.none()}
@@ -151,9 +150,6 @@ CASES = {
     ),
     "principled exact": Case(partial(room, model="principled")),
     "principled noise": Case(partial(room, model="principled", noise=0.01)),
-    "principled gauss-newton": Case(
-        partial(room, model="principled", noise=0.01), {"solver": "gauss-newton"}
-    ),
     "principled lbfgsb": Case(
         partial(room, model="principled", noise=0.01), {"solver": "lbfgsb", "iterations": 40}
     ),

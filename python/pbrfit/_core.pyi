@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 __all__ = [
     "Groups",
     "InputError",
-    "Lbfgs",
     "Neighbours",
     "Problem",
     "Raster",
@@ -291,66 +290,6 @@ class Groups:
         self, values: NDArray[np.float64], weight: float, gradient: NDArray[np.float64]
     ) -> float:
         """As that of `Neighbours`."""
-
-@final
-class Lbfgs:
-    """Bounds, and pairs of a quasi-Newton method; the vector work of `pbrfit.projected_lbfgs`.
-
-    Entries up to ends[0] have bounds lower[0] and upper[0], those from there to ends[1] the second,
-    and so on. Vectors are contiguous float64 (n,) arrays, n = ends[-1]. Columns are s₁ … s_k,
-    y₁ … y_k of the `pairs` = k pairs that are known, the oldest first. An entry is free unless it
-    is on a bound that the gradient pushes it against. threads 0 = all.
-    """
-
-    def __new__(
-        cls,
-        ends: NDArray[np.int64],
-        lower: NDArray[np.float64],
-        upper: NDArray[np.float64],
-        corrections: int,
-        threads: int = 0,
-    ) -> Lbfgs: ...
-    @property
-    def size(self) -> int: ...
-    @property
-    def pairs(self) -> int: ...
-    def clear_pairs(self) -> None: ...
-    def add_pair(
-        self,
-        x: NDArray[np.float64],
-        new_x: NDArray[np.float64],
-        gradient: NDArray[np.float64],
-        new_gradient: NDArray[np.float64],
-    ) -> bool:
-        """Add a pair s = new_x − x and y = new_gradient − gradient, if sᵀy is well above 0."""
-    def products(
-        self, x: NDArray[np.float64], gradient: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-        """Of columns with each other, over all entries and over free ones, (2k, 2k) each.
-
-        And over free ones with the gradient (2k,), and of the gradient with itself.
-        """
-    def direction(
-        self,
-        x: NDArray[np.float64],
-        gradient: NDArray[np.float64],
-        descent: float,
-        coefficients: NDArray[np.float64],
-        out: NDArray[np.float64],
-    ) -> float:
-        """Put clip(x − descent · gradient − columns · coefficients) − x, on free entries, into out.
-
-        Returns its product with the gradient.
-        """
-    def moved(
-        self,
-        x: NDArray[np.float64],
-        direction: NDArray[np.float64],
-        length: float,
-        out: NDArray[np.float64],
-    ) -> None:
-        """Put clip(x + length · direction) into out."""
-    def dot(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> float: ...
 
 @final
 class Raster:

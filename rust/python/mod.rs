@@ -8,7 +8,6 @@ mod arrays;
 mod ending;
 mod image_file;
 mod images;
-mod lbfgs;
 mod model;
 mod penalties;
 mod problem;
@@ -68,7 +67,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     model::register(module)?;
     problem::register(module)?;
     penalties::register(module)?;
-    lbfgs::register(module)?;
     ending::register(module)?;
     image_file::register(module)
 }

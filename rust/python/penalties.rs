@@ -83,7 +83,7 @@ fn in_place(
 }
 
 /// Whole numbers from 0, out of an array of int64.
-pub(super) fn indices(name: &'static str, argument: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+fn indices(name: &'static str, argument: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
     let array = array::<i64, Ix1>(name, argument)?;
     let values = Contiguous::try_of(name, &array)?;
     let whole = values.values().iter().map(|&value| {

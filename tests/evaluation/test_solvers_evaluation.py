@@ -52,23 +52,23 @@ def judged(part: str, pairs: Sequence[tuple[Any, Record]]) -> list[Verdict]:
     return list(of.verdicts(results, of.figures(results)))
 
 
-def test_exact_rooms_are_counted_and_auto_ends_no_higher_than_lbfgsb() -> None:
-    def rooms(good: int, auto: float = 1e-9) -> list[Verdict]:
+def test_exact_rooms_are_counted_and_gauss_newton_ends_no_higher_than_lbfgsb() -> None:
+    def rooms(good: int, second: float = 1e-9) -> list[Verdict]:
         pairs = []
         for i in range(67):
             run = {"exact": i < good, "recon": 1e-9, "worst_map": 0.0, "seconds": 1.0}
             runs = dict.fromkeys(measure.EXACT_FITS, run)
-            runs["auto"] = run | {"recon": auto if i == 1 else 1e-9}
+            runs["gauss-newton"] = run | {"recon": second if i == 1 else 1e-9}
             pairs.append(recorded(Case("exact", 1000 + i, 128, 500), runs))
         return judged("exact", pairs)
 
     of64 = rooms(64)
-    assert len(of64) == 4
+    assert len(of64) == 3
     assert all(v.holds for v in of64)
-    assert all((v.value, v.bar) == (64, 64) for v in of64[:3])
+    assert all((v.value, v.bar) == (64, 64) for v in of64[:2])
     assert of64[0].where == "not: 1064, 1065, 1066"
-    assert not any(v.holds for v in rooms(63)[:3])
-    above = rooms(67, auto=2e-9)[3]
+    assert not any(v.holds for v in rooms(63)[:2])
+    above = rooms(67, second=2e-9)[2]
     assert above.value == pytest.approx(2.0)
     assert (above.holds, above.where) == (False, "seed 1001; above in 1 of 67")
 
@@ -78,16 +78,15 @@ def test_noise_is_held_against_the_mark_and_lbfgsbs_maps() -> None:
         return {"above_mark": above, **dict.fromkeys(figures.NOISE_METRICS, error)}
 
     values = {
-        "gauss-newton": run(0.05, 0.1),
-        "auto": run(5e-4, 0.103),
+        "gauss-newton": run(5e-4, 0.103),
         "lbfgsb": run(0.1, 0.1),
-        "auto, priors": run(0.5, 0.05),
+        "gauss-newton, priors": run(0.5, 0.05),
         "lbfgsb, priors": run(0.5, 0.05),
     }
     found = judged("noise", [recorded(Case("noise", 1000, 8, 9, noise=0.01), values)])
-    assert [v.holds for v in found] == [True, False, False, True]
-    assert [v.value for v in found] == pytest.approx([5e-4, 0.05, 1.03, 1.0])
-    assert found[2].what == "auto over lbfgsb, noise 0.01, no priors: worst mean error"
+    assert [v.holds for v in found] == [True, False, True]
+    assert [v.value for v in found] == pytest.approx([5e-4, 1.03, 1.0])
+    assert found[1].what == "gauss-newton over lbfgsb, noise 0.01, no priors: worst mean error"
 
 
 @pytest.mark.parametrize("part", SUITE.parts, ids=lambda part: part.name)
@@ -115,6 +114,6 @@ def test_the_command_runs_parts(tmp_path: Path) -> None:
     assert main(options) == 1  # nothing holds after three iterations
     rows = json.loads((out / "summary.json").read_text("utf-8"))["rows"]
     by_name = {row["name"]: row for row in rows}
-    assert by_name["exact: auto's residual over lbfgsb's"]["metrics"]["bar"] == 1
+    assert by_name["exact: gauss-newton's residual over lbfgsb's"]["metrics"]["bar"] == 1
     assert by_name["rooms without noise"]["metrics"]["recon"] > 0
-    assert "exact,exact_1000,auto/recon," in (out / "scenes.csv").read_text("utf-8")
+    assert "exact,exact_1000,gauss-newton/recon," in (out / "scenes.csv").read_text("utf-8")

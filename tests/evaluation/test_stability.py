@@ -296,7 +296,9 @@ def test_stiff_scenes_are_what_their_names_say() -> None:
 
 def test_a_fit_that_is_worse_or_unflagged_or_broken_fails_its_check() -> None:
     def failed(**facts: float) -> list[str]:
-        values = {"figures": worst_of("stiff fits", {"a; auto": facts, "b; auto": {}})}
+        values = {
+            "figures": worst_of("stiff fits", {"a; gauss-newton": facts, "b; gauss-newton": {}})
+        }
         return [key for key, holds in judged("stiff fits", values).items() if not holds]
 
     above = stiff_fits.above

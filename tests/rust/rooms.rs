@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each with those that it may use.
-const ROOMS: [(&str, &[&str]); 9] = [
+const ROOMS: [(&str, &[&str]); 8] = [
     ("runtime", &[]),
     ("reflectance", &["runtime"]),
     ("block", &["runtime", "reflectance"]),
@@ -16,7 +16,6 @@ const ROOMS: [(&str, &[&str]); 9] = [
         "schur",
         &["runtime", "reflectance", "block", "problem", "pixel"],
     ),
-    ("lbfgs", &["runtime"]),
     ("image_file", &["runtime"]),
     (
         "python",
@@ -27,7 +26,6 @@ const ROOMS: [(&str, &[&str]); 9] = [
             "problem",
             "pixel",
             "schur",
-            "lbfgs",
             "image_file",
         ],
     ),

@@ -65,7 +65,7 @@ def rooms(results: Of) -> list[Row]:
             for name in ("recon", *SHOWN):
                 metrics[name] = found = _mean(of, one, name)
                 metrics[f"{name}_ratio"] = found / _mean(of, NONE, name)
-            rows.append(Row(f"{case}, {one.key}", count, "auto", metrics, status=status))
+            rows.append(Row(f"{case}, {one.key}", count, "gauss-newton", metrics, status=status))
         if not count:
             rows.append(Row(case, 0, None, {}, status=status))
     for judged in _judged(results, DEFAULT):
@@ -74,7 +74,7 @@ def rooms(results: Of) -> list[Row]:
         metrics |= {"found": judged.found, "rooms_that_hold": float(judged.holding)}
         name = f"must hold ({demand.part}): {demand.case}, {demand.metric}"
         status = "ok" if judged.holds else "not held"
-        rows.append(Row(name, len(judged.rooms), "auto", metrics, status=status))
+        rows.append(Row(name, len(judged.rooms), "gauss-newton", metrics, status=status))
     return rows
 
 

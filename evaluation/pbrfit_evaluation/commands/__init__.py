@@ -40,7 +40,7 @@ SUITES = {
     "peers": "networks that see one picture, beside our fit of all",
     "real": "held-out pictures of real scenes",
     "review": "what the review of generated pictures catches and refuses",
-    "solvers": "whether gauss-newton and auto reach what they must",
+    "solvers": "whether gauss-newton reaches what it must",
     "stability": "numerical stability of the core",
     "table1": "errors of materials and relighting on scenes whose ground truth is known",
     "uncertainty": "predicted deviations against many refits under noise",

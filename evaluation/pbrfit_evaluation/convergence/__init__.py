@@ -75,9 +75,9 @@ SUITE = Suite(
     title="Error against run time",
     description="Run every solver on scenes of several sizes, noise levels and light matrices, and "
     "measure the errors of reconstruction, maps and relit pictures on the way. Writes report.html, "
-    "a plot a quantity, convergence.md, curves.csv and summary.json. Exit code 1 if second-order "
-    "solvers are not as much sooner than others as they must be. Peers need PyTorch: pip install "
-    "pbrfit-evaluation[peers]; they know the paper's model alone.",
+    "a plot a quantity, convergence.md, curves.csv and summary.json. Exit code 1 if the "
+    "second-order solver is not as much sooner than others as it must be. Peers need PyTorch: pip "
+    "install pbrfit-evaluation[peers]; they know the paper's model alone.",
     protocol="pbrfit-convergence-1, {effort}",
     parts=[
         Part(
@@ -109,7 +109,7 @@ SUITE = Suite(
         "clock does not run meanwhile, nor while libraries and a start that is handed in are made.",
         "A run of ours ends after so many iterations, one of a peer after so many evaluations, and "
         "any after so many seconds (more above 64², in proportion to the pixels).",
-        "At 512² the second-order solvers are held against the others by when they reach the "
+        "At 512² the second-order solver is held against the others by when it reaches the "
         "reconstruction error that the paper's recipe ends at.",
     ),
     jobs=1,  # times mean something only if nothing else runs

@@ -52,15 +52,14 @@ SHOWN: tuple[tuple[Quantity, float], ...] = (
 SOONEST = 1e-2
 """Seconds at which the axis of times begins."""
 
-SECOND_ORDER = ("gauss-newton", "auto")
-MARK = "lbfgsb-paper"
+RACER, MARK = "gauss-newton", "lbfgsb-paper"
 
 SOONER: tuple[tuple[str, tuple[str, ...], float], ...] = (
     ("lbfgsb", (MARK, "lbfgsb"), 20.0),
     ("torch", ("torch-lbfgs",), 10.0),
 )
-"""How many times sooner the second-order solvers are, at least, on large pictures where the paper's
-recipe ends: than whom, the solvers of which the soonest counts, and the bar."""
+"""How many times sooner Gauss-Newton is, at least, on large pictures where the paper's recipe ends:
+than whom, the solvers of which the soonest counts, and the bar."""
 
 
 Runs = dict[str, Sequence[Point]]
@@ -173,29 +172,28 @@ def _plot(results: Results[Task], quantity: Quantity) -> Plot:
 
 
 def verdicts(results: Results[Task], _: Sequence[Row]) -> Iterator[Verdict]:
-    """Second-order solvers are much sooner where the paper's recipe ends, on large pictures."""
+    """Gauss-Newton is much sooner where the paper's recipe ends, on large pictures."""
     for case in chosen(results.options):
         if case.size < RACE_SIZE:
             continue
         runs: dict[int, Runs] = {}
         for task, values in results.of(case=case).finished:
             runs.setdefault(task.seed, {})[task.solver] = values["points"]
-        for solver in SECOND_ORDER:
-            for other, rivals, bar in SOONER:
-                speeds = {
-                    seed: speed(of, solver, there)
-                    for seed, of in runs.items()
-                    if MARK in of and solver in of
-                    if (there := [of[name] for name in rivals if name in of])
-                }
-                if not speeds:
-                    continue
-                ratios = [ratio for ratio, _ in speeds.values()]
-                where = f"from {min(ratios):.3g} to {max(ratios):.3g}"
-                if never := [str(seed) for seed, (_, reached) in speeds.items() if not reached]:
-                    where += f"; {other} never reached it on {', '.join(never)}: at least so much"
-                what = f"{solver}: times sooner at the mark than {other}, median of {len(ratios)}"
-                yield Verdict(what, statistics.median(ratios), bar, where, at_least=True)
+        for other, rivals, bar in SOONER:
+            speeds = {
+                seed: speed(of, RACER, there)
+                for seed, of in runs.items()
+                if MARK in of and RACER in of
+                if (there := [of[name] for name in rivals if name in of])
+            }
+            if not speeds:
+                continue
+            ratios = [ratio for ratio, _ in speeds.values()]
+            where = f"from {min(ratios):.3g} to {max(ratios):.3g}"
+            if never := [str(seed) for seed, (_, reached) in speeds.items() if not reached]:
+                where += f"; {other} never reached it on {', '.join(never)}: at least so much"
+            what = f"{RACER}: times sooner at the mark than {other}, median of {len(ratios)}"
+            yield Verdict(what, statistics.median(ratios), bar, where, at_least=True)
 
 
 def speed(of: Runs, solver: str, rivals: Sequence[Sequence[Point]]) -> tuple[float, bool]:

@@ -129,12 +129,6 @@ SOLVERS: tuple[Solver, ...] = (
         raced=True,
     ),
     Solver(
-        "auto",
-        "Gauss–Newton first, then bounded L-BFGS on the whole objective.",
-        partial(fit_with_ours, solver="auto"),
-        raced=True,
-    ),
-    Solver(
         "torch-lbfgs",
         "torch.optim.LBFGS with the strong Wolfe line search, maps through a sigmoid, from the "
         "default start; float32, automatic differentiation.",

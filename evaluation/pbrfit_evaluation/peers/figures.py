@@ -31,7 +31,7 @@ def figures(results: Results[Task]) -> list[Row]:
         of = results.of(method=method)
         why = why_not(method, results.options)
         names = [field.name for field in fields(Scores)] if of.finished else []
-        solver = "auto" if method == "pbrfit" else None
+        solver = "gauss-newton" if method == "pbrfit" else None
         metrics = of.metrics(names, "scores")
         status = f"not run: {why}" if why else next((r.error or "" for r in of.failed), "ok")
         rows.append(Row(IN_WORDS[method], len(of.finished), solver, metrics, status=status))

@@ -34,7 +34,7 @@ from pbrfit_evaluation.suite import (
     digits,
 )
 
-SOLVERS = {"default": "auto", "plain": "auto", "paper": "lbfgsb"}
+SOLVERS = {"default": "gauss-newton", "plain": "gauss-newton", "paper": "lbfgsb"}
 
 COLUMNS = ("relative_rmse", "psnr", "ssim", "kept_relative_rmse", "seconds")
 

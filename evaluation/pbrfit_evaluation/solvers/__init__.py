@@ -1,4 +1,4 @@
-"""The second-order solvers: whether they reach what they are there for, and at what cost."""
+"""The second-order solver: whether it reaches what it is there for, and at what cost."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def _cases(part: str, levels: Sequence[float | None] = (None,)) -> Callable[[Opt
 
 SUITE = Suite(
     name="solvers",
-    title="The second-order solvers",
-    description="Fit rooms with gauss-newton, auto and lbfgsb, without noise to the last digits, "
+    title="The second-order solver",
+    description="Fit rooms with gauss-newton and lbfgsb, without noise to the last digits, "
     "and with noise, and hold the figures against what they must be. Writes report.html, "
     "solvers.md, scenes.csv and summary.json. Exit code 1 if something does not hold.",
     protocol="pbrfit-solvers-1, {effort}",
@@ -62,9 +62,9 @@ SUITE = Suite(
         "iterations": (500, 100),
     },
     about=(
-        "Whether the second-order solver “gauss-newton”, and “auto”, which goes on from there with "
-        "L-BFGS on the whole objective, reach what they are there for, beside “lbfgsb”, scipy's "
-        "L-BFGS-B. docs/solvers.md says what each part measures, and what must hold.",
+        "Whether the second-order solver “gauss-newton” reaches what it is there for, beside "
+        "“lbfgsb”, scipy's L-BFGS-B. docs/solvers.md says what each part measures, and what must "
+        "hold.",
     ),
     jobs=1,
     timed=True,

@@ -23,8 +23,8 @@ EXACT_SHARE = 64 / 67
 """Share of the rooms without noise that have to be exact, at least."""
 
 OBJECTIVE_SLACK, METRIC_RATIO = 1e-3, 1.02
-"""With noise: objective of a second-order solver over the mark, less 1, and mean error of `auto`
-over that of `lbfgsb`, at most."""
+"""With noise: objective of `gauss-newton` over the mark, less 1, and its mean error over that of
+`lbfgsb`, at most."""
 
 EXACT_METRICS = ("exact", "recon", "worst_map", "seconds")
 """The mean of "exact" is the share of rooms."""
@@ -74,7 +74,7 @@ def exact_rows(results: Of) -> list[Row]:
 
 
 def exact_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
-    """Enough rooms are exact; `auto` is never above `lbfgsb`."""
+    """Enough rooms are exact; `gauss-newton` is never above `lbfgsb`."""
     found = results.finished
     if not found:
         return
@@ -90,8 +90,10 @@ def exact_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
             f"not: {', '.join(missed)}" if missed else "",
             at_least=True,
         )
-    above = {f"seed {case.seed}": v["auto"]["recon"] / v["lbfgsb"]["recon"] for case, v in found}
-    yield _highest("auto's residual over lbfgsb's", above, 1.0)
+    above = {
+        f"seed {case.seed}": v["gauss-newton"]["recon"] / v["lbfgsb"]["recon"] for case, v in found
+    }
+    yield _highest("gauss-newton's residual over lbfgsb's", above, 1.0)
 
 
 # ----------------------------------------------------------------------------------------- noise
@@ -115,18 +117,17 @@ def noise_rows(results: Of) -> list[Row]:
 def noise_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
     """Objectives are near the mark, and maps no worse than L-BFGS-B's."""
     for level, of in _levels(results):
-        for solver in ("auto", "gauss-newton"):
-            above = {f"seed {case.seed}": v[solver]["above_mark"] for case, v in of.finished}
-            what = f"{solver}, {level}: objective over the mark, less 1"
-            yield _highest(what, above, OBJECTIVE_SLACK)
+        above = {f"seed {case.seed}": v["gauss-newton"]["above_mark"] for case, v in of.finished}
+        what = f"gauss-newton, {level}: objective over the mark, less 1"
+        yield _highest(what, above, OBJECTIVE_SLACK)
         for suffix in ("", ", priors"):
             ratios = {
                 metric: float(
-                    np.mean(of.numbers(f"auto{suffix}", metric))
+                    np.mean(of.numbers(f"gauss-newton{suffix}", metric))
                     / np.mean(of.numbers(f"lbfgsb{suffix}", metric))
                 )
                 for metric in NOISE_METRICS
             }
             worst = max(ratios, key=lambda metric: ratios[metric])
-            what = f"auto over lbfgsb, {level}{suffix or ', no priors'}: worst mean error"
+            what = f"gauss-newton over lbfgsb, {level}{suffix or ', no priors'}: worst mean error"
             yield Verdict(what, ratios[worst], METRIC_RATIO, worst.replace("_", ", "))

@@ -71,7 +71,6 @@ MAPS = ("albedo", "roughness", "metallic")
 
 EXACT_FITS: dict[str, tuple[str, float]] = {
     "gauss-newton": ("gauss-newton", RECON_FLOAT32),
-    "auto": ("auto", RECON_FLOAT32),
     "lbfgsb": ("lbfgsb", RECON_FLOAT32),
     "gauss-newton, float64": ("gauss-newton", RECON_FLOAT64),
 }
@@ -114,9 +113,8 @@ FROM_TRUTH = "gauss-newton from the ground truth"
 NOISE_FITS: dict[str, dict[str, Any]] = {
     FROM_TRUTH: {"solver": "gauss-newton", "priors": None},
     "gauss-newton": {"solver": "gauss-newton", "priors": None},
-    "auto": {"solver": "auto", "priors": None},
     "lbfgsb": {"solver": "lbfgsb", "priors": None},
-    "auto, priors": {"solver": "auto"},
+    "gauss-newton, priors": {"solver": "gauss-newton"},
     "lbfgsb, priors": {"solver": "lbfgsb"},
 }
 """Options by name."""

@@ -187,9 +187,9 @@ SECTIONS = {
         "has to be finite and say so.",
         "Whatever the pictures leave open has to be some number within its bounds at every step, "
         "and no loop is without an end, however singular the equations are. With equal lights, or "
-        "with one picture, a pixel has three numbers for five unknowns. auto ends no higher than "
-        "lbfgsb, but for what float32 sums can differ by; residuals below 3·10⁻⁷ of the pictures "
-        "count as that.",
+        "with one picture, a pixel has three numbers for five unknowns. gauss-newton ends no "
+        "higher than lbfgsb, but for what float32 sums can differ by; residuals below 3·10⁻⁷ of "
+        "the pictures count as that.",
         {
             "fits_not_finite": ("numbers of fits that are infinite or not a number", 0),
             "fits_beyond": ("numbers of maps beyond [0, 1]", 0),
@@ -198,7 +198,7 @@ SECTIONS = {
                 "unknowns that pictures cannot tell, neither flagged nor on a bound",
                 0,
             ),
-            "fits_above_lbfgsb": ("residual of auto over that of lbfgsb, less 1", 1e-6),
+            "fits_above_lbfgsb": ("residual of gauss-newton over that of lbfgsb, less 1", 1e-6),
         },
     ),
 }

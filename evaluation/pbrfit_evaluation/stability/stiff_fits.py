@@ -18,15 +18,14 @@ from pbrfit_evaluation.stability.measure import Array
 from pbrfit_evaluation.stability.stiff_scenes import StiffScene, stiff_scenes
 
 FITS: dict[str, tuple[str, Priors | None]] = {
-    "auto": ("auto", None),
     "gauss-newton": ("gauss-newton", None),
     "lbfgsb": ("lbfgsb", None),
-    "auto, priors": ("auto", Priors()),
+    "gauss-newton, priors": ("gauss-newton", Priors()),
 }
 """Solver and priors by name."""
 
 REFERENCE = "lbfgsb"
-ABOVE_NONE = "auto"
+ABOVE_NONE = "gauss-newton"
 """The fit that must end no higher than the reference."""
 
 FLOOR = 3e-7

@@ -31,8 +31,8 @@ from pbrfit_evaluation.table1.rows import COLUMNS, ROWS, Row
 METRICS = tuple(f.name for f in fields(Scores))
 
 SOLVERS: dict[Recipe, str] = {
-    "plain": "auto, no priors",
-    "default": "auto, default",
+    "plain": "gauss-newton, no priors",
+    "default": "gauss-newton, default",
     "paper": "lbfgsb, paper's recipe",
     "paper-priors": "lbfgsb, paper's recipe and priors",
     "constant": "constant guess",

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from pbrfit.fit.gauss_newton.normal_equations import eliminate, inverse
+from pbrfit.fit.normal_equations import eliminate, inverse
 from pbrfit.fit.objective import Objective
 
 Array = NDArray[np.float64]

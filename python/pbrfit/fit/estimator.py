@@ -286,7 +286,9 @@ def fit_all_pixels(
             more = prior is None and shared is not None
             if run.options.robust != "none" and number < settings.ROBUST_ROUND:
                 more = True  # whose weights settle
-            elif total - float(sum_sq.sum()) <= settings.GAIN_MIN * misfit.variance(objective, sum_sq):
+            elif total - float(sum_sq.sum()) <= settings.GAIN_MIN * misfit.variance(
+                objective, sum_sq
+            ):
                 more = False
             if not more or not run.goes_on:
                 break

@@ -12,7 +12,7 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.settings import LBFGS_PAIRS, TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
+from pbrfit.fit.settings import TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
 from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
@@ -22,14 +22,9 @@ Method = Literal["gauss-newton", "lbfgsb"]
 
 METHODS: tuple[Method, ...] = get_args(Method)
 
-SCIPY_BYTES = 480
-"""Bytes an unknown, measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and
-gradient."""
-
-PROJECTED_BYTES = 8 * LBFGS_PAIRS + 16 * 8
-"""Bytes an unknown of `projected_lbfgs`: pairs in float32; in float64 the start, x, the next x, the
-way there, two gradients and the core's copy of x; the rest, measured on whole fits of 640² with 16
-pictures, is what the stages before it and the history hold."""
+SOLVER_BYTES: dict[Method, int] = {"gauss-newton": 16 * 8, "lbfgsb": 480}
+"""Bytes an unknown. Of gauss-newton a first estimate: sixteen float64 vectors. Of lbfgsb measured
+with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and gradient."""
 
 BLOCK = 128
 """Pixels in a block of the Rust core; pixels are padded to whole blocks."""
@@ -91,10 +86,7 @@ class FitMemory:
 def of_fit(
     scene: Scene, layout: ParameterLayout, method: Method, *, refine_normals: bool = False
 ) -> FitMemory:
-    """What `decompose` needs of memory with a solver.
-
-    The largest part of "auto" is the L-BFGS at its end.
-    """
+    """What `decompose` needs of memory with a solver."""
     return of_layout(
         layout,
         method,
@@ -125,7 +117,6 @@ def of_layout(
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
     blocks = BLOCK * -(-pixels // BLOCK)
-    of_unknown = SCIPY_BYTES if method == "lbfgsb" else PROJECTED_BYTES
     samples = 4 * (planes + exact * pictures * channels)
     core = (samples + DIRECTION_BYTES) * blocks
     refining = 0
@@ -137,7 +128,7 @@ def of_layout(
         scene=held,
         core=core,
         making=(samples + VECTOR_BYTES) * pixels,
-        solver=of_unknown * layout.size,
+        solver=SOLVER_BYTES[method] * layout.size,
         refining=refining,
     )
 
@@ -159,7 +150,7 @@ def check(method: Method, needed: FitMemory) -> None:
     """
     free = available()
     if free is not None and needed.further > free:
-        advice = "; solver auto needs less" if method == "lbfgsb" else ""
+        advice = "; solver gauss-newton needs less" if method == "lbfgsb" else ""
         if needed.refining:
             advice += f"; refine_normals off needs {size(needed.refining)} less"
         raise InputError(
@@ -194,14 +185,14 @@ def plan(
 ) -> Plan:
     """How a scene is fitted: the first of these ways that there is memory for.
 
-    The solver auto fits it at once, or in tiles where it has more than `WHOLE_PIXELS_MAX` valid
-    pixels; or in tiles all the same; or without refining normals, where that is `optional`. The
-    other solvers have no tiles. Where there is memory for none, it is the way that needs least.
+    The solver gauss-newton fits it at once, or in tiles where it has more than `WHOLE_PIXELS_MAX`
+    valid pixels; or in tiles all the same; or without refining normals, where that is `optional`.
+    The solver lbfgsb has no tiles. Where there is memory for none, it is the way that needs least.
     Other arguments are those of `of_layout`.
     """
     ways = []
     for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
-        if solver != "gauss-newton" or layout.pixels <= WHOLE_PIXELS_MAX:
+        if solver == "lbfgsb" or layout.pixels <= WHOLE_PIXELS_MAX:
             needed = of_layout(layout, solver, held=held, exact=exact, refine_normals=refining)
             ways.append(Plan(False, refining, needed))
         if solver == "gauss-newton":

@@ -44,8 +44,8 @@ GREY_WEIGHT = 1e-3
 """Weight of the monochrome prior on lights that are near grey."""
 
 WHOLE_PIXELS_MAX = 1 << 21
-"""Valid pixels up to which the solver auto fits all of them at once; larger pictures are fitted in
-tiles."""
+"""Valid pixels up to which the solver gauss-newton fits all of them at once; larger pictures are
+fitted in tiles."""
 
 
 # --- Misfit: whether residuals are noise ------------------------------------------------------
@@ -263,7 +263,7 @@ PRIOR_TURN_CHANGE_MIN = 1e-4
 """Relative change of the sum of squared residuals in a turn, below which it is the last."""
 
 
-# --- L-BFGS, and the choice between solvers ---------------------------------------------------
+# --- L-BFGS-B ---------------------------------------------------------------------------------
 
 DATA_SHARE_OF_ITERATIONS = 0.5
 """Share of the iterations that L-BFGS spends on the data alone, before the mixture prior is fitted
@@ -272,21 +272,6 @@ around its result; the rest is spent with the prior."""
 EXACT_RMSE = 1e-6
 """Root mean square residual, at mean radiance 0.4, up to which pictures count as explained to the
 last digit: then no mixture prior is fitted. Rounding to float32 leaves 1e-8."""
-
-FAR_BETTER = 0.1
-"""Ratio of Gauss-Newton's sum of squared residuals to L-BFGS's up to which Gauss-Newton's fit is
-taken, whatever it leaves."""
-
-SAME_FIT = 0.9
-"""The same ratio, from which (up to 1) Gauss-Newton's fit is taken as the same minimum, further
-along its valleys; between `FAR_BETTER` and this L-BFGS's fit stays. After 250 iterations on seven
-rooms the ratio was 0.93 to 0.99 where lights of order 2 were fitted to pictures of order 3, and
-Gauss-Newton's materials were better; with a wrong field of view it was 0.42 to 0.79, and they were
-worse."""
-
-SAME_FIT_OF_VALIDATION_PIXELS = (0.8, 1.3)
-"""The same ratio on the validation pixels alone, between which it is worth fitting all pixels by
-Gauss-Newton to compare."""
 
 LBFGS_PAIRS = 10
 """Pairs of steps and gradients that L-BFGS remembers; memory grows with it, 10 is scipy's default.
@@ -313,16 +298,6 @@ scale."""
 STALL = (10, 1e-5)
 """(Iterations, share): after Gauss-Newton, L-BFGS stops where the loss fell by less than this share
 of itself over so many iterations."""
-
-LOSS_RESOLUTION = 1e-9
-"""Relative resolution of a difference of nearby losses, whose residuals are those of float32:
-smaller differences count as none."""
-
-SCIPY_UP_TO = 100_000
-"""Unknowns up to which scipy's L-BFGS-B is taken, 128² pixels of three channels; above it the one
-whose vectors are in Rust. Up to there 500 of scipy's iterations take seconds, and the fit is that
-of the reference, bit for bit. The other takes a third to a tenth of the time at any size, but after
-as many iterations single scenes end up to 12 % above scipy's loss, others as much below."""
 
 
 # --- Mixture prior on materials ---------------------------------------------------------------

@@ -36,7 +36,9 @@ def _needed(scene: Scene, layout: ParameterLayout) -> str:
         for solver, way in of_solver.items()
     )
     if of_solver["gauss-newton"].needed.refining:
-        found += f"; {memory.size(of_solver['auto'].needed.refining)} less with normals held"
+        found += (
+            f"; {memory.size(of_solver['gauss-newton'].needed.refining)} less with normals held"
+        )
     return found
 
 

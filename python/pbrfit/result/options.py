@@ -107,12 +107,11 @@ class FitOptions:
     Attributes
     ----------
     solver
-        `"auto"`: Gauss-Newton, then L-BFGS on the whole objective where it has more than squares;
-        where the model does not fit the pictures, L-BFGS from the start; above 2 MP, or where
-        memory is short, lights from a subset of the pixels and then tiles. `"gauss-newton"`:
-        squares and the mixture prior alone. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the
-        paper's recipe), in stages that keep off roughness 0; in one stage when `start` is given.
-        docs/solver.md has more.
+        `"gauss-newton"`: joint steps of lights and materials, then L-BFGS-B on the whole objective
+        where it has other penalties than the mixture prior; with a robust loss, L-BFGS-B from the
+        start; above 2 MP, or where memory is short, lights from a subset of the pixels and then
+        tiles. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the paper's recipe), in stages
+        that keep off roughness 0; in one stage when `start` is given. docs/solver.md has more.
     iterations
         Largest number of iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these
         at most as many steps on a subset of the pixels, which find the lights and do not count.
@@ -219,9 +218,8 @@ class FitOptions:
 
 FLAGS: dict[str, Flag] = {
     "solver": Flag(
-        "auto: Gauss-Newton, then L-BFGS where there is more to minimise than squares; "
-        "gauss-newton: squares and the material prior; lbfgsb: the paper's recipe "
-        "(default: %(default)s)",
+        "gauss-newton: joint steps of lights and materials; lbfgsb: scipy's L-BFGS-B, the paper's "
+        "recipe (default: %(default)s)",
         values=SOLVERS,
     ),
     "iterations": Flag("at most so many", metavar="K"),

@@ -485,7 +485,7 @@ def test_memory_is_predicted_as_inspect_does(
     folder = write_folder(tmp_path / "scene", form)
     spoil(folder)
     scene = Scene.load(folder, max_size=max_size)
-    told = memory.of_fit(scene, ParameterLayout.of(scene), "auto", refine_normals=True).peak
+    told = memory.of_fit(scene, ParameterLayout.of(scene), "gauss-newton", refine_normals=True).peak
     predicted = of_scene(folder, Reading(max_size=max_size), FitOptions()).peak
     reading = 48 * SIZE * SIZE
     if spoil is as_it_is and form == "float EXR":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit import Objective, Priors, Scene, decompose
 from pbrfit.fit import uncertainty
-from pbrfit.fit.gauss_newton.pixels import schur_options
+from pbrfit.fit.pixels import schur_options
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of

@@ -228,7 +228,7 @@ def taken(case: Case, damping: float = 0.0, share: float = 1.0) -> SubsetState:
 def no_ridge(monkeypatch: pytest.MonkeyPatch) -> None:
     """What keeps singular systems solvable is 1e-8 of a step here."""
     monkeypatch.setattr("pbrfit.fit.normals.joint_step.RIDGE", 0.0)
-    monkeypatch.setattr("pbrfit.fit.gauss_newton.normal_equations.SCHUR_RIDGE", 0.0)
+    monkeypatch.setattr("pbrfit.fit.normal_equations.SCHUR_RIDGE", 0.0)
 
 
 @pytest.mark.usefixtures("no_ridge")

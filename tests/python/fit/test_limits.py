@@ -11,17 +11,16 @@ import pytest
 
 import pbrfit
 from pbrfit import Priors, Result, Scene, Status, _core
-from pbrfit.fit.gauss_newton import pixels
-from pbrfit.fit.priors import material
-from pbrfit.fit.solvers.run import Run
+from pbrfit.fit import pixels
+from pbrfit.fit.priors import mixture as material
+from pbrfit.fit.run import Run
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 
 SIZE, LIGHTS = 12, 3
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {
-    "auto": {},
-    "gauss-newton": {"solver": "gauss-newton"},
+    "gauss-newton": {},
     "lbfgsb": {"solver": "lbfgsb", "iterations": 60},
     "no priors": {"priors": Priors.none()},
     "huber": {"robust": "huber", "iterations": 60},

@@ -14,7 +14,7 @@ from pbrfit.synthetic import make_scene
 SCENE = make_scene("room", size=8, lights=2, held_out=1)
 
 UNUSABLE: dict[str, tuple[str, list[Any]]] = {
-    "solver": ("one of auto, gauss-newton, lbfgsb, found", ["adam", "LBFGSB", "", None, 3]),
+    "solver": ("one of gauss-newton, lbfgsb, found", ["auto", "adam", "LBFGSB", "", None, 3]),
     "robust": ("one of none, huber, cauchy, found", ["l1", "Huber", None, 1]),
     "refine_normals": ("one of off, auto, on, found", ["yes", "", "ON", None, True]),
     "seed": ("", [-1, 0.5]),

@@ -14,7 +14,7 @@ from pbrfit import Priors, Result, Scene, Status, decompose, render
 from pbrfit.fit.normals.refined_fit import Unexplained, keeps_given, keeps_refined
 from pbrfit.fit.settings import NORMALS_ITERATIONS_MIN
 from pbrfit.model.geometry import angles_between
-from pbrfit.result.options import Solver
+from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, RefineNormals
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normals.disturbances import disturbed
@@ -186,7 +186,7 @@ def test_auto_does_not_refine_what_is_not_fitted_yet(iterations: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", ["auto", "lbfgsb"])
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_the_history_ends_with_the_fit_that_is_kept(solver: Solver) -> None:
     """Six pictures of 12² do not tell enough of normals 5 degrees off for `auto` to keep others."""
     scene = wrong(right())

@@ -13,7 +13,7 @@ import pbrfit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.robust import MEDIAN_TO_SIGMA, SCALES, irls_weights
 from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN, NOISE_SIGMA_MIN
-from pbrfit.result.options import LOSSES, Solver
+from pbrfit.result.options import LOSSES, SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
 from scene_kinds import at_truth
@@ -47,8 +47,8 @@ MAPS = ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse")
 CASES: dict[str, tuple[dict[str, Any], float]] = {
     "lbfgsb": ({"solver": "lbfgsb", "iterations": 200, "priors": None}, 0.9),
     "lbfgsb, material prior": ({"solver": "lbfgsb", "iterations": 120}, 0.8),
-    "auto": ({"solver": "auto", "priors": None}, 0.9),
-    "auto, material prior": ({"solver": "auto"}, 0.9),
+    "gauss-newton": ({"solver": "gauss-newton", "priors": None}, 0.9),
+    "gauss-newton, material prior": ({"solver": "gauss-newton"}, 0.9),
 }
 """Options, and the share of the errors by squares that is left at most."""
 
@@ -75,7 +75,7 @@ def test_the_first_stage_is_by_squares() -> None:
     assert robust["recon_rmse"][-1] < fit("lbfgsb", "huber").metrics["recon_rmse"]
 
 
-@pytest.mark.parametrize("solver", ["auto", "lbfgsb"])
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("loss", ROBUST)
 def test_a_fit_from_a_given_start_becomes_robust_too(loss: Any, solver: Solver) -> None:
     scene = shadows()

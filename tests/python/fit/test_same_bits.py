@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pbrfit import Objective, Priors, decompose
-from pbrfit.fit.solvers.projected_lbfgs import Bounds, minimize
+from pbrfit import Priors, decompose
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
 from random_pixels import Array, Example, Kind, Pixels
@@ -72,20 +71,6 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
     for chosen in (order, order[:37], order[:1], np.repeat(order[:2], 200)):
         for one, other in zip(of_pixels(2, chosen), pixels, strict=True):
             np.testing.assert_array_equal(one, other[chosen])
-
-
-def test_of_a_search_for_the_minimum() -> None:
-    scene = make_scene("room", size=48, lights=4, held_out=1, seed=1)
-    found = []
-    for threads in (1, 2, 3, 4):
-        objective = Objective(scene, threads=threads)
-        bounds = Bounds.of_slices(objective.size, (objective.layout.maps, 0.0, 1.0))
-        start = objective.start()
-        how: dict[str, Any] = {"iterations": 25, "threads": threads}
-        found.append(minimize(objective.value_and_grad, start, bounds, **how))
-    for other in found[1:]:
-        np.testing.assert_array_equal(other.x, found[0].x)
-        assert (other.fun, other.evaluations) == (found[0].fun, found[0].evaluations)
 
 
 @both_models

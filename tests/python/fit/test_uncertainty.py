@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import pbrfit
-from pbrfit.fit import uncertainty
-from pbrfit.fit.gauss_newton import light_spectrum, normal_equations
+from pbrfit.fit import light_spectrum, normal_equations, uncertainty
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import SIGMA_MAX
 from pbrfit.io.images import read_channels, write_exr

@@ -56,7 +56,7 @@ def masked_scene(*, truth: bool) -> Scene:
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return decompose(masked_scene(truth=False), iterations=30)
+    return decompose(masked_scene(truth=False), solver="lbfgsb", iterations=30)
 
 
 def test_files_and_layers_as_another_reader_sees_them(result: Result, tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
     assert content["iterations"] == 30
     assert list(content["metrics"]) == ["recon_rmse"]
     assert content["options"] == {
-        "solver": "auto",
+        "solver": "lbfgsb",
         "iterations": 30,
         "time_limit": None,
         "sh_order": 3,
