@@ -147,7 +147,7 @@ def _rounds(run: Run, level: Level, x: Array, watch: _Watch) -> Lights:
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
         left, before = _left(level, x, sum_sq, shared), weight
         weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
-        shared.lights = replace(shared.lights, weight=weight / objective.pixels)
+        shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
         fit = shared.joint_fit(objective, x, sum_sq, stop=run.out_of_time)
         minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit_few)
         total = fit.total(x, fit.sum_sq, None)
@@ -166,8 +166,7 @@ def _left(level: Level, x: Array, sum_sq: Array, shared: SharedFit) -> Misfit:
     objective = level.objective
     variance = misfit.variance(objective, sum_sq)
     if shared.inverse is None:
-        first = replace(shared.lights, weight=variance / objective.pixels)
-        shared.lights = first
+        shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
         shared.joint_fit(objective, x, sum_sq).renew_preconditioner()
     inverse = shared.inverse
     assert inverse is not None
@@ -193,8 +192,8 @@ def judged(objective: Objective, x: Array, level: Level | None = None) -> Lights
         return Lights(x, left, exact, None)
     shared = SharedFit(LightPrior.around(few, part))
     left = _left(level, part, sum_sq, shared)
-    weight = left.design_effect * left.variance / few.pixels
-    shared.lights = replace(shared.lights, weight=weight)
+    weight = left.design_effect * left.variance
+    shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
     return Lights(x, left, exact, shared)
 
 

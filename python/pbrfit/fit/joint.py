@@ -40,7 +40,7 @@ from pbrfit.fit.pixels import (
     try_from,
 )
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.sampling import evenly_spaced_over
 
 Array = NDArray[np.float64]
 Stop = Callable[[], bool]
@@ -94,10 +94,25 @@ class JointFit:
         self.offsets = None
         if self.prior is not None and self.prior.cluster is not None:
             self.offsets = self.prior.offsets(self.x)
-        self._few = evenly_spaced(self.objective.pixels, settings.PRODUCT_PIXELS)
+        self._few = np.arange(self.objective.pixels, dtype=np.uint64)
         self._objective_of_few = self.objective
-        if len(self._few) < self.objective.pixels:
-            self._objective_of_few = self.objective.restricted(self._few)
+        self._standing_for = np.ones(1)
+        if self.objective.pixels > settings.PRODUCT_PIXELS:
+            self._choose_few()
+
+    def _choose_few(self) -> None:
+        """Pixels whose products stand for those of all, some of each cluster.
+
+        One that stands for more pixels counts as often.
+        """
+        cluster = np.zeros(self.objective.pixels, np.intp)
+        if self.prior is not None and self.prior.cluster is not None:
+            cluster = self.prior.cluster
+        self._few = evenly_spaced_over(cluster, settings.PRODUCT_PIXELS)
+        counts, of_few = np.bincount(cluster), np.bincount(cluster[self._few])
+        standing_for = (counts / np.maximum(of_few, 1))[cluster[self._few]]
+        self._standing_for = standing_for / standing_for.max()
+        self._objective_of_few = self.objective.restricted(self._few, self._standing_for)
 
     def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
         """The prior of each pixel by itself, with these offsets of the clusters."""
@@ -146,22 +161,38 @@ class JointFit:
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
         few = self._objective_of_few
-        part = self._part_of_few()
-        pixels = evenly_spaced(few.pixels, settings.PRECONDITIONER_PIXELS)
-        options = self._options(few, part, pixels, self._few[pixels])
-        matrix, _ = few.problem.schur_complement(few.for_core(part), pixels, **options)
-        matrix /= len(pixels)
+        part, options = self._part_of_few(), self._options_of_few()
+        everything = np.arange(few.pixels, dtype=np.uint64)
+        matrix, _ = few.problem.schur_complement(few.for_core(part), everything, **options)
+        matrix *= self._times
         end = self.lights.mean.size
-        matrix[:end, :end] += self.shared.lights.matrix()
+        matrix[:end, :end] += self.lights.matrix()
         if self.offsets is not None:
-            own = self._offset_precision.ravel() / self.objective.pixels
+            own = self._offset_precision.ravel()
             np.einsum("ii->i", matrix)[end:] += own + np.finfo(float).tiny
+        matrix /= self.objective.pixels
         self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
         self.shared.stale = False
 
+    @property
+    def _times(self) -> float:
+        """How many pixels the one of the few with the largest share stands for."""
+        return self.objective.pixels / float(self._standing_for.sum()) if self._is_part else 1.0
+
+    @property
+    def _is_part(self) -> bool:
+        return self._objective_of_few is not self.objective
+
+    def _options_of_few(self) -> dict[str, Any]:
+        few = self._objective_of_few
+        everything = np.arange(few.pixels, dtype=np.uint64)
+        options = self._options(few, self._part_of_few(), everything, self._few)
+        if self._is_part and "precision" in options:
+            options["precision"] = options["precision"] * self._standing_for[:, None]
+        return options
+
     def _part_of_few(self) -> Array:
-        whole = self._objective_of_few is self.objective
-        return self.x if whole else self.objective.part_of(self.x, self._few)
+        return self.objective.part_of(self.x, self._few) if self._is_part else self.x
 
     def _solved(self, v: Array) -> Array:
         """S⁻¹ v by the preconditioner."""
@@ -193,7 +224,7 @@ class JointFit:
         few = self._objective_of_few
         everything = np.arange(few.pixels, dtype=np.uint64)
         product, _ = few.problem.schur_product(few.for_core(part), everything, v, **options)
-        product *= self.objective.pixels / few.pixels
+        product *= self._times
         end = self.lights.mean.size
         product[:end] += self.lights.product(v[:end])
         if self.offsets is not None:
@@ -216,8 +247,7 @@ class JointFit:
         first = size_now = float(residual @ preconditioned)
         if not first >= enough:
             return moves, first
-        part, everything = self._part_of_few(), np.arange(len(self._few), dtype=np.uint64)
-        options = self._options(self._objective_of_few, part, everything, self._few)
+        part, options = self._part_of_few(), self._options_of_few()
         predicted, number = 0.0, 0
         while number < settings.CG_ITERATIONS_MAX and not self.stop():
             number += 1

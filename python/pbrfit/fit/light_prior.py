@@ -12,9 +12,11 @@ and by Woodbury's formula the precision is Q = D − (D μ)(D μ)ᵀ / (1/σ² +
 
 The prior counts as `weight` times (L − μ)ᵀ Q (L − μ) beside the sum of squared residuals, where
 Bayes' rule would have the noise's variance; `pbrfit.fit.misfit` says what stands there instead.
-Beside it, `grey` weighs the squared deviation of each light from its mean over the channels: the
-monochrome prior (docs/priors.md). Both weights are for one pixel of a level, so that a level of
-more pixels, which say no more about what the model does not have, gives the same lights.
+That is `noise`, which more pixels outweigh, and for each pixel `shared`: more pixels say no more
+about what the model does not have, and shall not push lights further.
+
+Beside it, `grey` weighs for each pixel the squared deviation of lights from their mean over the
+channels: the monochrome prior (docs/priors.md).
 """
 
 from __future__ import annotations
@@ -51,8 +53,21 @@ class LightPrior:
     """(M,): u with Q = D − u uᵀ."""
     channels: int
     """Of lights."""
-    weight: float = 0.0
+    noise: float = 0.0
+    shared: float = 0.0
     grey: float = 0.0
+    pixels: int = 1
+    """Beside the squared residuals of how many."""
+
+    @property
+    def weight(self) -> float:
+        """Of the prior."""
+        return self.noise + self.pixels * self.shared
+
+    def weighing(self, weight: float, variance: float, pixels: int) -> LightPrior:
+        """With this weight beside so many pixels, whose residuals have a variance."""
+        noise = min(weight, variance)
+        return replace(self, noise=noise, shared=(weight - noise) / pixels)
 
     @classmethod
     def around(cls, objective: Objective, x: Array) -> LightPrior:
@@ -69,7 +84,7 @@ class LightPrior:
 
     def of_pixels(self, count: int) -> LightPrior:
         """Beside the squared residuals of so many pixels."""
-        return replace(self, weight=count * self.weight, grey=count * self.grey)
+        return replace(self, grey=count * self.grey, pixels=count)
 
     def product(self, v: Array) -> Array:
         """(weight Q + grey (1 − mean over channels)) v."""

@@ -339,8 +339,12 @@ class Objective:
         found.problem = self._problem(factors)
         return found
 
-    def restricted(self, pixels: NDArray[np.uint64]) -> Objective:
+    def restricted(
+        self, pixels: NDArray[np.uint64], shares: NDArray[np.float64] | None = None
+    ) -> Objective:
         """The objective of some pixels alone, in the same units; squares, without penalties.
+
+        With `shares` (Q,), at most 1, samples of a pixel weigh as much less.
 
         Its x has the maps of these pixels in their order, and all lights: what `part_of` takes
         from an x of this objective. `pack` and `unpack` are not for it, for it has no picture.
@@ -359,6 +363,10 @@ class Objective:
         found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
         found.weights = None if self.weights is None else self.weights[:, pixels]
         found._chosen = pixels
+        if shares is not None and (shares != 1).any():
+            own = np.ones((self.layout.pictures, 1)) if found.weights is None else found.weights
+            found.weights = (own * shares).astype(np.float32)
+            found.layout = replace(found.layout, weighted=True)
         found.problem = found._problem(found.weights)
         return found
 
