@@ -21,7 +21,7 @@ const TILE: usize = 128;
 
 impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<'_, M, C, D, U> {
     pub(super) fn schur_complement(&self) -> Result<SchurComplement> {
-        let size = self.size();
+        let size = self.unknown.size();
         let mut found = SchurComplement {
             matrix: zeros("normal equations", size * size)?,
             gradient: zeros("normal equations", size)?,
@@ -61,8 +61,8 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
 
     /// Pieces of the lower triangle of S; none crosses a border of channels.
     fn tiles(&self) -> Vec<Tile> {
-        let of_channel = self.of_channel();
-        let pieces: Vec<_> = (0..self.channels)
+        let of_channel = self.unknown.of_channel();
+        let pieces: Vec<_> = (0..self.unknown.channels)
             .flat_map(|c| (0..of_channel).step_by(TILE).map(move |first| (c, first)))
             .map(|(c, first)| (c, c * of_channel + first, TILE.min(of_channel - first)))
             .collect();
@@ -81,12 +81,12 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
 
     /// G of a block: one Gram matrix a channel, or one a channel and picture.
     fn add_grams(&self, grams: &[f64], matrix: &mut [f64]) {
-        let (k, size) = (self.coefficients, self.size());
+        let (k, size) = (self.unknown.coefficients, self.unknown.size());
         let grams: Vec<_> = grams.chunks(k * k).collect();
-        for light in 0..self.channels * self.pictures {
+        for light in 0..self.unknown.channels * self.unknown.pictures {
             let each = grams.len() / C;
-            for c in (light / self.pictures..C).step_by(self.channels) {
-                let gram = grams[c * each + light % self.pictures % each];
+            for c in (light / self.unknown.pictures..C).step_by(self.unknown.channels) {
+                let gram = grams[c * each + light % self.unknown.pictures % each];
                 for (i, row) in gram.chunks(k).enumerate() {
                     let start = (light * k + i) * size + light * k;
                     add(&mut matrix[start..][..k], row);
@@ -123,17 +123,17 @@ impl DenseRows {
         eliminated: &mut EliminatedBlock<M, C, D, U>,
     ) -> Self {
         let unknowns = D - 1;
-        let (n, k) = (lights.pictures, lights.coefficients);
-        let (size, of_channel) = (lights.size(), lights.of_channel());
+        let (n, k) = (lights.unknown.pictures, lights.unknown.coefficients);
+        let (size, of_channel) = (lights.unknown.size(), lights.unknown.of_channel());
         let mut shared = vec![0.0; size * unknowns * BLOCK];
         let mut albedo = vec![0.0; C * of_channel * BLOCK];
         for (sample, albedo) in albedo.chunks_mut(k * BLOCK).enumerate() {
             let (c, i) = (sample / n, sample % n);
-            let first = (c % lights.channels * of_channel + i * k) * unknowns * BLOCK;
+            let first = (c % lights.unknown.channels * of_channel + i * k) * unknowns * BLOCK;
             let shared = &mut shared[first..][..k * unknowns * BLOCK];
             eliminated.isa().run(FillDenseRows {
-                weights: &eliminated.block.weights[c][..k],
-                rows: &eliminated.rows[sample],
+                weights: &eliminated.pixels.weights[c][..k],
+                rows: &eliminated.pixels.rows[sample],
                 albedo: albedo.as_chunks_mut().0,
                 shared: shared.as_chunks_mut().0,
             });
@@ -145,7 +145,7 @@ impl DenseRows {
             unknowns,
             albedo,
             grams: eliminated.grams(),
-            gradient: lights.collected(&gradient),
+            gradient: lights.unknown.collected(&gradient),
         }
     }
 
@@ -156,7 +156,7 @@ impl DenseRows {
         tile: &Tile,
         values: &mut [f64],
     ) {
-        let of_channel = lights.of_channel();
+        let of_channel = lights.unknown.of_channel();
         let shape = (tile.rows.1, tile.columns.1);
         let mut values = ArrayViewMut2::from_shape(shape, values).expect("a tile");
         let mut subtract = |rows: &[f64], width: usize, first: (usize, usize)| {
@@ -174,7 +174,7 @@ impl DenseRows {
         if let Some(channel) = tile.channel {
             let start = channel * of_channel;
             let first = (tile.rows.0 - start, tile.columns.0 - start);
-            for c in (channel..C).step_by(lights.channels) {
+            for c in (channel..C).step_by(lights.unknown.channels) {
                 let rows = &self.albedo[c * of_channel * BLOCK..][..of_channel * BLOCK];
                 subtract(rows, BLOCK, first);
             }

@@ -1,11 +1,8 @@
 //! A block of pixels whose unknowns are eliminated.
 
-use super::kernels::{AddRows, Collect, FillRows, LANES, Lanes, SubtractRows, Whiten};
-use crate::block::radiance::Radiance;
+use super::kernels::{Collect, Eliminated, FillRows, LANES, Lanes, Project, Whiten};
 use crate::pixel::offset_step::limit_offset_step;
-use crate::pixel::samples::{
-    AddSample, Block, DERIVATIVES, Sums, free_unknowns, unknowns_of_channel,
-};
+use crate::pixel::samples::{Block, DERIVATIVES, Sums, free_unknowns, unknowns_of_channel};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::reflection::Reflection;
@@ -17,43 +14,32 @@ use crate::runtime::simd::Instructions;
 pub(super) struct EliminatedBlock<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 {
     problem: &'a Problem,
-    pub(super) block: Block<'a, M, C, D>,
-    /// Pixels in the block.
-    count: usize,
+    block: Block<'a, M, C, D>,
+    pub(super) pixels: Eliminated<f64, D>,
     /// The unknowns that there are.
     unknowns: Vec<usize>,
-    /// Ω J, by the channel's own albedo, roughness, metallic and what follows.
-    weighted: Vec<[Doubles; D]>,
-    /// ω (I − T)
-    slopes: Vec<Doubles>,
-    /// ω
-    omega: Vec<Doubles>,
+    /// I − T, by sample.
+    residuals: Vec<Doubles>,
     sums: Sums<U>,
     /// U, lower triangular; 0 for what is held.
     whiten: [[Doubles; U]; U],
     /// U g
     whitened: [Doubles; U],
-    /// R, in the same order as J.
-    pub(super) rows: Vec<[Doubles; D]>,
 }
 
 impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     EliminatedBlock<'a, M, C, D, U>
 {
     pub(super) fn new(problem: &'a Problem) -> Self {
-        let samples = C * problem.pictures();
         Self {
             problem,
             block: Block::new(problem),
-            count: 0,
+            pixels: Eliminated::default(),
             unknowns: free_unknowns::<C, D>(problem),
-            weighted: vec![[Doubles::default(); D]; samples],
-            slopes: vec![Doubles::default(); samples],
-            omega: vec![Doubles::default(); samples],
+            residuals: Vec::new(),
             sums: Sums::default(),
             whiten: [[Doubles::default(); U]; U],
             whitened: [Doubles::default(); U],
-            rows: vec![[Doubles::default(); D]; samples],
         }
     }
 
@@ -65,31 +51,10 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         prior: Option<[&[f64]; 2]>,
         damping: f64,
     ) {
-        let isa = self.problem.instructions();
-        let n = self.problem.pictures();
-        self.count = pixels.len();
+        let (isa, n) = (self.problem.instructions(), self.problem.pictures());
         self.block.load(maps, pixels);
-        self.block.fill_weights();
         self.sums = Sums::default();
-        let (weighted, slopes, omega) = (&mut self.weighted, &mut self.slopes, &mut self.omega);
-        let sums = &mut self.sums;
-        self.block.each_sample(lights, |c, picture, sample| {
-            let i = c * n + picture;
-            isa.run(AddSample {
-                sample,
-                unknowns: unknowns_of_channel::<C, D>(c),
-                sums,
-            });
-            omega[i] = sample.weight;
-            for x in 0..BLOCK {
-                slopes[i].0[x] = sample.weight.0[x] * sample.residual.0[x];
-            }
-            for (to, from) in weighted[i].iter_mut().zip(&sample.derivatives) {
-                for x in 0..BLOCK {
-                    to.0[x] = sample.weight.0[x] * from.0[x];
-                }
-            }
-        });
+        self.block.add_samples(lights, true, &mut self.sums);
         if let Some([precision, deviation]) = prior {
             let shared = precision.len() / pixels.len();
             for (i, (a, deviation)) in precision.iter().zip(deviation).enumerate() {
@@ -99,12 +64,28 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             }
         }
         self.whiten(damping);
-        for (sample, weighted) in self.weighted.iter().enumerate() {
+        let Eliminated {
+            weights,
+            rows,
+            omega,
+        } = &mut self.pixels;
+        weights.clear();
+        weights.extend(self.block.weights.iter());
+        for plane in weights.as_flattened_mut() {
+            plane.0[pixels.len()..].fill(0.0);
+        }
+        omega.clear();
+        if !self.problem.weights(0, 0).is_empty() {
+            omega.extend(self.block.given.iter().map(|[_, omega]| omega));
+        }
+        std::mem::swap(&mut self.residuals, &mut self.block.residuals);
+        std::mem::swap(rows, &mut self.block.derivatives);
+        for (i, (rows, [_, omega])) in rows.iter_mut().zip(&self.block.given).enumerate() {
             isa.run(FillRows {
-                own: unknowns_of_channel::<C, D>(sample / n),
-                weighted,
+                own: unknowns_of_channel::<C, D>(i / n),
+                omega,
                 whiten: &self.whiten,
-                rows: &mut self.rows[sample],
+                rows,
             });
         }
     }
@@ -148,47 +129,42 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         });
     }
 
-    /// Adds Wᵀ (Ω (I − T) − Rᵀ U g).
+    /// Adds Wᵀ (Ω (I − T) − Rᵀ U g). The residuals are used up.
     pub(super) fn add_gradient(&mut self, sums: &mut [Lanes]) {
-        let n = self.problem.pictures();
-        for (sample, sums) in sums.iter_mut().enumerate() {
-            let c = sample / n;
-            let mut left = self.slopes[sample];
-            self.subtract_rows(sample, c, &self.whitened, &mut left);
-            self.isa().run(Collect {
-                weights: &self.block.weights[c],
-                values: &left,
-                sums,
-            });
-        }
+        self.isa().run(Collect {
+            pixels: &self.pixels,
+            values: &mut self.residuals,
+            whitened: &self.whitened,
+            sums,
+        });
     }
 
-    /// Adds Wᵀ (Ω − Rᵀ R) W v.
+    /// Adds Wᵀ (Ω − Rᵀ R) W v. The residuals' place is taken.
     pub(super) fn add_product(&mut self, light_step: &[[f64; COEFFICIENTS]], sums: &mut [Lanes]) {
-        let n = self.problem.pictures();
-        let radiance = self.moved_radiance(light_step);
-        let mut projected = [Doubles::default(); U];
-        self.add_rows(&radiance, &mut projected);
-        for (sample, sums) in sums.iter_mut().enumerate() {
-            let c = sample / n;
-            let mut left = Doubles::default();
-            for x in 0..BLOCK {
-                left.0[x] = self.omega[sample].0[x] * radiance[sample].0[x];
-            }
-            self.subtract_rows(sample, c, &projected, &mut left);
-            self.isa().run(Collect {
-                weights: &self.block.weights[c],
-                values: &left,
-                sums,
-            });
-        }
+        let mut whitened = [Doubles::default(); U];
+        self.project(light_step, &mut whitened);
+        self.isa().run(Collect {
+            pixels: &self.pixels,
+            values: &mut self.residuals,
+            whitened: &whitened,
+            sums,
+        });
+    }
+
+    /// Adds R W v to `sums`, and leaves W v in the residuals' place.
+    fn project(&mut self, light_step: &[[f64; COEFFICIENTS]], sums: &mut [Doubles; U]) {
+        self.isa().run(Project {
+            pixels: &self.pixels,
+            lights: light_step,
+            radiance: &mut self.residuals,
+            sums,
+        });
     }
 
     /// θ − Uᵀ (U g + R W v), within bounds and reach: (pixel, D).
     pub(super) fn back_substitute(&mut self, light_step: &[[f64; COEFFICIENTS]], out: &mut [f64]) {
-        let radiance = self.moved_radiance(light_step);
         let mut whitened = self.whitened;
-        self.add_rows(&radiance, &mut whitened);
+        self.project(light_step, &mut whitened);
         let count = self.unknowns.len();
         if D > DERIVATIVES {
             let offsets = &self.unknowns[count - OFFSETS..];
@@ -225,49 +201,6 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         values
     }
 
-    /// W v of every sample.
-    fn moved_radiance(&self, light_step: &[[f64; COEFFICIENTS]]) -> Vec<Doubles> {
-        let n = self.problem.pictures();
-        let mut radiance = vec![Doubles::default(); light_step.len()];
-        for (sample, (light, radiance)) in light_step.iter().zip(&mut radiance).enumerate() {
-            self.isa().run(Radiance {
-                weights: &self.block.weights[sample / n],
-                light,
-                radiance,
-            });
-        }
-        radiance
-    }
-
-    /// Adds R times `values`, one for each sample.
-    fn add_rows(&self, values: &[Doubles], sums: &mut [Doubles; U]) {
-        let n = self.problem.pictures();
-        for (sample, values) in values.iter().enumerate() {
-            self.isa().run(AddRows {
-                own: unknowns_of_channel::<C, D>(sample / n),
-                rows: &self.rows[sample],
-                values,
-                sums,
-            });
-        }
-    }
-
-    /// Subtracts the sample's Rᵀ `whitened`.
-    fn subtract_rows(
-        &self,
-        sample: usize,
-        channel: usize,
-        whitened: &[Doubles; U],
-        left: &mut Doubles,
-    ) {
-        self.isa().run(SubtractRows {
-            own: unknowns_of_channel::<C, D>(channel),
-            rows: &self.rows[sample],
-            whitened,
-            left,
-        });
-    }
-
     /// Σ ω w_ck w_cl over the pixels: (channel, 1 or picture, K, K).
     pub(super) fn grams(&self) -> Vec<f64> {
         let (n, k) = (self.problem.pictures(), self.problem.coefficients());
@@ -279,13 +212,13 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         let mut grams = vec![0.0; C * each * k * k];
         for (i, gram) in grams.chunks_mut(k * k).enumerate() {
             let (c, picture) = (i / each, i % each);
-            let omega = &self.omega[c * n + picture].0;
+            let [_, omega] = &self.block.given[c * n + picture];
             let weights = &self.block.weights[c];
             for row in 0..k {
                 for column in 0..k {
                     let mut sum = [0.0; LANES];
                     for x in 0..BLOCK {
-                        sum[x % LANES] += omega[x] * weights[row].0[x] * weights[column].0[x];
+                        sum[x % LANES] += omega.0[x] * weights[row].0[x] * weights[column].0[x];
                     }
                     gram[row * k + column] = sum.iter().sum();
                 }

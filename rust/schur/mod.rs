@@ -4,6 +4,7 @@
 mod dense;
 mod eliminated_block;
 pub mod gauss_newton_hessian;
+pub mod kept;
 mod kernels;
 mod light_system;
 mod schur_complement;
