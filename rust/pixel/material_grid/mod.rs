@@ -20,8 +20,8 @@ use crate::runtime::{Result, check, pool};
 mod paper;
 mod principled;
 
-/// Newton steps to the best albedo in float32. From the best of [`STARTS`] three reach its rounding.
-const NEWTON_STEPS: usize = 3;
+/// Newton steps to the best albedo in float32, from the best of [`STARTS`].
+const NEWTON_STEPS: usize = 4;
 /// Newton steps in float64 after them, where the albedo itself is asked for.
 const EXACT_STEPS: usize = 2;
 /// Albedos that Newton's method may start from; the lowest does, as χ² may have two minima.

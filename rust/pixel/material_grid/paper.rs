@@ -32,8 +32,8 @@ pub(crate) struct AtRoughness {
     /// a₁, a₂, b₀ and b₁ of a metallic.
     factors: [Doubles; 4],
     rough_factors: [Plane<f32>; 4],
-    /// The albedo found.
-    found: Plane<f32>,
+    /// The albedo that was started from, and the one found.
+    found: [Plane<f32>; 2],
 }
 
 impl AlbedoFromProducts for Paper {
@@ -169,7 +169,7 @@ fn fill_factors<I: Isa>(at: &mut AtRoughness, metallic: &Doubles) {
 fn search<I: Isa, const STEPS: usize>(
     [dd, ds, ss, dt, st]: &[Plane<f32>; 5],
     [a1, a2, b0, b1]: &[Plane<f32>; 4],
-    found: &mut Plane<f32>,
+    found: &mut [Plane<f32>; 2],
 ) {
     for x in 0..BLOCK {
         let (dd, ds, ss, dt, st) = (dd.0[x], ds.0[x], ss.0[x], dt.0[x], st.0[x]);
@@ -201,12 +201,7 @@ fn search<I: Isa, const STEPS: usize>(
             rho = if next > 0.0 { next } else { 0.0 };
             rho = if rho < 1.0 { rho } else { 1.0 };
         }
-        // Where rounding hides which is lower, the minimum is the one that slopes lead to.
-        found.0[x] = if value(rho) <= least + 1e-6 {
-            rho
-        } else {
-            best
-        };
+        [found[0].0[x], found[1].0[x]] = [best, rho];
     }
 }
 
@@ -229,8 +224,10 @@ fn take_least<I: Isa, const EXACT: usize>(
             let by_b = I::fma(b, ss, -2.0 * st);
             I::fma(a, by_a, I::fma(b, by_b, tt.0[x]))
         };
-        let mut best = f64::from(at.found.0[x]);
-        let mut least = value(best);
+        let [start, found] = [0, 1].map(|i| f64::from(at.found[i].0[x]));
+        let (at_start, mut least) = (value(start), value(found));
+        let mut best = if at_start < least { start } else { found };
+        least = if at_start < least { at_start } else { least };
         if EXACT > 0 {
             let mut rho = best;
             for _ in 0..EXACT {

@@ -170,15 +170,18 @@ impl<const STEPS: usize, const EXACT: usize> Kernel for Minimize<'_, STEPS, EXAC
             sum_sq_residuals,
         } = self.0;
         for ((products, at), albedo) in products.iter().zip(at_roughness).zip(albedo) {
-            let mut found = Plane::<f32>::default();
+            let mut found = [Plane::<f32>::default(); 2];
             search::<STEPS>(at, metallic, &mut found);
             let of_tt = products.target_target();
             for x in 0..BLOCK {
                 let mixer = mixer(at, metallic, x);
                 let form = at.form.at::<f64>(x, 1.0);
                 let mixed = |rho: f64| mixer.mix(rho, &mixer.metal(rho));
-                let mut best = f64::from(found.0[x]);
-                let mut least = form.value(&mixed(best)[0]);
+                let value = |rho: f64| form.value(&mixed(rho)[0]);
+                let [start, found] = [0, 1].map(|i| f64::from(found[i].0[x]));
+                let (at_start, mut least) = (value(start), value(found));
+                let mut best = if at_start < least { start } else { found };
+                least = if at_start < least { at_start } else { least };
                 if EXACT > 0 {
                     let mut rho = best;
                     for _ in 0..EXACT {
@@ -189,7 +192,7 @@ impl<const STEPS: usize, const EXACT: usize> Kernel for Minimize<'_, STEPS, EXAC
                         rho = if next > 0.0 { next } else { 0.0 };
                         rho = if rho < 1.0 { rho } else { 1.0 };
                     }
-                    let value = form.value(&mixed(rho)[0]);
+                    let value = value(rho);
                     // Of equals the later one: the first is rounded to float32.
                     best = if value <= least { rho } else { best };
                     least = if value <= least { value } else { least };
@@ -211,7 +214,7 @@ fn mixer(at: &AtRoughness, metallic: &Doubles, x: usize) -> Mixer {
 
 /// The lowest of [`STARTS`], and `STEPS` of Newton's method from there.
 #[inline(always)]
-fn search<const STEPS: usize>(at: &AtRoughness, metallic: &Doubles, found: &mut Plane<f32>) {
+fn search<const STEPS: usize>(at: &AtRoughness, metallic: &Doubles, found: &mut [Plane<f32>; 2]) {
     for x in 0..BLOCK {
         let surface = Surface::new(
             at.a.0[x] as f32,
@@ -239,11 +242,6 @@ fn search<const STEPS: usize>(at: &AtRoughness, metallic: &Doubles, found: &mut 
             rho = if next > 0.0 { next } else { 0.0 };
             rho = if rho < 1.0 { rho } else { 1.0 };
         }
-        // Where rounding hides which is lower, the minimum is the one that slopes lead to.
-        found.0[x] = if value(rho) <= least + 1e-6 {
-            rho
-        } else {
-            best
-        };
+        [found[0].0[x], found[1].0[x]] = [best, rho];
     }
 }
