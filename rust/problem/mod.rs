@@ -531,7 +531,7 @@ impl Problem {
         // A whole block, as it lies there, is copied in vectors.
         let first = pixels.first().map_or(0, |&p| p);
         let whole = pixels.len() == BLOCK
-            && first % BLOCK == 0
+            && first.is_multiple_of(BLOCK)
             && pixels.iter().enumerate().all(|(x, &p)| p == first + x);
         for (sample, [target, weight]) in picked.iter_mut().enumerate() {
             let (channel, picture) = (sample / self.pictures, sample % self.pictures);

@@ -209,6 +209,10 @@ noise took longer."""
 PRECONDITIONER_DAMPING = 1e-6
 """Share of the preconditioner's diagonal that is added to it."""
 
+KEPT_SYSTEM_BYTES = 1 << 28
+"""Bytes of the pixels' part of the lights' system that is kept between products at most: those of
+350,000 pixels with 16 pictures. The part of further pixels is made anew for each product."""
+
 CG_ITERATIONS_MAX = 12
 """Products with the lights' system in a joint step, each a pass over all pictures."""
 

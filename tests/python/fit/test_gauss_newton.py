@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Objective, Scene
+from pbrfit.fit import settings
 from pbrfit.fit.gauss_newton import (
     LightEstimate,
     find_lights,
@@ -350,3 +351,25 @@ def test_progress_is_told_of_every_joint_step(room: Scene, solver: Any) -> None:
         assert np.isfinite(materials.albedo).all()
         assert np.isfinite(lighting).all()
     np.testing.assert_array_equal(states[-1][0].roughness, result.roughness)
+
+
+def test_what_is_not_kept_of_a_system_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    objective = Objective(make_scene("room", size=24, lights=4, held_out=1, seed=2))
+    x = objective.start()
+    fit = global_gauss_newton._JointFit(
+        objective, x, np.ones(objective.pixels), None, lambda: False, damping=1e-3
+    )
+    v = np.random.default_rng(1).normal(size=4 * 16 * 3)
+    found = []
+    for kept in (settings.KEPT_SYSTEM_BYTES, 0):
+        monkeypatch.setattr(settings, "KEPT_SYSTEM_BYTES", kept)
+        system = fit._system()
+        assert system is not None
+        parts, gradient = system
+        product = fit._product(parts, v)
+        assert product is not None
+        found.append((product, gradient))
+    (rounded, one), (exact, other) = found
+    np.testing.assert_array_equal(one, other)
+    np.testing.assert_allclose(rounded, exact, rtol=0, atol=1e-5 * np.abs(exact).max())
+    assert (rounded != exact).any()

@@ -31,6 +31,9 @@ from pbrfit.threads import one_blas_thread
 Array = NDArray[np.float64]
 Stop = Callable[[], bool]
 
+_Piece = Callable[[Array], Array]
+"""S v of some pixels."""
+
 Visit = Callable[[Array, Array], bool]
 """Called with x and the pixels' sums of squares after each step; whether to stop."""
 
@@ -158,16 +161,47 @@ class _JointFit:
         matrix *= objective.pixels / len(chosen)
         return Cholesky(matrix, settings.PRECONDITIONER_DAMPING)
 
-    def _product(self, v: Array) -> tuple[Array, Array] | None:
-        """S v and s of all pixels, in order, so that sums are always the same; None if stopped."""
-        totals = np.zeros((2, len(v)))
-        for chunk in chunks(self.objective.pixels):
+    def _system(self) -> tuple[list[_Piece], Array] | None:
+        """All pixels' parts of S, in order, so that sums are always the same; and s.
+
+        None if stopped.
+        """
+        objective, layout = self.objective, self.objective.layout
+        derivatives = 3 if objective.tangent_offsets is None else 5
+        of_samples = layout.pictures * (derivatives + (objective.weights is not None))
+        of_pixel = 4 * objective.channels * (layout.coefficients + of_samples)
+        left = settings.KEPT_SYSTEM_BYTES // of_pixel
+        parts: list[_Piece] = []
+        gradient = np.zeros(layout.light_channels * layout.pictures * layout.coefficients)
+        for chunk in chunks(objective.pixels):
             if self.stop():
                 return None
-            totals += self.objective.problem.schur_product(
-                self.objective.for_core(self.x), chunk, v, **self._options(chunk)
-            )
-        return totals[0], totals[1]
+            x, options = objective.for_core(self.x), self._options(chunk)
+            if len(chunk) <= left:
+                kept = objective.problem.kept_system(x, chunk, **options)
+                left -= len(chunk)
+                parts.append(kept.product)
+                gradient += kept.gradient
+            else:
+                parts.append(self._made_anew(x, chunk, options))
+                nothing = np.zeros_like(gradient)
+                gradient += objective.problem.schur_product(x, chunk, nothing, **options)[1]
+        return parts, gradient
+
+    def _made_anew(self, x: Array, pixels: Pixels, options: dict[str, Any]) -> _Piece:
+        def product(v: Array) -> Array:
+            return self.objective.problem.schur_product(x, pixels, v, **options)[0]
+
+        return product
+
+    def _product(self, parts: list[_Piece], v: Array) -> Array | None:
+        """S v; None if stopped."""
+        total = np.zeros_like(v)
+        for part in parts:
+            if self.stop():
+                return None
+            total += part(v)
+        return total
 
     def light_moves(self, enough: float) -> tuple[Array, float]:
         """δ with (S + damping) δ ≈ −s by preconditioned conjugate gradients, and what it gains.
@@ -181,21 +215,22 @@ class _JointFit:
             preconditioner = self._preconditioner()
         except np.linalg.LinAlgError:
             return moves, 0.0
-        product = self._product(moves)
-        if product is None:
+        system = self._system()
+        if system is None:
             return moves, 0.0
-        residual = -product[1]
+        parts, gradient = system
+        residual = -gradient
         direction = preconditioned = preconditioner.solve(residual)
         first = size_now = float(residual @ preconditioned)
         if not first >= enough:
             return moves, 0.0
         predicted = 0.0
         for _ in range(settings.CG_ITERATIONS_MAX):
-            product = self._product(direction)
+            product = self._product(parts, direction)
             if product is None:
                 break
             along = (
-                product[0]
+                product
                 + settings.LIGHT_DAMPING * self.damping * preconditioner.diagonal * direction
             )
             curvature = float(direction @ along)
