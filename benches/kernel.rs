@@ -241,6 +241,109 @@ fn pixel_fit(c: &mut Criterion) {
     group.finish();
 }
 
+/// Where fits spend their time, in floating-point operations (a multiply-add is two) of the paper's
+/// model with 16 pictures and 3 channels: Gelem/s are GFLOP/s, to be held against what
+/// `cargo bench --bench machine -- --threads 1` says. That is float32; float64 reaches half.
+fn operations(c: &mut Criterion) {
+    // Of a sample: its projections; then products, residual and derivatives, normal equations.
+    const SAMPLES: usize = 16 * 3;
+    const PROJECTIONS: usize = 2 * (9 + 16);
+    const PRODUCTS: usize = SAMPLES * (PROJECTIONS + 6 + 2 * 21);
+    const EQUATIONS: usize = SAMPLES * (PROJECTIONS + 2 * 20 + 5 + 2 * 10);
+    // W v, R and Rᵀ, and the sum over pixels.
+    const PRODUCT: usize = SAMPLES * (2 * 16 + 2 * 3 + 2 * 3 + 2 * 16);
+    const GRADIENT: usize = SAMPLES * (2 * 3 + 2 * 16);
+    const ROWS: usize = SAMPLES * (3 + 2 * 6);
+    // Of a channel: products of one roughness; χ² of one node, and its least, from five starts by
+    // three Newton steps; squares from products with their gradient and matrix.
+    const ROUGHNESS: usize = 3 * 76;
+    const NODE: usize = 3 * (34 + 10 + 5 * 8 + 3 * 15 + 16) + 15;
+    const FORM: usize = 3 * (2 * 60 + 110);
+    // Residuals, what they add to the light, and both with W; then without gradient.
+    const RESIDUALS: usize = SAMPLES * (2 * 16 + 3 + 2 * 16) + 3 * (2 * PROJECTIONS);
+    const SQUARES: usize = SAMPLES * (2 * 16 + 3) + 3 * PROJECTIONS;
+
+    let mut group = c.benchmark_group("operations, 128², 16 pictures, 1 thread");
+    group.sample_size(10);
+    let example = Example::new(128 * 128, 16);
+    let pixels: Vec<usize> = (0..example.normals.len()).collect();
+    let problem = example.problem(Options {
+        threads: 1,
+        ..Options::default()
+    });
+    let x = &example.x;
+    let moves: Vec<f64> = (0..16 * 16 * 3).map(|i| wave(i, 0.9) - 0.5).collect();
+    let how = Elimination::default();
+    let nodes = |first: f64, count: usize| -> Vec<f64> {
+        let step = (1.0 - first) / (count - 1) as f64;
+        (0..count).map(|i| first + step * i as f64).collect()
+    };
+    fn search<'a>(grid: [&'a [f64]; 2], exact_steps: usize) -> Search<'a> {
+        Search {
+            roughness: grid[0],
+            metallic: grid[1],
+            starts: usize::from(!grid[0].is_empty()),
+            steps: 0,
+            exact_steps,
+            held_normals: false,
+            prior: None,
+        }
+    }
+    let mut bench = |name: &str, operations: usize, run: &dyn Fn()| {
+        group.throughput(Throughput::Elements((operations * pixels.len()) as u64));
+        group.bench_function(name, |b| b.iter(run));
+    };
+    let few = [nodes(0.08, 12), nodes(0.0, 6)];
+    let few = [&few[0][..], &few[1]];
+    let fit_materials = |search| {
+        black_box(problem.fit_materials(x, &pixels, &search).unwrap());
+    };
+    bench("fit_materials: products", PRODUCTS + 2 * FORM, &|| {
+        fit_materials(search([&[], &[]], 0));
+    });
+    let grid = 12 * ROUGHNESS + (72 + 1) * NODE + FORM;
+    bench(
+        "fit_materials: and 12 × 6 nodes",
+        PRODUCTS + 2 * FORM + grid,
+        &|| {
+            fit_materials(search(few, 0));
+        },
+    );
+    // From their own materials all pixels make one step, and none is sure to be better than x.
+    let exact = 3 * FORM + 2 * RESIDUALS + SQUARES;
+    bench(
+        "fit_materials: products and a step on residuals",
+        PRODUCTS + 2 * FORM + exact,
+        &|| {
+            fit_materials(search([&[], &[]], 1));
+        },
+    );
+    let many = [nodes(0.03, 33), nodes(0.0, 7)];
+    let count = PRODUCTS + 33 * ROUGHNESS + 33 * 7 * NODE;
+    bench("material_grid, 33 × 7 nodes", count, &|| {
+        black_box(
+            problem
+                .material_grid(x, &pixels, &many[0], &many[1])
+                .unwrap(),
+        );
+    });
+    let eliminated = EQUATIONS + ROWS + GRADIENT;
+    bench("schur_product", eliminated + PRODUCT, &|| {
+        black_box(problem.schur_product(x, &pixels, &moves, &how).unwrap());
+    });
+    bench("kept_system", eliminated, &|| {
+        black_box(problem.kept_system(x, &pixels, &how).unwrap());
+    });
+    let kept = problem.kept_system(x, &pixels, &how).unwrap();
+    bench("kept_system: product, in float32", PRODUCT, &|| {
+        black_box(kept.product(&moves).unwrap());
+    });
+    bench("normal_equations", EQUATIONS, &|| {
+        black_box(problem.normal_equations(x, &pixels).unwrap());
+    });
+    group.finish();
+}
+
 /// What second order needs of the pixels, with given normals and with free ones: these have two
 /// unknowns more, and each trial of a fit makes directions and basis functions anew.
 fn free_normals_of_pixels(c: &mut Criterion) {
@@ -463,6 +566,7 @@ criterion_group!(
     models,
     parts,
     pixel_fit,
+    operations,
     free_normals_of_pixels,
     forward,
     directional

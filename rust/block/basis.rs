@@ -1,7 +1,7 @@
 //! The basis functions at the directions of a block, and what they project of a light.
 
 use crate::reflectance::planes::{BLOCK, Directions, MAX_ENTRIES, MAX_ROWS, Plane, vector};
-use crate::reflectance::reflection::{Reflection, each_entry, first_entry};
+use crate::reflectance::reflection::{Reflection, first_entry};
 use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 
@@ -75,46 +75,87 @@ fn fill_lobe<M: Reflection, T: Real, const K: usize>(
 /// Projections of a light on a pixel at most: the diffuse one, then one for each row of its lobe.
 pub const MAX_PROJECTIONS: usize = 1 + MAX_ROWS;
 
-/// The light projected on the pixels' basis: Σ_k A_l Y_k(n) L_k, and for each row Σ_k R_jk L_k.
-#[inline(always)]
-pub fn light_projections<M: Reflection>(
-    basis: &Basis<f64>,
-    light: &[f64; COEFFICIENTS],
-) -> [Plane<f64>; MAX_PROJECTIONS] {
-    let mut light_projections = [Plane::default(); MAX_PROJECTIONS];
-    for k in 0..DIFFUSE {
-        for x in 0..BLOCK {
-            light_projections[0].0[x] += light[k] * basis.diffuse[k].0[x];
-        }
-    }
-    each_entry::<M, COEFFICIENTS>(|k, row, entry| {
-        let (sum, lobe) = (&mut light_projections[1 + row], &basis.lobe[entry]);
-        for x in 0..BLOCK {
-            sum.0[x] += light[k] * lobe.0[x];
-        }
-    });
-    light_projections
+/// The basis functions of one vector of pixels, out of their planes: these lie so that few of them
+/// stay in the cache at once.
+pub struct BasisAt<I: Vectors<f64>> {
+    diffuse: [I::Vector; DIFFUSE],
+    lobe: [I::Vector; MAX_ENTRIES],
 }
 
-/// The same for one vector of pixels, number `v` of the block.
-#[inline(always)]
-pub fn light_projections_at<M: Reflection, I: Vectors<f64>>(
-    isa: I,
-    basis: &Basis<f64>,
-    light: &[f64; COEFFICIENTS],
-    v: usize,
-) -> [I::Vector; MAX_PROJECTIONS] {
-    let mut light_projections = [isa.splat(0.0); MAX_PROJECTIONS];
-    for k in 0..DIFFUSE {
-        light_projections[0] = isa.mul_add(
-            isa.splat(light[k]),
-            I::of(&basis.diffuse[k].0)[v],
-            light_projections[0],
-        );
+/// Lights that are projected together at most.
+pub const TOGETHER: usize = 4;
+
+/// What is projected of each.
+pub type Projections<V> = [[V; MAX_PROJECTIONS]; TOGETHER];
+
+// Whatever is larger than a few registers is made once for a block and written again: to be made
+// anew for each vector, it would be filled with zeros each time.
+impl<I: Vectors<f64>> BasisAt<I> {
+    /// Of no vector yet.
+    #[inline(always)]
+    pub fn new(isa: I) -> Self {
+        Self {
+            diffuse: [isa.splat(0.0); DIFFUSE],
+            lobe: [isa.splat(0.0); MAX_ENTRIES],
+        }
     }
-    each_entry::<M, COEFFICIENTS>(|k, row, entry| {
-        let sum = &mut light_projections[1 + row];
-        *sum = isa.mul_add(isa.splat(light[k]), I::of(&basis.lobe[entry].0)[v], *sum);
-    });
-    light_projections
+
+    /// Takes up vector number `v` of a block.
+    #[inline(always)]
+    pub fn take<M: Reflection>(&mut self, basis: &Basis<f64>, v: usize) {
+        for k in 0..DIFFUSE {
+            self.diffuse[k] = I::of(&basis.diffuse[k].0)[v];
+        }
+        for entry in 0..const { first_entry::<M>(COEFFICIENTS) } {
+            self.lobe[entry] = I::of(&basis.lobe[entry].0)[v];
+        }
+    }
+
+    /// What they project of J lights: Σ_k A_l Y_k(n) L_k, and for each row Σ_k R_jk L_k, with
+    /// coefficient k of light j from `light(j, k)`.
+    #[inline(always)]
+    pub fn project<M: Reflection, const J: usize>(
+        &self,
+        isa: I,
+        light: impl Fn(usize, usize) -> I::Vector,
+        projections: &mut Projections<I::Vector>,
+    ) {
+        let mut sums = [isa.splat(0.0); J];
+        for k in 0..DIFFUSE {
+            for j in 0..J {
+                sums[j] = isa.mul_add(light(j, k), self.diffuse[k], sums[j]);
+            }
+        }
+        for j in 0..J {
+            projections[j][0] = sums[j];
+        }
+        self.project_band::<M, J, 0>(isa, &light, projections);
+        self.project_band::<M, J, 1>(isa, &light, projections);
+        self.project_band::<M, J, 2>(isa, &light, projections);
+        self.project_band::<M, J, 3>(isa, &light, projections);
+    }
+
+    /// The rows of band L; of one band, because then the compiler knows all counts.
+    #[inline(always)]
+    fn project_band<M: Reflection, const J: usize, const L: usize>(
+        &self,
+        isa: I,
+        light: &impl Fn(usize, usize) -> I::Vector,
+        projections: &mut Projections<I::Vector>,
+    ) {
+        let (first, rows) = (M::FIRST_ROW[L], M::FIRST_ROW[L + 1] - M::FIRST_ROW[L]);
+        let entry = const { first_entry::<M>(L * L) };
+        for row in 0..rows {
+            let mut sums = [isa.splat(0.0); J];
+            for i in 0..2 * L + 1 {
+                let lobe = self.lobe[entry + i * rows + row];
+                for j in 0..J {
+                    sums[j] = isa.mul_add(light(j, L * L + i), lobe, sums[j]);
+                }
+            }
+            for j in 0..J {
+                projections[j][1 + first + row] = sums[j];
+            }
+        }
+    }
 }

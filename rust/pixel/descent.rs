@@ -54,7 +54,14 @@ const DIAGONAL_MIN: f64 = 1e-280;
 /// The sums of squared residuals of a block of pixels as a function of their unknowns, U at most.
 pub(crate) trait LeastSquares<const C: usize, const U: usize> {
     /// Sum of squares, gradient and matrix at materials and tangent offsets; `sums` is overwritten.
-    fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets, sums: &mut Sums<U>);
+    /// Where nobody looks at more, it may be `only_squares`.
+    fn take(
+        &mut self,
+        materials: &Materials<C>,
+        offsets: &TangentOffsets,
+        only_squares: bool,
+        sums: &mut Sums<U>,
+    );
 }
 
 /// Gaussian priors, Σ_f precision (v_f − mean)² beside the squared residuals, for f = roughness,
@@ -66,7 +73,7 @@ pub(crate) struct PriorPlanes {
 }
 
 /// A point for each pixel, and what is known there.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Point<const C: usize, const U: usize> {
     pub(crate) materials: Materials<C>,
     /// Where they are among the U unknowns; else not looked at.
@@ -94,8 +101,9 @@ impl<const C: usize, const U: usize> Point<C, U> {
         isa: Instructions,
         least_squares: &mut impl LeastSquares<C, U>,
         prior: Option<&PriorPlanes>,
+        only_squares: bool,
     ) {
-        least_squares.take(&self.materials, &self.offsets, &mut self.sums);
+        least_squares.take(&self.materials, &self.offsets, only_squares, &mut self.sums);
         self.cost = self.sums.sum_sq_residuals;
         if let Some(prior) = prior {
             isa.run(AddPrior { point: self, prior });
@@ -135,7 +143,7 @@ pub(crate) struct Descent<'a, const C: usize, const U: usize> {
 
 impl<const C: usize, const U: usize> Descent<'_, C, U> {
     /// At most `steps` steps from a point at which everything is known, for the pixels that are
-    /// `active` (1, else 0).
+    /// `active` (1, else 0). Of where the last one leads, only materials and squares are known.
     pub(crate) fn run(
         &mut self,
         least_squares: &mut impl LeastSquares<C, U>,
@@ -145,7 +153,7 @@ impl<const C: usize, const U: usize> Descent<'_, C, U> {
     ) {
         let mut damping = Plane([self.damping; BLOCK]);
         let mut predicted = Doubles::default();
-        for _ in 0..steps {
+        for step in 1..=steps {
             if active.0.iter().all(|&a| a == 0.0) {
                 break;
             }
@@ -158,7 +166,8 @@ impl<const C: usize, const U: usize> Descent<'_, C, U> {
                 offsets: &mut self.trial.offsets,
                 predicted: &mut predicted,
             });
-            self.trial.take(self.isa, least_squares, self.prior);
+            self.trial
+                .take(self.isa, least_squares, self.prior, step == steps);
             let mut accepted = Doubles::default();
             let tried = active;
             self.isa.run(UpdateDamping {

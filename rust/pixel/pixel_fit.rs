@@ -17,7 +17,7 @@
 use crate::block::normal_jacobian::TangentOffsets;
 use crate::pixel::descent::{Descent, Point, PriorPlanes};
 use crate::pixel::material_grid::{self, AlbedoFromProducts};
-use crate::pixel::product_form::{Form, LeastSquaresFromProducts};
+use crate::pixel::product_form::{Form, FromProducts, LeastSquaresFromProducts};
 use crate::pixel::residual_steps::ResidualSteps;
 use crate::pixel::samples::{DERIVATIVES, FREE_DERIVATIVES, UNKNOWNS, by_kind, free_unknowns};
 use crate::problem::Problem;
@@ -178,6 +178,7 @@ struct Block<'a, M: Fits, const C: usize, const D: usize, const U: usize> {
     rows: &'a [usize],
     isa: Instructions,
     grid: material_grid::Block<'a, M>,
+    form: Form<M>,
     /// A plane for each node.
     nodes: Vec<Doubles>,
     offsets: TangentOffsets,
@@ -210,6 +211,7 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
             rows,
             isa: problem.instructions(),
             grid: material_grid::Block::new(problem),
+            form: Form::new(problem.instructions()),
             nodes: vec![Doubles::default(); if search.starts > 0 { nodes } else { 0 }],
             offsets: TangentOffsets::default(),
             own: Box::default(),
@@ -238,14 +240,14 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         let mut size = Doubles::default();
         for products in &self.grid.products.by_channel {
             for x in 0..BLOCK {
-                size.0[x] += products.target_target.0[x];
+                size.0[x] += products.target_target().0[x];
             }
         }
 
-        self.own
-            .take(isa, &mut Form::<M>::new(isa, &self.grid.products), prior);
-        self.best.clone_from(&self.own);
-        self.candidate.clone_from(&self.own);
+        let mut products = FromProducts(&mut self.form, &self.grid.products);
+        self.own.take(isa, &mut products, prior, false);
+        *self.best = *self.own;
+        *self.candidate = *self.own;
         self.descend(&used, &size, prior);
         for start in 0..search.starts {
             let Some(active) = self.start(start, prior, pixels.len()) else {
@@ -280,8 +282,8 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         for r in &mut self.candidate.materials.roughness.0 {
             *r = r.max(START_ROUGHNESS_MIN);
         }
-        let mut form = Form::<M>::new(isa, &self.grid.products);
-        self.candidate.take(isa, &mut form, prior);
+        let mut products = FromProducts(&mut self.form, &self.grid.products);
+        self.candidate.take(isa, &mut products, prior, false);
         let mut floor = Doubles::default();
         for x in 0..BLOCK {
             floor.0[x] = PRODUCTS_ROUNDING * size.0[x];
@@ -294,7 +296,12 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
             damping: PRODUCTS_DAMPING,
             trial: &mut self.trial,
         }
-        .run(&mut form, &mut self.candidate, *active, self.search.steps);
+        .run(
+            &mut products,
+            &mut self.candidate,
+            *active,
+            self.search.steps,
+        );
         for x in 0..BLOCK {
             if active.0[x] == 0.0 {
                 self.candidate.cost.0[x] = f64::INFINITY;
@@ -375,6 +382,7 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         self.steps.run(
             [&self.own.materials, &self.best.materials],
             [used, &unclear],
+            FromProducts(&mut self.form, &self.grid.products),
             prior,
             self.search.exact_steps,
         );

@@ -9,54 +9,58 @@
 
 use std::marker::PhantomData;
 
-use crate::block::basis::{Basis, FillBasis, MAX_PROJECTIONS, light_projections_at};
+use crate::block::basis::{Basis, BasisAt, FillBasis, MAX_PROJECTIONS, Projections, TOGETHER};
 use crate::problem::Problem;
-use crate::reflectance::planes::MAX_ROWS;
 use crate::reflectance::planes::{BLOCK, Directions, Doubles};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 
-/// Pairs of rows at most.
-const MAX_PAIRS: usize = MAX_ROWS * (MAX_ROWS + 1) / 2;
+/// What is multiplied at most: the targets, and after them the projections.
+const VECTORS: usize = MAX_PROJECTIONS + 1;
+/// Pairs of them.
+const PAIRS: usize = VECTORS * (VECTORS + 1) / 2;
 
 /// Products over pictures, Σ ω u v, of one channel.
 #[derive(Clone, Debug)]
-pub(crate) struct Products {
-    pub(crate) target_target: Doubles,
-    pub(crate) diffuse_diffuse: Doubles,
-    pub(crate) diffuse_target: Doubles,
-    /// Of D with each B_j.
-    pub(crate) diffuse_row: [Doubles; MAX_ROWS],
-    /// Of T with each B_j.
-    pub(crate) row_target: [Doubles; MAX_ROWS],
-    /// Of B_i with B_j, j ≤ i, row by row.
-    pub(crate) row_row: [Doubles; MAX_PAIRS],
-}
+pub(crate) struct Products([Doubles; PAIRS]);
 
 impl Default for Products {
     fn default() -> Self {
-        Self {
-            target_target: Doubles::default(),
-            diffuse_diffuse: Doubles::default(),
-            diffuse_target: Doubles::default(),
-            diffuse_row: [Doubles::default(); MAX_ROWS],
-            row_target: [Doubles::default(); MAX_ROWS],
-            row_row: [Doubles::default(); MAX_PAIRS],
-        }
+        Self([Doubles::default(); PAIRS])
     }
 }
 
-/// Where the product of rows i and j is.
+impl Products {
+    /// Of projections s and t: 0 is D, 1 + j is B_j.
+    #[inline(always)]
+    pub(crate) fn of(&self, s: usize, t: usize) -> &Doubles {
+        &self.0[pair(1 + s, 1 + t)]
+    }
+
+    /// Of projection s and T.
+    #[inline(always)]
+    pub(crate) fn with_target(&self, s: usize) -> &Doubles {
+        &self.0[pair(1 + s, 0)]
+    }
+
+    /// Σ ω T²
+    pub(crate) fn target_target(&self) -> &Doubles {
+        &self.0[pair(0, 0)]
+    }
+}
+
+/// Where the product of two vectors is.
 #[inline(always)]
-pub(crate) fn pair(i: usize, j: usize) -> usize {
-    let (low, high) = if j < i { (j, i) } else { (i, j) };
+fn pair(s: usize, t: usize) -> usize {
+    let (low, high) = if t < s { (t, s) } else { (s, t) };
     high * (high + 1) / 2 + low
 }
 
 /// Up to [`BLOCK`] pixels, where they look, and their products by channel.
 pub(crate) struct PixelProducts {
     basis: Basis<f64>,
+    given: Vec<[Doubles; 2]>,
     pub(crate) directions: Directions<f64>,
     pub(crate) by_channel: Vec<Products>,
 }
@@ -65,6 +69,7 @@ impl PixelProducts {
     pub(crate) fn new(channels: usize) -> Self {
         Self {
             basis: Basis::default(),
+            given: Vec::new(),
             directions: Directions::default(),
             by_channel: vec![Products::default(); channels],
         }
@@ -86,15 +91,13 @@ impl PixelProducts {
             basis: &mut self.basis,
             model,
         });
+        problem.pick_samples(pixels, &mut self.given);
         let pictures = problem.pictures();
-        let mut given = Vec::with_capacity(pictures);
         for (c, products) in self.by_channel.iter_mut().enumerate() {
-            given.clear();
-            given.extend((0..pictures).map(|i| problem.picked_samples(c, i, pixels)));
             isa.run(SumPictures {
                 basis: &self.basis,
                 lights: &lights[c * pictures..][..pictures],
-                given: &given,
+                given: &self.given[c * pictures..][..pictures],
                 products,
                 model: PhantomData::<M>,
             });
@@ -102,7 +105,7 @@ impl PixelProducts {
     }
 }
 
-/// Products of one channel, which stay at hand until all pictures have added theirs.
+/// Products of one channel.
 struct SumPictures<'a, M: Reflection> {
     basis: &'a Basis<f64>,
     /// By picture.
@@ -123,50 +126,84 @@ impl<M: Reflection> Kernel for SumPictures<'_, M> {
     }
 }
 
+/// One vector of pixels: their basis functions and sums, and room for some pictures.
+struct Room<I: Vectors<f64>> {
+    basis: BasisAt<I>,
+    sums: [I::Vector; PAIRS],
+    projections: Projections<I::Vector>,
+    values: [[I::Vector; TOGETHER]; VECTORS],
+}
+
 impl<M: Reflection> SumPictures<'_, M> {
     #[inline(always)]
     fn all<I: Vectors<f64>>(self, isa: I) {
-        let Self {
-            basis,
-            lights,
-            given,
-            products,
-            ..
-        } = self;
-        let zero = isa.splat(0.0);
+        let (n, zero) = (self.lights.len(), isa.splat(0.0));
+        let mut room = Room {
+            basis: BasisAt::new(isa),
+            sums: [zero; PAIRS],
+            projections: [[zero; MAX_PROJECTIONS]; TOGETHER],
+            values: [[zero; TOGETHER]; VECTORS],
+        };
         for v in 0..BLOCK / I::LANES {
-            let (mut tt, mut dd, mut dt) = (zero, zero, zero);
-            let (mut dr, mut rt) = ([zero; MAX_ROWS], [zero; MAX_ROWS]);
-            let mut rr = [zero; MAX_PAIRS];
-            for (light, [target, weight]) in lights.iter().zip(given) {
-                let light_projections: [_; MAX_PROJECTIONS] =
-                    light_projections_at::<M, I>(isa, basis, light, v);
-                let diffuse = light_projections[0];
-                let (target, weight) = (I::of(&target.0)[v], I::of(&weight.0)[v]);
-                let d = isa.mul(weight, diffuse);
-                tt = isa.mul_add(isa.mul(weight, target), target, tt);
-                dd = isa.mul_add(d, diffuse, dd);
-                dt = isa.mul_add(d, target, dt);
-                for i in 0..M::ROWS {
-                    let row = isa.mul(weight, light_projections[1 + i]);
-                    dr[i] = isa.mul_add(row, diffuse, dr[i]);
-                    rt[i] = isa.mul_add(row, target, rt[i]);
-                    for j in 0..=i {
-                        let sum = &mut rr[pair(i, j)];
-                        *sum = isa.mul_add(row, light_projections[1 + j], *sum);
-                    }
+            room.basis.take::<M>(self.basis, v);
+            for s in 0..M::ROWS + 2 {
+                for t in 0..=s {
+                    room.sums[pair(s, t)] = zero;
                 }
             }
-            let put = |to: &mut Doubles, sum| I::of_mut(&mut to.0)[v] = sum;
-            put(&mut products.target_target, tt);
-            put(&mut products.diffuse_diffuse, dd);
-            put(&mut products.diffuse_target, dt);
-            for i in 0..M::ROWS {
-                put(&mut products.diffuse_row[i], dr[i]);
-                put(&mut products.row_target[i], rt[i]);
-                for j in 0..=i {
-                    put(&mut products.row_row[pair(i, j)], rr[pair(i, j)]);
+            let mut first = 0;
+            while first + TOGETHER <= n {
+                self.some::<I, TOGETHER>(isa, v, first, &mut room);
+                first += TOGETHER;
+            }
+            for first in first..n {
+                self.some::<I, 1>(isa, v, first, &mut room);
+            }
+            for s in 0..M::ROWS + 2 {
+                for t in 0..=s {
+                    I::of_mut(&mut self.products.0[pair(s, t)].0)[v] = room.sums[pair(s, t)];
                 }
+            }
+        }
+    }
+
+    /// Adds J pictures, from number `first` on.
+    #[inline(always)]
+    fn some<I: Vectors<f64>, const J: usize>(
+        &self,
+        isa: I,
+        v: usize,
+        first: usize,
+        room: &mut Room<I>,
+    ) {
+        let Room {
+            basis,
+            sums,
+            projections,
+            values,
+        } = room;
+        let lights = &self.lights[first..first + J];
+        basis.project::<M, J>(isa, |j, k| isa.splat(lights[j][k]), projections);
+        let mut weights = [isa.splat(0.0); J];
+        for j in 0..J {
+            let [target, weight] = &self.given[first + j];
+            weights[j] = I::of(&weight.0)[v];
+            values[0][j] = I::of(&target.0)[v];
+            for s in 0..=M::ROWS {
+                values[1 + s][j] = projections[j][s];
+            }
+        }
+        for s in 0..M::ROWS + 2 {
+            let mut weighted = weights;
+            for j in 0..J {
+                weighted[j] = isa.mul(weights[j], values[s][j]);
+            }
+            for t in 0..=s {
+                let mut sum = sums[pair(s, t)];
+                for j in 0..J {
+                    sum = isa.mul_add(weighted[j], values[t][j], sum);
+                }
+                sums[pair(s, t)] = sum;
             }
         }
     }

@@ -1,13 +1,15 @@
 //! The last steps of a pixel's fit, on its residuals one by one, in passes over the pictures.
 //!
-//! Where normals are given they only end what products began. Free normals move here: each trial
+//! Where normals are given they only end what products began, from which the Gauss–Newton matrix still
+//! comes: a pass makes the residuals, and the gradient from them. Free normals move here: each trial
 //! makes directions, basis functions and derivatives anew. What is best at the normals of x may lie
 //! in another valley than what is best with better normals, so pixels descend twice then, from the
 //! material of x and from the best that products found, and the lower one is kept.
 
 use crate::block::normal_jacobian::TangentOffsets;
 use crate::pixel::descent::{Descent, LeastSquares, Point, PriorPlanes};
-use crate::pixel::samples::{Block, Sums, UNKNOWNS};
+use crate::pixel::product_form::{FromProducts, LeastSquaresFromProducts};
+use crate::pixel::samples::{Block, DERIVATIVES, Sums, UNKNOWNS};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Doubles, Materials};
 use crate::reflectance::reflection::Reflection;
@@ -40,27 +42,42 @@ pub(crate) struct ResidualSteps<'a, M: Reflection, const C: usize, const D: usiz
 struct Workspace<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     isa: Instructions,
     metallic_known: bool,
-    least_squares: FromResiduals<'a, M, C, D>,
+    lights: &'a [[f64; COEFFICIENTS]],
+    block: Block<'a, M, C, D>,
     trial: Box<Point<C, U>>,
 }
 
 /// Sums of squares from residuals.
-struct FromResiduals<'a, M: Reflection, const C: usize, const D: usize> {
+struct FromResiduals<'a, 'b, M: Reflection, const C: usize, const D: usize> {
     lights: &'a [[f64; COEFFICIENTS]],
-    block: Block<'a, M, C, D>,
+    block: &'b mut Block<'a, M, C, D>,
+    products: FromProducts<'b, M>,
 }
 
-impl<M: Reflection, const C: usize, const D: usize, const U: usize> LeastSquares<C, U>
-    for FromResiduals<'_, M, C, D>
+impl<M: LeastSquaresFromProducts, const C: usize, const D: usize, const U: usize> LeastSquares<C, U>
+    for FromResiduals<'_, '_, M, C, D>
 {
-    fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets, sums: &mut Sums<U>) {
-        *sums = Sums::default();
+    fn take(
+        &mut self,
+        materials: &Materials<C>,
+        offsets: &TangentOffsets,
+        only_squares: bool,
+        sums: &mut Sums<U>,
+    ) {
         self.block.take(materials, offsets);
-        self.block.add_samples(self.lights, sums);
+        if D > DERIVATIVES {
+            *sums = Sums::default();
+            self.block.add_samples(self.lights, false, sums);
+            return;
+        }
+        if !only_squares {
+            self.products.take(materials, offsets, false, sums);
+        }
+        self.block.put_residuals(self.lights, !only_squares, sums);
     }
 }
 
-impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
+impl<'a, M: LeastSquaresFromProducts, const C: usize, const D: usize, const U: usize>
     ResidualSteps<'a, M, C, D, U>
 {
     pub(crate) fn new(problem: &'a Problem, lights: &'a [[f64; COEFFICIENTS]]) -> Self {
@@ -71,10 +88,8 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             workspace: Workspace {
                 isa: problem.instructions(),
                 metallic_known: problem.known_metallic().is_some(),
-                least_squares: FromResiduals {
-                    lights,
-                    block: Block::new(problem),
-                },
+                lights,
+                block: Block::new(problem),
                 trial: Box::default(),
             },
         }
@@ -82,7 +97,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 
     /// Takes up pixels with the normals of `maps`, whose tangent offsets are `offsets`.
     pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], offsets: &TangentOffsets) {
-        self.workspace.least_squares.block.place(maps, pixels);
+        self.workspace.block.place(maps, pixels);
         self.offsets = *offsets;
     }
 
@@ -93,6 +108,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         &mut self,
         [own, found]: [&Materials<C>; 2],
         [used, unclear]: [&Doubles; 2],
+        products: FromProducts<M>,
         prior: Option<&PriorPlanes>,
         steps: usize,
     ) {
@@ -102,77 +118,75 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             candidate,
             workspace,
         } = self;
-        if let Some(candidate) = candidate {
-            best.materials.clone_from(own);
-            best.offsets = *offsets;
-            workspace.take(best, prior);
-            let others = differing(own, found, used);
-            for (start, active) in [(own, used), (found, &others)] {
-                if active.0.iter().any(|&active| active > 0.0) {
-                    candidate.materials.clone_from(start);
-                    candidate.offsets = *offsets;
-                    workspace.descend_with_normals(candidate, active, prior, steps);
-                    best.keep_lower(workspace.isa, candidate);
+        let isa = workspace.isa;
+        let mut least_squares = FromResiduals {
+            lights: workspace.lights,
+            block: &mut workspace.block,
+            products,
+        };
+        let mut descent = Descent {
+            isa,
+            prior,
+            metallic_known: workspace.metallic_known,
+            floor: &Doubles::default(),
+            damping: MATERIALS_DAMPING,
+            trial: &mut workspace.trial,
+        };
+        let Some(candidate) = candidate else {
+            best.materials = *found;
+            best.take(isa, &mut least_squares, prior, steps == 0);
+            let unclear = differing(own, found, unclear);
+            if unclear.0.iter().any(|&unclear| unclear > 0.0) {
+                let trial = &mut *descent.trial;
+                trial.materials = *own;
+                trial.take(isa, &mut least_squares, prior, true);
+                ignore_others(&mut trial.cost, &unclear);
+                if (0..BLOCK).any(|x| trial.cost.0[x] < best.cost.0[x]) {
+                    trial.take(isa, &mut least_squares, prior, false);
+                    ignore_others(&mut trial.cost, &unclear);
+                    best.keep_lower(isa, trial);
                 }
             }
+            let floor = floor(best);
+            descent.floor = &floor;
+            descent.run(&mut least_squares, best, *used, steps);
             return;
+        };
+        best.materials = *own;
+        best.offsets = *offsets;
+        best.take(isa, &mut least_squares, prior, false);
+        let others = differing(own, found, used);
+        for (start, active) in [(own, used), (found, &others)] {
+            if active.0.iter().any(|&active| active > 0.0) {
+                // Normals and materials of the active pixels move; others cost more than anything.
+                candidate.materials = *start;
+                candidate.offsets = *offsets;
+                for r in &mut candidate.materials.roughness.0 {
+                    *r = r.max(NORMALS_ROUGHNESS_MIN);
+                }
+                candidate.take(isa, &mut least_squares, prior, false);
+                let floor = floor(candidate);
+                let mut descent = Descent {
+                    floor: &floor,
+                    damping: NORMALS_DAMPING,
+                    trial: &mut *descent.trial,
+                    ..descent
+                };
+                descent.run(&mut least_squares, candidate, *active, steps);
+                ignore_others(&mut candidate.cost, active);
+                best.keep_lower(isa, candidate);
+            }
         }
-        best.materials.clone_from(found);
-        workspace.take(best, prior);
-        if unclear.0.iter().any(|&unclear| unclear > 0.0) {
-            let trial = &mut workspace.trial;
-            trial.materials.clone_from(own);
-            trial.take(workspace.isa, &mut workspace.least_squares, prior);
-            ignore_others(&mut trial.cost, unclear);
-            best.keep_lower(workspace.isa, trial);
-        }
-        workspace.descend(best, used, prior, MATERIALS_DAMPING, steps);
     }
 }
 
-impl<M: Reflection, const C: usize, const D: usize, const U: usize> Workspace<'_, M, C, D, U> {
-    fn take(&mut self, point: &mut Point<C, U>, prior: Option<&PriorPlanes>) {
-        point.take(self.isa, &mut self.least_squares, prior);
+/// Decreases that residuals cannot tell from rounding.
+fn floor<const C: usize, const U: usize>(point: &Point<C, U>) -> Doubles {
+    let mut floor = point.cost;
+    for floor in &mut floor.0 {
+        *floor *= RESIDUALS_ROUNDING;
     }
-
-    /// Moves normals and materials of the `active` pixels; other pixels cost more than anything then.
-    fn descend_with_normals(
-        &mut self,
-        candidate: &mut Box<Point<C, U>>,
-        active: &Doubles,
-        prior: Option<&PriorPlanes>,
-        steps: usize,
-    ) {
-        for r in &mut candidate.materials.roughness.0 {
-            *r = r.max(NORMALS_ROUGHNESS_MIN);
-        }
-        self.take(candidate, prior);
-        self.descend(candidate, active, prior, NORMALS_DAMPING, steps);
-        ignore_others(&mut candidate.cost, active);
-    }
-
-    fn descend(
-        &mut self,
-        point: &mut Box<Point<C, U>>,
-        active: &Doubles,
-        prior: Option<&PriorPlanes>,
-        damping: f64,
-        steps: usize,
-    ) {
-        let mut floor = Doubles::default();
-        for x in 0..BLOCK {
-            floor.0[x] = RESIDUALS_ROUNDING * point.cost.0[x];
-        }
-        Descent {
-            isa: self.isa,
-            prior,
-            metallic_known: self.metallic_known,
-            floor: &floor,
-            damping,
-            trial: &mut self.trial,
-        }
-        .run(&mut self.least_squares, point, *active, steps);
-    }
+    floor
 }
 
 /// 1 for the `used` pixels whose materials are not the same.

@@ -1,4 +1,4 @@
-//! The samples of a block of pixels, one at a time: residual, and derivatives by the unknowns.
+//! The samples of a block of pixels: residuals, and derivatives by the unknowns.
 //!
 //! A pixel depends on a few projections of a light: Σ_k A_l Y_k(n) L_k and, for each row of its
 //! lobe, Σ_k R_jk L_k. Radiance and its derivatives by the material are linear in them, with
@@ -11,10 +11,9 @@
 
 use std::marker::PhantomData;
 
-use crate::block::basis::{Basis, FillBasis, MAX_PROJECTIONS, light_projections};
-use crate::block::factors::{FillFactors, FillFunctions};
+use crate::block::basis::{Basis, BasisAt, FillBasis, MAX_PROJECTIONS, Projections, TOGETHER};
+use crate::block::factors::FillFunctions;
 use crate::block::normal_jacobian::TangentOffsets;
-use crate::block::radiance::Radiance;
 use crate::block::weights::FillWeights;
 use crate::pixel::weight_jacobian::WeightJacobian;
 use crate::problem::Problem;
@@ -25,7 +24,7 @@ use crate::reflectance::planes::{MAX_ROWS, Material};
 use crate::reflectance::reflection::{ExactFunctions, Factors, Reflection};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
-use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
 
 /// Derivatives of a sample where normals are given: by its channel's albedo, roughness, metallic.
 pub(crate) const DERIVATIVES: usize = 3;
@@ -76,13 +75,11 @@ pub(crate) fn free_unknowns<const C: usize, const D: usize>(problem: &Problem) -
         .collect()
 }
 
-/// Up to [`BLOCK`] pixels, picked from anywhere, and one of their samples at a time.
+/// Up to [`BLOCK`] pixels, picked from anywhere, and their samples.
 pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
     model: M,
     problem: &'a Problem,
     isa: Instructions,
-    /// Where the pixels come from.
-    places: Vec<usize>,
     directions: Directions<f64>,
     pub materials: Materials<C>,
     basis: Basis<f64>,
@@ -93,9 +90,12 @@ pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
     responses: Vec<Responses>,
     /// Where D says that normals are free.
     pub weight_jacobian: Option<WeightJacobian>,
-    /// Targets and weights ω: (channel, picture).
-    given: Vec<[Doubles; 2]>,
-    sample: Sample<D>,
+    /// Targets and weights ω, 0 where no pixel is: (channel, picture).
+    pub given: Vec<[Doubles; 2]>,
+    /// I − T of samples that were kept: (channel, picture).
+    pub residuals: Vec<Doubles>,
+    /// ∂I/∂(albedo, roughness, metallic) of them, and by the tangent offsets.
+    pub derivatives: Vec<[Doubles; D]>,
 }
 
 /// By which the projections of a light become radiance and its derivatives.
@@ -114,34 +114,12 @@ impl Default for Responses {
     }
 }
 
-/// One channel of one picture.
-#[derive(Clone, Debug)]
-pub(crate) struct Sample<const D: usize> {
-    /// I − T
-    pub residual: Doubles,
-    /// ω; 0 where no pixel is.
-    pub weight: Doubles,
-    /// ∂I/∂(albedo, roughness, metallic), and by the tangent offsets.
-    pub derivatives: [Doubles; D],
-}
-
-impl<const D: usize> Default for Sample<D> {
-    fn default() -> Self {
-        Self {
-            residual: Doubles::default(),
-            weight: Doubles::default(),
-            derivatives: [Doubles::default(); D],
-        }
-    }
-}
-
 impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
     pub(crate) fn new(problem: &'a Problem) -> Self {
         Self {
             model: M::default(),
             problem,
             isa: problem.instructions(),
-            places: Vec::new(),
             directions: Directions::default(),
             materials: Materials::default(),
             basis: Basis::default(),
@@ -151,7 +129,8 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             responses: vec![Responses::default(); C],
             weight_jacobian: (D > DERIVATIVES).then(|| WeightJacobian::new(C)),
             given: Vec::new(),
-            sample: Sample::default(),
+            residuals: Vec::new(),
+            derivatives: Vec::new(),
         }
     }
 
@@ -168,15 +147,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
 
     /// Takes up pixels, whose materials, and tangent offsets where they are free, are still to come.
     pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize]) {
-        self.places.clear();
-        self.places.extend(pixels);
-        self.given.clear();
-        for c in 0..C {
-            for picture in 0..self.problem.pictures() {
-                self.given
-                    .push(self.problem.picked_samples(c, picture, pixels));
-            }
-        }
+        self.problem.pick_samples(pixels, &mut self.given);
         if let Some(weight_jacobian) = &mut self.weight_jacobian {
             weight_jacobian.place(self.problem, pixels);
             return;
@@ -196,7 +167,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
     /// Gives the pixels materials and, where they are free, tangent offsets, and works out all that
     /// no picture changes.
     pub(crate) fn take(&mut self, materials: &Materials<C>, offsets: &TangentOffsets) {
-        self.materials = materials.clone();
+        self.materials = *materials;
         if let Some(weight_jacobian) = &mut self.weight_jacobian {
             weight_jacobian.turn(self.isa, offsets, &mut self.directions);
             self.fill_basis();
@@ -219,6 +190,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
                 model: PhantomData::<M>,
             });
         }
+        self.fill_weights();
         if let Some(weight_jacobian) = &mut self.weight_jacobian {
             weight_jacobian.fill::<M, C>(
                 self.isa,
@@ -231,16 +203,11 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
     }
 
     /// Works out the derivatives by the lights.
-    pub(crate) fn fill_weights(&mut self) {
-        self.isa.run(FillFactors {
-            directions: &self.directions,
-            materials: &self.materials,
-            pixels: self.places.len(),
-            by_cosine: false,
-            functions: &mut self.functions,
-            factors: &mut self.factors,
-            model: self.model,
-        });
+    fn fill_weights(&mut self) {
+        for (factors, responses) in self.factors.iter_mut().zip(&self.responses) {
+            factors.diffuse = responses.radiance[0];
+            factors.rows[..M::ROWS].copy_from_slice(&responses.radiance[1..=M::ROWS]);
+        }
         self.isa.run(FillWeights {
             basis: &self.basis,
             factors: &self.factors,
@@ -249,49 +216,61 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
         });
     }
 
-    /// Adds all samples to the normal equations.
+    /// Adds all samples to the normal equations, and keeps them, or none. Lights are (channel,
+    /// picture).
     pub(crate) fn add_samples<const U: usize>(
         &mut self,
         lights: &[[f64; COEFFICIENTS]],
+        keep: bool,
         sums: &mut Sums<U>,
     ) {
-        let isa = self.isa;
-        self.each_sample(lights, |c, _, sample| {
-            isa.run(AddSample {
-                sample,
+        let kept = if keep { lights.len() } else { 0 };
+        self.residuals.resize(kept, Doubles::default());
+        self.derivatives.resize(kept, [Doubles::default(); D]);
+        let n = self.problem.pictures();
+        for (c, lights) in lights.chunks(n).enumerate() {
+            self.isa.run(AddSamples {
+                basis: &self.basis,
+                weights: &self.weights[c],
+                lights,
+                given: &self.given[c * n..][..n],
+                responses: &self.responses[c],
+                by_offsets: self.weight_jacobian.as_ref().map(|t| &t.weights[c]),
                 unknowns: unknowns_of_channel::<C, D>(c),
                 sums,
+                residuals: self.residuals.get_mut(c * n..).unwrap_or_default(),
+                derivatives: self.derivatives.get_mut(c * n..).unwrap_or_default(),
+                model: PhantomData::<M>,
             });
-        });
-    }
-
-    /// Calls `f` with channel, picture and sample, channel by channel. Lights are (channel, picture).
-    pub fn each_sample(
-        &mut self,
-        lights: &[[f64; COEFFICIENTS]],
-        mut f: impl FnMut(usize, usize, &Sample<D>),
-    ) {
-        for (c, of_channel) in lights.chunks(self.problem.pictures()).enumerate() {
-            for (picture, light) in of_channel.iter().enumerate() {
-                self.take_sample(c, picture, light);
-                f(c, picture, &self.sample);
-            }
         }
     }
 
-    /// Works out one channel of one picture.
-    fn take_sample(&mut self, channel: usize, picture: usize, light: &[f64; COEFFICIENTS]) {
-        let [target, weight] = &self.given[channel * self.problem.pictures() + picture];
-        self.sample.weight = *weight;
-        self.isa.run(TakeSample {
-            basis: &self.basis,
-            light,
-            target,
-            responses: &self.responses[channel],
-            by_offsets: self.weight_jacobian.as_ref().map(|t| &t.weights[channel]),
-            sample: &mut self.sample,
-            model: PhantomData::<M>,
-        });
+    /// Sum of squares and, unless nobody asks for it, gradient with given normals, in the place of
+    /// those that there are.
+    pub(crate) fn put_residuals<const U: usize>(
+        &mut self,
+        lights: &[[f64; COEFFICIENTS]],
+        with_gradient: bool,
+        sums: &mut Sums<U>,
+    ) {
+        sums.sum_sq_residuals = Doubles::default();
+        if with_gradient {
+            sums.gradient = [Doubles::default(); U];
+        }
+        let n = self.problem.pictures();
+        for (c, lights) in lights.chunks(n).enumerate() {
+            self.isa.run(AddResiduals {
+                basis: &self.basis,
+                weights: &self.weights[c],
+                lights,
+                given: &self.given[c * n..][..n],
+                responses: &self.responses[c],
+                unknowns: unknowns_of_channel::<C, DERIVATIVES>(c),
+                with_gradient,
+                sums,
+                model: PhantomData::<M>,
+            });
+        }
     }
 }
 
@@ -339,64 +318,8 @@ impl<M: Reflection> Kernel for FillResponses<'_, M> {
     }
 }
 
-/// Residual and derivatives of a sample.
-struct TakeSample<'a, M: Reflection, const D: usize> {
-    basis: &'a Basis<f64>,
-    light: &'a [f64; COEFFICIENTS],
-    target: &'a Doubles,
-    responses: &'a Responses,
-    /// ∂w_k by each tangent offset.
-    by_offsets: Option<&'a [[Doubles; COEFFICIENTS]; OFFSETS]>,
-    sample: &'a mut Sample<D>,
-    model: PhantomData<M>,
-}
-
-impl<M: Reflection, const D: usize> Kernel for TakeSample<'_, M, D> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, isa: I) {
-        let Self {
-            basis,
-            light,
-            target,
-            responses,
-            by_offsets,
-            sample,
-            ..
-        } = self;
-        let light_projections = light_projections::<M>(basis, light);
-        for x in 0..BLOCK {
-            sample.residual.0[x] = -target.0[x];
-        }
-        sample.derivatives[..DERIVATIVES].fill(Doubles::default());
-        for s in 0..=M::ROWS {
-            for x in 0..BLOCK {
-                sample.residual.0[x] += responses.radiance[s].0[x] * light_projections[s].0[x];
-            }
-            for j in 0..DERIVATIVES {
-                for x in 0..BLOCK {
-                    sample.derivatives[j].0[x] +=
-                        responses.derivatives[j][s].0[x] * light_projections[s].0[x];
-                }
-            }
-        }
-        if let Some(by_offsets) = by_offsets {
-            let (_, of_offsets) = sample.derivatives.split_at_mut(DERIVATIVES);
-            for (weights, radiance) in by_offsets.iter().zip(of_offsets) {
-                let radiance = Radiance {
-                    weights,
-                    light,
-                    radiance,
-                };
-                radiance.run(isa);
-            }
-        }
-    }
-}
-
 /// The normal equations of a block; of the matrix, the lower triangle.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Sums<const U: usize> {
     pub(crate) matrix: [[Doubles; U]; U],
     pub(crate) gradient: [Doubles; U],
@@ -425,41 +348,268 @@ impl<const U: usize> Sums<U> {
     }
 }
 
-/// Adds a sample to the normal equations.
-pub(crate) struct AddSample<'a, const D: usize, const U: usize> {
-    pub sample: &'a Sample<D>,
-    pub unknowns: [usize; D],
-    pub sums: &'a mut Sums<U>,
+/// Adds the samples of one channel to the normal equations.
+struct AddSamples<'a, M: Reflection, const D: usize, const U: usize> {
+    basis: &'a Basis<f64>,
+    weights: &'a [Doubles; COEFFICIENTS],
+    /// By picture.
+    lights: &'a [[f64; COEFFICIENTS]],
+    given: &'a [[Doubles; 2]],
+    responses: &'a Responses,
+    /// ∂w_k by each tangent offset.
+    by_offsets: Option<&'a [[Doubles; COEFFICIENTS]; OFFSETS]>,
+    unknowns: [usize; D],
+    sums: &'a mut Sums<U>,
+    /// To be written, or none.
+    residuals: &'a mut [Doubles],
+    derivatives: &'a mut [[Doubles; D]],
+    model: PhantomData<M>,
 }
 
-impl<const D: usize, const U: usize> Kernel for AddSample<'_, D, U> {
+/// Of the derivatives of radiance, by projection.
+type ResponsesAt<V> = [[V; DERIVATIVES]; MAX_PROJECTIONS];
+
+/// One vector of pixels of a channel: what no picture changes, its sums, and room for some pictures.
+struct ChannelAt<I: Vectors<f64>, const D: usize> {
+    basis: BasisAt<I>,
+    weights: [I::Vector; COEFFICIENTS],
+    responses: ResponsesAt<I::Vector>,
+    by_offsets: [[I::Vector; COEFFICIENTS]; OFFSETS],
+    squares: I::Vector,
+    gradient: [I::Vector; D],
+    matrix: [[I::Vector; D]; D],
+    projections: Projections<I::Vector>,
+}
+
+impl Responses {
+    #[inline(always)]
+    fn take<M: Reflection, I: Vectors<f64>>(&self, v: usize, at: &mut ResponsesAt<I::Vector>) {
+        for s in 0..=M::ROWS {
+            for d in 0..DERIVATIVES {
+                at[s][d] = I::of(&self.derivatives[d][s].0)[v];
+            }
+        }
+    }
+}
+
+impl<M: Reflection, const D: usize, const U: usize> Kernel for AddSamples<'_, M, D, U> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            sample,
-            unknowns,
-            sums,
-        } = self;
-        let mut weighted = Doubles::default();
-        for x in 0..BLOCK {
-            weighted.0[x] = sample.weight.0[x] * sample.residual.0[x];
-            sums.sum_sq_residuals.0[x] += weighted.0[x] * sample.residual.0[x];
-        }
-        for i in 0..D {
-            let by_row = &sample.derivatives[i];
-            let gradient = &mut sums.gradient[unknowns[i]];
-            for x in 0..BLOCK {
-                gradient.0[x] += weighted.0[x] * by_row.0[x];
+    fn run<I: Isa>(self, isa: I) {
+        self.all(isa);
+    }
+}
+
+impl<M: Reflection, const D: usize, const U: usize> AddSamples<'_, M, D, U> {
+    #[inline(always)]
+    fn all<I: Vectors<f64>>(mut self, isa: I) {
+        let (n, zero) = (self.lights.len(), isa.splat(0.0));
+        let mut at = ChannelAt::<I, D> {
+            basis: BasisAt::new(isa),
+            weights: [zero; COEFFICIENTS],
+            responses: [[zero; DERIVATIVES]; MAX_PROJECTIONS],
+            by_offsets: [[zero; COEFFICIENTS]; OFFSETS],
+            squares: zero,
+            gradient: [zero; D],
+            matrix: [[zero; D]; D],
+            projections: [[zero; MAX_PROJECTIONS]; TOGETHER],
+        };
+        for v in 0..BLOCK / I::LANES {
+            at.basis.take::<M>(self.basis, v);
+            for k in 0..COEFFICIENTS {
+                at.weights[k] = I::of(&self.weights[k].0)[v];
             }
-            for j in 0..=i {
-                let by_column = &sample.derivatives[j];
-                let entry = &mut sums.matrix[unknowns[i]][unknowns[j]];
-                for x in 0..BLOCK {
-                    entry.0[x] += sample.weight.0[x] * by_row.0[x] * by_column.0[x];
+            self.responses.take::<M, I>(v, &mut at.responses);
+            (at.squares, at.gradient, at.matrix) = (zero, [zero; D], [[zero; D]; D]);
+            if let Some(by_offsets) = self.by_offsets {
+                for t in 0..OFFSETS {
+                    for k in 0..COEFFICIENTS {
+                        at.by_offsets[t][k] = I::of(&by_offsets[t][k].0)[v];
+                    }
+                }
+            }
+            let mut first = 0;
+            while first + TOGETHER <= n {
+                self.some::<I, TOGETHER>(isa, v, first, &mut at);
+                first += TOGETHER;
+            }
+            for first in first..n {
+                self.some::<I, 1>(isa, v, first, &mut at);
+            }
+            let add = |to: &mut Doubles, sum| {
+                let to = &mut I::of_mut(&mut to.0)[v];
+                *to = isa.add(*to, sum);
+            };
+            add(&mut self.sums.sum_sq_residuals, at.squares);
+            for i in 0..D {
+                let row = self.unknowns[i];
+                add(&mut self.sums.gradient[row], at.gradient[i]);
+                for j in 0..=i {
+                    let column = self.unknowns[j];
+                    add(&mut self.sums.matrix[row][column], at.matrix[i][j]);
                 }
             }
         }
     }
+
+    /// J pictures, from number `first` on.
+    #[inline(always)]
+    fn some<I: Vectors<f64>, const J: usize>(
+        &mut self,
+        isa: I,
+        v: usize,
+        first: usize,
+        at: &mut ChannelAt<I, D>,
+    ) {
+        let lights = &self.lights[first..first + J];
+        at.basis
+            .project::<M, J>(isa, |j, k| isa.splat(lights[j][k]), &mut at.projections);
+        let radiance = radiance::<I, J>(isa, &at.weights, lights);
+        for j in 0..J {
+            let [target, weight] = &self.given[first + j];
+            let (target, weight) = (I::of(&target.0)[v], I::of(&weight.0)[v]);
+            let residual = isa.sub(radiance[j], target);
+            let mut derivatives = [isa.splat(0.0); D];
+            for s in 0..=M::ROWS {
+                for d in 0..DERIVATIVES {
+                    let response = at.responses[s][d];
+                    derivatives[d] = isa.mul_add(response, at.projections[j][s], derivatives[d]);
+                }
+            }
+            for t in 0..D - DERIVATIVES {
+                for k in 0..COEFFICIENTS {
+                    let light = isa.splat(lights[j][k]);
+                    let sum = &mut derivatives[DERIVATIVES + t];
+                    *sum = isa.mul_add(light, at.by_offsets[t][k], *sum);
+                }
+            }
+            let weighted = isa.mul(weight, residual);
+            at.squares = isa.mul_add(weighted, residual, at.squares);
+            for i in 0..D {
+                at.gradient[i] = isa.mul_add(weighted, derivatives[i], at.gradient[i]);
+                let by_row = isa.mul(weight, derivatives[i]);
+                for l in 0..=i {
+                    at.matrix[i][l] = isa.mul_add(by_row, derivatives[l], at.matrix[i][l]);
+                }
+            }
+            if let Some(kept) = self.derivatives.get_mut(first + j) {
+                I::of_mut(&mut self.residuals[first + j].0)[v] = residual;
+                for i in 0..D {
+                    I::of_mut(&mut kept[i].0)[v] = derivatives[i];
+                }
+            }
+        }
+    }
+}
+
+/// Adds squares and gradient of one channel with given normals: what residuals add to a light goes
+/// through the projections once a pixel, whatever the number of pictures.
+struct AddResiduals<'a, M: Reflection, const U: usize> {
+    basis: &'a Basis<f64>,
+    weights: &'a [Doubles; COEFFICIENTS],
+    /// By picture.
+    lights: &'a [[f64; COEFFICIENTS]],
+    given: &'a [[Doubles; 2]],
+    responses: &'a Responses,
+    unknowns: [usize; DERIVATIVES],
+    with_gradient: bool,
+    sums: &'a mut Sums<U>,
+    model: PhantomData<M>,
+}
+
+impl<M: Reflection, const U: usize> Kernel for AddResiduals<'_, M, U> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) {
+        self.all(isa);
+    }
+}
+
+impl<M: Reflection, const U: usize> AddResiduals<'_, M, U> {
+    #[inline(always)]
+    fn all<I: Vectors<f64>>(self, isa: I) {
+        let (n, zero) = (self.lights.len(), isa.splat(0.0));
+        let mut basis = BasisAt::new(isa);
+        let mut responses = [[zero; DERIVATIVES]; MAX_PROJECTIONS];
+        let mut projections = [[zero; MAX_PROJECTIONS]; TOGETHER];
+        let mut weights = [zero; COEFFICIENTS];
+        for v in 0..BLOCK / I::LANES {
+            for k in 0..COEFFICIENTS {
+                weights[k] = I::of(&self.weights[k].0)[v];
+            }
+            // Σ ω e², and Σ ω e L.
+            let mut sums = (zero, [zero; COEFFICIENTS]);
+            let mut first = 0;
+            while first + TOGETHER <= n {
+                self.some::<I, TOGETHER>(isa, &weights, v, first, &mut sums);
+                first += TOGETHER;
+            }
+            for first in first..n {
+                self.some::<I, 1>(isa, &weights, v, first, &mut sums);
+            }
+            let (squares, by_light) = sums;
+            let add = |to: &mut Doubles, sum| {
+                let to = &mut I::of_mut(&mut to.0)[v];
+                *to = isa.add(*to, sum);
+            };
+            add(&mut self.sums.sum_sq_residuals, squares);
+            if self.with_gradient {
+                basis.take::<M>(self.basis, v);
+                basis.project::<M, 1>(isa, |_, k| by_light[k], &mut projections);
+                self.responses.take::<M, I>(v, &mut responses);
+                for d in 0..DERIVATIVES {
+                    let mut sum = zero;
+                    for s in 0..=M::ROWS {
+                        sum = isa.mul_add(responses[s][d], projections[0][s], sum);
+                    }
+                    add(&mut self.sums.gradient[self.unknowns[d]], sum);
+                }
+            }
+        }
+    }
+
+    /// J pictures, from number `first` on.
+    #[inline(always)]
+    fn some<I: Vectors<f64>, const J: usize>(
+        &self,
+        isa: I,
+        weights: &[I::Vector; COEFFICIENTS],
+        v: usize,
+        first: usize,
+        (squares, by_light): &mut (I::Vector, [I::Vector; COEFFICIENTS]),
+    ) {
+        let lights = &self.lights[first..first + J];
+        let mut residuals = radiance::<I, J>(isa, weights, lights);
+        for j in 0..J {
+            let [target, weight] = &self.given[first + j];
+            let residual = isa.sub(residuals[j], I::of(&target.0)[v]);
+            residuals[j] = isa.mul(I::of(&weight.0)[v], residual);
+            *squares = isa.mul_add(residuals[j], residual, *squares);
+        }
+        if self.with_gradient {
+            for k in 0..COEFFICIENTS {
+                for j in 0..J {
+                    by_light[k] = isa.mul_add(residuals[j], isa.splat(lights[j][k]), by_light[k]);
+                }
+            }
+        }
+    }
+}
+
+/// W Lᵀ of J pictures; to the last bit the same wherever residuals come from it.
+#[inline(always)]
+fn radiance<I: Vectors<f64>, const J: usize>(
+    isa: I,
+    weights: &[I::Vector; COEFFICIENTS],
+    lights: &[[f64; COEFFICIENTS]],
+) -> [I::Vector; J] {
+    let mut radiance = [isa.splat(0.0); J];
+    for k in 0..COEFFICIENTS {
+        for j in 0..J {
+            radiance[j] = isa.mul_add(isa.splat(lights[j][k]), weights[k], radiance[j]);
+        }
+    }
+    radiance
 }

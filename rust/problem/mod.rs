@@ -521,21 +521,36 @@ impl Problem {
         )
     }
 
-    /// Targets and weights of some pixels in one channel of one picture; 0 where no pixel is.
-    pub(crate) fn picked_samples(
-        &self,
-        channel: usize,
-        picture: usize,
-        pixels: &[usize],
-    ) -> [Plane<f64>; 2] {
-        let [mut target, mut weight] = <[Plane<f64>; 2]>::default();
-        for (x, &p) in pixels.iter().enumerate() {
-            let (block, there) = (p / BLOCK, p % BLOCK);
-            target.0[x] = self.targets.get(block, channel, picture, there);
-            let weights = self.weights(block, channel);
-            weight.0[x] = weights.get(picture).map_or(1.0, |w| w.0[there].into());
+    /// Targets and weights of some pixels, at most [`BLOCK`]: (channel, picture); 0 where no pixel is.
+    pub(crate) fn pick_samples(&self, pixels: &[usize], picked: &mut Vec<[Plane<f64>; 2]>) {
+        let samples = self.channels * self.pictures;
+        if pixels.len() < BLOCK {
+            picked.clear();
         }
-        [target, weight]
+        picked.resize(samples, Default::default());
+        // A whole block, as it lies there, is copied in vectors.
+        let first = pixels.first().map_or(0, |&p| p);
+        let whole = pixels.len() == BLOCK
+            && first.is_multiple_of(BLOCK)
+            && pixels.iter().enumerate().all(|(x, &p)| p == first + x);
+        for (sample, [target, weight]) in picked.iter_mut().enumerate() {
+            let (channel, picture) = (sample / self.pictures, sample % self.pictures);
+            if whole {
+                let block = first / BLOCK;
+                self.targets.copy(block, channel, picture, target);
+                match self.weights(block, channel).get(picture) {
+                    Some(weights) => widen(weights, weight),
+                    None => weight.0.fill(1.0),
+                }
+                continue;
+            }
+            for (x, &p) in pixels.iter().enumerate() {
+                let (block, there) = (p / BLOCK, p % BLOCK);
+                target.0[x] = self.targets.get(block, channel, picture, there);
+                let weights = self.weights(block, channel);
+                weight.0[x] = weights.get(picture).map_or(1.0, |w| w.0[there].into());
+            }
+        }
     }
 
     /// A plane for each picture, or none where all samples weigh the same.
@@ -546,6 +561,13 @@ impl Problem {
         let channels = self.weights.len() / (self.blocks() * self.pictures);
         let first = (block * channels + channel % channels) * self.pictures;
         &self.weights[first..][..self.pictures]
+    }
+}
+
+/// The same numbers in double precision.
+pub(crate) fn widen(from: &Plane, to: &mut Plane<f64>) {
+    for x in 0..BLOCK {
+        to.0[x] = from.0[x].into();
     }
 }
 

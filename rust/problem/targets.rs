@@ -1,6 +1,7 @@
 //! The pictures as an evaluation reads them, taken up one at a time: they never all lie there twice.
 
 use crate::problem::low_words::high_and_low;
+use crate::problem::widen;
 use crate::reflectance::planes::{BLOCK, Plane};
 use crate::runtime::check::LARGEST_F32;
 use crate::runtime::memory::zeros;
@@ -154,6 +155,17 @@ impl Targets {
         self.low_words
             .get(i)
             .map_or(target, |rest| target + f64::from(rest.0[x]))
+    }
+
+    /// Those of a whole block.
+    pub(crate) fn copy(&self, block: usize, channel: usize, picture: usize, to: &mut Plane<f64>) {
+        let i = (block * self.layout.channels + channel) * self.layout.pictures + picture;
+        widen(&self.high_words[i], to);
+        if let Some(rest) = self.low_words.get(i) {
+            for x in 0..BLOCK {
+                to.0[x] += f64::from(rest.0[x]);
+            }
+        }
     }
 }
 

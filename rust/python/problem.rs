@@ -16,10 +16,12 @@ use crate::pixel::pixel_fit::{GaussianPrior, Search};
 use crate::problem::robust::Robust;
 use crate::problem::{Options, Pictures, Problem};
 use crate::runtime::{Error, check, pool};
+use crate::schur::kept::KeptSystem;
 use crate::schur::{Clusters, Elimination, PriorTerm};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyProblem>()
+    module.add_class::<PyProblem>()?;
+    module.add_class::<PyKeptSystem>()
 }
 
 /// A robust loss by its name and scale.
@@ -442,6 +444,27 @@ impl PyProblem {
         ))
     }
 
+    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
+    #[expect(clippy::too_many_arguments)]
+    fn kept_system(
+        &self,
+        py: Python<'_>,
+        x: &Bound<'_, PyAny>,
+        pixels: &Bound<'_, PyAny>,
+        damping: f64,
+        mono: bool,
+        precision: Option<&Bound<'_, PyAny>>,
+        deviation: Option<&Bound<'_, PyAny>>,
+        cluster: Option<(Bound<'_, PyAny>, usize)>,
+    ) -> PyResult<PyKeptSystem> {
+        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
+        let x = x.values();
+        let prior = self.prior(pixels.len(), precision, deviation, cluster)?;
+        let how = elimination(damping, mono, prior.as_ref());
+        let kept = py.detach(|| self.problem.kept_system(x, &pixels, &how))?;
+        Ok(PyKeptSystem(kept))
+    }
+
     #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
     #[expect(clippy::too_many_arguments)]
     fn back_substitute<'py>(
@@ -464,6 +487,26 @@ impl PyProblem {
         let materials = py.detach(|| self.problem.back_substitute(x, &pixels, &v, &how))?;
         let shape = [pixels.len(), self.problem.unknowns_of_pixel()];
         Ok(matrix(materials, shape).into_pyarray(py))
+    }
+}
+
+#[pyclass(frozen, name = "KeptSystem", module = "pbrfit._core")]
+struct PyKeptSystem(KeptSystem);
+
+#[pymethods]
+impl PyKeptSystem {
+    #[getter]
+    fn gradient<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_slice(py, self.0.gradient())
+    }
+
+    fn product<'py>(
+        &self,
+        py: Python<'py>,
+        v: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
+        Ok(py.detach(|| self.0.product(&v))?.into_pyarray(py))
     }
 }
 

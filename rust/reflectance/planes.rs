@@ -55,7 +55,7 @@ pub struct Material<const C: usize = 3> {
 }
 
 /// The materials of a block, or derivatives by them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Materials<const C: usize> {
     /// Base colour, by channel.
     pub albedo: [Plane<f64>; C],

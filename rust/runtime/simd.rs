@@ -33,6 +33,28 @@ pub trait Vectors<T>: Copy {
 pub trait Isa: Vectors<f32> + Vectors<f64> {
     /// Vector registers; what a kernel keeps in flight must fit.
     const REGISTERS: usize;
+    /// Whether a multiply-add is one operation.
+    const FUSED: bool;
+
+    /// a b + c in loops that the compiler turns into vectors; it never fuses two operations itself.
+    #[inline(always)]
+    fn fma(a: f64, b: f64, c: f64) -> f64 {
+        if Self::FUSED {
+            a.mul_add(b, c)
+        } else {
+            a * b + c
+        }
+    }
+
+    /// The same in float32.
+    #[inline(always)]
+    fn fma32(a: f32, b: f32, c: f32) -> f32 {
+        if Self::FUSED {
+            a.mul_add(b, c)
+        } else {
+            a * b + c
+        }
+    }
 }
 
 /// Work that is compiled once for each instruction set.
@@ -110,10 +132,12 @@ struct Baseline;
 
 impl<S: Simd> Isa for Fused<S> {
     const REGISTERS: usize = S::REGISTER_COUNT;
+    const FUSED: bool = true;
 }
 
 impl Isa for Baseline {
     const REGISTERS: usize = 16;
+    const FUSED: bool = false;
 }
 
 macro_rules! vectors {

@@ -5,7 +5,7 @@ use ndarray::{ArrayView2, ArrayViewMut2};
 
 use super::SchurComplement;
 use super::eliminated_block::EliminatedBlock;
-use super::kernels::{FillDenseRows, Lanes};
+use super::kernels::FillDenseRows;
 use super::light_system::LightSystem;
 use crate::problem::add;
 use crate::reflectance::planes::BLOCK;
@@ -21,7 +21,7 @@ const TILE: usize = 128;
 
 impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<'_, M, C, D, U> {
     pub(super) fn schur_complement(&self) -> Result<SchurComplement> {
-        let size = self.size();
+        let size = self.unknown.size();
         let mut found = SchurComplement {
             matrix: zeros("normal equations", size * size)?,
             gradient: zeros("normal equations", size)?,
@@ -37,7 +37,7 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
                 add(&mut found.gradient, &dense_rows.gradient);
                 self.add_grams(&dense_rows.grams, &mut found.matrix);
                 for (i, a) in dense_rows.diagonal.iter().enumerate() {
-                    found.matrix[(self.of_lights() + i) * (size + 1)] += a;
+                    found.matrix[(self.unknown.of_lights() + i) * (size + 1)] += a;
                 }
             }
             let tiles = pool::map(self.problem.threads(), self.tiles(), |tile| {
@@ -65,9 +65,9 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
     /// Pieces of the lower triangle of S; none crosses a border of channels, of which offsets count
     /// as one more.
     fn tiles(&self) -> Vec<Tile> {
-        let of_channel = self.of_channel();
-        let mut parts = vec![of_channel; self.channels];
-        parts.push(self.offsets());
+        let of_channel = self.unknown.of_channel();
+        let mut parts = vec![of_channel; self.unknown.channels];
+        parts.push(self.unknown.offsets);
         let pieces: Vec<_> = (parts.iter().enumerate())
             .flat_map(|(c, &count)| {
                 (0..count)
@@ -81,7 +81,8 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
                 tiles.push(Tile {
                     rows: (row, rows),
                     columns: (column, columns),
-                    channel: (channel == other && channel < self.channels).then_some(channel),
+                    channel: (channel == other && channel < self.unknown.channels)
+                        .then_some(channel),
                 });
             }
         }
@@ -90,12 +91,12 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
 
     /// G of a block: one Gram matrix a channel, or one a channel and picture.
     fn add_grams(&self, grams: &[f64], matrix: &mut [f64]) {
-        let (k, size) = (self.coefficients, self.size());
+        let (k, size) = (self.unknown.coefficients, self.unknown.size());
         let grams: Vec<_> = grams.chunks(k * k).collect();
-        for light in 0..self.channels * self.pictures {
+        for light in 0..self.unknown.channels * self.unknown.pictures {
             let each = grams.len() / C;
-            for c in (light / self.pictures..C).step_by(self.channels) {
-                let gram = grams[c * each + light % self.pictures % each];
+            for c in (light / self.unknown.pictures..C).step_by(self.unknown.channels) {
+                let gram = grams[c * each + light % self.unknown.pictures % each];
                 for (i, row) in gram.chunks(k).enumerate() {
                     let start = (light * k + i) * size + light * k;
                     add(&mut matrix[start..][..k], row);
@@ -134,34 +135,35 @@ impl DenseRows {
         eliminated: &mut EliminatedBlock<M, C, D, U>,
     ) -> Self {
         let unknowns = D - 1;
-        let (n, k) = (lights.pictures, lights.coefficients);
-        let (size, of_channel) = (lights.size(), lights.of_channel());
+        let (n, k) = (lights.unknown.pictures, lights.unknown.coefficients);
+        let (size, of_channel) = (lights.unknown.size(), lights.unknown.of_channel());
         let mut shared = vec![0.0; size * unknowns * BLOCK];
         let mut albedo = vec![0.0; C * of_channel * BLOCK];
         for (sample, albedo) in albedo.chunks_mut(k * BLOCK).enumerate() {
             let (c, i) = (sample / n, sample % n);
-            let first = (c % lights.channels * of_channel + i * k) * unknowns * BLOCK;
+            let first = (c % lights.unknown.channels * of_channel + i * k) * unknowns * BLOCK;
             let shared = &mut shared[first..][..k * unknowns * BLOCK];
             eliminated.isa().run(FillDenseRows {
-                weights: &eliminated.block.weights[c][..k],
-                rows: &eliminated.rows[sample],
+                weights: &eliminated.pixels.weights[c][..k],
+                rows: &eliminated.pixels.rows[sample],
                 albedo: albedo.as_chunks_mut().0,
                 shared: shared.as_chunks_mut().0,
             });
         }
-        let mut diagonal = vec![0.0; lights.offsets()];
-        let columns = &mut shared[lights.of_lights() * unknowns * BLOCK..];
-        eliminated.fill_offset_columns(columns, &mut diagonal);
-        let mut gradient = vec![Lanes::default(); C * n];
-        let mut by_offsets = vec![0.0; lights.offsets()];
-        eliminated.add_gradient(&mut gradient, &mut by_offsets);
+        let mut diagonal = vec![0.0; lights.unknown.offsets];
+        if let Some(tied) = &eliminated.tied {
+            let columns = &mut shared[lights.unknown.of_lights() * unknowns * BLOCK..];
+            tied.fill(C, unknowns, columns, &mut diagonal);
+        }
+        let mut gradient = lights.unknown.sums();
+        eliminated.add_gradient(&mut gradient);
         Self {
             shared,
             unknowns,
             albedo,
             grams: eliminated.grams(),
             diagonal,
-            gradient: lights.collected(&gradient, by_offsets),
+            gradient: lights.unknown.collected(&gradient),
         }
     }
 
@@ -172,7 +174,7 @@ impl DenseRows {
         tile: &Tile,
         values: &mut [f64],
     ) {
-        let of_channel = lights.of_channel();
+        let of_channel = lights.unknown.of_channel();
         let shape = (tile.rows.1, tile.columns.1);
         let mut values = ArrayViewMut2::from_shape(shape, values).expect("a tile");
         let mut subtract = |rows: &[f64], width: usize, first: (usize, usize)| {
@@ -190,7 +192,7 @@ impl DenseRows {
         if let Some(channel) = tile.channel {
             let start = channel * of_channel;
             let first = (tile.rows.0 - start, tile.columns.0 - start);
-            for c in (channel..C).step_by(lights.channels) {
+            for c in (channel..C).step_by(lights.unknown.channels) {
                 let rows = &self.albedo[c * of_channel * BLOCK..][..of_channel * BLOCK];
                 subtract(rows, BLOCK, first);
             }

@@ -1,11 +1,10 @@
 //! A block of pixels whose unknowns are eliminated.
 
-use super::kernels::{AddRows, Collect, FillRows, LANES, Lanes, SubtractRows, Whiten};
-use crate::block::radiance::Radiance;
+use super::PriorTerm;
+use super::kernels::{Collect, Eliminated, FillRows, LANES, Project, Whiten};
+use super::tied::{SharedSums, Tied};
 use crate::pixel::offset_step::limit_offset_step;
-use crate::pixel::samples::{
-    AddSample, Block, DERIVATIVES, Sums, free_unknowns, unknowns_of_channel,
-};
+use crate::pixel::samples::{Block, DERIVATIVES, Sums, free_unknowns, unknowns_of_channel};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::reflection::Reflection;
@@ -13,59 +12,39 @@ use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::Instructions;
 
-use super::PriorTerm;
-
 /// A block of pixels that are solved for. Samples are (channel, picture).
 pub(super) struct EliminatedBlock<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 {
     problem: &'a Problem,
-    pub(super) block: Block<'a, M, C, D>,
-    /// Pixels in the block.
-    count: usize,
+    block: Block<'a, M, C, D>,
+    pub(super) pixels: Eliminated<f64, D>,
     /// The unknowns that there are.
     unknowns: Vec<usize>,
-    /// Ω J, by the channel's own albedo, roughness, metallic and what follows.
-    weighted: Vec<[Doubles; D]>,
-    /// ω (I − T)
-    slopes: Vec<Doubles>,
-    /// ω
-    omega: Vec<Doubles>,
+    /// I − T, by sample.
+    residuals: Vec<Doubles>,
     sums: Sums<U>,
     /// U, lower triangular; 0 for what is held.
     whiten: [[Doubles; U]; U],
     /// U g
     whitened: [Doubles; U],
-    /// The prior whose offsets clusters share: a and a (v − c − o) by unknown, and the cluster of
-    /// each pixel.
-    tied: Option<Tied<U>>,
-    /// R, in the same order as J.
-    pub(super) rows: Vec<[Doubles; D]>,
-}
-
-struct Tied<const U: usize> {
-    precision: [Doubles; U],
-    pull: [Doubles; U],
-    clusters: Vec<usize>,
+    /// Where clusters of pixels share offsets of their prior.
+    pub(super) tied: Option<Tied<U>>,
 }
 
 impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     EliminatedBlock<'a, M, C, D, U>
 {
     pub(super) fn new(problem: &'a Problem) -> Self {
-        let samples = C * problem.pictures();
         Self {
             problem,
             block: Block::new(problem),
-            count: 0,
+            pixels: Eliminated::default(),
             unknowns: free_unknowns::<C, D>(problem),
-            weighted: vec![[Doubles::default(); D]; samples],
-            slopes: vec![Doubles::default(); samples],
-            omega: vec![Doubles::default(); samples],
+            residuals: Vec::new(),
             sums: Sums::default(),
             whiten: [[Doubles::default(); U]; U],
             whitened: [Doubles::default(); U],
             tied: None,
-            rows: vec![[Doubles::default(); D]; samples],
         }
     }
 
@@ -77,58 +56,66 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         prior: Option<PriorTerm>,
         damping: f64,
     ) {
-        let isa = self.problem.instructions();
-        let n = self.problem.pictures();
-        self.count = pixels.len();
+        let (isa, n) = (self.problem.instructions(), self.problem.pictures());
         self.block.load(maps, pixels);
-        self.block.fill_weights();
         self.sums = Sums::default();
-        let (weighted, slopes, omega) = (&mut self.weighted, &mut self.slopes, &mut self.omega);
-        let sums = &mut self.sums;
-        self.block.each_sample(lights, |c, picture, sample| {
-            let i = c * n + picture;
-            isa.run(AddSample {
-                sample,
-                unknowns: unknowns_of_channel::<C, D>(c),
-                sums,
-            });
-            omega[i] = sample.weight;
-            for x in 0..BLOCK {
-                slopes[i].0[x] = sample.weight.0[x] * sample.residual.0[x];
-            }
-            for (to, from) in weighted[i].iter_mut().zip(&sample.derivatives) {
-                for x in 0..BLOCK {
-                    to.0[x] = sample.weight.0[x] * from.0[x];
-                }
-            }
-        });
-        self.tied = None;
+        self.block.add_samples(lights, true, &mut self.sums);
         if let Some(prior) = prior {
-            let shared = prior.precision.len() / pixels.len();
-            let mut precision = [Doubles::default(); U];
-            let mut pull = [Doubles::default(); U];
+            let shared = self.unknowns.len() - C;
             for (i, (a, deviation)) in prior.precision.iter().zip(prior.deviation).enumerate() {
                 let (x, unknown) = (i / shared, self.unknowns[C + i % shared]);
                 self.sums.matrix[unknown][unknown].0[x] += a;
                 self.sums.gradient[unknown].0[x] += a * deviation;
-                precision[unknown].0[x] = *a;
-                pull[unknown].0[x] = a * deviation;
             }
-            self.tied = prior.clusters.map(|clusters| Tied {
-                precision,
-                pull,
-                clusters: clusters.of_pixels.to_vec(),
-            });
         }
         self.whiten(damping);
-        for (sample, weighted) in self.weighted.iter().enumerate() {
+        self.tied = prior.and_then(|prior| self.ties(prior));
+        let Eliminated {
+            weights,
+            rows,
+            omega,
+        } = &mut self.pixels;
+        weights.clear();
+        weights.extend(self.block.weights.iter());
+        for plane in weights.as_flattened_mut() {
+            plane.0[pixels.len()..].fill(0.0);
+        }
+        omega.clear();
+        if !self.problem.weights(0, 0).is_empty() {
+            omega.extend(self.block.given.iter().map(|[_, omega]| omega));
+        }
+        std::mem::swap(&mut self.residuals, &mut self.block.residuals);
+        std::mem::swap(rows, &mut self.block.derivatives);
+        for (i, (rows, [_, omega])) in rows.iter_mut().zip(&self.block.given).enumerate() {
             isa.run(FillRows {
-                own: unknowns_of_channel::<C, D>(sample / n),
-                weighted,
+                own: unknowns_of_channel::<C, D>(i / n),
+                omega,
                 whiten: &self.whiten,
-                rows: &mut self.rows[sample],
+                rows,
             });
         }
+    }
+
+    fn ties(&self, prior: PriorTerm) -> Option<Tied<U>> {
+        let clusters = prior.clusters?.of_pixels.to_vec();
+        let unknowns = self.unknowns[C..].to_vec();
+        let count = unknowns.len();
+        let mut tied = Tied {
+            precision: vec![Doubles::default(); count],
+            pull: vec![Doubles::default(); count],
+            columns: vec![[Doubles::default(); U]; count],
+            clusters,
+            unknowns,
+        };
+        for (i, (&a, deviation)) in prior.precision.iter().zip(prior.deviation).enumerate() {
+            let (x, f) = (i / count, i % count);
+            tied.precision[f].0[x] = a;
+            tied.pull[f].0[x] = a * deviation;
+            for row in tied.unknowns[f]..U {
+                tied.columns[f][row].0[x] = a * self.whiten[row][tied.unknowns[f]].0[x];
+            }
+        }
+        Some(tied)
     }
 
     pub(super) fn isa(&self) -> Instructions {
@@ -170,55 +157,48 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         });
     }
 
-    /// Adds Wᵀ (Ω (I − T) − Rᵀ U g), and by the offsets of clusters a (Uᵀ U g − (v − c − o)).
-    pub(super) fn add_gradient(&mut self, sums: &mut [Lanes], by_offsets: &mut [f64]) {
-        self.each_offset(|unknown, offset, x, tied| {
-            let moved = self.unwhitened(unknown, x, &self.whitened);
-            by_offsets[offset] += tied.precision[unknown].0[x] * moved - tied.pull[unknown].0[x];
-        });
-        let n = self.problem.pictures();
-        for (sample, sums) in sums.iter_mut().enumerate() {
-            let c = sample / n;
-            let mut left = self.slopes[sample];
-            self.subtract_rows(sample, c, &self.whitened, &mut left);
-            self.isa().run(Collect {
-                weights: &self.block.weights[c],
-                values: &left,
-                sums,
-            });
+    /// Adds Wᵀ (Ω (I − T) − Rᵀ U g), and what belongs to offsets. The residuals are used up.
+    pub(super) fn add_gradient(&mut self, sums: &mut SharedSums) {
+        if let Some(tied) = &self.tied {
+            tied.add_gradient(&self.whitened, &mut sums.offsets);
         }
+        self.isa().run(Collect {
+            pixels: &self.pixels,
+            values: &mut self.residuals,
+            whitened: &self.whitened,
+            sums: &mut sums.lights,
+        });
     }
 
-    /// Adds Wᵀ (Ω − Rᵀ R) W v, and what offsets have to do with it.
+    /// Adds Wᵀ (Ω − Rᵀ R) W v, and what belongs to offsets. The residuals' place is taken.
     pub(super) fn add_product(
         &mut self,
         light_step: &[[f64; COEFFICIENTS]],
         offset_step: &[f64],
-        sums: &mut [Lanes],
-        by_offsets: &mut [f64],
+        sums: &mut SharedSums,
     ) {
-        let n = self.problem.pictures();
-        let radiance = self.moved_radiance(light_step);
-        let mut projected = [Doubles::default(); U];
-        self.add_rows(&radiance, &mut projected);
-        self.add_offset_rows(offset_step, &mut projected);
-        self.each_offset(|unknown, offset, x, tied| {
-            let moved = offset_step[offset] + self.unwhitened(unknown, x, &projected);
-            by_offsets[offset] += tied.precision[unknown].0[x] * moved;
-        });
-        for (sample, sums) in sums.iter_mut().enumerate() {
-            let c = sample / n;
-            let mut left = Doubles::default();
-            for x in 0..BLOCK {
-                left.0[x] = self.omega[sample].0[x] * radiance[sample].0[x];
-            }
-            self.subtract_rows(sample, c, &projected, &mut left);
-            self.isa().run(Collect {
-                weights: &self.block.weights[c],
-                values: &left,
-                sums,
-            });
+        let mut whitened = [Doubles::default(); U];
+        self.project(light_step, &mut whitened);
+        if let Some(tied) = &self.tied {
+            tied.subtract(offset_step, &mut whitened);
+            tied.add_product(offset_step, &whitened, &mut sums.offsets);
         }
+        self.isa().run(Collect {
+            pixels: &self.pixels,
+            values: &mut self.residuals,
+            whitened: &whitened,
+            sums: &mut sums.lights,
+        });
+    }
+
+    /// Adds R W v to `sums`, and leaves W v in the residuals' place.
+    fn project(&mut self, light_step: &[[f64; COEFFICIENTS]], sums: &mut [Doubles; U]) {
+        self.isa().run(Project {
+            pixels: &self.pixels,
+            lights: light_step,
+            radiance: &mut self.residuals,
+            sums,
+        });
     }
 
     /// θ − Uᵀ (U g + R W v), within bounds and reach: (pixel, D).
@@ -228,10 +208,11 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         offset_step: &[f64],
         out: &mut [f64],
     ) {
-        let radiance = self.moved_radiance(light_step);
         let mut whitened = self.whitened;
-        self.add_rows(&radiance, &mut whitened);
-        self.add_offset_rows(offset_step, &mut whitened);
+        self.project(light_step, &mut whitened);
+        if let Some(tied) = &self.tied {
+            tied.subtract(offset_step, &mut whitened);
+        }
         let count = self.unknowns.len();
         if D > DERIVATIVES {
             let offsets = &self.unknowns[count - OFFSETS..];
@@ -256,47 +237,6 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         }
     }
 
-    /// Calls with each unknown of the prior, the place of its cluster's offset, and the pixel.
-    fn each_offset(&self, mut visit: impl FnMut(usize, usize, usize, &Tied<U>)) {
-        let Some(tied) = &self.tied else { return };
-        let of_prior = &self.unknowns[C..];
-        for (f, &unknown) in of_prior.iter().enumerate() {
-            for (x, cluster) in tied.clusters.iter().enumerate() {
-                visit(unknown, cluster * of_prior.len() + f, x, tied);
-            }
-        }
-    }
-
-    /// Subtracts U a o, for offsets o that move by `step`.
-    fn add_offset_rows(&self, step: &[f64], sums: &mut [Doubles; U]) {
-        self.each_offset(|unknown, offset, x, tied| {
-            let moved = tied.precision[unknown].0[x] * step[offset];
-            for row in unknown..U {
-                sums[row].0[x] -= self.whiten[row][unknown].0[x] * moved;
-            }
-        });
-    }
-
-    /// Uᵀ `whitened` of one kind and pixel.
-    fn unwhitened(&self, unknown: usize, x: usize, whitened: &[Doubles; U]) -> f64 {
-        (unknown..U)
-            .map(|row| self.whiten[row][unknown].0[x] * whitened[row].0[x])
-            .sum()
-    }
-
-    /// Puts −U a of the offsets, in the columns of their clusters, into `columns` (offset, unknown
-    /// that all channels share, pixel), and adds a to `diagonal`.
-    pub(super) fn fill_offset_columns(&self, columns: &mut [f64], diagonal: &mut [f64]) {
-        self.each_offset(|unknown, offset, x, tied| {
-            let a = tied.precision[unknown].0[x];
-            diagonal[offset] += a;
-            for row in unknown..C + D - 1 {
-                let place = (offset * (D - 1) + row - C) * BLOCK + x;
-                columns[place] = -self.whiten[row][unknown].0[x] * a;
-            }
-        });
-    }
-
     /// θ − Uᵀ `whitened` of one kind.
     fn stepped(&self, unknown: usize, whitened: &[Doubles; U]) -> Doubles {
         let mut values = *self.values(unknown);
@@ -307,49 +247,6 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             }
         }
         values
-    }
-
-    /// W v of every sample.
-    fn moved_radiance(&self, light_step: &[[f64; COEFFICIENTS]]) -> Vec<Doubles> {
-        let n = self.problem.pictures();
-        let mut radiance = vec![Doubles::default(); light_step.len()];
-        for (sample, (light, radiance)) in light_step.iter().zip(&mut radiance).enumerate() {
-            self.isa().run(Radiance {
-                weights: &self.block.weights[sample / n],
-                light,
-                radiance,
-            });
-        }
-        radiance
-    }
-
-    /// Adds R times `values`, one for each sample.
-    fn add_rows(&self, values: &[Doubles], sums: &mut [Doubles; U]) {
-        let n = self.problem.pictures();
-        for (sample, values) in values.iter().enumerate() {
-            self.isa().run(AddRows {
-                own: unknowns_of_channel::<C, D>(sample / n),
-                rows: &self.rows[sample],
-                values,
-                sums,
-            });
-        }
-    }
-
-    /// Subtracts the sample's Rᵀ `whitened`.
-    fn subtract_rows(
-        &self,
-        sample: usize,
-        channel: usize,
-        whitened: &[Doubles; U],
-        left: &mut Doubles,
-    ) {
-        self.isa().run(SubtractRows {
-            own: unknowns_of_channel::<C, D>(channel),
-            rows: &self.rows[sample],
-            whitened,
-            left,
-        });
     }
 
     /// Σ ω w_ck w_cl over the pixels: (channel, 1 or picture, K, K).
@@ -363,13 +260,13 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         let mut grams = vec![0.0; C * each * k * k];
         for (i, gram) in grams.chunks_mut(k * k).enumerate() {
             let (c, picture) = (i / each, i % each);
-            let omega = &self.omega[c * n + picture].0;
+            let [_, omega] = &self.block.given[c * n + picture];
             let weights = &self.block.weights[c];
             for row in 0..k {
                 for column in 0..k {
                     let mut sum = [0.0; LANES];
                     for x in 0..BLOCK {
-                        sum[x % LANES] += omega[x] * weights[row].0[x] * weights[column].0[x];
+                        sum[x % LANES] += omega.0[x] * weights[row].0[x] * weights[column].0[x];
                     }
                     gram[row * k + column] = sum.iter().sum();
                 }

@@ -114,7 +114,7 @@ fn normal_equations<M: Reflection, const C: usize, const D: usize, const U: usiz
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 let mut sums = Sums::<U>::default();
-                block.add_samples(&lights, &mut sums);
+                block.add_samples(&lights, false, &mut sums);
                 for x in 0..pixels.len() {
                     let p = i * BLOCK + x;
                     sums.store_matrix(x, &rows, &mut matrices[p * unknowns * unknowns..]);
@@ -158,22 +158,24 @@ fn derivatives<M: Reflection, const C: usize, const D: usize, const U: usize>(
             let mut block = Block::<M, C, D>::new(problem);
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
-                block.fill_weights();
                 let of_block = by_light[i * BLOCK * C * k..].chunks_mut(k).enumerate();
                 for (row, of_row) in of_block.take(pixels.len() * C) {
                     for (to, from) in of_row.iter_mut().zip(&block.weights[row % C]) {
                         *to = from.0[row / C];
                     }
                 }
-                block.each_sample(&lights, |c, picture, sample| {
+                block.add_samples(&lights, true, &mut Sums::<U>::default());
+                let of_samples = block.derivatives.iter().zip(&block.given).enumerate();
+                for (sample, (derivatives, [_, weight])) in of_samples {
+                    let (c, picture) = (sample / problem.pictures(), sample % problem.pictures());
                     for x in 0..pixels.len() {
                         let s = (i * BLOCK + x) * samples + picture * C + c;
-                        weights[s] = sample.weight.0[x];
+                        weights[s] = weight.0[x];
                         for j in 0..D {
-                            by_material[s * D + j] = sample.derivatives[j].0[x];
+                            by_material[s * D + j] = derivatives[j].0[x];
                         }
                     }
-                });
+                }
             }
         },
     );
@@ -221,25 +223,25 @@ fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usi
         pieces,
         |((pixels, covariances), moves)| {
             let mut block = Block::<M, C, D>::new(problem);
-            let mut weighted = vec![[Doubles::default(); D]; C * problem.pictures()];
             let mut radiance = Doubles::default();
             let isa = problem.instructions();
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
-                block.fill_weights();
                 // ω J of every sample, in the order of the lights.
-                block.each_sample(&lights, |c, picture, sample| {
-                    let to = &mut weighted[c * problem.pictures() + picture];
-                    for (to, from) in to.iter_mut().zip(&sample.derivatives) {
+                block.add_samples(&lights, true, &mut Sums::<U>::default());
+                for (derivatives, [_, weight]) in block.derivatives.iter_mut().zip(&block.given) {
+                    for plane in derivatives {
                         for x in 0..BLOCK {
-                            to.0[x] = sample.weight.0[x] * from.0[x];
+                            plane.0[x] *= weight.0[x];
                         }
                     }
-                });
+                }
                 for mode in &modes {
                     // B v
                     let mut product = [Doubles::default(); U];
-                    for (sample, (light, weighted)) in mode.iter().zip(&weighted).enumerate() {
+                    for (sample, (light, weighted)) in
+                        mode.iter().zip(&block.derivatives).enumerate()
+                    {
                         let c = sample / problem.pictures();
                         isa.run(Radiance {
                             weights: &block.weights[c],

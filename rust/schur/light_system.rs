@@ -3,7 +3,9 @@
 use std::marker::PhantomData;
 
 use super::eliminated_block::EliminatedBlock;
-use super::kernels::Lanes;
+use super::kept::{KeptSystem, Products};
+use super::kernels::{Eliminated, Lanes};
+use super::tied::{SharedSums, Tied};
 use super::{Clusters, Elimination, PriorTerm, SchurProduct};
 use crate::problem::{Problem, add};
 use crate::reflectance::planes::BLOCK;
@@ -13,7 +15,93 @@ use crate::runtime::memory::zeros;
 use crate::runtime::{Error, Result, check, pool};
 
 /// Blocks in a piece of work of a product.
-const CHUNK: usize = 8;
+pub(super) const CHUNK: usize = 8;
+
+/// How the lights lie that are unknown.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct UnknownLights {
+    pub(super) pictures: usize,
+    pub(super) coefficients: usize,
+    /// Of the lights: C, or 1 where all have the same.
+    pub(super) channels: usize,
+    /// Of the pictures: C.
+    of_pictures: usize,
+    /// Unknowns after the lights: offsets of the prior.
+    pub(super) offsets: usize,
+}
+
+impl UnknownLights {
+    /// M
+    pub(super) fn size(&self) -> usize {
+        self.of_lights() + self.offsets
+    }
+
+    /// How many of the shared unknowns are lights.
+    pub(super) fn of_lights(&self) -> usize {
+        self.channels * self.of_channel()
+    }
+
+    /// To be added to.
+    pub(super) fn sums(&self) -> SharedSums {
+        SharedSums {
+            lights: vec![Lanes::default(); self.of_pictures * self.pictures],
+            offsets: vec![0.0; self.offsets],
+        }
+    }
+
+    /// Unknowns of a light channel.
+    pub(super) fn of_channel(&self) -> usize {
+        self.pictures * self.coefficients
+    }
+
+    /// v as (channel, picture), zeros where a band is left out; of all C channels. And the offsets.
+    pub(super) fn padded<'v>(&self, v: &'v [f64]) -> Result<(Vec<[f64; COEFFICIENTS]>, &'v [f64])> {
+        check::length("v", self.size(), v.len())?;
+        check::moderate("v", v, check::LARGEST_F64)?;
+        let lights = (0..self.of_pictures * self.pictures)
+            .map(|i| {
+                let first = i % (self.channels * self.pictures) * self.coefficients;
+                let mut light = [0.0; COEFFICIENTS];
+                light[..self.coefficients].copy_from_slice(&v[first..][..self.coefficients]);
+                light
+            })
+            .collect();
+        Ok((lights, &v[self.of_lights()..]))
+    }
+
+    /// Sums as the shared unknowns are.
+    pub(super) fn collected(&self, sums: &SharedSums) -> Vec<f64> {
+        let mut collected = vec![0.0; self.of_lights()];
+        for (i, lanes) in sums.lights.iter().enumerate() {
+            let first = i % (self.channels * self.pictures) * self.coefficients;
+            for (to, lanes) in collected[first..][..self.coefficients]
+                .iter_mut()
+                .zip(&lanes.0)
+            {
+                *to += lanes.iter().sum::<f64>();
+            }
+        }
+        collected.extend(&sums.offsets);
+        collected
+    }
+
+    /// All pieces' sums, in order.
+    pub(super) fn total<'a, const S: usize>(
+        &self,
+        parts: impl Iterator<Item = &'a [Vec<f64>; S]>,
+    ) -> Result<[Vec<f64>; S]> {
+        let mut totals = [const { Vec::new() }; S];
+        for total in &mut totals {
+            *total = zeros("normal equations", self.size())?;
+        }
+        for part in parts {
+            for (total, part) in totals.iter_mut().zip(part) {
+                add(total, part);
+            }
+        }
+        Ok(totals)
+    }
+}
 
 /// A call: the problem, where it stands, and which pixels take part.
 pub(super) struct LightSystem<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
@@ -23,10 +111,7 @@ pub(super) struct LightSystem<'a, M: Reflection, const C: usize, const D: usize,
     lights: Vec<[f64; COEFFICIENTS]>,
     pixels: &'a [usize],
     elimination: &'a Elimination<'a>,
-    pub(super) pictures: usize,
-    pub(super) coefficients: usize,
-    /// Of the unknown lights: C, or 1 where all have the same.
-    pub(super) channels: usize,
+    pub(super) unknown: UnknownLights,
     model: PhantomData<M>,
 }
 
@@ -62,64 +147,30 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
                 }
             }
         }
+        let of_prior = problem.unknowns_of_pixel() - C;
+        let clusters = elimination.prior.and_then(|prior| prior.clusters);
         Ok(Self {
             problem,
             maps,
             lights,
             pixels,
             elimination,
-            pictures: problem.pictures(),
-            coefficients: problem.coefficients(),
-            channels: if elimination.mono { 1 } else { C },
+            unknown: UnknownLights {
+                pictures: problem.pictures(),
+                coefficients: problem.coefficients(),
+                channels: if elimination.mono { 1 } else { C },
+                of_pictures: C,
+                offsets: clusters.map_or(0, |clusters| clusters.count * of_prior),
+            },
             model: PhantomData,
         })
-    }
-
-    /// M
-    pub(super) fn size(&self) -> usize {
-        self.of_lights() + self.offsets()
-    }
-
-    /// How many of the shared unknowns are lights.
-    pub(super) fn of_lights(&self) -> usize {
-        self.channels * self.of_channel()
-    }
-
-    /// How many of the shared unknowns are offsets of the prior.
-    pub(super) fn offsets(&self) -> usize {
-        let clusters = self.elimination.prior.and_then(|prior| prior.clusters);
-        clusters.map_or(0, |clusters| clusters.count * self.of_prior())
-    }
-
-    /// F
-    pub(super) fn of_prior(&self) -> usize {
-        self.problem.unknowns_of_pixel() - C
-    }
-
-    /// Unknowns of a light channel.
-    pub(super) fn of_channel(&self) -> usize {
-        self.pictures * self.coefficients
-    }
-
-    /// v as (channel, picture), zeros where a band is left out; of all C channels.
-    fn padded(&self, v: &[f64]) -> Result<Vec<[f64; COEFFICIENTS]>> {
-        check::length("v", self.size(), v.len())?;
-        check::moderate("v", v, check::LARGEST_F64)?;
-        Ok((0..C * self.pictures)
-            .map(|i| {
-                let first = i % (self.channels * self.pictures) * self.coefficients;
-                let mut light = [0.0; COEFFICIENTS];
-                light[..self.coefficients].copy_from_slice(&v[first..][..self.coefficients]);
-                light
-            })
-            .collect())
     }
 
     /// Takes up a block of pixels, the `block`th of the call, and solves for them.
     pub(super) fn eliminate(&self, block: usize, eliminated: &mut EliminatedBlock<'a, M, C, D, U>) {
         let first = block * BLOCK;
         let pixels = &self.pixels[first..self.pixels.len().min(first + BLOCK)];
-        let shared = self.of_prior();
+        let shared = self.problem.unknowns_of_pixel() - C;
         let range = first * shared..(first + pixels.len()) * shared;
         let prior = self.elimination.prior.map(|prior| PriorTerm {
             precision: &prior.precision[range.clone()],
@@ -143,56 +194,55 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     pub(super) fn product(&self, v: &[f64]) -> Result<SchurProduct> {
-        let light_step = self.padded(v)?;
-        let offset_step = &v[self.of_lights()..];
-        let pieces = (0..self.blocks()).step_by(CHUNK).collect();
-        let parts = pool::map(self.problem.threads(), pieces, |first: usize| {
-            let mut eliminated = EliminatedBlock::new(self.problem);
-            let mut product = vec![Lanes::default(); C * self.pictures];
-            let mut gradient = product.clone();
-            let mut of_offsets = [vec![0.0; self.offsets()], vec![0.0; self.offsets()]];
-            for block in first..self.blocks().min(first + CHUNK) {
-                self.eliminate(block, &mut eliminated);
-                let [by_offsets, offset_product] = &mut of_offsets;
-                eliminated.add_gradient(&mut gradient, by_offsets);
-                eliminated.add_product(&light_step, offset_step, &mut product, offset_product);
-            }
-            let [by_offsets, offset_product] = of_offsets;
-            [
-                self.collected(&product, offset_product),
-                self.collected(&gradient, by_offsets),
-            ]
+        let (light_step, offset_step) = self.unknown.padded(v)?;
+        let parts = self.pieces(|(), eliminated, [gradient, product]| {
+            eliminated.add_gradient(gradient);
+            eliminated.add_product(&light_step, offset_step, product);
         });
-        let mut found = SchurProduct {
-            product: zeros("normal equations", self.size())?,
-            gradient: zeros("normal equations", self.size())?,
-        };
-        for [product, gradient] in parts {
-            add(&mut found.product, &product);
-            add(&mut found.gradient, &gradient);
-        }
-        Ok(found)
+        let [gradient, product] = self.unknown.total(parts.iter().map(|(_, sums)| sums))?;
+        Ok(SchurProduct { product, gradient })
     }
 
-    /// Sums by light (channel, picture) as the unknown lights are, and then those by offsets.
-    pub(super) fn collected(&self, sums: &[Lanes], offsets: Vec<f64>) -> Vec<f64> {
-        let mut collected = vec![0.0; self.of_lights()];
-        for (i, lanes) in sums.iter().enumerate() {
-            let first = i % (self.channels * self.pictures) * self.coefficients;
-            for (to, lanes) in collected[first..][..self.coefficients]
-                .iter_mut()
-                .zip(&lanes.0)
-            {
-                *to += lanes.iter().sum::<f64>();
+    /// The same for many products.
+    pub(super) fn keep(&self) -> Result<KeptSystem>
+    where
+        Vec<(Eliminated<f32, D>, Option<Tied<U>>)>: Products,
+    {
+        let parts = self.pieces(|kept: &mut Vec<_>, eliminated, [gradient]| {
+            kept.push((eliminated.pixels.rounded(), eliminated.tied.clone()));
+            eliminated.add_gradient(gradient);
+        });
+        let [gradient] = self.unknown.total(parts.iter().map(|(_, sums)| sums))?;
+        let pieces = parts.into_iter();
+        Ok(KeptSystem {
+            unknown: self.unknown,
+            threads: self.problem.threads(),
+            isa: self.problem.instructions(),
+            gradient,
+            pieces: pieces.map(|(kept, _)| Box::new(kept) as _).collect(),
+        })
+    }
+
+    /// Eliminates all blocks. From every piece of work come its own T, and sums by sample.
+    fn pieces<T: Default + Send, const S: usize>(
+        &self,
+        add: impl Fn(&mut T, &mut EliminatedBlock<'a, M, C, D, U>, &mut [SharedSums; S]) + Send + Sync,
+    ) -> Vec<(T, [Vec<f64>; S])> {
+        let pieces = (0..self.blocks()).step_by(CHUNK).collect();
+        pool::map(self.problem.threads(), pieces, |first: usize| {
+            let mut eliminated = EliminatedBlock::new(self.problem);
+            let mut sums: [SharedSums; S] = std::array::from_fn(|_| self.unknown.sums());
+            let mut own = T::default();
+            for block in first..self.blocks().min(first + CHUNK) {
+                self.eliminate(block, &mut eliminated);
+                add(&mut own, &mut eliminated, &mut sums);
             }
-        }
-        collected.extend(offsets);
-        collected
+            (own, sums.map(|sums| self.unknown.collected(&sums)))
+        })
     }
 
     pub(super) fn back_substitute(&self, v: &[f64]) -> Result<Vec<f64>> {
-        let light_step = self.padded(v)?;
-        let offset_step = &v[self.of_lights()..];
+        let (light_step, offset_step) = self.unknown.padded(v)?;
         let unknowns = self.problem.unknowns_of_pixel();
         let mut materials = zeros("normal equations", self.pixels.len() * unknowns)?;
         let pieces = materials

@@ -4,9 +4,11 @@
 mod dense;
 mod eliminated_block;
 pub mod gauss_newton_hessian;
+pub mod kept;
 mod kernels;
 mod light_system;
 mod schur_complement;
+mod tied;
 
 /// How the pixels are solved for.
 #[derive(Clone, Copy, Debug, Default)]

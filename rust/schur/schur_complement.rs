@@ -31,6 +31,7 @@
 //! is triangular, so what the offsets do is Uᵀ of their own rows: with these scaled down,
 //! −Uᵀ (U g + …) is the step that is best for the other unknowns with the shorter offsets.
 
+use super::kept::KeptSystem;
 use super::light_system::LightSystem;
 use super::{Elimination, SchurComplement, SchurProduct};
 use crate::pixel::samples::by_kind;
@@ -60,6 +61,18 @@ impl Problem {
     ) -> Result<SchurProduct> {
         by_kind!(self, self.free_normals(), M, C, D, U => {
             LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.product(v)
+        })
+    }
+
+    /// The same system for many products.
+    pub fn kept_system(
+        &self,
+        x: &[f64],
+        pixels: &[usize],
+        elimination: &Elimination,
+    ) -> Result<KeptSystem> {
+        by_kind!(self, self.free_normals(), M, C, D, U => {
+            LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.keep()
         })
     }
 

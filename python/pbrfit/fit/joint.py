@@ -94,25 +94,7 @@ class JointFit:
         self.offsets = None
         if self.prior is not None and self.prior.cluster is not None:
             self.offsets = self.prior.offsets(self.x)
-        self._few = np.arange(self.objective.pixels, dtype=np.uint64)
-        self._objective_of_few = self.objective
-        self._standing_for = np.ones(1)
-        if self.objective.pixels > settings.PRODUCT_PIXELS:
-            self._choose_few()
-
-    def _choose_few(self) -> None:
-        """Pixels whose products stand for those of all, some of each cluster.
-
-        One that stands for more pixels counts as often.
-        """
-        cluster = np.zeros(self.objective.pixels, np.intp)
-        if self.prior is not None and self.prior.cluster is not None:
-            cluster = self.prior.cluster
-        self._few = evenly_spaced_over(cluster, settings.PRODUCT_PIXELS)
-        counts, of_few = np.bincount(cluster), np.bincount(cluster[self._few])
-        standing_for = (counts / np.maximum(of_few, 1))[cluster[self._few]]
-        self._standing_for = standing_for / standing_for.max()
-        self._objective_of_few = self.objective.restricted(self._few, self._standing_for)
+        self._few = _Sample.of(self, settings.PRODUCT_PIXELS)
 
     def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
         """The prior of each pixel by itself, with these offsets of the clusters."""
@@ -139,7 +121,7 @@ class JointFit:
     def _lights(self, x: Array) -> Array:
         return as_in_core(x[self.objective.layout.lighting], self.objective).ravel()
 
-    def _options(
+    def options(
         self, objective: Objective, x: Array, pixels: Pixels, of_all: Pixels
     ) -> dict[str, Any]:
         """For the core, of pixels of an objective that are `of_all` in this one."""
@@ -160,11 +142,9 @@ class JointFit:
 
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
-        few = self._objective_of_few
-        part, options = self._part_of_few(), self._options_of_few()
-        everything = np.arange(few.pixels, dtype=np.uint64)
-        matrix, _ = few.problem.schur_complement(few.for_core(part), everything, **options)
-        matrix *= self._times
+        few = _Sample.of(self, settings.PRECONDITIONER_PIXELS)
+        matrix, _ = few.system(self, few.objective.problem.schur_complement)
+        matrix *= few.times
         end = self.lights.mean.size
         matrix[:end, :end] += self.lights.matrix()
         if self.offsets is not None:
@@ -174,62 +154,37 @@ class JointFit:
         self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
         self.shared.stale = False
 
-    @property
-    def _times(self) -> float:
-        """How many pixels the one of the few with the largest share stands for."""
-        return self.objective.pixels / float(self._standing_for.sum()) if self._is_part else 1.0
-
-    @property
-    def _is_part(self) -> bool:
-        return self._objective_of_few is not self.objective
-
-    def _options_of_few(self) -> dict[str, Any]:
-        few = self._objective_of_few
-        everything = np.arange(few.pixels, dtype=np.uint64)
-        options = self._options(few, self._part_of_few(), everything, self._few)
-        if self._is_part and "precision" in options:
-            options["precision"] = options["precision"] * self._standing_for[:, None]
-        return options
-
-    def _part_of_few(self) -> Array:
-        return self.objective.part_of(self.x, self._few) if self._is_part else self.x
-
     def _solved(self, v: Array) -> Array:
         """S⁻¹ v by the preconditioner."""
         assert self.shared.inverse is not None
         return self.shared.inverse(v) / self.objective.pixels
 
-    def gradient(self) -> Array | None:
-        """s, summed over pixels in order; None if stopped."""
-        end = self.lights.mean.size
-        nowhere = np.zeros(end if self.offsets is None else end + self.offsets.size)
-        total = np.zeros_like(nowhere)
-        for chunk in chunks(self.objective.pixels):
-            if self.stop():
-                return None
-            _, of_chunk = self.objective.problem.schur_product(
-                self.objective.for_core(self.x),
-                chunk,
-                nowhere,
-                **self._options(self.objective, self.x, chunk, chunk),
-            )
-            total += of_chunk
-        total[:end] += self.lights.half_gradient(self._lights(self.x))
+    def _system(self) -> tuple[Array, Callable[[Array], Array]] | None:
+        """The gradient s of all pixels, in order, and S v; None if stopped."""
+        few, end = self._few, self.lights.mean.size
+        kept = few.system(self, few.objective.problem.kept_system)
+        gradient = kept.gradient
+        if few.is_part:
+            gradient = np.zeros(len(gradient))
+            for chunk in chunks(self.objective.pixels):
+                if self.stop():
+                    return None
+                options = self.options(self.objective, self.x, chunk, chunk)
+                gradient += self.objective.problem.schur_product(
+                    self.objective.for_core(self.x), chunk, np.zeros_like(gradient), **options
+                )[1]
+        gradient[:end] += self.lights.half_gradient(self._lights(self.x))
         if self.offsets is not None:
-            total[end:] += (self._offset_precision * self.offsets).ravel()
-        return total
+            gradient[end:] += (self._offset_precision * self.offsets).ravel()
 
-    def _product(self, part: Array, options: dict[str, Any], v: Array) -> Array:
-        """S v."""
-        few = self._objective_of_few
-        everything = np.arange(few.pixels, dtype=np.uint64)
-        product, _ = few.problem.schur_product(few.for_core(part), everything, v, **options)
-        product *= self._times
-        end = self.lights.mean.size
-        product[:end] += self.lights.product(v[:end])
-        if self.offsets is not None:
-            product[end:] += self._offset_precision.ravel() * v[end:]
-        return product
+        def product(v: Array) -> Array:
+            found = few.times * kept.product(v)
+            found[:end] += self.lights.product(v[:end])
+            if self.offsets is not None:
+                found[end:] += self._offset_precision.ravel() * v[end:]
+            return np.asarray(found)
+
+        return gradient, product
 
     def shared_moves(self, enough: float) -> tuple[Array, float]:
         """δ with (S + damping) δ ≈ −s by preconditioned conjugate gradients, and what it gains.
@@ -237,9 +192,10 @@ class JointFit:
         The latter is by how much the sum falls in the quadratic model; if it cannot exceed
         `enough`, no product is made.
         """
-        gradient = self.gradient()
-        if gradient is None:
+        system = self._system()
+        if system is None:
             return np.zeros(0), 0.0
+        gradient, product = system
         if self.shared.stale:
             self.renew_preconditioner()
         residual, moves = -gradient, np.zeros_like(gradient)
@@ -247,11 +203,10 @@ class JointFit:
         first = size_now = float(residual @ preconditioned)
         if not first >= enough:
             return moves, first
-        part, options = self._part_of_few(), self._options_of_few()
         predicted, number = 0.0, 0
         while number < settings.CG_ITERATIONS_MAX and not self.stop():
             number += 1
-            along = self._product(part, options, direction)
+            along = product(direction)
             curvature = float(direction @ along)
             if not curvature > 0:
                 break
@@ -285,7 +240,7 @@ class JointFit:
                     objective.for_core(self.x),
                     chunk,
                     moved,
-                    **self._options(objective, self.x, chunk, chunk),
+                    **self.options(objective, self.x, chunk, chunk),
                 )
                 place(objective, trial, chunk, followed)
             prior = self.pixel_prior(offsets)
@@ -317,6 +272,48 @@ class JointFit:
             own = taken(objective, self.x, chunk)
             rows = None if prior is None else prior.rows(chunk)
             try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """Pixels whose system stands for that of all, some of each cluster."""
+
+    pixels: Pixels
+    objective: Objective
+    shares: Array | None
+    """(Q,): how many pixels each stands for, over the most; None where they are all."""
+    times: float
+    """That most."""
+
+    @classmethod
+    def of(cls, fit: JointFit, at_most: int) -> _Sample:
+        """At most so many of a fit's pixels."""
+        objective = fit.objective
+        if objective.pixels <= at_most:
+            return cls(np.arange(objective.pixels, dtype=np.uint64), objective, None, 1.0)
+        cluster = np.zeros(objective.pixels, np.intp)
+        if fit.prior is not None and fit.prior.cluster is not None:
+            cluster = fit.prior.cluster
+        pixels = evenly_spaced_over(cluster, at_most)
+        counts, of_few = np.bincount(cluster), np.bincount(cluster[pixels])
+        standing_for = counts[cluster[pixels]] / of_few[cluster[pixels]]
+        times = float(standing_for.max())
+        shares = standing_for / times
+        return cls(pixels, objective.restricted(pixels, shares), shares, times)
+
+    @property
+    def is_part(self) -> bool:
+        """Whether there are others."""
+        return self.shares is not None
+
+    def system(self, fit: JointFit, make: Callable[..., Any]) -> Any:
+        """What a method of the core makes of these pixels where the fit is."""
+        part = fit.objective.part_of(fit.x, self.pixels) if self.is_part else fit.x
+        everything = np.arange(len(self.pixels), dtype=np.uint64)
+        options = fit.options(self.objective, part, everything, self.pixels)
+        if self.shares is not None and "precision" in options:
+            options["precision"] = options["precision"] * self.shares[:, None]
+        return make(self.objective.for_core(part), everything, **options)
 
 
 def minimize(fit: JointFit, steps: int, gain: float, visit: Visit | None = None) -> int:

@@ -231,9 +231,12 @@ WORSE_RATIO = 1.02
 """Ratio of a pixel's sum of squared residuals after a joint step to that before, above which it may
 have fallen into another minimum and starts again."""
 
-PRODUCT_PIXELS = 2048
-"""Pixels whose system stands for that of all in joint steps: with the gradient of all pixels, steps
-end where those of all would."""
+PRODUCT_PIXELS = 16_384
+"""Pixels that products with the lights' system are from: with the gradient of all pixels, steps end
+where those of all would."""
+
+PRECONDITIONER_PIXELS = 1024
+"""Pixels whose system is the preconditioner: the square of the lights' number for each."""
 
 PRECONDITIONER_DAMPING = 1e-6
 """Share of the preconditioner's diagonal that is added to it."""

@@ -20,17 +20,21 @@ use crate::runtime::{Result, check, pool};
 mod paper;
 mod principled;
 
-/// Newton steps to the best albedo. From the best of [`STARTS`] three reach 1e-9 of albedo.
+/// Newton steps to the best albedo in float32, from the best of [`STARTS`].
 const NEWTON_STEPS: usize = 4;
+/// Newton steps in float64 after them, where the albedo itself is asked for.
+const EXACT_STEPS: usize = 2;
 /// Albedos that Newton's method may start from; the lowest does, as χ² may have two minima.
-pub(crate) const STARTS: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+pub(crate) const STARTS: [f32; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+/// Nodes that are put beside each other at once, a line of the cache.
+const NODES_AT_ONCE: usize = 16;
 /// Blocks of pixels in a piece of work.
 const CHUNK: usize = 2;
 
 /// Models whose best albedo comes from products.
 pub(crate) trait AlbedoFromProducts: Reflection {
-    /// What is left of products and functions when roughness is given.
-    type AtRoughness: Default + Send;
+    /// What is left of products and functions of a channel when roughness is given.
+    type AtRoughness: Clone + Default + Send;
 
     /// Fills in the functions of a roughness that all pixels of a block share.
     fn fill_shared(
@@ -48,34 +52,34 @@ pub(crate) trait AlbedoFromProducts: Reflection {
         });
     }
 
-    /// Takes up what all channels share.
-    fn set_roughness(
-        cosine: &Doubles,
-        roughness: &Doubles,
-        functions: &ExactFunctions<Self>,
-        at_roughness: &mut Self::AtRoughness,
-    );
-
     /// Takes up one channel.
-    fn set_channel(
-        isa: Instructions,
-        products: &Products,
-        functions: &ExactFunctions<Self>,
-        at_roughness: &mut Self::AtRoughness,
-    );
+    fn set_channel(isa: Instructions, at: Given<'_, Self>, at_roughness: &mut Self::AtRoughness);
 
-    /// The albedo of this channel with the least χ², by `STEPS` of Newton's method; χ² is added to
-    /// the sum of squares.
-    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, Self::AtRoughness>);
+    /// The albedo of each channel with the least χ², which is added to the sum of squares. It is
+    /// looked for in float32, by `STEPS` of Newton's method, because an error of it counts by its
+    /// square; then by `EXACT` more in float64. χ² is float64.
+    fn minimize<const STEPS: usize, const EXACT: usize>(
+        isa: Instructions,
+        by_albedo: ByAlbedo<'_, Self::AtRoughness>,
+    );
 }
 
-/// What the best albedo is looked for with.
-pub(crate) struct ByAlbedo<'a, G> {
+/// What a channel is taken up from.
+pub(crate) struct Given<'a, M: Reflection> {
     pub(crate) products: &'a Products,
-    pub(crate) at_roughness: &'a G,
+    pub(crate) cosine: &'a Doubles,
+    pub(crate) roughness: &'a Doubles,
+    pub(crate) functions: &'a ExactFunctions<M>,
+}
+
+/// What the best albedo is looked for with, by channel.
+pub(crate) struct ByAlbedo<'a, G> {
+    pub(crate) products: &'a [Products],
+    /// Room for what is made of them, too.
+    pub(crate) at_roughness: &'a mut [G],
     pub(crate) metallic: &'a Doubles,
     /// To be written.
-    pub(crate) albedo: &'a mut Doubles,
+    pub(crate) albedo: &'a mut [Doubles],
     /// Added to.
     pub(crate) sum_sq_residuals: &'a mut Doubles,
 }
@@ -134,9 +138,12 @@ fn material_grid<M: AlbedoFromProducts>(
         for (pixels, grid) in pixels.chunks(BLOCK).zip(grid.chunks_mut(BLOCK * nodes)) {
             block.load(maps, &lights, pixels);
             block.fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut planes);
-            for (x, of_pixel) in grid.chunks_mut(nodes).enumerate() {
-                for (to, plane) in of_pixel.iter_mut().zip(&planes) {
-                    *to = plane.0[x] as f32;
+            for (i, planes) in planes.chunks(NODES_AT_ONCE).enumerate() {
+                for (x, of_pixel) in grid.chunks_mut(nodes).enumerate() {
+                    let there = &mut of_pixel[i * NODES_AT_ONCE..][..planes.len()];
+                    for (to, plane) in there.iter_mut().zip(planes) {
+                        *to = plane.0[x] as f32;
+                    }
                 }
             }
         }
@@ -186,7 +193,8 @@ pub(crate) struct Block<'a, M: AlbedoFromProducts> {
     cosine: Doubles,
     pub(crate) products: PixelProducts,
     functions: Box<ExactFunctions<M>>,
-    at_roughness: Box<M::AtRoughness>,
+    /// By channel.
+    at_roughness: Vec<M::AtRoughness>,
     pub(crate) roughness: Doubles,
     pub(crate) metallic: Doubles,
     /// By channel.
@@ -202,7 +210,7 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
             cosine: Plane([1.0; BLOCK]),
             products: PixelProducts::new(problem.channels()),
             functions: no_functions(),
-            at_roughness: Box::default(),
+            at_roughness: vec![M::AtRoughness::default(); problem.channels()],
             roughness: Doubles::default(),
             metallic: Doubles::default(),
             albedo: vec![Doubles::default(); problem.channels()],
@@ -226,23 +234,12 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
     ) {
         for (&r, of_roughness) in roughness.iter().zip(nodes.chunks_mut(metallic.len())) {
             M::fill_shared(self.isa, &self.cosine, r, &mut self.functions);
-            let roughness = Plane([r; BLOCK]);
-            M::set_roughness(
-                &self.cosine,
-                &roughness,
-                &self.functions,
-                &mut self.at_roughness,
-            );
-            of_roughness.fill(Doubles::default());
-            for c in 0..self.albedo.len() {
-                self.set_channel(c);
-                // Squares wait in their plane until all channels have added theirs.
-                for (sum, &m) in of_roughness.iter_mut().zip(metallic) {
-                    self.metallic.0.fill(m);
-                    std::mem::swap(&mut self.sum_sq_residuals, sum);
-                    self.minimize::<STEPS>(c);
-                    std::mem::swap(&mut self.sum_sq_residuals, sum);
-                }
+            self.roughness.0.fill(r);
+            self.set_channels();
+            for (sum, &m) in of_roughness.iter_mut().zip(metallic) {
+                self.metallic.0.fill(m);
+                self.minimize::<STEPS, 0>();
+                *sum = self.sum_sq_residuals;
             }
         }
     }
@@ -256,32 +253,31 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
             functions: &mut self.functions,
             model: M::default(),
         });
-        M::set_roughness(
-            &self.cosine,
-            &self.roughness,
-            &self.functions,
-            &mut self.at_roughness,
-        );
-        self.sum_sq_residuals = Doubles::default();
-        for c in 0..self.albedo.len() {
-            self.set_channel(c);
-            self.minimize::<NEWTON_STEPS>(c);
+        self.set_channels();
+        self.minimize::<NEWTON_STEPS, EXACT_STEPS>();
+    }
+
+    fn set_channels(&mut self) {
+        for (products, to) in self.products.by_channel.iter().zip(&mut self.at_roughness) {
+            let given = Given {
+                products,
+                cosine: &self.cosine,
+                roughness: &self.roughness,
+                functions: &self.functions,
+            };
+            M::set_channel(self.isa, given, to);
         }
     }
 
-    fn set_channel(&mut self, channel: usize) {
-        let products = &self.products.by_channel[channel];
-        M::set_channel(self.isa, products, &self.functions, &mut self.at_roughness);
-    }
-
-    fn minimize<const STEPS: usize>(&mut self, channel: usize) {
-        M::minimize::<STEPS>(
+    fn minimize<const STEPS: usize, const EXACT: usize>(&mut self) {
+        self.sum_sq_residuals = Doubles::default();
+        M::minimize::<STEPS, EXACT>(
             self.isa,
             ByAlbedo {
-                products: &self.products.by_channel[channel],
-                at_roughness: &self.at_roughness,
+                products: &self.products.by_channel,
+                at_roughness: &mut self.at_roughness,
                 metallic: &self.metallic,
-                albedo: &mut self.albedo[channel],
+                albedo: &mut self.albedo,
                 sum_sq_residuals: &mut self.sum_sq_residuals,
             },
         );

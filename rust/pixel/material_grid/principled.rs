@@ -8,11 +8,10 @@
 //! T, χ² = fᵀGf − 2f·t + TᵀT. The factors are nearly linear in ρ, so Newton's method may take 2
 //! f'ᵀGf' for its second derivative, which is never negative.
 
-use crate::pixel::material_grid::{AlbedoFromProducts, ByAlbedo, STARTS};
-use crate::pixel::products::{Products, pair};
-use crate::reflectance::planes::BlockFunctions;
-use crate::reflectance::planes::{BLOCK, Doubles};
+use crate::pixel::material_grid::{AlbedoFromProducts, ByAlbedo, Given, STARTS};
+use crate::reflectance::planes::{BLOCK, Doubles, Plane};
 use crate::reflectance::principled::{Mix, Mixer, Principled, ROWS, Surface};
+use crate::reflectance::sh::Real;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 /// What remains when roughness is given.
@@ -23,52 +22,85 @@ pub(crate) struct AtRoughness {
     b: Doubles,
     mean: Doubles,
     glass: Doubles,
-    /// Products of D, U and V with U and V.
-    du: Doubles,
-    dv: Doubles,
-    uu: Doubles,
-    uv: Doubles,
-    vv: Doubles,
-    /// With T.
-    ut: Doubles,
-    vt: Doubles,
+    form: Quadratic<Doubles>,
+    /// By which float32 can hold the form.
+    scale: Doubles,
+}
+
+/// Products DD, DU, DV, UU, UV, VV, DT, UT and VT.
+#[derive(Clone, Copy, Debug, Default)]
+struct Quadratic<T>([T; 9]);
+
+impl Quadratic<Doubles> {
+    #[inline(always)]
+    fn at<T: Real>(&self, x: usize, scale: f64) -> Quadratic<T> {
+        let mut at = [T::default(); 9];
+        for i in 0..9 {
+            at[i] = T::from_f64(self.0[i].0[x] * scale);
+        }
+        Quadratic(at)
+    }
+}
+
+impl<T: Real> Quadratic<T> {
+    /// Gf
+    #[inline(always)]
+    fn through(&self, f: &Mix<T>) -> Mix<T> {
+        let [dd, du, dv, uu, uv, vv, ..] = self.0;
+        Mix {
+            diffuse: dd * f.diffuse + du * f.a + dv * f.b,
+            a: du * f.diffuse + uu * f.a + uv * f.b,
+            b: dv * f.diffuse + uv * f.a + vv * f.b,
+        }
+    }
+
+    /// f·t
+    #[inline(always)]
+    fn target(&self, f: &Mix<T>) -> T {
+        let [.., dt, ut, vt] = self.0;
+        dt * f.diffuse + ut * f.a + vt * f.b
+    }
+
+    /// χ² − TᵀT
+    #[inline(always)]
+    fn value(&self, f: &Mix<T>) -> T {
+        dot(f, &self.through(f)) - T::from_f64(2.0) * self.target(f)
+    }
+
+    /// Half of slope and bend in the direction `by` from f.
+    #[inline(always)]
+    fn slope_and_bend(&self, f: &Mix<T>, by: &Mix<T>) -> (T, T) {
+        let bent = self.through(by);
+        (dot(&bent, f) - self.target(by), dot(by, &bent))
+    }
+}
+
+#[inline(always)]
+fn dot<T: Real>(f: &Mix<T>, g: &Mix<T>) -> T {
+    f.diffuse * g.diffuse + f.a * g.a + f.b * g.b
 }
 
 impl AlbedoFromProducts for Principled {
     type AtRoughness = AtRoughness;
 
-    fn set_roughness(
-        _: &Doubles,
-        _: &Doubles,
-        functions: &BlockFunctions,
-        at_roughness: &mut AtRoughness,
-    ) {
-        (at_roughness.a, at_roughness.b) = (functions[0], functions[ROWS]);
-        (at_roughness.mean, at_roughness.glass) = (functions[2 * ROWS], functions[2 * ROWS + 1]);
-    }
-
-    fn set_channel(
-        isa: Instructions,
-        products: &Products,
-        functions: &BlockFunctions,
-        at_roughness: &mut AtRoughness,
-    ) {
+    fn set_channel(isa: Instructions, given: Given<'_, Self>, at_roughness: &mut AtRoughness) {
         isa.run(TakeLobe {
-            products,
-            functions,
+            given,
             at_roughness,
         });
     }
 
-    fn minimize<const STEPS: usize>(isa: Instructions, by_albedo: ByAlbedo<'_, AtRoughness>) {
-        isa.run(Minimize::<STEPS>(by_albedo));
+    fn minimize<const STEPS: usize, const EXACT: usize>(
+        isa: Instructions,
+        by_albedo: ByAlbedo<'_, AtRoughness>,
+    ) {
+        isa.run(Minimize::<STEPS, EXACT>(by_albedo));
     }
 }
 
 /// From the products of rows to those of U and V.
 struct TakeLobe<'a> {
-    products: &'a Products,
-    functions: &'a BlockFunctions,
+    given: Given<'a, Principled>,
     at_roughness: &'a mut AtRoughness,
 }
 
@@ -78,10 +110,10 @@ impl Kernel for TakeLobe<'_> {
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
         let Self {
-            products,
-            functions,
+            given,
             at_roughness,
         } = self;
+        let (products, functions) = (given.products, given.functions);
         let (a, b) = (&functions[..ROWS], &functions[ROWS..2 * ROWS]);
         let zero = Doubles::default();
         let (mut du, mut dv, mut ut, mut vt) = (zero, zero, zero, zero);
@@ -90,13 +122,13 @@ impl Kernel for TakeLobe<'_> {
             // Row i of the products, times a and b.
             let (mut by_a, mut by_b) = (zero, zero);
             for j in 0..ROWS {
-                let product = &products.row_row[pair(i, j)];
+                let product = products.of(1 + i, 1 + j);
                 for x in 0..BLOCK {
                     by_a.0[x] += product.0[x] * a[j].0[x];
                     by_b.0[x] += product.0[x] * b[j].0[x];
                 }
             }
-            let (diffuse, target) = (&products.diffuse_row[i], &products.row_target[i]);
+            let (diffuse, target) = (products.of(0, 1 + i), products.with_target(1 + i));
             for x in 0..BLOCK {
                 uu.0[x] += a[i].0[x] * by_a.0[x];
                 uv.0[x] += a[i].0[x] * by_b.0[x];
@@ -107,20 +139,25 @@ impl Kernel for TakeLobe<'_> {
                 vt.0[x] += b[i].0[x] * target.0[x];
             }
         }
-        (at_roughness.uu, at_roughness.uv, at_roughness.vv) = (uu, uv, vv);
-        (
-            at_roughness.du,
-            at_roughness.dv,
-            at_roughness.ut,
-            at_roughness.vt,
-        ) = (du, dv, ut, vt);
+        let (dd, dt, tt) = (
+            *products.of(0, 0),
+            *products.with_target(0),
+            products.target_target(),
+        );
+        for x in 0..BLOCK {
+            let sizes = dd.0[x] + uu.0[x] + vv.0[x] + tt.0[x];
+            at_roughness.scale.0[x] = 1.0 / (sizes + f64::MIN_POSITIVE);
+        }
+        at_roughness.form = Quadratic([dd, du, dv, uu, uv, vv, dt, ut, vt]);
+        (at_roughness.a, at_roughness.b) = (functions[0], functions[ROWS]);
+        (at_roughness.mean, at_roughness.glass) = (functions[2 * ROWS], functions[2 * ROWS + 1]);
     }
 }
 
-/// By `STEPS` of Newton's method.
-struct Minimize<'a, const STEPS: usize>(ByAlbedo<'a, AtRoughness>);
+/// By `STEPS` of Newton's method in float32, and `EXACT` in float64.
+struct Minimize<'a, const STEPS: usize, const EXACT: usize>(ByAlbedo<'a, AtRoughness>);
 
-impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
+impl<const STEPS: usize, const EXACT: usize> Kernel for Minimize<'_, STEPS, EXACT> {
     type Output = ();
 
     #[inline(always)]
@@ -132,63 +169,79 @@ impl<const STEPS: usize> Kernel for Minimize<'_, STEPS> {
             albedo,
             sum_sq_residuals,
         } = self.0;
-        for x in 0..BLOCK {
-            let surface = Surface::new(
-                at_roughness.a.0[x],
-                at_roughness.b.0[x],
-                at_roughness.mean.0[x],
-                at_roughness.glass.0[x],
-            );
-            let mixer = Mixer::new(metallic.0[x], surface);
-            let mixed = |rho: f64| mixer.mix(rho, &mixer.metal(rho));
-            let (dd, dt) = (products.diffuse_diffuse.0[x], products.diffuse_target.0[x]);
-            let (du, dv) = (at_roughness.du.0[x], at_roughness.dv.0[x]);
-            let (uu, uv, vv) = (
-                at_roughness.uu.0[x],
-                at_roughness.uv.0[x],
-                at_roughness.vv.0[x],
-            );
-            let (ut, vt) = (at_roughness.ut.0[x], at_roughness.vt.0[x]);
-            let tt = products.target_target.0[x];
-            // Gf
-            let through = |f: &Mix| Mix {
-                diffuse: dd * f.diffuse + du * f.a + dv * f.b,
-                a: du * f.diffuse + uu * f.a + uv * f.b,
-                b: dv * f.diffuse + uv * f.a + vv * f.b,
-            };
-            let dot = |f: &Mix, g: &Mix| f.diffuse * g.diffuse + f.a * g.a + f.b * g.b;
-            let target = Mix {
-                diffuse: dt,
-                a: ut,
-                b: vt,
-            };
-            let value = |rho: f64| {
-                let [mix, _] = mixed(rho);
-                dot(&mix, &through(&mix)) - 2.0 * dot(&mix, &target) + tt
-            };
-
-            let mut best = STARTS[0];
-            let mut least = value(best);
-            for start in STARTS {
-                let value = value(start);
-                best = if value < least { start } else { best };
-                least = if value < least { value } else { least };
+        for ((products, at), albedo) in products.iter().zip(at_roughness).zip(albedo) {
+            let mut found = [Plane::<f32>::default(); 2];
+            search::<STEPS>(at, metallic, &mut found);
+            let of_tt = products.target_target();
+            for x in 0..BLOCK {
+                let mixer = mixer(at, metallic, x);
+                let form = at.form.at::<f64>(x, 1.0);
+                let mixed = |rho: f64| mixer.mix(rho, &mixer.metal(rho));
+                let value = |rho: f64| form.value(&mixed(rho)[0]);
+                let [start, found] = [0, 1].map(|i| f64::from(found[i].0[x]));
+                let (at_start, mut least) = (value(start), value(found));
+                let mut best = if at_start < least { start } else { found };
+                least = if at_start < least { at_start } else { least };
+                if EXACT > 0 {
+                    let mut rho = best;
+                    for _ in 0..EXACT {
+                        let [mix, by_rho] = mixed(rho);
+                        let (slope, bend) = form.slope_and_bend(&mix, &by_rho);
+                        let next = rho - slope / (bend.abs() + f64::MIN_POSITIVE);
+                        // A comparison with NaN is false: then the albedo stays where it is.
+                        rho = if next > 0.0 { next } else { 0.0 };
+                        rho = if rho < 1.0 { rho } else { 1.0 };
+                    }
+                    let value = value(rho);
+                    // Of equals the later one: the first is rounded to float32.
+                    best = if value <= least { rho } else { best };
+                    least = if value <= least { value } else { least };
+                }
+                albedo.0[x] = best;
+                let left = least + of_tt.0[x];
+                // Rounding may leave less than nothing of a sum of squares.
+                sum_sq_residuals.0[x] += if left > 0.0 { left } else { 0.0 };
             }
-            let mut rho = best;
-            for _ in 0..STEPS {
-                let [mix, by_rho] = mixed(rho);
-                let bent = through(&by_rho);
-                let slope = dot(&bent, &mix) - dot(&by_rho, &target);
-                let next = rho - slope / (dot(&by_rho, &bent).abs() + f64::MIN_POSITIVE);
-                // A comparison with NaN is false: then the albedo stays where it is.
-                rho = if next > 0.0 { next } else { 0.0 };
-                rho = if rho < 1.0 { rho } else { 1.0 };
-            }
-            let value = value(rho);
-            albedo.0[x] = if value < least { rho } else { best };
-            least = if value < least { value } else { least };
-            // Rounding may leave less than nothing of a sum of squares.
-            sum_sq_residuals.0[x] += if least > 0.0 { least } else { 0.0 };
         }
+    }
+}
+
+#[inline(always)]
+fn mixer(at: &AtRoughness, metallic: &Doubles, x: usize) -> Mixer {
+    let surface = Surface::new(at.a.0[x], at.b.0[x], at.mean.0[x], at.glass.0[x]);
+    Mixer::new(metallic.0[x], surface)
+}
+
+/// The lowest of [`STARTS`], and `STEPS` of Newton's method from there.
+#[inline(always)]
+fn search<const STEPS: usize>(at: &AtRoughness, metallic: &Doubles, found: &mut [Plane<f32>; 2]) {
+    for x in 0..BLOCK {
+        let surface = Surface::new(
+            at.a.0[x] as f32,
+            at.b.0[x] as f32,
+            at.mean.0[x] as f32,
+            at.glass.0[x] as f32,
+        );
+        let mixer = Mixer::new(metallic.0[x] as f32, surface);
+        let form = at.form.at::<f32>(x, at.scale.0[x]);
+        let mixed = |rho: f32| mixer.mix(rho, &mixer.metal(rho));
+        let value = |rho: f32| form.value(&mixed(rho)[0]);
+        let mut best = STARTS[0];
+        let mut least = value(best);
+        for start in STARTS {
+            let value = value(start);
+            best = if value < least { start } else { best };
+            least = if value < least { value } else { least };
+        }
+        let mut rho = best;
+        for _ in 0..STEPS {
+            let [mix, by_rho] = mixed(rho);
+            let (slope, bend) = form.slope_and_bend(&mix, &by_rho);
+            let next = rho - slope / (bend.abs() + f32::MIN_POSITIVE);
+            // A comparison with NaN is false: then the albedo stays where it is.
+            rho = if next > 0.0 { next } else { 0.0 };
+            rho = if rho < 1.0 { rho } else { 1.0 };
+        }
+        [found[0].0[x], found[1].0[x]] = [best, rho];
     }
 }

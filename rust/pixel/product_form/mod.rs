@@ -11,10 +11,8 @@ use crate::block::basis::MAX_PROJECTIONS;
 use crate::block::factors::FillFunctions;
 use crate::block::normal_jacobian::TangentOffsets;
 use crate::pixel::descent::LeastSquares;
-use crate::pixel::products::{PixelProducts, Products, pair};
-use crate::pixel::samples::{
-    DERIVATIVES, FillResponses, Responses, Sums, UNKNOWNS, unknowns_of_channel,
-};
+use crate::pixel::products::{PixelProducts, Products};
+use crate::pixel::samples::{DERIVATIVES, FillResponses, Responses, Sums, unknowns_of_channel};
 use crate::reflectance::planes::{BLOCK, Directions, Doubles, Materials, no_functions};
 use crate::reflectance::principled::Principled;
 use crate::reflectance::reflection::{ExactFunctions, Reflection};
@@ -24,128 +22,146 @@ mod paper;
 
 /// Models whose sum of squared residuals comes from products.
 pub(crate) trait LeastSquaresFromProducts: Reflection {
-    /// Adds one channel's sum of squares, gradient and matrix.
-    fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, Self, C>) {
-        add_channel::<Self, C>(isa, channel);
+    /// Fills in sum of squares, gradient and matrix; of the albedos with each other only the
+    /// diagonal.
+    fn fill_sums<const C: usize, const U: usize>(
+        isa: Instructions,
+        channels: Channels<'_, Self, C, U>,
+    ) {
+        *channels.sums = Sums::default();
+        for c in 0..C {
+            isa.run(FillResponses {
+                directions: channels.directions,
+                albedo: &channels.materials.albedo[c],
+                roughness: &channels.materials.roughness,
+                metallic: &channels.materials.metallic,
+                functions: channels.functions,
+                responses: channels.responses,
+                model: PhantomData::<Self>,
+            });
+            isa.run(AddChannel::<Self, U> {
+                products: &channels.products[c],
+                responses: channels.responses,
+                unknowns: unknowns_of_channel::<C, DERIVATIVES>(c),
+                sums: channels.sums,
+                model: PhantomData,
+            });
+        }
     }
 }
 
 impl LeastSquaresFromProducts for Principled {}
 
-/// One channel of a block.
-pub(crate) struct Channel<'a, M: Reflection, const C: usize> {
+/// The channels of a block.
+pub(crate) struct Channels<'a, M: Reflection, const C: usize, const U: usize> {
     pub(crate) directions: &'a Directions<f64>,
-    pub(crate) products: &'a Products,
+    pub(crate) products: &'a [Products],
     pub(crate) functions: &'a ExactFunctions<M>,
     pub(crate) materials: &'a Materials<C>,
-    pub(crate) channel: usize,
     /// Room for what a sample is made of.
     pub(crate) responses: &'a mut Responses,
-    /// Added to.
-    pub(crate) sums: &'a mut Sums<UNKNOWNS>,
+    /// To be written.
+    pub(crate) sums: &'a mut Sums<U>,
 }
 
 /// Sums of squares from products, at the normals that these were summed at.
-pub(crate) struct Form<'a, M: Reflection> {
+pub(crate) struct Form<M: Reflection> {
     isa: Instructions,
-    products: &'a PixelProducts,
     functions: Box<ExactFunctions<M>>,
     responses: Responses,
     model: M,
 }
 
-impl<'a, M: Reflection> Form<'a, M> {
-    pub(crate) fn new(isa: Instructions, products: &'a PixelProducts) -> Self {
+impl<M: LeastSquaresFromProducts> Form<M> {
+    pub(crate) fn new(isa: Instructions) -> Self {
         Self {
             isa,
-            products,
             functions: no_functions(),
             responses: Responses::default(),
             model: M::default(),
         }
     }
-}
 
-impl<M: LeastSquaresFromProducts, const C: usize> LeastSquares<C, UNKNOWNS> for Form<'_, M> {
-    fn take(&mut self, materials: &Materials<C>, _: &TangentOffsets, sums: &mut Sums<UNKNOWNS>) {
+    pub(crate) fn take<const C: usize, const U: usize>(
+        &mut self,
+        products: &PixelProducts,
+        materials: &Materials<C>,
+        sums: &mut Sums<U>,
+    ) {
         self.isa.run(FillFunctions {
-            cosine: self.products.directions.cosines(),
+            cosine: products.directions.cosines(),
             roughness: &materials.roughness,
             by_cosine: false,
             functions: &mut self.functions,
             model: self.model,
         });
-        *sums = Sums::default();
-        for c in 0..C {
-            M::add_channel(
-                self.isa,
-                Channel {
-                    directions: &self.products.directions,
-                    products: &self.products.by_channel[c],
-                    functions: &self.functions,
-                    materials,
-                    channel: c,
-                    responses: &mut self.responses,
-                    sums,
-                },
-            );
-        }
+        let channels = Channels {
+            directions: &products.directions,
+            products: &products.by_channel,
+            functions: &self.functions,
+            materials,
+            responses: &mut self.responses,
+            sums,
+        };
+        M::fill_sums(self.isa, channels);
+    }
+}
+
+/// A form and the products that it is of.
+pub(crate) struct FromProducts<'a, M: Reflection>(
+    pub(crate) &'a mut Form<M>,
+    pub(crate) &'a PixelProducts,
+);
+
+impl<M: LeastSquaresFromProducts, const C: usize, const U: usize> LeastSquares<C, U>
+    for FromProducts<'_, M>
+{
+    fn take(
+        &mut self,
+        materials: &Materials<C>,
+        _: &TangentOffsets,
+        _only_squares: bool,
+        sums: &mut Sums<U>,
+    ) {
+        self.0.take(self.1, materials, sums);
     }
 }
 
 /// Adds one channel, with all of a pixel's light projections.
-fn add_channel<M: Reflection, const C: usize>(isa: Instructions, channel: Channel<'_, M, C>) {
-    isa.run(FillResponses {
-        directions: channel.directions,
-        albedo: &channel.materials.albedo[channel.channel],
-        roughness: &channel.materials.roughness,
-        metallic: &channel.materials.metallic,
-        functions: channel.functions,
-        responses: channel.responses,
-        model: PhantomData::<M>,
-    });
-    isa.run(AddChannel { channel });
+struct AddChannel<'a, M: Reflection, const U: usize> {
+    products: &'a Products,
+    responses: &'a Responses,
+    unknowns: [usize; DERIVATIVES],
+    sums: &'a mut Sums<U>,
+    model: PhantomData<M>,
 }
 
-struct AddChannel<'a, M: Reflection, const C: usize> {
-    channel: Channel<'a, M, C>,
-}
-
-impl<M: Reflection, const C: usize> Kernel for AddChannel<'_, M, C> {
+impl<M: Reflection, const U: usize> Kernel for AddChannel<'_, M, U> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let Channel {
+        let Self {
             products,
-            channel,
-            responses,
+            responses:
+                Responses {
+                    radiance,
+                    derivatives,
+                },
+            unknowns,
             sums,
             ..
-        } = self.channel;
-        let Responses {
-            radiance,
-            derivatives,
-        } = &*responses;
-        let unknowns = unknowns_of_channel::<C, DERIVATIVES>(channel);
+        } = self;
         // Gf − t, and G f_x.
         let mut slope = [Doubles::default(); MAX_PROJECTIONS];
         let mut bent = [[Doubles::default(); MAX_PROJECTIONS]; DERIVATIVES];
         for s in 0..=M::ROWS {
-            let target = if s == 0 {
-                &products.diffuse_target
-            } else {
-                &products.row_target[s - 1]
-            };
+            let target = products.with_target(s);
             for x in 0..BLOCK {
                 slope[s].0[x] = -target.0[x];
             }
             for t in 0..=M::ROWS {
-                let product = match (s, t) {
-                    (0, 0) => &products.diffuse_diffuse,
-                    (0, j) | (j, 0) => &products.diffuse_row[j - 1],
-                    (i, j) => &products.row_row[pair(i - 1, j - 1)],
-                };
+                let product = products.of(s, t);
                 for x in 0..BLOCK {
                     slope[s].0[x] += product.0[x] * radiance[t].0[x];
                 }
@@ -160,7 +176,7 @@ impl<M: Reflection, const C: usize> Kernel for AddChannel<'_, M, C> {
             }
         }
         for x in 0..BLOCK {
-            sums.sum_sq_residuals.0[x] += products.target_target.0[x];
+            sums.sum_sq_residuals.0[x] += products.target_target().0[x];
         }
         for (i, by) in derivatives.iter().enumerate() {
             for s in 0..=M::ROWS {

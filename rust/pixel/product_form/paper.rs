@@ -10,118 +10,135 @@
 //! so all follows from ten products a channel, which are small quadratic forms in h and h' of the
 //! [`products`](super::super::products).
 
-use crate::pixel::product_form::{Channel, LeastSquaresFromProducts};
-use crate::pixel::products::pair;
-use crate::reflectance::ggx::Bands;
-use crate::reflectance::paper::{Factors, Paper};
+use std::f64::consts::FRAC_1_PI;
+
+use crate::pixel::product_form::{Channels, LeastSquaresFromProducts};
+use crate::reflectance::ggx::{self, DIELECTRIC_F0};
+use crate::reflectance::paper::Paper;
 use crate::reflectance::planes::{BLOCK, Doubles};
-use crate::reflectance::planes::{ByRow, MAX_ROWS, Material};
-use crate::reflectance::reflection::Factors as _;
-use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::reflectance::sh::BANDS;
+use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
 
 impl LeastSquaresFromProducts for Paper {
-    fn add_channel<const C: usize>(isa: Instructions, channel: Channel<'_, Self, C>) {
-        isa.run(AddChannel(channel));
+    fn fill_sums<const C: usize, const U: usize>(
+        isa: Instructions,
+        channels: Channels<'_, Self, C, U>,
+    ) {
+        isa.run(FillSums(channels));
     }
 }
 
-/// Adds one channel's sum of squares, gradient and matrix, from its products.
-struct AddChannel<'a, const C: usize>(Channel<'a, Paper, C>);
+/// Fills in sum of squares, gradient and matrix, from products.
+struct FillSums<'a, const C: usize, const U: usize>(Channels<'a, Paper, C, U>);
 
-/// Products of S and S' at the roughness of each pixel.
-#[derive(Default)]
-struct AtRoughness {
-    ss: Doubles,
-    sp: Doubles,
-    pp: Doubles,
-    ds: Doubles,
-    dp: Doubles,
-    st: Doubles,
-    pt: Doubles,
-}
-
-impl<const C: usize> Kernel for AddChannel<'_, C> {
+impl<const C: usize, const U: usize> Kernel for FillSums<'_, C, U> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Channel {
-            directions,
+    fn run<I: Isa>(self, isa: I) {
+        // (1−n·v)⁵, G₁/4 and its derivative by roughness, which all channels share.
+        let mut shared = [Doubles::default(); 3];
+        for x in 0..BLOCK {
+            let cosine = self.0.directions.cosine(x);
+            let (g1, slope) = ggx::smith_g1(cosine, self.0.materials.roughness.0[x]);
+            shared[0].0[x] = ggx::schlick(cosine);
+            shared[1].0[x] = 0.25 * g1;
+            shared[2].0[x] = 0.25 * slope;
+        }
+        self.all(isa, &shared);
+    }
+}
+
+impl<const C: usize, const U: usize> FillSums<'_, C, U> {
+    #[inline(always)]
+    fn all<I: Vectors<f64>>(self, isa: I, shared: &[Doubles; 3]) {
+        let Channels {
             products,
             functions,
             materials,
-            channel,
             sums,
             ..
         } = self.0;
-        let mut at = AtRoughness::default();
-        for x in 0..BLOCK {
-            let (mut h, mut slope) = ([0.0; 4], [0.0; 4]);
-            for l in 0..4 {
-                h[l] = functions[l].0[x];
-                slope[l] = functions[4 + l].0[x];
+        let (zero, one) = (isa.splat(0.0), isa.splat(1.0));
+        let (inverse_pi, dielectric) = (isa.splat(FRAC_1_PI), isa.splat(DIELECTRIC_F0));
+        let mul = |a, b| isa.mul(a, b);
+        let sum2 = |a, b, c, d| isa.mul_add(a, b, isa.mul(c, d));
+        for v in 0..BLOCK / I::LANES {
+            let at = |plane: &Doubles| I::of(&plane.0)[v];
+            let put = |plane: &mut Doubles, value| I::of_mut(&mut plane.0)[v] = value;
+            let (mut h, mut slope) = ([zero; BANDS], [zero; BANDS]);
+            for l in 0..BANDS {
+                h[l] = at(&functions[l]);
+                slope[l] = at(&functions[BANDS + l]);
             }
-            for l in 0..4 {
-                // Row l of the products of bands, times h and h'.
-                let (mut by_h, mut by_slope) = (0.0, 0.0);
-                for j in 0..4 {
-                    let product = products.row_row[pair(l, j)].0[x];
-                    by_h += product * h[j];
-                    by_slope += product * slope[j];
+            let [schlick, g, g_slope] = [0, 1, 2].map(|i| at(&shared[i]));
+            let metallic = at(&materials.metallic);
+            let (matt, unschlick) = (isa.sub(one, metallic), isa.sub(one, schlick));
+            let (mut squares, mut by_r, mut by_m) = (zero, zero, zero);
+            let (mut m_m, mut m_r, mut r_r) = (zero, zero, zero);
+            for c in 0..C {
+                let products = &products[c];
+                // Products of S and S' with each other, with D and with T.
+                let (mut ss, mut sp, mut pp) = (zero, zero, zero);
+                let (mut ds, mut dp, mut st, mut pt) = (zero, zero, zero, zero);
+                for l in 0..BANDS {
+                    let (mut by_h, mut by_slope) = (zero, zero);
+                    for j in 0..BANDS {
+                        let product = at(products.of(1 + l, 1 + j));
+                        by_h = isa.mul_add(product, h[j], by_h);
+                        by_slope = isa.mul_add(product, slope[j], by_slope);
+                    }
+                    ss = isa.mul_add(h[l], by_h, ss);
+                    sp = isa.mul_add(slope[l], by_h, sp);
+                    pp = isa.mul_add(slope[l], by_slope, pp);
+                    let (diffuse, target) = (products.of(0, 1 + l), products.with_target(1 + l));
+                    ds = isa.mul_add(h[l], at(diffuse), ds);
+                    dp = isa.mul_add(slope[l], at(diffuse), dp);
+                    st = isa.mul_add(h[l], at(target), st);
+                    pt = isa.mul_add(slope[l], at(target), pt);
                 }
-                at.ss.0[x] += h[l] * by_h;
-                at.sp.0[x] += slope[l] * by_h;
-                at.pp.0[x] += slope[l] * by_slope;
-                at.ds.0[x] += h[l] * products.diffuse_row[l].0[x];
-                at.dp.0[x] += slope[l] * products.diffuse_row[l].0[x];
-                at.st.0[x] += h[l] * products.row_target[l].0[x];
-                at.pt.0[x] += slope[l] * products.row_target[l].0[x];
+                let (dd, dt) = (at(products.of(0, 0)), at(products.with_target(0)));
+                // F and its slopes by albedo and metallic, then a, b and theirs.
+                let rho = at(&materials.albedo[c]);
+                let f0 = sum2(dielectric, matt, metallic, rho);
+                let fresnel = isa.mul_add(unschlick, f0, schlick);
+                let f_rho = mul(unschlick, metallic);
+                let f_m = mul(unschlick, isa.sub(rho, dielectric));
+                let passed = isa.sub(one, fresnel);
+                let (rho_pi, matt_pi) = (mul(rho, inverse_pi), mul(matt, inverse_pi));
+                let a = mul(mul(passed, matt), rho_pi);
+                let a_rho = mul(matt_pi, isa.sub(passed, mul(rho, f_rho)));
+                let a_m = isa.sub(zero, mul(rho_pi, isa.mul_add(matt, f_m, passed)));
+                let (b, b_rho, b_m) = (mul(fresnel, g), mul(f_rho, g), mul(f_m, g));
+                let b_r = mul(fresnel, g_slope);
+                // The residual e = a D + b S − T with D, S and S'.
+                let ed = isa.sub(sum2(a, dd, b, ds), dt);
+                let es = isa.sub(sum2(a, ds, b, ss), st);
+                let ep = isa.sub(sum2(a, dp, b, sp), pt);
+                let both = sum2(a, isa.sub(ed, dt), b, isa.sub(es, st));
+                squares = isa.add(squares, isa.add(both, at(products.target_target())));
+                put(&mut sums.gradient[c], sum2(a_rho, ed, b_rho, es));
+                by_r = isa.add(by_r, sum2(b_r, es, b, ep));
+                by_m = isa.add(by_m, sum2(a_m, ed, b_m, es));
+                // ∂I/∂ρ, ∂I/∂m and ∂I/∂r with D, S and S', as far as they are needed.
+                let (rho_d, rho_s) = (sum2(a_rho, dd, b_rho, ds), sum2(a_rho, ds, b_rho, ss));
+                let (m_d, m_s) = (sum2(a_m, dd, b_m, ds), sum2(a_m, ds, b_m, ss));
+                let (rho_p, m_p) = (sum2(a_rho, dp, b_rho, sp), sum2(a_m, dp, b_m, sp));
+                let (r_s, r_p) = (sum2(b_r, ss, b, sp), sum2(b_r, sp, b, pp));
+                let (r, m) = (C, C + 1);
+                put(&mut sums.matrix[c][c], sum2(a_rho, rho_d, b_rho, rho_s));
+                put(&mut sums.matrix[m][c], sum2(a_m, rho_d, b_m, rho_s));
+                put(&mut sums.matrix[r][c], sum2(b_r, rho_s, b, rho_p));
+                m_m = isa.add(m_m, sum2(a_m, m_d, b_m, m_s));
+                m_r = isa.add(m_r, sum2(b_r, m_s, b, m_p));
+                r_r = isa.add(r_r, sum2(b_r, r_s, b, r_p));
             }
-        }
-        let (r, m) = (C, C + 1);
-        for x in 0..BLOCK {
-            let material = Material {
-                albedo: [materials.albedo[channel].0[x]],
-                roughness: materials.roughness.0[x],
-                metallic: materials.metallic.0[x],
-            };
-            // S in the place of band 0, its weight 1 whatever the roughness: then the derivatives
-            // by roughness are those of b, and S' comes by hand.
-            let whole = Bands {
-                weight: [1.0, 0.0, 0.0, 0.0],
-                slope: [0.0; 4],
-            };
-            let factors = Factors::new(directions.cosine(x), &material, whole);
-            let (a, b) = (factors.diffuse[0], factors.specular[0]);
-            let mut first: ByRow = [0.0; MAX_ROWS];
-            let of_a = factors.pull_back(&material, &[1.0], &[first]);
-            first[0] = 1.0;
-            let of_b = factors.pull_back(&material, &[0.0], &[first]);
-            let (a_rho, a_m) = (of_a.albedo[0], of_a.metallic);
-            let (b_rho, b_m, b_r) = (of_b.albedo[0], of_b.metallic, of_b.roughness);
-            let dd = products.diffuse_diffuse.0[x];
-            let dt = products.diffuse_target.0[x];
-            let (ds, ss, st) = (at.ds.0[x], at.ss.0[x], at.st.0[x]);
-            let (dp, sp, pp, pt) = (at.dp.0[x], at.sp.0[x], at.pp.0[x], at.pt.0[x]);
-            // The residual e = a D + b S − T with D, S and S'.
-            let ed = a * dd + b * ds - dt;
-            let es = a * ds + b * ss - st;
-            let ep = a * dp + b * sp - pt;
-            sums.sum_sq_residuals.0[x] +=
-                a * (ed - dt) + b * (es - st) + products.target_target.0[x];
-            sums.gradient[channel].0[x] += a_rho * ed + b_rho * es;
-            sums.gradient[r].0[x] += b_r * es + b * ep;
-            sums.gradient[m].0[x] += a_m * ed + b_m * es;
-            // ∂I/∂ρ, ∂I/∂m and ∂I/∂r with D, S and S', as far as they are needed.
-            let (rho_d, rho_s) = (a_rho * dd + b_rho * ds, a_rho * ds + b_rho * ss);
-            let (m_d, m_s) = (a_m * dd + b_m * ds, a_m * ds + b_m * ss);
-            let (rho_p, m_p) = (a_rho * dp + b_rho * sp, a_m * dp + b_m * sp);
-            sums.matrix[channel][channel].0[x] += a_rho * rho_d + b_rho * rho_s;
-            sums.matrix[m][channel].0[x] += a_m * rho_d + b_m * rho_s;
-            sums.matrix[m][m].0[x] += a_m * m_d + b_m * m_s;
-            sums.matrix[r][channel].0[x] += b_r * rho_s + b * rho_p;
-            sums.matrix[m][r].0[x] += b_r * m_s + b * m_p;
-            sums.matrix[r][r].0[x] += b_r * (b_r * ss + 2.0 * b * sp) + b * b * pp;
+            put(&mut sums.sum_sq_residuals, squares);
+            put(&mut sums.gradient[C], by_r);
+            put(&mut sums.gradient[C + 1], by_m);
+            put(&mut sums.matrix[C + 1][C + 1], m_m);
+            put(&mut sums.matrix[C + 1][C], m_r);
+            put(&mut sums.matrix[C][C], r_r);
         }
     }
 }

@@ -60,6 +60,7 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
             problem.residuals(x, example.everything),
             *problem.schur_complement(x, example.everything, **lights),
             *problem.schur_product(x, example.everything, moves, **lights),
+            problem.kept_system(x, example.everything, **lights).product(moves),
         ]
 
     pixels, whole = of_pixels(1, example.everything), of_all(1)

@@ -208,6 +208,27 @@ def test_products_are_those_of_the_whole_system(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_kept_system_multiplies_as_if_made_anew(kind: str) -> None:
+    example, _ = expected_of(kind)
+    kept, moves = example.ask("kept_system"), example.moves()
+    product, gradient = example.ask("schur_product", moves)
+    np.testing.assert_array_equal(kept.gradient, gradient)
+    close(kept.product(moves), product, 1e-5)
+    np.testing.assert_array_equal(kept.product(0 * moves), 0 * moves)
+
+
+def test_a_kept_system_is_symmetric_and_of_its_size() -> None:
+    example = Seen(KINDS["weights of samples"])
+    kept = example.ask("kept_system")
+    one, other = (np.random.default_rng(seed).normal(size=example.size) for seed in (1, 2))
+    there, back = other @ kept.product(one), one @ kept.product(other)
+    assert abs(there - back) < 1e-5 * np.linalg.norm(one) * np.linalg.norm(kept.product(other))
+    for v in (one[1:], np.append(one, 1.0), np.full_like(one, np.nan)):
+        with pytest.raises(InputError, match="v"):
+            kept.product(v)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_pixels_follow_the_lights_as_the_whole_system_says(kind: str) -> None:
     example, expected = expected_of(kind)
     moves = example.moves()
