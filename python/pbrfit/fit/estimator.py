@@ -243,8 +243,12 @@ def _fitted_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, GaussianPr
     )
     if found is None:
         return None
-    x, prior, fitted = found
-    run.fitted_prior = fitted, prior
+    x, prior, run.fitted_prior = found
+    if run.options.solver == "gauss-newton":
+        # What clusters of pixels are made of has been found together with the lights. With offsets
+        # free once more, lights and all pixels would follow the bias that the many unknowns of
+        # single pixels have in common (J. Neyman and E. Scott, Econometrica 16, 1948).
+        prior = replace(prior, cluster=None)
     return x, prior
 
 
@@ -265,11 +269,8 @@ def fit_all_pixels(
     with run.stage("all pixels") as notes:
         for number in range(settings.GLOBAL_ROUNDS_MAX):
             objective = _robust(run, run.objective, x)
-            before, fixed = x.copy(), prior
-            if prior is not None:
-                fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
-            starts = 1 if number == 0 else 0
-            sum_sq = fit_all(objective, x, starts=starts, prior=fixed, stop=run.out_of_time)
+            before, starts = x.copy(), 1 if number == 0 else 0
+            sum_sq = fit_all(objective, x, starts=starts, prior=prior, stop=run.out_of_time)
             if sum_sq is None:
                 notes.append("stopped before all pixels had their turn")
                 return before

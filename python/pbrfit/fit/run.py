@@ -104,8 +104,8 @@ class Run:
         self._iteration_limit = options.iterations
         self.measured_lighting: Array | None = None
         """When the material prior was fitted: the monochrome weight is chosen by it."""
-        self.fitted_prior: tuple[FittedPrior, GaussianPrior] | None = None
-        """The material prior as it was fitted last, and its penalty."""
+        self.fitted_prior: FittedPrior | None = None
+        """The material prior as it was fitted last."""
         self._progress, self._began = progress, began
         self.unmeasured = 0.0
         """Seconds spent on comparing with the ground truth and in `progress`."""

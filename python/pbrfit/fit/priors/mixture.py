@@ -28,7 +28,7 @@ larger than the residuals' variance where these are no noise (`pbrfit.fit.misfit
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -64,13 +64,6 @@ class FittedPrior:
     """s², of samples of weight 1, in units of x."""
     strength: float
     """`Priors.material`."""
-    clusters: Labels
-    offsets: Array
-    """Numbers of the clusters, in order, and how far each was moved, (clusters, F)."""
-
-    def moved(self, prior: GaussianPrior, x: Array) -> FittedPrior:
-        """With the offsets that the pixels' prior, made by this one, has at x."""
-        return replace(self, offsets=prior.offsets(x))
 
     def applied(
         self, objective: Objective, x: Array, stop: Stop
@@ -84,14 +77,8 @@ class FittedPrior:
         if posterior is None:
             return None
         mean, precision = posterior.gaussian(
-            settings.PRIOR_SIGMAS_MIN[-1], self.strength * self.variance, objective
+            settings.PRIOR_SIGMA_MIN, self.strength * self.variance, objective
         )
-        # Clusters that nobody has met stay where they are.
-        found = np.searchsorted(self.clusters, posterior.cluster)
-        found[found == len(self.clusters)] = 0
-        met = self.clusters[found] == posterior.cluster
-        mean += np.where(met[:, None], self.offsets[found], 0.0)
-        np.clip(mean, 0.0, 1.0, out=mean)
         x = x.copy()
         _put_all(objective, x, mean)
         blocks, factor = objective.layout.roughness_metallic, 1 / objective.total_weight
@@ -120,10 +107,9 @@ def fit_prior(
     posterior = distributions.of_all(grid, stop)
     if posterior is None:
         return None
-    prior, clusters = posterior.prior(settings.PRIOR_SIGMAS_MIN[-1], strength * variance, objective)
+    prior = posterior.prior(settings.PRIOR_SIGMA_MIN, strength * variance, objective)
     _put_all(objective, x, prior.mean)
-    none = np.zeros_like(prior.mean[:0])
-    return x, prior, FittedPrior(distributions, variance, strength, clusters, none)
+    return x, prior, FittedPrior(distributions, variance, strength)
 
 
 def prior_at(
@@ -136,7 +122,7 @@ def prior_at(
     grid = _Grid(objective, x, variance, metallic)
     posterior = _fit_distributions(grid).of_all(grid)
     assert posterior is not None
-    return posterior.prior(sigma_min, variance, objective)[0]
+    return posterior.prior(sigma_min, variance, objective)
 
 
 def _labels(objective: Objective) -> Labels:
@@ -161,23 +147,23 @@ def _with_lights(
     stop: Stop,
 ) -> Array:
     """X with the lights that some pixels, with their prior, found."""
-    labels = _labels(objective)
-    pixels = evenly_spaced_over(labels, settings.COARSE_PIXELS)
-    few, part = objective.restricted(pixels), objective.part_of(x, pixels)
-    everything, labels = np.arange(few.pixels, dtype=np.uint64), labels[pixels]
-    for sigma_min in settings.PRIOR_SIGMAS_MIN:
+    x = x.copy()
+    for sigma_min, at_most, steps in settings.PRIOR_ROUNDS:
+        labels = _labels(objective)
+        pixels = evenly_spaced_over(labels, at_most)
+        few, part = objective.restricted(pixels), objective.part_of(x, pixels)
+        everything, labels = np.arange(few.pixels, dtype=np.uint64), labels[pixels]
         grid = _Grid(few, part, variance)
         likelihood = grid.likelihood(everything)
         posterior = _Distributions.of(likelihood, labels, grid).posterior(likelihood, labels)
-        prior, _ = posterior.prior(sigma_min, strength * variance, few)
+        prior = posterior.prior(sigma_min, strength * variance, few)
         _put(few, part, everything, prior.mean)
         sum_sq = few.put_best_albedo(part, everything)
         fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
-        minimize(fit, settings.PRIOR_STEPS, settings.GAIN_MIN)
+        minimize(fit, steps, settings.GAIN_MIN)
+        x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
         if stop():
             break
-    x = x.copy()
-    x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
     return x
 
 
@@ -252,15 +238,12 @@ class _Posterior(NamedTuple):
         precision = variance / (sigma_min**2 + self.variance[:, used].astype(np.float64))
         return self.mean[:, used].astype(np.float64), precision
 
-    def prior(
-        self, sigma_min: float, variance: float, objective: Objective
-    ) -> tuple[GaussianPrior, Labels]:
-        """The prior, and the numbers of its clusters as they are here; see `gaussian`."""
-        clusters, cluster = np.unique(self.cluster, return_inverse=True)
+    def prior(self, sigma_min: float, variance: float, objective: Objective) -> GaussianPrior:
+        """See `gaussian`."""
+        _, cluster = np.unique(self.cluster, return_inverse=True)
         blocks, factor = objective.layout.roughness_metallic, 1 / objective.total_weight
-        return GaussianPrior(
-            *self.gaussian(sigma_min, variance, objective), cluster, blocks, factor
-        ), clusters
+        mean, precision = self.gaussian(sigma_min, variance, objective)
+        return GaussianPrior(mean, precision, cluster, blocks, factor)
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,8 +69,7 @@ def fit_subset(
         run.unmeasured += time.perf_counter() - began
     material, priors = None, setup.options.priors
     if run.fitted_prior is not None:
-        fitted, prior = run.fitted_prior
-        material = fitted.moved(prior, x)
+        material = run.fitted_prior
     else:  # the subset had no time or no use for the fitted prior: tiles have none either
         priors = replace(priors, material=0.0)
     return SubsetResult(
