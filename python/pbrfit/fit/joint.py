@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -156,7 +157,12 @@ class JointFit:
         if self.offsets is not None:
             own = self._offset_precision.ravel() / self.objective.pixels
             np.einsum("ii->i", matrix)[end:] += own + np.finfo(float).tiny
-        self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
+        diagonal = np.abs(np.einsum("ii->i", matrix)) + np.finfo(float).tiny
+        try:
+            self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
+        except np.linalg.LinAlgError:
+            # Rounding decides where next to nothing is known of the lights.
+            self.shared.inverse = partial(np.multiply, 1 / diagonal)
         self.shared.stale = False
 
     def _part_of_few(self) -> Array:
