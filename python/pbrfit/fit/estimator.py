@@ -71,6 +71,7 @@ def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]
 
 def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
+    start, rows = x, len(run.rows)
     with one_blas_thread():
         lights = find_lights(run, x)
         x = lights.x
@@ -83,6 +84,8 @@ def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
                 x, prior = fit_mixture_prior(run, x, lights)
         if run.goes_on:
             x = fit_all_pixels(run, x, lights.shared, prior)
+    if len(run.rows) == rows:  # lights without materials that were fitted under them
+        return start, *run.ended("", "; kept the start: there was no time to fit all pixels")
     if _beyond_squares(run, prior) and run.goes_on:
         with run.stage("L-BFGS-B, for penalties") as notes:
             before = run.iteration
