@@ -71,7 +71,7 @@ def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]
 
 def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
-    start, rows = x, len(run.rows)
+    start, rows, loss = x, len(run.rows), run.rows[-1].loss
     with one_blas_thread():
         lights = find_lights(run, x)
         x = lights.x
@@ -86,13 +86,18 @@ def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
             x = fit_all_pixels(run, x, lights.shared, prior)
     if len(run.rows) == rows:  # lights without materials that were fitted under them
         return start, *run.ended("", "; kept the start: there was no time to fit all pixels")
-    if _beyond_squares(run, prior) and run.goes_on:
+    if not _beyond_squares(run, prior):
+        return x, *run.ended("no joint step lowers the sum further")
+    why = "the loss falls no further"
+    if run.goes_on:
         with run.stage("L-BFGS-B, for penalties") as notes:
             before = run.iteration
             _, x = lbfgsb.by_scipy(run, x, run.left, stall=settings.STALL)
             notes.append(f"{run.iteration - before} iterations")
-        return x, *run.ended("the loss falls no further")
-    return x, *run.ended("no joint step lowers the sum further")
+    if not run.has_mixture_prior and run.rows[-1].loss > loss:
+        # Squares know nothing of penalties, and there was no time to lower these.
+        return start, *run.ended(why, "; kept the start, whose loss is lower")
+    return x, *run.ended(why)
 
 
 def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
