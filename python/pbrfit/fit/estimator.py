@@ -121,8 +121,9 @@ def find_lights(run: Run, x: Array) -> Lights:
         return Lights(x, Misfit(0.0), False, None)
     with run.stage("lights") as notes:
         level = Level.of(objective, settings.COARSE_PIXELS)
-        notes.append(f"{len(level.pixels)} pixels")
-        if objective.lighting is None:
+        known = "lights known; " if objective.lighting is None else ""
+        notes.append(f"{known}{len(level.pixels)} pixels")
+        if known:
             return judged(objective, x, level)
         watch, x = _Watch(run, x, level), x.copy()
         part = objective.part_of(x, level.pixels)
