@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.settings import MEAN_RADIANCE
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ class LightPrior:
         """With the constant coefficients of the lights of x."""
         lights = as_in_core(x[objective.layout.lighting], objective)
         constant = np.abs(lights[:, :, 0])
-        constant = np.maximum(constant, DIM_SHARE * constant.mean() + np.finfo(float).tiny)
+        constant = np.maximum(constant, DIM_SHARE * constant.mean() or MEAN_RADIANCE)
         mean = np.zeros_like(lights)
         mean[:, :, 0] = constant
         diagonal = np.broadcast_to((BAND_SIGMA * constant[:, :, None]) ** -2, lights.shape).ravel()
