@@ -1,4 +1,4 @@
-"""The system of what pixels share, these solved for, against the whole one, dense and slow, by numpy."""
+"""The system of what pixels share, these solved for, against a dense and slow one by numpy."""
 
 from __future__ import annotations
 
