@@ -1,7 +1,7 @@
 """The fit, from a start to its end: the order of its stages.
 
-1. **Lights** (`find_lights`): about a thousand pixels, every s-th row and column, find the lights of
-   all pictures. In rounds each pixel by itself tries a grid of roughness and metallic under the
+1. **Lights** (`find_lights`): about a thousand pixels, every s-th row and column, find the lights
+   of all pictures. In rounds each pixel by itself tries a grid of roughness and metallic under the
    lights so far, then joint steps move lights and materials (`joint`). What is left of the pixels
    tells how far it is from independent noise (`misfit`), and that how much the prior on lights
    weighs (`light_prior`): much at first, which keeps lights where radiance can be; where there is

@@ -137,6 +137,7 @@ class JointFit:
         if self.prior is not None:
             mean = self.prior.mean[of_all]
             if self.offsets is not None:
+                assert self.prior.cluster is not None
                 cluster = self.prior.cluster[of_all]
                 mean = mean + self.offsets[cluster]
                 found["cluster"] = cluster.astype(np.uint64), len(self.offsets)

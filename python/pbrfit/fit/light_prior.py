@@ -1,4 +1,4 @@
-"""What is thought likely of lights: their bands are no stronger than their mean, nor is their scale.
+"""What is thought likely of lights: bands no stronger than their mean, and their common scale.
 
 Where pictures say little about lights, Gauss–Newton lets them go far: with a wrong field of view or
 wrong normals band 3 grows to 100 times its true size, which no radiance that is positive everywhere

@@ -133,7 +133,7 @@ def test_where_pixels_are_at_their_best_the_gradient_is_that_of_the_sum(
             direction = np.zeros(len(found))
             direction[block] = rng.normal(size=block.stop - block.start)
             slope = (moved(fit, direction) - moved(fit, -direction)) / 4
-            size = np.linalg.norm(found[block]) * np.linalg.norm(direction)
+            size = float(np.linalg.norm(found[block]) * np.linalg.norm(direction))
             assert found @ direction == pytest.approx(slope, abs=1e-4 * size)
 
 
