@@ -14,7 +14,7 @@ use pbrfit::reflectance::planes::Material;
 use pbrfit::reflectance::shade::{Frame, FrameWithSlopes, shade, shade_vjp_by_normal};
 use pbrfit::reflectance::tangent_offset;
 use pbrfit::runtime::simd::{Instructions, Isa, Kernel};
-use pbrfit::schur::Elimination;
+use pbrfit::schur::{Clusters, Elimination, PriorTerm};
 
 #[derive(Clone)]
 struct Example {
@@ -653,5 +653,58 @@ fn normal_equations_agree_in_every_instruction_set() {
                 instructions.name()
             );
         }
+    }
+}
+
+#[test]
+fn products_with_offsets_of_clusters_are_those_of_the_matrix_at_any_thread_count() {
+    let example = Example::new(1_000, 3);
+    let (x, shared) = (example.x(), 2);
+    let pixels: Vec<usize> = (0..example.pixels()).collect();
+    let waves = |a| -> Vec<f64> { (0..shared * pixels.len()).map(|i| wave(i, a)).collect() };
+    let (precision, deviation) = (waves(0.7), waves(0.37));
+    let of_pixels: Vec<usize> = pixels.iter().map(|p| p * p % 7).collect();
+    // Some of which are empty.
+    let count = 7;
+    let clusters = Some(Clusters {
+        of_pixels: &of_pixels,
+        count,
+    });
+    let how = Elimination {
+        damping: 0.1,
+        mono: false,
+        prior: Some(PriorTerm {
+            precision: &precision,
+            deviation: &deviation,
+            clusters,
+        }),
+    };
+    let size = example.lighting.len() + count * shared;
+    let v: Vec<f64> = (0..size).map(|i| wave(i, 1.7)).collect();
+    let at = |threads| {
+        let problem = example.problem(threads);
+        let dense = problem.schur_complement(&x, &pixels, &how).unwrap();
+        let free = problem.schur_product(&x, &pixels, &v, &how).unwrap();
+        (dense.matrix, dense.gradient, free.product, free.gradient)
+    };
+    let (matrix, gradient, product, same_gradient) = at(1);
+    let expected: Vec<f64> = matrix
+        .chunks(size)
+        .map(|row| row.iter().zip(&v).map(|(a, b)| a * b).sum())
+        .collect();
+    for (found, expected) in [(&product, &expected), (&same_gradient, &gradient)] {
+        let off = norm(found.iter().zip(expected).map(|(a, b)| a - b));
+        assert!(off <= 1e-12 * norm(expected.iter().copied()));
+    }
+    for threads in [2, 3, 8] {
+        let many = at(threads);
+        assert!(
+            many == (
+                matrix.clone(),
+                gradient.clone(),
+                product.clone(),
+                same_gradient.clone()
+            )
+        );
     }
 }

@@ -1,7 +1,7 @@
 """The fit, from a start to its end: the order of its stages.
 
-1. **Lights** (`find_lights`): about a thousand pixels, every s-th row and column, find the lights of
-   all pictures. In rounds each pixel by itself tries a grid of roughness and metallic under the
+1. **Lights** (`find_lights`): about a thousand pixels, every s-th row and column, find the lights
+   of all pictures. In rounds each pixel by itself tries a grid of roughness and metallic under the
    lights so far, then joint steps move lights and materials (`joint`). What is left of the pixels
    tells how far it is from independent noise (`misfit`), and that how much the prior on lights
    weighs (`light_prior`): much at first, which keeps lights where radiance can be; where there is
@@ -71,6 +71,7 @@ def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]
 
 def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
+    start, rows, loss = x, len(run.rows), run.rows[-1].loss
     with one_blas_thread():
         lights = find_lights(run, x)
         x = lights.x
@@ -83,13 +84,20 @@ def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
                 x, prior = fit_mixture_prior(run, x, lights)
         if run.goes_on:
             x = fit_all_pixels(run, x, lights.shared, prior)
-    if _beyond_squares(run, prior) and run.goes_on:
+    if len(run.rows) == rows:  # lights without materials that were fitted under them
+        return start, *run.ended("", "; kept the start: there was no time to fit all pixels")
+    if not _beyond_squares(run, prior):
+        return x, *run.ended("no joint step lowers the sum further")
+    why = "the loss falls no further"
+    if run.goes_on:
         with run.stage("L-BFGS-B, for penalties") as notes:
             before = run.iteration
             _, x = lbfgsb.by_scipy(run, x, run.left, stall=settings.STALL)
             notes.append(f"{run.iteration - before} iterations")
-        return x, *run.ended("the loss falls no further")
-    return x, *run.ended("no joint step lowers the sum further")
+    if not run.has_mixture_prior and run.rows[-1].loss > loss:
+        # Squares know nothing of penalties, and there was no time to lower these.
+        return start, *run.ended(why, "; kept the start, whose loss is lower")
+    return x, *run.ended(why)
 
 
 def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
@@ -113,8 +121,9 @@ def find_lights(run: Run, x: Array) -> Lights:
         return Lights(x, Misfit(0.0), False, None)
     with run.stage("lights") as notes:
         level = Level.of(objective, settings.COARSE_PIXELS)
-        notes.append(f"{len(level.pixels)} pixels")
-        if objective.lighting is None:
+        known = "lights known; " if objective.lighting is None else ""
+        notes.append(f"{known}{len(level.pixels)} pixels")
+        if known:
             return judged(objective, x, level)
         watch, x = _Watch(run, x, level), x.copy()
         part = objective.part_of(x, level.pixels)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -133,6 +134,7 @@ class JointFit:
         if self.prior is not None:
             mean = self.prior.mean[of_all]
             if self.offsets is not None:
+                assert self.prior.cluster is not None
                 cluster = self.prior.cluster[of_all]
                 mean = mean + self.offsets[cluster]
                 found["cluster"] = cluster.astype(np.uint64), len(self.offsets)
@@ -151,7 +153,12 @@ class JointFit:
             own = self._offset_precision.ravel()
             np.einsum("ii->i", matrix)[end:] += own + np.finfo(float).tiny
         matrix /= self.objective.pixels
-        self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
+        diagonal = np.abs(np.einsum("ii->i", matrix)) + np.finfo(float).tiny
+        try:
+            self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
+        except np.linalg.LinAlgError:
+            # Rounding decides where next to nothing is known of the lights.
+            self.shared.inverse = partial(np.multiply, 1 / diagonal)
         self.shared.stale = False
 
     def _solved(self, v: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What is thought likely of lights: their bands are no stronger than their mean, nor is their scale.
+"""What is thought likely of lights: bands no stronger than their mean, and their common scale.
 
 Where pictures say little about lights, Gauss–Newton lets them go far: with a wrong field of view or
 wrong normals band 3 grows to 100 times its true size, which no radiance that is positive everywhere
@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.settings import MEAN_RADIANCE
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,7 @@ class LightPrior:
         """With the constant coefficients of the lights of x."""
         lights = as_in_core(x[objective.layout.lighting], objective)
         constant = np.abs(lights[:, :, 0])
-        constant = np.maximum(constant, DIM_SHARE * constant.mean() + np.finfo(float).tiny)
+        constant = np.maximum(constant, DIM_SHARE * constant.mean() or MEAN_RADIANCE)
         mean = np.zeros_like(lights)
         mean[:, :, 0] = constant
         diagonal = np.broadcast_to((BAND_SIGMA * constant[:, :, None]) ** -2, lights.shape).ravel()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,35 +32,6 @@ NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 PIXELS_PER_CALL = 1 << 17
 """Pixels in one call, so that Python has its turn several times a second; changes no result."""
-
-
-class Watch(Protocol):
-    """Who is told of progress, and says when to stop."""
-
-    def stop(self) -> bool:
-        """Whether time is up."""
-
-    def visit_few(self, pixels: Pixels, materials: Array, lights: Array, share: float, /) -> bool:
-        """A joint step of some pixels is done; whether to stop.
-
-        `materials` (Q, D), `lights` as in x, and the mean weighted square that is left of them.
-        """
-
-    def visit(self, x: Array, sum_sq_residuals: Array, /) -> bool:
-        """All pixels have new materials, which leave them with these sums (P,); whether to stop."""
-
-
-def schur_options(
-    objective: Objective, x: Array, pixels: Pixels, prior: GaussianPrior | None, damping: float
-) -> dict[str, Any]:
-    """Options with which the core solves for some pixels, under the prior of all of x's."""
-    layout = objective.layout
-    found: dict[str, Any] = {"mono": layout.light_channels < layout.channels, "damping": damping}
-    if prior is not None:
-        rows = prior.rows(pixels)
-        values = taken(objective, x, pixels)[:, layout.channels :]
-        found |= {"precision": rows.precision, "deviation": values - rows.mean}
-    return found
 
 
 def taken(objective: Objective, x: Array, pixels: Pixels | slice) -> Array:

@@ -51,8 +51,8 @@ fitted in tiles."""
 # --- Misfit: whether residuals are noise ------------------------------------------------------
 
 NEIGHBOUR_PAIRS_MAX = 1024
-"""Pairs of neighbouring pixels, evenly spaced, by which a fit is judged; their pixels are the
-validation pixels. More cost time, fewer make the correlation below uncertain."""
+"""Pairs of neighbouring pixels, evenly spaced, by which a fit is judged. More cost
+time, fewer make the correlation below uncertain."""
 
 NEIGHBOUR_CORRELATION_MAX = 0.25
 """Mean cosine between the residuals of neighbouring pixels up to which these count as noise; above
@@ -72,7 +72,7 @@ quotients finite where pictures are explained perfectly. `NOISE_SIGMA_MIN` is la
 robust loss bends there."""
 
 
-# --- Gauss-Newton: lights from a subset of the pixels -----------------------------------------
+# --- Damping of joint steps -------------------------------------------------------------------
 
 DAMPING_START = 1e-3
 """First damping of joint steps, as a share of the diagonal of each pixel's matrix (Marquardt)."""
@@ -85,70 +85,29 @@ LIGHT_DAMPING = 1e-3
 """Damping of the lights, as a share of that of pixels: the lights' system is what joint steps are
 for."""
 
-LIGHT_PIXELS = 256
-"""Pixels that find the lights of 16 pictures. On 80 rooms of 128² without noise the first draw of
-256 sufficed for 63; joint steps cost half as much as with 512."""
-
-LIGHT_UNKNOWNS_PER_PIXEL_MAX = 3
-"""Unknowns of the lights for each pixel of the subset; for more lights it has more pixels. A pixel
-of N pictures and three channels knows 3N − 5 numbers about them."""
-
-LIGHT_PIXELS_TRIES = 3
-"""Subsets of `LIGHT_PIXELS` that are tried while none leads to lights that fit."""
-
-LIGHT_PIXELS_MORE = (512, 1024)
-"""Pixels of the subsets that go on where no try fits; the last also where noise is left, because
-lights from few noisy pixels lie too far off for all to follow."""
-
-SAME_MINIMUM_RATIO = 0.4
-"""Ratio of the least to the largest sum of squared residuals of the tries, above which all count as
-having found the same minimum: the model does not fit, and more pixels would not help."""
-
-SUBSET_EXACT_RMSE = 1e-5
-"""Root mean square residual of the validation pixels, at mean radiance 0.4, up to which no larger
-subset is tried. Larger than `EXACT_RMSE`: steps of all pixels are still to come."""
-
-SUBSET_ROUNDS_MAX = 20
-"""Rounds of a subset, each a search of the nodes and joint steps. Rooms need three to seven."""
-
-SUBSET_STARTS = 2
-"""Nodes of roughness and metallic from which each pixel of a subset descends in a round."""
-
-SUBSET_STEPS_MAX = 8
-"""Joint steps of a round."""
-
-SUBSET_FAILED_STEPS_MAX = 5
-"""Failed steps in a row that end a round."""
-
-SUBSET_STEP_SHARES = (1.0, 0.4, 0.1)
-"""Shares of a joint step that are tried in turn before the damping grows."""
-
 SUBSET_DAMPING_MIN = 1e-9
-SUBSET_ROUND_DAMPING_MIN = 1e-6
-"""Smallest damping within a round, and at the start of the next."""
+"""Smallest damping within a round of the search for normals."""
 
 SUBSET_GAIN_MIN = 1e-4
 """Share of the sum of squared residuals: a step that lowers it by less ends its round, and another
 scale of the lights has to lower it by more."""
-
-SUBSET_ROUND_GAIN_MIN = 0.02
-"""The same share for a round: one that lowers the sum by less is the last, unless another scale of
-the lights is better. Where the way is free a round lowers the sum by a third or more, and what is
-left of noise is found faster by more pixels."""
 
 LIGHT_SCALE_TRIALS = (1.2, 1 / 1.2, 1.05, 1 / 1.05)
 """Factors on the lights of a channel that are tried, with its albedo divided by them: the loss is
 flat along this scale, and curved."""
 
 
-# --- Levels, misfit ---
+# --- Levels, and what they leave --------------------------------------------------------------
 
 COARSE_PIXELS = 1024
 """Pixels of the level that finds lights, misfit and prior."""
 
+SUBSET_STARTS = 2
+"""Nodes of roughness and metallic from which each pixel of a level descends in a round."""
+
 COARSE_ROUNDS_MAX = 12
 COARSE_STEPS = 6
-"""Rounds of that level, each a search of the nodes for each pixel and at most so many joint steps."""
+"""Rounds of that level, each a search of the nodes for each pixel and up to so many joint steps."""
 
 ROBUST_ROUND = 2
 """Round from which on a robust loss weighs samples: before, residuals are those of wrong lights."""
@@ -198,10 +157,6 @@ RETRY_METALLIC_NODES = (0.0, 1.0, 11)
 RETRY_STARTS = 6
 """Nodes for these pixels, as above, and from how many of the best they descend."""
 
-RETRY_GAIN_MIN = 1e-3
-"""Share of the sum of squared residuals by which trying pixels again has to lower it to be worth
-more joint steps of all pixels."""
-
 GLOBAL_ROUNDS_MAX = 4
 """Rounds of joint steps of all pixels and of trying pixels again."""
 
@@ -218,14 +173,6 @@ then `DAMPING_START`."""
 
 GLOBAL_DAMPING_MAX = 0.5
 """Damping from which a failed step is the last."""
-
-GLOBAL_PREDICTED_GAIN_MIN = 1e-5
-"""Share of the sum by which the quadratic model has to promise to lower it for a step to be made.
-"""
-
-GLOBAL_GAIN_MIN = 1e-3
-"""Share of the sum: a step that lowers it by less is the last. A tenth is left of what it gained.
-"""
 
 WORSE_RATIO = 1.02
 """Ratio of a pixel's sum of squared residuals after a joint step to that before, above which it may
@@ -253,13 +200,8 @@ CG_RENEW = 10
 """Iterations of conjugate gradients from which on the preconditioner is made anew."""
 
 CG_GAIN_SHARE = 0.1
-"""Share of `GLOBAL_PREDICTED_GAIN_MIN` at which they stop too, because less is left to gain."""
-
-PRIOR_TURNS_MAX = 8
-"""Turns in which a Gaussian prior's offsets, and then all else, are put to their best values."""
-
-PRIOR_TURN_CHANGE_MIN = 1e-4
-"""Relative change of the sum of squared residuals in a turn, below which it is the last."""
+"""Share of the gain that makes a step worth while (`GAIN_MIN`) at which they stop too, because less
+is left to gain."""
 
 
 # --- L-BFGS-B ---------------------------------------------------------------------------------
@@ -312,10 +254,10 @@ PRIOR_SIGMA_MIN = 0.01
 """Smallest standard deviation of a pixel's Gaussian prior in roughness and metallic."""
 
 PRIOR_ROUNDS = ((0.05, 1024, 8), (0.02, 1024, 8), (PRIOR_SIGMA_MIN, 4096, 4))
-"""Rounds that find lights and prior together: that deviation, wide at first, while lights are wrong;
-pixels; and joint steps at most. The error of lights falls with the root of the number of pixels. On
-seventeen rooms of 64² to 256² with noise, 8192 pixels in the last round, or four more steps, changed
-errors by less than 4 % in the geometric mean."""
+"""Rounds that find lights and prior together: that deviation, wide at first, while lights are
+wrong; pixels; and joint steps at most. The error of lights falls with the root of the number of
+pixels. On seventeen rooms of 64² to 256² with noise, 8192 pixels in the last round, or four more
+steps, changed errors by less than 4 % in the geometric mean."""
 
 PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
@@ -336,30 +278,12 @@ the last bit, wherever else something was found; their likelihood alone decides 
 GROUP_PROBABILITY_SHARE = 0.02
 """Share of the largest probability: neighbouring nodes above it are one group."""
 
-PRIOR_LIGHTS_FAR_BETTER = 0.5
-"""Ratio of the validation pixels' sum of squared residuals with the prior's lights to that before,
-up to which these lights are taken whatever is left. On twelve synthetic rooms noise and slow
-convergence gave 0.004 to 0.92, wrong normals, field of view and SH order 0.8 to 1.02."""
-
-PRIOR_LIGHTS_NOT_WORSE = 1.05
-"""The same ratio, up to which they are taken where all that is left is noise: lights from few
-pixels have more noise of their own than lights from all, which the fit that follows takes out."""
-
 LIKELIHOOD_CURVATURE_MIN = 1e-6
 """Smallest second difference of a log-likelihood between nodes, which may be flat."""
 
 OFFSET_PRECISION_SHARE = 1e-3
 """Precision of a cluster's offset around 0, as a share of the summed precision of its pixels: so
 small that clusters move almost freely."""
-
-PRIOR_DAMPING_MIN = 1e-6
-"""Smallest damping of the joint steps with a prior."""
-
-PRIOR_FAILED_STEPS_MAX = 4
-"""Failed steps in a row that end them; fewer than a subset's, which starts farther off."""
-
-PRIOR_GAIN_MIN = 1e-5
-"""Share of the sum of data and prior: a joint step that lowers it by less is the last."""
 
 
 # --- Normals ----------------------------------------------------------------------------------

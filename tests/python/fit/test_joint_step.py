@@ -227,7 +227,7 @@ def taken(case: Case, damping: float = 0.0, share: float = 1.0) -> SubsetState:
 @pytest.fixture
 def no_ridge(monkeypatch: pytest.MonkeyPatch) -> None:
     """What keeps singular systems solvable is 1e-8 of a step here."""
-    monkeypatch.setattr("pbrfit.fit.normals.joint_step.RIDGE", 0.0)
+    monkeypatch.setattr("pbrfit.fit.normal_equations.RIDGE", 0.0)
     monkeypatch.setattr("pbrfit.fit.normal_equations.SCHUR_RIDGE", 0.0)
 
 

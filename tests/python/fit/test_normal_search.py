@@ -1,24 +1,14 @@
-"""Strided subsets, and the search for lights and normals on one: its starts, and what it keeps."""
+"""The search for lights and normals on a subset: its starts, and what it keeps."""
 
 from __future__ import annotations
-
-from itertools import pairwise
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from pbrfit.fit.normals.noise import degrees_of_freedom, mean_over_median, pixel_sums
-from pbrfit.fit.normals.search import (
-    explains_more,
-    fit_subset,
-    strided_subset,
-    with_scaled_lights,
-)
+from pbrfit.fit.normals.search import explains_more, fit_subset, with_scaled_lights
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import NORMALS_LIGHT_SCALE_STARTS, NORMALS_MEAN_OVER_MEDIAN_MAX
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
@@ -27,70 +17,6 @@ Array = NDArray[np.float64]
 
 SCENE = make_scene("room", size=16, lights=8, seed=2002, noise=0.01)
 FREE = Objective(SCENE, priors=None, free_normals=True)
-
-
-def layout(valid: NDArray[np.bool_]) -> ParameterLayout:
-    known: Any = SimpleNamespace(valid=valid, pixels=int(np.count_nonzero(valid)))
-    return known  # type: ignore[no-any-return]
-
-
-def holed(height: int, width: int) -> NDArray[np.bool_]:
-    valid = np.ones((height, width), bool)
-    valid[1, 1:-1] = valid[2:4, 2] = False
-    return valid
-
-
-def check_subset(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int]:
-    """The subset's pixels lie where its index says, all that are there; how many, and its step."""
-    pixels, index = strided_subset(layout(valid), at_most)
-    assert pixels.dtype == np.uint64
-    assert np.all(np.diff(pixels.astype(int)) > 0)
-    np.testing.assert_array_equal(np.sort(index[index >= 0]), np.arange(len(pixels)))
-    rows, columns = (of_all[pixels.astype(int)] for of_all in np.nonzero(valid))
-    i, j = np.nonzero(index >= 0)
-    order = index[i, j]
-    steps = []
-    for place, at in ((rows[order], i), (columns[order], j)):
-        places = {int(k): set(place[at == k]) for k in np.unique(at)}
-        assert all(len(found) == 1 for found in places.values())
-        known = sorted((k, found.pop()) for k, found in places.items())
-        steps += [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(known)]
-    assert len(set(steps)) <= 1
-    step = int(steps[0]) if steps else 1
-    first = rows[order[0]] - step * i[0], columns[order[0]] - step * j[0]
-    there = np.zeros_like(valid)
-    there[first[0] :: step, first[1] :: step] = True
-    assert np.count_nonzero(there & valid) == len(pixels)
-    return len(pixels), step
-
-
-def test_a_subset_of_more_pixels_than_there_are_is_all_of_them() -> None:
-    for valid in (holed(7, 9), np.ones((1, 1), bool), np.ones((1, 5), bool), holed(6, 4)):
-        assert check_subset(valid, 1024) == (int(np.count_nonzero(valid)), 1)
-
-
-def test_a_subset_keeps_clear_of_holes() -> None:
-    valid = np.ones((60, 80), bool)
-    valid[10:30, 15:50] = valid[40:, :20] = False
-    count, step = check_subset(valid, 256)
-    assert step == 4
-    assert 200 <= count <= 300
-
-
-@pytest.mark.parametrize("shape", [(1, 5000), (5000, 1), (2, 3000), (700, 4)])
-def test_a_subset_of_a_long_picture_has_no_more_pixels_than_others(shape: tuple[int, int]) -> None:
-    count, _ = check_subset(np.ones(shape, bool), 256)
-    assert 100 <= count <= 320
-
-
-def test_a_mask_with_a_pattern_of_its_own_still_has_pixels_in_the_subset() -> None:
-    rows = np.arange(64)[:, None] + np.zeros(64, int)
-    for valid in (rows % 2 == 0, rows.T % 2 == 0, (rows % 8 == 0) | (rows.T % 8 == 3)):
-        count, _ = check_subset(valid, 256)
-        assert 50 <= count <= 320
-
-
-# ----------------------------------------------------------------------------------------- starts
 
 
 def true_x() -> Array:

@@ -34,7 +34,12 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
     shape = count, kind.unknowns - kind.channels
     prior = {"mean": rng.uniform(0, 1, shape), "precision": rng.uniform(0, 0.1, shape)}
     channels = 1 if kind.mono else kind.channels
-    moves = 0.05 * rng.normal(size=channels * 5 * kind.coefficients)
+    tied: dict[str, Any] = {
+        "precision": prior["precision"],
+        "deviation": rng.normal(size=shape),
+        "cluster": (rng.integers(4, size=count).astype(np.uint64), 4),
+    }
+    moves = 0.05 * rng.normal(size=channels * 5 * kind.coefficients + 4 * shape[1])
     modes = rng.normal(size=(2, *example.lights.shape))
     covariances = rng.normal(size=(count, kind.unknowns, kind.unknowns))
     nodes = np.linspace(0.05, 1, 6), np.linspace(0, 1, 4)
@@ -43,12 +48,14 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
     def of_pixels(threads: int, pixels: Pixels) -> list[Array]:
         problem = example.problem(threads, model=model)
         own: dict[str, Any] = {name: values[pixels] for name, values in prior.items()}
+        of_clusters = {name: tied[name][pixels] for name in ("precision", "deviation")}
+        of_clusters["cluster"] = tied["cluster"][0][pixels], 4
         return [
             *problem.fit_materials(x, pixels, *nodes, starts=2, exact_steps=3, **own),
             *problem.normal_equations(x, pixels),
             *problem.derivatives(x, pixels),
             problem.moves_with_lights(x, pixels, covariances[pixels], modes),
-            problem.back_substitute(x, pixels, moves, **lights),
+            problem.back_substitute(x, pixels, moves, **lights, **of_clusters),
         ]
 
     def of_all(threads: int) -> list[Any]:
@@ -58,9 +65,9 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
             *problem.value_and_grad(x, ("cauchy", 0.1)),
             *problem.light_equations(maps),
             problem.residuals(x, example.everything),
-            *problem.schur_complement(x, example.everything, **lights),
-            *problem.schur_product(x, example.everything, moves, **lights),
-            problem.kept_system(x, example.everything, **lights).product(moves),
+            *problem.schur_complement(x, example.everything, **lights, **tied),
+            *problem.schur_product(x, example.everything, moves, **lights, **tied),
+            problem.kept_system(x, example.everything, **lights, **tied).product(moves),
         ]
 
     pixels, whole = of_pixels(1, example.everything), of_all(1)

@@ -1,4 +1,4 @@
-"""The lights' system with pixels solved for, against the whole one, dense and slow, by numpy."""
+"""The system of what pixels share, these solved for, against a dense and slow one by numpy."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ REACH = 0.3
 
 @dataclass(frozen=True)
 class System(Kind):
-    """How it is damped, and whether some materials are on bounds and some unknowns have a prior."""
+    """How it is damped, and whether some materials are on bounds and some unknowns have a prior;
+    with clusters, of which the last is empty, the prior has offsets."""
 
     damping: float = 0.0
     prior: bool = False
+    clusters: int = 0
     bounds: bool = False
 
     @property
@@ -39,6 +41,15 @@ KINDS = {
     "held at bounds, with prior and damped": System(bounds=True, prior=True, damping=1e-3),
     "with prior": System(prior=True),
     "with prior, known metallic": System(prior=True, metallic=0.3),
+    "clusters": System(prior=True, clusters=5),
+    "one cluster, damped, known metallic, mono": System(
+        prior=True, clusters=2, damping=0.3, metallic=0.3, mono=True
+    ),
+    "clusters, held at bounds, weighted, grey": System(
+        prior=True, clusters=9, bounds=True, weights=3, channels=1
+    ),
+    "clusters, free normals": System(prior=True, clusters=4, free_normals=True, damping=1e-3),
+    "clusters, known lights": System(prior=True, clusters=3, known_lights=True),
     "mono": System(mono=True),
     "mono, damped, weighted": System(mono=True, damping=1e-2, weights=2),
     "known metallic": System(metallic=0.0, damping=0.1),
@@ -85,16 +96,24 @@ class Seen(Example):
         self.precision = rng.uniform(0, 30, shared) if kind.prior else None
         self.off = rng.uniform(-0.5, 0.5, shared) if kind.prior else None
         self.chosen = rng.permutation(PIXELS)[:150].astype(np.uint64)
+        self.cluster = rng.integers(max(kind.clusters - 1, 1), size=PIXELS).astype(np.uint64)
+
+    @property
+    def of_lights(self) -> int:
+        """Unknowns of the lights."""
+        return self.kind.light_channels * PICTURES * self.kind.coefficients
 
     @property
     def size(self) -> int:
-        """Unknowns of the lights."""
-        return self.kind.light_channels * PICTURES * self.kind.coefficients
+        """And those of the clusters' offsets."""
+        return self.of_lights + self.kind.clusters * (self.kind.unknowns - self.kind.channels)
 
     def options(self, rows: Pixels) -> dict[str, Any]:
         found: dict[str, Any] = {"damping": self.kind.damping, "mono": self.kind.mono}
         if self.precision is not None and self.off is not None:
             found |= {"precision": self.precision[rows], "deviation": self.off[rows]}
+        if self.kind.clusters:
+            found["cluster"] = self.cluster[rows], self.kind.clusters
         return found
 
     def ask(self, name: str, *moves: Array, pixels: Pixels | None = None) -> Any:
@@ -109,7 +128,7 @@ class Seen(Example):
 
 @dataclass(frozen=True)
 class Dense:
-    """The whole normal equations of some pixels and the lights, with pixels eliminated.
+    """The whole normal equations of some pixels and what they share, with pixels eliminated.
 
     `forward` (P', D) is A⁻¹ g and `follow` (P', D, M) is A⁻¹ B, 0 for unknowns that are held, and
     `curvature` (P', D, D) is A with 0 in their rows.
@@ -152,12 +171,18 @@ def dense(example: Seen, pixels: Pixels) -> Dense:
         for n, channel in np.ndindex(PICTURES, c):
             by_light[n, channel, channel % kind.light_channels, n] = weights[i, channel]
         j = by_unknowns[i].reshape(-1, d)
-        w = by_light.reshape(-1, example.size)
+        w = np.zeros((PICTURES * c, example.size))
+        w[:, : example.of_lights] = by_light.reshape(-1, example.of_lights)
         omega, left = omegas[i].ravel(), residuals[i].ravel()
         a, g, b = j.T @ (omega[:, None] * j), j.T @ (omega * left), j.T @ (omega[:, None] * w)
         if example.precision is not None and example.off is not None:
             a[np.arange(c, d), np.arange(c, d)] += example.precision[pixel]
             g[c:] += example.precision[pixel] * example.off[pixel]
+            if kind.clusters:  # the rows √a (v − c − o) of the prior
+                own = example.of_lights + int(example.cluster[pixel]) * (d - c) + np.arange(d - c)
+                b[np.arange(c, d), own] -= example.precision[pixel]
+                matrix[own, own] += example.precision[pixel]
+                gradient[own] -= example.precision[pixel] * example.off[pixel]
         a += kind.damping * np.diag(np.diag(a))
         held = ((values[i] <= 0) & (g > 0)) | ((values[i] >= 1) & (g < 0))
         held[kind.of_material :] = False
@@ -319,6 +344,7 @@ def test_no_pixels_know_nothing() -> None:
     assert example.problem().back_substitute(example.x(), none, example.moves()).shape == (0, 5)
 
 
+PRIOR = {"precision": np.ones((150, 2)), "deviation": np.ones((150, 2))}
 NAN = np.full(PICTURES * 16 * 3, np.nan)
 
 
@@ -338,6 +364,10 @@ NAN = np.full(PICTURES * 16 * 3, np.nan)
         ({"precision": np.full((150, 2), np.nan), "deviation": np.ones((150, 2))}, r"^precision:"),
         ({"precision": np.full((150, 2), -1.0), "deviation": np.ones((150, 2))}, r"^precision:"),
         ({"precision": np.ones((150, 2)), "deviation": np.full((150, 2), np.inf)}, r"^deviation:"),
+        ({"cluster": (np.zeros(150, np.uint64), 1)}, r"^precision: expected .* cluster"),
+        (PRIOR | {"cluster": (np.zeros(149, np.uint64), 1)}, r"^cluster: expected 150 numbers"),
+        (PRIOR | {"cluster": (np.full(150, 2, np.uint64), 2)}, r"^cluster: expected .* below 2"),
+        (PRIOR | {"cluster": (np.zeros(150, np.uint64), 1)}, r"^v: expected"),
         ({"v": np.zeros(7)}, r"^v: expected"),
         ({"v": NAN}, r"^v: expected"),
         ({"mono": True, "v": np.zeros(PICTURES * 48)}, r"^v: expected"),
@@ -347,9 +377,8 @@ def test_unusable_input_is_refused_in_one_line(changes: dict[str, Any], message:
     example = Seen()
     given: dict[str, Any] = {"x": example.x(), "pixels": example.chosen, "v": example.moves()}
     given |= changes
-    calls = ["schur_product", "back_substitute"] + (
-        ["schur_complement"] if "v" not in changes else []
-    )
+    of_moves = "v" in changes or message == r"^v: expected"
+    calls = ["schur_product", "back_substitute"] + ([] if of_moves else ["schur_complement"])
     for name in calls:
         options = {
             key: value for key, value in given.items() if key != "v" or name != "schur_complement"

@@ -8,7 +8,8 @@ n₀ + a t₁ + b t₂, with tangents t at the given normal n₀ (docs/model.md)
 1. `search`: a strided subset of the pixels finds lights and normals, from the given normals
    (`joint_step`, `offset_prior`).
 2. `all_pixels`: all pixels change their normals in these lights, then with the lights.
-3. A fit with these normals and lights held (`pbrfit.fit.estimator`) finds materials with all priors.
+3. A fit with these normals and lights held (`pbrfit.fit.estimator`) finds materials with all
+   priors.
 4. All pixels change their normals again, near the materials of that fit, and 3. once more.
 
 `refined_fit` decides whether this is worth while, and what of it is kept.

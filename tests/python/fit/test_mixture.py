@@ -1,4 +1,4 @@
-"""The mixture prior on materials, and what it is made of: grid, best albedo, Gauss-Newton, EM."""
+"""The mixture prior on materials, and what it is made of: grid, best albedo, EM, offsets."""
 
 import dataclasses
 from collections.abc import Callable
@@ -11,15 +11,17 @@ from scipy.optimize import minimize_scalar
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene, shade
-from pbrfit.fit import settings
-from pbrfit.fit.priors import map_gauss_newton, material
+from pbrfit.fit.estimator import Lights, judged
+from pbrfit.fit.joint import minimize
+from pbrfit.fit.pixels import fit_all
+from pbrfit.fit.priors import mixture
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
-from pbrfit.fit.settings import NOISE_PIXELS_MAX, OFFSET_PRECISION_SHARE
+from pbrfit.fit.priors.mixture import FittedPrior, fit_prior
+from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 from scene_files import lights_of, truth_of
-from scene_kinds import FREE_LIGHTS, KINDS, all_pixels, of_kind
+from scene_kinds import KINDS, all_pixels, objective_of, of_kind, sum_sq_at
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
@@ -182,49 +184,6 @@ def some_prior(
     return GaussianPrior(mean, precision, cluster, blocks)
 
 
-def total_of(objective: Objective, x: Array, pixels: Pixels, prior: GaussianPrior) -> float:
-    """What `map_gauss_newton.minimize` minimises, with the best offsets, term by term."""
-    residuals = objective.problem.residuals(objective.for_core(x), pixels).astype(np.float64)
-    _, _, weights = objective.problem.derivatives(objective.for_core(x), pixels)
-    total, share = (weights.transpose(1, 0, 2) * residuals**2).sum(), OFFSET_PRECISION_SHARE
-    for f, block in enumerate(objective.layout.roughness_metallic):
-        for g in range(prior.clusters):
-            here = prior.cluster == g
-            a, d = prior.precision[here, f], x[block][pixels[here]] - prior.mean[here, f]
-            offset = (a * d).sum() / ((1 + share) * a.sum())
-            total += (a * (d - offset) ** 2).sum() + share * a.sum() * offset**2
-    return float(total)
-
-
-@pytest.mark.parametrize("kind", FREE_LIGHTS)
-def test_gauss_newton_ends_in_a_minimum(
-    room: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(settings, "PRIOR_GAIN_MIN", 0.0)
-    scene, options = of_kind(room, kind)
-    objective = Objective(scene, **options)
-    rng = np.random.default_rng(3)
-    pixels = evenly_spaced(objective.pixels, 80)
-    prior = some_prior(objective, pixels, rng)
-    start = objective.start()
-    found, steps = map_gauss_newton.minimize(objective, start, pixels, prior, steps=25)
-    assert steps > 1
-    least = total_of(objective, found, pixels, prior)
-    assert least < total_of(objective, start, pixels, prior)
-    # Nothing near it is lower: materials of these pixels inside their bounds, and lights.
-    layout = objective.layout
-    assert layout.lighting is not None
-    for _ in range(12):
-        direction = np.zeros(objective.size)
-        planes = direction[layout.maps].reshape(-1, layout.pixels)
-        planes[:, pixels] = rng.uniform(-1, 1, size=(len(planes), len(pixels)))
-        direction[layout.lighting] = rng.normal(size=layout.lighting.stop - layout.lighting.start)
-        direction[layout.lighting] *= np.abs(found[layout.lighting]).mean()
-        direction[layout.maps][(found[layout.maps] < 0.05) | (found[layout.maps] > 0.95)] = 0
-        for step in (1e-2, -1e-2):
-            assert total_of(objective, found + step * direction, pixels, prior) > least
-
-
 def test_the_prior_has_the_right_gradient(room: Scene) -> None:
     objective = Objective(room)
     rng = np.random.default_rng(5)
@@ -268,7 +227,7 @@ def test_em_finds_a_planted_mixture() -> None:
     true = np.where(rng.random(3000) < 0.3, 0.25, 0.7)
     seen = true + rng.normal(0, 0.15, true.shape)
     likelihood = np.exp(-((seen[:, None] - nodes) ** 2) / (2 * 0.15**2)).astype(np.float32)
-    found = material._mixture(likelihood)
+    found = mixture._mixture(likelihood)
     assert found.sum() == pytest.approx(1, abs=1e-5)
     assert found[nodes < 0.47].sum() == pytest.approx(0.3, abs=0.04)
     assert found[np.abs(nodes - 0.25) < 0.08].sum() > 0.22
@@ -278,13 +237,102 @@ def test_em_finds_a_planted_mixture() -> None:
 def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> None:
     # What is fitted to has all its likelihood at one node, what is asked for at another.
     objective = Objective(room)
-    grid = material._Grid(objective, objective.start(), np.arange(64, dtype=np.uint64))
+    grid = mixture._Grid(objective, objective.start(), 1e-4)
     nodes = np.eye(len(grid.roughness), dtype=np.float32)
-    fitted = material._Distributions.of(nodes[[3] * 50], np.ones(50, np.intp), grid)
+    fitted = mixture._Distributions.of(nodes[[3] * 50], np.ones(50, np.intp), grid)
     found = fitted.posterior(nodes[[200, 3]], np.ones(2, np.intp))
     true = [[grid.roughness[i], grid.metallic[i]] for i in (200, 3)]
     np.testing.assert_allclose(found.mean, true, rtol=1e-6)
     assert np.isfinite(found.variance).all()
+
+
+def by_squares(objective: Objective) -> tuple[Array, Lights]:
+    """X with all materials at their best under the lights of the start, and what that leaves."""
+    x = objective.start()
+    fit_all(objective, x, starts=2)
+    return x, judged(objective, x)
+
+
+def with_prior(
+    objective: Objective, x: Array, lights: Lights, **options: Any
+) -> tuple[Array, GaussianPrior, FittedPrior]:
+    found = fit_prior(objective, x, 1.0, lights.misfit.of_likelihood, lights.shared, **options)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
+    objective = objective_of(room, kind)
+    x, lights = by_squares(objective)
+    before = x.copy()
+    found, prior, fitted = with_prior(objective, x, lights)
+    np.testing.assert_array_equal(x, before)
+    blocks = objective.layout.roughness_metallic
+    assert prior.mean.shape == prior.precision.shape == (objective.pixels, len(blocks))
+    assert prior.precision.min() > 0
+    for block, mean in zip(blocks, prior.mean.T, strict=True):
+        np.testing.assert_array_equal(found[block], mean)
+    same_lights = np.array_equal(
+        found[objective.layout.maps.stop :], x[objective.layout.maps.stop :]
+    )
+    assert same_lights == (lights.shared is None)
+    # It is twice as stiff if it is twice as strong, and weaker where pixels say less.
+    alone = lights.misfit.of_likelihood
+    once, twice, unsure = (
+        fit_prior(objective, found, *of, None)
+        for of in ((1.0, alone), (2.0, alone), (1.0, 9 * alone))
+    )
+    assert once is not None
+    assert twice is not None
+    assert unsure is not None
+    np.testing.assert_allclose(twice[1].precision, 2 * once[1].precision)
+    assert np.median(unsure[1].precision) < 9 * np.median(once[1].precision)
+    # Held for the same pixels and lights it is the same prior.
+    held = once[2].moved(once[1], once[0])
+    again = held.applied(objective, once[0], lambda: False)
+    assert again is not None
+    np.testing.assert_allclose(again[1].mean, once[1].mean, atol=1e-9)
+    np.testing.assert_array_equal(again[1].precision, once[1].precision)
+    assert fitted.strength == 1.0
+
+
+@pytest.mark.parametrize("looks", [0, 2, 4, 5])
+def test_time_may_run_out_before_all_pixels_have_a_prior(room: Scene, looks: int) -> None:
+    objective = Objective(room)
+    x, lights = by_squares(objective)
+    before, left = x.copy(), iter([False] * looks)
+    stop = lambda: next(left, True)  # noqa: E731
+    alone = lights.misfit.of_likelihood
+    assert fit_prior(objective, x, 1.0, alone, lights.shared, stop) is None
+    np.testing.assert_array_equal(x, before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind", [kind for kind in KINDS if kind not in ("order 2", "known lights")]
+)
+def test_squares_and_prior_together_are_lowered(room: Scene, kind: str) -> None:
+    objective = objective_of(room, kind)
+    x, lights = by_squares(objective)
+    x, prior, _ = with_prior(objective, x, lights)
+    objective.penalties = [prior]
+    assert lights.shared is not None
+    # The objective has no prior on lights.
+    lights.shared.lights = dataclasses.replace(lights.shared.lights, noise=0.0, shared=0.0)
+    sum_sq = sum_sq_at(objective, x)
+    before, at_start = objective.value_and_grad(x)
+    fit = lights.shared.joint_fit(objective, x, sum_sq, prior=prior)
+    assert minimize(fit, 20, 0.01) > 0
+    loss, gradient = objective.value_and_grad(x)
+    assert loss < before
+    own = float(fit.sum_sq.sum()) / objective.total_weight
+    assert loss == pytest.approx(own + prior.value_and_grad(x, gradient.copy()), rel=1e-4)
+    # L-BFGS finds nothing much lower from there.
+    maps = x[objective.layout.maps]
+    inside = np.ones(objective.size, bool)
+    inside[objective.layout.maps] = (maps > 1e-6) & (maps < 1 - 1e-6)
+    assert np.linalg.norm(gradient[inside]) < 0.1 * np.linalg.norm(at_start[inside])
 
 
 def fitted(scene: Scene, solver: Solver, **options: Any) -> Result:
@@ -343,32 +391,3 @@ def test_weight_zero_fits_no_prior(room: Scene, solver: Solver, priors: Priors |
     result = pbrfit.decompose(room, iterations=40, solver=solver, priors=priors)
     has_one = priors is not None and priors.material > 0
     assert ("material prior" in [stage.name for stage in result.stages]) == has_one
-
-
-@pytest.mark.parametrize("count", [0, 5, 19_999, 20_000, 20_001, 23_456, 1 << 20])
-def test_evenly_spaced_indices_are_distinct_and_favour_no_column(count: int) -> None:
-    chosen = evenly_spaced(count, NOISE_PIXELS_MAX)
-    assert chosen.dtype == np.uint64
-    assert len(chosen) == min(count, NOISE_PIXELS_MAX)
-    # They rise, and no more than two pieces lie between neighbours.
-    gaps = np.diff(chosen.astype(np.int64), prepend=-1, append=count)
-    assert gaps.min() > 0
-    assert gaps.max() <= 2 * -(-count // max(len(chosen), 1)) + 1
-    if count == 1 << 20:
-        columns = np.bincount(chosen.astype(np.int64) % 1024, minlength=1024)
-        assert columns.min() >= 10  # 19.5 on average
-        assert columns.max() <= 30
-
-
-def test_evenly_spaced_over_labels() -> None:
-    labels = np.zeros(10_000, np.intp)
-    labels[5000:5040] = 1
-    labels[9000:9003] = 2
-    chosen = evenly_spaced_over(labels, 400)
-    assert len(chosen) == 400
-    assert len(np.unique(chosen)) == 400
-    of_labels = labels[chosen.astype(np.intp)]
-    assert (of_labels == 2).sum() == 3
-    assert (of_labels == 1).sum() >= 40
-    np.testing.assert_array_equal(evenly_spaced_over(labels, 10**5), np.arange(10_000))
-    assert len(evenly_spaced_over(np.arange(1000), 100)) == 100
