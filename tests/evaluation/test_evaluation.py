@@ -358,7 +358,7 @@ def test_recipes(scene: Scene) -> None:
         for recipe in recipes.RECIPES
     }
     steps = {recipe: result.history.iterations for recipe, result in found.items()}
-    assert steps.pop("default") >= 5  # the learnt prior may take its own
+    assert 0 < steps.pop("default") <= 5  # it may need fewer
     assert steps == {"plain": 5, "paper": 5, "paper-priors": 5, "constant": 0, "start": 0}
     for result in found.values():
         assert np.all(result.lighting[:, 9:] == 0)

@@ -83,7 +83,7 @@ def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
             else:
                 x, prior = fit_mixture_prior(run, x, lights)
         if run.goes_on:
-            x = fit_all_pixels(run, x, lights.shared, prior)
+            x = fit_all_pixels(run, x, lights, prior)
     if len(run.rows) == rows:  # lights without materials that were fitted under them
         return start, *run.ended("", "; kept the start: there was no time to fit all pixels")
     if not _beyond_squares(run, prior):
@@ -267,14 +267,14 @@ def _make_grey(shared: SharedFit, objective: Objective, weight: float | None) ->
     shared.lights = replace(shared.lights, grey=of_sum / shared.lights.mean.size)
 
 
-def fit_all_pixels(
-    run: Run, x: Array, shared: SharedFit | None, prior: GaussianPrior | None
-) -> Array:
+def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None) -> Array:
     """X with all pixels, and all that they share, fitted with the prior.
 
+    The prior on lights weighs less where less is left of all pixels than was of the coarse level.
     Where time runs out before all pixels have had their turn, x is as it was before.
     """
-    watch = _Watch(run, x)
+    watch, shared = _Watch(run, x), lights.shared
+    variance = lights.misfit.variance
     with run.stage("all pixels") as notes:
         for number in range(settings.GLOBAL_ROUNDS_MAX):
             objective = _robust(run, run.objective, x)
@@ -290,6 +290,8 @@ def fit_all_pixels(
             if watch.visit(x, sum_sq):
                 break
             if shared is not None:
+                last, variance = variance, min(variance, misfit.variance(objective, sum_sq))
+                shared.lights = shared.lights.times(variance / last if last else 1.0)
                 fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
                 minimize(fit, settings.GLOBAL_STEPS_MAX, settings.GAIN_MIN, watch.visit)
             more = prior is None and shared is not None

@@ -70,6 +70,10 @@ class LightPrior:
         noise = min(weight, variance)
         return replace(self, noise=noise, shared=(weight - noise) / pixels)
 
+    def times(self, share: float) -> LightPrior:
+        """With a share of the weight; that of grey lights is the user's and stays."""
+        return replace(self, noise=share * self.noise, shared=share * self.shared)
+
     @classmethod
     def around(cls, objective: Objective, x: Array) -> LightPrior:
         """With the constant coefficients of the lights of x."""

@@ -28,8 +28,8 @@ def room() -> Scene:
 def prior_of(objective: Objective, weights: str) -> LightPrior:
     weight, grey = WEIGHTS[weights]
     # With one pixel it weighs what noise and what pixels share weigh together.
-    split = {"noise": 0.4 * weight, "shared": 0.6 * weight}
-    return replace(LightPrior.around(objective, objective.start()), **split, grey=grey)
+    prior = LightPrior.around(objective, objective.start())
+    return replace(prior, noise=0.4 * weight, shared=0.6 * weight, grey=grey)
 
 
 @each_weight

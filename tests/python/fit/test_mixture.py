@@ -289,8 +289,7 @@ def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
     np.testing.assert_allclose(twice[1].precision, 2 * once[1].precision)
     assert np.median(unsure[1].precision) < 9 * np.median(once[1].precision)
     # Held for the same pixels and lights it is the same prior.
-    held = once[2].moved(once[1], once[0])
-    again = held.applied(objective, once[0], lambda: False)
+    again = once[2].applied(objective, once[0], lambda: False)
     assert again is not None
     np.testing.assert_allclose(again[1].mean, once[1].mean, atol=1e-9)
     np.testing.assert_array_equal(again[1].precision, once[1].precision)
