@@ -108,10 +108,10 @@ class FitOptions:
     ----------
     solver
         `"gauss-newton"`: joint steps of lights and materials, then L-BFGS-B on the whole objective
-        where it has other penalties than the mixture prior; with a robust loss, L-BFGS-B from the
-        start; above 2 MP, or where memory is short, lights from a subset of the pixels and then
-        tiles. `"lbfgsb"`: scipy's L-BFGS-B on the joint problem (the paper's recipe), in stages
-        that keep off roughness 0; in one stage when `start` is given. docs/solver.md has more.
+        where it has cohesion, smoothness or sparsity; above 2 MP, or where memory is short, lights
+        from a subset of the pixels and then tiles. `"lbfgsb"`: scipy's L-BFGS-B on the joint
+        problem (the paper's recipe), in stages that keep off roughness 0; in one stage when `start`
+        is given. docs/solver.md has more.
     iterations
         Largest number of iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these
         at most as many steps on a subset of the pixels, which find the lights and do not count.
@@ -127,8 +127,8 @@ class FitOptions:
         Weights of the priors; None stands for `Priors.none()`.
     robust
         `"huber"` or `"cauchy"`: a loss in which shadows and other outliers weigh less, its scale
-        estimated from the residuals after the first stage and again before each later one;
-        `"none"`: squares (docs/solver.md).
+        estimated from the residuals after the first rounds or stage and again before each later
+        one; `"none"`: squares (docs/solver.md).
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
@@ -138,7 +138,7 @@ class FitOptions:
         three pictures cannot say it, then normals stay as they are; with `"auto"` also where there
         is not enough memory. `Result.refinement` tells what was decided and why.
     seed
-        Seed of what is drawn at random: the pixels on which Gauss-Newton finds the lights.
+        Seed of what is drawn at random, which is nothing now: it changes no result.
     model
         How surfaces reflect light (docs/model.md): "paper", its eq. 12; "principled", the BRDF of
         Blender's Principled node. None = that which the scene says its pictures were rendered
@@ -247,7 +247,7 @@ FLAGS: dict[str, Flag] = {
         values=CHOICES,
     ),
     "seed": Flag(
-        "of what a fit draws at random: pixels on which lights are sought (default: %(default)s)",
+        "of what a fit draws at random, which is nothing now (default: %(default)s)",
         metavar="SEED",
     ),
     "model": Flag(
