@@ -33,7 +33,7 @@ from pbrfit.fit.pixels import descended, fit_all, place, put, retry_outliers, ta
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior
-from pbrfit.fit.priors.penalties import penalties
+from pbrfit.fit.priors.penalties import Monochrome, penalties
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Status
@@ -227,8 +227,6 @@ def fit_mixture_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, Gaussi
             run.scene, objective.layout, priors=run.options.priors, lighting=run.measured_lighting
         )
         objective.penalties = [*penalties(objective.layout, plan.priors), *others, prior]
-        if lights.shared is not None:
-            _make_grey(lights.shared, objective, plan.priors.monochrome)
         objective.robust = run.robust_around(x)
         loss = run.evaluate(x)[0]
         run.iteration += 1
@@ -261,9 +259,10 @@ def _fitted_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, GaussianPr
     return x, prior
 
 
-def _make_grey(shared: SharedFit, objective: Objective, weight: float | None) -> None:
-    """Give the lights the monochrome prior of `Priors`."""
-    of_sum = (weight or 0.0) * objective.total_weight / objective.pixels
+def _make_grey(shared: SharedFit, objective: Objective) -> None:
+    """Give the lights the monochrome prior of the objective."""
+    weight = sum(one.weight for one in objective.penalties if isinstance(one, Monochrome))
+    of_sum = weight * objective.total_weight / objective.pixels
     shared.lights = replace(shared.lights, grey=of_sum / shared.lights.mean.size)
 
 
@@ -275,6 +274,8 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     """
     watch, shared = _Watch(run, x), lights.shared
     variance = lights.misfit.variance
+    if shared is not None:
+        _make_grey(shared, run.objective)
     with run.stage("all pixels") as notes:
         for number in range(settings.GLOBAL_ROUNDS_MAX):
             objective = _robust(run, run.objective, x)
@@ -320,8 +321,8 @@ def _robust(run: Run, objective: Objective, x: Array) -> Objective:
 
 def _beyond_squares(run: Run, prior: GaussianPrior | None) -> bool:
     """Whether the objective has penalties that joint steps do not know."""
-    known = ("monochrome",)
-    return any(one is not prior and one.name not in known for one in run.objective.penalties)
+    others = [one for one in run.objective.penalties if one is not prior]
+    return not all(isinstance(one, Monochrome) for one in others)
 
 
 class _Watch:

@@ -192,6 +192,9 @@ class Objective:
         exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
+        # (N, P, channels): the weights of the samples times those of a robust loss that squares
+        # stand for; None without one.
+        self._factors: NDArray[np.float32] | None = None
 
         self._scene, self.threads = scene, threads
         # Which of the scene's valid pixels take part.
@@ -335,7 +338,7 @@ class Objective:
         if self.weights is not None:
             factors *= self.weights[..., None]
         found = copy.copy(self)
-        found.robust = None
+        found.robust, found._factors = None, factors
         found.problem = self._problem(factors)
         return found
 
@@ -361,13 +364,16 @@ class Objective:
         found.penalties, found.robust = [], None
         share = len(pixels) / self.pixels
         found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
-        found.weights = None if self.weights is None else self.weights[:, pixels]
-        found._chosen = pixels
+        weights = None if self.weights is None else self.weights[:, pixels]
+        factors = None if self._factors is None else self._factors[:, pixels]
         if shares is not None and (shares != 1).any():
-            own = np.ones((self.layout.pictures, 1)) if found.weights is None else found.weights
-            found.weights = (own * shares).astype(np.float32)
+            own = np.ones((self.layout.pictures, 1)) if weights is None else weights
+            weights = (own * shares).astype(np.float32)
+            factors = None if factors is None else factors * shares.astype(np.float32)[:, None]
             found.layout = replace(found.layout, weighted=True)
-        found.problem = found._problem(found.weights)
+        found.weights, found._factors = weights, factors
+        found._chosen = pixels if isinstance(self._chosen, slice) else self._chosen[pixels]
+        found.problem = found._problem(weights if factors is None else factors)
         return found
 
     def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:

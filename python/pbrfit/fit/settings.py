@@ -48,11 +48,11 @@ WHOLE_PIXELS_MAX = 1 << 21
 fitted in tiles."""
 
 
-# --- Misfit: whether residuals are noise ------------------------------------------------------
+# --- Normals: whether residuals are noise ----------------------------------------------------
 
 NEIGHBOUR_PAIRS_MAX = 1024
-"""Pairs of neighbouring pixels, evenly spaced, by which a fit is judged. More cost
-time, fewer make the correlation below uncertain."""
+"""Pairs of neighbouring pixels, evenly spaced, by which normals are judged. More cost time, fewer
+make the correlation below uncertain."""
 
 NEIGHBOUR_CORRELATION_MAX = 0.25
 """Mean cosine between the residuals of neighbouring pixels up to which these count as noise; above
@@ -113,10 +113,10 @@ ROBUST_ROUND = 2
 """Round from which on a robust loss weighs samples: before, residuals are those of wrong lights."""
 
 COARSE_GAIN_MIN = 10.0
-GAIN_MIN = 1.0
+GAIN_MIN = 0.1
 """By how much a joint step has to promise to lower the sum, in variances of a residual, that is in
-units of χ²: 1 is one standard deviation of one direction of the lights. The coarse level's lights
-are only a start."""
+units of χ²: 1 is one standard deviation of one direction of the lights, 0.1 a third of one. The
+coarse level's lights are only a start."""
 
 COARSE_ROUND_GAIN_MIN = 0.02
 COARSE_WEIGHT_FALL = 0.1

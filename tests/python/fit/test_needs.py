@@ -10,11 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
+from pbrfit import decompose
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.plan import FitPlan, color_deviation
 from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
-from pbrfit.result.options import Priors, prior_names
+from pbrfit.result.options import SOLVERS, Priors, Solver, prior_names
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
 
@@ -204,6 +205,20 @@ def test_monochrome_waits_for_lights_and_obeys() -> None:
     for weight, lighting in ((0.0, off_grey(0)), (2.0, off_grey(0.4))):
         asked = needs(scene(), Priors(monochrome=weight), lighting=lighting)
         assert asked.priors.monochrome == weight
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_monochrome_is_obeyed_without_the_material_prior(solver: Solver) -> None:
+    coloured = make_scene("room", size=16, lights=4, seed=3, held_out=1, noise=0.01)
+
+    def off(weight: float) -> float:
+        priors = Priors(material=0, monochrome=weight)
+        result = decompose(coloured, solver=solver, priors=priors, refine_normals="off")
+        return color_deviation(result.lighting)
+
+    free, grey = off(0.0), off(1.0)
+    assert free > 0.08
+    assert grey < 0.5 * free
 
 
 def test_known_lights_without_band_three_need_none() -> None:

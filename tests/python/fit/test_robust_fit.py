@@ -161,6 +161,29 @@ def test_reweighted_squares_have_the_gradient_of_the_loss(
     np.testing.assert_allclose(by_squares, gradient, rtol=0, atol=1e-5 * np.abs(gradient).max())
 
 
+@pytest.mark.parametrize("weighted", [False, True])
+def test_some_pixels_of_reweighted_squares_keep_their_weights(weighted: bool) -> None:
+    scene = with_shadows(room(size=12))
+    if weighted:
+        weights = np.random.default_rng(2).random(scene.images.shape[:3])
+        scene = dataclasses.replace(scene, weights=weights)
+    objective = Objective(scene)
+    x = np.clip(objective.start(), 0.01, None)
+    objective.robust = objective.robust_around(x, "huber")
+    everything = np.arange(144, dtype=np.uint64)
+    whole = objective.reweighted(x)
+    sums = whole.problem.normal_equations(x, everything)[2]
+    few = np.arange(3, 144, 5, dtype=np.uint64)
+    shares = np.linspace(0.1, 1, len(few))
+    for share, expected in ((None, sums[few]), (shares, shares * sums[few])):
+        part = whole.restricted(few, share)
+        own = part.problem.normal_equations(whole.part_of(x, few), everything[: len(few)])[2]
+        np.testing.assert_allclose(own, expected, rtol=1e-5)
+    twice = whole.restricted(few, shares).restricted(np.array([2, 5], np.uint64))
+    own = twice.problem.normal_equations(whole.part_of(x, few[[2, 5]]), everything[:2])[2]
+    np.testing.assert_allclose(own, (shares * sums[few])[[2, 5]], rtol=1e-5)
+
+
 @pytest.mark.parametrize(("name", "expected"), [("huber", 0.25), ("cauchy", 1 / 17)])
 def test_irls_weights(name: str, expected: float) -> None:
     sizes = np.array([0, 1e-6, -0.02, 1e30, -3e38], dtype=np.float32)

@@ -11,7 +11,6 @@ from pbrfit.fit.priors.penalties import tied_neighbours
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import (
     DEGREES_OF_FREEDOM_SHARE_MIN,
-    NEIGHBOUR_CORRELATION_MAX,
     NEIGHBOUR_PAIRS_MAX,
     NOISE_VARIANCE_MIN,
 )
@@ -96,7 +95,3 @@ class NeighbourPairs:
         size = np.sqrt(np.einsum("ps,ps->p", of_pixels, of_pixels))
         of_pixels /= np.maximum(size, np.finfo(np.float64).tiny)[:, None]
         return float(np.einsum("ps,ps->p", of_pixels[self._first], of_pixels[self._second]).mean())
-
-    def are_noise(self, x: Array) -> bool:
-        """Whether the residuals at x are noise: neighbours do not share them."""
-        return self.residual_correlation(x) <= NEIGHBOUR_CORRELATION_MAX

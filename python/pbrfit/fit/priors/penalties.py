@@ -131,6 +131,7 @@ class Monochrome:
 
     def __init__(self, layout: ParameterLayout, weight: float) -> None:
         assert layout.lighting is not None
+        self.weight = weight
         self._block = layout.lighting
         self._channels = layout.light_channels
         self._factor = weight / (self._block.stop - self._block.start)
