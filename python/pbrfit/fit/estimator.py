@@ -19,6 +19,7 @@ residuals, which are renewed from round to round (iteratively reweighted least s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
+from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import descended, fit_all, place, put, retry_outliers, taken
 from pbrfit.fit.plan import FitPlan
@@ -53,27 +55,37 @@ class Lights:
     """Whether nothing is left of its pixels but rounding."""
     shared: SharedFit | None
     """None where lights are known."""
+    mean_squared: float = 0.0
+    """Residual of the level's samples, in units of x."""
+    samples: int = 0
+    unknowns: float = 0.0
+    """How many of each it has; unknowns that a prior holds count in part."""
+    cut_short: bool = False
+    """Whether a limit stopped it."""
 
 
-def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]:
+def solve(
+    run: Run, x: Array, *, start_given: bool, lights: Lights | None = None
+) -> tuple[Array, Status, str]:
     """X of a fit from x by the solver of the options, and why it ended.
 
-    `start_given` tells L-BFGS-B to trust the start: it has no stages then.
+    `start_given` tells L-BFGS-B to trust the start: it has no stages then. `lights` are those that
+    were found from x, if they were.
     """
     loss = run.evaluate(x)[0]  # not the gradient, which is as large as x
     run.record(x, loss)
     if run.left <= 0:
         return x, Status.ITERATION_LIMIT, "0 iterations asked for"
     if run.options.solver == "gauss-newton":
-        return gauss_newton(run, x)
+        return gauss_newton(run, x, lights)
     return by_lbfgsb(run, x, loss, start_given=start_given)
 
 
-def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
+def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
     start, rows, loss = x, len(run.rows), run.rows[-1].loss
     with one_blas_thread():
-        lights = find_lights(run, x)
+        lights = lights or find_lights(run, x)
         x = lights.x
         prior = None
         if run.has_mixture_prior and run.goes_on:
@@ -125,65 +137,104 @@ def find_lights(run: Run, x: Array) -> Lights:
         notes.append(f"{known}{len(level.pixels)} pixels")
         if known:
             return judged(objective, x, level)
-        watch, x = _Watch(run, x, level), x.copy()
+        x = x.copy()
         part = objective.part_of(x, level.pixels)
-        found = _rounds(run, level, part, watch)
+        found = rounds(run, level, part, Watch(run, x, level))
         objective.put_part(x, level.pixels, part)
-        left = found.misfit
-        notes.append(
-            f"design effect {left.design_effect:.2g}, "
-            f"independent share {left.independent_share:.2f}"
-        )
+        notes.append(found.misfit.in_words())
     return replace(found, x=x)
 
 
-def _rounds(run: Run, level: Level, x: Array, watch: _Watch) -> Lights:
-    """Rounds of materials and joint steps of a level's pixels, whose x changes."""
+def rounds(
+    run: Run,
+    level: Level,
+    x: Array,
+    watch: Watch,
+    normals: FreeNormals | None = None,
+    at_most: int = settings.COARSE_ROUNDS_MAX,
+) -> Lights:
+    """Rounds of materials and joint steps of a level's pixels, whose x changes.
+
+    `normals` is for an objective that has them free.
+    """
     objective = level.objective
     everything = np.arange(objective.pixels, dtype=np.uint64)
-    shared = SharedFit(LightPrior.around(objective, x))
-    left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
-    for number in range(settings.COARSE_ROUNDS_MAX):
+    shared = None
+    if objective.lighting is not None:
+        shared = SharedFit(LightPrior.around(objective, x))
+    left, weight, last, exact, prior, fixed = Misfit(np.inf), np.inf, np.inf, False, None, None
+    for number in range(at_most):
         if number >= settings.ROBUST_ROUND:
             level = replace(level, objective=_robust(run, level.objective, x))
         objective = level.objective
+        if normals is not None:
+            if number == 0:  # what the given ones can explain, first
+                found, _ = descended(
+                    objective,
+                    x,
+                    everything,
+                    steps=settings.DESCENT_STEPS,
+                    starts=settings.SUBSET_STARTS,
+                    held_normals=True,
+                )
+                place(objective, x, everything, found)
+            prior = normals.prior(objective, x, number)
+            fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
         found, sum_sq = descended(
-            objective, x, everything, steps=settings.DESCENT_STEPS, starts=settings.SUBSET_STARTS
+            objective,
+            x,
+            everything,
+            steps=settings.DESCENT_STEPS,
+            starts=settings.SUBSET_STARTS,
+            prior=fixed,
         )
         place(objective, x, everything, found)
-        if number:
+        if number and normals is None:
             retry_outliers(objective, x, sum_sq)
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
-        left, before = _left(level, x, sum_sq, shared), weight
-        weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
-        shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
-        fit = shared.joint_fit(objective, x, sum_sq, stop=run.out_of_time)
-        minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit_few)
-        total = fit.total(x, fit.sum_sq, None)
+        left, before = _left(level, x, sum_sq, shared, fixed), weight
+        total = float(sum_sq.sum())
+        if shared is not None:
+            weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
+            shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
+            fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
+            minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit_few)
+            total, sum_sq = fit.total(x, fit.sum_sq, fit.offsets), fit.sum_sq
+        if normals is not None:
+            assert fixed is not None
+            normals.learn(objective, x, fixed, left.variance)
         settled = (
-            weight > settings.COARSE_WEIGHT_FALL * before
+            weight >= settings.COARSE_WEIGHT_FALL * before
             and total > (1 - settings.COARSE_ROUND_GAIN_MIN) * last
+            and (normals is None or normals.is_settled(number))
         )
         last = total
-        if settled or exact or watch.stopped:
+        if settled or exact or watch.stopped or run.out_of_time():
             break
-    return Lights(x, left, exact, shared)
+    mean_squared = float(sum_sq.sum()) / objective.total_weight
+    unknowns = objective.size if normals is None else normals.unknowns(objective, left.variance)
+    cut_short = watch.stopped or run.out_of_time()
+    return Lights(x, left, exact, shared, mean_squared, objective.samples, unknowns, cut_short)
 
 
-def _left(level: Level, x: Array, sum_sq: Array, shared: SharedFit) -> Misfit:
-    """What is left of a level at x."""
+def _left(
+    level: Level,
+    x: Array,
+    sum_sq: Array,
+    shared: SharedFit | None,
+    prior: GaussianPrior | None = None,
+) -> Misfit:
+    """What is left of a level at x, whose pixels have a prior."""
     objective = level.objective
     variance = misfit.variance(objective, sum_sq)
+    share = misfit.independent_share(objective, x)
+    if shared is None:
+        return Misfit(variance, 1.0, share)
     if shared.inverse is None:
         shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
-        shared.joint_fit(objective, x, sum_sq).renew_preconditioner()
-    inverse = shared.inverse
-    assert inverse is not None
-    return Misfit(
-        variance,
-        misfit.design_effect(level, x, sum_sq, lambda v: inverse(v) / objective.pixels),
-        misfit.independent_share(objective, x),
-    )
+        shared.joint_fit(objective, x, sum_sq, prior=prior).renew_preconditioner()
+    effect = misfit.design_effect(level, x, sum_sq, partial(shared.solved, objective), prior)
+    return Misfit(variance, effect, share)
 
 
 def judged(objective: Objective, x: Array, level: Level | None = None) -> Lights:
@@ -195,15 +246,14 @@ def judged(objective: Objective, x: Array, level: Level | None = None) -> Lights
         few, part, everything, steps=settings.DESCENT_STEPS, starts=settings.SUBSET_STARTS
     )
     place(few, part, everything, found)
-    exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * few.total_weight
-    if objective.lighting is None:
-        left = Misfit(misfit.variance(few, sum_sq), 1.0, misfit.independent_share(few, part))
-        return Lights(x, left, exact, None)
-    shared = SharedFit(LightPrior.around(few, part))
+    mean_squared = float(sum_sq.sum()) / few.total_weight
+    shared = None if objective.lighting is None else SharedFit(LightPrior.around(few, part))
     left = _left(level, part, sum_sq, shared)
-    weight = left.design_effect * left.variance
-    shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
-    return Lights(x, left, exact, shared)
+    if shared is not None:
+        weight = left.design_effect * left.variance
+        shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
+    exact = mean_squared <= settings.EXACT_RMSE**2
+    return Lights(x, left, exact, shared, mean_squared, few.samples, few.size)
 
 
 def fit_mixture_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, GaussianPrior | None]:
@@ -272,7 +322,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     The prior on lights weighs less where less is left of all pixels than was of the coarse level.
     Where time runs out before all pixels have had their turn, x is as it was before.
     """
-    watch, shared = _Watch(run, x), lights.shared
+    watch, shared = Watch(run, x), lights.shared
     variance = lights.misfit.variance
     if shared is not None:
         _make_grey(shared, run.objective)
@@ -325,7 +375,7 @@ def _beyond_squares(run: Run, prior: GaussianPrior | None) -> bool:
     return not all(isinstance(one, Monochrome) for one in others)
 
 
-class _Watch:
+class Watch:
     """Turns joint steps into iterations and rows of the history."""
 
     def __init__(self, run: Run, x: Array, level: Level | None = None) -> None:

@@ -57,8 +57,19 @@ class SharedFit:
     """For one pixel."""
     inverse: Callable[[Array], Array] | None = None
     """S⁻¹ v for S of one pixel, the preconditioner; None = not made yet."""
+    size: int = 0
+    """Of v."""
+    clusters: NDArray[np.intp] | None = None
+    """Of the prior of the last fit."""
     stale: bool = True
     """Whether it is to be made anew."""
+
+    def solved(self, objective: Objective, v: Array) -> Array:
+        """About S⁻¹ v of an objective's pixels, for v of the lights alone."""
+        assert self.inverse is not None
+        size = len(v)
+        padded = np.concatenate([v, np.zeros(self.size - size)])
+        return self.inverse(padded)[:size] / objective.pixels
 
     def joint_fit(
         self,
@@ -70,7 +81,9 @@ class SharedFit:
         stop: Stop = lambda: False,
     ) -> JointFit:
         """Of some pixels with their prior."""
-        self.stale |= prior is not None  # whose clusters are others each time
+        clusters = None if prior is None else prior.cluster
+        self.stale |= clusters is not self.clusters
+        self.clusters = clusters
         return JointFit(objective, x, sum_sq, self, prior, stop)
 
 
@@ -159,7 +172,7 @@ class JointFit:
         except np.linalg.LinAlgError:
             # Rounding decides where next to nothing is known of the lights.
             self.shared.inverse = partial(np.multiply, 1 / diagonal)
-        self.shared.stale = False
+        self.shared.size, self.shared.stale = len(matrix), False
 
     def _solved(self, v: Array) -> Array:
         """S⁻¹ v by the preconditioner."""

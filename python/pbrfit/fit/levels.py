@@ -1,4 +1,4 @@
-"""Levels: nested subsets of the pixels that find what all pixels share, at a cost of their own."""
+"""Levels: strided subsets of the pixels that find what all pixels share, at a cost of their own."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ class Level:
         pixels, index = strided_subset(objective.layout, at_most)
         return cls(objective.restricted(pixels), pixels, index)
 
-    def patches(self) -> list[NDArray[np.uint64]]:
-        """Positions in `pixels` of square pieces of the picture."""
-        side = settings.PATCH_SIDE
+    def patches(self, side: int = settings.PATCH_SIDE) -> list[NDArray[np.uint64]]:
+        """Positions in `pixels` of square pieces of the picture, of so many pixels a side."""
         rows, columns = np.nonzero(self.index >= 0)
         patch = rows // side * (self.index.shape[1] // side + 1) + columns // side
         order = np.argsort(patch, kind="stable").astype(np.uint64)

@@ -24,6 +24,7 @@ likelihood, which the mixture prior rests on. No threshold tells misfit from noi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -33,6 +34,8 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.pixels import Pixels, taken
+from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
 Inverse = Callable[[Array], Array]
@@ -49,9 +52,33 @@ class Misfit:
     """κ and τ."""
 
     @property
+    def is_noise(self) -> bool:
+        """Whether pixels have nothing in common in what is left of them."""
+        return self.design_effect <= settings.NOISE_DESIGN_EFFECT_MAX
+
+    def in_words(self) -> str:
+        """For a stage's note."""
+        return f"design effect {self.design_effect:.2g}, independent share {self.independent_share:.2f}"
+
+    @property
     def of_likelihood(self) -> float:
         """s²/τ: the variance in the likelihood of a pixel."""
         return self.variance / self.independent_share
+
+
+def score(mean_squared: float, unknowns: float, effective_samples: float) -> float:
+    """−2 log likelihood, the variance at its best, and a price for each unknown: the less the better.
+
+    AICc: C. Hurvich and C.-L. Tsai, "Regression and time series model selection in small samples",
+    Biometrika 76, 1989. Samples that share what is left count as fewer, n/κ; where these are no
+    more than the unknowns nothing can be believed, and the score is infinite.
+    """
+    freedom = effective_samples - unknowns - 1
+    if not freedom > 0:
+        return math.inf
+    least = settings.NOISE_VARIANCE_MIN
+    fits = effective_samples * math.log(max(mean_squared, least))
+    return fits + 2 * unknowns * effective_samples / freedom
 
 
 def variance(objective: Objective, sum_sq: Array) -> float:
@@ -86,8 +113,10 @@ def independent_share(objective: Objective, x: Array) -> float:
     return float(np.clip(trace**2 / square / freedom, 1 / freedom, 1.0))
 
 
-def design_effect(level: Level, x: Array, sum_sq: Array, inverse: Inverse) -> float:
-    """κ; `inverse` gives S⁻¹ v for v (M,)."""
+def design_effect(
+    level: Level, x: Array, sum_sq: Array, inverse: Inverse, prior: GaussianPrior | None = None
+) -> float:
+    """κ; `inverse` gives S⁻¹ v for v (M,), and `prior` is that of the pixels."""
     objective, layout = level.objective, level.objective.layout
     patches = level.patches()
     if len(patches) < settings.PATCHES_MIN:
@@ -95,9 +124,15 @@ def design_effect(level: Level, x: Array, sum_sq: Array, inverse: Inverse) -> fl
     nowhere = np.zeros(layout.light_channels * layout.pictures * layout.coefficients)
     for_core = objective.for_core(x)
     mono = layout.light_channels < layout.channels
-    scores = np.array(
-        [objective.problem.schur_product(for_core, p, nowhere, mono=mono)[1] for p in patches]
-    )
+
+    def score(patch: Pixels) -> Array:
+        of_prior = {}
+        if prior is not None:
+            rows, values = prior.rows(patch), taken(objective, x, patch)[:, layout.channels :]
+            of_prior = {"precision": rows.precision, "deviation": values - rows.mean}
+        return objective.problem.schur_product(for_core, patch, nowhere, mono=mono, **of_prior)[1]
+
+    scores = np.array([score(patch) for patch in patches])
     scores -= scores.mean(axis=0)
     sizes = sum(float(score @ inverse(score)) for score in scores)
     unbiased = len(patches) / (len(patches) - 1)

@@ -123,6 +123,7 @@ COARSE_WEIGHT_FALL = 0.1
 """A round that lowers the sum by a smaller share, and leaves more than this share of the light
 prior's weight, is the last."""
 
+NOISE_DESIGN_EFFECT_MAX = 1.0
 PATCH_SIDE = 8
 PATCHES_MIN = 4
 """Rows and columns of a level's pixels in a patch, and how many patches tell a design effect. It
@@ -335,13 +336,17 @@ NORMALS_STARTS = 2
 NORMALS_PIXEL_STEPS = 12
 """Steps of a pixel by itself from such a start."""
 
+NORMALS_PASSES_OF_LEVEL = (3, COARSE_ROUNDS_MAX)
+NORMALS_PATCH_SIDE = 4
+"""Pixels along a side of the patches, of a strided subset, whose offsets move together."""
+
 NORMALS_DIELECTRIC_ROUNDS = 3
 """First rounds of a search, in which metallic has a prior around 0 in place of the fitted one."""
 
 NORMALS_DIELECTRIC_SIGMA = 0.2
 """Standard deviation of that prior on metallic."""
 
-NORMALS_MATERIAL_SIGMAS_MIN = (0.1, 0.06, 0.036, 0.02)
+NORMALS_MATERIAL_SIGMAS_MIN = (0.1, 0.04, 0.02)
 """Smallest standard deviation of the fitted prior on roughness and metallic in the rounds after
 those; the last value holds from then on. A smaller one binds pixels of a segment more strongly."""
 

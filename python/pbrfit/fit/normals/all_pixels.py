@@ -1,9 +1,8 @@
-"""All pixels' normals, from lights that a subset found, or that a fit with held normals had.
+"""All pixels' normals, in lights that a level found, or that a fit with held normals had.
 
-Each pixel changes its normal by itself, with a prior around where its neighbours are; then joint
-steps of all pixels and the lights (`pbrfit.fit.joint`). Neighbours are
-seen where they were before, so the prior is made anew a few times: at the end that is the same as
-all together.
+Each pixel changes its normal by itself, with a prior around where its neighbours are. Neighbours
+are seen where they were before, so the prior is made anew a few times. Lights stay: what the two
+numbers more of each pixel take up of the noise would bend them, however many pixels there are.
 """
 
 from __future__ import annotations
@@ -14,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.joint import SharedFit, minimize
-from pbrfit.fit.light_prior import LightPrior
+from pbrfit.fit.levels import Level
 from pbrfit.fit.normals.noise import (
     degrees_of_freedom,
     noise_variance,
@@ -23,7 +21,6 @@ from pbrfit.fit.normals.noise import (
     pixel_sums,
 )
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
-from pbrfit.fit.normals.search import SubsetFit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import chunks, descended, fit_all, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -56,16 +53,19 @@ def tangent_offsets_between(given: Array, changed: Array) -> Array:
     )
 
 
-def start_from_subset(objective: Objective, x: Array, found: SubsetFit) -> None:
-    """Give all pixels the unknowns of the subset's nearest one, and its lights; x changes."""
+def start_from_level(objective: Objective, x: Array, level: Level, part: Array) -> None:
+    """Give all pixels the unknowns of a level's nearest one, and its lights; x changes.
+
+    `part` is x of the level.
+    """
     from scipy.spatial import KDTree
 
-    layout, of_subset = objective.layout, found.objective.layout
+    layout, of_level = objective.layout, level.objective.layout
     places = np.argwhere(layout.valid)
-    _, nearest = KDTree(places[found.pixels.astype(np.intp)]).query(places)
-    maps = found.x[of_subset.maps].reshape(-1, found.objective.pixels)
+    _, nearest = KDTree(places[level.pixels.astype(np.intp)]).query(places)
+    maps = part[of_level.maps].reshape(-1, level.objective.pixels)
     x[layout.maps] = maps[:, nearest].ravel()
-    x[layout.maps.stop :] = found.x[of_subset.maps.stop :]
+    x[layout.maps.stop :] = part[of_level.maps.stop :]
 
 
 def start_from_offsets(objective: Objective, x: Array, offsets: Array) -> None:
@@ -92,7 +92,7 @@ def refine_all(
     starts: int,
     stop: Callable[[], bool],
 ) -> tuple[TangentOffsetPrior, Array | None]:
-    """Change the normals of all pixels, with their materials and the lights; x changes.
+    """Change the normals of all pixels, with their materials; x changes.
 
     `prior` is returned with the σ that was found, and the sums of squared residuals (P,), or None
     if time ran out before all pixels had been refined. A prior on roughness and metallic has the
@@ -125,10 +125,6 @@ def refine_all(
         )
         if sums is None:
             return prior, None
-        if objective.lighting is not None:
-            shared = SharedFit(LightPrior.around(objective, x))
-            fit = shared.joint_fit(objective, x, sums, prior=pixel_prior, stop=stop)
-            minimize(fit, settings.GLOBAL_STEPS_MAX, settings.GAIN_MIN)
         prior = prior.fitted(
             x[layout.tangent_offsets].reshape(2, -1).T,
             offset_variances(objective, x, pixel_prior.precision, variance),

@@ -1,14 +1,13 @@
 """A fit whose normals may be refined: when, in which order, and what is kept of it.
 
-With `auto` the first fit holds the given normals. Where they are right, neighbouring pixels have
-nothing in common in what it leaves of them, and that is the end of it. Else normals are refined,
-and the refined fit has to earn its place: it must leave noise, or far less than the first one did.
-Shadows, interreflections and a wrong field of view leave residuals that normals can bend to as
-well, but never explain.
+The coarse level of the estimator finds lights and materials with the given normals. Where it leaves
+more than noise, it is fitted once more with free normals. Both are judged by one score
+(`pbrfit.fit.misfit.score`), and the fit of all pixels goes on with the better one alone.
 
 At the end every part of the picture has to have gained: where given normals explain the pictures as
 well as the refined ones, given that these have two numbers a pixel more to do it with, the given
-ones are put back.
+ones are put back. And where refined normals leave more of the pictures than the given ones did, all
+given ones are.
 """
 
 from __future__ import annotations
@@ -19,18 +18,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import settings
-from pbrfit.fit.estimator import solve
+from pbrfit.fit import misfit, settings
+from pbrfit.fit.estimator import Lights, Watch, find_lights, rounds, solve
+from pbrfit.fit.levels import Level
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
     restore_given,
+    start_from_level,
     start_from_offsets,
-    start_from_subset,
     tangent_offsets_between,
 )
-from pbrfit.fit.normals.noise import NeighbourPairs
+from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
-from pbrfit.fit.normals.search import fit_subset
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.run import Run
@@ -54,87 +53,9 @@ class PixelFit:
     status: Status
     reason: str
 
-
-@dataclass(frozen=True)
-class Unexplained:
-    """What a fit leaves of the pictures."""
-
-    loss: float
-    """Mean squared residual, or what a robust loss makes of it, in units of x."""
-    rmse: float
-    """Its square root, in picture units."""
-    residual_correlation: float
-    """Between neighbours, as `NeighbourPairs` has it."""
-    samples_per_unknown: float
-    """Of a pixel, its normal among the unknowns."""
-    share_of_freedom: float
-    """Share of the degrees of freedom that two unknowns more a pixel would leave."""
-
-    @classmethod
-    def by(cls, fit: PixelFit) -> Unexplained:
-        """A fit with held normals."""
-        objective = fit.run.objective
-        loss = objective.data_value_and_grad(fit.x)[0]
-        unknowns = objective.layout.maps.stop + 2 * objective.pixels
-        freedom = objective.samples - objective.size
-        left = max(0.0, freedom - 2 * objective.pixels)
-        return cls(
-            loss=loss,
-            rmse=objective.residual_rmse(loss),
-            residual_correlation=NeighbourPairs(objective).residual_correlation(fit.x),
-            samples_per_unknown=objective.samples / unknowns,
-            share_of_freedom=left / freedom if freedom > 0 else 0.0,
-        )
-
-    def figures(self, when: str) -> dict[str, float]:
-        """As `result.json` has them; `when` is "before" or "after" refinement."""
-        return {f"residual_{when}": self.rmse, f"shared_{when}": self.residual_correlation}
-
-
-def keeps_given(left: Unexplained, *, cut_short: bool) -> str | None:
-    """Why given normals are kept without trying others; None if others are to be tried.
-
-    `cut_short`: whether the fit was stopped by the number of its iterations, and those were few.
-    """
-    if left.residual_correlation <= settings.NORMALS_GIVEN_CORRELATION_MAX:
-        return "the given normals explain the pictures up to noise"
-    if left.loss <= (settings.NORMALS_ROUNDING_RMS * settings.MEAN_RADIANCE) ** 2:
-        return "the given normals explain the pictures up to rounding"
-    if left.samples_per_unknown < settings.NORMALS_SAMPLES_PER_UNKNOWN_MIN:
-        return "too few pictures to tell wrong normals from materials"
-    if cut_short:
-        return "too few iterations to tell wrong normals from what is not fitted yet"
-    return None
-
-
-def keeps_refined(
-    before: Unexplained | None, after: Unexplained, change: float
-) -> tuple[bool, str]:
-    """Whether refined normals are kept, and why, by what fits with given and with them leave.
-
-    Without `before` refinement was asked for whatever given ones leave. `change` is the largest
-    angle between them, in degrees.
-    """
-    if change < CHANGE_DEGREES_MIN:
-        # All pixels were given theirs back, or found that they had been right. What the fit gained
-        # it gained by going on.
-        return False, "no other normals explain the pictures better"
-    if before is None:
-        return True, "asked for"
-    expected = after.share_of_freedom * before.loss
-    correlation = after.residual_correlation
-    if after.loss <= settings.NORMALS_PERFECT * expected or (
-        after.loss <= settings.NORMALS_FAR_BETTER * expected
-        and correlation <= settings.NEIGHBOUR_CORRELATION_MAX
-    ):
-        return True, "with other normals the pictures are explained far better"
-    noise = min(
-        settings.NORMALS_REFINED_CORRELATION_MAX,
-        settings.NORMALS_REFINED_CORRELATION_RATIO * before.residual_correlation,
-    )
-    if after.loss < before.loss and correlation <= noise:
-        return True, "only with other normals are the pictures explained up to noise"
-    return False, "other normals do not explain what the given ones leave of the pictures"
+    def mean_squared_residual(self) -> float:
+        """In units of x, or what a robust loss makes of it."""
+        return self.run.objective.data_value_and_grad(self.x)[0]
 
 
 def fit(
@@ -154,55 +75,127 @@ def fit(
     beside the given ones.
     """
 
-    def fit_given() -> PixelFit:
-        return PixelFit(run, *solve(run, x.copy(), start_given=start_given))
+    def with_given(lights: Lights | None = None) -> PixelFit:
+        return PixelFit(run, *solve(run, x.copy(), start_given=start_given, lights=lights))
 
     why = "not asked for" if asked == "off" else hindered
     if why is None and run.left <= 0:
         why = "0 iterations asked for"
     if why is not None:
-        return fit_given(), Refinement(asked, False, why)
-    given, before, figures = None, None, dict[str, float]()
-    if asked == "auto":
-        given = fit_given()
-        before = Unexplained.by(given)
-        figures = before.figures("before")
-        cut_short = given.status is Status.ITERATION_LIMIT
-        cut_short = cut_short and run.iteration <= settings.NORMALS_ITERATIONS_MIN
-        why = keeps_given(before, cut_short=cut_short)
-        if why is None and run.out_of_time():
-            why = OUT_OF_TIME
-        if why is not None:
-            return given, Refinement(asked, False, why, figures)
-    rows = len(run.rows)
-    found = _refine(run, x, make, normals)
-    if found is None:
-        assert given is not None or run.out_of_time()
-        return given or fit_given(), Refinement(asked, False, OUT_OF_TIME, figures)
-    refined, sigma = found
-    after = Unexplained.by(refined)
-    figures |= after.figures("after") | {"spread_degrees": float(np.degrees(sigma))}
-    change = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid].max()
-    kept, why = keeps_refined(before, after, change)
-    if not kept and given is not None:
-        # The costs stay, of what came to nothing; its history, which the runs share, does not.
-        run.evaluations, run.unmeasured = refined.run.evaluations, refined.run.unmeasured
-        del run.rows[rows:]
-        refined = given
-    elif not kept:
+        return with_given(), Refinement(asked, False, why)
+    with one_blas_thread():
+        lights = find_lights(run, x)
+    figures = _figures(run.objective, lights, "before")
+    why = _keeps_given(run, lights) if asked == "auto" else None
+    if why is None and run.out_of_time():
+        why = OUT_OF_TIME
+    if why is not None:
+        return with_given(lights), Refinement(asked, False, why, figures)
+    free = make(run.scene, True)
+    free_x, offsets, found = _find_normals(run, x, free, normals)
+    samples = found.samples / max(found.misfit.design_effect, 1.0)
+    scores = [misfit.score(one.mean_squared, one.unknowns, samples) for one in (lights, found)]
+    figures |= _figures(free, found, "after")
+    figures |= dict(zip(("score_before", "score_after"), scores, strict=True))
+    figures["spread_degrees"] = float(np.degrees(offsets.sigma))
+    if asked == "auto" and not scores[1] < scores[0]:
+        why = "free normals do not explain enough more to be believed"
+        return with_given(lights), Refinement(asked, False, why, figures)
+    refined = _refine(run, free, free_x, offsets, make)
+    if refined is None:
+        return with_given(lights), Refinement(asked, False, OUT_OF_TIME, figures)
+    return _better(run, refined, lights, with_given, asked, figures)
+
+
+def _better(
+    run: Run,
+    refined: PixelFit,
+    lights: Lights,
+    with_given: Callable[[Lights], PixelFit],
+    asked: str,
+    figures: dict[str, float],
+) -> tuple[PixelFit, Refinement]:
+    """The refined fit, or that with given normals where these leave less."""
+    turned = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid].max()
+    if turned < CHANGE_DEGREES_MIN:
+        # All pixels were given theirs back, or found that they had been right.
         refined.run.scene = run.scene
-    return refined, Refinement(asked, kept, why, figures)
+        why = "no other normals explain the pictures better"
+        return refined, Refinement(asked, False, why, figures)
+    if not refined.mean_squared_residual() < lights.mean_squared:
+        return with_given(lights), Refinement(
+            asked, False, "all pixels together are explained better with the given normals", figures
+        )
+    why = "asked for" if asked == "on" else "other normals explain the pictures better by far"
+    return refined, Refinement(asked, True, why, figures)
+
+
+def _keeps_given(run: Run, lights: Lights) -> str | None:
+    """Why given normals are kept without trying others; None if others are to be tried."""
+    objective = run.objective
+    if lights.exact:
+        return "the given normals explain the pictures up to rounding"
+    if lights.misfit.is_noise:
+        return "the given normals explain the pictures up to noise"
+    unknowns = objective.layout.maps.stop + 2 * objective.pixels
+    if objective.samples < settings.NORMALS_SAMPLES_PER_UNKNOWN_MIN * unknowns:
+        return "too few pictures to tell wrong normals from materials"
+    if lights.cut_short:
+        return "too few iterations to tell wrong normals from what is not fitted yet"
+    return None
+
+
+def _figures(objective: Objective, lights: Lights, when: str) -> dict[str, float]:
+    """As `result.json` has them; `when` is "before" or "after" normals are free."""
+    return {
+        f"residual_{when}": objective.residual_rmse(lights.mean_squared),
+        f"design_effect_{when}": lights.misfit.design_effect,
+    }
+
+
+def _find_normals(
+    run: Run, x: Array, free: Objective, normals: Array | None
+) -> tuple[Array, TangentOffsetPrior, Lights]:
+    """X of the objective with free normals, from a level; the prior on offsets; what it leaves."""
+    scene, layout, held = run.scene, free.layout, run.objective.layout
+    given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
+    sigma = None
+    if scene.normal_sigma is not None:
+        sigma = scene.normal_sigma[scene.valid].astype(np.float64)
+    start = free.start()
+    start[layout.materials] = x[held.materials]
+    start[layout.maps.stop :] = x[held.maps.stop :]
+    if normals is not None:
+        start_from_offsets(free, start, tangent_offsets_between(given, normals))
+    with run.stage("lights and normals") as notes, one_blas_thread():
+        level = Level.of(free, settings.COARSE_PIXELS)
+        chosen = level.pixels.astype(np.intp)
+        sigma_of_level = None if sigma is None else sigma[chosen]
+        lights = slice(layout.maps.stop, None)
+        for at_most in settings.NORMALS_PASSES_OF_LEVEL:
+            of_level = FreeNormals.of(level, given[chosen], sigma_of_level)
+            part = free.part_of(start, level.pixels)
+            found = rounds(run, level, part, Watch(run, start, level), of_level, at_most)
+            start[lights] = part[level.objective.layout.maps.stop :]
+            if found.cut_short:
+                break
+        start_from_level(free, start, level, part)
+        notes += [f"{len(level.pixels)} pixels", found.misfit.in_words()]
+    prior = TangentOffsetPrior(Neighbourhood.of(pixel_index(layout), given, sigma))
+    return start, replace(prior, sigma=of_level.offsets.sigma), found
 
 
 @one_blas_thread()
 def _refine(
-    run: Run, x: Array, make: Callable[[Scene, bool], Objective], normals: Array | None
-) -> tuple[PixelFit, float] | None:
-    """The fit with refined normals, and the σ of their offsets; None if time ran out."""
+    run: Run,
+    free: Objective,
+    free_x: Array,
+    prior: TangentOffsetPrior,
+    make: Callable[[Scene, bool], Objective],
+) -> PixelFit | None:
+    """The fit of all pixels with refined normals, from an x of `free`; None if time ran out."""
     scene = run.scene
-    free = make(scene, True)
     ended: tuple[Status, str] | None = None
-    free_x, prior = _start(run, x, free, normals)
     roughness_metallic, starts = None, 1
     for number in range(settings.NORMALS_PASSES):
         before = free_x.copy()
@@ -227,34 +220,7 @@ def _refine(
     if run.objective.lighting is None and free.lighting is not None:
         without_lights = replace(run.scene, lighting=None)
         run = run.continued(without_lights, make(without_lights, False))
-    return PixelFit(run, _held_x(free, free_x, run.objective), *ended), prior.sigma
-
-
-def _start(
-    run: Run, x: Array, free: Objective, normals: Array | None
-) -> tuple[Array, TangentOffsetPrior]:
-    """X of the objective with free normals, from lights of a subset if unknown, and the prior."""
-    scene, layout, held = run.scene, free.layout, run.objective.layout
-    given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
-    normal_sigma = None
-    if scene.normal_sigma is not None:
-        normal_sigma = scene.normal_sigma[scene.valid].astype(np.float64)
-    prior = TangentOffsetPrior(Neighbourhood.of(pixel_index(layout), given, normal_sigma))
-    start = free.start()
-    start[layout.materials] = x[held.materials]
-    start[layout.maps.stop :] = x[held.maps.stop :]
-    if normals is not None:
-        start_from_offsets(free, start, tangent_offsets_between(given, normals))
-    if free.lighting is not None:
-        with run.stage("normals and lights from a subset") as notes:
-            # Not what the fit before has left: each fit has all iterations that were asked for.
-            found = fit_subset(
-                free, start, given, normal_sigma, run.out_of_time, rounds=run.options.iterations
-            )
-            start_from_subset(free, start, found)
-            prior = replace(prior, sigma=found.prior.sigma)
-            notes.append(f"{len(found.pixels)} pixels")
-    return start, prior
+    return PixelFit(run, _held_x(free, free_x, run.objective), *ended)
 
 
 def _fit_held(
