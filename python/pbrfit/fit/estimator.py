@@ -212,7 +212,7 @@ def rounds(
         if settled or exact or watch.stopped or run.out_of_time():
             break
     mean_squared = float(sum_sq.sum()) / objective.total_weight
-    unknowns = objective.size if normals is None else normals.unknowns(objective, left.variance)
+    unknowns = objective.size if normals is None else normals.unknowns(objective)
     cut_short = watch.stopped or run.out_of_time()
     return Lights(x, left, exact, shared, mean_squared, objective.samples, unknowns, cut_short)
 

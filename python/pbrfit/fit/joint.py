@@ -82,7 +82,7 @@ class SharedFit:
     ) -> JointFit:
         """Of some pixels with their prior."""
         clusters = None if prior is None else prior.cluster
-        self.stale |= clusters is not self.clusters
+        self.stale |= prior is not None
         self.clusters = clusters
         return JointFit(objective, x, sum_sq, self, prior, stop)
 

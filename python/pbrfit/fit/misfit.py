@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,11 @@ class Misfit:
         """Whether pixels have nothing in common in what is left of them."""
         return self.design_effect <= settings.NOISE_DESIGN_EFFECT_MAX
 
+    @property
+    def effective_share(self) -> float:
+        """Share of the samples that would say as much if they were independent."""
+        return min(1 / max(self.design_effect, 1.0), self.independent_share)
+
     def in_words(self) -> str:
         """For a stage's note."""
         return f"design effect {self.design_effect:.2g}, independent share {self.independent_share:.2f}"
@@ -67,7 +73,7 @@ class Misfit:
 
 
 def score(mean_squared: float, unknowns: float, effective_samples: float) -> float:
-    """−2 log likelihood, the variance at its best, and a price for each unknown: the less the better.
+    """−2 log likelihood, the variance at its best, and a price for each unknown; less is better.
 
     AICc: C. Hurvich and C.-L. Tsai, "Regression and time series model selection in small samples",
     Biometrika 76, 1989. Samples that share what is left count as fewer, n/κ; where these are no
@@ -126,7 +132,7 @@ def design_effect(
     mono = layout.light_channels < layout.channels
 
     def score(patch: Pixels) -> Array:
-        of_prior = {}
+        of_prior: dict[str, Any] = {}
         if prior is not None:
             rows, values = prior.rows(patch), taken(objective, x, patch)[:, layout.channels :]
             of_prior = {"precision": rows.precision, "deviation": values - rows.mean}

@@ -42,8 +42,8 @@ class FreeNormals:
     """(P,): which patch each pixel of the level is in, from 0."""
     _variances: Array | None = field(default=None, init=False)
     """(P,): tr V of the offsets, after the last round."""
-    _held: Array = field(default_factory=lambda: np.zeros(0), init=False)
-    """(P,): precision of their prior, over that of the noise."""
+    _precision: Array = field(default_factory=lambda: np.zeros(0), init=False)
+    """(P,): of their prior."""
 
     @classmethod
     def of(cls, level: Level, given: Array, normal_sigma: Array | None) -> FreeNormals:
@@ -96,15 +96,16 @@ class FreeNormals:
         variances = offset_variances(objective, x, prior.precision, left)
         if self._variances is not None:
             self.offsets = self.offsets.fitted(offsets_of(objective, x), variances)
-        self._variances, self._held = variances, prior.precision[:, -1] / left
+        self._variances, self._precision = variances, prior.precision[:, -1] / left
 
-    def unknowns(self, objective: Objective, left: float) -> float:
-        """How many a level has: those of its pixels' offsets count as far as pictures decide."""
+    def unknowns(self, objective: Objective) -> float:
+        """How many a level has: an offset that its prior decides, and not the pictures, is none.
+
+        By the trace of the smoother: of two numbers a pixel, precision × tr V are the prior's.
+        """
         if self._variances is None:
             return objective.size
-        # TODO
-        held = self._held * self._variances
-        return objective.size - float(np.minimum(held, 2).sum())
+        return objective.size - float(np.minimum(self._precision * self._variances, 2).sum())
 
 
 def offsets_of(objective: Objective, x: Array) -> Array:

@@ -93,13 +93,13 @@ def fit(
         return with_given(lights), Refinement(asked, False, why, figures)
     free = make(run.scene, True)
     free_x, offsets, found = _find_normals(run, x, free, normals)
-    samples = found.samples / max(found.misfit.design_effect, 1.0)
+    samples = found.samples * found.misfit.effective_share
     scores = [misfit.score(one.mean_squared, one.unknowns, samples) for one in (lights, found)]
     figures |= _figures(free, found, "after")
     figures |= dict(zip(("score_before", "score_after"), scores, strict=True))
     figures["spread_degrees"] = float(np.degrees(offsets.sigma))
     if asked == "auto" and not scores[1] < scores[0]:
-        why = "free normals do not explain enough more to be believed"
+        why = "what other normals explain does not outweigh how many unknowns they are"
         return with_given(lights), Refinement(asked, False, why, figures)
     refined = _refine(run, free, free_x, offsets, make)
     if refined is None:
@@ -126,7 +126,7 @@ def _better(
         return with_given(lights), Refinement(
             asked, False, "all pixels together are explained better with the given normals", figures
         )
-    why = "asked for" if asked == "on" else "other normals explain the pictures better by far"
+    why = "asked for" if asked == "on" else "other normals explain the pictures far better"
     return refined, Refinement(asked, True, why, figures)
 
 
@@ -135,7 +135,7 @@ def _keeps_given(run: Run, lights: Lights) -> str | None:
     objective = run.objective
     if lights.exact:
         return "the given normals explain the pictures up to rounding"
-    if lights.misfit.is_noise:
+    if objective.lighting is not None and lights.misfit.is_noise:
         return "the given normals explain the pictures up to noise"
     unknowns = objective.layout.maps.stop + 2 * objective.pixels
     if objective.samples < settings.NORMALS_SAMPLES_PER_UNKNOWN_MIN * unknowns:
@@ -172,7 +172,7 @@ def _find_normals(
         chosen = level.pixels.astype(np.intp)
         sigma_of_level = None if sigma is None else sigma[chosen]
         lights = slice(layout.maps.stop, None)
-        for at_most in settings.NORMALS_PASSES_OF_LEVEL:
+        for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
             of_level = FreeNormals.of(level, given[chosen], sigma_of_level)
             part = free.part_of(start, level.pixels)
             found = rounds(run, level, part, Watch(run, start, level), of_level, at_most)
