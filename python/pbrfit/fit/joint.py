@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior, as_in_core
 from pbrfit.fit.misfit import variance
-from pbrfit.fit.normal_equations import Cholesky, as_in_x
+from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import (
     Pixels,
@@ -40,6 +39,7 @@ from pbrfit.fit.pixels import (
     taken,
     try_from,
 )
+from pbrfit.fit.preconditioner import Preconditioner
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over
 
@@ -55,7 +55,7 @@ class SharedFit:
 
     lights: LightPrior
     """For one pixel."""
-    inverse: Callable[[Array], Array] | None = None
+    inverse: Preconditioner | None = None
     """S⁻¹ v for S of one pixel, the preconditioner; None = not made yet."""
     stale: bool = True
     """Whether it is to be made anew."""
@@ -96,6 +96,8 @@ class JointFit:
         if self.prior is not None and self.prior.cluster is not None:
             self.offsets = self.prior.offsets(self.x)
         self._few = _Sample.of(self, settings.PRODUCT_PIXELS)
+        self._secants: list[_Secant] = []
+        self._last: tuple[Array, Array] | None = None
 
     def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
         """The prior of each pixel by itself, with these offsets of the clusters."""
@@ -145,20 +147,11 @@ class JointFit:
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
         few = _Sample.of(self, settings.PRECONDITIONER_PIXELS)
-        matrix, _ = few.system(self, few.objective.problem.schur_complement)
-        matrix *= few.times
-        end = self.lights.mean.size
-        matrix[:end, :end] += self.lights.matrix()
-        if self.offsets is not None:
-            own = self._offset_precision.ravel()
-            np.einsum("ii->i", matrix)[end:] += own + np.finfo(float).tiny
-        matrix /= self.objective.pixels
-        diagonal = np.abs(np.einsum("ii->i", matrix)) + np.finfo(float).tiny
-        try:
-            self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
-        except np.linalg.LinAlgError:
-            # Rounding decides where next to nothing is known of the lights.
-            self.shared.inverse = partial(np.multiply, 1 / diagonal)
+        others = np.empty(0) if self.offsets is None else self._offset_precision.ravel()
+        part, options = few.at(self)
+        self.shared.inverse = Preconditioner.of(
+            few.objective, part, few.times, self.lights, others, options
+        )
         self.shared.stale = False
 
     def _solved(self, v: Array) -> Array:
@@ -205,7 +198,29 @@ class JointFit:
         gradient, product = system
         if self.shared.stale:
             self.renew_preconditioner()
-        residual, moves = -gradient, np.zeros_like(gradient)
+        self._learn(gradient)
+        right, along_secants = -gradient, []
+        for secant in reversed(self._secants):
+            share = float(secant.move @ right) / secant.curvature
+            right = right - share * secant.change
+            along_secants.append(share)
+        moves, predicted = self._conjugate_gradients(right, product, enough)
+        for secant, share in zip(self._secants, reversed(along_secants), strict=True):
+            moves += (share - float(secant.change @ moves) / secant.curvature) * secant.move
+        return moves, -float(gradient @ moves)
+
+    def _learn(self, gradient: Array) -> None:
+        """The secant of the last step, whose end has this gradient."""
+        if self._last is not None and self._few.is_part:
+            moved, before = self._last
+            change = gradient - before
+            curvature = float(moved @ change)
+            if curvature > 0:
+                self._secants.append(_Secant(moved, change, curvature))
+        self._gradient, self._last = gradient, None
+
+    def _conjugate_gradients(self, right: Array, product, enough: float) -> tuple[Array, float]:
+        residual, moves = right.copy(), np.zeros_like(right)
         direction = preconditioned = self._solved(residual)
         first = size_now = float(residual @ preconditioned)
         if not first >= enough:
@@ -265,6 +280,7 @@ class JointFit:
             lower = self.total(trial, left, offsets)
             if lower < total:
                 self.x[:], self.sum_sq[:], self.offsets = trial, left, offsets
+                self._last = moved, self._gradient
                 return lower
         return None
 
@@ -279,6 +295,16 @@ class JointFit:
             own = taken(objective, self.x, chunk)
             rows = None if prior is None else prior.rows(chunk)
             try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Secant:
+    """A step δ that was taken, and by how much the gradient changed along it."""
+
+    move: Array
+    change: Array
+    curvature: float
+    """Their product."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,12 +341,18 @@ class _Sample:
 
     def system(self, fit: JointFit, make: Callable[..., Any]) -> Any:
         """What a method of the core makes of these pixels where the fit is."""
+        part, options = self.at(fit)
+        everything = np.arange(len(self.pixels), dtype=np.uint64)
+        return make(self.objective.for_core(part), everything, **options)
+
+    def at(self, fit: JointFit) -> tuple[Array, dict[str, Any]]:
+        """Their x, and the options for the core."""
         part = fit.objective.part_of(fit.x, self.pixels) if self.is_part else fit.x
         everything = np.arange(len(self.pixels), dtype=np.uint64)
         options = fit.options(self.objective, part, everything, self.pixels)
         if self.shares is not None and "precision" in options:
             options["precision"] = options["precision"] * self.shares[:, None]
-        return make(self.objective.for_core(part), everything, **options)
+        return part, options
 
 
 def minimize(fit: JointFit, steps: int, gain: float, visit: Visit | None = None) -> int:

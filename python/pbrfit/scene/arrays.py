@@ -227,11 +227,22 @@ class SceneArrays:
         """
         return None if self.segments is None else consecutive_labels(self.segments[self.valid])
 
-    def samples(self, picture: int) -> NDArray[np.floating[Any]]:
-        """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight."""
-        samples: NDArray[np.floating[Any]] = self.images[picture][self.valid]
+    def samples(
+        self, picture: int, places: NDArray[np.intp] | None = None
+    ) -> NDArray[np.floating[Any]]:
+        """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight.
+
+        Or at some places of the picture, row by row, which are read alone.
+        """
+
+        def at(values: NDArray[Any]) -> NDArray[Any]:
+            if places is None:
+                return np.asarray(values[self.valid])
+            return np.asarray(values[np.divmod(places, self.width)])
+
+        samples = at(self.images[picture])
         if self.weights is not None:
-            samples[self.weights[picture][self.valid] == 0] = 0
+            samples[at(self.weights[picture]) == 0] = 0
         return samples
 
     @property
