@@ -546,11 +546,10 @@ class Objective:
 
     def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Rows (P, 3) of (H, W, 3), no copy if all are valid: memory peaks here."""
-        valid = self._scene.valid
         if self._places is not None:
             rows = vectors[np.divmod(self._places, self._scene.width)]
         else:
-            rows = vectors.reshape(-1, 3) if valid.all() else vectors[valid]
+            rows = vectors.reshape(-1, 3) if self._scene.all_valid else vectors[self._scene.valid]
         return rows.astype(np.float64, copy=False)
 
     @property

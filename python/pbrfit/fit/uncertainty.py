@@ -33,7 +33,7 @@ from pbrfit.fit.settings import (
 )
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.threads import one_blas_thread
+from pbrfit.threads import in_pieces, one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,8 @@ def variances(objective: Objective, x: Array, lights: LightModes | None) -> Vari
     singular = np.empty(held.shape, dtype=bool)
     sum_sq_residuals = np.empty(layout.pixels)
     bytes_each = max(8 * 4 * held.shape[1] ** 2, PIECES_MIN * WORKING_SET // layout.pixels)
-    for chunk in chunks(layout.pixels, bytes_each):
+
+    def fill(chunk: slice) -> None:
         pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
         matrices, _, sum_sq_residuals[chunk] = problem.normal_equations(for_core, pixels)
         found = inverse(matrices, held[chunk])
@@ -118,6 +119,8 @@ def variances(objective: Objective, x: Array, lights: LightModes | None) -> Vari
             if len(lights.free):
                 moves = problem.moves_with_lights(*args, lights.free)
                 singular[chunk] |= moves > FREE_MOVE_MAX**2
+
+    in_pieces(objective.threads, fill, chunks(layout.pixels, bytes_each))
     return Variances(conditional, marginal, singular, held, sum_sq_residuals)
 
 
