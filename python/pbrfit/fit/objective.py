@@ -391,6 +391,18 @@ class Objective:
         maps[:, pixels] = of_pixels.reshape(len(maps), -1)
         x[self.layout.maps.stop :] = lights
 
+    def light_basis(self, x: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Q, (light channels, N, K): an orthonormal basis of the lights of x over the pictures.
+
+        All that materials do to a channel's pictures is in its span. None where there are no more
+        than K pictures.
+        """
+        layout = self.layout
+        if layout.pictures <= layout.coefficients:
+            return None
+        shape = layout.pictures, layout.coefficients, layout.light_channels
+        return np.linalg.qr(x[layout.lighting].reshape(shape).transpose(2, 0, 1))[0]
+
     def combined(
         self, x: NDArray[np.float64], basis: NDArray[np.float64]
     ) -> tuple[_core.Problem, NDArray[np.float64]]:

@@ -57,7 +57,7 @@ class Preconditioner:
         `others` is added to the diagonal of what is no light, and `options` are for the core. The
         prior is for all `lights.pixels`, which the system is divided by.
         """
-        problem, basis = objective.problem, light_basis(objective, x)
+        problem, basis = objective.problem, objective.light_basis(x)
         for_core = objective.for_core(x)
         if basis is not None:
             problem, for_core = objective.combined(x, basis)
@@ -92,15 +92,6 @@ class Preconditioner:
         inside = solved[:count].reshape(channels, rank, -1)
         found = found + self.basis @ (inside - self.basis.transpose(0, 2, 1) @ found)
         return np.concatenate([found.ravel(), solved[count:]])
-
-
-def light_basis(objective: Objective, x: Array) -> Array | None:
-    """(light channels, N, K): Q of the lights of x; None where there are no more than K pictures."""
-    layout = objective.layout
-    if layout.pictures <= layout.coefficients:
-        return None
-    shape = layout.pictures, layout.coefficients, layout.light_channels
-    return np.linalg.qr(x[layout.lighting].reshape(shape).transpose(2, 0, 1))[0]
 
 
 def _with_known_materials(objective: Objective, x: Array) -> Array:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.light_spectrum import spectrum
+from pbrfit.fit.light_spectrum import of_objective
 from pbrfit.fit.normal_equations import (
     WORKING_SET,
     chunks,
@@ -208,7 +208,7 @@ def light_modes(
     layout, for_core = objective.layout, objective.for_core(x)
     pixels = evenly_spaced(layout.pixels, light_pixels)
     own_held = held[pixels]
-    known = spectrum(objective.problem, for_core, layout, pixels, own_held)
+    known = of_objective(objective, x, pixels, own_held)
     left, vectors = known.left, known.vectors
     light_channels, k = layout.light_channels, layout.coefficients
     blocks = layout.pictures * light_channels
