@@ -39,14 +39,15 @@ from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
 from pbrfit.scene import exposure
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import in_pieces
 
 __all__ = ["Progress", "decompose"]
 
 log = logging.getLogger("pbrfit")
 
 RENDERED_SAMPLES = 1 << 21
-"""Pixels times pictures that are rendered at once for the final errors; changes no digit that they
-are printed with."""
+"""Pixels times pictures that are rendered at once for the final errors: little beside the pictures
+of a large scene, much beside what a call costs."""
 
 Start = Materials | tuple[Materials, NDArray[Any]] | Result | None
 
@@ -209,26 +210,30 @@ def _recon_rmse(scene: Scene, fit: FitOutput, model: Model, threads: int) -> flo
     at a time.
     """
     count = max(1, RENDERED_SAMPLES // (len(scene.images) * scene.width))
-    sums, totals = [], []
-    for rows in slices(scene.height, count):
+
+    def of_rows(rows: slice) -> list[tuple[float, float]]:
+        """Error and weight of each picture there."""
         if not scene.valid[rows].any():
-            continue
+            return []
         rendered = render_rows(
             fit.materials, fit.normals, fit.lighting, scene.fov, rows, threads, model
         )
+        found = []
         for i, image in enumerate(rendered):
             weights = None if scene.weights is None else scene.weights[i, rows, :, None]
             total = float(np.count_nonzero(scene.valid[rows]))
             if weights is not None:
                 total = float(weights.sum(dtype=np.float64))
-            if not total > 0:
-                continue
-            error = metrics.rmse(image, scene.images[i, rows], weights)
-            if fit.exposures is not None:
-                error /= float(fit.exposures[i])
-            sums.append(error * math.sqrt(total))
-            totals.append(total)
-    return math.hypot(*sums) / math.sqrt(math.fsum(totals))
+            if total > 0:
+                error = metrics.rmse(image, scene.images[i, rows], weights)
+                found.append((error if fit.exposures is None else error / fit.exposures[i], total))
+        return found
+
+    errors, totals = np.concatenate(
+        [of for of in in_pieces(threads, of_rows, slices(scene.height, count)) if of]
+    ).T
+    shares = np.sqrt(totals / math.fsum(totals))
+    return math.hypot(*(shares * errors))
 
 
 def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[str, float]:

@@ -8,9 +8,12 @@ those by the lights, and both with the priors' rows, pixels are solved for first
 
 with the prior on lights Q. S δ = −s is solved by conjugate gradients: products with S cost a pass
 over the pictures, S itself the square of the lights' number for each pixel. What makes them few is
-a preconditioner, the S of some pixels, which is kept while it serves; and of many pixels products
-are those of some, scaled up, with the s of all. After each step every pixel descends by itself
-under its new lights, and those that are worse off start again.
+a preconditioner (`pbrfit.fit.preconditioner`), which is kept while it serves; and of many pixels
+products are those of some, scaled up, with the s of all. What these products leave out, other
+pixels and how residuals bend, shows in how s changed along the steps before: as secants (δ_j, y_j)
+they correct S⁻¹ as in L-BFGS (J. Nocedal, Math. Comp. 35, 1980). Steps of few pixels, which have all
+products and begin far away, do without. After each step every pixel descends by itself under its
+new lights, and those that are worse off start again.
 
 Offsets that clusters of pixels share in a prior are shared unknowns like the lights: without them
 each step would have to be won against the priors of many pixels.
@@ -97,7 +100,8 @@ class JointFit:
             self.offsets = self.prior.offsets(self.x)
         self._few = _Sample.of(self, settings.PRODUCT_PIXELS)
         self._secants: list[_Secant] = []
-        self._last: tuple[Array, Array] | None = None
+        self._gradient = np.empty(0)
+        self._last_step: tuple[Array, Array] | None = None
 
     def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
         """The prior of each pixel by itself, with these offsets of the clusters."""
@@ -198,34 +202,36 @@ class JointFit:
         gradient, product = system
         if self.shared.stale:
             self.renew_preconditioner()
-        self._learn(gradient)
-        right, along_secants = -gradient, []
+        self._learn_secant(gradient)
+        right, shares = -gradient, []
         for secant in reversed(self._secants):
-            share = float(secant.move @ right) / secant.curvature
-            right = right - share * secant.change
-            along_secants.append(share)
-        moves, predicted = self._conjugate_gradients(right, product, enough)
-        for secant, share in zip(self._secants, reversed(along_secants), strict=True):
+            shares.append(float(secant.move @ right) / secant.curvature)
+            right = right - shares[-1] * secant.change
+        moves = self._conjugate_gradients(right, product, enough)
+        for secant, share in zip(self._secants, reversed(shares), strict=True):
             moves += (share - float(secant.change @ moves) / secant.curvature) * secant.move
         return moves, -float(gradient @ moves)
 
-    def _learn(self, gradient: Array) -> None:
-        """The secant of the last step, whose end has this gradient."""
-        if self._last is not None and self._few.is_part:
-            moved, before = self._last
+    def _learn_secant(self, gradient: Array) -> None:
+        """That of the last step, if there was one, where the gradient is this now."""
+        if self._last_step is not None and self._few.is_part:
+            moved, before = self._last_step
             change = gradient - before
             curvature = float(moved @ change)
-            if curvature > 0:
+            if curvature > 0:  # else S⁻¹ would not stay positive definite
                 self._secants.append(_Secant(moved, change, curvature))
-        self._gradient, self._last = gradient, None
+        self._gradient, self._last_step = gradient, None
 
-    def _conjugate_gradients(self, right: Array, product, enough: float) -> tuple[Array, float]:
+    def _conjugate_gradients(
+        self, right: Array, product: Callable[[Array], Array], enough: float
+    ) -> Array:
+        """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
         residual, moves = right.copy(), np.zeros_like(right)
         direction = preconditioned = self._solved(residual)
         first = size_now = float(residual @ preconditioned)
         if not first >= enough:
-            return moves, first
-        predicted, number = 0.0, 0
+            return moves
+        number = 0
         while number < settings.CG_ITERATIONS_MAX and not self.stop():
             number += 1
             along = product(direction)
@@ -235,14 +241,13 @@ class JointFit:
             length = size_now / curvature
             moves += length * direction
             residual -= length * along
-            predicted += length * size_now
             preconditioned = self._solved(residual)
             size_before, size_now = size_now, float(residual @ preconditioned)
             if size_now <= max(settings.CG_ERROR_RATIO**2 * first, settings.CG_GAIN_SHARE * enough):
                 break
             direction = preconditioned + size_now / size_before * direction
         self.shared.stale = number >= settings.CG_RENEW
-        return moves, predicted
+        return moves
 
     def step(self, moves: Array, total: float) -> float | None:
         """The sum after the longest step of a few that lowers it, which is taken; None if none."""
@@ -280,7 +285,7 @@ class JointFit:
             lower = self.total(trial, left, offsets)
             if lower < total:
                 self.x[:], self.sum_sq[:], self.offsets = trial, left, offsets
-                self._last = moved, self._gradient
+                self._last_step = moved, self._gradient
                 return lower
         return None
 

@@ -637,7 +637,7 @@ def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.floa
     total = count = 0.0
     given = scene.weights if scene.weighted else None
     for i in range(len(scene.images)):
-        samples = scene.samples(i).mean(axis=-1, dtype=np.float64)
+        samples = scene.brightness(i)
         weights = None
         if given is not None:
             weights = given[i][scene.valid] / np.float32(largest_weight)

@@ -294,9 +294,10 @@ def _materials(values: NDArray[np.floating[Any]], layout: ParameterLayout) -> Ma
 def _flags(values: NDArray[np.bool_], layout: ParameterLayout) -> NDArray[np.bool_]:
     """(H, W, 3) of (P, D), False outside the mask."""
     c = layout.channels
+    albedo = values[:, 0].copy()
+    for channel in range(1, c):
+        albedo |= values[:, channel]
     flags = np.zeros((*layout.valid.shape, 3), dtype=bool)
-    of_pixels = np.zeros((layout.pixels, 3), dtype=bool)
-    of_pixels[:, 0] = values[:, :c].any(axis=1)
-    of_pixels[:, 1 : 1 + values.shape[1] - c] = values[:, c:]
-    flags[layout.valid] = of_pixels
+    for i, of_map in enumerate((albedo, *values[:, c:].T)):
+        flags[layout.valid, i] = of_map
     return flags

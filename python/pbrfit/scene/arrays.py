@@ -253,6 +253,14 @@ class SceneArrays:
             samples[at(self.weights[picture]) == 0] = 0
         return samples
 
+    def brightness(self, picture: int) -> NDArray[np.float64]:
+        """(P,): the mean over the channels of `samples`."""
+        red, green, blue = self.samples(picture).T
+        mean = np.add(red, green, dtype=np.float64)
+        mean += blue
+        mean /= 3
+        return mean
+
     @property
     def views(self) -> NDArray[np.float64]:
         """(H, W, 3) unit vectors from the surface to the camera."""
