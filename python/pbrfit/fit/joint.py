@@ -11,8 +11,8 @@ over the pictures, S itself the square of the lights' number for each pixel. Wha
 a preconditioner (`pbrfit.fit.preconditioner`), which is kept while it serves; and of many pixels
 products are those of some, scaled up, with the s of all. What these products leave out, other
 pixels and how residuals bend, shows in how s changed along the steps before: as secants (δ_j, y_j)
-they correct S⁻¹ as in L-BFGS (J. Nocedal, Math. Comp. 35, 1980). Steps of few pixels, which have all
-products and begin far away, do without. After each step every pixel descends by itself under its
+they correct S⁻¹ as in L-BFGS (J. Nocedal, Math. Comp. 35, 1980). Steps of few pixels have all
+products, begin far away, and do without. After each step every pixel descends by itself under its
 new lights, and those that are worse off start again.
 
 Offsets that clusters of pixels share in a prior are shared unknowns like the lights: without them

@@ -118,9 +118,8 @@ class LightPrior:
             pictures = diagonal.shape[1]
             basis = np.broadcast_to(np.eye(pictures), (self.channels, pictures, pictures))
         channels, _, rank = basis.shape
-        found = np.zeros(2 * (channels, rank, self.coefficients))
         along = np.einsum("cnj,cnk->cjk", basis, rank_one)
-        found -= self.weight * np.multiply.outer(along, along)
+        found = np.multiply.outer(-self.weight * along, along)
         np.einsum("cikcjk->cijk", found)[:] += self.weight * np.einsum(
             "cni,cnk,cnj->cijk", basis, diagonal, basis, optimize=True
         )

@@ -262,6 +262,9 @@ steps, changed errors by less than 4 % in the geometric mean."""
 PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
 
+PIXELS_AT_ONCE = 4096
+"""Pixels whose likelihoods are held at a time by each processor; changes no result."""
+
 EM_ITERATIONS = 100
 """Iterations of EM for a distribution."""
 

@@ -50,9 +50,6 @@ ROUGHNESS_NODES = np.linspace(*settings.PRIOR_ROUGHNESS_NODES)
 METALLIC_NODES = np.linspace(*settings.PRIOR_METALLIC_NODES)
 NODE_DISTANCE = float(ROUGHNESS_NODES[1] - ROUGHNESS_NODES[0])
 
-PIXELS_AT_ONCE = 8192
-"""Pixels whose likelihoods are held at a time; changes no result."""
-
 
 @dataclass(frozen=True, eq=False)
 class FittedPrior:
@@ -196,8 +193,13 @@ class _Grid:
 
     def likelihood(self, pixels: Pixels) -> NDArray[np.float32]:
         """A, (Q, nodes); 1 at the best node of each pixel."""
-        pieces = [pixels[chunk] for chunk in slices(len(pixels), PIXELS_AT_ONCE)]
-        return np.concatenate(in_pieces(self.objective.threads, self.of_piece, pieces))
+        found = np.empty((len(pixels), len(self.roughness)), np.float32)
+
+        def fill(piece: slice) -> None:
+            found[piece] = self.of_piece(pixels[piece])
+
+        in_pieces(self.objective.threads, fill, slices(len(pixels), settings.PIXELS_AT_ONCE))
+        return found
 
     def _sum_sq(self, pixels: Pixels) -> NDArray[np.float32]:
         """Least Σ ω (I − T)² of each node, (Q, nodes)."""
@@ -302,7 +304,9 @@ class _Distributions:
                 return None
             return self.posterior(grid.of_piece(everything[chunk]), labels[chunk])
 
-        parts = in_pieces(grid.objective.threads, of_piece, slices(len(labels), PIXELS_AT_ONCE))
+        parts = in_pieces(
+            grid.objective.threads, of_piece, slices(len(labels), settings.PIXELS_AT_ONCE)
+        )
         found = [part for part in parts if part is not None]
         if len(found) < len(parts):
             return None
@@ -312,7 +316,8 @@ class _Distributions:
         """Of pixels with these likelihoods, (Q, nodes), and labels."""
         known = labels < len(self.row)
         rows = np.where(known, self.row[np.where(known, labels, 0)], 0)
-        posterior = likelihood * self.probabilities[rows]
+        posterior = self.probabilities[rows]
+        posterior *= likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
         mean = posterior @ self.nodes
         variance = np.maximum(posterior @ self.nodes**2 - mean**2, 0)
