@@ -11,9 +11,10 @@ over the pictures, S itself the square of the lights' number for each pixel. Wha
 a preconditioner (`pbrfit.fit.preconditioner`), which is kept while it serves; and of many pixels
 products are those of some, scaled up, with the s of all. What these products leave out, other
 pixels and how residuals bend, shows in how s changed along the steps before: as secants (δ_j, y_j)
-they correct S⁻¹ as in L-BFGS (J. Nocedal, Math. Comp. 35, 1980). Steps of few pixels have all
-products, begin far away, and do without. After each step every pixel descends by itself under its
-new lights, and those that are worse off start again.
+they correct S⁻¹ as in L-BFGS (J. Nocedal, Math. Comp. 35, 1980). A step that gains far less than
+its quadratic model says is of another place, and ends them. Steps of few pixels have all products,
+and do without. After each step every pixel descends by itself under its new lights, and those that
+are worse off start again.
 
 Offsets that clusters of pixels share in a prior are shared unknowns like the lights: without them
 each step would have to be won against the priors of many pixels.
@@ -100,7 +101,7 @@ class JointFit:
             self.offsets = self.prior.offsets(self.x)
         self._few = _Sample.of(self, settings.PRODUCT_PIXELS)
         self._secants: list[_Secant] = []
-        self._gradient = np.empty(0)
+        self._gradient, self._predicted = np.empty(0), 0.0
         self._last_step: tuple[Array, Array] | None = None
 
     def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
@@ -210,7 +211,8 @@ class JointFit:
         moves = self._conjugate_gradients(right, product, enough)
         for secant, share in zip(self._secants, reversed(shares), strict=True):
             moves += (share - float(secant.change @ moves) / secant.curvature) * secant.move
-        return moves, -float(gradient @ moves)
+        self._predicted = -float(gradient @ moves)
+        return moves, self._predicted
 
     def _learn_secant(self, gradient: Array) -> None:
         """That of the last step, if there was one, where the gradient is this now."""
@@ -285,8 +287,12 @@ class JointFit:
             lower = self.total(trial, left, offsets)
             if lower < total:
                 self.x[:], self.sum_sq[:], self.offsets = trial, left, offsets
-                self._last_step = moved, self._gradient
+                if total - lower >= settings.SECANT_GAIN_MIN * self._predicted:
+                    self._last_step = moved, self._gradient
+                else:
+                    self._secants.clear()
                 return lower
+        self._secants.clear()
         return None
 
     def _restart_worse(self, trial: Array, left: Array, prior: GaussianPrior | None) -> None:

@@ -119,7 +119,7 @@ class LightPrior:
             basis = np.broadcast_to(np.eye(pictures), (self.channels, pictures, pictures))
         channels, _, rank = basis.shape
         along = np.einsum("cnj,cnk->cjk", basis, rank_one)
-        found = np.multiply.outer(-self.weight * along, along)
+        found: Array = np.multiply.outer(-self.weight * along, along)
         np.einsum("cikcjk->cijk", found)[:] += self.weight * np.einsum(
             "cni,cnk,cnj->cijk", basis, diagonal, basis, optimize=True
         )

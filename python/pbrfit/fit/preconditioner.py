@@ -74,7 +74,7 @@ class Preconditioner:
         blocks = times * _with_known_materials(objective, x) + lights.of_pictures()
         ridge = settings.PRECONDITIONER_DAMPING * np.einsum("nii->n", blocks) + np.finfo(float).tiny
         np.einsum("nii->ni", blocks)[:] += ridge[:, None]
-        return cls(in_span, basis, np.linalg.inv(blocks / lights.pixels))
+        return cls(in_span, basis, np.asarray(np.linalg.inv(blocks / lights.pixels), np.float64))
 
     def __call__(self, v: Array) -> Array:
         """S⁻¹ v."""

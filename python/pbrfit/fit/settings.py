@@ -188,6 +188,11 @@ PRECONDITIONER_PIXELS = 1024
 PRECONDITIONER_DAMPING = 1e-6
 """Share of the preconditioner's diagonal that is added to it."""
 
+SECANT_GAIN_MIN = 0.5
+"""Share of what a joint step of all pixels promised that it has to gain for its secant to be kept.
+Near the end steps gain 0.8 and more; less tells that the sum is not quadratic so far, where secants
+mislead, and those before are forgotten too."""
+
 CG_ITERATIONS_MAX = 20
 """Products with the lights' system in a joint step."""
 

@@ -242,7 +242,8 @@ def render_rows(
 ) -> NDArray[np.float64]:
     """Some rows of what `render` gives for lights (N, 16, 3): (N, rows, W, 3)."""
     part = Materials(materials.albedo[rows], materials.roughness[rows], materials.metallic[rows])
-    views = view_directions(*materials.roughness.shape, fov, rows)
+    height, width = materials.roughness.shape
+    views = view_directions(height, width, fov, rows)
     view = _View.of_maps(part, normals[rows], fov, views)
     return view.pictures(_core.render(*view.pixels, lighting, threads, model))
 

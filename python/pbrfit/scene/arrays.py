@@ -256,7 +256,7 @@ class SceneArrays:
     def brightness(self, picture: int) -> NDArray[np.float64]:
         """(P,): the mean over the channels of `samples`."""
         red, green, blue = self.samples(picture).T
-        mean = np.add(red, green, dtype=np.float64)
+        mean: NDArray[np.float64] = np.add(red, green, dtype=np.float64)
         mean += blue
         mean /= 3
         return mean

@@ -11,8 +11,7 @@ import pytest
 
 import pbrfit
 from pbrfit import Priors, Result, Scene, Status, _core
-from pbrfit.fit import pixels
-from pbrfit.fit.priors import mixture as material
+from pbrfit.fit import pixels, settings
 from pbrfit.fit.run import Run
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
