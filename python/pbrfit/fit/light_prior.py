@@ -118,8 +118,8 @@ class LightPrior:
             pictures = diagonal.shape[1]
             basis = np.broadcast_to(np.eye(pictures), (self.channels, pictures, pictures))
         channels, _, rank = basis.shape
-        along = np.einsum("cnj,cnk->cjk", basis, rank_one)
-        found: Array = np.multiply.outer(-self.weight * along, along)
+        along = np.sqrt(self.weight) * np.einsum("cnj,cnk->cjk", basis, rank_one)
+        found: Array = np.multiply.outer(-along, along)
         np.einsum("cikcjk->cijk", found)[:] += self.weight * np.einsum(
             "cni,cnk,cnj->cijk", basis, diagonal, basis, optimize=True
         )
