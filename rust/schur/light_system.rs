@@ -14,10 +14,8 @@ use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::memory::zeros;
 use crate::runtime::{Error, Result, check, pool};
 
-/// Pieces of work that are wanted, so that threads are busy to the end.
-const PIECES: usize = 64;
-/// Blocks in a piece of work: at least, because a piece has sums of its own, and at most.
-const CHUNKS: (usize, usize) = (2, 8);
+/// Blocks in a piece of work of a product.
+pub(super) const CHUNK: usize = 8;
 
 /// How the lights lie that are unknown.
 #[derive(Clone, Copy, Debug)]
@@ -195,11 +193,6 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         self.pixels.len().div_ceil(BLOCK)
     }
 
-    /// Blocks in a piece of work.
-    fn chunk(&self) -> usize {
-        self.blocks().div_ceil(PIECES).clamp(CHUNKS.0, CHUNKS.1)
-    }
-
     pub(super) fn product(&self, v: &[f64]) -> Result<SchurProduct> {
         let (light_step, offset_step) = self.unknown.padded(v)?;
         let parts = self.pieces(|(), eliminated, [gradient, product]| {
@@ -235,13 +228,12 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         &self,
         add: impl Fn(&mut T, &mut EliminatedBlock<'a, M, C, D, U>, &mut [SharedSums; S]) + Send + Sync,
     ) -> Vec<(T, [Vec<f64>; S])> {
-        let chunk = self.chunk();
-        let pieces = (0..self.blocks()).step_by(chunk).collect();
+        let pieces = (0..self.blocks()).step_by(CHUNK).collect();
         pool::map(self.problem.threads(), pieces, |first: usize| {
             let mut eliminated = EliminatedBlock::new(self.problem);
             let mut sums: [SharedSums; S] = std::array::from_fn(|_| self.unknown.sums());
             let mut own = T::default();
-            for block in first..self.blocks().min(first + chunk) {
+            for block in first..self.blocks().min(first + CHUNK) {
                 self.eliminate(block, &mut eliminated);
                 add(&mut own, &mut eliminated, &mut sums);
             }
@@ -251,10 +243,10 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 
     pub(super) fn back_substitute(&self, v: &[f64]) -> Result<Vec<f64>> {
         let (light_step, offset_step) = self.unknown.padded(v)?;
-        let (unknowns, chunk) = (self.problem.unknowns_of_pixel(), self.chunk());
+        let unknowns = self.problem.unknowns_of_pixel();
         let mut materials = zeros("normal equations", self.pixels.len() * unknowns)?;
         let pieces = materials
-            .chunks_mut(chunk * BLOCK * unknowns)
+            .chunks_mut(CHUNK * BLOCK * unknowns)
             .enumerate()
             .collect();
         pool::map(
@@ -263,7 +255,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             |(piece, out): (usize, &mut [f64])| {
                 let mut eliminated = EliminatedBlock::new(self.problem);
                 for (i, out) in out.chunks_mut(BLOCK * unknowns).enumerate() {
-                    self.eliminate(piece * chunk + i, &mut eliminated);
+                    self.eliminate(piece * CHUNK + i, &mut eliminated);
                     eliminated.back_substitute(&light_step, offset_step, out);
                 }
             },
