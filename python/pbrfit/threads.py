@@ -1,9 +1,42 @@
-"""One BLAS thread, for results that do not depend on how many processors there are."""
+"""Work on all processors, with results that do not depend on how many there are."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
+
+AT_ONCE_MAX = 4
+"""Pieces of work at once, at most: each has arrays of its own, and a copy of x."""
+
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def processors() -> int:
+    """That this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def in_pieces(threads: int, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
+    """What `work` makes of each piece, in their order; 0 threads = one for each processor.
+
+    For work that numpy and the core do with the interpreter unlocked. An exception, or Ctrl-C, ends
+    it after the pieces that have begun.
+    """
+    threads = min(threads or processors(), AT_ONCE_MAX, len(pieces))
+    if threads < 2:
+        return [work(piece) for piece in pieces]
+    executor = ThreadPoolExecutor(threads)
+    try:
+        return list(executor.map(work, pieces))
+    finally:
+        executor.shutdown(cancel_futures=True)
 
 
 @contextmanager

@@ -13,6 +13,8 @@ from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any, ParamSpec, Protocol, TypeVar
 
+from pbrfit.threads import processors
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -116,11 +118,7 @@ class Processes:
 
 def share(jobs: int) -> int:
     """Threads of a task where so many run on this machine."""
-    if hasattr(os, "sched_getaffinity"):
-        processors = len(os.sched_getaffinity(0))
-    else:
-        processors = os.cpu_count() or 1
-    return max(1, processors // max(1, jobs))
+    return max(1, processors() // max(1, jobs))
 
 
 class _Spawning(ProcessPoolExecutor):

@@ -6,7 +6,6 @@ import importlib
 import inspect
 import logging
 import math
-import operator
 import time
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -19,12 +18,20 @@ from pbrfit._core import InputError
 from pbrfit.fit import memory
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
+from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, fit_whole
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import DEFAULT_MODEL, Model, chosen_model, render, whole_number
+from pbrfit.model.reflection import (
+    DEFAULT_MODEL,
+    Model,
+    chosen_model,
+    render,
+    render_rows,
+    whole_number,
+)
 from pbrfit.result import metrics
 from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
@@ -32,10 +39,15 @@ from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
 from pbrfit.scene import exposure
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import in_pieces
 
 __all__ = ["Progress", "decompose"]
 
 log = logging.getLogger("pbrfit")
+
+RENDERED_SAMPLES = 1 << 21
+"""Pixels times pictures that are rendered at once for the final errors: little beside the pictures
+of a large scene, much beside what a call costs."""
 
 Start = Materials | tuple[Materials, NDArray[Any]] | Result | None
 
@@ -191,22 +203,43 @@ def _to_start_from(start: Start, model: Model) -> Materials | tuple[Materials, N
     return start.materials, start.lighting
 
 
+def _recon_rmse(scene: Scene, fit: FitOutput, model: Model, threads: int) -> float:
+    """Of all samples by their weights; each picture's divided by its exposure.
+
+    All pictures have the same work for their materials, so they are rendered together, a few rows
+    at a time.
+    """
+    count = max(1, RENDERED_SAMPLES // (len(scene.images) * scene.width))
+
+    def of_rows(rows: slice) -> list[tuple[float, float]]:
+        """Error and weight of each picture there."""
+        if not scene.valid[rows].any():
+            return []
+        rendered = render_rows(
+            fit.materials, fit.normals, fit.lighting, scene.fov, rows, threads, model
+        )
+        found = []
+        for i, image in enumerate(rendered):
+            weights = None if scene.weights is None else scene.weights[i, rows, :, None]
+            total = float(np.count_nonzero(scene.valid[rows]))
+            if weights is not None:
+                total = float(weights.sum(dtype=np.float64))
+            if total > 0:
+                error = metrics.rmse(image, scene.images[i, rows], weights)
+                found.append((error if fit.exposures is None else error / fit.exposures[i], total))
+        return found
+
+    errors, totals = np.concatenate(
+        [of for of in in_pieces(threads, of_rows, slices(scene.height, count)) if of]
+    ).T
+    shares = np.sqrt(totals / math.fsum(totals))
+    return math.hypot(*(shares * errors))
+
+
 def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[str, float]:
     """Final errors, computed in float64."""
-    normals, materials, lighting = fit.normals, fit.materials, fit.lighting
-    weights = (
-        [None] * len(scene.images) if scene.weights is None else list(scene.weights[..., None])
-    )
-    totals = [1.0 if w is None else float(w.sum(dtype=np.float64)) for w in weights]
-    # One picture at a time: all at once would be held in float64.
-    of_pictures = [
-        metrics.rmse(render(materials, normals, light, scene.fov, threads, model=model), image, w)
-        for image, light, w in zip(scene.images, lighting, weights, strict=True)
-    ]
-    if fit.exposures is not None:
-        of_pictures = list(map(operator.truediv, of_pictures, fit.exposures.tolist()))
-    shares = [math.sqrt(total / math.fsum(totals)) for total in totals]
-    found = {"recon_rmse": math.hypot(*map(operator.mul, shares, of_pictures))}
+    normals, materials = fit.normals, fit.materials
+    found = {"recon_rmse": _recon_rmse(scene, fit, model, threads)}
     truth = scene.truth
     if truth is None:
         return found

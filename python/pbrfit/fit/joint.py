@@ -8,9 +8,13 @@ those by the lights, and both with the priors' rows, pixels are solved for first
 
 with the prior on lights Q. S δ = −s is solved by conjugate gradients: products with S cost a pass
 over the pictures, S itself the square of the lights' number for each pixel. What makes them few is
-a preconditioner, the S of some pixels, which is kept while it serves; and of many pixels products
-are those of some, scaled up, with the s of all. After each step every pixel descends by itself
-under its new lights, and those that are worse off start again.
+a preconditioner (`pbrfit.fit.preconditioner`), which is kept while it serves; and of many pixels
+products are those of some, scaled up, with the s of all. What these products leave out, other
+pixels and how residuals bend, shows in how s changed along the steps before: as secants (δ_j, y_j)
+they correct S⁻¹ as in L-BFGS (J. Nocedal, Math. Comp. 35, 1980). A step that gains far less than
+its quadratic model says is of another place, and ends them. Steps of few pixels have all products,
+and do without. After each step every pixel descends by itself under its new lights, and those that
+are worse off start again.
 
 Offsets that clusters of pixels share in a prior are shared unknowns like the lights: without them
 each step would have to be won against the priors of many pixels.
@@ -20,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +32,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior, as_in_core
 from pbrfit.fit.misfit import variance
-from pbrfit.fit.normal_equations import Cholesky, as_in_x
+from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import (
     Pixels,
@@ -40,6 +43,7 @@ from pbrfit.fit.pixels import (
     taken,
     try_from,
 )
+from pbrfit.fit.preconditioner import Preconditioner
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over
 
@@ -55,12 +59,10 @@ class SharedFit:
 
     lights: LightPrior
     """For one pixel."""
-    inverse: Callable[[Array], Array] | None = None
+    inverse: Preconditioner | None = None
     """S⁻¹ v for S of one pixel, the preconditioner; None = not made yet."""
     size: int = 0
     """Of v."""
-    clusters: NDArray[np.intp] | None = None
-    """Of the prior of the last fit."""
     stale: bool = True
     """Whether it is to be made anew."""
 
@@ -81,9 +83,7 @@ class SharedFit:
         stop: Stop = lambda: False,
     ) -> JointFit:
         """Of some pixels with their prior."""
-        clusters = None if prior is None else prior.cluster
-        self.stale |= prior is not None
-        self.clusters = clusters
+        self.stale |= prior is not None  # whose clusters or precisions are others each time
         return JointFit(objective, x, sum_sq, self, prior, stop)
 
 
@@ -109,6 +109,9 @@ class JointFit:
         if self.prior is not None and self.prior.cluster is not None:
             self.offsets = self.prior.offsets(self.x)
         self._few = _Sample.of(self, settings.PRODUCT_PIXELS)
+        self._secants: list[_Secant] = []
+        self._gradient, self._predicted = np.empty(0), 0.0
+        self._last_step: tuple[Array, Array] | None = None
 
     def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
         """The prior of each pixel by itself, with these offsets of the clusters."""
@@ -158,21 +161,13 @@ class JointFit:
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
         few = _Sample.of(self, settings.PRECONDITIONER_PIXELS)
-        matrix, _ = few.system(self, few.objective.problem.schur_complement)
-        matrix *= few.times
-        end = self.lights.mean.size
-        matrix[:end, :end] += self.lights.matrix()
-        if self.offsets is not None:
-            own = self._offset_precision.ravel()
-            np.einsum("ii->i", matrix)[end:] += own + np.finfo(float).tiny
-        matrix /= self.objective.pixels
-        diagonal = np.abs(np.einsum("ii->i", matrix)) + np.finfo(float).tiny
-        try:
-            self.shared.inverse = Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
-        except np.linalg.LinAlgError:
-            # Rounding decides where next to nothing is known of the lights.
-            self.shared.inverse = partial(np.multiply, 1 / diagonal)
-        self.shared.size, self.shared.stale = len(matrix), False
+        others = np.empty(0) if self.offsets is None else self._offset_precision.ravel()
+        part, options = few.at(self)
+        self.shared.inverse = Preconditioner.of(
+            few.objective, part, few.times, self.lights, others, options
+        )
+        self.shared.size = self.lights.mean.size + len(others)
+        self.shared.stale = False
 
     def _solved(self, v: Array) -> Array:
         """S⁻¹ v by the preconditioner."""
@@ -218,12 +213,37 @@ class JointFit:
         gradient, product = system
         if self.shared.stale:
             self.renew_preconditioner()
-        residual, moves = -gradient, np.zeros_like(gradient)
+        self._learn_secant(gradient)
+        right, shares = -gradient, []
+        for secant in reversed(self._secants):
+            shares.append(float(secant.move @ right) / secant.curvature)
+            right = right - shares[-1] * secant.change
+        moves = self._conjugate_gradients(right, product, enough)
+        for secant, share in zip(self._secants, reversed(shares), strict=True):
+            moves += (share - float(secant.change @ moves) / secant.curvature) * secant.move
+        self._predicted = -float(gradient @ moves)
+        return moves, self._predicted
+
+    def _learn_secant(self, gradient: Array) -> None:
+        """That of the last step, if there was one, where the gradient is this now."""
+        if self._last_step is not None and self._few.is_part:
+            moved, before = self._last_step
+            change = gradient - before
+            curvature = float(moved @ change)
+            if curvature > 0:  # else S⁻¹ would not stay positive definite
+                self._secants.append(_Secant(moved, change, curvature))
+        self._gradient, self._last_step = gradient, None
+
+    def _conjugate_gradients(
+        self, right: Array, product: Callable[[Array], Array], enough: float
+    ) -> Array:
+        """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
+        residual, moves = right.copy(), np.zeros_like(right)
         direction = preconditioned = self._solved(residual)
         first = size_now = float(residual @ preconditioned)
         if not first >= enough:
-            return moves, first
-        predicted, number = 0.0, 0
+            return moves
+        number = 0
         while number < settings.CG_ITERATIONS_MAX and not self.stop():
             number += 1
             along = product(direction)
@@ -233,14 +253,13 @@ class JointFit:
             length = size_now / curvature
             moves += length * direction
             residual -= length * along
-            predicted += length * size_now
             preconditioned = self._solved(residual)
             size_before, size_now = size_now, float(residual @ preconditioned)
             if size_now <= max(settings.CG_ERROR_RATIO**2 * first, settings.CG_GAIN_SHARE * enough):
                 break
             direction = preconditioned + size_now / size_before * direction
         self.shared.stale = number >= settings.CG_RENEW
-        return moves, predicted
+        return moves
 
     def step(self, moves: Array, total: float) -> float | None:
         """The sum after the longest step of a few that lowers it, which is taken; None if none."""
@@ -278,7 +297,12 @@ class JointFit:
             lower = self.total(trial, left, offsets)
             if lower < total:
                 self.x[:], self.sum_sq[:], self.offsets = trial, left, offsets
+                if total - lower >= settings.SECANT_GAIN_MIN * self._predicted:
+                    self._last_step = moved, self._gradient
+                else:
+                    self._secants.clear()
                 return lower
+        self._secants.clear()
         return None
 
     def _restart_worse(self, trial: Array, left: Array, prior: GaussianPrior | None) -> None:
@@ -292,6 +316,16 @@ class JointFit:
             own = taken(objective, self.x, chunk)
             rows = None if prior is None else prior.rows(chunk)
             try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Secant:
+    """A step δ that was taken, and by how much the gradient changed along it."""
+
+    move: Array
+    change: Array
+    curvature: float
+    """Their product."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,12 +362,18 @@ class _Sample:
 
     def system(self, fit: JointFit, make: Callable[..., Any]) -> Any:
         """What a method of the core makes of these pixels where the fit is."""
+        part, options = self.at(fit)
+        everything = np.arange(len(self.pixels), dtype=np.uint64)
+        return make(self.objective.for_core(part), everything, **options)
+
+    def at(self, fit: JointFit) -> tuple[Array, dict[str, Any]]:
+        """Their x, and the options for the core."""
         part = fit.objective.part_of(fit.x, self.pixels) if self.is_part else fit.x
         everything = np.arange(len(self.pixels), dtype=np.uint64)
         options = fit.options(self.objective, part, everything, self.pixels)
         if self.shares is not None and "precision" in options:
             options["precision"] = options["precision"] * self.shares[:, None]
-        return make(self.objective.for_core(part), everything, **options)
+        return part, options
 
 
 def minimize(fit: JointFit, steps: int, gain: float, visit: Visit | None = None) -> int:

@@ -54,6 +54,8 @@ class LightPrior:
     """(M,): u with Q = D − u uᵀ."""
     channels: int
     """Of lights."""
+    coefficients: int
+    """K."""
     noise: float = 0.0
     shared: float = 0.0
     grey: float = 0.0
@@ -85,7 +87,9 @@ class LightPrior:
         diagonal = np.broadcast_to((BAND_SIGMA * constant[:, :, None]) ** -2, lights.shape).ravel()
         mean = mean.ravel()
         along = diagonal * mean
-        return cls(mean, diagonal, along / np.sqrt(SCALE_SIGMA**-2 + along @ mean), len(lights))
+        return cls(
+            mean, diagonal, along / np.sqrt(SCALE_SIGMA**-2 + along @ mean), *lights.shape[::2]
+        )
 
     def of_pixels(self, count: int) -> LightPrior:
         """Beside the squared residuals of so many pixels."""
@@ -106,15 +110,36 @@ class LightPrior:
         of_bands = float(change @ (self.diagonal * change)) - float(self.rank_one @ change) ** 2
         return self.weight * of_bands + self.grey * float(off_grey @ off_grey)
 
-    def matrix(self) -> Array:
-        """Of `product`, (M, M)."""
-        found = -self.weight * np.outer(self.rank_one, self.rank_one)
-        np.einsum("ii->i", found)[:] += self.weight * self.diagonal + self.grey
+    def matrix(self, basis: Array | None = None) -> Array:
+        """Of `product`, (M, M); with a basis Q (channels, N, J) that of sums Qᵀ L of the lights."""
+        of_pictures = (self.channels, -1, self.coefficients)
+        diagonal, rank_one = self.diagonal.reshape(of_pictures), self.rank_one.reshape(of_pictures)
+        if basis is None:
+            pictures = diagonal.shape[1]
+            basis = np.broadcast_to(np.eye(pictures), (self.channels, pictures, pictures))
+        channels, _, rank = basis.shape
+        along = np.sqrt(self.weight) * np.einsum("cnj,cnk->cjk", basis, rank_one)
+        found: Array = np.multiply.outer(-along, along)
+        np.einsum("cikcjk->cijk", found)[:] += self.weight * np.einsum(
+            "cni,cnk,cnj->cijk", basis, diagonal, basis, optimize=True
+        )
         if self.grey:
-            size = len(found) // self.channels
-            blocks = found.reshape(self.channels, size, self.channels, size)
-            np.einsum("aibi->abi", blocks)[:] -= self.grey / self.channels
-        return found
+            off_grey = self.grey * (np.eye(channels) - 1 / channels)
+            np.einsum("cikdjk->cidjk", found)[:] += np.einsum(
+                "cd,cni,dnj->cidj", off_grey, basis, basis, optimize=True
+            )[..., None]
+        size = channels * rank * self.coefficients
+        return found.reshape(size, size)
+
+    def of_pictures(self) -> Array:
+        """(N, channels K, channels K): blocks of the matrix, without the common scale."""
+        k = self.coefficients
+        diagonal = self.diagonal.reshape(self.channels, -1, k).transpose(1, 0, 2)
+        found = np.zeros((len(diagonal), self.channels, k, self.channels, k))
+        np.einsum("nckck->nck", found)[:] = self.weight * diagonal
+        off_grey = self.grey * (np.eye(self.channels) - 1 / self.channels)
+        np.einsum("nckdk->ncdk", found)[:] += off_grey[:, :, None]
+        return found.reshape(len(diagonal), self.channels * k, self.channels * k)
 
     def _off_grey(self, v: Array) -> Array:
         of_channels = v.reshape(self.channels, -1)

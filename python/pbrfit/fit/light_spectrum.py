@@ -8,13 +8,14 @@ are much below 1, however many pictures there are: those directions that materia
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.fit.normal_equations import Eliminated, chunks, eliminate
+from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 
 Array = NDArray[np.float64]
@@ -46,6 +47,35 @@ class Spectrum:
     to_units: Array
     from_units: Array
     """(lights, K, K), a light in a channel each: T⁻¹ and T with Tᵀ G T = 1; T is 0 where G is."""
+
+
+def of_objective(
+    objective: Objective, x: Array, pixels: NDArray[np.uint64], held: NDArray[np.bool_]
+) -> Spectrum:
+    """Over some pixels of a fit at x; `held` (P', D) are unknowns that are no unknowns.
+
+    Materials imitate only lights in the span of those of x (`Objective.light_basis`). So many
+    pictures whose samples have the same weight are taken for as many sums as that has dimensions,
+    and beyond it λ is 1.
+    """
+    layout, basis = objective.layout, objective.light_basis(x)
+    if basis is None or layout.weighted:
+        return spectrum(objective.problem, objective.for_core(x), layout, pixels, held)
+    few, part = objective.restricted(pixels), objective.part_of(x, pixels)
+    channels, pictures, rank = basis.shape
+    problem, for_core = few.combined(part, basis)
+    everything = np.arange(len(pixels), dtype=np.uint64)
+    sums = replace(few.layout, pictures=rank)
+    found = spectrum(problem, for_core, sums, everything, held)
+    k, modes = layout.coefficients, len(found.left)
+    # All pictures have the same units, those of the first sum.
+    to_units, from_units = (
+        np.tile(of[:channels], (pictures, 1, 1)) for of in (found.to_units, found.from_units)
+    )
+    lights = (found.from_units @ found.vectors.reshape(-1, k, modes)).reshape(rank, channels, -1)
+    of_pictures = np.einsum("cnj,jcv->ncv", basis, lights, optimize=True)
+    vectors = (to_units @ of_pictures.reshape(-1, k, modes)).reshape(-1, modes)
+    return Spectrum(found.left, vectors, 0.0, to_units, from_units)
 
 
 def spectrum(

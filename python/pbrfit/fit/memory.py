@@ -12,8 +12,17 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.settings import TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
+from pbrfit.fit.settings import (
+    PIXELS_AT_ONCE,
+    PRIOR_FIT_PIXELS,
+    PRIOR_METALLIC_NODES,
+    PRIOR_ROUGHNESS_NODES,
+    PRODUCT_PIXELS,
+    TILES_SUBSET_PIXELS_MAX,
+    WHOLE_PIXELS_MAX,
+)
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import AT_ONCE_MAX
 
 log = logging.getLogger("pbrfit")
 
@@ -23,8 +32,8 @@ Method = Literal["gauss-newton", "lbfgsb"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 SOLVER_BYTES: dict[Method, int] = {"gauss-newton": 16 * 8, "lbfgsb": 480}
-"""Bytes an unknown. Of gauss-newton a first estimate: sixteen float64 vectors. Of lbfgsb measured
-with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and gradient."""
+"""Bytes an unknown. Of gauss-newton sixteen float64 vectors; between 256² and 512² it takes 90. Of
+lbfgsb measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and gradient."""
 
 BLOCK = 128
 """Pixels in a block of the Rust core; pixels are padded to whole blocks."""
@@ -124,13 +133,35 @@ def of_layout(
         # The first fit, the one before the last, and free normals.
         refining = 2 * core + (samples + GIVEN_DIRECTION_BYTES) * blocks
         refining += REFINING_BYTES * pixels
+    solver = SOLVER_BYTES[method] * layout.size
+    if method == "gauss-newton":
+        solver += _of_few_pixels(layout, (samples + DIRECTION_BYTES))
     return FitMemory(
         scene=held,
         core=core,
         making=(samples + VECTOR_BYTES) * pixels,
-        solver=SOLVER_BYTES[method] * layout.size,
+        solver=solver,
         refining=refining,
     )
+
+
+def _of_few_pixels(layout: ParameterLayout, core: int) -> int:
+    """Of joint steps and the mixture prior, for which some pixels stand for all.
+
+    The core of those that products are from takes `core` bytes each, and keeps 4 for each of K
+    weights and 3 derivatives in all pictures (5 where normals are free) a channel. The
+    preconditioner is a matrix of the lights of K pictures at most, beside the one that it is made
+    from. Of the prior there are all likelihoods of the pixels that it is fitted to, and three
+    arrays like them of each piece that is worked on.
+    """
+    derivatives = 5 if layout.free_normals else 3
+    of_channel = layout.coefficients + layout.pictures * derivatives
+    few = min(PRODUCT_PIXELS, layout.pixels)
+    products = (core + 4 * layout.channels * of_channel) * few
+    lights = layout.channels * layout.coefficients * min(layout.pictures, layout.coefficients)
+    likelihoods = min(PRIOR_FIT_PIXELS, layout.pixels) + 3 * AT_ONCE_MAX * PIXELS_AT_ONCE
+    nodes = PRIOR_ROUGHNESS_NODES[2] * PRIOR_METALLIC_NODES[2]
+    return products + 2 * 8 * lights**2 + 4 * nodes * likelihoods
 
 
 def of_tiles(

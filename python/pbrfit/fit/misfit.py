@@ -64,7 +64,8 @@ class Misfit:
 
     def in_words(self) -> str:
         """For a stage's note."""
-        return f"design effect {self.design_effect:.2g}, independent share {self.independent_share:.2f}"
+        independent = f"independent share {self.independent_share:.2f}"
+        return f"design effect {self.design_effect:.2g}, {independent}"
 
     @property
     def of_likelihood(self) -> float:

@@ -197,8 +197,8 @@ class Objective:
         self._factors: NDArray[np.float32] | None = None
 
         self._scene, self.threads = scene, threads
-        # Which of the scene's valid pixels take part.
-        self._chosen: slice | NDArray[np.uint64] = slice(None)
+        # Where the pixels that take part are in a picture, row by row; None = all valid ones.
+        self._places: NDArray[np.intp] | None = None
         self._exact = self._has_more_digits()
         self.problem = self._problem(weights)
         self.penalties = [] if priors is None else penalties(layout, priors)
@@ -372,7 +372,8 @@ class Objective:
             factors = None if factors is None else factors * shares.astype(np.float32)[:, None]
             found.layout = replace(found.layout, weighted=True)
         found.weights, found._factors = weights, factors
-        found._chosen = pixels if isinstance(self._chosen, slice) else self._chosen[pixels]
+        places = np.flatnonzero(self._scene.valid) if self._places is None else self._places
+        found._places = places[pixels]
         found.problem = found._problem(weights if factors is None else factors)
         return found
 
@@ -389,6 +390,37 @@ class Objective:
         of_pixels, lights = np.split(part, [len(maps) * len(pixels)])
         maps[:, pixels] = of_pixels.reshape(len(maps), -1)
         x[self.layout.maps.stop :] = lights
+
+    def light_basis(self, x: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Q, (light channels, N, K): an orthonormal basis of the lights of x over the pictures.
+
+        All that materials do to a channel's pictures is in its span. None where there are no more
+        than K pictures.
+        """
+        layout = self.layout
+        if layout.pictures <= layout.coefficients:
+            return None
+        shape = layout.pictures, layout.coefficients, layout.light_channels
+        return np.linalg.qr(x[layout.lighting].reshape(shape).transpose(2, 0, 1))[0]
+
+    def combined(
+        self, x: NDArray[np.float64], basis: NDArray[np.float64]
+    ) -> tuple[_core.Problem, NDArray[np.float64]]:
+        """Sums of the pictures with shares (light channels, N, J), and x for the core as they are.
+
+        Samples have their mean weights over the pictures.
+        """
+        of_channels = np.broadcast_to(basis, (self.channels, *basis.shape[1:]))
+        images = np.zeros((basis.shape[2], self.pixels, self.channels))
+        for i in range(self.layout.pictures):
+            images += of_channels[:, i].T[:, None] * self._image(i)
+        weights = self.weights if self._factors is None else self._factors
+        if weights is not None:
+            weights = np.repeat(weights.mean(axis=0, keepdims=True), basis.shape[2], axis=0)
+        maps, lights = np.split(self.for_core(x), [self.layout.maps.stop])
+        lights = lights.reshape(self.layout.pictures, self.coefficients, self.channels)
+        lights = np.einsum("cnj,nkc->jkc", of_channels, lights)
+        return self._problem(weights, images), np.concatenate([maps, lights.ravel()])
 
     def residual_rmse(self, loss: float) -> float:
         """Root of a loss without penalties, in picture units.
@@ -468,7 +500,7 @@ class Objective:
 
     def _image(self, i: int) -> NDArray[np.float64]:
         """(P, C): a picture in the unit of x."""
-        samples = self._scene.samples(i)[self._chosen, : self.channels].astype(np.float64)
+        samples = self._scene.samples(i, self._places)[:, : self.channels].astype(np.float64)
         samples /= self._units[i]
         return samples
 
@@ -498,15 +530,18 @@ class Objective:
         with np.errstate(over="ignore"):  # beyond float32: infinite, so not the same
             return any((samples != samples.astype(np.float32)).any() for samples in pictures)
 
-    def _problem(self, weights: NDArray[np.float32] | None) -> _core.Problem:
+    def _problem(
+        self, weights: NDArray[np.float32] | None, sums: NDArray[np.float64] | None = None
+    ) -> _core.Problem:
+        """Of the pictures, or of sums (J, P, C) of them."""
         scene = self._scene
         # Pictures that came in float64 keep their digits. Of pictures in float32 the division
         # leaves something too, but it is no more than what was rounded away before they came, and
         # keeping it would double the memory.
         images = _OneByOne(
-            self.layout.pictures,
-            self._image,
-            np.dtype(np.float64 if self._exact else np.float32),
+            self.layout.pictures if sums is None else len(sums),
+            self._image if sums is None else sums.__getitem__,
+            np.dtype(np.float64 if self._exact or sums is not None else np.float32),
         )
         return _core.Problem(
             images,
@@ -523,9 +558,11 @@ class Objective:
 
     def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Rows (P, 3) of (H, W, 3), no copy if all are valid: memory peaks here."""
-        valid = self._scene.valid
-        rows = vectors.reshape(-1, 3) if valid.all() else vectors[valid]
-        return rows[self._chosen].astype(np.float64, copy=False)
+        if self._places is not None:
+            rows = vectors[np.divmod(self._places, self._scene.width)]
+        else:
+            rows = vectors.reshape(-1, 3) if self._scene.all_valid else vectors[self._scene.valid]
+        return rows.astype(np.float64, copy=False)
 
     @property
     def _by_picture(self) -> NDArray[np.float64]:
@@ -600,7 +637,7 @@ def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.floa
     total = count = 0.0
     given = scene.weights if scene.weighted else None
     for i in range(len(scene.images)):
-        samples = scene.samples(i).mean(axis=-1, dtype=np.float64)
+        samples = scene.brightness(i)
         weights = None
         if given is not None:
             weights = given[i][scene.valid] / np.float32(largest_weight)

@@ -161,6 +161,11 @@ PRECONDITIONER_PIXELS = 1024
 PRECONDITIONER_DAMPING = 1e-6
 """Share of the preconditioner's diagonal that is added to it."""
 
+SECANT_GAIN_MIN = 0.5
+"""Share of what a joint step of all pixels promised that it has to gain for its secant to be kept.
+Near the end steps gain 0.8 and more; less tells that the sum is not quadratic so far, where secants
+mislead, and those before are forgotten too."""
+
 CG_ITERATIONS_MAX = 20
 """Products with the lights' system in a joint step."""
 
@@ -234,6 +239,9 @@ steps, changed errors by less than 4 % in the geometric mean."""
 
 PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
+
+PIXELS_AT_ONCE = 4096
+"""Pixels whose likelihoods are held at a time by each processor; changes no result."""
 
 EM_ITERATIONS = 100
 """Iterations of EM for a distribution."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.light_spectrum import spectrum
+from pbrfit.fit.light_spectrum import of_objective
 from pbrfit.fit.normal_equations import (
     WORKING_SET,
     chunks,
@@ -33,7 +33,7 @@ from pbrfit.fit.settings import (
 )
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.threads import one_blas_thread
+from pbrfit.threads import in_pieces, one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,8 @@ def variances(objective: Objective, x: Array, lights: LightModes | None) -> Vari
     singular = np.empty(held.shape, dtype=bool)
     sum_sq_residuals = np.empty(layout.pixels)
     bytes_each = max(8 * 4 * held.shape[1] ** 2, PIECES_MIN * WORKING_SET // layout.pixels)
-    for chunk in chunks(layout.pixels, bytes_each):
+
+    def fill(chunk: slice) -> None:
         pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
         matrices, _, sum_sq_residuals[chunk] = problem.normal_equations(for_core, pixels)
         found = inverse(matrices, held[chunk])
@@ -118,6 +119,8 @@ def variances(objective: Objective, x: Array, lights: LightModes | None) -> Vari
             if len(lights.free):
                 moves = problem.moves_with_lights(*args, lights.free)
                 singular[chunk] |= moves > FREE_MOVE_MAX**2
+
+    in_pieces(objective.threads, fill, chunks(layout.pixels, bytes_each))
     return Variances(conditional, marginal, singular, held, sum_sq_residuals)
 
 
@@ -205,7 +208,7 @@ def light_modes(
     layout, for_core = objective.layout, objective.for_core(x)
     pixels = evenly_spaced(layout.pixels, light_pixels)
     own_held = held[pixels]
-    known = spectrum(objective.problem, for_core, layout, pixels, own_held)
+    known = of_objective(objective, x, pixels, own_held)
     left, vectors = known.left, known.vectors
     light_channels, k = layout.light_channels, layout.coefficients
     blocks = layout.pictures * light_channels
@@ -291,9 +294,10 @@ def _materials(values: NDArray[np.floating[Any]], layout: ParameterLayout) -> Ma
 def _flags(values: NDArray[np.bool_], layout: ParameterLayout) -> NDArray[np.bool_]:
     """(H, W, 3) of (P, D), False outside the mask."""
     c = layout.channels
+    albedo = values[:, 0].copy()
+    for channel in range(1, c):
+        albedo |= values[:, channel]
     flags = np.zeros((*layout.valid.shape, 3), dtype=bool)
-    of_pixels = np.zeros((layout.pixels, 3), dtype=bool)
-    of_pixels[:, 0] = values[:, :c].any(axis=1)
-    of_pixels[:, 1 : 1 + values.shape[1] - c] = values[:, c:]
-    flags[layout.valid] = of_pixels
+    for i, of_map in enumerate((albedo, *values[:, c:].T)):
+        flags[layout.valid, i] = of_map
     return flags

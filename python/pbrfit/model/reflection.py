@@ -231,6 +231,23 @@ def render(
     return images[0] if light.ndim == 2 else images
 
 
+def render_rows(
+    materials: Materials,
+    normals: NDArray[np.floating[Any]],
+    lighting: NDArray[np.float64],
+    fov: float,
+    rows: slice,
+    threads: int,
+    model: Model,
+) -> NDArray[np.float64]:
+    """Some rows of what `render` gives for lights (N, 16, 3): (N, rows, W, 3)."""
+    part = Materials(materials.albedo[rows], materials.roughness[rows], materials.metallic[rows])
+    height, width = materials.roughness.shape
+    views = view_directions(height, width, fov, rows)
+    view = _View.of_maps(part, normals[rows], fov, views)
+    return view.pictures(_core.render(*view.pixels, lighting, threads, model))
+
+
 def render_directional(
     materials: Materials,
     normals: ArrayLike,
@@ -298,8 +315,13 @@ class _View:
     """Which of the picture's pixels they are."""
 
     @classmethod
-    def of_maps(cls, materials: Materials, normals: ArrayLike, fov: float) -> _View:
-        """Leave out the pixels that are NaN or infinite in any map."""
+    def of_maps(
+        cls, materials: Materials, normals: ArrayLike, fov: float, views: Array | None = None
+    ) -> _View:
+        """Leave out the pixels that are NaN or infinite in any map.
+
+        `views` (H, W, 3) are for a part of a larger picture; None = the maps are all of it.
+        """
         albedo = _array("albedo", materials.albedo, (3,))
         if albedo.ndim != 3:
             raise InputError(f"albedo: expected shape (H, W, 3), found {albedo.shape}")
@@ -311,10 +333,9 @@ class _View:
         if not all(np.isfinite(given).all() for given in (albedo, roughness, metallic, n)):
             used = np.isfinite(albedo).all(-1) & np.isfinite(n).all(-1)
             of = (used & np.isfinite(roughness) & np.isfinite(metallic)).reshape(-1)
-        n, v, rho = (
-            vectors.reshape(-1, 3)[of]
-            for vectors in (n, view_directions(height, width, fov), albedo)
-        )
+        if views is None:
+            views = view_directions(height, width, fov)
+        n, v, rho = (vectors.reshape(-1, 3)[of] for vectors in (n, views, albedo))
         r, m = (numbers.reshape(-1)[of] for numbers in (roughness, metallic))
         return cls(height, width, (n, v, rho, r, m), of)
 

@@ -204,6 +204,11 @@ class SceneArrays:
         return _valid(self.mask, self.weights, (self.height, self.width))
 
     @lazy
+    def all_valid(self) -> bool:
+        """Whether that are all."""
+        return bool(self.valid.all())
+
+    @lazy
     def grey(self) -> bool:
         """Whether the pictures, and the lights if they are known, have three equal channels."""
         if self.lighting is not None and not equal_channels(self.lighting):
@@ -227,12 +232,34 @@ class SceneArrays:
         """
         return None if self.segments is None else consecutive_labels(self.segments[self.valid])
 
-    def samples(self, picture: int) -> NDArray[np.floating[Any]]:
-        """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight."""
-        samples: NDArray[np.floating[Any]] = self.images[picture][self.valid]
+    def samples(
+        self, picture: int, places: NDArray[np.intp] | None = None
+    ) -> NDArray[np.floating[Any]]:
+        """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight.
+
+        Or at some places of the picture, row by row, which are read alone. No copy where all pixels
+        are valid and of some weight.
+        """
+
+        def at(values: NDArray[Any]) -> NDArray[Any]:
+            if places is not None:
+                return np.asarray(values[np.divmod(places, self.width)])
+            if self.all_valid and self.weights is None:
+                return values.reshape(-1, *values.shape[2:])
+            return np.asarray(values[self.valid])
+
+        samples = at(self.images[picture])
         if self.weights is not None:
-            samples[self.weights[picture][self.valid] == 0] = 0
+            samples[at(self.weights[picture]) == 0] = 0
         return samples
+
+    def brightness(self, picture: int) -> NDArray[np.float64]:
+        """(P,): the mean over the channels of `samples`."""
+        red, green, blue = self.samples(picture).T
+        mean: NDArray[np.float64] = np.add(red, green, dtype=np.float64)
+        mean += blue
+        mean /= 3
+        return mean
 
     @property
     def views(self) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ def mean_radiance(scene: Scene) -> NDArray[np.float64]:
     """Of each picture, (N,): the weighted mean over its valid samples and channels."""
     means = np.empty(len(scene.images))
     for i in range(len(means)):
-        samples = scene.samples(i).mean(axis=-1, dtype=np.float64)
+        samples = scene.brightness(i)
         if scene.weights is None:
             means[i] = samples.mean()
         else:

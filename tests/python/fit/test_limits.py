@@ -11,8 +11,7 @@ import pytest
 
 import pbrfit
 from pbrfit import Priors, Result, Scene, Status, _core
-from pbrfit.fit import pixels
-from pbrfit.fit.priors import mixture as material
+from pbrfit.fit import pixels, settings
 from pbrfit.fit.run import Run
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
@@ -111,7 +110,7 @@ def test_whenever_time_is_up_little_is_done_from_there_on(
     options = CONFIGURATIONS[name]
     # Pieces as small beside this picture as the real ones beside large pictures.
     monkeypatch.setattr(pixels, "PIXELS_PER_CALL", 32)
-    monkeypatch.setattr(material, "PIXELS_AT_ONCE", 32)
+    monkeypatch.setattr(settings, "PIXELS_AT_ONCE", 32)
     with monkeypatch.context() as patch:
         undisturbed = Clock(patch, np.inf)
         assert fit(**options).status is not Status.TIME_LIMIT

@@ -59,7 +59,7 @@ if method == "lbfgsb":
     )
 else:
     del objective, x0
-    pbrfit.decompose(scene, priors=None, refine_normals="off", uncertainty=False)
+    pbrfit.decompose(scene, refine_normals="off", uncertainty=False)
 print(resident("VmHWM") - before, memory.of_fit(scene, ParameterLayout.of(scene), method).further)
 """
 

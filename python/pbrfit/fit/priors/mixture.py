@@ -39,7 +39,7 @@ from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over, slices
-from pbrfit.threads import one_blas_thread
+from pbrfit.threads import in_pieces, one_blas_thread
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
@@ -49,9 +49,6 @@ Stop = Callable[[], bool]
 ROUGHNESS_NODES = np.linspace(*settings.PRIOR_ROUGHNESS_NODES)
 METALLIC_NODES = np.linspace(*settings.PRIOR_METALLIC_NODES)
 NODE_DISTANCE = float(ROUGHNESS_NODES[1] - ROUGHNESS_NODES[0])
-
-PIXELS_AT_ONCE = 8192
-"""Pixels whose likelihoods are held at a time; changes no result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,28 +193,43 @@ class _Grid:
 
     def likelihood(self, pixels: Pixels) -> NDArray[np.float32]:
         """A, (Q, nodes); 1 at the best node of each pixel."""
-        parts = [self._of_piece(pixels[chunk]) for chunk in slices(len(pixels), PIXELS_AT_ONCE)]
-        return np.concatenate(parts)
+        found = np.empty((len(pixels), len(self.roughness)), np.float32)
+
+        def fill(piece: slice) -> None:
+            found[piece] = self.of_piece(pixels[piece])
+
+        in_pieces(self.objective.threads, fill, slices(len(pixels), settings.PIXELS_AT_ONCE))
+        return found
 
     def _sum_sq(self, pixels: Pixels) -> NDArray[np.float32]:
         """Least Σ ω (I − T)² of each node, (Q, nodes)."""
         sum_sq = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
         return sum_sq.reshape(len(pixels), -1)
 
-    def _of_piece(self, pixels: Pixels) -> NDArray[np.float32]:
+    def of_piece(self, pixels: Pixels) -> NDArray[np.float32]:
+        """The same of few enough pixels."""
         excess = self._sum_sq(pixels)
         excess -= excess.min(axis=1, keepdims=True)
         excess /= np.float32(2 * self._variance)
         # σ of roughness, from the curvature of its profile at the best node.
-        profile = excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1).min(axis=2)
+        profile = _least(excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1))
         best = np.clip(profile.argmin(axis=1), 1, len(ROUGHNESS_NODES) - 2)[:, None]
         below, at, above = (np.take_along_axis(profile, best + i, axis=1) for i in (-1, 0, 1))
         curvature = (
             np.maximum(below - 2 * at + above, settings.LIKELIHOOD_CURVATURE_MIN) / NODE_DISTANCE**2
         )
         share = 1 / (1 + settings.PRIOR_NODE_SPACING**2 * curvature)  # η
-        likelihood: NDArray[np.float32] = np.exp(-share * excess)
-        return likelihood
+        excess *= -share
+        np.exp(excess, out=excess)
+        return excess
+
+
+def _least(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Over the last axis, which is short: numpy's own minimum is for long ones."""
+    found = values[..., 0].copy()
+    for i in range(1, values.shape[-1]):
+        np.minimum(found, values[..., i], out=found)
+    return found
 
 
 class _Posterior(NamedTuple):
@@ -286,18 +298,26 @@ class _Distributions:
         """The posterior of all pixels of the grid's objective; None if stopped before."""
         labels = _labels(grid.objective)
         everything = np.arange(len(labels), dtype=np.uint64)
-        parts = []
-        for chunk in slices(len(labels), PIXELS_AT_ONCE):
+
+        def of_piece(chunk: slice) -> _Posterior | None:
             if stop():
                 return None
-            parts.append(self.posterior(grid.likelihood(everything[chunk]), labels[chunk]))
-        return _Posterior(*map(np.concatenate, zip(*parts, strict=True)))
+            return self.posterior(grid.of_piece(everything[chunk]), labels[chunk])
+
+        parts = in_pieces(
+            grid.objective.threads, of_piece, slices(len(labels), settings.PIXELS_AT_ONCE)
+        )
+        found = [part for part in parts if part is not None]
+        if len(found) < len(parts):
+            return None
+        return _Posterior(*map(np.concatenate, zip(*found, strict=True)))
 
     def posterior(self, likelihood: NDArray[np.float32], labels: Labels) -> _Posterior:
         """Of pixels with these likelihoods, (Q, nodes), and labels."""
         known = labels < len(self.row)
         rows = np.where(known, self.row[np.where(known, labels, 0)], 0)
-        posterior = likelihood * self.probabilities[rows]
+        posterior = self.probabilities[rows]
+        posterior *= likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
         mean = posterior @ self.nodes
         variance = np.maximum(posterior @ self.nodes**2 - mean**2, 0)

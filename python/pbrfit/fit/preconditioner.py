@@ -1,0 +1,119 @@
+"""The preconditioner of joint steps: the system of the lights, made of few pixels and sums.
+
+A channel's radiance in N pictures is L w, with its lights L (N, K) and the weights w of a pixel. So
+is what materials do to it, for they change w alone: it lies in the span of the K columns of L. With
+an orthonormal basis Q (N, J) of that, the pixels that are solved for take nothing from the rest:
+
+    S = Q S' Qᵀ + (1 − Q Qᵀ) G (1 − Q Qᵀ)        S⁻¹ = Q S'⁻¹ Qᵀ + (1 − Q Qᵀ) G⁻¹ (1 − Q Qᵀ)
+
+where samples have the same weight in all pictures. S' is the system of J sums Qᵀ I of the pictures
+under the lights Qᵀ L, and G, with a block for each picture, that of known materials. So the system
+that is factored has the size of K pictures at most, however many there are. With other weights the
+left out products of both parts are small, and S' is with the mean weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.light_prior import LightPrior
+from pbrfit.fit.normal_equations import Cholesky
+from pbrfit.fit.objective import Objective
+
+Array = NDArray[np.float64]
+Solve = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Preconditioner:
+    """S⁻¹ v of one pixel, for v of the lights and what else is shared."""
+
+    in_span: Solve
+    """S'⁻¹, and of what is no light."""
+    basis: Array | None = None
+    """(light channels, N, J): Q; None where it is 1."""
+    beyond: Array | None = None
+    """(N, K light channels, K light channels): G⁻¹."""
+
+    @classmethod
+    def of(
+        cls,
+        objective: Objective,
+        x: Array,
+        times: float,
+        lights: LightPrior,
+        others: Array,
+        options: dict[str, Any],
+    ) -> Preconditioner:
+        """Of pixels that stand for so many times as many, with the prior on the lights.
+
+        `others` is added to the diagonal of what is no light, and `options` are for the core. The
+        prior is for all `lights.pixels`, which the system is divided by.
+        """
+        problem, basis = objective.problem, objective.light_basis(x)
+        for_core = objective.for_core(x)
+        if basis is not None:
+            problem, for_core = objective.combined(x, basis)
+        everything = np.arange(objective.pixels, dtype=np.uint64)
+        matrix, _ = problem.schur_complement(for_core, everything, **options)
+        matrix *= times
+        end = len(matrix) - len(others)
+        matrix[:end, :end] += lights.matrix(basis)
+        np.einsum("ii->i", matrix)[end:] += others + np.finfo(float).tiny
+        matrix /= lights.pixels
+        in_span = _solver(matrix)
+        if basis is None:
+            return cls(in_span)
+        blocks = times * _with_known_materials(objective, x) + lights.of_pictures()
+        ridge = settings.PRECONDITIONER_DAMPING * np.einsum("nii->n", blocks) + np.finfo(float).tiny
+        np.einsum("nii->ni", blocks)[:] += ridge[:, None]
+        return cls(in_span, basis, np.asarray(np.linalg.inv(blocks / lights.pixels), np.float64))
+
+    def __call__(self, v: Array) -> Array:
+        """S⁻¹ v."""
+        if self.basis is None or self.beyond is None:
+            return self.in_span(v)
+        channels, pictures, rank = self.basis.shape
+        end = pictures * self.beyond.shape[1]
+        of_lights = v[:end].reshape(channels, pictures, -1)
+        inside = self.basis.transpose(0, 2, 1) @ of_lights
+        solved = self.in_span(np.concatenate([inside.ravel(), v[end:]]))
+        outside = (of_lights - self.basis @ inside).transpose(1, 0, 2)
+        found = (self.beyond @ outside.reshape(pictures, -1, 1)).reshape(outside.shape)
+        found = found.transpose(1, 0, 2)
+        count = inside.size
+        inside = solved[:count].reshape(channels, rank, -1)
+        found = found + self.basis @ (inside - self.basis.transpose(0, 2, 1) @ found)
+        return np.concatenate([found.ravel(), solved[count:]])
+
+
+def _with_known_materials(objective: Objective, x: Array) -> Array:
+    """G: (N, light channels K, light channels K), of the objective's pixels."""
+    layout = objective.layout
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    for_core = objective.for_core(x)
+    channels, k = layout.light_channels, layout.coefficients
+    found = np.zeros((layout.pictures, channels, k, channels, k))
+    _, by_light, weights = objective.problem.derivatives(for_core, everything)
+    for c in range(layout.channels):
+        w = by_light[:, c]
+        products = (w[:, :, None] * w[:, None, :]).reshape(len(w), -1)
+        grams = weights[:, :, c].T @ products
+        found[:, c % channels, :, c % channels] += grams.reshape(-1, k, k)
+    return found.reshape(layout.pictures, channels * k, channels * k)
+
+
+def _solver(matrix: Array) -> Solve:
+    diagonal = np.abs(np.einsum("ii->i", matrix)) + np.finfo(float).tiny
+    try:
+        return Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
+    except np.linalg.LinAlgError:
+        # Rounding decides where next to nothing is known of the lights.
+        return partial(np.multiply, 1 / diagonal)

@@ -1,0 +1,115 @@
+"""Many pictures have the system of a few sums of them, and that is its preconditioner."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import Objective, Scene
+from pbrfit.fit import uncertainty
+from pbrfit.fit.light_prior import LightPrior
+from pbrfit.fit.pixels import fit_all
+from pbrfit.fit.preconditioner import Preconditioner
+from pbrfit.synthetic import make_scene
+from scene_kinds import all_pixels
+
+Array = NDArray[np.float64]
+
+PICTURES = 14
+KINDS = {"colour": False, "mono": True}
+each_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return make_scene("room", size=24, lights=PICTURES, noise=0.01, seed=7, held_out=1)
+
+
+def objective_of(scene: Scene, kind: str) -> Objective:
+    """With nine coefficients, so that there are more pictures."""
+    return Objective(scene, sh_order=2, mono_light=KINDS[kind])
+
+
+def fitted(objective: Objective) -> Array:
+    x = objective.start()
+    assert fit_all(objective, x, starts=1) is not None
+    return x
+
+
+def without_prior(objective: Objective, x: Array) -> LightPrior:
+    return LightPrior.around(objective, x).of_pixels(objective.pixels)
+
+
+def system(objective: Objective, x: Array) -> Array:
+    mono = objective.layout.light_channels < objective.channels
+    return objective.problem.schur_complement(
+        objective.for_core(x), all_pixels(objective), mono=mono
+    )[0]
+
+
+def preconditioner(objective: Objective, x: Array) -> Preconditioner:
+    mono = objective.layout.light_channels < objective.channels
+    lights, none = without_prior(objective, x), np.empty(0)
+    return Preconditioner.of(objective, x, 1.0, lights, none, {"mono": mono})
+
+
+@each_kind
+def test_of_all_pixels_it_is_the_inverse(scene: Scene, kind: str) -> None:
+    objective = objective_of(scene, kind)
+    x = fitted(objective)
+    found, matrix = preconditioner(objective, x), system(objective, x)
+    assert found.basis is not None
+    assert found.basis.shape == (1 if kind == "mono" else 3, PICTURES, 9)
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        v = rng.normal(size=len(matrix))
+        off = found(matrix @ v) / objective.pixels - v
+        assert off @ matrix @ off < 1e-6 * (v @ matrix @ v)
+
+
+def test_it_is_symmetric_and_positive_with_any_prior(scene: Scene) -> None:
+    objective = objective_of(scene, "colour")
+    x = fitted(objective)
+    lights = LightPrior.around(objective, x).weighing(0.3, 0.1, objective.pixels)
+    lights = lights.of_pixels(objective.pixels)
+    found = Preconditioner.of(objective, x, 1.0, lights, np.empty(0), {})
+    rng = np.random.default_rng(2)
+    directions = rng.normal(size=(20, x[objective.layout.lighting].size))
+    products = np.array([[u @ found(v) for v in directions] for u in directions])
+    np.testing.assert_allclose(products, products.T, atol=1e-9 * np.abs(products).max())
+    assert np.linalg.eigvalsh((products + products.T) / 2).min() > 0
+
+
+@each_kind
+def test_the_prior_in_sums_is_that_of_the_lights(scene: Scene, kind: str) -> None:
+    objective = objective_of(scene, kind)
+    prior = LightPrior.around(objective, objective.start()).weighing(0.5, 0.2, 10)
+    basis = objective.light_basis(objective.start())
+    assert basis is not None
+    channels, _, rank = basis.shape
+    whole = prior.matrix().reshape(2 * (channels, PICTURES, 9))
+    expected = np.einsum("cni,cnkdml,dmj->cikdjl", basis, whole, basis, optimize=True)
+    size = channels * rank * 9
+    np.testing.assert_allclose(
+        prior.matrix(basis),
+        expected.reshape(size, size),
+        rtol=1e-9,
+        atol=1e-9 * np.abs(expected).max(),
+    )
+
+
+@each_kind
+def test_uncertainty_of_many_pictures_is_that_of_all_lights(
+    scene: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    objective = objective_of(scene, kind)
+    x = fitted(objective)
+    found = uncertainty.estimate(objective, x)
+    monkeypatch.setattr(Objective, "light_basis", lambda *_: None)
+    expected = uncertainty.estimate(objective, x)
+    for name in ("albedo", "roughness", "metallic"):
+        np.testing.assert_allclose(
+            getattr(found.marginal, name), getattr(expected.marginal, name), rtol=2e-3
+        )
+    np.testing.assert_allclose(found.albedo_scale, expected.albedo_scale, rtol=1e-3)
