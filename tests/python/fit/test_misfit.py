@@ -94,3 +94,43 @@ def test_where_nothing_is_left_nothing_is_divided_by(monkeypatch: pytest.MonkeyP
     assert misfit.variance(objective, np.zeros(256)) == settings.NOISE_VARIANCE_MIN
     monkeypatch.setattr(objective, "problem", Exact())
     assert misfit.independent_share(objective, x) == 1
+
+
+# --- The score ---
+
+
+def test_unknowns_that_explain_noise_alone_raise_the_score() -> None:
+    rng = np.random.default_rng(5)
+    samples, few, more = 400, 10, 40
+    better = 0
+    for _ in range(200):
+        rows, noise = rng.normal(size=(samples, more)), rng.normal(size=samples)
+        left = [
+            noise - rows[:, :count] @ np.linalg.lstsq(rows[:, :count], noise, rcond=None)[0]
+            for count in (few, more)
+        ]
+        one, other = (
+            misfit.score(float(np.mean(of**2)), count, samples)
+            for of, count in zip(left, (few, more), strict=True)
+        )
+        better += other < one
+    assert better < 10
+
+
+def test_unknowns_that_explain_more_lower_the_score() -> None:
+    assert misfit.score(0.5, 40, 400) < misfit.score(1.0, 10, 400)
+    # Not where samples share what is left: there are fewer.
+    assert misfit.score(0.5, 40, 60) > misfit.score(1.0, 10, 60)
+
+
+def test_no_more_samples_than_unknowns_say_nothing() -> None:
+    assert misfit.score(1e-9, 40, 41) == np.inf
+    assert misfit.score(0.0, 40, 42) < np.inf
+
+
+def test_samples_that_share_what_is_left_count_in_part() -> None:
+    assert Misfit(1.0, 0.6, 1.0).effective_share == 1
+    assert Misfit(1.0, 4.0, 1.0).effective_share == 0.25
+    assert Misfit(1.0, 4.0, 0.1).effective_share == 0.1
+    assert Misfit(1.0, 1.0).is_noise
+    assert not Misfit(1.0, 1.01).is_noise

@@ -151,6 +151,31 @@ def test_the_number_of_threads_changes_no_bit(options: dict[str, Any]) -> None:
         assert other.refinement == results[0].refinement
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    "options", [{"sh_order": 2}, {"metallic": 0.5}, {"fov": 90.0}], ids=lambda made: str(*made)
+)
+def test_asked_for_or_not_no_more_is_left_than_by_the_given_ones(
+    options: dict[str, Any], seed: int
+) -> None:
+    """Where the model is wrong, other normals may explain more, and must not explain less."""
+    options = dict(options)
+    scene = make_scene("room", size=SIZE, lights=8, seed=seed, held_out=1, noise=0.01)
+    scene = dataclasses.replace(scene, fov=options.pop("fov", scene.fov))
+    off, on = (
+        decompose(scene, refine_normals=asked, uncertainty=False, **options)
+        for asked in ("off", "on")
+    )
+    check(on, scene)
+    if on.refinement.refined:
+        assert on.metrics["recon_rmse"] <= off.metrics["recon_rmse"]
+    else:
+        np.testing.assert_array_equal(on.normals, scene.normals)
+    figures = on.refinement.figures
+    assert figures["score_before"] < math.inf
+    assert "score_after" in figures
+
+
 # ------------------------------------------------------------------------------------- few means
 
 
@@ -198,11 +223,10 @@ def test_the_history_ends_with_the_fit_that_is_kept(solver: Solver) -> None:
     check(kept, scene)
     same(kept, plain)
     assert kept.history.iterations == plain.history.iterations <= 60
-    assert kept.evaluations > plain.evaluations
-    assert kept.stages[: len(plain.stages)] != kept.stages
+    of_level = {"lights", "lights and normals"}
+    assert {stage.name for stage in kept.stages} == of_level | {s.name for s in plain.stages}
+    assert {stage.name for stage in refined.stages} >= of_level | {"normals of all pixels"}
     for result in (refined, kept):
-        names = {stage.name for stage in result.stages}
-        assert names >= {"lights and normals", "normals of all pixels"}
         for column in ("iteration", "elapsed_s"):
             assert (np.diff(result.history[column]) >= 0).all()
         assert sum(stage.seconds for stage in result.stages) <= result.seconds
@@ -233,12 +257,12 @@ def test_lights_that_joint_steps_found_do_not_count_as_known(options: dict[str, 
 @pytest.mark.parametrize("asked", ["on", "auto"])
 @pytest.mark.parametrize("size", [16, 24])
 def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
-    """A fit that was stopped early leaves what looks like wrong normals, but none are better."""
+    """Where lights have to be found, given ones explain all up to rounding, and none are better."""
     scene = right(size, 8)
     options: dict[str, Any] = {"solver": "lbfgsb", "iterations": 60, "uncertainty": False}
     found = decompose(scene, refine_normals=asked, **options)
     check(found, scene)
-    assert found.refinement.figures["residual_after"] > 0
+    assert ("residual_after" in found.refinement.figures) == (asked == "on")
     if found.normal_change is not None:
         assert np.nanmean(found.normal_change) < 0.3
     if asked == "auto":

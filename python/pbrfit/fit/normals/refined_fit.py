@@ -93,7 +93,8 @@ def fit(
         return with_given(lights), Refinement(asked, False, why, figures)
     free = make(run.scene, True)
     free_x, offsets, found = _find_normals(run, x, free, normals)
-    samples = found.samples * found.misfit.effective_share
+    # What rounding leaves says nothing of noise.
+    samples = found.samples * (1.0 if found.exact else found.misfit.effective_share)
     scores = [misfit.score(one.mean_squared, one.unknowns, samples) for one in (lights, found)]
     figures |= _figures(free, found, "after")
     figures |= dict(zip(("score_before", "score_after"), scores, strict=True))
