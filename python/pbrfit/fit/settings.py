@@ -109,6 +109,12 @@ COARSE_ROUNDS_MAX = 12
 COARSE_STEPS = 6
 """Rounds of that level, each a search of the nodes for each pixel and up to so many joint steps."""
 
+DIELECTRIC_ROUNDS = 2
+DIELECTRIC_SIGMA = 0.1
+"""Where lights are ambiguous, rounds of a second start in which roughness and metallic have a
+normal distribution around a dielectric of middle roughness, and its standard deviation: most
+surfaces are dielectrics, and few pictures show lights before they show materials."""
+
 ROBUST_ROUND = 2
 """Round from which on a robust loss weighs samples: before, residuals are those of wrong lights."""
 
